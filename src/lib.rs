@@ -1,0 +1,5 @@
+//! Terrane: a paged large-terrain streaming engine on wgpu.
+
+pub mod math;
+pub mod scene;
+pub mod state;

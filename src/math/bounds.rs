@@ -1,0 +1,357 @@
+//! Bounding volumes in f64: sphere, axis-aligned box, oriented box and geodetic region.
+
+use glam::{DAffine3, DMat3, DVec3};
+
+use super::{Geodetic, WGS84};
+
+/// A sphere; `radius_m < 0` means empty.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoundingSphere {
+    /// Centre, in the frame of whoever owns the sphere.
+    pub center: DVec3,
+    /// Radius in metres, negative when the sphere is empty.
+    pub radius_m: f64,
+}
+
+impl BoundingSphere {
+    /// The sphere that holds nothing.
+    pub const EMPTY: Self = Self {
+        center: DVec3::ZERO,
+        radius_m: -1.0,
+    };
+
+    /// A sphere from its centre and radius.
+    pub const fn new(center: DVec3, radius_m: f64) -> Self {
+        Self { center, radius_m }
+    }
+
+    /// True when the sphere holds nothing.
+    pub fn is_empty(&self) -> bool {
+        self.radius_m < 0.0
+    }
+
+    /// The smallest sphere around both.
+    pub fn union(&self, other: &Self) -> Self {
+        if self.is_empty() {
+            return *other;
+        }
+        if other.is_empty() {
+            return *self;
+        }
+        let offset = other.center - self.center;
+        let distance = offset.length();
+        if distance + other.radius_m <= self.radius_m {
+            return *self;
+        }
+        if distance + self.radius_m <= other.radius_m {
+            return *other;
+        }
+        let radius_m = 0.5 * (distance + self.radius_m + other.radius_m);
+        Self {
+            center: self.center + offset * ((radius_m - self.radius_m) / distance),
+            radius_m,
+        }
+    }
+
+    /// The sphere under an affine map, grown by the largest axis scale.
+    pub fn transformed(&self, to_from: &DAffine3) -> Self {
+        if self.is_empty() {
+            return *self;
+        }
+        Self {
+            center: to_from.transform_point3(self.center),
+            radius_m: self.radius_m * max_scale(&to_from.matrix3),
+        }
+    }
+}
+
+/// The largest factor by which a linear map stretches an axis.
+pub(crate) fn max_scale(m: &DMat3) -> f64 {
+    m.x_axis
+        .length()
+        .max(m.y_axis.length())
+        .max(m.z_axis.length())
+}
+
+/// An axis-aligned box; empty when `min > max`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Aabb {
+    /// Lower corner.
+    pub min: DVec3,
+    /// Upper corner.
+    pub max: DVec3,
+}
+
+impl Aabb {
+    /// The box that holds nothing.
+    pub const EMPTY: Self = Self {
+        min: DVec3::INFINITY,
+        max: DVec3::NEG_INFINITY,
+    };
+
+    /// The box around some points.
+    pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {
+        points.into_iter().fold(Self::EMPTY, |b, p| Self {
+            min: b.min.min(p),
+            max: b.max.max(p),
+        })
+    }
+
+    /// True when the box holds nothing.
+    pub fn is_empty(&self) -> bool {
+        !self.min.cmple(self.max).all()
+    }
+
+    /// The middle of the box.
+    pub fn center(&self) -> DVec3 {
+        0.5 * (self.min + self.max)
+    }
+
+    /// Half the extent along each axis.
+    pub fn half_size(&self) -> DVec3 {
+        0.5 * (self.max - self.min)
+    }
+
+    /// The smallest box around both.
+    pub fn union(&self, other: &Self) -> Self {
+        Self {
+            min: self.min.min(other.min),
+            max: self.max.max(other.max),
+        }
+    }
+
+    /// The axis-aligned box around this box under an affine map.
+    pub fn transformed(&self, to_from: &DAffine3) -> Self {
+        if self.is_empty() {
+            return *self;
+        }
+        let center = to_from.transform_point3(self.center());
+        let half = self.half_size();
+        let m = &to_from.matrix3;
+        let reach = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
+        Self {
+            min: center - reach,
+            max: center + reach,
+        }
+    }
+
+    /// The sphere around the box.
+    pub fn bounding_sphere(&self) -> BoundingSphere {
+        if self.is_empty() {
+            BoundingSphere::EMPTY
+        } else {
+            BoundingSphere::new(self.center(), self.half_size().length())
+        }
+    }
+}
+
+/// A box with its own axes: 3D Tiles' `box`. The half axes may have zero length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OrientedBox {
+    /// Centre of the box.
+    pub center: DVec3,
+    /// Columns are the half axes, in metres.
+    pub half_axes: DMat3,
+}
+
+impl OrientedBox {
+    /// The sphere around the box.
+    pub fn bounding_sphere(&self) -> BoundingSphere {
+        let m = &self.half_axes;
+        // The farthest corner; the axes need not be orthogonal.
+        let mut radius_m = 0.0f64;
+        for (sy, sz) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
+            radius_m = radius_m.max((m.x_axis + sy * m.y_axis + sz * m.z_axis).length());
+        }
+        BoundingSphere::new(self.center, radius_m)
+    }
+
+    /// The axis-aligned box around the box.
+    pub fn aabb(&self) -> Aabb {
+        let m = &self.half_axes;
+        let reach = m.x_axis.abs() + m.y_axis.abs() + m.z_axis.abs();
+        Aabb {
+            min: self.center - reach,
+            max: self.center + reach,
+        }
+    }
+
+    /// The box under an affine map.
+    pub fn transformed(&self, to_from: &DAffine3) -> Self {
+        Self {
+            center: to_from.transform_point3(self.center),
+            half_axes: to_from.matrix3 * self.half_axes,
+        }
+    }
+
+    /// Distance in metres from a point to the nearest point of the box (axes taken as orthogonal); 0 inside.
+    pub fn distance_to(&self, point: DVec3) -> f64 {
+        let offset = point - self.center;
+        let m = &self.half_axes;
+        let mut outside = 0.0;
+        let mut rest = offset;
+        for axis in [m.x_axis, m.y_axis, m.z_axis] {
+            let length = axis.length();
+            if length > 1e-12 {
+                let direction = axis / length;
+                let along = offset.dot(direction);
+                rest -= direction * along;
+                let excess = (along.abs() - length).max(0.0);
+                outside += excess * excess;
+            }
+        }
+        // What is left lies along axes of zero length.
+        (outside + rest.length_squared()).sqrt()
+    }
+}
+
+/// A geodetic box: 3D Tiles' `region`. Radians and metres above the WGS84 ellipsoid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Region {
+    /// Western edge in radians; may be larger than `east` across the antimeridian.
+    pub west: f64,
+    /// Southern edge in radians.
+    pub south: f64,
+    /// Eastern edge in radians.
+    pub east: f64,
+    /// Northern edge in radians.
+    pub north: f64,
+    /// Lowest height in metres.
+    pub min_height_m: f64,
+    /// Highest height in metres.
+    pub max_height_m: f64,
+}
+
+impl Region {
+    /// Extent in longitude in radians, antimeridian taken into account.
+    pub fn width(&self) -> f64 {
+        let w = self.east - self.west;
+        if w < 0.0 {
+            w + std::f64::consts::TAU
+        } else {
+            w
+        }
+    }
+
+    /// The middle of the region at a height, geodetic.
+    pub fn center(&self) -> Geodetic {
+        Geodetic {
+            longitude: self.west + 0.5 * self.width(),
+            latitude: 0.5 * (self.south + self.north),
+            height_m: 0.5 * (self.min_height_m + self.max_height_m),
+        }
+    }
+
+    /// An oriented box (east, north, up at the centre) around the region, in ECEF metres.
+    pub fn oriented_box(&self) -> OrientedBox {
+        let center = self.center();
+        let ecef_from_enu = WGS84.ecef_from_enu(&center);
+        let enu_from_ecef = ecef_from_enu.inverse();
+        let steps = 8;
+        let mut points = Vec::with_capacity(2 * 81);
+        for i in 0..=steps {
+            for j in 0..=steps {
+                for height_m in [self.min_height_m, self.max_height_m] {
+                    let geodetic = Geodetic {
+                        longitude: self.west + self.width() * i as f64 / steps as f64,
+                        latitude: self.south + (self.north - self.south) * j as f64 / steps as f64,
+                        height_m,
+                    };
+                    points.push(enu_from_ecef.transform_point3(WGS84.ecef(&geodetic)));
+                }
+            }
+        }
+        let b = Aabb::from_points(points);
+        // Between samples the surface bulges beyond the hull by at most the sagitta of one step.
+        let step = (self.width().max(self.north - self.south)) / steps as f64;
+        let bulge = WGS84.semi_major_m * step * step / 8.0;
+        OrientedBox {
+            center: ecef_from_enu.transform_point3(b.center()),
+            half_axes: ecef_from_enu.matrix3
+                * DMat3::from_diagonal(b.half_size() + DVec3::splat(bulge)),
+        }
+    }
+}
+
+/// Any volume that 3D Tiles names.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum BoundingVolume {
+    /// `sphere`.
+    Sphere(BoundingSphere),
+    /// `box`.
+    Box(OrientedBox),
+    /// `region`; always in ECEF, no transform applies.
+    Region(Region),
+}
+
+impl BoundingVolume {
+    /// The oriented box of a box or region; `None` for a sphere.
+    pub fn oriented_box(&self) -> Option<OrientedBox> {
+        match self {
+            Self::Sphere(_) => None,
+            Self::Box(b) => Some(*b),
+            Self::Region(r) => Some(r.oriented_box()),
+        }
+    }
+
+    /// The sphere around the volume.
+    pub fn bounding_sphere(&self) -> BoundingSphere {
+        match self {
+            Self::Sphere(s) => *s,
+            Self::Box(b) => b.bounding_sphere(),
+            Self::Region(r) => r.oriented_box().bounding_sphere(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn union_holds_both() {
+        let a = BoundingSphere::new(DVec3::ZERO, 1.0);
+        let b = BoundingSphere::new(DVec3::X * 4.0, 2.0);
+        let u = a.union(&b);
+        for s in [a, b] {
+            assert!(u.center.distance(s.center) + s.radius_m <= u.radius_m + 1e-12);
+        }
+        assert_eq!(a.union(&BoundingSphere::EMPTY), a);
+    }
+
+    #[test]
+    fn distance_to_a_flat_box() {
+        let b = OrientedBox {
+            center: DVec3::ZERO,
+            half_axes: DMat3::from_diagonal(DVec3::new(1.0, 1.0, 0.0)),
+        };
+        assert!((b.distance_to(DVec3::new(0.0, 0.0, 3.0)) - 3.0).abs() < 1e-12);
+        assert!((b.distance_to(DVec3::new(4.0, 5.0, 0.0)) - 5.0).abs() < 1e-12);
+        assert_eq!(b.distance_to(DVec3::new(0.5, -0.5, 0.0)), 0.0);
+    }
+
+    #[test]
+    fn a_region_lies_in_its_box() {
+        let r = Region {
+            west: 0.1,
+            south: 0.7,
+            east: 0.2,
+            north: 0.8,
+            min_height_m: -10.0,
+            max_height_m: 3000.0,
+        };
+        let b = r.oriented_box();
+        for i in 0..=33 {
+            for j in 0..=33 {
+                for height_m in [-10.0, 3000.0] {
+                    let p = WGS84.ecef(&Geodetic {
+                        longitude: 0.1 + 0.1 * i as f64 / 33.0,
+                        latitude: 0.7 + 0.1 * j as f64 / 33.0,
+                        height_m,
+                    });
+                    assert!(b.distance_to(p) < 1e-6);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,11 @@
+//! Bounds, frusta and geodesy: plain values, used on every thread, in every stage of the frame.
+//!
+//! World positions are `f64`; what is stored per node is `f32` relative to a page's frame.
+
+mod bounds;
+mod frustum;
+mod geodesy;
+
+pub use bounds::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region};
+pub use frustum::Frustum;
+pub use geodesy::{Ellipsoid, Geodetic, WGS84};

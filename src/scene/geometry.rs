@@ -1,0 +1,198 @@
+//! What is drawn: meshes, height tiles, textures and materials, as plain CPU data.
+//!
+//! Filled by decode workers, read once by the draw thread when it compiles a page, then dropped
+//! unless the application keeps its own `Arc`.
+
+use std::sync::Arc;
+
+use crate::math::Aabb;
+
+/// One vertex of a [`Mesh`], as the GPU reads it (28 bytes).
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct MeshVertex {
+    /// Metres in the drawable's frame (near its origin, so that `f32` is enough).
+    pub position: [f32; 3],
+    /// Texture coordinates, origin at the image's upper left.
+    pub uv: [f32; 2],
+    /// Unit normal as snorm8; w unused. Zero means none: the shader then uses the facet's normal.
+    pub normal: [i8; 4],
+    /// Linear colour factor as unorm8.
+    pub color: [u8; 4],
+}
+
+/// How indices form primitives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Topology {
+    /// Three indices a triangle, counter-clockwise front.
+    #[default]
+    Triangles,
+    /// Two indices a segment.
+    Lines,
+    /// One index a point.
+    Points,
+}
+
+/// Indexed geometry in a frame of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    /// Vertices.
+    pub vertices: Vec<MeshVertex>,
+    /// Indices into `vertices`; each below `vertices.len()`. Shared when many tiles have the same grid.
+    pub indices: Arc<[u32]>,
+    /// How the indices form primitives.
+    pub topology: Topology,
+    /// Box around the positions.
+    pub bounds: Aabb,
+}
+
+/// An RGBA8 sRGB image with its mip levels, level 0 first, each half the size of the one before (at least 1).
+#[derive(Clone, PartialEq)]
+pub struct Texture {
+    /// Width of level 0 in texels.
+    pub width: u32,
+    /// Height of level 0 in texels.
+    pub height: u32,
+    /// Rows top to bottom, 4 bytes a texel; one entry per level.
+    pub mips: Vec<Vec<u8>>,
+    /// Repeat outside 0..1 instead of clamping.
+    pub repeat: bool,
+}
+
+impl std::fmt::Debug for Texture {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "Texture({}x{}, {} mips)",
+            self.width,
+            self.height,
+            self.mips.len()
+        )
+    }
+}
+
+/// How alpha is used; glTF's `alphaMode`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum AlphaMode {
+    /// Alpha is ignored.
+    #[default]
+    Opaque,
+    /// Fragments below the cutoff are dropped.
+    Mask(f32),
+    /// Blended over what is behind; goes to the depth-sorted transparent bin.
+    Blend,
+}
+
+/// Surface of a mesh; the part of glTF's material that is drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Material {
+    /// Linear RGBA factor.
+    pub base_color: [f32; 4],
+    /// Multiplied with the factor when present.
+    pub texture: Option<Arc<Texture>>,
+    /// Use of alpha.
+    pub alpha: AlphaMode,
+    /// Draw back faces too.
+    pub double_sided: bool,
+    /// Not lit by the sun (KHR_materials_unlit).
+    pub unlit: bool,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Self {
+            base_color: [1.0; 4],
+            texture: None,
+            alpha: AlphaMode::Opaque,
+            double_sided: false,
+            unlit: false,
+        }
+    }
+}
+
+/// A square of heights, drawn from one shared grid by the vertex shader.
+///
+/// Frame: origin at the tile's centre on the ellipsoid (or plane), axes east, "radial", "polar"; the page's
+/// transform rotates that frame into the world. Vertex (i, j), i east, j north, with height h lies at
+/// ```text
+/// east   = (p0 + row.dp + h * row.cos) * col.sin
+/// radial =  row.dp + h * row.cos - (p0 + row.dp + h * row.cos) * col.one_minus_cos
+/// polar  =  row.dz + h * row.sin
+/// ```
+/// which is the exact ellipsoid in small differences (p: distance from the earth's axis, z: along it); for a
+/// plane set `p0 = 1, row.dp = 0...`; see `io` for both.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HeightTile {
+    /// Vertices along a side, 2^k + 1 (65).
+    pub side: u32,
+    /// `(side + 2)^2` heights in metres above the ellipsoid or plane, one border sample around, row-major,
+    /// **south-west first**, east fastest.
+    pub heights: Vec<f32>,
+    /// Per row, south to north, `side` entries: `[dp, dz, cos, sin]`.
+    pub rows: Vec<[f32; 4]>,
+    /// Per column, west to east, `side` entries: `[sin, one_minus_cos]`.
+    pub columns: Vec<[f32; 2]>,
+    /// Distance of the origin from the earth's axis, metres.
+    pub p0_m: f32,
+    /// Level of the tile, root 0.
+    pub level: u32,
+    /// Geometric errors in metres of the levels `level-1, level-2, ...` (as many as exist, at most 6): where
+    /// a vertex morphs into the coarser grid depends on the level and the distance only, so that neighbours agree.
+    pub coarser_errors_m: Vec<f32>,
+    /// Depth of the skirt in metres.
+    pub skirt_m: f32,
+    /// Size of a cell at the tile's centre, metres east and north (for normals).
+    pub cell_m: [f32; 2],
+    /// Colour, north up (row 0 is the northern edge); white when absent.
+    pub texture: Option<Arc<Texture>>,
+    /// Box around the tile in its frame, skirt included.
+    pub bounds: Aabb,
+}
+
+/// Geometry of a [`Drawable`].
+#[derive(Clone, Debug)]
+pub enum Geometry {
+    /// Indexed primitives.
+    Mesh(Arc<Mesh>),
+    /// Heights on the shared grid.
+    Height(Arc<HeightTile>),
+}
+
+/// One thing to draw.
+#[derive(Clone, Debug)]
+pub struct Drawable {
+    /// Shape.
+    pub geometry: Geometry,
+    /// Surface (height tiles carry their own texture; the factor still applies).
+    pub material: Material,
+}
+
+impl Drawable {
+    /// Box around the drawable in its own frame.
+    pub fn bounds(&self) -> Aabb {
+        match &self.geometry {
+            Geometry::Mesh(mesh) => mesh.bounds,
+            Geometry::Height(tile) => tile.bounds,
+        }
+    }
+
+    /// Bytes of CPU memory the payload holds.
+    pub fn size_bytes(&self) -> u64 {
+        let texture_bytes = |t: &Option<Arc<Texture>>| -> u64 {
+            t.iter()
+                .flat_map(|t| t.mips.iter())
+                .map(|m| m.len() as u64)
+                .sum()
+        };
+        let shape = match &self.geometry {
+            Geometry::Mesh(m) => {
+                (m.vertices.len() * size_of::<MeshVertex>() + m.indices.len() * 4) as u64
+            }
+            Geometry::Height(t) => {
+                (t.heights.len() * 4 + t.rows.len() * 16 + t.columns.len() * 8) as u64
+                    + texture_bytes(&t.texture)
+            }
+        };
+        shape + texture_bytes(&self.material.texture)
+    }
+}

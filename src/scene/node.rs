@@ -1,0 +1,183 @@
+//! Nodes as values: what readers and applications build, and [`super::Page::from_node`] flattens.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+
+use super::geometry::Drawable;
+use crate::math::{BoundingSphere, BoundingVolume};
+use crate::state::StateSet;
+
+/// A node and what hangs below it. Flattened once into a page; not walked at frame time.
+#[derive(Clone, Debug)]
+pub struct Node {
+    /// Name for people; may be empty.
+    pub name: String,
+    /// What the node does.
+    pub kind: NodeKind,
+    /// State for the node and below; shared by identity.
+    pub state_set: Option<Arc<StateSet>>,
+    /// Drawn only where `mask & camera.cull_mask != 0`.
+    pub mask: u32,
+    /// Children in order.
+    pub children: Vec<Node>,
+}
+
+/// The closed set of node kinds.
+#[derive(Clone, Debug)]
+pub enum NodeKind {
+    /// Holds children.
+    Group,
+    /// Parent-from-child affine map, metres in f64.
+    Transform(DAffine3),
+    /// Replaces the projection below (64 floats' worth: column-major clip-from-view).
+    Projection(glam::DMat4),
+    /// Children shown by index; one flag a child.
+    Switch(Vec<bool>),
+    /// Child i is shown while the distance to `center` times the LOD scale is in `ranges_m[i]`.
+    Lod {
+        /// Centre in the node's frame.
+        center: DVec3,
+        /// `[min, max)` a child, metres.
+        ranges_m: Vec<[f64; 2]>,
+    },
+    /// A tile: content that is paged in, children that refine it.
+    PagedLod(Box<PagedLod>),
+    /// Children that are loaded from elsewhere: an external tileset.
+    ProxyNode(Box<ProxyNode>),
+    /// Drawables.
+    Geode(Vec<Drawable>),
+    /// Drawables that turn towards the eye.
+    Billboard(Vec<Drawable>),
+    /// A light.
+    LightSource,
+    /// Clip planes for the children.
+    ClipNode,
+    /// Texture coordinate generation.
+    TexGenNode,
+    /// Clears the target.
+    ClearNode,
+    /// A camera inside the graph.
+    Camera,
+    /// A convex occluder.
+    OccluderNode,
+    /// Hardware occlusion query.
+    OcclusionQueryNode,
+}
+
+/// How a tile's children relate to it; 3D Tiles' `refine`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Refine {
+    /// Children are drawn instead of the tile.
+    #[default]
+    Replace,
+    /// Children are drawn besides the tile.
+    Add,
+}
+
+/// When a tile gives way to (or is joined by) its children.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum RangeMode {
+    /// Refine when the error projects to more than the camera's limit in pixels (OSG's PIXEL_SIZE_ON_SCREEN
+    /// in 3D Tiles' terms). Metres in the node's frame.
+    ScreenSpaceError {
+        /// Error in metres of drawing this tile instead of its children.
+        geometric_error_m: f64,
+    },
+    /// Refine when the distance from the eye to `center`, times the LOD scale, is below `range_m`
+    /// (OSG's DISTANCE_FROM_EYE_POINT).
+    Distance {
+        /// Centre in the node's frame.
+        center: DVec3,
+        /// Metres.
+        range_m: f64,
+    },
+}
+
+/// A tile of a paged tree. Its children in [`Node::children`] are tiles (or proxies) too.
+#[derive(Clone, Debug)]
+pub struct PagedLod {
+    /// Declared volume in the page's tile frame; never dirtied by what is loaded.
+    pub bounds: BoundingVolume,
+    /// When the children are wanted.
+    pub range_mode: RangeMode,
+    /// REPLACE or ADD.
+    pub refine: Refine,
+    /// Absolute URI of the content; `None` for an empty tile.
+    pub content: Option<Arc<str>>,
+    /// Node-from-content map applied to the page that the content becomes (the tile's transform).
+    pub content_transform: DAffine3,
+    /// Opaque to the scene; handed back to the reader with the content's URI (height tile parameters and the like).
+    pub reader_data: Option<Arc<str>>,
+}
+
+/// A place for a page that is read from `uri`.
+#[derive(Clone, Debug)]
+pub struct ProxyNode {
+    /// Absolute URI of what is loaded.
+    pub uri: Arc<str>,
+    /// Declared bound in the node's frame.
+    pub bounds: BoundingSphere,
+    /// Node-from-content map.
+    pub content_transform: DAffine3,
+    /// When it is loaded.
+    pub loading: ProxyLoading,
+}
+
+/// When a [`ProxyNode`] loads its children.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ProxyLoading {
+    /// When cull first sees it, by the pager.
+    #[default]
+    DeferToPager,
+    /// While its file is read, on the thread that reads it.
+    Immediately,
+    /// Only when the application asks.
+    Never,
+}
+
+impl Node {
+    /// A node of a kind, without children, name or state, visible to every camera.
+    pub fn new(kind: NodeKind) -> Self {
+        Self {
+            name: String::new(),
+            kind,
+            state_set: None,
+            mask: u32::MAX,
+            children: Vec::new(),
+        }
+    }
+
+    /// A group of children.
+    pub fn group(children: Vec<Node>) -> Self {
+        Self {
+            children,
+            ..Self::new(NodeKind::Group)
+        }
+    }
+
+    /// A transform over children.
+    pub fn transform(parent_from_child: DAffine3, children: Vec<Node>) -> Self {
+        Self {
+            children,
+            ..Self::new(NodeKind::Transform(parent_from_child))
+        }
+    }
+
+    /// Drawables without children.
+    pub fn geode(drawables: Vec<Drawable>) -> Self {
+        Self::new(NodeKind::Geode(drawables))
+    }
+
+    /// The same node with a state set.
+    pub fn with_state_set(mut self, state_set: Arc<StateSet>) -> Self {
+        self.state_set = Some(state_set);
+        self
+    }
+
+    /// The same node with one more child.
+    pub fn with_child(mut self, child: Node) -> Self {
+        self.children.push(child);
+        self
+    }
+}
