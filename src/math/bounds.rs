@@ -15,10 +15,7 @@ pub struct BoundingSphere {
 
 impl BoundingSphere {
     /// The sphere that holds nothing.
-    pub const EMPTY: Self = Self {
-        center: DVec3::ZERO,
-        radius_m: -1.0,
-    };
+    pub const EMPTY: Self = Self { center: DVec3::ZERO, radius_m: -1.0 };
 
     /// A sphere from its centre and radius.
     pub const fn new(center: DVec3, radius_m: f64) -> Self {
@@ -47,10 +44,7 @@ impl BoundingSphere {
             return *other;
         }
         let radius_m = 0.5 * (distance + self.radius_m + other.radius_m);
-        Self {
-            center: self.center + offset * ((radius_m - self.radius_m) / distance),
-            radius_m,
-        }
+        Self { center: self.center + offset * ((radius_m - self.radius_m) / distance), radius_m }
     }
 
     /// The sphere under an affine map, grown by the largest axis scale.
@@ -58,19 +52,13 @@ impl BoundingSphere {
         if self.is_empty() {
             return *self;
         }
-        Self {
-            center: to_from.transform_point3(self.center),
-            radius_m: self.radius_m * max_scale(&to_from.matrix3),
-        }
+        Self { center: to_from.transform_point3(self.center), radius_m: self.radius_m * max_scale(&to_from.matrix3) }
     }
 }
 
 /// The largest factor by which a linear map stretches an axis.
 pub(crate) fn max_scale(m: &DMat3) -> f64 {
-    m.x_axis
-        .length()
-        .max(m.y_axis.length())
-        .max(m.z_axis.length())
+    m.x_axis.length().max(m.y_axis.length()).max(m.z_axis.length())
 }
 
 /// An axis-aligned box; empty when `min > max`.
@@ -84,17 +72,11 @@ pub struct Aabb {
 
 impl Aabb {
     /// The box that holds nothing.
-    pub const EMPTY: Self = Self {
-        min: DVec3::INFINITY,
-        max: DVec3::NEG_INFINITY,
-    };
+    pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
     /// The box around some points.
     pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {
-        points.into_iter().fold(Self::EMPTY, |b, p| Self {
-            min: b.min.min(p),
-            max: b.max.max(p),
-        })
+        points.into_iter().fold(Self::EMPTY, |b, p| Self { min: b.min.min(p), max: b.max.max(p) })
     }
 
     /// True when the box holds nothing.
@@ -114,10 +96,7 @@ impl Aabb {
 
     /// The smallest box around both.
     pub fn union(&self, other: &Self) -> Self {
-        Self {
-            min: self.min.min(other.min),
-            max: self.max.max(other.max),
-        }
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
     /// The axis-aligned box around this box under an affine map.
@@ -129,10 +108,7 @@ impl Aabb {
         let half = self.half_size();
         let m = &to_from.matrix3;
         let reach = m.x_axis.abs() * half.x + m.y_axis.abs() * half.y + m.z_axis.abs() * half.z;
-        Self {
-            min: center - reach,
-            max: center + reach,
-        }
+        Self { min: center - reach, max: center + reach }
     }
 
     /// The sphere around the box.
@@ -170,18 +146,12 @@ impl OrientedBox {
     pub fn aabb(&self) -> Aabb {
         let m = &self.half_axes;
         let reach = m.x_axis.abs() + m.y_axis.abs() + m.z_axis.abs();
-        Aabb {
-            min: self.center - reach,
-            max: self.center + reach,
-        }
+        Aabb { min: self.center - reach, max: self.center + reach }
     }
 
     /// The box under an affine map.
     pub fn transformed(&self, to_from: &DAffine3) -> Self {
-        Self {
-            center: to_from.transform_point3(self.center),
-            half_axes: to_from.matrix3 * self.half_axes,
-        }
+        Self { center: to_from.transform_point3(self.center), half_axes: to_from.matrix3 * self.half_axes }
     }
 
     /// Distance in metres from a point to the nearest point of the box (axes taken as orthogonal); 0 inside.
@@ -226,11 +196,7 @@ impl Region {
     /// Extent in longitude in radians, antimeridian taken into account.
     pub fn width(&self) -> f64 {
         let w = self.east - self.west;
-        if w < 0.0 {
-            w + std::f64::consts::TAU
-        } else {
-            w
-        }
+        if w < 0.0 { w + std::f64::consts::TAU } else { w }
     }
 
     /// The middle of the region at a height, geodetic.
@@ -267,8 +233,7 @@ impl Region {
         let bulge = WGS84.semi_major_m * step * step / 8.0;
         OrientedBox {
             center: ecef_from_enu.transform_point3(b.center()),
-            half_axes: ecef_from_enu.matrix3
-                * DMat3::from_diagonal(b.half_size() + DVec3::splat(bulge)),
+            half_axes: ecef_from_enu.matrix3 * DMat3::from_diagonal(b.half_size() + DVec3::splat(bulge)),
         }
     }
 }
@@ -321,10 +286,7 @@ mod tests {
 
     #[test]
     fn distance_to_a_flat_box() {
-        let b = OrientedBox {
-            center: DVec3::ZERO,
-            half_axes: DMat3::from_diagonal(DVec3::new(1.0, 1.0, 0.0)),
-        };
+        let b = OrientedBox { center: DVec3::ZERO, half_axes: DMat3::from_diagonal(DVec3::new(1.0, 1.0, 0.0)) };
         assert!((b.distance_to(DVec3::new(0.0, 0.0, 3.0)) - 3.0).abs() < 1e-12);
         assert!((b.distance_to(DVec3::new(4.0, 5.0, 0.0)) - 5.0).abs() < 1e-12);
         assert_eq!(b.distance_to(DVec3::new(0.5, -0.5, 0.0)), 0.0);
@@ -332,14 +294,7 @@ mod tests {
 
     #[test]
     fn a_region_lies_in_its_box() {
-        let r = Region {
-            west: 0.1,
-            south: 0.7,
-            east: 0.2,
-            north: 0.8,
-            min_height_m: -10.0,
-            max_height_m: 3000.0,
-        };
+        let r = Region { west: 0.1, south: 0.7, east: 0.2, north: 0.8, min_height_m: -10.0, max_height_m: 3000.0 };
         let b = r.oriented_box();
         for i in 0..=33 {
             for j in 0..=33 {

@@ -20,27 +20,19 @@ impl Frustum {
         // Reversed-Z: near is z = w, so inside means w - z >= 0.
         let planes = [w + x, w - x, w + y, w - y, w - z].map(|p| {
             let length = p.truncate().length();
-            if length > 0.0 {
-                p / length
-            } else {
-                DVec4::new(0.0, 0.0, 0.0, 1.0)
-            }
+            if length > 0.0 { p / length } else { DVec4::new(0.0, 0.0, 0.0, 1.0) }
         });
         Self { planes }
     }
 
     /// False only when the sphere is wholly outside some plane.
     pub fn intersects_sphere(&self, sphere: &BoundingSphere) -> bool {
-        self.planes
-            .iter()
-            .all(|p| p.truncate().dot(sphere.center) + p.w >= -sphere.radius_m)
+        self.planes.iter().all(|p| p.truncate().dot(sphere.center) + p.w >= -sphere.radius_m)
     }
 
     /// True when the point is inside all planes.
     pub fn contains(&self, point: DVec3) -> bool {
-        self.planes
-            .iter()
-            .all(|p| p.truncate().dot(point) + p.w >= 0.0)
+        self.planes.iter().all(|p| p.truncate().dot(point) + p.w >= 0.0)
     }
 }
 
@@ -50,9 +42,7 @@ mod tests {
 
     #[test]
     fn looks_down_minus_z() {
-        let f = Frustum::from_clip(
-            &glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.0, 1.0, 0.1),
-        );
+        let f = Frustum::from_clip(&glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.0, 1.0, 0.1));
         assert!(f.contains(DVec3::new(0.0, 0.0, -1.0)));
         assert!(!f.contains(DVec3::new(0.0, 0.0, 1.0)));
         assert!(!f.contains(DVec3::new(5.0, 0.0, -1.0)));

@@ -25,10 +25,7 @@ pub struct Ellipsoid {
 }
 
 /// The ellipsoid of GPS and of 3D Tiles.
-pub const WGS84: Ellipsoid = Ellipsoid {
-    semi_major_m: 6_378_137.0,
-    semi_minor_m: 6_356_752.314_245_179,
-};
+pub const WGS84: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, semi_minor_m: 6_356_752.314_245_179 };
 
 impl Ellipsoid {
     /// First eccentricity squared.
@@ -48,11 +45,7 @@ impl Ellipsoid {
         let (sin_lat, cos_lat) = g.latitude.sin_cos();
         let (sin_lon, cos_lon) = g.longitude.sin_cos();
         let r = (n + g.height_m) * cos_lat;
-        DVec3::new(
-            r * cos_lon,
-            r * sin_lon,
-            (n * (1.0 - self.eccentricity_squared()) + g.height_m) * sin_lat,
-        )
+        DVec3::new(r * cos_lon, r * sin_lon, (n * (1.0 - self.eccentricity_squared()) + g.height_m) * sin_lat)
     }
 
     /// Geodetic coordinates of an ECEF point (Bowring's start, then Newton on the latitude; below 1e-9 m
@@ -73,11 +66,7 @@ impl Ellipsoid {
             }
             latitude = next;
         }
-        Geodetic {
-            longitude,
-            latitude,
-            height_m,
-        }
+        Geodetic { longitude, latitude, height_m }
     }
 
     /// Unit normal of the ellipsoid at a geodetic point.
@@ -92,10 +81,7 @@ impl Ellipsoid {
         let up = self.up(g);
         let (sin_lon, cos_lon) = g.longitude.sin_cos();
         let east = DVec3::new(-sin_lon, cos_lon, 0.0);
-        DAffine3 {
-            matrix3: DMat3::from_cols(east, up.cross(east), up),
-            translation: self.ecef(g),
-        }
+        DAffine3 { matrix3: DMat3::from_cols(east, up.cross(east), up), translation: self.ecef(g) }
     }
 }
 
@@ -108,11 +94,7 @@ mod tests {
         for lat in [-1.55, -1.0, 0.0, 0.3, 0.8, 1.54] {
             for lon in [-3.1, 0.0, 2.0] {
                 for height_m in [-400.0, 0.0, 8848.0, 400_000.0, 35_786_000.0] {
-                    let g = Geodetic {
-                        longitude: lon,
-                        latitude: lat,
-                        height_m,
-                    };
+                    let g = Geodetic { longitude: lon, latitude: lat, height_m };
                     let p = WGS84.ecef(&g);
                     let back = WGS84.ecef(&WGS84.geodetic(p));
                     assert!(p.distance(back) < 1e-6, "{g:?} {}", p.distance(back));
@@ -123,11 +105,7 @@ mod tests {
 
     #[test]
     fn enu_is_right_handed() {
-        let f = WGS84.ecef_from_enu(&Geodetic {
-            longitude: 0.3,
-            latitude: 0.7,
-            height_m: 12.0,
-        });
+        let f = WGS84.ecef_from_enu(&Geodetic { longitude: 0.3, latitude: 0.7, height_m: 12.0 });
         assert!((f.matrix3.determinant() - 1.0).abs() < 1e-12);
     }
 }

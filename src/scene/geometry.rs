@@ -61,13 +61,7 @@ pub struct Texture {
 
 impl std::fmt::Debug for Texture {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(
-            f,
-            "Texture({}x{}, {} mips)",
-            self.width,
-            self.height,
-            self.mips.len()
-        )
+        write!(f, "Texture({}x{}, {} mips)", self.width, self.height, self.mips.len())
     }
 }
 
@@ -100,13 +94,7 @@ pub struct Material {
 
 impl Default for Material {
     fn default() -> Self {
-        Self {
-            base_color: [1.0; 4],
-            texture: None,
-            alpha: AlphaMode::Opaque,
-            double_sided: false,
-            unlit: false,
-        }
+        Self { base_color: [1.0; 4], texture: None, alpha: AlphaMode::Opaque, double_sided: false, unlit: false }
     }
 }
 
@@ -178,19 +166,12 @@ impl Drawable {
 
     /// Bytes of CPU memory the payload holds.
     pub fn size_bytes(&self) -> u64 {
-        let texture_bytes = |t: &Option<Arc<Texture>>| -> u64 {
-            t.iter()
-                .flat_map(|t| t.mips.iter())
-                .map(|m| m.len() as u64)
-                .sum()
-        };
+        let texture_bytes =
+            |t: &Option<Arc<Texture>>| -> u64 { t.iter().flat_map(|t| t.mips.iter()).map(|m| m.len() as u64).sum() };
         let shape = match &self.geometry {
-            Geometry::Mesh(m) => {
-                (m.vertices.len() * size_of::<MeshVertex>() + m.indices.len() * 4) as u64
-            }
+            Geometry::Mesh(m) => (m.vertices.len() * size_of::<MeshVertex>() + m.indices.len() * 4) as u64,
             Geometry::Height(t) => {
-                (t.heights.len() * 4 + t.rows.len() * 16 + t.columns.len() * 8) as u64
-                    + texture_bytes(&t.texture)
+                (t.heights.len() * 4 + t.rows.len() * 16 + t.columns.len() * 8) as u64 + texture_bytes(&t.texture)
             }
         };
         shape + texture_bytes(&self.material.texture)

@@ -139,29 +139,17 @@ pub enum ProxyLoading {
 impl Node {
     /// A node of a kind, without children, name or state, visible to every camera.
     pub fn new(kind: NodeKind) -> Self {
-        Self {
-            name: String::new(),
-            kind,
-            state_set: None,
-            mask: u32::MAX,
-            children: Vec::new(),
-        }
+        Self { name: String::new(), kind, state_set: None, mask: u32::MAX, children: Vec::new() }
     }
 
     /// A group of children.
     pub fn group(children: Vec<Node>) -> Self {
-        Self {
-            children,
-            ..Self::new(NodeKind::Group)
-        }
+        Self { children, ..Self::new(NodeKind::Group) }
     }
 
     /// A transform over children.
     pub fn transform(parent_from_child: DAffine3, children: Vec<Node>) -> Self {
-        Self {
-            children,
-            ..Self::new(NodeKind::Transform(parent_from_child))
-        }
+        Self { children, ..Self::new(NodeKind::Transform(parent_from_child)) }
     }
 
     /// Drawables without children.

@@ -40,13 +40,7 @@ pub enum SortMode {
 
 impl BinDetails {
     /// Bin 0, sorted by state.
-    pub const OPAQUE: Self = Self {
-        number: 0,
-        sort: SortMode::ByState,
-    };
+    pub const OPAQUE: Self = Self { number: 0, sort: SortMode::ByState };
     /// Bin 10, back to front.
-    pub const TRANSPARENT: Self = Self {
-        number: 10,
-        sort: SortMode::BackToFront,
-    };
+    pub const TRANSPARENT: Self = Self { number: 10, sort: SortMode::BackToFront };
 }
