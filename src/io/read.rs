@@ -17,9 +17,9 @@ pub struct ReadOptions {
 }
 
 impl ReadOptions {
-    /// Options for a tile set whose root is `root_uri`.
-    pub fn new(root_uri: &str) -> Self {
-        Self { root: RootScope::of(root_uri), limits: Limits::default(), chain: Arc::new([]) }
+    /// Options for a tile set whose root is `root_uri`, as [`super::root_uri`] returned it.
+    pub fn for_root(root_uri: &str, limits: Limits) -> Self {
+        Self { root: RootScope::of(root_uri), limits, chain: Arc::new([]) }
     }
 
     /// The same for what a tileset names.
