@@ -1,5 +1,6 @@
 //! Terrane: a paged large-terrain streaming engine on wgpu.
 
+pub mod cull;
 pub mod math;
 pub mod scene;
 pub mod state;
