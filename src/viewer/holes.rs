@@ -26,7 +26,11 @@ pub struct HoleCheck {
 #[derive(Clone, Copy, Debug)]
 enum Slab {
     /// Unit-cube frame of a box whose third axis is up.
-    Box { unit_from_world: DMat3, center: DVec3, rim: f64 },
+    Box {
+        unit_from_world: DMat3,
+        center: DVec3,
+        rim: f64,
+    },
     Region(Region),
 }
 
@@ -59,8 +63,7 @@ impl HoleCheck {
                 }
                 let inside = |t: f64| in_footprint(&region, eye + direction * t);
                 let above = WGS84.geodetic(eye).height_m > region.max_height_m;
-                let start =
-                    if above { ellipsoid_hit(eye, direction, region.max_height_m) } else { Some(0.0) };
+                let start = if above { ellipsoid_hit(eye, direction, region.max_height_m) } else { Some(0.0) };
                 let end = ellipsoid_hit(eye, direction, region.min_height_m);
                 matches!((start, end), (Some(a), Some(b)) if inside(a) && inside(b))
             }

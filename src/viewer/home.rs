@@ -1,11 +1,13 @@
 //! Where a set is and from where to look at it first: local frame, first camera, default path, haze to its size.
 //! Computed once when a root is loaded, on the main thread.
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::camera::world_from_eye;
 use super::camera_path::{AnimationPath, ControlPoint};
-use crate::math::{BoundingSphere, BoundingVolume, WGS84};
+use crate::draw::Environment;
+use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, WGS84};
+use crate::scene::{Page, flag};
 
 /// A set whose bounding sphere's centre lies farther than this from the origin is taken as earth-centred.
 const GEOREFERENCED_BEYOND_M: f64 = 1.0e6;
@@ -150,6 +152,31 @@ impl SetBounds {
     pub fn sun_direction(&self) -> DVec3 {
         self.frame.direction(135f64.to_radians(), 40f64.to_radians())
     }
+}
+
+/// Sun, sky and haze fit to a set.
+pub fn environment_for(bounds: &SetBounds) -> Environment {
+    let mut environment = Environment::default();
+    environment.sun_direction = bounds.sun_direction();
+    environment.up_in_world = bounds.frame.up();
+    environment.fog.density_per_m = bounds.fog_density_per_m();
+    environment
+}
+
+/// The declared volume of a page's root tile.
+pub(super) fn root_volume(page: &Page) -> Option<BoundingVolume> {
+    let root = page.tiles.roots.first()?;
+    let (record, bounds) = (page.tiles.records.get(root.tile as usize)?, page.tiles.bounds.get(root.tile as usize)?);
+    let page_from_tile = page.transforms.page_from_node(root.transform);
+    let center = DVec3::from_array(bounds.center);
+    Some(if record.has(flag::SPHERE) {
+        BoundingVolume::Sphere(BoundingSphere::new(center, bounds.radius_m.into()).transformed(&page_from_tile))
+    } else {
+        let [x, y, z] = bounds.axes.map(|axis| Vec3::from_array(axis).as_dvec3());
+        let half = Vec3::from_array(bounds.half_m).as_dvec3();
+        let half_axes = DMat3::from_cols(x * half.x, y * half.y, z * half.z);
+        BoundingVolume::Box(OrientedBox { center, half_axes }.transformed(&page_from_tile))
+    })
 }
 
 #[cfg(test)]

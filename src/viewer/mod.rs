@@ -21,14 +21,14 @@ mod window;
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use holes::{HoleCheck, KEY_COLOR, coverage};
-pub use home::{LocalFrame, SetBounds, ViewFrom};
+pub use home::{LocalFrame, SetBounds, ViewFrom, environment_for};
 pub use manipulator::{CameraManipulator, Event, FlyManipulator, MoveKey};
+#[cfg(feature = "window")]
+pub use overlay::{Overlay, OverlayPaint};
 pub use report::{Bytes, DrawMedians, FrameTimes, Phases, Report, ReportError, Settled, Tiles, Times};
 pub use stats::{FrameStats, Samples, StatsHistory};
 pub use threading::{ContextHandle, DrawCommand, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel};
-pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig, environment_for};
-#[cfg(feature = "window")]
-pub use overlay::{Overlay, OverlayPaint};
+pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 #[cfg(feature = "window")]
 pub use window::{KEYS, WindowOptions, has_display, run_window};
 

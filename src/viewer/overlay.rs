@@ -183,12 +183,12 @@ impl OverlayPainter {
         Self { renderer: egui_wgpu::Renderer::new(device, format, egui_wgpu::RendererOptions::default()) }
     }
 
-    /// Paints over a picture and submits.
+    /// Paints over a picture and submits; without a picture (a hidden window) only keeps the textures.
     pub fn paint(
         &mut self,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        target: &wgpu::TextureView,
+        target: Option<&wgpu::TextureView>,
         paint: &mut OverlayPaint,
     ) {
         let mut textures = std::mem::take(&mut paint.textures);
@@ -197,9 +197,23 @@ impl OverlayPainter {
                 self.renderer.update_texture(device, queue, id, &delta);
             }
         }
+        if let Some(target) = target {
+            self.paint_over(device, queue, target, paint);
+        }
+        for id in textures.free.drain() {
+            self.renderer.free_texture(&id);
+        }
+    }
+
+    fn paint_over(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        target: &wgpu::TextureView,
+        paint: &OverlayPaint,
+    ) {
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("overlay") });
-        let mut commands =
-            self.renderer.update_buffers(device, queue, &mut encoder, &paint.primitives, &paint.screen);
+        let mut commands = self.renderer.update_buffers(device, queue, &mut encoder, &paint.primitives, &paint.screen);
         {
             let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("overlay"),
@@ -215,8 +229,5 @@ impl OverlayPainter {
         }
         commands.push(encoder.finish());
         queue.submit(commands);
-        for id in textures.free.drain() {
-            self.renderer.free_texture(&id);
-        }
     }
 }

@@ -68,6 +68,8 @@ pub struct FrameJob {
     pub budget: CompileBudget,
     /// Read the picture back afterwards.
     pub read_back: bool,
+    /// Show it in the window; otherwise the next frame draws over it.
+    pub present: bool,
     /// The stats overlay, painted over the picture.
     #[cfg(feature = "window")]
     pub overlay: Option<super::overlay::OverlayPaint>,
@@ -103,7 +105,7 @@ pub enum DrawCommand {
     Frame(Box<FrameJob>),
     /// The target has a new size in pixels.
     Resize([u32; 2]),
-    /// Read the last picture; answered by [`Reply::Image`].
+    /// Read the last picture, offscreen; answered by [`Reply::Image`].
     ReadBack,
     /// End the thread.
     Stop,
@@ -120,8 +122,11 @@ enum Reply {
 struct DrawSide {
     context: GraphicsContext,
     renderer: Renderer,
-    /// Operations queued and not yet taken.
-    compiling: usize,
+    /// A resize that failed; told with the next frame.
+    failed: Option<GpuError>,
+    /// Made when the first overlay comes.
+    #[cfg(feature = "window")]
+    overlay: Option<super::overlay::OverlayPainter>,
     /// To the main side; never blocks (its length is bounded by what the pager has in flight).
     compiled: Sender<Compiled>,
 }
@@ -130,7 +135,6 @@ impl DrawSide {
     fn execute(&mut self, command: DrawCommand) -> Option<Reply> {
         match command {
             DrawCommand::Compile(operation) => {
-                self.compiling += 1;
                 self.context.compile(operation);
                 None
             }
@@ -144,7 +148,7 @@ impl DrawSide {
             }
             DrawCommand::Frame(job) => Some(Reply::Frame(Box::new(self.frame(*job)))),
             DrawCommand::Resize(size_px) => {
-                self.context.resize(size_px);
+                self.failed = self.context.resize(size_px).err();
                 None
             }
             DrawCommand::ReadBack => Some(Reply::Image(self.renderer.read_back(&mut self.context))),
@@ -152,46 +156,60 @@ impl DrawSide {
         }
     }
 
-    fn take_compiled(&mut self) -> usize {
-        let compiled = self.context.take_compiled();
-        let count = compiled.len();
-        self.compiling = self.compiling.saturating_sub(count);
-        for one in compiled {
+    fn pass_on_compiled(&mut self) {
+        for compiled in self.context.take_compiled() {
             // The main side may be gone while the viewer is dropped.
-            let _ = self.compiled.send(one);
+            let _ = self.compiled.send(compiled);
         }
-        count
     }
 
     fn finish_compiles(&mut self) {
         let unlimited = CompileBudget { time: Duration::from_secs(3600), bytes: u64::MAX };
-        // An operation that never ends would be a defect of the compile queue, not a reason to hang.
-        let mut idle_rounds = 0;
-        while self.compiling > 0 && idle_rounds < 10_000 {
+        // Each run does at least one slice of what is pending, so this ends.
+        while self.context.pending_compiles() > 0 {
             self.context.run_compiles(&unlimited);
-            idle_rounds = if self.take_compiled() > 0 { 0 } else { idle_rounds + 1 };
         }
+        self.pass_on_compiled();
     }
 
     fn frame(&mut self, job: FrameJob) -> FrameDone {
         let start = Instant::now();
         self.context.run_compiles(&job.budget);
-        self.take_compiled();
+        self.pass_on_compiled();
         let compiled = Instant::now();
+        let stats = match self.failed.take() {
+            Some(error) => Err(error),
+            None => self.renderer.draw(&mut self.context, &job.stage, &job.environment),
+        };
         #[cfg(feature = "window")]
-        self.renderer.set_overlay(job.overlay);
-        let stats = self.renderer.draw(&mut self.context, &job.stage, &job.environment);
+        if let Some(mut paint) = job.overlay {
+            self.paint(&mut paint);
+        }
         let drawn = Instant::now();
-        let image = job.read_back.then(|| self.renderer.read_back(&mut self.context));
+        // A window's image can be read until it is presented only.
+        let image = (job.read_back && stats.is_ok()).then(|| self.renderer.read_back(&mut self.context));
+        let read_back = drawn.elapsed();
+        if job.present {
+            self.context.present();
+        }
         FrameDone {
             stage: job.stage,
             stats,
             draw_ms: millis(drawn - compiled),
             compile_ms: millis(compiled - start),
-            read_back_ms: if image.is_some() { millis(drawn.elapsed()) } else { 0.0 },
+            read_back_ms: if image.is_some() { millis(read_back) } else { 0.0 },
             image,
             gpu_bytes_peak: self.context.bytes_peak(),
         }
+    }
+
+    #[cfg(feature = "window")]
+    fn paint(&mut self, paint: &mut super::overlay::OverlayPaint) {
+        let context = &self.context;
+        let painter = self
+            .overlay
+            .get_or_insert_with(|| super::overlay::OverlayPainter::new(context.device(), context.color_format()));
+        painter.paint(context.device(), context.queue(), context.color_view(), paint);
     }
 }
 
@@ -202,10 +220,7 @@ pub(super) fn millis(duration: Duration) -> f64 {
 
 enum Side {
     Inline(Box<DrawSide>),
-    Thread {
-        commands: Sender<DrawCommand>,
-        join: Option<JoinHandle<()>>,
-    },
+    Thread { commands: Sender<DrawCommand>, join: Option<JoinHandle<()>> },
 }
 
 /// The main thread's end of a graphics context: sends commands, takes answers, and is what the pager compiles
@@ -230,7 +245,14 @@ impl ContextHandle {
         let renderer = Renderer::new(&mut context);
         let (compiled_sender, compiled) = crossbeam_channel::unbounded();
         let (reply_sender, replies) = crossbeam_channel::unbounded();
-        let mut draw_side = DrawSide { context, renderer, compiling: 0, compiled: compiled_sender };
+        let mut draw_side = DrawSide {
+            context,
+            renderer,
+            failed: None,
+            #[cfg(feature = "window")]
+            overlay: None,
+            compiled: compiled_sender,
+        };
         let side = match threading {
             ThreadingModel::SingleThreaded => Side::Inline(Box::new(draw_side)),
             ThreadingModel::DrawThreadPerContext => {

@@ -9,7 +9,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::camera::Camera;
 use super::holes::{KEY_COLOR, coverage};
-use super::home::{SetBounds, ViewFrom};
+use super::home::{SetBounds, ViewFrom, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
 use super::report::{Bytes, Report, ReportError, Settled, Tiles};
 use super::stats::{FrameStats, StatsHistory};
@@ -18,9 +18,8 @@ use crate::cull::{CullVisitor, PageRequest, RenderStage};
 use crate::draw::{Environment, Sky};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::io;
-use crate::math::BoundingVolume;
 use crate::pager::{DatabasePager, PagerConfig};
-use crate::scene::{Page, PageId, Scene};
+use crate::scene::{DrawSlot, Page, PageId, Scene, SlotState};
 
 /// How a viewer is made.
 #[derive(Clone, Debug)]
@@ -120,6 +119,8 @@ pub struct Viewer {
     first_pose: Option<DAffine3>,
 }
 
+/// The one context of a viewer.
+const CONTEXT: u32 = 0;
 /// With nothing under way for this many frames, requests that remain are ones the pager declines.
 const QUIET_FRAMES: u32 = 4;
 /// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
@@ -141,7 +142,7 @@ impl Viewer {
 
     /// A viewer on a context of the caller's.
     pub fn new(context: GraphicsContext, config: &ViewerConfig) -> Result<Self, ViewerError> {
-        let mut context = ContextHandle::new(0, context, config.threading)?;
+        let mut context = ContextHandle::new(CONTEXT, context, config.threading)?;
         context.finish_compiles = config.pager.blocking;
         Ok(Self {
             camera: Camera { max_sse_px: config.max_sse_px, ..Camera::default() },
@@ -384,7 +385,7 @@ impl Viewer {
         self.absorb_all()
     }
 
-    /// The last frame's picture.
+    /// The last frame's picture, offscreen.
     pub fn read_back(&mut self) -> Result<RgbaImage, ViewerError> {
         self.absorb_all()?;
         self.context.read_back()
@@ -425,7 +426,7 @@ impl Viewer {
     }
 
     fn cull_into(&mut self, stage: &mut RenderStage) {
-        let camera = self.camera.cull_camera(self.size_px, self.stamp.frame, 0);
+        let camera = self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT);
         self.cull.cull(&self.scene, &camera, stage);
         // The near plane of this very frame, from what cull has just found.
         stage.camera.clip_from_eye = self.camera.clip_from_eye(self.size_px, self.camera.near_for(stage.near_m));
@@ -448,6 +449,7 @@ impl Viewer {
             environment: self.environment.clone(),
             budget: self.compile_budget.clone(),
             read_back: std::mem::take(&mut self.picture_wanted),
+            present: true,
             #[cfg(feature = "window")]
             overlay: self.overlay.take(),
         }
@@ -496,18 +498,18 @@ impl Viewer {
         Ok(())
     }
 
-    /// Draws the present view once more on a key colour, without fog and without statistics.
-    fn draw_on_key(&mut self) -> Result<(FrameStats, RgbaImage), ViewerError> {
+    /// Draws the present view once more, unseen and without statistics; on the key colour without fog if asked.
+    fn draw_again(&mut self, on_key: bool) -> Result<(FrameStats, RgbaImage), ViewerError> {
         self.absorb_all()?;
-        let mut stage = self.free_stages.pop().unwrap_or_default();
-        let requests = std::mem::take(&mut self.requests);
-        self.cull_into(&mut stage);
-        self.requests = requests;
+        let stage = self.cull_again();
         let mut stats = FrameStats { tiles_drawn: stage.counters.tiles_drawn, ..FrameStats::default() };
         let mut job = self.job(stage);
-        job.environment.sky = Sky::Background(KEY_COLOR);
-        job.environment.fog.enabled = false;
+        if on_key {
+            job.environment.sky = Sky::Background(KEY_COLOR);
+            job.environment.fog.enabled = false;
+        }
         job.read_back = true;
+        job.present = false;
         self.context.frame(job)?;
         let done = self.context.wait_done()?.ok_or(ViewerError::DrawThreadStopped)?;
         self.free_stages.push(done.stage);
@@ -518,9 +520,23 @@ impl Viewer {
         Ok((stats, image))
     }
 
+    /// Culls the present view once more, leaving requests and counters as they are.
+    fn cull_again(&mut self) -> RenderStage {
+        let mut stage = self.free_stages.pop().unwrap_or_default();
+        let (requests, wanted_missing) = (std::mem::take(&mut self.requests), self.wanted_missing);
+        self.cull_into(&mut stage);
+        (self.requests, self.wanted_missing) = (requests, wanted_missing);
+        stage
+    }
+
+    /// The present view's picture, drawn once more.
+    pub fn picture(&mut self) -> Result<RgbaImage, ViewerError> {
+        Ok(self.draw_again(false)?.1)
+    }
+
     /// What the present view draws, for the report; draws it once more.
     pub fn settled(&mut self) -> Result<Settled, ViewerError> {
-        let (stats, image) = self.draw_on_key()?;
+        let (stats, image) = self.draw_again(true)?;
         Ok(Settled {
             tiles: u64::from(stats.tiles_drawn),
             contents: self.drawn_contents().len() as u64,
@@ -532,14 +548,25 @@ impl Viewer {
 
     /// URIs of the contents that the present view draws, sorted.
     pub fn drawn_contents(&mut self) -> Vec<Arc<str>> {
-        let mut stage = self.free_stages.pop().unwrap_or_default();
-        let requests = std::mem::take(&mut self.requests);
-        self.cull_into(&mut stage);
-        self.requests = requests;
-        let mut uris: Vec<Arc<str>> = Vec::new();
+        let stage = self.cull_again();
+        let mut drawn: Vec<DrawSlot> = stage.bins.iter().flat_map(|b| &b.leaves).map(|leaf| leaf.slot).collect();
+        drawn.retain(|slot| *slot != DrawSlot::NONE);
+        drawn.sort_unstable();
+        self.free_stages.push(stage);
+        let mut uris = Vec::new();
+        let mut pages = self.scene.roots().to_vec();
+        while let Some(page) = pages.pop() {
+            for slot in self.scene.slots_of_page(page).filter_map(|id| self.scene.slot(id)) {
+                let SlotState::Resident(content) = slot.state else { continue };
+                pages.push(content);
+                let slots = self.scene.page(content).map_or(&[][..], |p| p.draw_slots_of(CONTEXT));
+                if slots.iter().any(|s| drawn.binary_search(s).is_ok()) {
+                    uris.push(Arc::clone(slot.uri));
+                }
+            }
+        }
         uris.sort();
         uris.dedup();
-        self.free_stages.push(stage);
         uris
     }
 
@@ -582,18 +609,4 @@ impl Viewer {
 
 fn traits(config: &ViewerConfig) -> ContextTraits {
     ContextTraits { size_px: config.size_px, adapter: config.adapter, validation: config.validation }
-}
-
-/// Sun, sky and haze fit to a set.
-pub fn environment_for(bounds: &SetBounds) -> Environment {
-    let mut environment = Environment::default();
-    environment.sun_direction = bounds.sun_direction();
-    environment.up_in_world = bounds.frame.up();
-    environment.fog.density_per_m = bounds.fog_density_per_m();
-    environment
-}
-
-/// The declared volume of a page's root tile.
-fn root_volume(page: &Page) -> Option<BoundingVolume> {
-    page.root_volume()
 }
