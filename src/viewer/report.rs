@@ -5,6 +5,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::stats::{FrameStats, Samples};
+use super::{Viewer, ViewerError};
 
 /// The whole report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -209,6 +210,44 @@ impl Report {
         let mut text = serde_json::to_string_pretty(self).expect("a report holds strings and finite numbers only");
         text.push('\n');
         text
+    }
+}
+
+impl Viewer {
+    /// The report on all frames so far; waits for those still being drawn.
+    pub fn report(&mut self) -> Result<Report, ViewerError> {
+        self.absorb_all()?;
+        let mut report = Report::from_frames(self.history.iter());
+        report.adapter = self.adapter_name().to_owned();
+        report.threading = self.threading.to_string();
+        report.size = self.size_px;
+        report.converge_s = self.converge_s;
+        report.bytes.gpu_peak = self.gpu_bytes_peak;
+        if let Some(pager) = &self.pager {
+            let s = pager.stats();
+            report.tiles = Tiles {
+                requested: s.requested,
+                loaded: s.loaded,
+                merged: s.merged,
+                expired: s.expired,
+                failed: s.failed,
+                cancelled: s.cancelled,
+                stale: s.stale,
+            };
+            report.bytes = Bytes {
+                read: s.bytes_read,
+                http: s.bytes_http,
+                decoded: s.bytes_decoded,
+                cpu_peak: s.cpu_bytes_peak,
+                ..report.bytes
+            };
+            report.errors = pager
+                .errors()
+                .into_iter()
+                .map(|e| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count.into() })
+                .collect();
+        }
+        Ok(report)
     }
 }
 

@@ -11,7 +11,7 @@ use super::camera::Camera;
 use super::holes::{KEY_COLOR, coverage};
 use super::home::{SetBounds, ViewFrom, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
-use super::report::{Bytes, Report, ReportError, Settled, Tiles};
+use super::report::Settled;
 use super::stats::{FrameStats, StatsHistory};
 use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
 use crate::cull::{CullVisitor, PageRequest, RenderStage};
@@ -89,11 +89,11 @@ pub struct Viewer {
     #[cfg(feature = "window")]
     overlay: Option<super::overlay::OverlayPaint>,
     scene: Scene,
-    pager: Option<DatabasePager>,
+    pub(super) pager: Option<DatabasePager>,
     pager_config: PagerConfig,
     cull: CullVisitor,
-    context: ContextHandle,
-    size_px: [u32; 2],
+    pub(super) context: ContextHandle,
+    pub(super) size_px: [u32; 2],
     free_stages: Vec<RenderStage>,
     requests: Vec<PageRequest>,
     manipulator: Option<Box<dyn CameraManipulator>>,
@@ -105,9 +105,9 @@ pub struct Viewer {
     first_frame: Option<Instant>,
     last_frame: Option<Instant>,
     stamp: FrameStamp,
-    history: StatsHistory,
-    threading: ThreadingModel,
-    gpu_bytes_peak: u64,
+    pub(super) history: StatsHistory,
+    pub(super) threading: ThreadingModel,
+    pub(super) gpu_bytes_peak: u64,
     picture_wanted: bool,
     pictures: Vec<(u32, RgbaImage)>,
     /// Reading back in the frame being measured, milliseconds.
@@ -115,7 +115,7 @@ pub struct Viewer {
     /// Frames in a row in which the pager had nothing to do.
     quiet_frames: u32,
     wanted_missing: u32,
-    converge_s: Option<f64>,
+    pub(super) converge_s: Option<f64>,
     first_pose: Option<DAffine3>,
 }
 
@@ -465,7 +465,7 @@ impl Viewer {
         Ok(())
     }
 
-    fn absorb_all(&mut self) -> Result<(), ViewerError> {
+    pub(super) fn absorb_all(&mut self) -> Result<(), ViewerError> {
         while self.context.in_flight() > 0 {
             self.absorb_next()?;
         }
@@ -568,42 +568,6 @@ impl Viewer {
         uris.sort();
         uris.dedup();
         uris
-    }
-
-    /// The report on all frames so far; waits for those still being drawn.
-    pub fn report(&mut self) -> Result<Report, ViewerError> {
-        self.absorb_all()?;
-        let mut report = Report::from_frames(self.history.iter());
-        report.adapter = self.adapter_name().to_owned();
-        report.threading = self.threading.to_string();
-        report.size = self.size_px;
-        report.converge_s = self.converge_s;
-        report.bytes.gpu_peak = self.gpu_bytes_peak;
-        if let Some(pager) = &self.pager {
-            let s = pager.stats();
-            report.tiles = Tiles {
-                requested: s.requested,
-                loaded: s.loaded,
-                merged: s.merged,
-                expired: s.expired,
-                failed: s.failed,
-                cancelled: s.cancelled,
-                stale: s.stale,
-            };
-            report.bytes = Bytes {
-                read: s.bytes_read,
-                http: s.bytes_http,
-                decoded: s.bytes_decoded,
-                cpu_peak: s.cpu_bytes_peak,
-                ..report.bytes
-            };
-            report.errors = pager
-                .errors()
-                .into_iter()
-                .map(|e| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count.into() })
-                .collect();
-        }
-        Ok(report)
     }
 }
 
