@@ -1,5 +1,8 @@
 //! Terrane: a paged large-terrain streaming engine on wgpu.
 
+pub mod cull;
+//pub mod draw;
+pub mod gpu;
 pub mod math;
 pub mod scene;
 pub mod state;
