@@ -5,7 +5,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::camera::world_from_eye;
 use super::camera_path::{AnimationPath, ControlPoint};
-use crate::draw::Environment;
+use crate::draw::{Environment, Fog};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, WGS84};
 use crate::scene::{Page, flag};
 
@@ -156,11 +156,13 @@ impl SetBounds {
 
 /// Sun, sky and haze fit to a set.
 pub fn environment_for(bounds: &SetBounds) -> Environment {
-    let mut environment = Environment::default();
-    environment.sun_direction = bounds.sun_direction();
-    environment.up_in_world = bounds.frame.up();
-    environment.fog.density_per_m = bounds.fog_density_per_m();
-    environment
+    let base = Environment::default();
+    Environment {
+        sun_direction: bounds.sun_direction(),
+        up_in_world: bounds.frame.up(),
+        fog: Fog { density_per_m: bounds.fog_density_per_m() as f32, ..base.fog },
+        ..base
+    }
 }
 
 /// The declared volume of a page's root tile.

@@ -30,7 +30,7 @@ pub use stats::{FrameStats, Samples, StatsHistory};
 pub use threading::{ContextHandle, DrawCommand, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 #[cfg(feature = "window")]
-pub use window::{KEYS, WindowOptions, has_display, run_window};
+pub use window::{AfterFrame, BeforeFrame, KEYS, OnOpen, WindowOptions, has_display, run_window};
 
 /// Why a viewer cannot go on.
 #[derive(Debug, thiserror::Error)]

@@ -13,8 +13,11 @@ const BARS: usize = 120;
 /// Height of the bars in points.
 const CHART_HEIGHT: f32 = 70.0;
 
-/// Phases in the order they are stacked, with their colours.
-const PHASES: [(&str, Color32, fn(&FrameStats) -> f64); 6] = [
+/// Name, colour and milliseconds of a phase.
+type Phase = (&'static str, Color32, fn(&FrameStats) -> f64);
+
+/// Phases in the order they are stacked.
+const PHASES: [Phase; 6] = [
     ("event", Color32::from_rgb(150, 150, 160), |s| s.event_ms),
     ("update", Color32::from_rgb(80, 150, 230), |s| (s.update_ms - s.merge_ms).max(0.0)),
     ("merge", Color32::from_rgb(120, 210, 240), |s| s.merge_ms),

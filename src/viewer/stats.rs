@@ -54,9 +54,9 @@ pub struct StatsHistory {
 }
 
 impl StatsHistory {
-    /// Keeps at most `limit` frames; the memory for them is taken at once.
+    /// Keeps at most `limit` frames; memory for the first thousands is taken at once.
     pub fn new(limit: usize) -> Self {
-        Self { frames: VecDeque::with_capacity(limit.max(1)), limit: limit.max(1) }
+        Self { frames: VecDeque::with_capacity(limit.clamp(1, 4096)), limit: limit.max(1) }
     }
 
     /// Adds a frame.

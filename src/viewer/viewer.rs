@@ -9,7 +9,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::camera::Camera;
 use super::holes::{KEY_COLOR, coverage};
-use super::home::{SetBounds, ViewFrom, environment_for, root_volume};
+use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
 use super::report::Settled;
 use super::stats::{FrameStats, StatsHistory};
@@ -147,7 +147,7 @@ impl Viewer {
         Ok(Self {
             camera: Camera { max_sse_px: config.max_sse_px, ..Camera::default() },
             environment: Environment::default(),
-            compile_budget: config.compile_budget.clone(),
+            compile_budget: config.compile_budget,
             #[cfg(feature = "window")]
             overlay: None,
             scene: Scene::new(),
@@ -444,10 +444,14 @@ impl Viewer {
     }
 
     fn job(&mut self, stage: RenderStage) -> FrameJob {
+        // Over a globe, up is a matter of where one is.
+        if let Some(bounds) = self.bounds.filter(|b| b.frame.georeferenced) {
+            self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
+        }
         FrameJob {
             stage,
-            environment: self.environment.clone(),
-            budget: self.compile_budget.clone(),
+            environment: self.environment,
+            budget: self.compile_budget,
             read_back: std::mem::take(&mut self.picture_wanted),
             present: true,
             #[cfg(feature = "window")]

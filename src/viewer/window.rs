@@ -21,6 +21,13 @@ use super::viewer::{Viewer, ViewerConfig};
 pub const KEYS: &str = "W A S D or arrows move, Q E or page keys down and up, drag looks, wheel changes the speed\n\
      Tab or Shift+S stats, C or F12 picture, Z record the path (again: save), P play it, Home first view, Esc quit";
 
+/// Called once, when the window is there.
+pub type OnOpen = Box<dyn FnOnce(&mut Viewer) -> Result<(), ViewerError>>;
+/// Called before each frame; false closes the window.
+pub type BeforeFrame = Box<dyn FnMut(&mut Viewer) -> Result<bool, ViewerError>>;
+/// Called after each frame.
+pub type AfterFrame = Box<dyn FnMut(&mut Viewer) -> Result<(), ViewerError>>;
+
 /// What a window shows and when it closes.
 pub struct WindowOptions {
     /// Title of the window.
@@ -32,13 +39,13 @@ pub struct WindowOptions {
     /// Where pictures and recorded paths go.
     pub output_dir: PathBuf,
     /// Called once the viewer exists, to load a set; the viewer has no root before.
-    pub on_open: Box<dyn FnOnce(&mut Viewer) -> Result<(), ViewerError>>,
+    pub on_open: OnOpen,
     /// The user moves the camera; otherwise [`Self::before_frame`] places it.
     pub manipulated: bool,
     /// Called before each frame; returning false closes the window.
-    pub before_frame: Box<dyn FnMut(&mut Viewer) -> Result<bool, ViewerError>>,
+    pub before_frame: BeforeFrame,
     /// Called after each frame.
-    pub after_frame: Box<dyn FnMut(&mut Viewer) -> Result<(), ViewerError>>,
+    pub after_frame: AfterFrame,
 }
 
 impl Default for WindowOptions {
