@@ -1,0 +1,383 @@
+//! Uploads in small steps: what the pager loaded becomes drawable without a frame taking longer for it.
+//!
+//! Runs on the draw thread, between draws. An operation's drawables get their places one after the other, and
+//! each place is filled slice by slice; the queue stops when the frame's budget is spent and goes on from there
+//! in the next frame.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::DrawableEntry;
+use super::drawable::{DrawableTable, Pools, Shape};
+use super::height_pool::{TilePlace, table_vectors};
+use super::mesh_pool::Range;
+use super::texture_pool::{Rows, TextureLayer};
+use crate::scene::{DrawSlot, Drawable, Geometry, HeightTile, Mesh, MeshVertex, Texture};
+
+/// Most bytes of one slice: about 100 us of copying, so that the time budget is met closely.
+const SLICE_BYTES: u64 = 256 << 10;
+/// Uploads are handed to the driver at the latest when so many bytes wait.
+const FLUSH_BYTES: u64 = 8 << 20;
+
+/// Drawables to upload together, usually one page's.
+#[derive(Debug)]
+pub struct CompileOperation {
+    /// Chosen by the caller; comes back in [`Compiled`].
+    pub ticket: u64,
+    /// What to upload; dropped when done.
+    pub drawables: Vec<Drawable>,
+}
+
+/// What a finished [`CompileOperation`] gave.
+#[derive(Debug)]
+pub struct Compiled {
+    /// The operation's ticket.
+    pub ticket: u64,
+    /// One slot a drawable, in order; [`DrawSlot::NONE`] for those that could not be made.
+    pub slots: Vec<DrawSlot>,
+    /// Bytes of GPU memory that were newly taken.
+    pub bytes: u64,
+    /// What was wrong with those that could not be made.
+    pub errors: Vec<String>,
+}
+
+/// How much of a frame uploads may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CompileBudget {
+    /// Time.
+    pub time: Duration,
+    /// Bytes.
+    pub bytes: u64,
+}
+
+impl Default for CompileBudget {
+    /// 2 ms and 4 MiB: some ten height tiles with colour a frame.
+    fn default() -> Self {
+        Self { time: Duration::from_millis(2), bytes: 4 << 20 }
+    }
+}
+
+impl CompileBudget {
+    /// No limit: everything that waits, at once.
+    pub const UNLIMITED: Self = Self { time: Duration::MAX, bytes: u64::MAX };
+}
+
+/// What one call of `run_compiles` did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CompileStats {
+    /// Bytes uploaded.
+    pub bytes: u64,
+    /// Slices uploaded.
+    pub slices: u32,
+    /// Operations finished.
+    pub finished: u32,
+    /// Operations still waiting or under way.
+    pub pending: usize,
+    /// Time taken.
+    pub time: Duration,
+}
+
+/// What is uploaded to where.
+enum Source {
+    Heights { place: TilePlace, tile: Arc<HeightTile> },
+    Tables { place: TilePlace, tile: Arc<HeightTile> },
+    /// A tile's image, or a white texel.
+    TileColor { place: TilePlace, image: Option<Arc<Texture>> },
+    Texture { place: TextureLayer, image: Arc<Texture> },
+    Vertices { range: Range, mesh: Arc<Mesh> },
+    Indices { range: Range, mesh: Arc<Mesh> },
+}
+
+/// One thing left to upload, and how far it is: level, and row, vertex or index in it.
+struct Upload {
+    source: Source,
+    level: u32,
+    cursor: usize,
+}
+
+struct Job {
+    drawables: std::vec::IntoIter<Drawable>,
+    compiled: Compiled,
+}
+
+/// Operations in the order they came, the first of them under way.
+#[derive(Default)]
+pub(super) struct CompileQueue {
+    waiting: VecDeque<CompileOperation>,
+    job: Option<Job>,
+    uploads: VecDeque<Upload>,
+    finished: Vec<Compiled>,
+    table_scratch: Vec<f32>,
+    unflushed_bytes: u64,
+}
+
+/// How many units of a slice fit: within `most_bytes`, at least one when nothing was uploaded yet.
+fn fitting(left: usize, unit_bytes: usize, most_bytes: u64, is_first: bool) -> usize {
+    let fit = (most_bytes.min(SLICE_BYTES) / unit_bytes.max(1) as u64) as usize;
+    // A unit larger than a slice goes alone.
+    let fit = if fit == 0 && (is_first || unit_bytes as u64 <= most_bytes) { 1 } else { fit };
+    fit.min(left)
+}
+
+impl CompileQueue {
+    pub(super) fn push(&mut self, operation: CompileOperation) {
+        self.waiting.push_back(operation);
+    }
+
+    pub(super) fn pending(&self) -> usize {
+        self.waiting.len() + usize::from(self.job.is_some())
+    }
+
+    pub(super) fn take_finished(&mut self) -> Vec<Compiled> {
+        std::mem::take(&mut self.finished)
+    }
+
+    pub(super) fn run(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        pools: &mut Pools,
+        drawables: &mut DrawableTable,
+        budget: &CompileBudget,
+    ) -> CompileStats {
+        let start = Instant::now();
+        let mut stats = CompileStats::default();
+        loop {
+            let left_bytes = budget.bytes.saturating_sub(stats.bytes);
+            if stats.slices > 0 && (left_bytes == 0 || start.elapsed() >= budget.time) {
+                break;
+            }
+            if let Some(upload) = self.uploads.front_mut() {
+                let bytes = upload.step(queue, pools, &mut self.table_scratch, left_bytes, stats.slices == 0);
+                if bytes == 0 {
+                    break;
+                }
+                stats.bytes += bytes;
+                stats.slices += 1;
+                if upload.is_done() {
+                    self.uploads.pop_front();
+                }
+            } else if let Some(job) = &mut self.job {
+                match job.drawables.next() {
+                    Some(drawable) => prepare(device, queue, pools, drawables, drawable, job, &mut self.uploads),
+                    None => {
+                        self.finished.extend(self.job.take().map(|j| j.compiled));
+                        stats.finished += 1;
+                    }
+                }
+            } else if let Some(operation) = self.waiting.pop_front() {
+                let count = operation.drawables.len();
+                self.job = Some(Job {
+                    drawables: operation.drawables.into_iter(),
+                    compiled: Compiled {
+                        ticket: operation.ticket,
+                        slots: Vec::with_capacity(count),
+                        bytes: 0,
+                        errors: Vec::new(),
+                    },
+                });
+            } else {
+                break;
+            }
+        }
+        // A finished upload whose operation has nothing left is reported now, not a frame later.
+        if self.uploads.is_empty() && self.job.as_ref().is_some_and(|j| j.drawables.len() == 0) {
+            self.finished.extend(self.job.take().map(|j| j.compiled));
+            stats.finished += 1;
+        }
+        self.unflushed_bytes += stats.bytes;
+        if self.unflushed_bytes >= FLUSH_BYTES {
+            // Staging memory is only given back once it was submitted; frames without a draw must not pile it up.
+            queue.submit([]);
+            self.unflushed_bytes = 0;
+        }
+        stats.pending = self.pending();
+        stats.time = start.elapsed();
+        stats
+    }
+}
+
+/// Gives a drawable its places and queues what has to be uploaded to them.
+fn prepare(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    pools: &mut Pools,
+    table: &mut DrawableTable,
+    drawable: Drawable,
+    job: &mut Job,
+    uploads: &mut VecDeque<Upload>,
+) {
+    let material = &drawable.material;
+    let placed = match &drawable.geometry {
+        Geometry::Height(tile) => place_tile(device, pools, tile, uploads).map(|(place, bytes)| {
+            job.compiled.bytes += bytes;
+            Shape::Height(place)
+        }),
+        Geometry::Mesh(mesh) => {
+            place_mesh(device, queue, pools, mesh, material.texture.as_ref(), uploads).map(|(shape, bytes)| {
+                job.compiled.bytes += bytes;
+                shape
+            })
+        }
+    };
+    let slot = match placed {
+        Ok(shape) => table.insert(DrawableEntry::new(shape, material)),
+        Err(error) => {
+            job.compiled.errors.push(error);
+            DrawSlot::NONE
+        }
+    };
+    job.compiled.slots.push(slot);
+}
+
+fn place_tile(
+    device: &wgpu::Device,
+    pools: &mut Pools,
+    tile: &Arc<HeightTile>,
+    uploads: &mut VecDeque<Upload>,
+) -> Result<(TilePlace, u64), String> {
+    let place = pools.heights.allocate(device, &pools.layouts, &pools.limits, tile)?;
+    uploads.push_back(Upload::new(Source::Tables { place, tile: tile.clone() }));
+    uploads.push_back(Upload::new(Source::Heights { place, tile: tile.clone() }));
+    uploads.push_back(Upload::new(Source::TileColor { place, image: tile.texture.clone() }));
+    Ok((place, pools.heights.bytes_of(place)))
+}
+
+fn place_mesh(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    pools: &mut Pools,
+    mesh: &Arc<Mesh>,
+    image: Option<&Arc<Texture>>,
+    uploads: &mut VecDeque<Upload>,
+) -> Result<(Shape, u64), String> {
+    let placed = pools.meshes.allocate(device, &pools.limits, mesh)?;
+    let texture = match image {
+        Some(image) => pools.textures.allocate(device, &pools.layouts, &pools.limits, image),
+        None => {
+            pools.textures.white(device, queue, &pools.layouts, &pools.limits).map(|place| (place, false))
+        }
+    };
+    let (texture, is_new_texture) = match texture {
+        Ok(texture) => texture,
+        Err(error) => {
+            pools.meshes.release(&placed.place);
+            return Err(error);
+        }
+    };
+    let mut bytes = placed.bytes;
+    if let Some(range) = placed.vertices {
+        uploads.push_back(Upload::new(Source::Vertices { range, mesh: mesh.clone() }));
+    }
+    if let Some(range) = placed.indices {
+        uploads.push_back(Upload::new(Source::Indices { range, mesh: mesh.clone() }));
+    }
+    if let Some(image) = image.filter(|_| is_new_texture) {
+        bytes += image.mips.iter().map(|m| m.len() as u64).sum::<u64>();
+        uploads.push_back(Upload::new(Source::Texture { place: texture, image: image.clone() }));
+    }
+    Ok((Shape::Mesh { place: placed.place, topology: mesh.topology, texture }, bytes))
+}
+
+impl Upload {
+    fn new(source: Source) -> Self {
+        Self { source, level: 0, cursor: 0 }
+    }
+
+    fn is_done(&self) -> bool {
+        self.source.extent(self.level).is_none()
+    }
+
+    /// Uploads the next slice and returns its bytes; 0 when the budget has no room for it.
+    fn step(
+        &mut self,
+        queue: &wgpu::Queue,
+        pools: &Pools,
+        scratch: &mut Vec<f32>,
+        most_bytes: u64,
+        is_first: bool,
+    ) -> u64 {
+        let Some((units, unit_bytes)) = self.source.extent(self.level) else { return 0 };
+        let count = fitting(units - self.cursor, unit_bytes, most_bytes, is_first);
+        if count == 0 {
+            return 0;
+        }
+        let end = self.cursor + count;
+        self.source.write(queue, pools, scratch, self.level, self.cursor..end);
+        self.cursor = end;
+        if end >= units {
+            self.level += 1;
+            self.cursor = 0;
+        }
+        (count * unit_bytes) as u64
+    }
+}
+
+impl Source {
+    /// Units (rows, vertices, indices) of a level and the bytes of one; `None` beyond the last level. Never
+    /// without units: the pools refuse empty meshes and images.
+    fn extent(&self, level: u32) -> Option<(usize, usize)> {
+        let image_extent = |image: &Texture| {
+            image.mips.get(level as usize)?;
+            let [width, height] = level_size(image, level);
+            Some((height, width * 4))
+        };
+        match self {
+            Self::TileColor { image: Some(image), .. } | Self::Texture { image, .. } => image_extent(image),
+            _ if level > 0 => None,
+            Self::Heights { tile, .. } => Some((tile.side as usize + 2, (tile.side as usize + 2) * 4)),
+            Self::Tables { tile, .. } => Some((1, table_vectors(tile.side) as usize * 16)),
+            Self::TileColor { image: None, .. } => Some((1, 4)),
+            Self::Vertices { mesh, .. } => Some((mesh.vertices.len(), size_of::<MeshVertex>())),
+            Self::Indices { mesh, .. } => Some((mesh.indices.len(), 4)),
+        }
+    }
+
+    /// Writes some units. The ranges lie inside the data: the pools have checked its lengths.
+    fn write(
+        &self,
+        queue: &wgpu::Queue,
+        pools: &Pools,
+        scratch: &mut Vec<f32>,
+        level: u32,
+        units: std::ops::Range<usize>,
+    ) {
+        let image_rows = |image: &'_ Texture, layer: u32| {
+            let [width, _] = level_size(image, level);
+            let rows =
+                Rows { layer, level, first: units.start as u32, count: units.len() as u32, width: width as u32 };
+            (rows, units.start * width * 4..units.end * width * 4)
+        };
+        match self {
+            Self::Heights { place, tile } => {
+                let width = place.side as usize + 2;
+                let data = &tile.heights[units.start * width..units.end * width];
+                pools.heights.write_heights(queue, *place, units.start as u32, units.len() as u32, data);
+            }
+            Self::Tables { place, tile } => pools.heights.write_tables(queue, *place, tile, scratch),
+            Self::TileColor { place, image: Some(image) } => {
+                let (rows, bytes) = image_rows(image, place.layer);
+                pools.heights.write_color(queue, *place, &rows, &image.mips[level as usize][bytes]);
+            }
+            Self::TileColor { place, image: None } => {
+                let rows = Rows { layer: place.layer, level: 0, first: 0, count: 1, width: 1 };
+                pools.heights.write_color(queue, *place, &rows, &[255; 4]);
+            }
+            Self::Texture { place, image } => {
+                let (rows, bytes) = image_rows(image, place.layer);
+                pools.textures.write(queue, *place, &rows, &image.mips[level as usize][bytes]);
+            }
+            Self::Vertices { range, mesh } => {
+                pools.meshes.write_vertices(queue, *range, units.start, &mesh.vertices[units]);
+            }
+            Self::Indices { range, mesh } => {
+                pools.meshes.write_indices(queue, *range, units.start, &mesh.indices[units]);
+            }
+        }
+    }
+}
+
+fn level_size(image: &Texture, level: u32) -> [usize; 2] {
+    [(image.width >> level).max(1) as usize, (image.height >> level).max(1) as usize]
+}

@@ -1,0 +1,286 @@
+//! A device with its queue, its target and its pools: OpenSceneGraph's graphics context.
+//!
+//! Made in realize, then owned by the draw thread; nothing else calls its queue.
+
+use std::sync::{Arc, Mutex};
+
+use super::compile::{CompileBudget, CompileOperation, CompileQueue, CompileStats, Compiled};
+use super::drawable::{DrawableTable, Pools};
+use super::layouts::Layouts;
+use super::target::{Acquired, Target};
+use super::{DrawableEntry, GpuError};
+use crate::scene::DrawSlot;
+
+/// Which adapter to draw with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum AdapterChoice {
+    /// The fastest one; a software adapter when there is nothing else.
+    #[default]
+    Any,
+    /// A CPU adapter (lavapipe, WARP): pictures do not depend on the machine.
+    Software,
+    /// wgpu's backend that does nothing: the cost of recording alone, and tests without a GPU.
+    Noop,
+}
+
+/// What a context shall be; OpenSceneGraph's `Traits`.
+#[derive(Clone, Copy, Debug)]
+pub struct ContextTraits {
+    /// Width and height of the target in pixels.
+    pub size_px: [u32; 2],
+    /// Adapter.
+    pub adapter: AdapterChoice,
+    /// Have the driver's validation layers check every call; ten times slower, never time with it.
+    pub validation: bool,
+}
+
+impl Default for ContextTraits {
+    fn default() -> Self {
+        Self { size_px: [1280, 720], adapter: AdapterChoice::Any, validation: false }
+    }
+}
+
+/// A device, its queue, its target and what was uploaded to it. `Send`: made on one thread, then moved to the
+/// draw thread, the only one to use it.
+pub struct GraphicsContext {
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    adapter_info: wgpu::AdapterInfo,
+    target: Target,
+    pools: Pools,
+    drawables: DrawableTable,
+    compiles: CompileQueue,
+    /// Written by wgpu's device-lost callback on any thread, read by the draw thread; first reason wins.
+    lost: Arc<Mutex<Option<String>>>,
+    bytes_peak: u64,
+}
+
+struct Opened {
+    adapter: wgpu::Adapter,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    lost: Arc<Mutex<Option<String>>>,
+}
+
+fn instance(traits: &ContextTraits) -> wgpu::Instance {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = match traits.adapter {
+        AdapterChoice::Noop => wgpu::Backends::NOOP,
+        AdapterChoice::Any | AdapterChoice::Software => wgpu::Backends::all() & !wgpu::Backends::NOOP,
+    };
+    descriptor.backend_options.noop.enable = traits.adapter == AdapterChoice::Noop;
+    descriptor.flags =
+        if traits.validation { wgpu::InstanceFlags::debugging() } else { wgpu::InstanceFlags::empty() };
+    wgpu::Instance::new(descriptor)
+}
+
+/// Smaller is better: real GPUs first, and the native interfaces before OpenGL.
+fn rank(info: &wgpu::AdapterInfo) -> (u32, u32) {
+    let device = match info.device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    };
+    (device, u32::from(info.backend == wgpu::Backend::Gl))
+}
+
+fn open(
+    instance: &wgpu::Instance,
+    traits: &ContextTraits,
+    surface: Option<&wgpu::Surface<'static>>,
+) -> Result<Opened, GpuError> {
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    let found = adapters.len();
+    adapters.retain(|a| {
+        let is_cpu = a.get_info().device_type == wgpu::DeviceType::Cpu;
+        surface.is_none_or(|s| a.is_surface_supported(s)) && (traits.adapter != AdapterChoice::Software || is_cpu)
+    });
+    adapters.sort_by_key(|a| rank(&a.get_info()));
+    let Some(adapter) = adapters.into_iter().next() else {
+        let reason = format!("none of {found} found fits {:?}", traits.adapter);
+        return Err(GpuError::NoAdapter { reason });
+    };
+    let info = adapter.get_info();
+    let wanted = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::POLYGON_MODE_LINE;
+    let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+        label: Some("terrane"),
+        required_features: adapter.features() & wanted,
+        required_limits: adapter.limits(),
+        memory_hints: wgpu::MemoryHints::Performance,
+        ..Default::default()
+    }))
+    .map_err(|e| GpuError::NoDevice { adapter: info.name.clone(), reason: e.to_string() })?;
+    let lost = Arc::new(Mutex::new(None));
+    let on_lost = lost.clone();
+    device.set_device_lost_callback(move |reason, message| {
+        if reason != wgpu::DeviceLostReason::Destroyed
+            && let Ok(mut lost) = on_lost.lock()
+        {
+            lost.get_or_insert(message);
+        }
+    });
+    Ok(Opened { adapter, device, queue, lost })
+}
+
+impl GraphicsContext {
+    /// A context that draws into textures of its own.
+    pub fn new_offscreen(traits: &ContextTraits) -> Result<Self, GpuError> {
+        let opened = open(&instance(traits), traits, None)?;
+        let target = Target::offscreen(&opened.device, traits.size_px)?;
+        Ok(Self::assemble(opened, target))
+    }
+
+    /// A context that draws into a window (an `Arc<winit::window::Window>`, say), presenting with Fifo.
+    pub fn new_window(
+        target: impl Into<wgpu::SurfaceTarget<'static>>,
+        traits: &ContextTraits,
+    ) -> Result<Self, GpuError> {
+        let instance = instance(traits);
+        let surface = instance.create_surface(target).map_err(|e| GpuError::Surface { reason: e.to_string() })?;
+        let opened = open(&instance, traits, Some(&surface))?;
+        let target = Target::window(&opened.adapter, &opened.device, surface, traits.size_px)?;
+        Ok(Self::assemble(opened, target))
+    }
+
+    fn assemble(opened: Opened, target: Target) -> Self {
+        let Opened { adapter, device, queue, lost } = opened;
+        let pools = Pools::new(&device, Layouts::new(&device));
+        Self {
+            adapter_info: adapter.get_info(),
+            target,
+            pools,
+            drawables: DrawableTable::default(),
+            compiles: CompileQueue::default(),
+            lost,
+            bytes_peak: 0,
+            device,
+            queue,
+        }
+    }
+
+    /// Name of the adapter and the interface it is driven through.
+    pub fn adapter_name(&self) -> String {
+        format!("{} ({:?})", self.adapter_info.name, self.adapter_info.backend)
+    }
+
+    /// The device, for overlays that draw on top.
+    pub fn device(&self) -> &wgpu::Device {
+        &self.device
+    }
+
+    /// The queue; only the thread that owns the context may use it.
+    pub fn queue(&self) -> &wgpu::Queue {
+        &self.queue
+    }
+
+    /// Width and height of the target in pixels.
+    pub fn size_px(&self) -> [u32; 2] {
+        self.target.size_px()
+    }
+
+    /// Format of the colour target.
+    pub fn color_format(&self) -> wgpu::TextureFormat {
+        self.target.format()
+    }
+
+    /// Changes the size of the target; a held window image is dropped.
+    pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), GpuError> {
+        self.target.resize(&self.device, size_px)
+    }
+
+    /// Gets the image the next draw goes to. [`crate::draw::Renderer::draw`] calls it; a second call before
+    /// [`Self::present`] is free. Blocks until the window has an image (Fifo).
+    pub fn acquire(&mut self) -> Result<Acquired, GpuError> {
+        self.check_lost()?;
+        self.target.acquire(&self.device)
+    }
+
+    /// The image drawn into, for overlays between draw and [`Self::present`]; `None` while a window holds none.
+    pub fn color_view(&self) -> Option<&wgpu::TextureView> {
+        self.target.color_view()
+    }
+
+    /// Shows the window's image. Nothing to do offscreen.
+    pub fn present(&mut self) {
+        self.target.present(&self.queue);
+    }
+
+    /// Queues drawables to be uploaded by [`Self::run_compiles`].
+    pub fn compile(&mut self, operation: CompileOperation) {
+        self.compiles.push(operation);
+    }
+
+    /// Uploads within a budget, at least one slice; what is too big is split over calls.
+    pub fn run_compiles(&mut self, budget: &CompileBudget) -> CompileStats {
+        let stats = self.compiles.run(&self.device, &self.queue, &mut self.pools, &mut self.drawables, budget);
+        self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
+        stats
+    }
+
+    /// Operations that are waiting or under way.
+    pub fn pending_compiles(&self) -> usize {
+        self.compiles.pending()
+    }
+
+    /// What was finished since the last call, in the order of [`Self::compile`].
+    pub fn take_compiled(&mut self) -> Vec<Compiled> {
+        self.compiles.take_finished()
+    }
+
+    /// Gives drawables back. Their places are free at once: later uploads run after the draws already
+    /// submitted. Stages drawn after this call must not name the slots.
+    pub fn release(&mut self, slots: &[DrawSlot]) {
+        for slot in slots {
+            if let Some(entry) = self.drawables.remove(*slot) {
+                self.pools.release(&entry);
+            }
+        }
+    }
+
+    /// Bytes of the places that are taken in the pools.
+    pub fn bytes_in_use(&self) -> u64 {
+        self.pools.bytes_in_use()
+    }
+
+    /// Bytes of all blocks of the pools, free places included.
+    pub fn bytes_allocated(&self) -> u64 {
+        self.pools.bytes_allocated()
+    }
+
+    /// Largest [`Self::bytes_allocated`] so far.
+    pub fn bytes_peak(&self) -> u64 {
+        self.bytes_peak
+    }
+
+    pub(crate) fn drawable(&self, slot: DrawSlot) -> Option<&DrawableEntry> {
+        self.drawables.entry(slot)
+    }
+
+    pub(crate) fn pools(&self) -> &Pools {
+        &self.pools
+    }
+
+    pub(crate) fn layouts(&self) -> &Layouts {
+        self.pools.layouts()
+    }
+
+    pub(crate) fn depth_view(&self) -> &wgpu::TextureView {
+        self.target.depth_view()
+    }
+
+    pub(crate) fn color_texture(&self) -> Option<&wgpu::Texture> {
+        self.target.color_texture()
+    }
+
+    pub(crate) fn check_lost(&self) -> Result<(), GpuError> {
+        match self.lost.lock() {
+            Ok(lost) => match lost.as_ref() {
+                Some(reason) => Err(GpuError::DeviceLost { reason: reason.clone() }),
+                None => Ok(()),
+            },
+            Err(_) => Ok(()),
+        }
+    }
+}

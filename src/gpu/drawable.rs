@@ -1,0 +1,111 @@
+//! The table from [`DrawSlot`] to what a draw needs. Draw thread only.
+
+use super::height_pool::{HeightPool, TilePlace};
+use super::layouts::Layouts;
+use super::mesh_pool::{MeshPlace, MeshPool};
+use super::texture_pool::{TextureLayer, TexturePool};
+use crate::scene::{AlphaMode, DrawSlot, Material, Topology};
+
+/// Where a drawable's data lies.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Shape {
+    Height(TilePlace),
+    Mesh { place: MeshPlace, topology: Topology, texture: TextureLayer },
+}
+
+/// Everything a draw reads of a drawable.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct DrawableEntry {
+    pub(crate) shape: Shape,
+    pub(crate) base_color: [f32; 4],
+    pub(crate) alpha: AlphaMode,
+    pub(crate) double_sided: bool,
+    pub(crate) unlit: bool,
+}
+
+impl DrawableEntry {
+    pub(super) fn new(shape: Shape, material: &Material) -> Self {
+        Self {
+            shape,
+            base_color: material.base_color,
+            alpha: material.alpha,
+            double_sided: material.double_sided,
+            unlit: material.unlit,
+        }
+    }
+}
+
+/// Drawables by slot; slots are reused, last freed first.
+#[derive(Default)]
+pub(super) struct DrawableTable {
+    entries: Vec<Option<DrawableEntry>>,
+    free: Vec<u32>,
+}
+
+impl DrawableTable {
+    pub(super) fn insert(&mut self, entry: DrawableEntry) -> DrawSlot {
+        match self.free.pop() {
+            Some(index) => {
+                self.entries[index as usize] = Some(entry);
+                DrawSlot(index)
+            }
+            None => {
+                self.entries.push(Some(entry));
+                DrawSlot(self.entries.len() as u32 - 1)
+            }
+        }
+    }
+
+    pub(super) fn entry(&self, slot: DrawSlot) -> Option<&DrawableEntry> {
+        self.entries.get(slot.0 as usize)?.as_ref()
+    }
+
+    pub(super) fn remove(&mut self, slot: DrawSlot) -> Option<DrawableEntry> {
+        let entry = self.entries.get_mut(slot.0 as usize)?.take()?;
+        self.free.push(slot.0);
+        Some(entry)
+    }
+}
+
+/// The pools of a context.
+pub(crate) struct Pools {
+    pub(crate) heights: HeightPool,
+    pub(crate) meshes: MeshPool,
+    pub(crate) textures: TexturePool,
+    pub(super) layouts: Layouts,
+    pub(super) limits: wgpu::Limits,
+}
+
+impl Pools {
+    pub(super) fn new(device: &wgpu::Device, layouts: Layouts) -> Self {
+        Self {
+            heights: HeightPool::default(),
+            meshes: MeshPool::default(),
+            textures: TexturePool::default(),
+            layouts,
+            limits: device.limits(),
+        }
+    }
+
+    pub(crate) fn layouts(&self) -> &Layouts {
+        &self.layouts
+    }
+
+    pub(super) fn release(&mut self, entry: &DrawableEntry) {
+        match &entry.shape {
+            Shape::Height(place) => self.heights.release(*place),
+            Shape::Mesh { place, texture, .. } => {
+                self.meshes.release(place);
+                self.textures.release(*texture);
+            }
+        }
+    }
+
+    pub(super) fn bytes_in_use(&self) -> u64 {
+        self.heights.bytes_in_use() + self.meshes.bytes_in_use() + self.textures.bytes_in_use()
+    }
+
+    pub(super) fn bytes_allocated(&self) -> u64 {
+        self.heights.bytes_allocated() + self.meshes.bytes_allocated() + self.textures.bytes_allocated()
+    }
+}

@@ -1,0 +1,48 @@
+//! What can go wrong between us and the graphics adapter.
+
+/// Why a graphics call failed.
+#[derive(Debug, thiserror::Error)]
+pub enum GpuError {
+    /// No adapter answers the wanted choice; a test may then be skipped.
+    #[error("no graphics adapter: {reason}")]
+    NoAdapter {
+        /// What was asked for and found.
+        reason: String,
+    },
+    /// The adapter refused to make a device.
+    #[error("adapter {adapter} made no device: {reason}")]
+    NoDevice {
+        /// Name of the adapter.
+        adapter: String,
+        /// What it said.
+        reason: String,
+    },
+    /// The window cannot be drawn to.
+    #[error("window surface: {reason}")]
+    Surface {
+        /// What was wrong.
+        reason: String,
+    },
+    /// A target larger than the adapter allows, or without pixels.
+    #[error("a target of {width}x{height} pixels is not possible (1 to {limit} a side)")]
+    TargetSize {
+        /// Wanted width.
+        width: u32,
+        /// Wanted height.
+        height: u32,
+        /// Largest side.
+        limit: u32,
+    },
+    /// The picture could not be read back.
+    #[error("reading the picture back: {reason}")]
+    ReadBack {
+        /// What was wrong.
+        reason: String,
+    },
+    /// The device is gone (driver reset, unplugged); the context must be made anew.
+    #[error("graphics device lost: {reason}")]
+    DeviceLost {
+        /// What the driver said.
+        reason: String,
+    },
+}

@@ -1,0 +1,78 @@
+//! Bind group layouts of the pools' blocks (group 1 of the pipelines), and their samplers.
+
+/// Shared by every block; made once a context.
+pub(crate) struct Layouts {
+    /// Group 1 of height tiles: heights, tables, colour, sampler.
+    pub(crate) height_block: wgpu::BindGroupLayout,
+    /// Group 1 of meshes: colour, sampler.
+    pub(crate) texture_block: wgpu::BindGroupLayout,
+    pub(super) clamp: wgpu::Sampler,
+    pub(super) repeat: wgpu::Sampler,
+}
+
+fn array_texture(binding: u32, visibility: wgpu::ShaderStages, filterable: bool) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility,
+        ty: wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable },
+            view_dimension: wgpu::TextureViewDimension::D2Array,
+            multisampled: false,
+        },
+        count: None,
+    }
+}
+
+fn sampler(binding: u32) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::FRAGMENT,
+        ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+        count: None,
+    }
+}
+
+impl Layouts {
+    pub(super) fn new(device: &wgpu::Device) -> Self {
+        let tables = wgpu::BindGroupLayoutEntry {
+            binding: 1,
+            visibility: wgpu::ShaderStages::VERTEX,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only: true },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        };
+        let height_block = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("height block"),
+            entries: &[
+                array_texture(0, wgpu::ShaderStages::VERTEX, false),
+                tables,
+                array_texture(2, wgpu::ShaderStages::FRAGMENT, true),
+                sampler(3),
+            ],
+        });
+        let texture_block = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("texture block"),
+            entries: &[array_texture(0, wgpu::ShaderStages::FRAGMENT, true), sampler(1)],
+        });
+        let make_sampler = |label, mode| {
+            device.create_sampler(&wgpu::SamplerDescriptor {
+                label: Some(label),
+                address_mode_u: mode,
+                address_mode_v: mode,
+                mag_filter: wgpu::FilterMode::Linear,
+                min_filter: wgpu::FilterMode::Linear,
+                mipmap_filter: wgpu::MipmapFilterMode::Linear,
+                ..Default::default()
+            })
+        };
+        Self {
+            height_block,
+            texture_block,
+            clamp: make_sampler("clamp", wgpu::AddressMode::ClampToEdge),
+            repeat: make_sampler("repeat", wgpu::AddressMode::Repeat),
+        }
+    }
+}

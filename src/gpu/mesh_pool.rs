@@ -1,0 +1,321 @@
+//! Meshes: vertex and index buffers cut into places of one size class each; equal meshes and equal index
+//! lists are uploaded once.
+//!
+//! Draw thread only. A buffer holds places of a single size, so it cannot fragment, and meshes of like size
+//! (all tiles of a set) draw from one buffer without changing state.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Weak};
+
+use super::slots::{SlotAllocator, block_capacity, size_class};
+use super::texture_pool::insert;
+use crate::scene::{Mesh, MeshVertex};
+
+/// Bytes a buffer aims at.
+const CHUNK_BYTES: u64 = 8 << 20;
+/// Most places in a buffer.
+const CHUNK_PLACES: u32 = 64;
+
+/// Part of a buffer of an [`Arena`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Range {
+    pub(super) chunk: u32,
+    place: u32,
+    /// First element, counted from the start of the buffer.
+    pub(super) first: u32,
+}
+
+struct Chunk {
+    buffer: wgpu::Buffer,
+    class: u32,
+    slots: SlotAllocator,
+    capacity: u32,
+}
+
+/// Buffers of elements of one kind.
+struct Arena {
+    label: &'static str,
+    usage: wgpu::BufferUsages,
+    element_bytes: u64,
+    chunks: Vec<Option<Chunk>>,
+    bytes_in_use: u64,
+    bytes_allocated: u64,
+}
+
+impl Arena {
+    fn new(label: &'static str, usage: wgpu::BufferUsages, element_bytes: u64) -> Self {
+        Self { label, usage, element_bytes, chunks: Vec::new(), bytes_in_use: 0, bytes_allocated: 0 }
+    }
+
+    fn allocate(&mut self, device: &wgpu::Device, limits: &wgpu::Limits, length: usize) -> Result<Range, String> {
+        let too_large = || format!("{length} {} do not fit into one buffer of the adapter", self.label);
+        let length = u32::try_from(length).ok().filter(|l| *l < 1 << 30).ok_or_else(too_large)?;
+        let class = size_class(length);
+        let class_bytes = u64::from(class) * self.element_bytes;
+        // A base vertex is an i32, and buffers have a largest size.
+        if class_bytes > limits.max_buffer_size {
+            return Err(too_large());
+        }
+        let mut like = 0;
+        for (index, chunk) in (0u32..).zip(&mut self.chunks) {
+            if let Some(chunk) = chunk.as_mut().filter(|c| c.class == class) {
+                like += 1;
+                if let Some(place) = chunk.slots.allocate() {
+                    self.bytes_in_use += class_bytes;
+                    return Ok(Range { chunk: index, place, first: place * class });
+                }
+            }
+        }
+        let capacity = block_capacity(like, class_bytes, CHUNK_BYTES.min(limits.max_buffer_size), CHUNK_PLACES);
+        let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(self.label),
+            size: class_bytes * u64::from(capacity),
+            usage: self.usage | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let mut slots = SlotAllocator::new(capacity);
+        let place = slots.allocate().ok_or("a buffer without places")?;
+        self.bytes_allocated += class_bytes * u64::from(capacity);
+        self.bytes_in_use += class_bytes;
+        let chunk = insert(&mut self.chunks, Chunk { buffer, class, slots, capacity });
+        Ok(Range { chunk, place, first: place * class })
+    }
+
+    fn bytes_of(&self, range: Range) -> u64 {
+        match self.chunks.get(range.chunk as usize) {
+            Some(Some(chunk)) => u64::from(chunk.class) * self.element_bytes,
+            _ => 0,
+        }
+    }
+
+    fn release(&mut self, range: Range) {
+        let bytes = self.bytes_of(range);
+        if let Some(slot) = self.chunks.get_mut(range.chunk as usize)
+            && let Some(chunk) = slot
+        {
+            chunk.slots.release(range.place);
+            self.bytes_in_use -= bytes;
+            if chunk.slots.is_empty() {
+                self.bytes_allocated -= bytes * u64::from(chunk.capacity);
+                *slot = None;
+            }
+        }
+    }
+
+    fn write(&self, queue: &wgpu::Queue, range: Range, first: usize, data: &[u8]) {
+        if let Some(Some(chunk)) = self.chunks.get(range.chunk as usize) {
+            queue.write_buffer(&chunk.buffer, (u64::from(range.first) + first as u64) * self.element_bytes, data);
+        }
+    }
+
+    fn buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
+        self.chunks.get(chunk as usize)?.as_ref().map(|c| &c.buffer)
+    }
+}
+
+struct MeshRecord {
+    /// Keeps the address from being used for another mesh while the record stands.
+    source: Weak<Mesh>,
+    vertices: Range,
+    indices: u32,
+    users: u32,
+}
+
+struct IndexRecord {
+    /// Set while the list is shared between meshes; its address is then the key.
+    source: Option<Weak<[u32]>>,
+    range: Range,
+    /// Largest index, to check further meshes that share the list.
+    largest: u32,
+    users: u32,
+}
+
+/// What drawing a mesh needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct MeshPlace {
+    /// Equal for drawables that share a mesh.
+    pub(crate) mesh: u32,
+    pub(crate) vertex_chunk: u32,
+    pub(crate) index_chunk: u32,
+    pub(crate) base_vertex: i32,
+    pub(crate) first_index: u32,
+    pub(crate) index_count: u32,
+}
+
+/// What of a newly placed mesh has to be uploaded.
+pub(super) struct MeshUploads {
+    pub(super) place: MeshPlace,
+    pub(super) vertices: Option<Range>,
+    pub(super) indices: Option<Range>,
+    /// Bytes of the new places.
+    pub(super) bytes: u64,
+}
+
+/// All meshes of a context.
+pub(crate) struct MeshPool {
+    vertices: Arena,
+    indices: Arena,
+    meshes: Vec<Option<MeshRecord>>,
+    index_lists: Vec<Option<IndexRecord>>,
+    /// By address. Only looked up, never walked.
+    mesh_by_address: HashMap<usize, u32>,
+    index_list_by_address: HashMap<usize, u32>,
+}
+
+impl Default for MeshPool {
+    fn default() -> Self {
+        Self {
+            vertices: Arena::new("vertices", wgpu::BufferUsages::VERTEX, size_of::<MeshVertex>() as u64),
+            indices: Arena::new("indices", wgpu::BufferUsages::INDEX, 4),
+            meshes: Vec::new(),
+            index_lists: Vec::new(),
+            mesh_by_address: HashMap::new(),
+            index_list_by_address: HashMap::new(),
+        }
+    }
+}
+
+fn check_indices(largest: u32, mesh: &Mesh) -> Result<(), String> {
+    if (largest as usize) < mesh.vertices.len() {
+        Ok(())
+    } else {
+        Err(format!("a mesh of {} vertices has the index {largest}", mesh.vertices.len()))
+    }
+}
+
+impl MeshPool {
+    /// Places for a mesh, and which of them are new.
+    pub(super) fn allocate(
+        &mut self,
+        device: &wgpu::Device,
+        limits: &wgpu::Limits,
+        mesh: &Arc<Mesh>,
+    ) -> Result<MeshUploads, String> {
+        let address = Arc::as_ptr(mesh) as usize;
+        if let Some(&id) = self.mesh_by_address.get(&address)
+            && let Some(Some(record)) = self.meshes.get_mut(id as usize)
+            && std::ptr::eq(record.source.as_ptr(), Arc::as_ptr(mesh))
+        {
+            record.users += 1;
+            let (vertices, indices) = (record.vertices, record.indices);
+            let place = self.place(id, vertices, indices, mesh)?;
+            return Ok(MeshUploads { place, vertices: None, indices: None, bytes: 0 });
+        }
+        if mesh.vertices.is_empty() || mesh.indices.is_empty() {
+            return Err("a mesh without vertices or indices".into());
+        }
+        let (index_list, new_indices) = self.allocate_indices(device, limits, mesh)?;
+        let vertices = match self.vertices.allocate(device, limits, mesh.vertices.len()) {
+            Ok(range) => range,
+            Err(e) => {
+                self.release_indices(index_list);
+                return Err(e);
+            }
+        };
+        let record = MeshRecord { source: Arc::downgrade(mesh), vertices, indices: index_list, users: 1 };
+        let id = insert(&mut self.meshes, record);
+        self.mesh_by_address.insert(address, id);
+        let bytes = self.vertices.bytes_of(vertices) + new_indices.map_or(0, |r| self.indices.bytes_of(r));
+        let place = self.place(id, vertices, index_list, mesh)?;
+        Ok(MeshUploads { place, vertices: Some(vertices), indices: new_indices, bytes })
+    }
+
+    fn place(&self, mesh_id: u32, vertices: Range, index_list: u32, mesh: &Mesh) -> Result<MeshPlace, String> {
+        let record = self.index_lists.get(index_list as usize).and_then(Option::as_ref);
+        let range = record.map(|r| r.range).ok_or("an index list that is gone")?;
+        Ok(MeshPlace {
+            mesh: mesh_id,
+            vertex_chunk: vertices.chunk,
+            index_chunk: range.chunk,
+            base_vertex: vertices.first as i32,
+            first_index: range.first,
+            index_count: mesh.indices.len() as u32,
+        })
+    }
+
+    fn allocate_indices(
+        &mut self,
+        device: &wgpu::Device,
+        limits: &wgpu::Limits,
+        mesh: &Mesh,
+    ) -> Result<(u32, Option<Range>), String> {
+        let address = Arc::as_ptr(&mesh.indices) as *const u32 as usize;
+        if let Some(&id) = self.index_list_by_address.get(&address)
+            && let Some(Some(record)) = self.index_lists.get_mut(id as usize)
+            && record.source.as_ref().is_some_and(|s| std::ptr::addr_eq(s.as_ptr(), Arc::as_ptr(&mesh.indices)))
+        {
+            check_indices(record.largest, mesh)?;
+            record.users += 1;
+            return Ok((id, None));
+        }
+        let largest = mesh.indices.iter().copied().max().unwrap_or(0);
+        check_indices(largest, mesh)?;
+        let range = self.indices.allocate(device, limits, mesh.indices.len())?;
+        // A weak pointer keeps the list's memory, so it is kept for lists that others hold as well.
+        let source = (Arc::strong_count(&mesh.indices) > 1).then(|| Arc::downgrade(&mesh.indices));
+        let is_shared = source.is_some();
+        let id = insert(&mut self.index_lists, IndexRecord { source, range, largest, users: 1 });
+        if is_shared {
+            self.index_list_by_address.insert(address, id);
+        }
+        Ok((id, Some(range)))
+    }
+
+    pub(super) fn write_vertices(&self, queue: &wgpu::Queue, range: Range, first: usize, data: &[MeshVertex]) {
+        self.vertices.write(queue, range, first, bytemuck::cast_slice(data));
+    }
+
+    pub(super) fn write_indices(&self, queue: &wgpu::Queue, range: Range, first: usize, data: &[u32]) {
+        self.indices.write(queue, range, first, bytemuck::cast_slice(data));
+    }
+
+    /// One drawable fewer uses the mesh.
+    pub(super) fn release(&mut self, place: &MeshPlace) {
+        let Some(slot) = self.meshes.get_mut(place.mesh as usize) else { return };
+        let Some(record) = slot else { return };
+        record.users = record.users.saturating_sub(1);
+        if record.users > 0 {
+            return;
+        }
+        let Some(record) = slot.take() else { return };
+        let address = record.source.as_ptr() as usize;
+        if self.mesh_by_address.get(&address) == Some(&place.mesh) {
+            self.mesh_by_address.remove(&address);
+        }
+        self.vertices.release(record.vertices);
+        self.release_indices(record.indices);
+    }
+
+    fn release_indices(&mut self, id: u32) {
+        let Some(slot) = self.index_lists.get_mut(id as usize) else { return };
+        let Some(record) = slot else { return };
+        record.users = record.users.saturating_sub(1);
+        if record.users > 0 {
+            return;
+        }
+        let Some(record) = slot.take() else { return };
+        if let Some(source) = record.source {
+            let address = source.as_ptr() as *const u32 as usize;
+            if self.index_list_by_address.get(&address) == Some(&id) {
+                self.index_list_by_address.remove(&address);
+            }
+        }
+        self.indices.release(record.range);
+    }
+
+    pub(crate) fn vertex_buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
+        self.vertices.buffer(chunk)
+    }
+
+    pub(crate) fn index_buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
+        self.indices.buffer(chunk)
+    }
+
+    pub(super) fn bytes_in_use(&self) -> u64 {
+        self.vertices.bytes_in_use + self.indices.bytes_in_use
+    }
+
+    pub(super) fn bytes_allocated(&self) -> u64 {
+        self.vertices.bytes_allocated + self.indices.bytes_allocated
+    }
+}

@@ -1,0 +1,32 @@
+//! Graphics resources: device and queue, render targets, geometry and texture pools, compile operations.
+//!
+//! Runs in the draw phase of the frame. Everything here lives on the one thread that owns a
+//! [`GraphicsContext`]; no other thread may call `wgpu::Queue` (writing a texture while another thread submits
+//! deadlocks in wgpu 30.0.1, upstream issue 9460). Other threads hand over plain data in a [`CompileOperation`]
+//! and get back [`DrawSlot`](crate::scene::DrawSlot)s:
+//!
+//! ```text
+//! Drawable -> CompileOperation -> run_compiles (a slice at a time, within a budget) -> Compiled { slots }
+//!             slots: height tiles in blocks of texture arrays, meshes in buffers cut into size classes
+//! release(slots) -> the places are free at once: uploads run on the same queue, after the draws that used them
+//! ```
+
+mod compile;
+mod context;
+mod drawable;
+mod error;
+mod height_pool;
+mod layouts;
+mod mesh_pool;
+mod slots;
+mod target;
+mod texture_pool;
+mod timer;
+
+pub use compile::{CompileBudget, CompileOperation, CompileStats, Compiled};
+pub use context::{AdapterChoice, ContextTraits, GraphicsContext};
+pub use error::GpuError;
+pub use target::Acquired;
+
+pub(crate) use drawable::{DrawableEntry, Shape};
+pub(crate) use timer::FrameTimer;

@@ -1,0 +1,206 @@
+//! What is drawn into: textures of our own, or the images of a window. Draw thread only.
+
+use super::GpuError;
+
+/// Colour format of offscreen targets.
+pub(super) const OFFSCREEN_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+/// Depth format of every target; reversed-Z needs a float's precision near 0.
+pub(crate) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+
+/// Outcome of asking for the frame's image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Acquired {
+    /// There is an image to draw into.
+    Ready,
+    /// The window shows nothing now (hidden, or its image is late): skip the frame.
+    Skip,
+}
+
+enum Color {
+    Offscreen { texture: wgpu::Texture, view: wgpu::TextureView },
+    Window { surface: wgpu::Surface<'static>, config: wgpu::SurfaceConfiguration, frame: Option<Frame> },
+}
+
+struct Frame {
+    image: wgpu::SurfaceTexture,
+    view: wgpu::TextureView,
+}
+
+/// Colour and depth of a context.
+pub(super) struct Target {
+    color: Color,
+    depth_view: wgpu::TextureView,
+    size_px: [u32; 2],
+}
+
+fn extent(size_px: [u32; 2]) -> wgpu::Extent3d {
+    wgpu::Extent3d { width: size_px[0], height: size_px[1], depth_or_array_layers: 1 }
+}
+
+fn check_size(device: &wgpu::Device, size_px: [u32; 2]) -> Result<(), GpuError> {
+    let limit = device.limits().max_texture_dimension_2d;
+    let [width, height] = size_px;
+    if width == 0 || height == 0 || width > limit || height > limit {
+        return Err(GpuError::TargetSize { width, height, limit });
+    }
+    Ok(())
+}
+
+fn depth_view(device: &wgpu::Device, size_px: [u32; 2]) -> wgpu::TextureView {
+    let texture = device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("depth"),
+        size: extent(size_px),
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: DEPTH_FORMAT,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+        view_formats: &[],
+    });
+    texture.create_view(&wgpu::TextureViewDescriptor::default())
+}
+
+fn offscreen_color(device: &wgpu::Device, size_px: [u32; 2]) -> Color {
+    let texture = device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("colour"),
+        size: extent(size_px),
+        mip_level_count: 1,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: OFFSCREEN_FORMAT,
+        usage: wgpu::TextureUsages::RENDER_ATTACHMENT
+            | wgpu::TextureUsages::COPY_SRC
+            | wgpu::TextureUsages::TEXTURE_BINDING,
+        view_formats: &[],
+    });
+    let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+    Color::Offscreen { texture, view }
+}
+
+impl Target {
+    pub(super) fn offscreen(device: &wgpu::Device, size_px: [u32; 2]) -> Result<Self, GpuError> {
+        check_size(device, size_px)?;
+        Ok(Self { color: offscreen_color(device, size_px), depth_view: depth_view(device, size_px), size_px })
+    }
+
+    pub(super) fn window(
+        adapter: &wgpu::Adapter,
+        device: &wgpu::Device,
+        surface: wgpu::Surface<'static>,
+        size_px: [u32; 2],
+    ) -> Result<Self, GpuError> {
+        check_size(device, size_px)?;
+        let capabilities = surface.get_capabilities(adapter);
+        let format = capabilities
+            .formats
+            .iter()
+            .find(|f| f.is_srgb())
+            .or(capabilities.formats.first())
+            .copied()
+            .ok_or_else(|| GpuError::Surface { reason: "the adapter cannot present to it".into() })?;
+        // Reading back a window's image needs its images to be copyable; not every platform allows it.
+        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | (wgpu::TextureUsages::COPY_SRC & capabilities.usages);
+        let config = wgpu::SurfaceConfiguration {
+            usage,
+            format,
+            color_space: wgpu::SurfaceColorSpace::Auto,
+            width: size_px[0],
+            height: size_px[1],
+            // Every platform has Fifo; wgpu's own default is Immediate on software Vulkan.
+            present_mode: wgpu::PresentMode::Fifo,
+            desired_maximum_frame_latency: 2,
+            alpha_mode: wgpu::CompositeAlphaMode::Auto,
+            view_formats: Vec::new(),
+        };
+        surface.configure(device, &config);
+        let color = Color::Window { surface, config, frame: None };
+        Ok(Self { color, depth_view: depth_view(device, size_px), size_px })
+    }
+
+    pub(super) fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    pub(super) fn format(&self) -> wgpu::TextureFormat {
+        match &self.color {
+            Color::Offscreen { .. } => OFFSCREEN_FORMAT,
+            Color::Window { config, .. } => config.format,
+        }
+    }
+
+    pub(super) fn resize(&mut self, device: &wgpu::Device, size_px: [u32; 2]) -> Result<(), GpuError> {
+        if size_px == self.size_px {
+            return Ok(());
+        }
+        check_size(device, size_px)?;
+        match &mut self.color {
+            Color::Offscreen { .. } => self.color = offscreen_color(device, size_px),
+            Color::Window { surface, config, frame } => {
+                *frame = None;
+                [config.width, config.height] = size_px;
+                surface.configure(device, config);
+            }
+        }
+        self.depth_view = depth_view(device, size_px);
+        self.size_px = size_px;
+        Ok(())
+    }
+
+    /// Gets the window's next image unless one is held already; an offscreen target always has one.
+    pub(super) fn acquire(&mut self, device: &wgpu::Device) -> Result<Acquired, GpuError> {
+        let Color::Window { surface, config, frame } = &mut self.color else { return Ok(Acquired::Ready) };
+        if frame.is_some() {
+            return Ok(Acquired::Ready);
+        }
+        // Outdated and lost surfaces are configured anew once; what fails twice is reported.
+        for attempt in 0..2 {
+            match surface.get_current_texture() {
+                wgpu::CurrentSurfaceTexture::Success(image) | wgpu::CurrentSurfaceTexture::Suboptimal(image) => {
+                    let view = image.texture.create_view(&wgpu::TextureViewDescriptor::default());
+                    *frame = Some(Frame { image, view });
+                    return Ok(Acquired::Ready);
+                }
+                wgpu::CurrentSurfaceTexture::Timeout | wgpu::CurrentSurfaceTexture::Occluded => {
+                    return Ok(Acquired::Skip);
+                }
+                wgpu::CurrentSurfaceTexture::Outdated | wgpu::CurrentSurfaceTexture::Lost if attempt == 0 => {
+                    surface.configure(device, config);
+                }
+                wgpu::CurrentSurfaceTexture::Outdated => return Ok(Acquired::Skip),
+                wgpu::CurrentSurfaceTexture::Lost => {
+                    return Err(GpuError::Surface { reason: "lost, and still lost after being configured anew".into() });
+                }
+                wgpu::CurrentSurfaceTexture::Validation => {
+                    return Err(GpuError::Surface { reason: "refused by validation".into() });
+                }
+            }
+        }
+        Ok(Acquired::Skip)
+    }
+
+    pub(super) fn color_view(&self) -> Option<&wgpu::TextureView> {
+        match &self.color {
+            Color::Offscreen { view, .. } => Some(view),
+            Color::Window { frame, .. } => frame.as_ref().map(|f| &f.view),
+        }
+    }
+
+    pub(super) fn color_texture(&self) -> Option<&wgpu::Texture> {
+        match &self.color {
+            Color::Offscreen { texture, .. } => Some(texture),
+            Color::Window { frame, .. } => frame.as_ref().map(|f| &f.image.texture),
+        }
+    }
+
+    pub(super) fn depth_view(&self) -> &wgpu::TextureView {
+        &self.depth_view
+    }
+
+    pub(super) fn present(&mut self, queue: &wgpu::Queue) {
+        if let Color::Window { frame, .. } = &mut self.color
+            && let Some(frame) = frame.take()
+        {
+            queue.present(frame.image);
+        }
+    }
+}

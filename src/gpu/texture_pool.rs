@@ -1,0 +1,289 @@
+//! Textures of meshes: layers of 2D array textures, one block per size, equal images uploaded once.
+//!
+//! Draw thread only. Adapters without bindless textures (software Vulkan among them) still draw many tiles
+//! with one bind group this way.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Weak};
+
+use super::layouts::Layouts;
+use super::slots::{SlotAllocator, block_capacity};
+use crate::scene::Texture;
+
+/// Bytes a block aims at; larger images get blocks of one layer.
+const BLOCK_BYTES: u64 = 32 << 20;
+/// Most layers in a block; 256 is WebGPU's guaranteed limit.
+const BLOCK_LAYERS: u32 = 128;
+
+/// Size of an image with its mips: images of one size share blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct ImageSize {
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) mips: u32,
+}
+
+impl ImageSize {
+    /// The size of a texture, after checking that its levels hold what they should.
+    pub(super) fn of(texture: &Texture, limits: &wgpu::Limits) -> Result<Self, String> {
+        let (width, height) = (texture.width, texture.height);
+        let limit = limits.max_texture_dimension_2d;
+        if width == 0 || height == 0 || width > limit || height > limit {
+            return Err(format!("a texture of {width}x{height} texels is not possible (1 to {limit} a side)"));
+        }
+        let full = 32 - width.max(height).leading_zeros();
+        let mips = texture.mips.len();
+        if mips == 0 || mips > full as usize {
+            return Err(format!("a texture of {width}x{height} texels has {mips} levels (1 to {full})"));
+        }
+        let size = Self { width, height, mips: mips as u32 };
+        for (level, data) in (0u32..).zip(&texture.mips) {
+            let [w, h] = size.level(level);
+            let expected = w as usize * h as usize * 4;
+            if data.len() != expected {
+                return Err(format!("level {level} of a texture has {} bytes instead of {expected}", data.len()));
+            }
+        }
+        Ok(size)
+    }
+
+    pub(super) fn level(&self, level: u32) -> [u32; 2] {
+        [(self.width >> level).max(1), (self.height >> level).max(1)]
+    }
+
+    pub(super) fn bytes(&self) -> u64 {
+        (0..self.mips).map(|l| self.level(l).map(u64::from).iter().product::<u64>() * 4).sum()
+    }
+
+    pub(super) fn create(&self, device: &wgpu::Device, label: &str, layers: u32) -> wgpu::Texture {
+        device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(label),
+            size: wgpu::Extent3d { width: self.width, height: self.height, depth_or_array_layers: layers },
+            mip_level_count: self.mips,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba8UnormSrgb,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        })
+    }
+}
+
+/// The view of all layers that blocks bind.
+pub(super) fn array_view(texture: &wgpu::Texture) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2Array),
+        ..Default::default()
+    })
+}
+
+/// Rows of one level of one layer.
+pub(super) struct Rows {
+    pub(super) layer: u32,
+    pub(super) level: u32,
+    pub(super) first: u32,
+    pub(super) count: u32,
+    pub(super) width: u32,
+}
+
+/// Writes some rows; `data` holds exactly these, 4 bytes a texel.
+pub(super) fn write_rows(queue: &wgpu::Queue, texture: &wgpu::Texture, rows: &Rows, data: &[u8]) {
+    queue.write_texture(
+        wgpu::TexelCopyTextureInfo {
+            texture,
+            mip_level: rows.level,
+            origin: wgpu::Origin3d { x: 0, y: rows.first, z: rows.layer },
+            aspect: wgpu::TextureAspect::All,
+        },
+        data,
+        wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(rows.width * 4), rows_per_image: None },
+        wgpu::Extent3d { width: rows.width, height: rows.count, depth_or_array_layers: 1 },
+    );
+}
+
+/// A layer of a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TextureLayer {
+    pub(crate) block: u32,
+    pub(crate) layer: u32,
+}
+
+struct Block {
+    size: ImageSize,
+    repeat: bool,
+    texture: wgpu::Texture,
+    bind_group: wgpu::BindGroup,
+    slots: SlotAllocator,
+    capacity: u32,
+    /// Per layer: number of drawables that use it, and the key it is shared under.
+    users: Vec<(u32, usize)>,
+}
+
+struct Shared {
+    /// Keeps the address from being used for another image while the entry stands.
+    image: Weak<Texture>,
+    place: TextureLayer,
+}
+
+/// All texture blocks of a context.
+#[derive(Default)]
+pub(crate) struct TexturePool {
+    blocks: Vec<Option<Block>>,
+    /// By the image's address. Only looked up, never walked.
+    shared: HashMap<usize, Shared>,
+    white: Option<TextureLayer>,
+    bytes_in_use: u64,
+    bytes_allocated: u64,
+}
+
+impl TexturePool {
+    /// A layer for an image; true when it must be uploaded, false when it is there already.
+    pub(super) fn allocate(
+        &mut self,
+        device: &wgpu::Device,
+        layouts: &Layouts,
+        limits: &wgpu::Limits,
+        image: &Arc<Texture>,
+    ) -> Result<(TextureLayer, bool), String> {
+        let key = Arc::as_ptr(image) as usize;
+        if let Some(shared) = self.shared.get(&key).filter(|s| std::ptr::eq(s.image.as_ptr(), Arc::as_ptr(image))) {
+            let place = shared.place;
+            if let Some(user) = self.user_mut(place) {
+                user.0 += 1;
+                return Ok((place, false));
+            }
+        }
+        let size = ImageSize::of(image, limits)?;
+        let place = self.take_place(device, layouts, limits, size, image.repeat)?;
+        if let Some(user) = self.user_mut(place) {
+            *user = (1, key);
+        }
+        self.shared.insert(key, Shared { image: Arc::downgrade(image), place });
+        Ok((place, true))
+    }
+
+    /// The single white texel for drawables without a texture.
+    pub(super) fn white(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        layouts: &Layouts,
+        limits: &wgpu::Limits,
+    ) -> Result<TextureLayer, String> {
+        if let Some(place) = self.white {
+            return Ok(place);
+        }
+        let size = ImageSize { width: 1, height: 1, mips: 1 };
+        let place = self.take_place(device, layouts, limits, size, false)?;
+        self.write(queue, place, &Rows { layer: place.layer, level: 0, first: 0, count: 1, width: 1 }, &[255; 4]);
+        self.white = Some(place);
+        Ok(place)
+    }
+
+    fn user_mut(&mut self, place: TextureLayer) -> Option<&mut (u32, usize)> {
+        self.blocks.get_mut(place.block as usize)?.as_mut()?.users.get_mut(place.layer as usize)
+    }
+
+    fn take_place(
+        &mut self,
+        device: &wgpu::Device,
+        layouts: &Layouts,
+        limits: &wgpu::Limits,
+        size: ImageSize,
+        repeat: bool,
+    ) -> Result<TextureLayer, String> {
+        let mut like = 0;
+        for (index, block) in (0u32..).zip(&mut self.blocks) {
+            if let Some(block) = block.as_mut().filter(|b| b.size == size && b.repeat == repeat) {
+                like += 1;
+                if let Some(layer) = block.slots.allocate() {
+                    self.bytes_in_use += size.bytes();
+                    return Ok(TextureLayer { block: index, layer });
+                }
+            }
+        }
+        let most = BLOCK_LAYERS.min(limits.max_texture_array_layers);
+        let capacity = block_capacity(like, size.bytes(), BLOCK_BYTES, most);
+        let texture = size.create(device, "texture block", capacity);
+        let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("texture block"),
+            layout: &layouts.texture_block,
+            entries: &[
+                wgpu::BindGroupEntry {
+                    binding: 0,
+                    resource: wgpu::BindingResource::TextureView(&array_view(&texture)),
+                },
+                wgpu::BindGroupEntry {
+                    binding: 1,
+                    resource: wgpu::BindingResource::Sampler(if repeat { &layouts.repeat } else { &layouts.clamp }),
+                },
+            ],
+        });
+        let mut slots = SlotAllocator::new(capacity);
+        let layer = slots.allocate().ok_or("a texture block without layers")?;
+        let users = vec![(0, 0); capacity as usize];
+        let block = Block { size, repeat, texture, bind_group, slots, capacity, users };
+        self.bytes_allocated += size.bytes() * u64::from(capacity);
+        self.bytes_in_use += size.bytes();
+        let block = insert(&mut self.blocks, block);
+        Ok(TextureLayer { block, layer })
+    }
+
+    pub(super) fn write(&self, queue: &wgpu::Queue, place: TextureLayer, rows: &Rows, data: &[u8]) {
+        if let Some(Some(block)) = self.blocks.get(place.block as usize) {
+            write_rows(queue, &block.texture, rows, data);
+        }
+    }
+
+    /// One drawable fewer uses the layer; it is free when none does.
+    pub(super) fn release(&mut self, place: TextureLayer) {
+        if Some(place) == self.white {
+            return;
+        }
+        let Some(user) = self.user_mut(place) else { return };
+        user.0 = user.0.saturating_sub(1);
+        let (count, key) = *user;
+        if count > 0 {
+            return;
+        }
+        if self.shared.get(&key).is_some_and(|s| s.place == place) {
+            self.shared.remove(&key);
+        }
+        if let Some(slot) = self.blocks.get_mut(place.block as usize)
+            && let Some(block) = slot
+        {
+            block.slots.release(place.layer);
+            self.bytes_in_use -= block.size.bytes();
+            if block.slots.is_empty() {
+                self.bytes_allocated -= block.size.bytes() * u64::from(block.capacity);
+                *slot = None;
+            }
+        }
+    }
+
+    pub(crate) fn bind_group(&self, block: u32) -> Option<&wgpu::BindGroup> {
+        self.blocks.get(block as usize)?.as_ref().map(|b| &b.bind_group)
+    }
+
+    pub(super) fn bytes_in_use(&self) -> u64 {
+        self.bytes_in_use
+    }
+
+    pub(super) fn bytes_allocated(&self) -> u64 {
+        self.bytes_allocated
+    }
+}
+
+/// Puts a block into the first empty place.
+pub(super) fn insert<T>(blocks: &mut Vec<Option<T>>, block: T) -> u32 {
+    match blocks.iter().position(Option::is_none) {
+        Some(index) => {
+            blocks[index] = Some(block);
+            index as u32
+        }
+        None => {
+            blocks.push(Some(block));
+            blocks.len() as u32 - 1
+        }
+    }
+}
