@@ -17,12 +17,3 @@ pub struct NodeId {
     /// Depth-first index inside the page; 0 is the page's root.
     pub index: u32,
 }
-
-/// Index into a graphics context's drawable table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct DrawSlot(pub u32);
-
-impl DrawSlot {
-    /// Nothing is drawn.
-    pub const NONE: Self = Self(u32::MAX);
-}

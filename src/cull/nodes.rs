@@ -1,0 +1,219 @@
+//! The flat scan of a page's nodes.
+
+use glam::{DAffine3, DVec3, Vec4};
+
+use super::stage::RenderLeaf;
+use super::visitor::{Cull, PageContext, Purpose, eye_in};
+use crate::scene::{DrawSlot, PLAIN, UNBOUNDED, kind};
+
+/// What holds again behind a subtree.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Open {
+    /// First node behind the subtree.
+    end: u32,
+    /// Matrix above the subtree.
+    matrix: u32,
+    /// Planes above the subtree.
+    mask: u8,
+}
+
+impl Cull<'_> {
+    /// Visits nodes `first..last`, whole subtrees, under a matrix and the planes they may cross.
+    pub(super) fn scan_nodes(&mut self, context: &PageContext, first: u32, last: u32, mask: u8, matrix: u32) {
+        let page = context.page;
+        let base = self.node_stack.len();
+        let mut above = Open { end: last, matrix, mask };
+        let mut node = first;
+        let shortcut = self.small_feature == 0.0;
+        loop {
+            while node >= above.end {
+                if self.node_stack.len() == base {
+                    return;
+                }
+                match self.node_stack.pop() {
+                    Some(open) => above = open,
+                    None => return,
+                }
+            }
+            let record = page.nodes[node as usize];
+            let skip = record.skip;
+            if !page.masks.is_empty() && page.masks[node as usize] & self.camera.cull_mask == 0 {
+                node += skip;
+                continue;
+            }
+            self.counters.nodes_visited += 1;
+            let sphere = page.spheres[node as usize];
+            let mut mask = above.mask;
+            if mask != 0 {
+                match context.planes.test_sphere(sphere, mask) {
+                    Some(crossing) => mask = crossing,
+                    None => {
+                        if context.visit.required && record.flags & PLAIN == 0 {
+                            self.keep_tiles(context, node, node + skip);
+                        }
+                        node += skip;
+                        continue;
+                    }
+                }
+            }
+            if !shortcut && self.is_small(context, sphere) {
+                node += skip;
+                continue;
+            }
+            if mask == 0 && record.flags & PLAIN != 0 && shortcut {
+                self.take_inside(context, node, node + skip, above.matrix);
+                node += skip;
+                continue;
+            }
+            match record.kind {
+                kind::GEODE | kind::GROUP => {
+                    let end = page.nodes[node as usize + 1].first_drawable;
+                    if end > record.first_drawable {
+                        self.test_drawables(context, record.first_drawable, end, mask, above.matrix);
+                    }
+                    if mask != above.mask && skip > 1 {
+                        self.node_stack.push(above);
+                        above = Open { end: node + skip, matrix: above.matrix, mask };
+                    }
+                    node += 1;
+                }
+                kind::TRANSFORM => {
+                    let matrix = self.push_transform(context, record.first_transform);
+                    self.node_stack.push(above);
+                    above = Open { end: node + skip, matrix, mask };
+                    node += 1;
+                }
+                kind::TILE => {
+                    let tile = page.payloads[node as usize];
+                    if let Ok(root) = page.tiles.roots.binary_search_by_key(&tile, |r| r.tile) {
+                        self.scan_tiles(page, &context.visit, root, mask, context.visit.purpose);
+                    }
+                    node += skip;
+                }
+                kind::SWITCH => {
+                    let shown = &page.switches[page.payloads[node as usize] as usize];
+                    let mut child = node + 1;
+                    for index in 0.. {
+                        if child >= node + skip {
+                            break;
+                        }
+                        let next = child + page.nodes[child as usize].skip;
+                        if shown.get(index).copied().unwrap_or(false) {
+                            self.scan_nodes(context, child, next, mask, above.matrix);
+                        }
+                        child = next;
+                    }
+                    node += skip;
+                }
+                _ => {
+                    let lod = &page.lods[page.payloads[node as usize] as usize];
+                    let enclosing = self.enclosing_transform(context, node);
+                    let eye = page.transforms.point_in_node(enclosing, eye_in(&context.visit.eye_from_page));
+                    let distance_m = eye.distance(lod.center) * self.camera.lod_scale;
+                    let mut child = node + 1;
+                    for index in 0.. {
+                        if child >= node + skip {
+                            break;
+                        }
+                        let next = child + page.nodes[child as usize].skip;
+                        if lod.ranges_m.get(index).is_some_and(|r| r[0] <= distance_m && distance_m < r[1]) {
+                            self.scan_nodes(context, child, next, mask, above.matrix);
+                        }
+                        child = next;
+                    }
+                    node += skip;
+                }
+            }
+        }
+    }
+
+    /// Keeps the tiles of a culled subtree: the page can only replace what is above it as a whole.
+    #[cold]
+    fn keep_tiles(&mut self, context: &PageContext, first: u32, end: u32) {
+        let tiles = &context.page.tiles;
+        for root in 0..tiles.roots.len() {
+            if (first..end).contains(&tiles.nodes[tiles.roots[root].tile as usize]) {
+                self.scan_tiles(context.page, &context.visit, root, 0, Purpose::Keep);
+            }
+        }
+    }
+
+    /// The transform in whose frame a node lies.
+    fn enclosing_transform(&self, context: &PageContext, node: u32) -> u32 {
+        let page = context.page;
+        let mut at = page.parents[node as usize];
+        while let Some(record) = page.nodes.get(at as usize) {
+            if record.kind == kind::TRANSFORM {
+                return record.first_transform;
+            }
+            at = page.parents[at as usize];
+        }
+        0
+    }
+
+    fn push_transform(&mut self, context: &PageContext, transform: u32) -> u32 {
+        let page_from_node = context.page.transforms.page_from_node(transform);
+        self.push_matrix(&(context.visit.eye_from_page * page_from_node))
+    }
+
+    /// True for a bound that projects to too few pixels.
+    fn is_small(&self, context: &PageContext, sphere: Vec4) -> bool {
+        let depth = context.depth.dot(sphere.truncate().extend(1.0));
+        let scale = context.depth.truncate().length();
+        sphere.w * scale < self.small_feature * (depth - sphere.w * scale)
+    }
+
+    /// Tests drawables of a node that crosses some plane (or not) and emits those that are seen.
+    fn test_drawables(&mut self, context: &PageContext, first: u32, end: u32, mask: u8, matrix: u32) {
+        let page = context.page;
+        let row = context.depth;
+        for drawable in first..end {
+            self.counters.drawables_tested += 1;
+            let four = &page.boxes[drawable as usize / 4];
+            let lane = drawable as usize % 4;
+            let center = four.center.map(|c| c[lane]);
+            let half = four.half.map(|h| h[lane]);
+            if mask != 0 && context.planes.box_is_outside(center, half, mask) {
+                continue;
+            }
+            let depth = row.x * center[0] + row.y * center[1] + row.z * center[2] + row.w;
+            let reach = row.x.abs() * half[0] + row.y.abs() * half[1] + row.z.abs() * half[2];
+            if half[0] < UNBOUNDED {
+                if depth + reach < 0.0 {
+                    continue; // wholly behind the eye
+                }
+                if depth - reach < self.range.near {
+                    self.range.near = depth - reach;
+                }
+                if depth + reach > self.range.far {
+                    self.range.far = depth + reach;
+                }
+            }
+            let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
+            let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
+            self.leaves.push(RenderLeaf { slot, state, matrix, depth });
+        }
+    }
+
+    /// Takes a subtree that is wholly inside: its transforms and its drawables are ranges, its nodes stay unread.
+    fn take_inside(&mut self, context: &PageContext, first: u32, end: u32, matrix: u32) {
+        let page = context.page;
+        let (from, to) = (page.nodes[first as usize], page.nodes[end as usize]);
+        let base = self.stage.eye_from_drawable.len() as u32;
+        for transform in from.first_transform..to.first_transform {
+            self.push_transform(context, transform);
+        }
+        for drawable in from.first_drawable..to.first_drawable {
+            let transform = page.drawable_refs[drawable as usize].transform;
+            let matrix =
+                if transform >= from.first_transform { base + (transform - from.first_transform) } else { matrix };
+            self.test_drawables(context, drawable, drawable + 1, 0, matrix);
+        }
+    }
+}
+
+/// Shared by the tile walk: the map into eye space of a point given in a page's transform.
+pub(super) fn eye_from_transform(context_eye_from_page: &DAffine3, page_from_node: &DAffine3) -> (DAffine3, DVec3) {
+    let eye_from_node = *context_eye_from_page * *page_from_node;
+    (eye_from_node, eye_in(&eye_from_node))
+}

@@ -1,0 +1,151 @@
+//! The frustum as cull tests it: four side planes at once in f32, the near plane apart.
+//!
+//! Planes are made in eye space in f64, moved into the frame where bounds are stored (f64), normalised there and
+//! only then rounded, so that bounds near that frame's origin are tested as precisely as f32 allows.
+
+use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4, Vec4};
+
+use super::{CullCamera, CullingMode};
+
+/// Bits of the planes that a bound may still cross.
+pub(super) const SIDES: u8 = 0b0_1111;
+pub(super) const NEAR: u8 = 0b1_0000;
+
+/// Left, right, bottom, top, near; eye space, `normal . p + d >= 0` inside.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EyePlanes {
+    planes: [DVec4; 5],
+    pub mask: u8,
+}
+
+impl EyePlanes {
+    pub fn new(camera: &CullCamera) -> Self {
+        let m: DMat4 = camera.clip_from_eye.transpose();
+        let planes =
+            [m.w_axis + m.x_axis, m.w_axis - m.x_axis, m.w_axis + m.y_axis, m.w_axis - m.y_axis, m.w_axis - m.z_axis];
+        let mut mask = 0;
+        if camera.culling.contains(CullingMode::VIEW_FRUSTUM_SIDES) {
+            mask |= SIDES;
+        }
+        if camera.culling.contains(CullingMode::NEAR_PLANE) {
+            mask |= NEAR;
+        }
+        Self { planes, mask }
+    }
+
+    /// The planes in the frame of `eye_from_frame`, relative to a point of it.
+    pub fn in_frame(&self, eye_from_frame: &DAffine3, origin: DVec3) -> Planes {
+        let to_frame: DMat3 = eye_from_frame.matrix3.transpose();
+        let origin_in_eye = eye_from_frame.transform_point3(origin);
+        let moved = self.planes.map(|p| {
+            let normal = to_frame * p.truncate();
+            let d = p.truncate().dot(origin_in_eye) + p.w;
+            let length = normal.length();
+            if length > 0.0 && length.is_finite() && d.is_finite() {
+                (normal / length).extend(d / length).as_vec4()
+            } else {
+                Vec4::new(0.0, 0.0, 0.0, 1.0) // a plane that everything is inside of
+            }
+        });
+        let [a, b, c, d, near] = moved;
+        Planes {
+            x: Vec4::new(a.x, b.x, c.x, d.x),
+            y: Vec4::new(a.y, b.y, c.y, d.y),
+            z: Vec4::new(a.z, b.z, c.z, d.z),
+            w: Vec4::new(a.w, b.w, c.w, d.w),
+            near,
+        }
+    }
+}
+
+/// Four planes, component by component, and the near plane.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Planes {
+    x: Vec4,
+    y: Vec4,
+    z: Vec4,
+    w: Vec4,
+    near: Vec4,
+}
+
+impl Planes {
+    /// Tests a sphere (radius in w) against the planes in `mask`: `None` when outside, else the planes that it
+    /// still crosses.
+    #[inline(always)]
+    pub fn test_sphere(&self, sphere: Vec4, mask: u8) -> Option<u8> {
+        let distance = self.x * sphere.x + self.y * sphere.y + self.z * sphere.z + self.w;
+        let outside = distance.cmplt(Vec4::splat(-sphere.w)).bitmask() as u8;
+        let inside = distance.cmpgt(Vec4::splat(sphere.w)).bitmask() as u8;
+        let mut crossing = mask & !inside;
+        if outside & mask != 0 {
+            return None;
+        }
+        if mask & NEAR != 0 {
+            let n = self.near;
+            let distance = n.x * sphere.x + n.y * sphere.y + n.z * sphere.z + n.w;
+            if distance < -sphere.w {
+                return None;
+            }
+            if distance > sphere.w {
+                crossing &= !NEAR;
+            }
+        }
+        Some(crossing)
+    }
+
+    /// True when a box is outside some plane in `mask`.
+    #[inline(always)]
+    pub fn box_is_outside(&self, center: [f32; 3], half: [f32; 3], mask: u8) -> bool {
+        let distance = self.x * center[0] + self.y * center[1] + self.z * center[2] + self.w;
+        let reach = self.x.abs() * half[0] + self.y.abs() * half[1] + self.z.abs() * half[2];
+        let outside = (distance + reach).cmplt(Vec4::ZERO).bitmask() as u8;
+        if outside & mask & SIDES != 0 {
+            return true;
+        }
+        if mask & NEAR != 0 {
+            let n = self.near;
+            let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;
+            let reach = n.x.abs() * half[0] + n.y.abs() * half[1] + n.z.abs() * half[2];
+            return distance + reach < 0.0;
+        }
+        false
+    }
+
+    /// Tests an oriented box (half axes = axes * half) as [`Self::test_sphere`] does.
+    #[inline(always)]
+    pub fn test_oriented(&self, center: [f32; 3], axes: &[[f32; 3]; 3], half: [f32; 3], mask: u8) -> Option<u8> {
+        let distance = self.x * center[0] + self.y * center[1] + self.z * center[2] + self.w;
+        let mut reach = Vec4::ZERO;
+        for (axis, half) in axes.iter().zip(half) {
+            reach += (self.x * axis[0] + self.y * axis[1] + self.z * axis[2]).abs() * half;
+        }
+        let outside = (distance + reach).cmplt(Vec4::ZERO).bitmask() as u8;
+        let inside = distance.cmpgt(reach).bitmask() as u8;
+        let mut crossing = mask & !inside;
+        if outside & mask != 0 {
+            return None;
+        }
+        if mask & NEAR != 0 {
+            let n = self.near;
+            let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;
+            let mut reach = 0.0;
+            for (axis, half) in axes.iter().zip(half) {
+                reach += (n.x * axis[0] + n.y * axis[1] + n.z * axis[2]).abs() * half;
+            }
+            if distance + reach < 0.0 {
+                return None;
+            }
+            if distance > reach {
+                crossing &= !NEAR;
+            }
+        }
+        Some(crossing)
+    }
+}
+
+/// The third row of `eye_from_frame`, negated: depth in front of the eye of a point relative to `origin`.
+pub(super) fn depth_row(eye_from_frame: &DAffine3, origin: DVec3) -> Vec4 {
+    let row = -eye_from_frame.matrix3.row(2);
+    let at_origin = -eye_from_frame.transform_point3(origin).z;
+    row.extend(at_origin).as_vec4()
+}

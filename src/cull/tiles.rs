@@ -1,0 +1,226 @@
+//! The walk of a tile tree: which tiles are drawn, which are asked for.
+//!
+//! Per tile: it is stamped; it wants its children where its error is too large. Under REPLACE it gives way only
+//! when all its children are ready, culled ones too, so that no hole can open; until then it is drawn and the walk
+//! goes on below it only to ask for what is missing, all levels in one frame, coarse first.
+
+use glam::DVec3;
+
+use super::nodes::eye_from_transform;
+use super::planes::Planes;
+use super::stage::PageRequest;
+use super::visitor::{Cull, PageVisit, Purpose};
+use crate::scene::{NodeId, Page, TileBounds, TileRecord, flag};
+
+/// What holds for the tiles up to `end`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TileFrame {
+    end: u32,
+    mask: u8,
+    purpose: Purpose,
+    /// Culled tiles are kept (and asked for) too: the parent waits for all of them.
+    required: bool,
+    /// Squared error in pixels of what is shown while tiles here are missing.
+    shown_px2: f32,
+}
+
+/// A tile tree seen from the eye.
+struct TileView {
+    planes: Planes,
+    eye: DVec3,
+}
+
+impl Cull<'_> {
+    /// Walks one tile tree of a page.
+    pub(super) fn scan_tiles(&mut self, page: &Page, visit: &PageVisit, root: usize, mask: u8, purpose: Purpose) {
+        let Some(tile_root) = page.tiles.roots.get(root) else { return };
+        let page_from_tile = page.transforms.page_from_node(tile_root.transform);
+        let (eye_from_tile, eye) = eye_from_transform(&visit.eye_from_page, &page_from_tile);
+        let view = TileView { planes: self.eye_planes.in_frame(&eye_from_tile, eye), eye };
+        let tiles = &page.tiles;
+        let frame = self.camera.frame;
+        let mut tile = tile_root.tile;
+        let last = tile + tiles.records[tile as usize].skip;
+        let mut above = TileFrame { end: last, mask, purpose, required: visit.required, shown_px2: visit.shown_px2 };
+        self.tile_stack.clear();
+        loop {
+            while tile >= above.end {
+                match self.tile_stack.pop() {
+                    Some(open) => above = open,
+                    None => return,
+                }
+            }
+            let index = tile as usize;
+            let record = tiles.records[index];
+            let skip = record.skip;
+            if !page.masks.is_empty() && page.masks[tiles.nodes[index] as usize] & self.camera.cull_mask == 0 {
+                tile += skip;
+                continue;
+            }
+            self.counters.tiles_visited += 1;
+            let bounds = &tiles.bounds[index];
+            let offset = offset_from(view.eye, bounds);
+            let mut purpose = above.purpose;
+            let mut mask = above.mask;
+            if mask != 0 && purpose != Purpose::Keep {
+                match test(&view.planes, bounds, &record, offset, mask) {
+                    Some(crossing) => mask = crossing,
+                    None if above.required => purpose = Purpose::Keep,
+                    None => {
+                        tile += skip;
+                        continue;
+                    }
+                }
+            }
+            tiles.stamp(index, frame);
+            let (range2, distance2) = self.range_and_distance(page, tile, &record, bounds, offset, view.eye);
+            let ready = record.not_ready_children == 0;
+            let missing = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
+            let own_px2 = (self.max_sse_px * self.max_sse_px) * range2 / distance2;
+            // Never as large as what is shown above it: coarse comes first whatever the bounds are.
+            let below_px2 = own_px2.min(above.shown_px2 * 0.998);
+            if missing && (purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD)) {
+                self.request(page, visit, tile, purpose, above.shown_px2, own_px2);
+            }
+            let mut descend = None;
+            let resident = record.has(flag::RESIDENT);
+            if record.has(flag::PROXY | flag::EXTERNAL) {
+                if resident {
+                    self.enter(page, &eye_from_tile, tile, mask, purpose, above.required, above.shown_px2);
+                }
+                if purpose != Purpose::Keep {
+                    descend = Some((purpose, false, above.shown_px2));
+                }
+            } else if !record.has(flag::CONTENT) {
+                descend = Some((purpose, above.required, above.shown_px2));
+            } else if purpose != Purpose::Keep {
+                let wants = record.has_children() && distance2 < range2;
+                let replaces = !record.has(flag::ADD);
+                if purpose == Purpose::Want {
+                    if wants {
+                        descend = Some((purpose, replaces, below_px2));
+                    }
+                } else if !replaces {
+                    if resident {
+                        self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0);
+                    }
+                    if wants {
+                        descend = Some((purpose, false, below_px2));
+                    }
+                } else if wants && ready {
+                    descend = Some((purpose, true, below_px2));
+                } else {
+                    if resident {
+                        self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0);
+                    } else if missing {
+                        self.request(page, visit, tile, purpose, above.shown_px2, own_px2);
+                    }
+                    if wants {
+                        descend = Some((Purpose::Want, true, below_px2));
+                    } else if !resident && record.has_children() && ready {
+                        descend = Some((purpose, true, below_px2));
+                    }
+                }
+            }
+            match descend {
+                Some((purpose, required, shown_px2)) if skip > 1 => {
+                    self.tile_stack.push(above);
+                    above = TileFrame { end: tile + skip, mask, purpose, required, shown_px2 };
+                    tile += 1;
+                }
+                _ => tile += skip,
+            }
+        }
+    }
+
+    /// Squared distance at which the tile wants its children, and squared distance now; metres of the tile frame.
+    #[inline(always)]
+    fn range_and_distance(
+        &self,
+        page: &Page,
+        tile: u32,
+        record: &TileRecord,
+        bounds: &TileBounds,
+        offset: [f32; 3],
+        eye: DVec3,
+    ) -> (f32, f32) {
+        let (range, distance2) = if record.has(flag::DISTANCE) {
+            let distance = page.tiles.distance_center(tile).distance(eye) as f32;
+            (bounds.metric_m * self.range_per_metre, distance * distance)
+        } else if record.has(flag::SPHERE) {
+            let [x, y, z] = offset;
+            let outside = ((x * x + y * y + z * z).sqrt() - bounds.radius_m).max(0.0);
+            (bounds.metric_m * self.range_per_error, outside * outside)
+        } else {
+            let mut distance2 = 0.0;
+            for (axis, half) in bounds.axes.iter().zip(bounds.half_m) {
+                let along = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2];
+                let outside = (along.abs() - half).max(0.0);
+                distance2 += outside * outside;
+            }
+            (bounds.metric_m * self.range_per_error, distance2)
+        };
+        (range * range, distance2.max(1.0e-14))
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "a row of the page queue")]
+    fn enter(
+        &mut self,
+        page: &Page,
+        eye_from_tile: &glam::DAffine3,
+        tile: u32,
+        mask: u8,
+        purpose: Purpose,
+        required: bool,
+        shown_px2: f32,
+    ) {
+        let tiles = &page.tiles;
+        let index = tile as usize;
+        let record = &tiles.records[index];
+        if purpose == Purpose::Draw && !record.has(flag::EXTERNAL) {
+            self.counters.tiles_drawn += 1;
+        } else if purpose != Purpose::Draw && !record.has(flag::EXTERNAL) {
+            return; // plain content: nothing in it to ask for
+        }
+        let state = self.state_of(page, tiles.state_paths[index]);
+        let content = &tiles.content_transforms[tiles.content_transform_of[index] as usize];
+        self.queue.push(PageVisit {
+            place: record.resident,
+            eye_from_page: *eye_from_tile * *content,
+            mask,
+            purpose,
+            required,
+            state,
+            shown_px2,
+        });
+    }
+
+    fn request(&mut self, page: &Page, visit: &PageVisit, tile: u32, purpose: Purpose, shown_px2: f32, own_px2: f32) {
+        let slot = NodeId { page: self.scene.page_id_at(visit.place), index: page.tiles.nodes[tile as usize] };
+        let share = if purpose == Purpose::Keep { 0.25 } else { 1.0 };
+        let priority = finite(shown_px2).sqrt() * share;
+        self.stage.requests.push(PageRequest { slot, priority, error_px: finite(own_px2).sqrt() });
+        self.counters.wanted_missing += 1;
+    }
+}
+
+/// Offset of a tile's centre from the eye; the subtraction is f64.
+#[inline(always)]
+fn offset_from(eye: DVec3, bounds: &TileBounds) -> [f32; 3] {
+    let [x, y, z] = bounds.center;
+    [(x - eye.x) as f32, (y - eye.y) as f32, (z - eye.z) as f32]
+}
+
+#[inline(always)]
+fn test(planes: &Planes, bounds: &TileBounds, record: &TileRecord, offset: [f32; 3], mask: u8) -> Option<u8> {
+    if record.has(flag::SPHERE) {
+        planes.test_sphere(glam::Vec4::new(offset[0], offset[1], offset[2], bounds.radius_m), mask)
+    } else {
+        planes.test_oriented(offset, &bounds.axes, bounds.half_m, mask)
+    }
+}
+
+/// Keeps priorities ordered and finite whatever the input was.
+fn finite(value: f32) -> f32 {
+    if value.is_nan() { 0.0 } else { value.clamp(0.0, f32::MAX) }
+}

@@ -1,0 +1,171 @@
+//! Content slots: the places where pages hang, and the readiness that follows from what hangs there.
+//!
+//! Update thread. Readiness is kept at attach and detach so that cull asks one integer per tile whether the
+//! children can replace it; a change runs up the parents only as far as it matters (at most the tree's depth,
+//! usually one step), never over siblings or other pages.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use super::graph::Scene;
+use super::page::{NONE, Page};
+use super::tiles::flag;
+use super::{NodeId, PageId};
+
+/// What is in a slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SlotState {
+    /// Nothing yet.
+    Empty,
+    /// A page.
+    Resident(PageId),
+    /// Loading failed for good; not requested.
+    Failed,
+}
+
+/// A content slot as the pager sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct SlotInfo<'a> {
+    /// Where the content is read from.
+    pub uri: &'a Arc<str>,
+    /// What is there.
+    pub state: SlotState,
+    /// Frame in which a cull last wanted the tile; 0 for never.
+    pub last_used_frame: u32,
+    /// Tiles above it, over all pages.
+    pub depth: u32,
+    /// Handed back to the reader.
+    pub reader_data: Option<&'a Arc<str>>,
+    /// A ProxyNode rather than a PagedLod.
+    pub is_proxy: bool,
+    /// The page that holds the slot.
+    pub page: PageId,
+}
+
+impl Scene {
+    /// Looks at a content slot; `None` where the node is gone or has no slot.
+    pub fn slot(&self, id: NodeId) -> Option<SlotInfo<'_>> {
+        let page = self.page(id.page)?;
+        let tile = page.tile_of(id.index)?;
+        let record = page.tiles.records.get(tile)?;
+        let uri = page.tiles.uris.get(tile)?.as_ref()?;
+        let state = if record.has(flag::RESIDENT) {
+            SlotState::Resident(PageId { slot: record.resident, generation: page.tiles.resident_generation[tile] })
+        } else if record.has(flag::FAILED) {
+            SlotState::Failed
+        } else {
+            SlotState::Empty
+        };
+        Some(SlotInfo {
+            uri,
+            state,
+            last_used_frame: page.tiles.last_used[tile].load(Ordering::Relaxed),
+            depth: self.base_depth(id.page) + u32::from(record.depth),
+            reader_data: page.tiles.reader_data[tile].as_ref(),
+            is_proxy: record.has(flag::PROXY),
+            page: id.page,
+        })
+    }
+
+    /// Every slot of a page (of each PagedLod with content and each ProxyNode), in depth-first order.
+    pub fn slots_of_page(&self, id: PageId) -> impl Iterator<Item = NodeId> + '_ {
+        let tiles = self.page(id).map(|p| &p.tiles);
+        tiles.into_iter().flat_map(move |tiles| {
+            tiles
+                .records
+                .iter()
+                .zip(&tiles.nodes)
+                .filter(|(record, _)| record.has_slot())
+                .map(move |(_, node)| NodeId { page: id, index: *node })
+        })
+    }
+
+    /// Marks a slot as failed (not requested, never ready) or as worth another try. Ignored where a page is.
+    pub fn set_failed(&mut self, slot: NodeId, failed: bool) {
+        let Some(tile) = self.page(slot.page).and_then(|p| p.tile_of(slot.index)) else { return };
+        let was_ready = self.tile_ready(slot.page.slot, tile);
+        if let Some(page) = self.page_at_mut(slot.page.slot) {
+            let record = &mut page.tiles.records[tile];
+            if !record.has_slot() || record.has(flag::RESIDENT) {
+                return;
+            }
+            record.flags = if failed { record.flags | flag::FAILED } else { record.flags & !flag::FAILED };
+        }
+        self.spread_readiness(slot.page.slot, tile, was_ready);
+    }
+
+    /// Whether a tile can be drawn in its parent's place without a hole.
+    pub(super) fn tile_ready(&self, entry: u32, tile: usize) -> bool {
+        let Some(page) = self.page_at(entry) else { return false };
+        let record = &page.tiles.records[tile];
+        if record.has(flag::RESIDENT) {
+            !record.has(flag::EXTERNAL) || self.page_at(record.resident).is_some_and(Page::is_ready)
+        } else {
+            page.tiles.is_ready_without_page(tile)
+        }
+    }
+
+    /// After a tile's readiness may have changed: corrects the counts above it, across pages.
+    pub(super) fn spread_readiness(&mut self, entry: u32, tile: usize, was_ready: bool) {
+        let (mut entry, mut tile, mut was_ready) = (entry, tile, was_ready);
+        loop {
+            let is_ready = self.tile_ready(entry, tile);
+            if is_ready == was_ready {
+                return;
+            }
+            self.touched_records += 1;
+            let slot = self.slot_at(entry);
+            let Some(page) = self.page_at(entry) else { return };
+            let parent = page.tiles.parents[tile];
+            if parent != NONE {
+                let parent = parent as usize;
+                let parent_was_ready = self.tile_ready(entry, parent);
+                if let Some(page) = self.page_at_mut(entry) {
+                    count(&mut page.tiles.records[parent].not_ready_children, !is_ready);
+                }
+                (tile, was_ready) = (parent, parent_was_ready);
+            } else {
+                let above = slot.and_then(|s| Some((s.page.slot, self.page(s.page)?.tile_of(s.index)?)));
+                let above = above.map(|(e, t)| (e, t, self.tile_ready(e, t)));
+                if let Some(page) = self.page_at_mut(entry) {
+                    count(&mut page.tiles.not_ready_roots, !is_ready);
+                }
+                let Some(above) = above else { return };
+                (entry, tile, was_ready) = above;
+            }
+        }
+    }
+
+    /// After a tile became (or ceased to be) resident: corrects who has something resident below.
+    pub(super) fn spread_busy(&mut self, entry: u32, tile: usize, now: bool) {
+        let Some(page) = self.page_at_mut(entry) else { return };
+        let tiles = &mut page.tiles;
+        let mut touched = 0;
+        // Busy apart from the slot itself: then nothing changes above.
+        let mut changes = tiles.busy_children[tile] == 0;
+        let mut parent = tiles.parents[tile];
+        while changes && parent != NONE {
+            let p = parent as usize;
+            count(&mut tiles.busy_children[p], now);
+            touched += 1;
+            changes = tiles.busy_children[p] == u32::from(now) && !tiles.records[p].has(flag::RESIDENT);
+            parent = tiles.parents[p];
+        }
+        self.touched_records += touched;
+    }
+}
+
+impl Page {
+    /// Every top tile is ready.
+    pub(crate) fn is_ready(&self) -> bool {
+        self.tiles.not_ready_roots == 0
+    }
+}
+
+fn count(counter: &mut u32, up: bool) {
+    if up {
+        *counter += 1;
+    } else {
+        *counter -= 1;
+    }
+}

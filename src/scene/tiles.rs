@@ -1,0 +1,279 @@
+//! The tile trees of a page: bounds, content slots and readiness, as flat depth-first arrays.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::{DAffine3, DMat3, DVec3};
+
+use super::node::{PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine};
+use super::page::{NONE, UNBOUNDED};
+use crate::math::{BoundingSphere, OrientedBox};
+
+/// Flags of a [`TileRecord`].
+pub(crate) mod flag {
+    pub const CONTENT: u16 = 1;
+    pub const PROXY: u16 = 2;
+    pub const ADD: u16 = 4;
+    /// The bound is a sphere, not a box.
+    pub const SPHERE: u16 = 8;
+    /// [`super::RangeMode::Distance`]: the distance is to `center` of a separate table.
+    pub const DISTANCE: u16 = 16;
+    /// A proxy that is loaded only when the application asks.
+    pub const NEVER: u16 = 32;
+    pub const RESIDENT: u16 = 64;
+    pub const FAILED: u16 = 128;
+    /// The resident page is a tile tree itself.
+    pub const EXTERNAL: u16 = 256;
+}
+
+/// What the tile walk reads of every tile it meets.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TileRecord {
+    /// Tiles in the subtree, this one included.
+    pub skip: u32,
+    /// Place of the resident page in the scene's table, or `NONE`.
+    pub resident: u32,
+    /// Child tiles that are not ready; 0 means the children can replace the tile.
+    pub not_ready_children: u32,
+    pub flags: u16,
+    /// Depth below the page's top tiles.
+    pub depth: u16,
+}
+
+impl TileRecord {
+    pub fn has(&self, flags: u16) -> bool {
+        self.flags & flags != 0
+    }
+
+    pub fn has_children(&self) -> bool {
+        self.skip > 1
+    }
+
+    pub fn has_slot(&self) -> bool {
+        self.has(flag::CONTENT | flag::PROXY)
+    }
+}
+
+/// Declared volume in the tile frame. The centre is f64 so that the offset from the eye keeps its precision at
+/// planetary coordinates; everything else is small and f32.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TileBounds {
+    pub center: [f64; 3],
+    /// Unit axes of the box.
+    pub axes: [[f32; 3]; 3],
+    /// Half length along each axis, metres.
+    pub half_m: [f32; 3],
+    pub radius_m: f32,
+    /// Geometric error or range in metres.
+    pub metric_m: f32,
+}
+
+/// Tiles of a page.
+#[derive(Debug, Default)]
+pub(crate) struct Tiles {
+    pub records: Vec<TileRecord>,
+    pub bounds: Vec<TileBounds>,
+    /// Frame in which the tile was last wanted; stored by cull through a shared reference (relaxed: a stamp
+    /// carries no other data), read by update.
+    pub last_used: Vec<AtomicU32>,
+    pub parents: Vec<u32>,
+    /// Child tiles that are resident or hold something resident below them.
+    pub busy_children: Vec<u32>,
+    /// Page id of the resident page's generation.
+    pub resident_generation: Vec<u32>,
+    pub nodes: Vec<u32>,
+    pub state_paths: Vec<u32>,
+    pub content_transform_of: Vec<u32>,
+    pub content_transforms: Vec<DAffine3>,
+    pub uris: Vec<Option<Arc<str>>>,
+    pub reader_data: Vec<Option<Arc<str>>>,
+    /// Centres of tiles with `RangeMode::Distance`, sorted by tile.
+    pub distance_centers: Vec<(u32, DVec3)>,
+    pub roots: Vec<TileRoot>,
+    /// Top tiles that are not ready.
+    pub not_ready_roots: u32,
+    text_bytes: u64,
+}
+
+/// A tile tree inside a page.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TileRoot {
+    pub tile: u32,
+    pub transform: u32,
+}
+
+impl Tiles {
+    pub fn len(&self) -> usize {
+        self.records.len()
+    }
+
+    pub fn push_paged_lod(&mut self, parent: u32, node: u32, state_path: u32, tile: PagedLod) -> BoundingSphere {
+        let mut flags = 0;
+        if tile.content.is_some() {
+            flags |= flag::CONTENT;
+        }
+        if tile.refine == Refine::Add {
+            flags |= flag::ADD;
+        }
+        let metric = match tile.range_mode {
+            RangeMode::ScreenSpaceError { geometric_error_m } => geometric_error_m,
+            RangeMode::Distance { center, range_m } => {
+                flags |= flag::DISTANCE;
+                let center = if center.is_finite() { center } else { DVec3::ZERO };
+                self.distance_centers.push((self.records.len() as u32, center));
+                range_m
+            }
+        };
+        let sphere = tile.bounds.bounding_sphere();
+        let oriented_box = tile.bounds.oriented_box();
+        self.push(
+            parent,
+            node,
+            state_path,
+            flags,
+            bounds_of(&sphere, oriented_box.as_ref(), metric),
+            tile.content_transform,
+            tile.content,
+            tile.reader_data,
+        );
+        sphere
+    }
+
+    pub fn push_proxy(&mut self, parent: u32, node: u32, state_path: u32, proxy: ProxyNode) -> BoundingSphere {
+        let mut flags = flag::PROXY | flag::ADD;
+        if proxy.loading == ProxyLoading::Never {
+            flags |= flag::NEVER;
+        }
+        let bounds = bounds_of(&proxy.bounds, None, 0.0);
+        let sphere = proxy.bounds;
+        self.push(parent, node, state_path, flags, bounds, proxy.content_transform, Some(proxy.uri), None);
+        sphere
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "one row of the tables; called from the two functions above")]
+    fn push(
+        &mut self,
+        parent: u32,
+        node: u32,
+        state_path: u32,
+        mut flags: u16,
+        bounds: TileBounds,
+        content_transform: DAffine3,
+        uri: Option<Arc<str>>,
+        reader_data: Option<Arc<str>>,
+    ) {
+        if bounds.half_m == [0.0; 3] {
+            flags |= flag::SPHERE;
+        }
+        let depth = if parent == NONE { 0 } else { self.records[parent as usize].depth.saturating_add(1) };
+        self.records.push(TileRecord { skip: 1, resident: NONE, not_ready_children: 0, flags, depth });
+        self.bounds.push(bounds);
+        self.last_used.push(AtomicU32::new(0));
+        self.parents.push(parent);
+        self.busy_children.push(0);
+        self.resident_generation.push(0);
+        self.nodes.push(node);
+        self.state_paths.push(state_path);
+        let transform = if content_transform.is_finite() { content_transform } else { DAffine3::IDENTITY };
+        if self.content_transforms.last() != Some(&transform) {
+            self.content_transforms.push(transform);
+        }
+        self.content_transform_of.push(self.content_transforms.len() as u32 - 1);
+        self.text_bytes +=
+            uri.as_ref().map_or(0, |u| u.len() as u64) + reader_data.as_ref().map_or(0, |d| d.len() as u64);
+        self.uris.push(uri);
+        self.reader_data.push(reader_data);
+    }
+
+    /// Counts what is not ready, leaves first. Called once, when nothing is resident.
+    pub fn count_readiness(&mut self) {
+        for i in (0..self.records.len()).rev() {
+            if !self.is_ready_without_page(i) {
+                match self.parents[i] {
+                    NONE => self.not_ready_roots += 1,
+                    parent => self.records[parent as usize].not_ready_children += 1,
+                }
+            }
+        }
+    }
+
+    /// Readiness of a tile whose slot is empty, or that has none.
+    pub fn is_ready_without_page(&self, tile: usize) -> bool {
+        let record = &self.records[tile];
+        if record.has(flag::FAILED) {
+            false
+        } else if record.has(flag::PROXY) {
+            record.has(flag::NEVER)
+        } else {
+            !record.has(flag::CONTENT) && record.not_ready_children == 0
+        }
+    }
+
+    /// Marks a tile as used in a frame. Any thread that culls.
+    pub fn stamp(&self, tile: usize, frame: u32) {
+        if let Some(stamp) = self.last_used.get(tile) {
+            stamp.store(frame, Ordering::Relaxed);
+        }
+    }
+
+    pub fn distance_center(&self, tile: u32) -> DVec3 {
+        match self.distance_centers.binary_search_by_key(&tile, |c| c.0) {
+            Ok(i) => self.distance_centers[i].1,
+            Err(_) => DVec3::ZERO,
+        }
+    }
+
+    pub fn size_bytes(&self) -> u64 {
+        let row = size_of::<TileRecord>() + size_of::<TileBounds>() + 7 * 4 + 2 * size_of::<Option<Arc<str>>>();
+        (self.records.len() * row + self.content_transforms.len() * size_of::<DAffine3>()) as u64 + self.text_bytes
+    }
+}
+
+/// Bounds as cull reads them. A sphere has no half lengths; what is NaN or infinite becomes unbounded: always
+/// visible, at distance 0.
+fn bounds_of(sphere: &BoundingSphere, oriented_box: Option<&OrientedBox>, metric_m: f64) -> TileBounds {
+    let metric_m = if metric_m > 0.0 { metric_m as f32 } else { 0.0 };
+    let mut bounds = TileBounds {
+        center: [0.0; 3],
+        axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        half_m: [0.0; 3],
+        radius_m: UNBOUNDED,
+        metric_m,
+    };
+    let usable = sphere.center.is_finite() && sphere.radius_m >= 0.0 && sphere.radius_m < f64::from(UNBOUNDED);
+    if !usable {
+        return bounds;
+    }
+    bounds.center = sphere.center.to_array();
+    bounds.radius_m = round_up(sphere.radius_m);
+    if let Some(b) = oriented_box {
+        let (axes, half) = unit_axes(&b.half_axes);
+        bounds.center = b.center.to_array();
+        bounds.axes = axes.map(|a| a.as_vec3().to_array());
+        bounds.half_m = half.map(round_up);
+    }
+    bounds
+}
+
+/// The next f32 above a length, so that rounding never makes a volume smaller.
+fn round_up(length_m: f64) -> f32 {
+    (length_m * (1.0 + 2.0 * f64::from(f32::EPSILON))) as f32
+}
+
+/// Directions and lengths of half axes; axes of zero length get a direction perpendicular to the others.
+fn unit_axes(half_axes: &DMat3) -> ([DVec3; 3], [f64; 3]) {
+    let given = [half_axes.x_axis, half_axes.y_axis, half_axes.z_axis];
+    let half = given.map(|a| a.length());
+    let mut axes = given.map(|a| a.try_normalize());
+    for k in 0..3 {
+        if axes[k].is_none() {
+            let (a, b) = (axes[(k + 1) % 3], axes[(k + 2) % 3]);
+            axes[k] = match (a, b) {
+                (Some(a), Some(b)) => a.cross(b).try_normalize(),
+                (Some(a), None) | (None, Some(a)) => Some(a.any_orthonormal_vector()),
+                (None, None) => Some(DVec3::X),
+            };
+        }
+    }
+    (axes.map(|a| a.unwrap_or(DVec3::X)), half)
+}
