@@ -1,6 +1,7 @@
 //! Terrane: a paged large-terrain streaming engine on wgpu.
 
 pub mod cull;
+pub mod draw;
 pub mod gpu;
 pub mod math;
 pub mod scene;

@@ -80,13 +80,31 @@ pub struct CompileStats {
 
 /// What is uploaded to where.
 enum Source {
-    Heights { place: TilePlace, tile: Arc<HeightTile> },
-    Tables { place: TilePlace, tile: Arc<HeightTile> },
+    Heights {
+        place: TilePlace,
+        tile: Arc<HeightTile>,
+    },
+    Tables {
+        place: TilePlace,
+        tile: Arc<HeightTile>,
+    },
     /// A tile's image, or a white texel.
-    TileColor { place: TilePlace, image: Option<Arc<Texture>> },
-    Texture { place: TextureLayer, image: Arc<Texture> },
-    Vertices { range: Range, mesh: Arc<Mesh> },
-    Indices { range: Range, mesh: Arc<Mesh> },
+    TileColor {
+        place: TilePlace,
+        image: Option<Arc<Texture>>,
+    },
+    Texture {
+        place: TextureLayer,
+        image: Arc<Texture>,
+    },
+    Vertices {
+        range: Range,
+        mesh: Arc<Mesh>,
+    },
+    Indices {
+        range: Range,
+        mesh: Arc<Mesh>,
+    },
 }
 
 /// One thing left to upload, and how far it is: level, and row, vertex or index in it.
@@ -255,9 +273,7 @@ fn place_mesh(
     let placed = pools.meshes.allocate(device, &pools.limits, mesh)?;
     let texture = match image {
         Some(image) => pools.textures.allocate(device, &pools.layouts, &pools.limits, image),
-        None => {
-            pools.textures.white(device, queue, &pools.layouts, &pools.limits).map(|place| (place, false))
-        }
+        None => pools.textures.white(device, queue, &pools.layouts, &pools.limits).map(|place| (place, false)),
     };
     let (texture, is_new_texture) = match texture {
         Ok(texture) => texture,
@@ -345,8 +361,7 @@ impl Source {
     ) {
         let image_rows = |image: &'_ Texture, layer: u32| {
             let [width, _] = level_size(image, level);
-            let rows =
-                Rows { layer, level, first: units.start as u32, count: units.len() as u32, width: width as u32 };
+            let rows = Rows { layer, level, first: units.start as u32, count: units.len() as u32, width: width as u32 };
             (rows, units.start * width * 4..units.end * width * 4)
         };
         match self {

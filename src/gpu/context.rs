@@ -69,8 +69,7 @@ fn instance(traits: &ContextTraits) -> wgpu::Instance {
         AdapterChoice::Any | AdapterChoice::Software => wgpu::Backends::all() & !wgpu::Backends::NOOP,
     };
     descriptor.backend_options.noop.enable = traits.adapter == AdapterChoice::Noop;
-    descriptor.flags =
-        if traits.validation { wgpu::InstanceFlags::debugging() } else { wgpu::InstanceFlags::empty() };
+    descriptor.flags = if traits.validation { wgpu::InstanceFlags::debugging() } else { wgpu::InstanceFlags::empty() };
     wgpu::Instance::new(descriptor)
 }
 

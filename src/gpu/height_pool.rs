@@ -15,7 +15,7 @@ const BLOCK_BYTES: u64 = 24 << 20;
 /// Most tiles in a block; 256 is WebGPU's guaranteed limit of layers.
 const BLOCK_TILES: u32 = 64;
 /// Vectors of four floats in front of a tile's rows in the tables.
-const HEADER_VECTORS: u32 = 3;
+pub(crate) const HEADER_VECTORS: u32 = 3;
 /// Levels a tile can morph through.
 pub(crate) const MORPH_LEVELS: usize = 6;
 
@@ -141,7 +141,13 @@ impl HeightPool {
     }
 
     /// Writes a tile's parameters, rows and columns.
-    pub(super) fn write_tables(&self, queue: &wgpu::Queue, place: TilePlace, tile: &HeightTile, scratch: &mut Vec<f32>) {
+    pub(super) fn write_tables(
+        &self,
+        queue: &wgpu::Queue,
+        place: TilePlace,
+        tile: &HeightTile,
+        scratch: &mut Vec<f32>,
+    ) {
         let Some(block) = self.block(place) else { return };
         let mut errors = [0.0f32; MORPH_LEVELS];
         let count = tile.coarser_errors_m.len().min(MORPH_LEVELS);

@@ -18,6 +18,7 @@ mod error;
 mod height_pool;
 mod layouts;
 mod mesh_pool;
+mod read_back;
 mod slots;
 mod target;
 mod texture_pool;
@@ -29,4 +30,7 @@ pub use error::GpuError;
 pub use target::Acquired;
 
 pub(crate) use drawable::{DrawableEntry, Shape};
+#[cfg(test)]
+pub(crate) use height_pool::{HEADER_VECTORS as TABLE_HEADER_VECTORS, MORPH_LEVELS};
+pub(crate) use target::DEPTH_FORMAT;
 pub(crate) use timer::FrameTimer;

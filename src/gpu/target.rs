@@ -168,7 +168,9 @@ impl Target {
                 }
                 wgpu::CurrentSurfaceTexture::Outdated => return Ok(Acquired::Skip),
                 wgpu::CurrentSurfaceTexture::Lost => {
-                    return Err(GpuError::Surface { reason: "lost, and still lost after being configured anew".into() });
+                    return Err(GpuError::Surface {
+                        reason: "lost, and still lost after being configured anew".into(),
+                    });
                 }
                 wgpu::CurrentSurfaceTexture::Validation => {
                     return Err(GpuError::Surface { reason: "refused by validation".into() });

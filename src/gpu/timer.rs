@@ -35,7 +35,12 @@ impl FrameTimer {
             return None;
         }
         let buffer = |label, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size: 16, usage, mapped_at_creation: false })
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: 16,
+                usage,
+                mapped_at_creation: false,
+            })
         };
         let slots = (0..RING)
             .map(|_| Slot {
@@ -97,7 +102,8 @@ impl FrameTimer {
                 READY => {
                     if let Ok(view) = slot.buffer.get_mapped_range(..) {
                         let ticks: [u64; 2] = bytemuck::pod_read_unaligned(&view);
-                        self.last_ms = Some(ticks[1].saturating_sub(ticks[0]) as f64 * f64::from(self.period_ns) * 1e-6);
+                        self.last_ms =
+                            Some(ticks[1].saturating_sub(ticks[0]) as f64 * f64::from(self.period_ns) * 1e-6);
                     }
                     slot.buffer.unmap();
                     slot.state.store(IDLE, Ordering::Release);

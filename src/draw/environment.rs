@@ -1,0 +1,54 @@
+//! Sun, sky and air around a scene: plain values the application sets each frame.
+
+use glam::DVec3;
+
+/// What is behind everything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sky {
+    /// From haze at the horizon to blue at the zenith, with a glow around the sun, fading to space with height.
+    Gradient,
+    /// One sRGB colour, exactly: pixels without anything drawn can be counted.
+    Background([u8; 3]),
+}
+
+/// Haze that takes distant things towards the colour of the horizon. Thins out with height (to 1/e every 8 km),
+/// so that a view from space is clear.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fog {
+    /// Off: everything is drawn in its own colour.
+    pub enabled: bool,
+    /// Share lost in a metre at height 0; 1.5e-5 leaves a third over 70 km.
+    pub density_per_m: f32,
+}
+
+/// Light and background of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Environment {
+    /// Unit vector towards the sun, in the world.
+    pub sun_direction: DVec3,
+    /// Linear colour of sunlight on a surface that faces it.
+    pub sun_color: [f32; 3],
+    /// Linear light from the sky, on surfaces that face up; those that face down get less, of the ground's tint.
+    pub ambient_color: [f32; 3],
+    /// Haze.
+    pub fog: Fog,
+    /// Background.
+    pub sky: Sky,
+    /// Unit vector away from the ground at the eye, in the world: z for a local scene, the ellipsoid's normal on
+    /// a globe.
+    pub up_in_world: DVec3,
+}
+
+impl Default for Environment {
+    /// Morning sun from the south-east of a z-up world, thin haze, a sky.
+    fn default() -> Self {
+        Self {
+            sun_direction: DVec3::new(0.45, -0.55, 0.7).normalize(),
+            sun_color: [1.0, 0.95, 0.86],
+            ambient_color: [0.24, 0.29, 0.38],
+            fog: Fog { enabled: true, density_per_m: 1.2e-5 },
+            sky: Sky::Gradient,
+            up_in_world: DVec3::Z,
+        }
+    }
+}

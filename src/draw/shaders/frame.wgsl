@@ -1,0 +1,74 @@
+// Shared by all pipelines: what is known per frame and per leaf, light and haze.
+
+struct Frame {
+    clip_from_eye: mat4x4<f32>,
+    sun_direction: vec4<f32>,  // in eye space; w: metres of range per metre of geometric error
+    sun_color: vec4<f32>,      // linear; w: share of a range where morphing starts
+    ambient_color: vec4<f32>,  // linear; w: fog density per metre at height 0
+    up: vec4<f32>,             // in eye space, at the eye; w: height of the eye, metres
+    horizon_color: vec4<f32>,  // linear; w: 1 / height over which air thins to 1/e
+    zenith_color: vec4<f32>,   // linear; w: 1 / radius of the ground, 0 when flat
+    ray: vec4<f32>,            // eye ray from clip position: scale xy, offset zw
+    horizon: vec4<f32>,        // sine of the horizon's dip, share of air at the eye
+}
+
+struct Leaf {
+    eye_from_drawable_x: vec4<f32>,
+    eye_from_drawable_y: vec4<f32>,
+    eye_from_drawable_z: vec4<f32>,
+    color: vec4<f32>,  // linear factor
+    layer: u32,
+    flags: u32,
+    alpha_cutoff: f32,
+    side: u32,
+}
+
+const FLAG_UNLIT: u32 = 1u;
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
+
+fn point_in_eye(leaf: u32, point: vec3<f32>) -> vec3<f32> {
+    let p = vec4<f32>(point, 1.0);
+    return vec3<f32>(
+        dot(leaves[leaf].eye_from_drawable_x, p),
+        dot(leaves[leaf].eye_from_drawable_y, p),
+        dot(leaves[leaf].eye_from_drawable_z, p),
+    );
+}
+
+fn direction_in_eye(leaf: u32, direction: vec3<f32>) -> vec3<f32> {
+    return vec3<f32>(
+        dot(leaves[leaf].eye_from_drawable_x.xyz, direction),
+        dot(leaves[leaf].eye_from_drawable_y.xyz, direction),
+        dot(leaves[leaf].eye_from_drawable_z.xyz, direction),
+    );
+}
+
+// Sun and sky on a surface; `up` is the direction away from the ground there.
+fn light(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
+    let sun = max(dot(normal, frame.sun_direction.xyz), 0.0);
+    // A sun below the local horizon (the night side of a globe) shines on nothing.
+    let day = clamp(dot(up, frame.sun_direction.xyz) * 5.0 + 0.5, 0.0, 1.0);
+    let ground = frame.ambient_color.rgb * vec3<f32>(0.45, 0.40, 0.34);
+    let ambient = mix(ground, frame.ambient_color.rgb, 0.5 + 0.5 * dot(normal, up));
+    return frame.sun_color.rgb * sun * day + ambient * (0.15 + 0.85 * day);
+}
+
+// Share of a point's colour that haze takes, from the mean density of air along the way to it.
+fn haze(point: vec3<f32>) -> f32 {
+    if frame.ambient_color.w <= 0.0 {
+        return 0.0;
+    }
+    let distance = length(point);
+    let rise = dot(point, frame.up.xyz);
+    let across2 = max(distance * distance - rise * rise, 0.0);
+    let eye_height = frame.up.w * frame.horizon_color.w;
+    let point_height = max(frame.up.w + rise + 0.5 * across2 * frame.zenith_color.w, 0.0) * frame.horizon_color.w;
+    let climb = point_height - eye_height;
+    var density = exp(-0.5 * (point_height + eye_height));
+    if abs(climb) > 1e-2 {
+        density = (exp(-eye_height) - exp(-point_height)) / climb;
+    }
+    return 1.0 - exp(-frame.ambient_color.w * distance * density);
+}

@@ -1,0 +1,158 @@
+// Height tiles: one grid, displaced and morphed here.
+//
+// Vertex v of level L is drawn at p_L(v) = (1 - k) P(v) + k p_{L-1}(snap(v)), where P is the tile's own surface,
+// snap(v) is the coarser level's vertex south-west of v, and k depends on the distance from the eye to P(v) and on
+// the level alone. So two tiles that share an edge compute the same points on it: where the finer one ends, its
+// edge has k = 1, which is the coarser one's edge.
+
+@group(1) @binding(0) var heights: texture_2d_array<f32>;
+@group(1) @binding(1) var<storage, read> tables: array<vec4<f32>>;
+@group(1) @binding(2) var color_layers: texture_2d_array<f32>;
+@group(1) @binding(3) var color_sampler: sampler;
+
+struct HeightFragment {
+    @builtin(position) position: vec4<f32>,
+    @location(0) uv: vec2<f32>,
+    @location(1) light: vec3<f32>,
+    @location(2) haze: f32,
+    @location(3) @interpolate(flat) leaf: u32,
+}
+
+const HEADER: u32 = 3u;
+
+// First vector of a tile in the tables.
+fn table_of(leaf: u32) -> u32 {
+    let side = leaves[leaf].side;
+    return leaves[leaf].layer * (HEADER + side + (side + 1u) / 2u);
+}
+
+fn row_of(table: u32, j: i32) -> vec4<f32> {
+    return tables[table + HEADER + u32(j)];
+}
+
+// sin and 1 - cos of a column's longitude from the tile's centre.
+fn column_of(table: u32, side: u32, i: i32) -> vec2<f32> {
+    let pair = tables[table + HEADER + side + u32(i >> 1u)];
+    return select(pair.xy, pair.zw, (i & 1) == 1);
+}
+
+// Height of a vertex; -1 and `side` are the border.
+fn height_at(layer: u32, vertex: vec2<i32>) -> f32 {
+    return textureLoad(heights, vertex + 1, layer, 0).r;
+}
+
+fn surface_point(table: u32, side: u32, vertex: vec2<i32>, height: f32) -> vec3<f32> {
+    let p0 = tables[table].x;
+    let row = row_of(table, vertex.y);
+    let column = column_of(table, side, vertex.x);
+    let out = row.x + height * row.z;
+    return vec3<f32>((p0 + out) * column.x, out - (p0 + out) * column.y, row.y + height * row.w);
+}
+
+// Away from the ground at a vertex, in the tile's frame.
+fn up_at(table: u32, side: u32, vertex: vec2<i32>) -> vec3<f32> {
+    let row = row_of(table, vertex.y);
+    let column = column_of(table, side, vertex.x);
+    return vec3<f32>(row.z * column.x, row.z * (1.0 - column.y), row.w);
+}
+
+// Normal from the differences over `step` cells each way, cut off at the border.
+fn normal_at(table: u32, side: u32, layer: u32, vertex: vec2<i32>, step: i32) -> vec3<f32> {
+    let last = i32(side);
+    let low = max(vertex - step, vec2<i32>(-1));
+    let high = min(vertex + step, vec2<i32>(last));
+    let span = vec2<f32>(high - low);
+    let row = row_of(table, vertex.y);
+    let column = column_of(table, side, vertex.x);
+    let p0 = tables[table].x;
+    // Cells narrow towards the poles.
+    let cell = tables[table].zw * vec2<f32>(max(1.0 + row.x / p0, 1e-3), 1.0);
+    let slope = vec2<f32>(
+        height_at(layer, vec2<i32>(high.x, vertex.y)) - height_at(layer, vec2<i32>(low.x, vertex.y)),
+        height_at(layer, vec2<i32>(vertex.x, high.y)) - height_at(layer, vec2<i32>(vertex.x, low.y)),
+    ) / (span * cell);
+    let cos_lon = 1.0 - column.y;
+    let east = vec3<f32>(cos_lon, -column.x, 0.0);
+    let north = vec3<f32>(-row.w * column.x, -row.w * cos_lon, row.z);
+    let up = vec3<f32>(row.z * column.x, row.z * cos_lon, row.w);
+    return normalize(up - slope.x * east - slope.y * north);
+}
+
+fn range_error(table: u32, n: u32) -> f32 {
+    return tables[table + 1u + n / 4u][n % 4u];
+}
+
+@vertex
+fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) leaf: u32) -> HeightFragment {
+    let side = leaves[leaf].side;
+    let layer = leaves[leaf].layer;
+    let table = table_of(leaf);
+    let cells = i32(side) - 1;
+
+    // The vertex in the grid; after the grid comes the skirt's ring, counter-clockwise from the south-west.
+    var vertex = vec2<i32>(i32(index % side), i32(index / side));
+    var drop = 0.0;
+    if index >= side * side {
+        let k = i32(index - side * side);
+        let along = k % cells;
+        switch k / cells {
+            case 0: { vertex = vec2<i32>(along, 0); }
+            case 1: { vertex = vec2<i32>(cells, along); }
+            case 2: { vertex = vec2<i32>(cells - along, cells); }
+            default: { vertex = vec2<i32>(0, cells - along); }
+        }
+        drop = tables[table].y;
+    }
+
+    let levels = u32(tables[table + 2u].z);
+    let morph_start = frame.sun_color.w;
+    let range_per_error = frame.sun_direction.w;
+    var weight = 1.0;
+    var step = 1;
+    var v = vertex;
+    var position = vec3<f32>(0.0);
+    var normal = vec3<f32>(0.0);
+    var grid = vec2<f32>(0.0);
+    for (var n = 0u; n <= 6u; n++) {
+        let point = surface_point(table, side, v, height_at(layer, v));
+        var k = 0.0;
+        if n < levels {
+            let distance = length(point_in_eye(leaf, point));
+            let range = max(range_error(table, n) * range_per_error, 1e-6);
+            k = clamp((distance / range - morph_start) / (1.0 - morph_start), 0.0, 1.0);
+        }
+        let share = weight * (1.0 - k);
+        if share > 0.0 {
+            position += share * point;
+            normal += share * normal_at(table, side, layer, v, step);
+            grid += share * vec2<f32>(v);
+        }
+        weight *= k;
+        if weight <= 0.0 {
+            break;
+        }
+        step *= 2;
+        v = vec2<i32>(v.x & -step, v.y & -step);
+    }
+    let up = up_at(table, side, vertex);
+    position -= drop * up;
+
+    let in_eye = point_in_eye(leaf, position);
+    var out: HeightFragment;
+    out.position = frame.clip_from_eye * vec4<f32>(in_eye, 1.0);
+    out.uv = vec2<f32>(grid.x, f32(cells) - grid.y) / f32(cells);
+    if (leaves[leaf].flags & FLAG_UNLIT) == 0u {
+        out.light = light(normalize(direction_in_eye(leaf, normal)), normalize(direction_in_eye(leaf, up)));
+    } else {
+        out.light = vec3<f32>(1.0);
+    }
+    out.haze = haze(in_eye);
+    out.leaf = leaf;
+    return out;
+}
+
+@fragment
+fn fs_height(in: HeightFragment) -> @location(0) vec4<f32> {
+    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * leaves[in.leaf].color;
+    return vec4<f32>(mix(base.rgb * in.light, frame.horizon_color.rgb, in.haze), 1.0);
+}

@@ -1,0 +1,92 @@
+// Meshes, lines and points.
+
+@group(1) @binding(0) var color_layers: texture_2d_array<f32>;
+@group(1) @binding(1) var color_sampler: sampler;
+
+struct MeshVertex {
+    @location(0) position: vec3<f32>,
+    @location(1) uv: vec2<f32>,
+    @location(2) normal: vec4<f32>,
+    @location(3) color: vec4<f32>,
+}
+
+struct MeshFragment {
+    @builtin(position) position: vec4<f32>,
+    @location(0) in_eye: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    @location(2) uv: vec2<f32>,
+    @location(3) color: vec4<f32>,
+    @location(4) @interpolate(flat) leaf: u32,
+}
+
+@vertex
+fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) leaf: u32) -> MeshFragment {
+    let in_eye = point_in_eye(leaf, vertex.position);
+    return MeshFragment(
+        frame.clip_from_eye * vec4<f32>(in_eye, 1.0),
+        in_eye,
+        direction_in_eye(leaf, vertex.normal.xyz),
+        vertex.uv,
+        vertex.color * leaves[leaf].color,
+        leaf,
+    );
+}
+
+fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) -> vec3<f32> {
+    var color = base.rgb;
+    if (leaves[in.leaf].flags & FLAG_UNLIT) == 0u {
+        var normal = facet;
+        if dot(in.normal, in.normal) > 1e-12 {
+            normal = normalize(in.normal);
+            // Only pipelines that draw both sides see back faces. A mirroring transform swaps the sides, so the
+            // facet decides: a smooth normal must lie on the side that is seen.
+            if dot(normal, facet) < 0.0 && !is_front {
+                normal = -normal;
+            }
+        }
+        color *= light(normal, frame.up.xyz);
+    }
+    return mix(color, frame.horizon_color.rgb, haze(in.in_eye));
+}
+
+// The facet's normal, towards the eye.
+fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
+    let across = cross(dpdx(in_eye), dpdy(in_eye));
+    let size = length(across);
+    if size < 1e-30 {
+        return frame.up.xyz;
+    }
+    let normal = across / size;
+    return select(normal, -normal, dot(normal, in_eye) > 0.0);
+}
+
+@fragment
+fn fs_mesh(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let facet = facet_normal(in.in_eye);
+    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * in.color;
+    return vec4<f32>(shade(in, is_front, facet, base), 1.0);
+}
+
+@fragment
+fn fs_mesh_masked(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let facet = facet_normal(in.in_eye);
+    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * in.color;
+    if base.a < leaves[in.leaf].alpha_cutoff {
+        discard;
+    }
+    return vec4<f32>(shade(in, is_front, facet, base), 1.0);
+}
+
+@fragment
+fn fs_mesh_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let facet = facet_normal(in.in_eye);
+    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * in.color;
+    return vec4<f32>(shade(in, is_front, facet, base), base.a);
+}
+
+// Lines and points have no facets: without a normal they face up.
+@fragment
+fn fs_thin(in: MeshFragment) -> @location(0) vec4<f32> {
+    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * in.color;
+    return vec4<f32>(shade(in, true, frame.up.xyz, base), base.a);
+}
