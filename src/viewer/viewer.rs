@@ -185,7 +185,7 @@ impl Viewer {
     pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
         let uri = io::root_uri(source)?;
         let options = io::ReadOptions::for_root(&uri, self.pager_config.limits);
-        let pager = DatabasePager::new(self.pager_config.clone(), options)?;
+        let mut pager = DatabasePager::new(self.pager_config.clone(), options)?;
         let page = pager.read_root(&uri)?;
         self.pager = Some(pager);
         self.root_uri = Some(uri);
