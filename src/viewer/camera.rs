@@ -1,0 +1,163 @@
+//! The camera: where the eye is and how wide it sees. Written in update, read by cull, on the main thread.
+//!
+//! Eye space looks down -z with y up. The projection is reversed-Z with an infinite far plane; only its near
+//! distance depends on the scene and is set after cull, from the nearest thing that cull kept, so that neither
+//! a fast approach nor a near model is ever clipped.
+
+use glam::{DAffine3, DMat3, DMat4, DVec3};
+
+use crate::cull::{CullCamera, CullingMode};
+
+/// An angle of view and the side of the picture it spans.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FieldOfView {
+    /// Radians from the bottom to the top edge.
+    Vertical(f64),
+    /// Radians along the longer side of the picture, as CesiumJS measures it.
+    LongerSide(f64),
+}
+
+/// Pose and lens of one view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Camera {
+    /// Maps eye space to the world; a rotation and a position, no scale.
+    pub world_from_eye: DAffine3,
+    /// The angle of view.
+    pub field_of_view: FieldOfView,
+    /// Distances are multiplied by this before they are compared: above 1 draws coarser.
+    pub lod_scale: f64,
+    /// A tile whose error projects to more pixels than this is refined.
+    pub max_sse_px: f64,
+    /// Nodes are drawn where `mask & cull_mask != 0`.
+    pub cull_mask: u32,
+    /// The near plane never comes closer to the eye than this, in metres.
+    pub min_near_m: f64,
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self {
+            world_from_eye: DAffine3::IDENTITY,
+            field_of_view: FieldOfView::LongerSide(60f64.to_radians()),
+            lod_scale: 1.0,
+            max_sse_px: 16.0,
+            cull_mask: u32::MAX,
+            min_near_m: 0.01,
+        }
+    }
+}
+
+impl Camera {
+    /// Position of the eye in the world, metres.
+    pub fn eye(&self) -> DVec3 {
+        self.world_from_eye.translation
+    }
+
+    /// Direction of view in the world, unit length.
+    pub fn direction(&self) -> DVec3 {
+        -self.world_from_eye.matrix3.z_axis
+    }
+
+    /// Places the eye and turns it towards a point.
+    pub fn look_at(&mut self, eye: DVec3, target: DVec3, up: DVec3) {
+        self.world_from_eye = world_from_eye(eye, target - eye, up);
+    }
+
+    /// Vertical angle of view in radians for a picture of a size.
+    pub fn fovy(&self, size_px: [u32; 2]) -> f64 {
+        let (width, height) = (f64::from(size_px[0].max(1)), f64::from(size_px[1].max(1)));
+        let angle = match self.field_of_view {
+            FieldOfView::Vertical(fovy) => fovy,
+            FieldOfView::LongerSide(angle) if width > height => 2.0 * ((0.5 * angle).tan() * height / width).atan(),
+            FieldOfView::LongerSide(angle) => angle,
+        };
+        angle.clamp(1e-4, 179f64.to_radians())
+    }
+
+    /// Reversed-Z infinite projection with a near distance in metres.
+    pub fn clip_from_eye(&self, size_px: [u32; 2], near_m: f64) -> DMat4 {
+        let aspect = f64::from(size_px[0].max(1)) / f64::from(size_px[1].max(1));
+        glam::dcamera::rh::proj::directx::perspective_infinite_reverse(
+            self.fovy(size_px),
+            aspect,
+            near_m.max(self.min_near_m),
+        )
+    }
+
+    /// The near distance for a frame whose nearest drawn thing is `nearest_m` away; half of it, because the
+    /// bound is along the view direction's radius and the picture's corners see farther.
+    pub fn near_for(&self, nearest_m: f64) -> f64 {
+        if nearest_m.is_finite() { (0.5 * nearest_m).max(self.min_near_m) } else { self.min_near_m }
+    }
+
+    /// What cull needs to know of this camera.
+    pub fn cull_camera(&self, size_px: [u32; 2], frame: u32, context: u32) -> CullCamera {
+        CullCamera {
+            eye_from_world: self.world_from_eye.inverse(),
+            clip_from_eye: self.clip_from_eye(size_px, self.min_near_m),
+            viewport_px: size_px,
+            lod_scale: self.lod_scale,
+            max_sse_px: self.max_sse_px,
+            cull_mask: self.cull_mask,
+            culling: CullingMode::default(),
+            frame,
+            context,
+        }
+    }
+
+    /// Direction in the world of the ray through a picture position (pixels, origin upper left), unit length.
+    pub fn ray_direction(&self, size_px: [u32; 2], x_px: f64, y_px: f64) -> DVec3 {
+        let (width, height) = (f64::from(size_px[0].max(1)), f64::from(size_px[1].max(1)));
+        let half_height = (0.5 * self.fovy(size_px)).tan();
+        let in_eye = DVec3::new(
+            (2.0 * x_px / width - 1.0) * half_height * width / height,
+            (1.0 - 2.0 * y_px / height) * half_height,
+            -1.0,
+        );
+        (self.world_from_eye.matrix3 * in_eye).normalize()
+    }
+}
+
+/// The pose of an eye that looks along `direction` with `up` upwards in the picture; when the two are parallel
+/// any upright is taken.
+pub fn world_from_eye(eye: DVec3, direction: DVec3, up: DVec3) -> DAffine3 {
+    let back = -direction.normalize_or(DVec3::NEG_Z);
+    let mut right = up.cross(back);
+    if right.length_squared() < 1e-20 {
+        right = back.any_orthogonal_vector();
+    }
+    let right = right.normalize();
+    DAffine3 { matrix3: DMat3::from_cols(right, back.cross(right), back), translation: eye }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sixty_degrees_span_the_longer_side() {
+        let camera = Camera::default();
+        let fovx = 2.0 * ((0.5 * camera.fovy([1280, 720])).tan() * 1280.0 / 720.0).atan();
+        assert!((fovx - 60f64.to_radians()).abs() < 1e-12);
+        assert!((camera.fovy([720, 1280]) - 60f64.to_radians()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_middle_ray_is_the_direction_of_view() {
+        let mut camera = Camera::default();
+        camera.look_at(DVec3::new(1.0, 2.0, 3.0), DVec3::new(-4.0, 6.0, 0.5), DVec3::Z);
+        assert!(camera.ray_direction([640, 360], 320.0, 180.0).distance(camera.direction()) < 1e-12);
+        // Rays agree with the projection.
+        let direction = camera.ray_direction([640, 360], 500.0, 50.0);
+        let in_eye = camera.world_from_eye.inverse().transform_point3(camera.eye() + 10.0 * direction);
+        let clip = camera.clip_from_eye([640, 360], 0.1) * in_eye.extend(1.0);
+        assert!((clip.x / clip.w - (2.0 * 500.0 / 640.0 - 1.0)).abs() < 1e-12);
+        assert!((clip.y / clip.w - (1.0 - 2.0 * 50.0 / 360.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn looking_straight_down_has_a_pose() {
+        let pose = world_from_eye(DVec3::ZERO, DVec3::NEG_Z, DVec3::Z);
+        assert!((pose.matrix3.determinant() - 1.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,226 @@
+//! Where a set is and from where to look at it first: local frame, first camera, default path, haze to its size.
+//! Computed once when a root is loaded, on the main thread.
+
+use glam::{DAffine3, DMat3, DVec3, Vec3};
+
+use super::camera::world_from_eye;
+use super::camera_path::{AnimationPath, ControlPoint};
+use crate::draw::{Environment, Fog};
+use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, WGS84};
+use crate::scene::{Page, flag};
+
+/// A set whose bounding sphere's centre lies farther than this from the origin is taken as earth-centred.
+const GEOREFERENCED_BEYOND_M: f64 = 1.0e6;
+
+/// East (x), north (y), up (z) at a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LocalFrame {
+    /// A rotation and the point.
+    pub world_from_local: DAffine3,
+    /// True when the world is earth-centred, earth-fixed.
+    pub georeferenced: bool,
+}
+
+impl LocalFrame {
+    /// The frame at a point: east, north, up on the ellipsoid, or the world's own axes.
+    pub fn at(point: DVec3, georeferenced: bool) -> Self {
+        let matrix3 = if georeferenced && point.length() > 1.0 {
+            WGS84.ecef_from_enu(&WGS84.geodetic(point)).matrix3
+        } else {
+            DMat3::IDENTITY
+        };
+        Self { world_from_local: DAffine3 { matrix3, translation: point }, georeferenced }
+    }
+
+    /// Unit up in the world.
+    pub fn up(&self) -> DVec3 {
+        self.world_from_local.matrix3.z_axis
+    }
+
+    /// Unit direction in the world: radians clockwise from north, radians above the horizon.
+    pub fn direction(&self, heading: f64, pitch: f64) -> DVec3 {
+        let (sin_h, cos_h) = heading.sin_cos();
+        let (sin_p, cos_p) = pitch.sin_cos();
+        self.world_from_local.matrix3 * DVec3::new(sin_h * cos_p, cos_h * cos_p, sin_p)
+    }
+}
+
+/// Extent of a tile set, in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SetBounds {
+    /// Around everything.
+    pub sphere: BoundingSphere,
+    /// The root's declared volume where there is one.
+    pub volume: Option<BoundingVolume>,
+    /// The frame at the sphere's centre.
+    pub frame: LocalFrame,
+    /// Half the extent east, north and up in the local frame, metres.
+    pub half_size_m: DVec3,
+    /// Middle of that box in the local frame (the volume's box need not be centred on the sphere).
+    pub middle_m: DVec3,
+}
+
+/// A place to look from: radians and metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewFrom {
+    /// Radians clockwise from north: where the camera looks.
+    pub heading: f64,
+    /// Radians above the horizon; negative looks down.
+    pub pitch: f64,
+    /// Distance to the centre in metres; `None` is 2.2 radii.
+    pub range_m: Option<f64>,
+}
+
+impl Default for ViewFrom {
+    fn default() -> Self {
+        Self { heading: 0.0, pitch: -35f64.to_radians(), range_m: None }
+    }
+}
+
+impl SetBounds {
+    /// Bounds from a sphere alone.
+    pub fn from_sphere(sphere: BoundingSphere) -> Self {
+        Self::new(sphere, None)
+    }
+
+    /// Bounds from a sphere and the root's declared volume.
+    pub fn new(sphere: BoundingSphere, volume: Option<BoundingVolume>) -> Self {
+        let usable = sphere.center.is_finite() && sphere.radius_m.is_finite() && sphere.radius_m > 0.0;
+        let sphere = if usable { sphere } else { BoundingSphere::new(DVec3::ZERO, 1.0) };
+        let frame = LocalFrame::at(sphere.center, sphere.center.length() > GEOREFERENCED_BEYOND_M);
+        let local_from_world = frame.world_from_local.inverse();
+        let local_box = volume.and_then(|v| v.oriented_box()).map(|b| b.transformed(&local_from_world).aabb());
+        let (middle_m, half_size_m) = match local_box {
+            Some(b) if b.center().is_finite() && b.half_size().is_finite() => (b.center(), b.half_size()),
+            _ => (DVec3::ZERO, DVec3::splat(sphere.radius_m / 3f64.sqrt())),
+        };
+        Self { sphere, volume, frame, half_size_m, middle_m }
+    }
+
+    /// Metres above the highest thing the set can hold; negative below.
+    pub fn height_above_top_m(&self, point: DVec3) -> f64 {
+        if let (Some(BoundingVolume::Region(region)), true) = (self.volume, self.frame.georeferenced) {
+            return WGS84.geodetic(point).height_m - region.max_height_m;
+        }
+        let local = self.frame.world_from_local.inverse().transform_point3(point);
+        local.z - (self.middle_m.z + self.half_size_m.z)
+    }
+
+    /// The eye that looks at the centre of the sphere.
+    pub fn first_camera(&self, view: &ViewFrom) -> DAffine3 {
+        let range_m = view.range_m.unwrap_or(2.2 * self.sphere.radius_m);
+        let direction = self.frame.direction(view.heading, view.pitch);
+        world_from_eye(self.sphere.center - direction * range_m, direction, self.frame.up())
+    }
+
+    /// Thirty seconds over the set, from a first pose: approaches from the south, flies low over the middle,
+    /// climbs and orbits it once.
+    pub fn default_path(&self, first: &DAffine3) -> AnimationPath {
+        let half = self.half_size_m.truncate().min_element().max(1e-6);
+        let top = self.middle_m.z + self.half_size_m.z;
+        // Low, yet above everything the bounds allow; the earth's curve is inside the bounds' height.
+        let low = top + 0.04 * half;
+        let at = |x: f64, y: f64, z: f64| DVec3::new(self.middle_m.x + half * x, self.middle_m.y + half * y, z);
+        let mut points = vec![ControlPoint::from_pose(0.0, first)];
+        let mut add = |time_s: f64, eye: DVec3, target: DVec3| {
+            let pose = self.frame.world_from_local * world_from_eye(eye, target - eye, DVec3::Z);
+            points.push(ControlPoint::from_pose(time_s, &pose));
+        };
+        add(5.0, at(0.0, -1.0, low + 0.5 * half), at(0.0, 0.1, top - 0.2 * half));
+        add(8.0, at(0.0, -0.6, low + 0.06 * half), at(0.0, 0.3, top - 0.1 * half));
+        for step in 0..=6 {
+            let y = -0.5 + 0.9 * f64::from(step) / 6.0;
+            add(9.0 + f64::from(step), at(0.02 * f64::from(step), y, low), at(0.0, y + 0.9, top - 0.15 * half));
+        }
+        let turns = 24;
+        for step in 0..=turns {
+            let angle = std::f64::consts::TAU * f64::from(step) / f64::from(turns) + std::f64::consts::FRAC_PI_2;
+            let rise = (f64::from(step) / 8.0).min(1.0);
+            let eye = at(0.9 * angle.cos(), 0.9 * angle.sin(), low + half * (0.25 + 0.45 * rise));
+            add(18.0 + 0.5 * f64::from(step), eye, at(0.0, 0.0, self.middle_m.z));
+        }
+        AnimationPath::new(points).expect("the first pose is a point")
+    }
+
+    /// Fog density per metre that leaves a set visible as a whole from the first camera and hides little of what
+    /// is near: optical depth 0.35 at the first camera's distance.
+    pub fn fog_density_per_m(&self) -> f64 {
+        0.35 / (2.2 * self.sphere.radius_m)
+    }
+
+    /// Direction towards the sun in the world: from the south-east, 40 degrees up.
+    pub fn sun_direction(&self) -> DVec3 {
+        self.frame.direction(135f64.to_radians(), 40f64.to_radians())
+    }
+}
+
+/// Sun, sky and haze fit to a set.
+pub fn environment_for(bounds: &SetBounds) -> Environment {
+    let base = Environment::default();
+    Environment {
+        sun_direction: bounds.sun_direction(),
+        up_in_world: bounds.frame.up(),
+        fog: Fog { density_per_m: bounds.fog_density_per_m() as f32, ..base.fog },
+        ..base
+    }
+}
+
+/// The declared volume of a page's root tile.
+pub(super) fn root_volume(page: &Page) -> Option<BoundingVolume> {
+    let root = page.tiles.roots.first()?;
+    let (record, bounds) = (page.tiles.records.get(root.tile as usize)?, page.tiles.bounds.get(root.tile as usize)?);
+    let page_from_tile = page.transforms.page_from_node(root.transform);
+    let center = DVec3::from_array(bounds.center);
+    Some(if record.has(flag::SPHERE) {
+        BoundingVolume::Sphere(BoundingSphere::new(center, bounds.radius_m.into()).transformed(&page_from_tile))
+    } else {
+        let [x, y, z] = bounds.axes.map(|axis| Vec3::from_array(axis).as_dvec3());
+        let half = Vec3::from_array(bounds.half_m).as_dvec3();
+        let half_axes = DMat3::from_cols(x * half.x, y * half.y, z * half.z);
+        BoundingVolume::Box(OrientedBox { center, half_axes }.transformed(&page_from_tile))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Region;
+
+    fn alps() -> SetBounds {
+        let region =
+            Region { west: 0.139, south: 0.81, east: 0.141, north: 0.812, min_height_m: 300.0, max_height_m: 4000.0 };
+        let volume = BoundingVolume::Region(region);
+        SetBounds::new(volume.bounding_sphere(), Some(volume))
+    }
+
+    #[test]
+    fn the_first_camera_looks_north_and_down_at_the_centre() {
+        for bounds in [alps(), SetBounds::from_sphere(BoundingSphere::new(DVec3::new(5.0, 6.0, 7.0), 10.0))] {
+            let pose = bounds.first_camera(&ViewFrom::default());
+            let local = bounds.frame.world_from_local.inverse().transform_point3(pose.translation);
+            let range = 2.2 * bounds.sphere.radius_m;
+            let (sin, cos) = 35f64.to_radians().sin_cos();
+            assert!(local.distance(DVec3::new(0.0, -range * cos, range * sin)) < 1e-6 * range);
+            assert!(pose.matrix3.y_axis.dot(bounds.frame.up()) > 0.8);
+        }
+    }
+
+    #[test]
+    fn the_default_path_stays_above_the_bounds() {
+        let bounds = alps();
+        let path = bounds.default_path(&bounds.first_camera(&ViewFrom::default()));
+        for step in 0..=300 {
+            let pose = path.world_from_eye(0.1 * f64::from(step));
+            assert!(bounds.height_above_top_m(pose.translation) > 0.0, "at {step}");
+            assert!((pose.matrix3.determinant() - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn senseless_bounds_still_give_a_camera() {
+        for sphere in [BoundingSphere::EMPTY, BoundingSphere::new(DVec3::NAN, 1.0)] {
+            let bounds = SetBounds::from_sphere(sphere);
+            assert!(bounds.first_camera(&ViewFrom::default()).is_finite());
+        }
+    }
+}

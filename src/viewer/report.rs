@@ -1,0 +1,274 @@
+//! The report of a flight: one JSON document with a stable schema. Made after the last frame, on the main thread.
+//!
+//! Fields are only ever added. Times are milliseconds unless the name says otherwise.
+
+use serde::{Deserialize, Serialize};
+
+use super::stats::{FrameStats, Samples};
+use super::{Viewer, ViewerError};
+
+/// The whole report.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// "terrane".
+    pub tool: String,
+    /// Version of the tool.
+    pub version: String,
+    /// Name of the adapter that drew.
+    pub adapter: String,
+    /// Threading model.
+    pub threading: String,
+    /// Width and height of the picture in pixels.
+    pub size: [u32; 2],
+    /// Frames rendered.
+    pub frames: u32,
+    /// Whole frame on the main thread.
+    pub frame_ms: FrameTimes,
+    /// Phases of the frame.
+    pub phase_ms: Phases,
+    /// GPU time; `null` where the adapter has no timestamps.
+    pub gpu_ms: Option<Times>,
+    /// What the pager did with tiles.
+    pub tiles: Tiles,
+    /// Bytes moved and held.
+    pub bytes: Bytes,
+    /// Seconds from the first frame to nothing wanted and nothing pending at the first camera; `null` when the
+    /// camera left before.
+    pub converge_s: Option<f64>,
+    /// Medians per frame.
+    pub draw: DrawMedians,
+    /// Frames longer than twice the median.
+    pub hitches: u32,
+    /// Background pixels below the horizon, summed over all frames; `null` unless asked for.
+    pub holes: Option<u64>,
+    /// The settled picture; `null` unless asked for.
+    pub settled: Option<Settled>,
+    /// What failed, each URI and reason once.
+    pub errors: Vec<ReportError>,
+}
+
+/// Distribution of whole frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the names are the documentation")]
+pub struct FrameTimes {
+    pub median: f64,
+    pub p95: f64,
+    pub p99: f64,
+    pub max: f64,
+}
+
+/// Distribution of one phase.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the names are the documentation")]
+pub struct Times {
+    pub median: f64,
+    pub p99: f64,
+    pub max: f64,
+}
+
+/// Phases of the frame; `update` contains `merge`; `draw` and `compile` may overlap the next frame's update.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the names are the documentation")]
+pub struct Phases {
+    pub event: Times,
+    pub update: Times,
+    pub merge: Times,
+    pub cull: Times,
+    pub draw: Times,
+    pub compile: Times,
+}
+
+/// Counters of the pager.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the names are the documentation")]
+pub struct Tiles {
+    pub requested: u64,
+    pub loaded: u64,
+    pub merged: u64,
+    pub expired: u64,
+    pub failed: u64,
+    pub cancelled: u64,
+    pub stale: u64,
+}
+
+/// Bytes moved and the peaks of what was held.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bytes {
+    /// From files and network together.
+    pub read: u64,
+    /// From the network.
+    pub http: u64,
+    /// After decoding.
+    pub decoded: u64,
+    /// Most that the pools held at once.
+    pub gpu_peak: u64,
+    /// Most that pages held at once.
+    pub cpu_peak: u64,
+    /// Most that the system gave the process; 0 where the system does not say.
+    pub rss_peak: u64,
+}
+
+/// Medians of what a frame drew.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(missing_docs, reason = "the names are the documentation")]
+pub struct DrawMedians {
+    pub leaves: u64,
+    pub draw_calls: u64,
+    pub state_changes: u64,
+    pub triangles: u64,
+}
+
+/// The settled picture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Settled {
+    /// Tiles drawn.
+    pub tiles: u64,
+    /// Contents drawn.
+    pub contents: u64,
+    /// Triangles drawn.
+    pub triangles: u64,
+    /// Points drawn.
+    pub points: u64,
+    /// Share of pixels that are not background, 0..=1.
+    pub coverage: f64,
+}
+
+/// One thing that failed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ReportError {
+    /// What could not be had.
+    pub uri: String,
+    /// Why.
+    pub reason: String,
+    /// How often it was tried.
+    pub count: u64,
+}
+
+impl Times {
+    fn of(values: impl IntoIterator<Item = f64>) -> Self {
+        let s = Samples::new(values);
+        Self { median: rounded(s.median()), p99: rounded(s.percentile(0.99)), max: rounded(s.max()) }
+    }
+}
+
+/// A thousandth of a microsecond is noise; shorter numbers make reports easier to compare.
+fn rounded(ms: f64) -> f64 {
+    (ms * 1e6).round() / 1e6
+}
+
+impl Report {
+    /// A report on some frames; counters that are not per frame are filled in by the caller.
+    pub fn from_frames<'a>(frames: impl Iterator<Item = &'a FrameStats> + Clone) -> Self {
+        let whole = Samples::new(frames.clone().map(|f| f.frame_ms));
+        let drawn = frames.clone().filter(|f| f.drawn);
+        let median = |value: fn(&FrameStats) -> f64| Samples::new(drawn.clone().map(value)).median() as u64;
+        let gpu = Samples::new(drawn.clone().filter_map(|f| f.gpu_ms));
+        Self {
+            tool: "terrane".to_owned(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            adapter: String::new(),
+            threading: String::new(),
+            size: [0, 0],
+            frames: whole.len() as u32,
+            frame_ms: FrameTimes {
+                median: rounded(whole.median()),
+                p95: rounded(whole.percentile(0.95)),
+                p99: rounded(whole.percentile(0.99)),
+                max: rounded(whole.max()),
+            },
+            phase_ms: Phases {
+                event: Times::of(frames.clone().map(|f| f.event_ms)),
+                update: Times::of(frames.clone().map(|f| f.update_ms)),
+                merge: Times::of(frames.clone().map(|f| f.merge_ms)),
+                cull: Times::of(frames.map(|f| f.cull_ms)),
+                draw: Times::of(drawn.clone().map(|f| f.draw_ms)),
+                compile: Times::of(drawn.clone().map(|f| f.compile_ms)),
+            },
+            gpu_ms: (!gpu.is_empty()).then(|| Times {
+                median: rounded(gpu.median()),
+                p99: rounded(gpu.percentile(0.99)),
+                max: rounded(gpu.max()),
+            }),
+            tiles: Tiles::default(),
+            bytes: Bytes { rss_peak: rss_peak_bytes(), ..Bytes::default() },
+            converge_s: None,
+            draw: DrawMedians {
+                leaves: median(|f| f64::from(f.leaves)),
+                draw_calls: median(|f| f64::from(f.draw_calls)),
+                state_changes: median(|f| f64::from(f.state_changes)),
+                triangles: median(|f| f.triangles as f64),
+            },
+            hitches: whole.above(2.0 * whole.median()) as u32,
+            holes: None,
+            settled: None,
+            errors: Vec::new(),
+        }
+    }
+
+    /// The report as indented JSON with a newline at the end.
+    pub fn to_json(&self) -> String {
+        let mut text = serde_json::to_string_pretty(self).expect("a report holds strings and finite numbers only");
+        text.push('\n');
+        text
+    }
+}
+
+impl Viewer {
+    /// The report on all frames so far; waits for those still being drawn.
+    pub fn report(&mut self) -> Result<Report, ViewerError> {
+        self.absorb_all()?;
+        let mut report = Report::from_frames(self.history.iter());
+        report.adapter = self.adapter_name().to_owned();
+        report.threading = self.threading.to_string();
+        report.size = self.size_px;
+        report.converge_s = self.converge_s;
+        report.bytes.gpu_peak = self.gpu_bytes_peak;
+        if let Some(pager) = &self.pager {
+            let s = pager.stats();
+            report.tiles = Tiles {
+                requested: s.requested,
+                loaded: s.loaded,
+                merged: s.merged,
+                expired: s.expired,
+                failed: s.failed,
+                cancelled: s.cancelled,
+                stale: s.stale,
+            };
+            report.bytes = Bytes {
+                read: s.bytes_read,
+                http: s.bytes_http,
+                decoded: s.bytes_decoded,
+                cpu_peak: s.cpu_bytes_peak,
+                ..report.bytes
+            };
+            report.errors = pager
+                .errors()
+                .into_iter()
+                .map(|e| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count.into() })
+                .collect();
+        }
+        Ok(report)
+    }
+}
+
+/// Most bytes of memory that the system has given this process; 0 where the system does not say.
+fn rss_peak_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
+    line.and_then(|l| l.trim().strip_suffix("kB")).and_then(|kb| kb.trim().parse::<u64>().ok()).unwrap_or(0) * 1024
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hitches_are_frames_longer_than_twice_the_median() {
+        let frames: Vec<_> = [1.0, 1.0, 1.0, 2.0, 2.1]
+            .map(|frame_ms| FrameStats { frame_ms, drawn: true, leaves: 7, ..FrameStats::default() })
+            .into();
+        let report = Report::from_frames(frames.iter());
+        assert_eq!((report.hitches, report.frames, report.draw.leaves), (1, 5, 7));
+        assert_eq!(report.gpu_ms, None);
+    }
+}

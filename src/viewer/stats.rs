@@ -1,0 +1,162 @@
+//! What a frame cost: times of its phases and counters, kept per frame. Written on the main thread; the draw
+//! thread's share arrives with the stage that comes back, up to two frames later.
+
+use std::collections::VecDeque;
+
+/// Times in milliseconds and counters of one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrameStats {
+    /// Number of the frame, first 1.
+    pub frame: u32,
+    /// The whole frame on the main thread, waiting for a free stage included, reading pictures back excluded.
+    pub frame_ms: f64,
+    /// Handlers and manipulator.
+    pub event_ms: f64,
+    /// Everything that has `&mut Scene`, the merge included.
+    pub update_ms: f64,
+    /// The pager's share of update: take results, merge, expire, sort requests.
+    pub merge_ms: f64,
+    /// Scene to render stage.
+    pub cull_ms: f64,
+    /// Render stage to submitted commands, on the thread that owns the context.
+    pub draw_ms: f64,
+    /// Uploads, on the thread that owns the context.
+    pub compile_ms: f64,
+    /// GPU time where the adapter has timestamps.
+    pub gpu_ms: Option<f64>,
+    /// Leaves drawn.
+    pub leaves: u32,
+    /// Draw calls recorded.
+    pub draw_calls: u32,
+    /// State changes recorded.
+    pub state_changes: u32,
+    /// State changes found to be set already.
+    pub state_changes_skipped: u32,
+    /// Triangles drawn.
+    pub triangles: u64,
+    /// Points drawn.
+    pub points: u64,
+    /// Tiles whose content was drawn.
+    pub tiles_drawn: u32,
+    /// Tiles visited by cull.
+    pub tiles_visited: u32,
+    /// Tiles wanted but not drawn at the wanted level.
+    pub wanted_missing: u32,
+    /// False until the draw thread has answered.
+    pub drawn: bool,
+}
+
+/// All frames of a run, newest last; forgets the oldest beyond a limit.
+#[derive(Debug)]
+pub struct StatsHistory {
+    frames: VecDeque<FrameStats>,
+    limit: usize,
+}
+
+impl StatsHistory {
+    /// Keeps at most `limit` frames; memory for the first thousands is taken at once.
+    pub fn new(limit: usize) -> Self {
+        Self { frames: VecDeque::with_capacity(limit.clamp(1, 4096)), limit: limit.max(1) }
+    }
+
+    /// Adds a frame.
+    pub fn push(&mut self, stats: FrameStats) {
+        if self.frames.len() == self.limit {
+            self.frames.pop_front();
+        }
+        self.frames.push_back(stats);
+    }
+
+    /// The record of a frame, to be filled in by the draw thread's answer.
+    pub fn frame_mut(&mut self, frame: u32) -> Option<&mut FrameStats> {
+        self.frames.iter_mut().rev().find(|s| s.frame == frame)
+    }
+
+    /// Newest last.
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = &FrameStats> + ExactSizeIterator + Clone {
+        self.frames.iter()
+    }
+
+    /// The newest frame.
+    pub fn last(&self) -> Option<&FrameStats> {
+        self.frames.back()
+    }
+
+    /// The newest frame that the draw thread has answered.
+    pub fn last_drawn(&self) -> Option<&FrameStats> {
+        self.frames.iter().rev().find(|s| s.drawn)
+    }
+
+    /// Forgets everything, as after a warm-up.
+    pub fn clear(&mut self) {
+        self.frames.clear();
+    }
+}
+
+/// Sorted samples to read percentiles from.
+#[derive(Clone, Debug, Default)]
+pub struct Samples(Vec<f64>);
+
+impl Samples {
+    /// Sorts what is given; values that are not finite are left out.
+    pub fn new(values: impl IntoIterator<Item = f64>) -> Self {
+        let mut values: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
+        values.sort_by(f64::total_cmp);
+        Self(values)
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// True when there is none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Nearest-rank percentile, `share` in 0..=1; 0 without samples.
+    pub fn percentile(&self, share: f64) -> f64 {
+        let rank = (share.clamp(0.0, 1.0) * self.0.len() as f64).ceil() as usize;
+        self.0.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
+    }
+
+    /// The 50th percentile.
+    pub fn median(&self) -> f64 {
+        self.percentile(0.5)
+    }
+
+    /// The largest; 0 without samples.
+    pub fn max(&self) -> f64 {
+        self.0.last().copied().unwrap_or(0.0)
+    }
+
+    /// How many are above a limit.
+    pub fn above(&self, limit: f64) -> usize {
+        self.0.len() - self.0.partition_point(|v| *v <= limit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_nearest_rank() {
+        let s = Samples::new((1..=100).rev().map(f64::from).chain([f64::NAN]));
+        assert_eq!((s.median(), s.percentile(0.95), s.percentile(0.99), s.max()), (50.0, 95.0, 99.0, 100.0));
+        assert_eq!(s.above(90.0), 10);
+        assert_eq!(Samples::default().median(), 0.0);
+    }
+
+    #[test]
+    fn history_forgets_the_oldest() {
+        let mut history = StatsHistory::new(3);
+        for frame in 1..=5 {
+            history.push(FrameStats { frame, ..FrameStats::default() });
+        }
+        assert_eq!(history.iter().map(|s| s.frame).collect::<Vec<_>>(), [3, 4, 5]);
+        assert!(history.frame_mut(2).is_none());
+        assert!(history.frame_mut(4).is_some());
+    }
+}

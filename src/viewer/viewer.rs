@@ -1,0 +1,580 @@
+//! The viewer: owns the scene, the pager, the camera and the context, and runs the frame. Main thread.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::DAffine3;
+use image::RgbaImage;
+
+use super::ViewerError;
+use super::camera::Camera;
+use super::holes::{KEY_COLOR, coverage};
+use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
+use super::manipulator::{CameraManipulator, Event};
+use super::report::Settled;
+use super::stats::{FrameStats, StatsHistory};
+use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
+use crate::cull::{CullVisitor, PageRequest, RenderStage};
+use crate::draw::{Environment, Sky};
+use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
+use crate::io;
+use crate::pager::{DatabasePager, PagerConfig};
+use crate::scene::{DrawSlot, Page, PageId, Scene, SlotState};
+
+/// How a viewer is made.
+#[derive(Clone, Debug)]
+pub struct ViewerConfig {
+    /// Size of the picture in pixels.
+    pub size_px: [u32; 2],
+    /// Who draws.
+    pub threading: ThreadingModel,
+    /// Which adapter draws.
+    pub adapter: AdapterChoice,
+    /// The GPU driver checks every call: for tests, never for timing.
+    pub validation: bool,
+    /// The pager; with `blocking` each frame waits until everything it wants is there.
+    pub pager: PagerConfig,
+    /// A tile whose error projects to more pixels is refined.
+    pub max_sse_px: f64,
+    /// Uploads between two frames: more fills the picture sooner, less keeps frames even.
+    pub compile_budget: CompileBudget,
+    /// Frames whose statistics are kept.
+    pub history_frames: usize,
+}
+
+impl Default for ViewerConfig {
+    fn default() -> Self {
+        Self {
+            size_px: [1280, 720],
+            threading: ThreadingModel::default(),
+            adapter: AdapterChoice::Any,
+            validation: cfg!(debug_assertions),
+            pager: PagerConfig::default(),
+            max_sse_px: 16.0,
+            compile_budget: CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
+            history_frames: 100_000,
+        }
+    }
+}
+
+/// Number and times of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrameStamp {
+    /// First 1.
+    pub frame: u32,
+    /// Seconds since the first frame.
+    pub reference_time_s: f64,
+    /// Seconds in the application's time.
+    pub simulation_time_s: f64,
+}
+
+/// What an application does to the scene in the update phase of each frame.
+pub type UpdateCallback = Box<dyn FnMut(&mut Scene, &FrameStamp) + Send>;
+
+/// A scene, how it is paged, seen and drawn.
+///
+/// ```text
+/// frame()   advance    frame stamp
+///           event      events -> manipulator -> camera
+///           update     &mut Scene: callbacks, pager (expire, merge, request)
+///           rendering  cull: &Scene -> stage; draw: the stage moves to the context's thread
+/// ```
+pub struct Viewer {
+    /// The eye; change it between frames, or set a manipulator.
+    pub camera: Camera,
+    /// Sun, sky and fog.
+    pub environment: Environment,
+    /// Uploads between two frames.
+    pub compile_budget: CompileBudget,
+    #[cfg(feature = "window")]
+    overlay: Option<super::overlay::OverlayPaint>,
+    scene: Scene,
+    pub(super) pager: Option<DatabasePager>,
+    pager_config: PagerConfig,
+    cull: CullVisitor,
+    pub(super) context: ContextHandle,
+    pub(super) size_px: [u32; 2],
+    free_stages: Vec<RenderStage>,
+    requests: Vec<PageRequest>,
+    manipulator: Option<Box<dyn CameraManipulator>>,
+    events: Vec<Event>,
+    update_callbacks: Vec<UpdateCallback>,
+    bounds: Option<SetBounds>,
+    root_uri: Option<Arc<str>>,
+    root: Option<PageId>,
+    first_frame: Option<Instant>,
+    last_frame: Option<Instant>,
+    stamp: FrameStamp,
+    pub(super) history: StatsHistory,
+    pub(super) threading: ThreadingModel,
+    pub(super) gpu_bytes_peak: u64,
+    picture_wanted: bool,
+    pictures: Vec<(u32, RgbaImage)>,
+    /// Reading back in the frame being measured, milliseconds.
+    read_back_ms: f64,
+    /// Frames in a row in which the pager had nothing to do.
+    quiet_frames: u32,
+    wanted_missing: u32,
+    pub(super) converge_s: Option<f64>,
+    first_pose: Option<DAffine3>,
+}
+
+/// The one context of a viewer.
+const CONTEXT: u32 = 0;
+/// With nothing under way for this many frames, requests that remain are ones the pager declines.
+const QUIET_FRAMES: u32 = 4;
+/// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
+const MAX_BLOCKING_ROUNDS: u32 = 256;
+
+impl Viewer {
+    /// A viewer that draws into a texture.
+    pub fn new_offscreen(config: &ViewerConfig) -> Result<Self, ViewerError> {
+        Self::new(GraphicsContext::new_offscreen(&traits(config))?, config)
+    }
+
+    /// A viewer that draws into a window; called on the thread of the event loop.
+    pub fn new_window(
+        target: impl Into<wgpu::SurfaceTarget<'static>>,
+        config: &ViewerConfig,
+    ) -> Result<Self, ViewerError> {
+        Self::new(GraphicsContext::new_window(target, &traits(config))?, config)
+    }
+
+    /// A viewer on a context of the caller's.
+    pub fn new(context: GraphicsContext, config: &ViewerConfig) -> Result<Self, ViewerError> {
+        let mut context = ContextHandle::new(CONTEXT, context, config.threading)?;
+        context.finish_compiles = config.pager.blocking;
+        Ok(Self {
+            camera: Camera { max_sse_px: config.max_sse_px, ..Camera::default() },
+            environment: Environment::default(),
+            compile_budget: config.compile_budget,
+            #[cfg(feature = "window")]
+            overlay: None,
+            scene: Scene::new(),
+            pager: None,
+            pager_config: config.pager.clone(),
+            cull: CullVisitor::default(),
+            context,
+            size_px: config.size_px,
+            free_stages: (0..=STAGES_IN_FLIGHT).map(|_| RenderStage::default()).collect(),
+            requests: Vec::new(),
+            manipulator: None,
+            events: Vec::new(),
+            update_callbacks: Vec::new(),
+            bounds: None,
+            root_uri: None,
+            root: None,
+            first_frame: None,
+            last_frame: None,
+            stamp: FrameStamp::default(),
+            history: StatsHistory::new(config.history_frames),
+            threading: config.threading,
+            gpu_bytes_peak: 0,
+            picture_wanted: false,
+            pictures: Vec::new(),
+            read_back_ms: 0.0,
+            quiet_frames: 0,
+            wanted_missing: 0,
+            converge_s: None,
+            first_pose: None,
+        })
+    }
+
+    /// Loads a root tile set (folder, file or URL), places the camera at the first view of it and sets sun and
+    /// haze to its size. Blocks until the root file is read.
+    pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
+        let uri = io::root_uri(source)?;
+        let options = io::ReadOptions::for_root(&uri, self.pager_config.limits);
+        let mut pager = DatabasePager::new(self.pager_config.clone(), options)?;
+        let page = pager.read_root(&uri)?;
+        self.pager = Some(pager);
+        self.root_uri = Some(uri);
+        Ok(self.add_root(page))
+    }
+
+    /// Adds a page made by the application as a root; paged contents in it are read by the pager of
+    /// [`Self::set_pager`]. The first root places the camera.
+    pub fn add_root(&mut self, page: Page) -> PageId {
+        let bounds = SetBounds::new(page.bounding_sphere(), root_volume(&page));
+        if self.bounds.is_none() {
+            self.bounds = Some(bounds);
+            self.camera.world_from_eye = bounds.first_camera(&ViewFrom::default());
+            self.camera.min_near_m = (1e-5 * bounds.sphere.radius_m).clamp(1e-4, 1.0);
+            self.environment = environment_for(&bounds);
+        }
+        let root = self.scene.add_root(page);
+        self.root.get_or_insert(root);
+        root
+    }
+
+    /// Replaces the pager, for scenes made by hand.
+    pub fn set_pager(&mut self, pager: DatabasePager) {
+        self.pager = Some(pager);
+    }
+
+    /// The scene; pages may be added and transforms set between frames.
+    pub fn scene_mut(&mut self) -> &mut Scene {
+        &mut self.scene
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The pager, once a set is loaded.
+    pub fn pager(&self) -> Option<&DatabasePager> {
+        self.pager.as_ref()
+    }
+
+    /// Extent of the first root.
+    pub fn bounds(&self) -> Option<&SetBounds> {
+        self.bounds.as_ref()
+    }
+
+    /// URI of the loaded root tile set.
+    pub fn root_uri(&self) -> Option<&str> {
+        self.root_uri.as_deref()
+    }
+
+    /// True when the root tile set holds heights on a shared grid, whose error is in the height alone.
+    pub fn is_height_set(&self) -> bool {
+        self.root.is_some_and(|root| {
+            self.scene.slots_of_page(root).any(|id| self.scene.slot(id).is_some_and(|s| s.reader_data.is_some()))
+        })
+    }
+
+    /// Size of the picture in pixels.
+    pub fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// Name of the adapter that draws.
+    pub fn adapter_name(&self) -> &str {
+        self.context.adapter_name()
+    }
+
+    /// Number and times of the last frame.
+    pub fn frame_stamp(&self) -> FrameStamp {
+        self.stamp
+    }
+
+    /// Statistics of the frames so far.
+    pub fn stats(&self) -> &StatsHistory {
+        &self.history
+    }
+
+    /// Seconds from the first frame to the first in which nothing was wanted and nothing pending, if the camera
+    /// had not moved by then.
+    pub fn converge_s(&self) -> Option<f64> {
+        self.converge_s
+    }
+
+    /// True when the last frame showed everything it wanted and the pager has nothing to do.
+    pub fn is_settled(&self) -> bool {
+        self.wanted_missing == 0
+            && self.quiet_frames > 0
+            && (self.requests.is_empty() || self.quiet_frames >= QUIET_FRAMES)
+    }
+
+    /// Moves the camera from now on.
+    pub fn set_manipulator(&mut self, manipulator: Option<Box<dyn CameraManipulator>>) {
+        self.manipulator = manipulator;
+    }
+
+    /// The manipulator, to set its pose.
+    pub fn manipulator_mut(&mut self) -> Option<&mut (dyn CameraManipulator + 'static)> {
+        self.manipulator.as_deref_mut()
+    }
+
+    /// Queues an event for the next frame's event phase.
+    pub fn push_event(&mut self, event: Event) {
+        self.events.push(event);
+    }
+
+    /// Adds something to do in each update phase.
+    pub fn on_update(&mut self, callback: UpdateCallback) {
+        self.update_callbacks.push(callback);
+    }
+
+    /// The picture's new size in pixels.
+    pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
+        self.size_px = size_px.map(|side| side.max(1));
+        self.context.resize(self.size_px)
+    }
+
+    /// Paints an overlay over the next frame.
+    #[cfg(feature = "window")]
+    pub fn set_overlay(&mut self, paint: super::overlay::OverlayPaint) {
+        self.overlay = Some(paint.after(self.overlay.take()));
+    }
+
+    /// The next frame's picture is read back; see [`Self::take_pictures`].
+    pub fn want_picture(&mut self) {
+        self.picture_wanted = true;
+    }
+
+    /// Pictures read back so far with their frame numbers, in order.
+    pub fn take_pictures(&mut self) -> Vec<(u32, RgbaImage)> {
+        std::mem::take(&mut self.pictures)
+    }
+
+    /// Renders one frame; the simulation time is the wall's.
+    pub fn frame(&mut self) -> Result<(), ViewerError> {
+        let now = self.first_frame.map_or(0.0, |first| first.elapsed().as_secs_f64());
+        self.frame_at(now)
+    }
+
+    /// Renders one frame at a simulation time.
+    pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
+        let start = Instant::now();
+        self.read_back_ms = 0.0;
+        let dt_s = self.advance(start, simulation_time_s);
+        let mut stats = FrameStats { frame: self.stamp.frame, ..FrameStats::default() };
+
+        self.event(dt_s);
+        let after_event = Instant::now();
+        stats.event_ms = millis(after_event - start);
+
+        // Update: everything with &mut Scene.
+        for callback in &mut self.update_callbacks {
+            callback(&mut self.scene, &self.stamp);
+        }
+        if self.pager_config.blocking {
+            self.absorb_all()?;
+        }
+        stats.merge_ms = self.page();
+        stats.update_ms = millis(after_event.elapsed());
+
+        // Rendering: cull now, draw on the context's thread.
+        while self.context.in_flight() >= STAGES_IN_FLIGHT {
+            self.absorb_next()?;
+        }
+        let before_cull = Instant::now();
+        let mut stage = self.free_stages.pop().unwrap_or_default();
+        self.cull_into(&mut stage);
+        stats.cull_ms = millis(before_cull.elapsed());
+        if self.pager_config.blocking {
+            let mut rounds = 0;
+            while !self.is_settled() && rounds < MAX_BLOCKING_ROUNDS {
+                stats.merge_ms += self.page();
+                self.cull_into(&mut stage);
+                rounds += 1;
+            }
+        }
+        let counters = &stage.counters;
+        stats.tiles_drawn = counters.tiles_drawn;
+        stats.tiles_visited = counters.tiles_visited;
+        stats.wanted_missing = counters.wanted_missing;
+        self.note_convergence(start);
+        self.history.push(stats);
+        let job = self.job(stage);
+        self.context.frame(job)?;
+        while let Some(done) = self.context.try_done() {
+            self.absorb(*done)?;
+        }
+        let frame_ms = (millis(start.elapsed()) - self.read_back_ms).max(0.0);
+        if let Some(stats) = self.history.frame_mut(self.stamp.frame) {
+            stats.frame_ms = frame_ms;
+        }
+        Ok(())
+    }
+
+    /// Waits until every frame has been drawn, so that statistics and pictures are complete.
+    pub fn finish(&mut self) -> Result<(), ViewerError> {
+        self.absorb_all()
+    }
+
+    /// The last frame's picture, offscreen.
+    pub fn read_back(&mut self) -> Result<RgbaImage, ViewerError> {
+        self.absorb_all()?;
+        self.context.read_back()
+    }
+
+    fn advance(&mut self, now: Instant, simulation_time_s: f64) -> f64 {
+        let first = *self.first_frame.get_or_insert(now);
+        let dt_s = self.last_frame.map_or(0.0, |last| (now - last).as_secs_f64());
+        self.last_frame = Some(now);
+        self.stamp = FrameStamp {
+            frame: self.stamp.frame + 1,
+            reference_time_s: (now - first).as_secs_f64(),
+            simulation_time_s,
+        };
+        dt_s
+    }
+
+    fn event(&mut self, dt_s: f64) {
+        if let Some(manipulator) = &mut self.manipulator {
+            for event in &self.events {
+                manipulator.handle(event);
+            }
+            self.camera.world_from_eye = manipulator.advance(dt_s);
+        }
+        self.events.clear();
+    }
+
+    /// The pager's turn with the scene; milliseconds.
+    fn page(&mut self) -> f64 {
+        let start = Instant::now();
+        if let Some(pager) = &mut self.pager {
+            pager.update_scene_graph(&mut self.scene, self.stamp.frame, &self.requests, &mut [&mut self.context]);
+            self.quiet_frames = if pager.is_idle() { self.quiet_frames.saturating_add(1) } else { 0 };
+        } else {
+            self.quiet_frames = QUIET_FRAMES;
+        }
+        millis(start.elapsed())
+    }
+
+    fn cull_into(&mut self, stage: &mut RenderStage) {
+        let camera = self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT);
+        self.cull.cull(&self.scene, &camera, stage);
+        // The near plane of this very frame, from what cull has just found.
+        stage.camera.clip_from_eye = self.camera.clip_from_eye(self.size_px, self.camera.near_for(stage.near_m));
+        // The stage goes to the draw thread; its requests stay for the next update.
+        std::mem::swap(&mut self.requests, &mut stage.requests);
+        self.wanted_missing = stage.counters.wanted_missing;
+    }
+
+    fn note_convergence(&mut self, now: Instant) {
+        let pose = self.camera.world_from_eye;
+        let first_pose = *self.first_pose.get_or_insert(pose);
+        if self.converge_s.is_none() && first_pose == pose && self.is_settled() {
+            self.converge_s = self.first_frame.map(|first| now.max(first).duration_since(first).as_secs_f64());
+        }
+    }
+
+    fn job(&mut self, stage: RenderStage) -> FrameJob {
+        // Over a globe, up is a matter of where one is.
+        if let Some(bounds) = self.bounds.filter(|b| b.frame.georeferenced) {
+            self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
+        }
+        FrameJob {
+            stage,
+            environment: self.environment,
+            budget: self.compile_budget,
+            read_back: std::mem::take(&mut self.picture_wanted),
+            present: true,
+            #[cfg(feature = "window")]
+            overlay: self.overlay.take(),
+        }
+    }
+
+    fn absorb_next(&mut self) -> Result<(), ViewerError> {
+        let start = Instant::now();
+        if let Some(done) = self.context.wait_done()? {
+            let waited_ms = millis(start.elapsed());
+            self.read_back_ms += done.read_back_ms.min(waited_ms);
+            self.absorb(*done)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn absorb_all(&mut self) -> Result<(), ViewerError> {
+        while self.context.in_flight() > 0 {
+            self.absorb_next()?;
+        }
+        Ok(())
+    }
+
+    fn absorb(&mut self, done: FrameDone) -> Result<(), ViewerError> {
+        let frame = done.stage.camera.frame;
+        self.gpu_bytes_peak = self.gpu_bytes_peak.max(done.gpu_bytes_peak);
+        if self.threading == ThreadingModel::SingleThreaded {
+            self.read_back_ms += done.read_back_ms;
+        }
+        self.free_stages.push(done.stage);
+        let drawn = done.stats?;
+        if let Some(stats) = self.history.frame_mut(frame) {
+            stats.draw_ms = done.draw_ms;
+            stats.compile_ms = done.compile_ms;
+            stats.gpu_ms = drawn.gpu_ms;
+            stats.leaves = drawn.leaves;
+            stats.draw_calls = drawn.draw_calls;
+            stats.state_changes = drawn.state_changes;
+            stats.state_changes_skipped = drawn.state_changes_skipped;
+            stats.triangles = drawn.triangles;
+            stats.points = drawn.points;
+            stats.drawn = true;
+        }
+        if let Some(image) = done.image {
+            self.pictures.push((frame, image?));
+        }
+        Ok(())
+    }
+
+    /// Draws the present view once more, unseen and without statistics; on the key colour without fog if asked.
+    fn draw_again(&mut self, on_key: bool) -> Result<(FrameStats, RgbaImage), ViewerError> {
+        self.absorb_all()?;
+        let stage = self.cull_again();
+        let mut stats = FrameStats { tiles_drawn: stage.counters.tiles_drawn, ..FrameStats::default() };
+        let mut job = self.job(stage);
+        if on_key {
+            job.environment.sky = Sky::Background(KEY_COLOR);
+            job.environment.fog.enabled = false;
+        }
+        job.read_back = true;
+        job.present = false;
+        self.context.frame(job)?;
+        let done = self.context.wait_done()?.ok_or(ViewerError::DrawThreadStopped)?;
+        self.free_stages.push(done.stage);
+        let drawn = done.stats?;
+        stats.triangles = drawn.triangles;
+        stats.points = drawn.points;
+        let image = done.image.ok_or(ViewerError::DrawThreadStopped)??;
+        Ok((stats, image))
+    }
+
+    /// Culls the present view once more, leaving requests and counters as they are.
+    fn cull_again(&mut self) -> RenderStage {
+        let mut stage = self.free_stages.pop().unwrap_or_default();
+        let (requests, wanted_missing) = (std::mem::take(&mut self.requests), self.wanted_missing);
+        self.cull_into(&mut stage);
+        (self.requests, self.wanted_missing) = (requests, wanted_missing);
+        stage
+    }
+
+    /// The present view's picture, drawn once more.
+    pub fn picture(&mut self) -> Result<RgbaImage, ViewerError> {
+        Ok(self.draw_again(false)?.1)
+    }
+
+    /// What the present view draws, for the report; draws it once more.
+    pub fn settled(&mut self) -> Result<Settled, ViewerError> {
+        let (stats, image) = self.draw_again(true)?;
+        Ok(Settled {
+            tiles: u64::from(stats.tiles_drawn),
+            contents: self.drawn_contents().len() as u64,
+            triangles: stats.triangles,
+            points: stats.points,
+            coverage: coverage(&image, KEY_COLOR),
+        })
+    }
+
+    /// URIs of the contents that the present view draws, sorted.
+    pub fn drawn_contents(&mut self) -> Vec<Arc<str>> {
+        let stage = self.cull_again();
+        let mut drawn: Vec<DrawSlot> = stage.bins.iter().flat_map(|b| &b.leaves).map(|leaf| leaf.slot).collect();
+        drawn.retain(|slot| *slot != DrawSlot::NONE);
+        drawn.sort_unstable();
+        self.free_stages.push(stage);
+        let mut uris = Vec::new();
+        let mut pages = self.scene.roots().to_vec();
+        while let Some(page) = pages.pop() {
+            for slot in self.scene.slots_of_page(page).filter_map(|id| self.scene.slot(id)) {
+                let SlotState::Resident(content) = slot.state else { continue };
+                pages.push(content);
+                let slots = self.scene.page(content).map_or(&[][..], |p| p.draw_slots_of(CONTEXT));
+                if slots.iter().any(|s| drawn.binary_search(s).is_ok()) {
+                    uris.push(Arc::clone(slot.uri));
+                }
+            }
+        }
+        uris.sort();
+        uris.dedup();
+        uris
+    }
+}
+
+fn traits(config: &ViewerConfig) -> ContextTraits {
+    ContextTraits { size_px: config.size_px, adapter: config.adapter, validation: config.validation }
+}

@@ -1,0 +1,265 @@
+//! The arguments of every subcommand.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use clap::{Args as ClapArgs, Parser, Subcommand};
+use terrane::viewer::{ThreadingModel, ViewFrom};
+
+/// Streams terrain that is larger than memory, and draws it without a hitch.
+#[derive(Debug, Parser)]
+#[command(name = "terrane", version, about, max_term_width = 110)]
+pub struct Args {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Fly along a path over a tile set and report what the frames cost
+    Fly(Box<FlyArgs>),
+    /// Open a window on a tile set and move in it
+    View(ViewArgs),
+    /// Make a tile set from noise or from elevation models
+    Gen(Box<terrane_data_gen::GenArgs>),
+    /// Say what is in a tile set
+    Info(InfoArgs),
+    /// Measure one layer; JSON lines on stdout
+    Bench(BenchArgs),
+}
+
+#[derive(Clone, Debug, Default, ClapArgs)]
+pub struct FlyArgs {
+    /// Folder, tileset.json or http(s) URL; without it a small set is made in the user's cache folder
+    pub source: Option<String>,
+    /// Camera path in OpenSceneGraph's text form, `t px py pz qx qy qz qw` a line [default: approach, fly low, orbit]
+    #[arg(long, value_name = "FILE")]
+    pub path: Option<PathBuf>,
+    /// Frames to fly, the path spread over them [default: 300; with --settle none after the picture]
+    #[arg(long, value_name = "N")]
+    pub frames: Option<u32>,
+    /// Size of the picture in pixels
+    #[arg(long, value_name = "WxH", default_value = "1280x720")]
+    pub size: Size,
+    /// Draw into memory even where there is a display
+    #[arg(long)]
+    pub offscreen: bool,
+    /// Hold the first camera until everything wanted is drawn, then take the picture
+    #[arg(long)]
+    pub settle: bool,
+    /// First camera: heading and pitch in degrees and distance in metres to the centre of the set
+    /// [default: 0,-35,2.2 radii]
+    #[arg(long, value_name = "HEADING_DEG,PITCH_DEG,RANGE_M", allow_hyphen_values = true)]
+    pub view: Option<View>,
+    /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
+    #[arg(long, value_name = "PX")]
+    pub sse: Option<Positive>,
+    /// SingleThreaded or DrawThreadPerContext
+    #[arg(long, value_name = "MODEL", default_value = "DrawThreadPerContext")]
+    pub threading: ThreadingModel,
+    /// Load everything a frame wants before drawing it, so that equal paths give equal pictures
+    #[arg(long)]
+    pub blocking: bool,
+    /// Count background pixels where terrain must be; draws on magenta
+    #[arg(long)]
+    pub check_holes: bool,
+    /// Write the report as JSON
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// Write every frame as PNG
+    #[arg(long, value_name = "DIR")]
+    pub frames_dir: Option<PathBuf>,
+    /// Write the last frame (with --settle the settled one) as PNG
+    #[arg(long, value_name = "FILE")]
+    pub screenshot: Option<PathBuf>,
+    /// Write the URIs of the contents drawn in that picture as JSON
+    #[arg(long, value_name = "FILE")]
+    pub selection: Option<PathBuf>,
+    /// Plain background instead of sky and haze
+    #[arg(long, value_name = "RRGGBB")]
+    pub background: Option<Rgb>,
+    /// Show the stats overlay from the start (window only)
+    #[arg(long)]
+    pub stats: bool,
+    /// A window to move in, without a path.
+    #[arg(skip)]
+    pub interactive: bool,
+}
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct ViewArgs {
+    /// Folder, tileset.json or http(s) URL
+    pub source: String,
+    /// Size of the window in pixels
+    #[arg(long, value_name = "WxH", default_value = "1280x720")]
+    pub size: Size,
+    /// First camera: heading and pitch in degrees and distance in metres to the centre of the set
+    #[arg(long, value_name = "HEADING_DEG,PITCH_DEG,RANGE_M", allow_hyphen_values = true)]
+    pub view: Option<View>,
+    /// Camera path that P plays
+    #[arg(long, value_name = "FILE")]
+    pub path: Option<PathBuf>,
+    /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
+    #[arg(long, value_name = "PX")]
+    pub sse: Option<Positive>,
+    /// SingleThreaded or DrawThreadPerContext
+    #[arg(long, value_name = "MODEL", default_value = "DrawThreadPerContext")]
+    pub threading: ThreadingModel,
+    /// Show the stats overlay from the start
+    #[arg(long)]
+    pub stats: bool,
+}
+
+impl From<ViewArgs> for Box<FlyArgs> {
+    fn from(args: ViewArgs) -> Self {
+        let ViewArgs { source, size, view, path, sse, threading, stats } = args;
+        Box::new(FlyArgs {
+            source: Some(source),
+            size,
+            view,
+            path,
+            sse,
+            threading,
+            stats,
+            interactive: true,
+            ..FlyArgs::default()
+        })
+    }
+}
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct InfoArgs {
+    /// Folder, tileset.json or http(s) URL
+    pub source: String,
+    /// One JSON document instead of text
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct BenchArgs {
+    #[command(subcommand)]
+    pub bench: Bench,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+pub enum Bench {
+    /// Scene to render stages, without a GPU
+    Cull {
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
+    /// Files to merged pages
+    Page {
+        /// Folder, tileset.json or http(s) URL; without it a small set is made in the user's cache folder
+        source: Option<String>,
+    },
+}
+
+/// Width and height in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size(pub [u32; 2]);
+
+impl Default for Size {
+    fn default() -> Self {
+        Self([1280, 720])
+    }
+}
+
+impl FromStr for Size {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
+        match sides {
+            Some(size) if size.iter().all(|side| (1..=8192).contains(side)) => Ok(Self(size)),
+            Some(_) => Err("each side is 1 to 8192 pixels".to_owned()),
+            None => Err("expected WIDTHxHEIGHT, as 1280x720".to_owned()),
+        }
+    }
+}
+
+/// A number above zero.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Positive(pub f64);
+
+impl FromStr for Positive {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            Ok(value) if value.is_finite() && value > 0.0 => Ok(Self(value)),
+            _ => Err("expected a number above zero".to_owned()),
+        }
+    }
+}
+
+/// The first camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View(pub ViewFrom);
+
+impl FromStr for View {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+        match numbers.as_deref() {
+            Some([heading, pitch, range_m])
+                if heading.is_finite() && (-90.0..=90.0).contains(pitch) && range_m.is_finite() && *range_m > 0.0 =>
+            {
+                let (heading, pitch) = (heading.to_radians(), pitch.to_radians());
+                Ok(Self(ViewFrom { heading, pitch, range_m: Some(*range_m) }))
+            }
+            _ => Err("expected HEADING_DEG,PITCH_DEG,RANGE_M with a pitch of -90 to 90 and a range above zero".into()),
+        }
+    }
+}
+
+/// A colour as six hexadecimal digits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Rgb(pub [u8; 3]);
+
+impl FromStr for Rgb {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let digits = text.trim_start_matches('#');
+        match u32::from_str_radix(digits, 16) {
+            Ok(value) if digits.len() == 6 && !digits.starts_with('+') => {
+                let [_, r, g, b] = value.to_be_bytes();
+                Ok(Self([r, g, b]))
+            }
+            _ => Err("expected six hexadecimal digits, as 1a334d".to_owned()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use super::*;
+
+    #[test]
+    fn the_arguments_are_consistent() {
+        Args::command().debug_assert();
+    }
+
+    #[test]
+    fn values() {
+        assert_eq!("640x360".parse(), Ok(Size([640, 360])));
+        for bad in ["", "640", "0x5", "9999x5", "axb", "-1x5"] {
+            assert!(bad.parse::<Size>().is_err(), "{bad}");
+        }
+        assert_eq!("FF8000".parse(), Ok(Rgb([255, 128, 0])));
+        for bad in ["", "fff", "gggggg", "+12345"] {
+            assert!(bad.parse::<Rgb>().is_err(), "{bad}");
+        }
+        let View(view) = "90,-35,1000".parse().unwrap();
+        assert!((view.heading.to_degrees() - 90.0).abs() < 1e-9 && view.range_m == Some(1000.0));
+        for bad in ["", "1,2", "0,-95,10", "0,0,0", "0,0,nan"] {
+            assert!(bad.parse::<View>().is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,361 @@
+//! `terrane fly` and `terrane view`: a flight over a tile set, offscreen or in a window, and its report.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use terrane::draw::Sky;
+use image::RgbaImage;
+use terrane::viewer::{
+    AnimationPath, Camera, HoleCheck, KEY_COLOR, Report, Settled, ViewFrom, Viewer, ViewerConfig, ViewerError,
+    WindowOptions, has_display, run_window,
+};
+
+use crate::args::FlyArgs;
+use crate::pictures::{self, PictureWriter};
+use crate::{default_set, summary};
+
+/// Frames of a flight when none are asked for.
+const DEFAULT_FRAMES: u32 = 300;
+/// Of a flight that was given no place for its pictures, every so many frames one is kept.
+const DEFAULT_PICTURE_EVERY: u32 = 10;
+/// Where those pictures and the report go.
+const DEFAULT_OUTPUT: &str = "terrane-fly";
+/// Limit in pixels for height tiles: their error is the height's alone, and at CesiumJS's 16 ridges visibly
+/// change shape as they morph; at 3 the picture hardly changes any more and costs about four times the triangles.
+const HEIGHT_SSE_PX: f64 = 3.0;
+/// Limit in pixels for all other sets: CesiumJS's default.
+const FOREIGN_SSE_PX: f64 = 16.0;
+/// Without any progress of the pager for so long, a picture is taken as never complete.
+const STALLED_AFTER: Duration = Duration::from_secs(60);
+
+pub fn run(args: Box<FlyArgs>) -> Result<()> {
+    let display = has_display();
+    if args.interactive && !display {
+        bail!("there is no display to open a window on; `terrane fly` renders without one");
+    }
+    let path = args.path.as_deref().map(AnimationPath::read).transpose();
+    let path = path.with_context(|| args.path.as_deref().map_or(String::new(), |p| p.display().to_string()))?;
+    let source = match &args.source {
+        Some(source) => source.clone(),
+        None => default_set::ensure()?,
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    // A second handler in one process (tests) is no reason not to fly.
+    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
+
+    let mut config = ViewerConfig {
+        size_px: args.size.0,
+        threading: args.threading,
+        validation: false,
+        ..ViewerConfig::default()
+    };
+    config.pager.blocking = args.blocking;
+    let offscreen = args.offscreen || !display;
+    let mut flight = Flight::new(*args, path, stop)?;
+    let mut viewer = if offscreen {
+        let mut viewer = Viewer::new_offscreen(&config)?;
+        flight.open(&mut viewer, &source)?;
+        while flight.before_frame(&mut viewer)? {
+            viewer.frame_at(flight.time_s())?;
+            flight.after_frame(&mut viewer)?;
+        }
+        viewer
+    } else {
+        let (viewer, back) = in_window(flight, config, source)?;
+        flight = back;
+        viewer
+    };
+    let where_drawn = match (offscreen, display) {
+        (true, true) => "offscreen",
+        (true, false) => "offscreen, as there is no display",
+        (false, _) => "in a window",
+    };
+    flight.finish(&mut viewer, where_drawn)
+}
+
+/// The same flight, a frame each time the window draws.
+fn in_window(flight: Flight, config: ViewerConfig, source: String) -> Result<(Viewer, Flight)> {
+    let interactive = flight.args.interactive;
+    if interactive {
+        println!("{}", terrane::viewer::KEYS);
+    }
+    let options = WindowOptions {
+        title: format!("Terrane - {source}"),
+        path: flight.path.clone(),
+        overlay: flight.args.stats,
+        manipulated: interactive,
+        ..WindowOptions::default()
+    };
+    // The event loop calls back from two places; both run on this thread, one after the other.
+    let flight = std::rc::Rc::new(std::cell::RefCell::new(flight));
+    let (on_open, before, after) = (flight.clone(), flight.clone(), flight.clone());
+    let options = WindowOptions {
+        on_open: Box::new(move |viewer| on_open.borrow_mut().open(viewer, &source).map_err(application)),
+        before_frame: Box::new(move |viewer| before.borrow_mut().before_frame(viewer).map_err(application)),
+        after_frame: Box::new(move |viewer| after.borrow_mut().after_frame(viewer).map_err(application)),
+        ..options
+    };
+    let viewer = run_window(config, options)?.ok_or_else(|| anyhow!("the window closed before it opened"))?;
+    let flight = std::rc::Rc::try_unwrap(flight).map_err(|_| anyhow!("the window still holds the flight"))?;
+    Ok((viewer, flight.into_inner()))
+}
+
+fn application(error: anyhow::Error) -> ViewerError {
+    match error.downcast::<ViewerError>() {
+        Ok(error) => error,
+        Err(error) => ViewerError::Application(error.into()),
+    }
+}
+
+/// What the next frame is for.
+enum Phase {
+    /// Holding the first camera until its picture is complete.
+    Settling { last_progress: Option<(Instant, [u64; 4])> },
+    /// Along the path; the number of the next frame.
+    Flying(u32),
+    /// Wherever the user goes.
+    Free,
+}
+
+/// A flight under way, free of who calls the frames.
+struct Flight {
+    args: FlyArgs,
+    path: Option<AnimationPath>,
+    stop: Arc<AtomicBool>,
+    phase: Phase,
+    frames: u32,
+    frames_dir: Option<PathBuf>,
+    picture_every: u32,
+    writer: Option<PictureWriter>,
+    report_file: Option<PathBuf>,
+    hole_check: Option<HoleCheck>,
+    holes: u64,
+    settled: Option<Settled>,
+    /// Cameras of the frames whose pictures are still to come.
+    cameras: VecDeque<(u32, Camera)>,
+    last_picture: Option<RgbaImage>,
+    screenshot_done: bool,
+    stopped: bool,
+}
+
+impl Flight {
+    fn new(args: FlyArgs, path: Option<AnimationPath>, stop: Arc<AtomicBool>) -> Result<Self> {
+        let asked = args.report.is_some()
+            || args.frames_dir.is_some()
+            || args.screenshot.is_some()
+            || args.selection.is_some()
+            || args.interactive
+            || (!args.offscreen && has_display());
+        let (frames_dir, picture_every, report_file) = if asked {
+            (args.frames_dir.clone(), 1, args.report.clone())
+        } else {
+            let folder = PathBuf::from(DEFAULT_OUTPUT);
+            (Some(folder.clone()), DEFAULT_PICTURE_EVERY, Some(folder.join("report.json")))
+        };
+        let phase = match (args.settle, args.interactive) {
+            (true, _) => Phase::Settling { last_progress: None },
+            (false, true) => Phase::Free,
+            (false, false) => Phase::Flying(0),
+        };
+        Ok(Self {
+            frames: args.frames.unwrap_or(if args.settle { 0 } else { DEFAULT_FRAMES }),
+            writer: if frames_dir.is_some() { Some(PictureWriter::new()?) } else { None },
+            args,
+            path,
+            stop,
+            phase,
+            frames_dir,
+            picture_every,
+            report_file,
+            hole_check: None,
+            holes: 0,
+            settled: None,
+            cameras: VecDeque::new(),
+            last_picture: None,
+            screenshot_done: false,
+            stopped: false,
+        })
+    }
+
+    /// Loads the set and places the first camera.
+    fn open(&mut self, viewer: &mut Viewer, source: &str) -> Result<()> {
+        viewer.load(source)?;
+        viewer.camera.max_sse_px = match self.args.sse {
+            Some(limit) => limit.0,
+            None if viewer.is_height_set() => HEIGHT_SSE_PX,
+            None => FOREIGN_SSE_PX,
+        };
+        if let Some(color) = self.args.background {
+            viewer.environment.sky = Sky::Background(color.0);
+            viewer.environment.fog.enabled = false;
+        }
+        let bounds = *viewer.bounds().context("the set has no bounds")?;
+        if self.args.check_holes {
+            viewer.environment.sky = Sky::Background(KEY_COLOR);
+            viewer.environment.fog.enabled = false;
+            self.hole_check = HoleCheck::new(&bounds);
+        }
+        let first = match (&self.args.view, &self.path) {
+            (None, Some(path)) => path.world_from_eye(path.first_s()),
+            (view, _) => bounds.first_camera(&view.map_or(ViewFrom::default(), |v| v.0)),
+        };
+        viewer.camera.world_from_eye = first;
+        if self.path.is_none() {
+            self.path = Some(bounds.default_path(&first));
+        }
+        Ok(())
+    }
+
+    /// Seconds on the path of the frame that comes next.
+    fn time_s(&self) -> f64 {
+        match (&self.phase, &self.path) {
+            (Phase::Flying(next), Some(path)) => {
+                // `next` already points past the frame that `before_frame` has set up.
+                let share = f64::from(next.saturating_sub(1)) / f64::from(self.frames.saturating_sub(1).max(1));
+                path.first_s() + share * path.duration_s()
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Sets the camera and what is read back; false when there is no further frame.
+    fn before_frame(&mut self, viewer: &mut Viewer) -> Result<bool> {
+        if self.stop.load(Ordering::Relaxed) {
+            self.stopped = true;
+            return Ok(false);
+        }
+        let mut last = false;
+        if let Phase::Settling { last_progress } = &mut self.phase {
+            if viewer.is_settled() && viewer.frame_stamp().frame > 0 {
+                self.take_settled(viewer)?;
+                self.phase = if self.args.interactive { Phase::Free } else { Phase::Flying(0) };
+            } else {
+                check_progress(viewer, last_progress)?;
+            }
+        }
+        if let Phase::Flying(next) = self.phase {
+            if next >= self.frames {
+                return Ok(false);
+            }
+            self.phase = Phase::Flying(next + 1);
+            last = next + 1 == self.frames;
+            let time_s = self.time_s();
+            if let Some(path) = &self.path {
+                viewer.camera.world_from_eye = path.world_from_eye(time_s);
+            }
+        }
+        let keep = self.frames_dir.is_some() && viewer.frame_stamp().frame.is_multiple_of(self.picture_every);
+        if keep || self.hole_check.is_some() || (last && self.args.screenshot.is_some()) {
+            viewer.want_picture();
+            self.cameras.push_back((viewer.frame_stamp().frame + 1, viewer.camera));
+        }
+        Ok(true)
+    }
+
+    fn after_frame(&mut self, viewer: &mut Viewer) -> Result<()> {
+        for (frame, picture) in viewer.take_pictures() {
+            while let Some((of_frame, camera)) = self.cameras.pop_front() {
+                if of_frame == frame {
+                    if let Some(check) = &self.hole_check {
+                        self.holes += check.count(&picture, &camera, KEY_COLOR);
+                    }
+                    break;
+                }
+            }
+            let keep = (frame - 1).is_multiple_of(self.picture_every);
+            if let (Some(folder), Some(writer), true) = (&self.frames_dir, &self.writer, keep) {
+                writer.write(folder.join(format!("frame-{frame:05}.png")), picture.clone())?;
+            }
+            self.last_picture = Some(picture);
+        }
+        Ok(())
+    }
+
+    /// The settled picture, its numbers and its contents.
+    fn take_settled(&mut self, viewer: &mut Viewer) -> Result<()> {
+        if let Some(file) = &self.args.screenshot {
+            pictures::write(file, &viewer.picture()?)?;
+            self.screenshot_done = true;
+        }
+        self.settled = Some(viewer.settled()?);
+        self.write_selection(viewer)
+    }
+
+    fn write_selection(&self, viewer: &mut Viewer) -> Result<()> {
+        let Some(file) = &self.args.selection else { return Ok(()) };
+        let uris = viewer.drawn_contents();
+        let root = viewer.root_uri().unwrap_or_default();
+        let folder = root.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let relative: Vec<&str> = uris
+            .iter()
+            .map(|uri| uri.strip_prefix(folder).and_then(|rest| rest.strip_prefix('/')).unwrap_or(uri))
+            .collect();
+        let json = serde_json::json!({ "selectedContent": relative });
+        write_text(file, &format!("{json}\n"))
+    }
+
+    /// Waits for what is under way and writes what was asked for.
+    fn finish(mut self, viewer: &mut Viewer, where_drawn: &str) -> Result<()> {
+        viewer.finish()?;
+        self.after_frame(viewer)?;
+        if !self.screenshot_done
+            && let Some(file) = &self.args.screenshot
+        {
+            let picture = match self.last_picture.take() {
+                Some(picture) => picture,
+                None => viewer.picture()?,
+            };
+            pictures::write(file, &picture)?;
+        }
+        if self.settled.is_none() {
+            self.write_selection(viewer)?;
+        }
+        let mut report: Report = viewer.report()?;
+        report.version = env!("CARGO_PKG_VERSION").to_owned();
+        report.settled = self.settled;
+        report.holes = self.args.check_holes.then_some(self.holes);
+        let pictures = self.writer.take().map(PictureWriter::finish).transpose()?.unwrap_or(0);
+        if let Some(file) = &self.report_file {
+            write_text(file, &report.to_json())?;
+        }
+        let notes = summary::Notes {
+            where_drawn,
+            stopped: self.stopped,
+            pictures: (pictures > 0).then_some((pictures, self.frames_dir.as_deref())),
+            report_file: self.report_file.as_deref(),
+        };
+        print!("{}", summary::lines(&report, &notes));
+        Ok(())
+    }
+}
+
+/// Fails when nothing has moved for too long.
+fn check_progress(viewer: &Viewer, last: &mut Option<(Instant, [u64; 4])>) -> Result<()> {
+    let now = viewer.pager().map_or([0; 4], |pager| {
+        let s = pager.stats();
+        [s.loaded, s.merged, s.failed, s.bytes_read]
+    });
+    match last {
+        Some((since, then)) if *then == now => {
+            if since.elapsed() > STALLED_AFTER {
+                let missing = viewer.stats().last().map_or(0, |s| s.wanted_missing);
+                let seconds = STALLED_AFTER.as_secs();
+                bail!("the picture does not settle: {missing} tiles missing and no progress for {seconds} s");
+            }
+        }
+        _ => *last = Some((Instant::now(), now)),
+    }
+    Ok(())
+}
+
+fn write_text(file: &Path, text: &str) -> Result<()> {
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    std::fs::write(file, text).with_context(|| file.display().to_string())
+}

@@ -1,0 +1,211 @@
+//! The `terrane` command from outside: exit codes, lines on stdout and stderr, files.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn terrane(args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
+    command.args(args).env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
+    command.output().unwrap()
+}
+
+fn lines(bytes: &[u8]) -> Vec<String> {
+    String::from_utf8_lossy(bytes).lines().map(str::to_owned).collect()
+}
+
+/// Says so and returns true where nothing can draw; with REQUIRE_GPU=1 that is a failure.
+fn no_adapter() -> bool {
+    let traits = terrane::gpu::ContextTraits::default();
+    match terrane::gpu::GraphicsContext::new_offscreen(&traits) {
+        Ok(_) => false,
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+            eprintln!("SKIPPED: {error}");
+            true
+        }
+    }
+}
+
+/// A small set of height tiles.
+fn tile_set(folder: &Path) -> PathBuf {
+    let set = folder.join("set");
+    let out = terrane(&["gen", set.to_str().unwrap(), "--levels", "3", "--seed", "7"]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    set
+}
+
+fn json(file: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap()
+}
+
+#[test]
+fn wrong_arguments_exit_2() {
+    for args in [
+        &[][..],
+        &["fly", "--size", "0x0"],
+        &["fly", "--frames", "many"],
+        &["fly", "--threading", "Twisted"],
+        &["fly", "--view", "1,2"],
+        &["fly", "--background", "red"],
+        &["fly", "--sse", "0"],
+        &["nonsense"],
+        &["view"],
+    ] {
+        assert_eq!(terrane(args).status.code(), Some(2), "{args:?}");
+    }
+    assert_eq!(terrane(&["--help"]).status.code(), Some(0));
+    assert_eq!(terrane(&["--version"]).status.code(), Some(0));
+}
+
+#[test]
+fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let broken = folder.path().join("tileset.json");
+    std::fs::write(&broken, "{\n \"asset\": [\n").unwrap();
+    for source in [folder.path().join("missing").to_str().unwrap(), broken.to_str().unwrap()] {
+        let out = terrane(&["fly", source, "--offscreen", "--frames", "1"]);
+        let stderr = lines(&out.stderr);
+        // Without an adapter the line is about that, which is just as well here.
+        assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
+        assert!(stderr[0].starts_with("terrane fly: "), "{stderr:?}");
+    }
+    let out = terrane(&["fly", "anything", "--path", "no/such.path", "--offscreen"]);
+    assert_eq!(out.status.code(), Some(1));
+    assert!(lines(&out.stderr)[0].contains("no/such.path"));
+}
+
+#[test]
+fn a_flight_reports() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (report, shot, selection, pictures) = (at("report.json"), at("shot.png"), at("drawn.json"), at("frames"));
+    let out = terrane(&[
+        "fly", set.to_str().unwrap(), "--frames", "12", "--size", "160x90", "--report", &report, "--screenshot", &shot,
+        "--selection", &selection, "--frames-dir", &pictures,
+    ]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert_eq!(lines(&out.stdout).len(), 5, "{}", String::from_utf8_lossy(&out.stdout));
+    assert!(lines(&out.stdout)[0].contains("no display"));
+    let report = json(Path::new(&report));
+    assert_eq!(report["frames"], 12);
+    assert_eq!(report["size"], serde_json::json!([160, 90]));
+    assert_eq!(report["threading"], "DrawThreadPerContext");
+    assert_eq!(report["errors"], serde_json::json!([]));
+    assert!(report["settled"].is_null() && report["holes"].is_null());
+    assert!(report["frame_ms"]["median"].as_f64().unwrap() > 0.0);
+    assert!(report["tiles"]["merged"].as_u64().unwrap() > 0);
+    assert!(report["bytes"]["read"].as_u64().unwrap() > 0);
+    let size = |file: &str| image::image_dimensions(file).unwrap();
+    assert_eq!(size(&shot), (160, 90));
+    assert_eq!(std::fs::read_dir(&pictures).unwrap().count(), 12);
+    assert!(json(Path::new(&selection))["selectedContent"].is_array());
+}
+
+#[test]
+fn a_flight_without_a_place_for_its_results_makes_one() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["fly", set.to_str().unwrap(), "--frames", "11", "--size", "64x36", "--threading", "SingleThreaded"])
+        .env_remove("DISPLAY")
+        .env_remove("WAYLAND_DISPLAY")
+        .env_remove("WAYLAND_SOCKET")
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let results = folder.path().join("terrane-fly");
+    assert_eq!(json(&results.join("report.json"))["threading"], "SingleThreaded");
+    assert!(results.join("frame-00001.png").is_file() && results.join("frame-00011.png").is_file());
+    assert_eq!(std::fs::read_dir(&results).unwrap().count(), 3);
+}
+
+#[test]
+fn a_settled_picture_is_complete() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (report, selection, shot) = (at("report.json"), at("drawn.json"), at("shot.png"));
+    let out = terrane(&[
+        "fly", set.to_str().unwrap(), "--offscreen", "--settle", "--size", "160x90", "--report", &report,
+        "--selection", &selection, "--screenshot", &shot, "--background", "1a334d",
+    ]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let report = json(Path::new(&report));
+    let settled = &report["settled"];
+    assert!(settled["tiles"].as_u64().unwrap() > 0 && settled["triangles"].as_u64().unwrap() > 100);
+    let coverage = settled["coverage"].as_f64().unwrap();
+    assert!((0.05..1.0).contains(&coverage), "{coverage}");
+    assert!(report["converge_s"].as_f64().unwrap() > 0.0);
+    let drawn = json(Path::new(&selection));
+    let drawn = drawn["selectedContent"].as_array().unwrap();
+    assert_eq!(drawn.len() as u64, settled["contents"].as_u64().unwrap());
+    assert!(drawn.iter().all(|uri| set.join(uri.as_str().unwrap()).is_file()), "{drawn:?}");
+    // The corner is sky: exactly the background that was asked for.
+    assert_eq!(image::open(shot).unwrap().into_rgb8().get_pixel(0, 0).0, [0x1a, 0x33, 0x4d]);
+}
+
+#[test]
+fn a_missing_tile_is_reported_and_the_flight_goes_on() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let missing = set.join("1/0/0.exr");
+    std::fs::remove_file(&missing).unwrap();
+    let report = folder.path().join("report.json");
+    let out = terrane(&[
+        "fly", set.to_str().unwrap(), "--settle", "--sse", "0.5", "--size", "160x90", "--report",
+        report.to_str().unwrap(),
+    ]);
+    assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
+    assert_eq!(lines(&out.stdout).len(), 5);
+    let report = json(&report);
+    let errors = report["errors"].as_array().unwrap();
+    assert_eq!(errors.len(), 1, "{errors:?}");
+    assert!(errors[0]["uri"].as_str().unwrap().ends_with("1/0/0.exr"));
+    assert!(errors[0]["count"].as_u64().unwrap() >= 1 && report["tiles"]["failed"].as_u64().unwrap() >= 1);
+}
+
+#[test]
+fn holes_are_counted() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let report = folder.path().join("report.json");
+    let out = terrane(&[
+        "fly", set.to_str().unwrap(), "--frames", "20", "--size", "160x90", "--check-holes", "--blocking", "--report",
+        report.to_str().unwrap(),
+    ]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert_eq!(json(&report)["holes"], 0);
+}
+
+#[test]
+fn info_as_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let out = terrane(&["info", set.to_str().unwrap(), "--json"]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let info: Value = serde_json::from_slice(&out.stdout).unwrap();
+    for name in ["format", "version", "tiles", "contents", "levels", "bytes", "extensions", "bounds", "errors"] {
+        assert!(info.get(name).is_some(), "{name} is missing");
+    }
+    assert_eq!(info["levels"].as_array().unwrap().len(), 3);
+    assert!(terrane(&["info", "no/such/set"]).status.code() == Some(1));
+}
