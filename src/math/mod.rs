@@ -6,6 +6,7 @@ mod bounds;
 mod frustum;
 mod geodesy;
 
+pub(crate) use bounds::max_scale;
 pub use bounds::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region};
 pub use frustum::Frustum;
 pub use geodesy::{Ellipsoid, Geodetic, WGS84};

@@ -187,8 +187,8 @@ impl Viewer {
     /// haze to its size. Blocks until the root file is read.
     pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
         let uri = io::root_uri(source)?;
-        let options = io::ReadOptions::for_root(&uri, self.pager_config.limits.clone())?;
-        let pager = DatabasePager::new(self.pager_config.clone(), options)?;
+        let options = io::ReadOptions::for_root(&uri, self.pager_config.limits);
+        let mut pager = DatabasePager::new(self.pager_config.clone(), options)?;
         let page = pager.read_root(&uri)?;
         self.pager = Some(pager);
         self.root_uri = Some(uri);

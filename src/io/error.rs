@@ -1,0 +1,152 @@
+//! What can go wrong between a URI and a page, and how much is accepted.
+
+/// Why something could not be read. Every variant names the URI.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum IoError {
+    /// The file does not exist or the server answered 404 or 410.
+    #[error("{uri}: not found")]
+    NotFound {
+        /// What was asked for.
+        uri: String,
+    },
+    /// The operating system refused.
+    #[error("{uri}: {reason}")]
+    File {
+        /// What was asked for.
+        uri: String,
+        /// The system's words.
+        reason: String,
+    },
+    /// The server answered with a failure.
+    #[error("{uri}: HTTP status {status}")]
+    Status {
+        /// What was asked for.
+        uri: String,
+        /// Status code.
+        status: u16,
+    },
+    /// No answer: refused, reset, name not found.
+    #[error("{uri}: {reason}")]
+    Network {
+        /// What was asked for.
+        uri: String,
+        /// What the client said.
+        reason: String,
+    },
+    /// No answer, or not all of it, in time.
+    #[error("{uri}: timed out after {seconds} s ({phase})")]
+    Timeout {
+        /// What was asked for.
+        uri: String,
+        /// What was waited for.
+        phase: &'static str,
+        /// The limit.
+        seconds: f64,
+    },
+    /// A URI that is not allowed or cannot be understood.
+    #[error("{uri}: {reason}")]
+    Uri {
+        /// The URI as written.
+        uri: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The bytes are not what they should be.
+    #[error("{uri}: {reason}")]
+    Invalid {
+        /// Where the bytes came from.
+        uri: String,
+        /// What is wrong with them.
+        reason: String,
+    },
+    /// Well formed, but not read by this version.
+    #[error("{uri}: {what} is not supported")]
+    Unsupported {
+        /// Where the bytes came from.
+        uri: String,
+        /// Format or extension.
+        what: String,
+    },
+    /// Larger than [`Limits`] allow.
+    #[error("{uri}: {what} is {got}, the limit is {limit}")]
+    TooLarge {
+        /// Where the bytes came from.
+        uri: String,
+        /// What is too large.
+        what: &'static str,
+        /// How large it is (at least).
+        got: u64,
+        /// How large it may be.
+        limit: u64,
+    },
+}
+
+impl IoError {
+    /// The URI that failed.
+    pub fn uri(&self) -> &str {
+        match self {
+            Self::NotFound { uri }
+            | Self::File { uri, .. }
+            | Self::Status { uri, .. }
+            | Self::Network { uri, .. }
+            | Self::Timeout { uri, .. }
+            | Self::Uri { uri, .. }
+            | Self::Invalid { uri, .. }
+            | Self::Unsupported { uri, .. }
+            | Self::TooLarge { uri, .. } => uri,
+        }
+    }
+
+    /// The message without the URI.
+    pub fn reason(&self) -> String {
+        let text = self.to_string();
+        text.strip_prefix(self.uri()).and_then(|t| t.strip_prefix(": ")).map_or(text.clone(), str::to_owned)
+    }
+
+    /// True when asking again later may help.
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::Network { .. } | Self::Timeout { .. } => true,
+            Self::Status { status, .. } => *status >= 500 || *status == 429 || *status == 408,
+            _ => false,
+        }
+    }
+
+    pub(crate) fn invalid(uri: &str, reason: impl Into<String>) -> Self {
+        Self::Invalid { uri: uri.to_owned(), reason: reason.into() }
+    }
+
+    pub(crate) fn unsupported(uri: &str, what: impl Into<String>) -> Self {
+        Self::Unsupported { uri: uri.to_owned(), what: what.into() }
+    }
+}
+
+/// How much is accepted from outside. The defaults are far above what real tile sets hold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Bytes of one file, after decompression.
+    pub max_file_bytes: u64,
+    /// Width and height of an image in pixels.
+    pub max_image_side_px: u32,
+    /// Bytes of one decoded image.
+    pub max_image_bytes: u64,
+    /// Tiles of one tileset.json, nodes or vertices of one glTF.
+    pub max_elements: usize,
+    /// Depth of nested tiles and glTF nodes.
+    pub max_depth: u32,
+    /// Tilesets inside tilesets.
+    pub max_external_depth: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            max_file_bytes: 512 << 20,
+            max_image_side_px: 8192,
+            max_image_bytes: 256 << 20,
+            max_elements: 16 << 20,
+            max_depth: 100,
+            max_external_depth: 32,
+        }
+    }
+}

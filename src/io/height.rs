@@ -1,0 +1,267 @@
+//! Height tiles: EXR content of tile sets that `data-gen` writes, to [`HeightTile`]s.
+//!
+//! The asset's `extras.terrane` says what all tiles share; a tile's region and `extras.terrane.imagery` the rest.
+//! The tileset's reader hands both to this reader as `reader_data`, JSON of [`TileData`].
+
+use std::f64::consts::FRAC_PI_2;
+use std::io::Cursor;
+use std::sync::Arc;
+
+use exr::prelude::{ReadChannels, ReadLayers, read as exr_read};
+use glam::{DAffine3, DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::{IoError, Limits, RootScope, image, resolve};
+use crate::math::{Aabb, BoundingVolume, WGS84};
+use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, Texture};
+
+/// What `asset.extras.terrane` says about a height tile set.
+pub(crate) struct HeightSet {
+    side: u32,
+    border: u32,
+    level_errors_m: Vec<f64>,
+}
+
+/// What a height tile's reader needs beside the EXR.
+#[derive(Serialize, Deserialize)]
+struct TileData {
+    /// west, south, east, north in radians.
+    region: [f64; 4],
+    side: u32,
+    border: u32,
+    level: u32,
+    /// Error of the level itself, then of the coarser levels, nearest first.
+    errors_m: Vec<f64>,
+    imagery: Option<Arc<str>>,
+}
+
+impl HeightSet {
+    /// `None` when the tile set is not one of heights.
+    pub fn from_extras(uri: &str, extras: Option<&serde_json::Value>) -> Result<Option<Self>, IoError> {
+        let Some(terrane) = extras.and_then(|e| e.get("terrane")) else { return Ok(None) };
+        if terrane.get("content").and_then(|c| c.as_str()) != Some("height") {
+            return Ok(None);
+        }
+        let bad = |what: &str| IoError::invalid(uri, format!("asset.extras.terrane.{what}"));
+        let number = |name: &str| terrane.get(name).and_then(|v| v.as_u64()).and_then(|v| u32::try_from(v).ok());
+        let side = number("side").filter(|s| (3..=257).contains(s) && (s - 1).is_power_of_two());
+        let errors: Option<Vec<f64>> = terrane
+            .get("level_errors_m")
+            .and_then(|v| v.as_array())
+            .map(|a| a.iter().filter_map(serde_json::Value::as_f64).collect());
+        let level_errors_m = errors.ok_or_else(|| bad("level_errors_m"))?;
+        if level_errors_m.len() > 64 || !level_errors_m.iter().all(|e| e.is_finite() && *e >= 0.0) {
+            return Err(bad("level_errors_m"));
+        }
+        Ok(Some(Self {
+            side: side.ok_or_else(|| bad("side"))?,
+            border: number("border").filter(|b| *b == 1).ok_or_else(|| bad("border"))?,
+            level_errors_m,
+        }))
+    }
+
+    /// The error that all tiles of a level switch by, so that neighbours morph alike.
+    pub fn level_error_m(&self, level: u32) -> Option<f64> {
+        self.level_errors_m.get(level as usize).copied()
+    }
+
+    /// The `reader_data` of a tile.
+    pub fn tile_data(
+        &self,
+        tileset_uri: &str,
+        level: u32,
+        bounds: &BoundingVolume,
+        extras: Option<&serde_json::Value>,
+        scope: &RootScope,
+    ) -> Result<Option<Arc<str>>, IoError> {
+        let BoundingVolume::Region(r) = bounds else {
+            return Err(IoError::invalid(tileset_uri, "a height tile needs a region"));
+        };
+        let imagery = extras.and_then(|e| e.get("terrane")?.get("imagery")?.as_str());
+        let data = TileData {
+            region: [r.west, r.south, r.east, r.north],
+            side: self.side,
+            border: self.border,
+            level,
+            errors_m: (0..=level).rev().take(7).filter_map(|l| self.level_error_m(l)).collect(),
+            imagery: imagery.map(|reference| resolve(tileset_uri, reference, scope)).transpose()?,
+        };
+        let json = serde_json::to_string(&data).map_err(|e| IoError::invalid(tileset_uri, e.to_string()))?;
+        Ok(Some(json.into()))
+    }
+}
+
+/// The imagery of a height tile.
+pub(crate) fn companions(_uri: &Arc<str>, reader_data: Option<&Arc<str>>) -> Vec<Arc<str>> {
+    let data = reader_data.and_then(|d| serde_json::from_str::<TileData>(d).ok());
+    data.and_then(|d| d.imagery).into_iter().collect()
+}
+
+/// An EXR with one channel of heights, and its imagery. Imagery that failed leaves the tile white and is an error of
+/// its own kind: the tile is refused, so that its parent stays on screen with colour.
+pub(crate) fn read(
+    uri: &str,
+    bytes: &[u8],
+    reader_data: Option<&str>,
+    companions: Vec<(Arc<str>, Result<Vec<u8>, IoError>)>,
+    limits: &Limits,
+) -> Result<Node, IoError> {
+    let data: TileData = match reader_data {
+        Some(text) => serde_json::from_str(text).map_err(|e| IoError::invalid(uri, format!("tile data: {e}")))?,
+        None => return Err(IoError::unsupported(uri, "EXR outside a height tile set")),
+    };
+    let stride = data.side as usize + 2 * data.border as usize;
+    let heights = heights(uri, bytes, stride, limits)?;
+    let mut texture: Option<Arc<Texture>> = None;
+    for (companion, bytes) in companions {
+        texture = Some(image::decode(&companion, &bytes?, false, limits)?);
+    }
+    Ok(build(&data, heights, texture))
+}
+
+/// `stride * stride` heights, south-west first.
+fn heights(uri: &str, bytes: &[u8], stride: usize, limits: &Limits) -> Result<Vec<f32>, IoError> {
+    let bad = |reason: String| IoError::invalid(uri, reason);
+    // The header first: a decoder must not be made to allocate for a size we would refuse.
+    let meta = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false)
+        .map_err(|e| bad(format!("EXR header: {e}")))?;
+    for header in &meta.headers {
+        let size = header.layer_size;
+        if size.width() != stride || size.height() != stride {
+            return Err(bad(format!(
+                "EXR of {} x {} samples, {stride} x {stride} expected",
+                size.width(),
+                size.height()
+            )));
+        }
+        if header.channels.list.len() > 8 || (stride * stride * 32) as u64 > limits.max_image_bytes {
+            return Err(bad("EXR with too many channels".to_owned()));
+        }
+    }
+    let image = exr_read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(|e| bad(format!("EXR: {e}")))?;
+    let channels = &image.layer_data.channel_data.list;
+    let channel = channels
+        .iter()
+        .find(|c| c.name.eq("Y"))
+        .or_else(|| channels.first().filter(|_| channels.len() == 1))
+        .ok_or_else(|| bad("EXR without a channel Y".to_owned()))?;
+    let samples: Vec<f32> = channel.sample_data.values_as_f32().collect();
+    if samples.len() != stride * stride {
+        return Err(bad(format!("EXR with {} samples, {} expected", samples.len(), stride * stride)));
+    }
+    if !samples.iter().all(|h| h.is_finite() && h.abs() < 1e6) {
+        return Err(bad("EXR with a height that is not finite".to_owned()));
+    }
+    // Images start in the north, tiles in the south.
+    Ok(samples.chunks_exact(stride).rev().flatten().copied().collect())
+}
+
+/// The tile and its place on the ellipsoid.
+fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> Node {
+    let [west, south, east, north] = data.region;
+    let side = data.side as usize;
+    let cells = (side - 1) as f64;
+    let (lon_0, lat_0) = (0.5 * (west + east), 0.5 * (south + north));
+    let e2 = WGS84.eccentricity_squared();
+    let n_0 = WGS84.prime_vertical_radius_m(lat_0);
+    let (p_0, z_0) = (n_0 * lat_0.cos(), n_0 * (1.0 - e2) * lat_0.sin());
+    let mut rows = Vec::with_capacity(side);
+    for j in 0..side {
+        let lat = south + (north - south) * j as f64 / cells;
+        let n = WGS84.prime_vertical_radius_m(lat.clamp(-FRAC_PI_2, FRAC_PI_2));
+        let (sin, cos) = lat.sin_cos();
+        rows.push([(n * cos - p_0) as f32, (n * (1.0 - e2) * sin - z_0) as f32, cos as f32, sin as f32]);
+    }
+    let mut columns = Vec::with_capacity(side);
+    for i in 0..side {
+        let half = 0.5 * ((east - west) * (i as f64 / cells - 0.5));
+        columns.push([(2.0 * half).sin() as f32, (2.0 * half.sin() * half.sin()) as f32]);
+    }
+    let stride = side + 2 * data.border as usize;
+    let own_error_m = data.errors_m.first().copied().unwrap_or(0.0);
+    let coarser_errors_m: Vec<f32> = data.errors_m.iter().skip(1).map(|e| *e as f32).collect();
+    // Deep enough for the step to a neighbour that is coarser by one level, or still loading.
+    let skirt_m = (2.0 * coarser_errors_m.first().map_or(own_error_m, |e| f64::from(*e)) + 1.0) as f32;
+    let mut min = DVec3::INFINITY;
+    let mut max = DVec3::NEG_INFINITY;
+    for j in 0..side {
+        let [dp, dz, cos, sin] = rows[j].map(f64::from);
+        for i in 0..side {
+            let [s, c1] = columns[i].map(f64::from);
+            let h = f64::from(heights[(j + 1) * stride + i + 1]);
+            for h in [h, h - f64::from(skirt_m)] {
+                let p = p_0 + dp + h * cos;
+                let v = DVec3::new(p * s, dp + h * cos - p * c1, dz + h * sin);
+                min = min.min(v);
+                max = max.max(v);
+            }
+        }
+    }
+    let cell_m = [(p_0 * (east - west) / cells) as f32, ((north - south) / cells * WGS84.semi_major_m) as f32];
+    let tile = HeightTile {
+        side: data.side,
+        heights,
+        rows,
+        columns,
+        p0_m: p_0 as f32,
+        level: data.level,
+        coarser_errors_m,
+        skirt_m,
+        cell_m,
+        texture,
+        bounds: Aabb { min, max },
+    };
+    let (sin_lon, cos_lon) = lon_0.sin_cos();
+    let ecef_from_tile = DAffine3 {
+        matrix3: DMat3::from_cols(DVec3::new(-sin_lon, cos_lon, 0.0), DVec3::new(cos_lon, sin_lon, 0.0), DVec3::Z),
+        translation: DVec3::new(p_0 * cos_lon, p_0 * sin_lon, z_0),
+    };
+    let drawable = Drawable { geometry: Geometry::Height(Arc::new(tile)), material: Material::default() };
+    Node::transform(ecef_from_tile, vec![Node::geode(vec![drawable])])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::Geodetic;
+
+    #[test]
+    fn the_small_differences_are_the_ellipsoid() {
+        let data = TileData {
+            region: [0.14, 0.81, 0.15, 0.82],
+            side: 5,
+            border: 1,
+            level: 0,
+            errors_m: vec![10.0],
+            imagery: None,
+        };
+        let node = build(&data, (0..49).map(|i| i as f32 * 37.5).collect(), None);
+        let crate::scene::NodeKind::Transform(ecef_from_tile) = node.kind else { panic!("a transform") };
+        let crate::scene::NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
+        let Geometry::Height(tile) = &drawables[0].geometry else { panic!("heights") };
+        for j in 0..5 {
+            for i in 0..5 {
+                let h = tile.heights[(j + 1) * 7 + i + 1];
+                let [dp, dz, cos, sin] = tile.rows[j];
+                let [s, c1] = tile.columns[i];
+                let p = tile.p0_m + dp + h * cos;
+                let v = glam::Vec3::new(p * s, dp + h * cos - p * c1, dz + h * sin).as_dvec3();
+                let exact = WGS84.ecef(&Geodetic {
+                    longitude: 0.14 + 0.01 * i as f64 / 4.0,
+                    latitude: 0.81 + 0.01 * j as f64 / 4.0,
+                    height_m: f64::from(h),
+                });
+                assert!(ecef_from_tile.transform_point3(v).distance(exact) < 0.02, "f32 of a 60 km tile");
+                assert!((tile.bounds.min - 0.02).cmple(v).all() && v.cmple(tile.bounds.max + 0.02).all());
+            }
+        }
+    }
+}

@@ -1,0 +1,23 @@
+//! From URIs to bytes and from bytes to pages: 3D Tiles, glTF, EXR height tiles, images.
+//!
+//! Used by the pager's file, HTTP and decode threads; never on the frame's threads. Nothing here trusts its input:
+//! every failure is one [`IoError`] that names the URI and the reason.
+
+mod b3dm;
+mod error;
+mod file;
+mod gltf;
+mod height;
+#[cfg(feature = "http")]
+mod http;
+mod image;
+mod read;
+mod tileset;
+mod uri;
+
+pub use error::{IoError, Limits};
+pub use file::read_file;
+#[cfg(feature = "http")]
+pub use http::{HttpClient, HttpConfig};
+pub use read::{Content, ReadOptions, companions, decode, decode_node};
+pub use uri::{RootScope, is_http, resolve, root_uri};

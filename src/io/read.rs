@@ -1,0 +1,105 @@
+//! From the bytes of one content to a page, told apart by magic, never by extension.
+
+use std::sync::Arc;
+
+use super::{IoError, Limits, RootScope, b3dm, file, gltf, height, image, tileset};
+use crate::scene::{Node, Page};
+
+/// What every read of a tile set shares.
+#[derive(Clone, Debug)]
+pub struct ReadOptions {
+    /// What references may reach.
+    pub root: RootScope,
+    /// How much is accepted.
+    pub limits: Limits,
+    /// URIs of the tilesets above, root first; a tileset among them is a cycle.
+    pub chain: Arc<[Arc<str>]>,
+}
+
+impl ReadOptions {
+    /// Options for a tile set whose root is `root_uri`, as [`super::root_uri`] returned it.
+    pub fn for_root(root_uri: &str, limits: Limits) -> Self {
+        Self { root: RootScope::of(root_uri), limits, chain: Arc::new([]) }
+    }
+
+    /// The same for what a tileset names.
+    pub fn below(&self, tileset_uri: &Arc<str>) -> Self {
+        let chain: Vec<Arc<str>> = self.chain.iter().cloned().chain([tileset_uri.clone()]).collect();
+        Self { chain: chain.into(), ..self.clone() }
+    }
+}
+
+/// The bytes of one content and what came with it.
+#[derive(Clone, Debug)]
+pub struct Content {
+    /// Where the bytes came from.
+    pub uri: Arc<str>,
+    /// As read; gzip is undone here if it was not before.
+    pub bytes: Vec<u8>,
+    /// What the tileset's reader left for the content's reader.
+    pub reader_data: Option<Arc<str>>,
+    /// The files that [`companions`] named.
+    pub companions: Vec<(Arc<str>, Result<Vec<u8>, IoError>)>,
+}
+
+/// The other URIs that a content needs: a height tile's imagery.
+pub fn companions(uri: &Arc<str>, reader_data: Option<&Arc<str>>) -> Vec<Arc<str>> {
+    height::companions(uri, reader_data)
+}
+
+/// Decodes a content. CPU only, no I/O; any thread.
+pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> {
+    let uri = content.uri.clone();
+    let node = decode_node(content, options)?;
+    Page::from_node(node).map_err(|e| IoError::invalid(&uri, e.to_string()))
+}
+
+/// [`decode`] before the graph is flattened.
+pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoError> {
+    let Content { uri, bytes, reader_data, companions } = content;
+    let limits = &options.limits;
+    let bytes = file::gunzip(&uri, bytes, limits)?;
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
+    let first = text.iter().find(|b| !b.is_ascii_whitespace()).copied();
+    if bytes.starts_with(b"glTF") {
+        return gltf::read_glb(&uri, &bytes, None, limits);
+    }
+    if bytes.starts_with(b"b3dm") {
+        let (glb, center) = b3dm::unwrap(&uri, &bytes)?;
+        return gltf::read_glb(&uri, glb, center, limits);
+    }
+    if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+        return height::read(&uri, &bytes, reader_data.as_deref(), companions, limits);
+    }
+    for (magic, what) in [
+        (&b"i3dm"[..], "instanced model (i3dm)"),
+        (b"pnts", "point cloud (pnts)"),
+        (b"cmpt", "composite tile (cmpt)"),
+        (b"subt", "implicit tiling (subtree)"),
+    ] {
+        if bytes.starts_with(magic) {
+            return Err(IoError::unsupported(&uri, what));
+        }
+    }
+    if first == Some(b'{') {
+        #[derive(serde::Deserialize)]
+        struct Probe {
+            root: Option<serde::de::IgnoredAny>,
+            #[serde(rename = "geometricError")]
+            geometric_error: Option<serde::de::IgnoredAny>,
+        }
+        let probe: Probe = serde_json::from_slice(text).map_err(|e| IoError::invalid(&uri, format!("JSON: {e}")))?;
+        return if probe.root.is_some() || probe.geometric_error.is_some() {
+            tileset::read(&uri, text, options)
+        } else {
+            gltf::read_gltf(&uri, text, limits)
+        };
+    }
+    if first == Some(b'<') {
+        return Err(IoError::invalid(&uri, "markup instead of a tile (an error page?)"));
+    }
+    if image::is_image(&bytes) {
+        return Err(IoError::unsupported(&uri, "an image as the content of a tile"));
+    }
+    Err(IoError::invalid(&uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
+}

@@ -1,0 +1,146 @@
+//! URIs: where a tile set starts, and which references inside it are followed.
+//!
+//! A URI is an absolute file path or an http(s) URL. What a tile set names must stay below the folder of its root
+//! (files), or on http(s) (servers): a foreign tile set cannot make a client open local files.
+
+use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+
+use super::IoError;
+
+/// What references may reach: below a folder, or anything on http(s).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RootScope {
+    /// Files below this absolute folder.
+    Folder(PathBuf),
+    /// Any http(s) URL.
+    Http,
+}
+
+impl RootScope {
+    /// The scope of a tile set whose root is `root_uri`, as [`root_uri`] returned it.
+    pub fn of(root_uri: &str) -> Self {
+        if is_http(root_uri) {
+            Self::Http
+        } else {
+            Self::Folder(Path::new(root_uri).parent().unwrap_or(Path::new("/")).to_path_buf())
+        }
+    }
+}
+
+/// True for http and https URLs.
+pub fn is_http(uri: &str) -> bool {
+    let lower = |prefix: &str| uri.get(..prefix.len()).is_some_and(|p| p.eq_ignore_ascii_case(prefix));
+    lower("http://") || lower("https://")
+}
+
+/// What a person typed, as a URI: a folder means its tileset.json, a file itself, a URL ending in `/` its tileset.json.
+pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
+    if is_http(source) {
+        let mut url = url::Url::parse(source).map_err(|e| bad(source, e.to_string()))?;
+        if url.path().ends_with('/') {
+            let path = format!("{}tileset.json", url.path());
+            url.set_path(&path);
+        }
+        return Ok(url.as_str().into());
+    }
+    let path = std::path::absolute(source).map_err(|e| bad(source, e.to_string()))?;
+    let path = if path.is_dir() { path.join("tileset.json") } else { path };
+    path.to_str().map(Arc::from).ok_or_else(|| bad(source, "the path is not UTF-8"))
+}
+
+/// `reference`, found in the file `base_uri`, as a URI. Refuses what leaves the scope.
+pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc<str>, IoError> {
+    match scope {
+        RootScope::Http => {
+            let base = url::Url::parse(base_uri).map_err(|e| bad(base_uri, e.to_string()))?;
+            let mut url = base.join(reference).map_err(|e| bad(reference, e.to_string()))?;
+            if !matches!(url.scheme(), "http" | "https") {
+                return Err(bad(
+                    reference,
+                    format!("scheme {} is not allowed in a tile set on a server", url.scheme()),
+                ));
+            }
+            // Session tokens travel in the root's query; a child without one inherits it.
+            if url.query().is_none() && url.host_str() == base.host_str() {
+                url.set_query(base.query());
+            }
+            Ok(url.as_str().into())
+        }
+        RootScope::Folder(folder) => {
+            let scheme = reference.split_once(':').map(|(s, _)| s);
+            if scheme.is_some_and(|s| s.len() > 1 && s.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'+')) {
+                return Err(bad(reference, "only relative references are allowed in a tile set on disk"));
+            }
+            let path_text = reference.split(['?', '#']).next().unwrap_or(reference);
+            let decoded = percent_decode(path_text).ok_or_else(|| bad(reference, "bad percent escape"))?;
+            let relative = Path::new(&decoded);
+            if relative.is_absolute() || decoded.starts_with('\\') || decoded.contains('\0') {
+                return Err(bad(reference, "absolute paths are not allowed"));
+            }
+            let mut path = Path::new(base_uri).parent().unwrap_or(Path::new("/")).to_path_buf();
+            for component in relative.components() {
+                match component {
+                    Component::Normal(part) => path.push(part),
+                    Component::CurDir => {}
+                    Component::ParentDir => {
+                        path.pop();
+                    }
+                    Component::RootDir | Component::Prefix(_) => {
+                        return Err(bad(reference, "absolute paths are not allowed"));
+                    }
+                }
+            }
+            if !path.starts_with(folder) {
+                return Err(bad(reference, format!("leaves the tile set's folder {}", folder.display())));
+            }
+            path.to_str().map(Arc::from).ok_or_else(|| bad(reference, "the path is not UTF-8"))
+        }
+    }
+}
+
+fn bad(uri: &str, reason: impl Into<String>) -> IoError {
+    IoError::Uri { uri: uri.to_owned(), reason: reason.into() }
+}
+
+fn percent_decode(text: &str) -> Option<String> {
+    if !text.contains('%') {
+        return Some(text.to_owned());
+    }
+    let mut bytes = Vec::with_capacity(text.len());
+    let mut rest = text.bytes();
+    while let Some(b) = rest.next() {
+        if b == b'%' {
+            let high = char::from(rest.next()?).to_digit(16)?;
+            let low = char::from(rest.next()?).to_digit(16)?;
+            bytes.push((high * 16 + low) as u8);
+        } else {
+            bytes.push(b);
+        }
+    }
+    String::from_utf8(bytes).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_stay_in_their_folder() {
+        let scope = RootScope::of("/data/set/tileset.json");
+        let ok = |r: &str| resolve("/data/set/sub/tileset.json", r, &scope);
+        assert_eq!(&*ok("a%20b.glb").unwrap(), "/data/set/sub/a b.glb");
+        assert_eq!(&*ok("../a.glb?x=1").unwrap(), "/data/set/a.glb");
+        for escape in ["../../a.glb", "/etc/passwd", "file:///etc/passwd", "http://x/y", "%2e%2e/%2e%2e/x", "%2Fetc"] {
+            assert!(ok(escape).is_err(), "{escape}");
+        }
+    }
+
+    #[test]
+    fn servers_stay_on_http() {
+        let r = |x: &str| resolve("http://h/a/tileset.json?k=1", x, &RootScope::Http);
+        assert_eq!(&*r("b.glb").unwrap(), "http://h/a/b.glb?k=1");
+        assert_eq!(&*r("https://other/b.glb").unwrap(), "https://other/b.glb");
+        assert!(r("file:///etc/passwd").is_err());
+    }
+}

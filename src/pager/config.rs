@@ -1,0 +1,95 @@
+//! What a pager is told, and what it needs of a graphics context.
+
+use std::time::Duration;
+
+use crate::gpu::{CompileOperation, Compiled};
+use crate::io::{IoError, Limits};
+use crate::scene::DrawSlot;
+
+/// One graphics context's compile queue, as the pager sees it from the main thread.
+pub trait CompileContext {
+    /// Number of the context; pages keep their draw slots by it.
+    fn id(&self) -> u32;
+    /// Queues drawables for upload; done within the context's budget a frame.
+    fn compile(&mut self, operation: CompileOperation);
+    /// What has been uploaded since the last call.
+    fn take_compiled(&mut self) -> Vec<Compiled>;
+    /// Gives slots back, after the last frame that may draw them was queued.
+    fn release(&mut self, slots: Vec<DrawSlot>);
+}
+
+/// Sizes and patience of a [`super::DatabasePager`].
+#[derive(Clone, Debug)]
+pub struct PagerConfig {
+    /// Threads that read local files. Two keep a disk busy while one waits.
+    pub file_threads: usize,
+    /// HTTP requests in flight at once.
+    pub http_in_flight: usize,
+    /// Threads that decode; the default leaves one core to the frame.
+    pub decode_threads: usize,
+    /// CPU bytes of merged pages and of tile trees.
+    pub max_bytes_cpu: u64,
+    /// GPU bytes of merged pages.
+    pub max_bytes_gpu: u64,
+    /// Merged pages.
+    pub max_tiles: usize,
+    /// A page may expire once it was not wanted for so many frames.
+    pub expiry_frames: u32,
+    /// A request not renewed for so many frames is dropped before it costs I/O.
+    pub stale_frames: u32,
+    /// A running HTTP request not renewed for so many frames is aborted.
+    pub abort_frames: u32,
+    /// Time for merging per frame; one page always goes through.
+    pub merge_time: Duration,
+    /// Wait before a failure that may pass is tried again; doubled each time.
+    pub retry_after: Duration,
+    /// Tries of a URI in all.
+    pub max_tries: u32,
+    /// How much is accepted from outside.
+    pub limits: Limits,
+    /// How servers are talked to.
+    #[cfg(feature = "http")]
+    pub http: crate::io::HttpConfig,
+    /// Each update waits until everything that was asked for is merged or has failed: equal flights give equal tiles.
+    pub blocking: bool,
+}
+
+impl Default for PagerConfig {
+    fn default() -> Self {
+        let cores = std::thread::available_parallelism().map_or(2, usize::from);
+        Self {
+            file_threads: 2,
+            http_in_flight: 32,
+            decode_threads: (cores - 1).clamp(1, 16),
+            max_bytes_cpu: 512 << 20,
+            max_bytes_gpu: 1 << 30,
+            max_tiles: 6000,
+            expiry_frames: 30,
+            stale_frames: 3,
+            abort_frames: 30,
+            merge_time: Duration::from_millis(1),
+            retry_after: Duration::from_secs(5),
+            max_tries: 4,
+            limits: Limits::default(),
+            #[cfg(feature = "http")]
+            http: crate::io::HttpConfig::default(),
+            blocking: false,
+        }
+    }
+}
+
+/// Why a pager could not start.
+#[derive(Debug, thiserror::Error)]
+pub enum PagerError {
+    /// A thread could not be started.
+    #[error("cannot start thread {name}: {source}")]
+    Thread {
+        /// Name of the thread.
+        name: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The HTTP client could not be set up.
+    #[error("cannot set up HTTP: {0}")]
+    Http(IoError),
+}

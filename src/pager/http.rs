@@ -1,0 +1,83 @@
+//! The HTTP thread: one tokio runtime on one thread, many requests in flight, aborted when nobody wants them.
+
+use std::collections::HashMap;
+
+use crossbeam_channel::Sender;
+use tokio::task::{AbortHandle, JoinSet};
+
+use super::list::{Answer, Job, Loaded, RequestList};
+use super::threads::read_bytes;
+use crate::io::{self, HttpClient, IoError, Limits};
+
+/// Runs until the list closes. Requests still under way are dropped then.
+pub(super) fn run(
+    runtime: &tokio::runtime::Runtime,
+    client: &HttpClient,
+    list: &RequestList,
+    loaded: &Sender<Loaded>,
+    answers: &Sender<Answer>,
+    limits: &Limits,
+    in_flight: usize,
+) {
+    runtime.block_on(async {
+        let mut tasks: JoinSet<Loaded> = JoinSet::new();
+        let mut running: HashMap<u64, (AbortHandle, Job)> = HashMap::new();
+        loop {
+            let (jobs, aborts, closed) = take(list, in_flight - running.len().min(in_flight));
+            if closed {
+                return;
+            }
+            for ticket in aborts {
+                if let Some((handle, job)) = running.remove(&ticket) {
+                    handle.abort();
+                    if answers.send(Answer { job, page: None, bytes_read: 0, bytes_http: 0 }).is_err() {
+                        return;
+                    }
+                }
+            }
+            for job in jobs {
+                let (client, limits, ticket, copy) = (client.clone(), *limits, job.ticket, job.clone());
+                running.insert(ticket, (tasks.spawn(async move { fetch(&client, job, &limits).await }), copy));
+            }
+            tokio::select! {
+                () = list.http_bell.notified() => {}
+                Some(done) = tasks.join_next(), if !tasks.is_empty() => match done {
+                    // An aborted one was answered above.
+                    Ok(done) => {
+                        if running.remove(&done.job.ticket).is_some() && loaded.send(done).is_err() {
+                            return;
+                        }
+                    }
+                    Err(e) if e.is_cancelled() => {}
+                    Err(e) => log::error!("an HTTP task failed: {e}"),
+                },
+            }
+        }
+    });
+}
+
+/// Up to `room` jobs, the tickets to abort, and whether to stop.
+fn take(list: &RequestList, room: usize) -> (Vec<Job>, Vec<u64>, bool) {
+    let mut waiting = list.lock();
+    let mut jobs = Vec::new();
+    while jobs.len() < room && waiting.outstanding < waiting.allowed {
+        let Some(job) = waiting.http.pop() else { break };
+        waiting.outstanding += 1;
+        waiting.taken.push(job.ticket);
+        jobs.push(job);
+    }
+    (jobs, std::mem::take(&mut waiting.abort), waiting.closed)
+}
+
+async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> Loaded {
+    let bytes = client.get(&job.uri, limits).await;
+    let mut companions = Vec::new();
+    if bytes.is_ok() {
+        for uri in io::companions(&job.uri, job.reader_data.as_ref()) {
+            let bytes: Result<Vec<u8>, IoError> = client.get(&uri, limits).await;
+            companions.push((uri, bytes));
+        }
+    }
+    let bytes_read = read_bytes(&bytes, &companions);
+    Loaded { job, bytes, companions, bytes_read, bytes_http: bytes_read }
+}

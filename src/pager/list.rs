@@ -1,0 +1,144 @@
+//! The request list: what the file and HTTP threads take their work from.
+//!
+//! One mutex, two condition variables' worth of waiting. Update rewrites the waiting jobs each frame in order of
+//! priority; a thread takes the last one. At most `capacity` jobs are outstanding (taken and not yet answered),
+//! and the channels behind the threads hold as many, so no send ever blocks.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use crate::io::IoError;
+use crate::scene::{NodeId, Page};
+
+/// One content to load.
+#[derive(Clone, Debug)]
+pub(super) struct Job {
+    /// Names this load; an answer with another number is late.
+    pub ticket: u64,
+    pub slot: NodeId,
+    pub uri: Arc<str>,
+    pub reader_data: Option<Arc<str>>,
+    /// Tilesets above, for cycles.
+    pub chain: Arc<[Arc<str>]>,
+}
+
+/// Bytes on their way to a decode worker.
+pub(super) struct Loaded {
+    pub job: Job,
+    pub bytes: Result<Vec<u8>, IoError>,
+    pub companions: Vec<(Arc<str>, Result<Vec<u8>, IoError>)>,
+    pub bytes_read: u64,
+    pub bytes_http: u64,
+}
+
+/// The answer to a job.
+pub(super) struct Answer {
+    pub job: Job,
+    /// `None` when the job was aborted.
+    pub page: Option<Result<Page, IoError>>,
+    pub bytes_read: u64,
+    pub bytes_http: u64,
+}
+
+/// What the mutex guards.
+#[derive(Default)]
+pub(super) struct Waiting {
+    /// Written by update, taken from the end by file threads.
+    pub file: Vec<Job>,
+    /// Written by update, taken from the end by the HTTP thread.
+    pub http: Vec<Job>,
+    /// Tickets taken since update last looked; written by the takers, drained by update.
+    pub taken: Vec<u64>,
+    /// Tickets of running HTTP requests to abort; written by update, drained by the HTTP thread.
+    pub abort: Vec<u64>,
+    /// Taken and not yet answered; raised by takers, lowered by update.
+    pub outstanding: usize,
+    /// Most that may be outstanding; written by update from the budgets.
+    pub allowed: usize,
+    /// Set once, by drop.
+    pub closed: bool,
+}
+
+/// The list and its bell.
+pub(super) struct RequestList {
+    waiting: Mutex<Waiting>,
+    file_bell: Condvar,
+    /// Rings the HTTP thread.
+    #[cfg(feature = "http")]
+    pub http_bell: tokio::sync::Notify,
+    pub capacity: usize,
+}
+
+impl RequestList {
+    pub fn new(capacity: usize) -> Self {
+        Self {
+            waiting: Mutex::new(Waiting { allowed: capacity, ..Waiting::default() }),
+            file_bell: Condvar::new(),
+            #[cfg(feature = "http")]
+            http_bell: tokio::sync::Notify::new(),
+            capacity,
+        }
+    }
+
+    /// A panic while the lock is held cannot leave the plain data half written in a way that matters.
+    pub fn lock(&self) -> MutexGuard<'_, Waiting> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub fn ring(&self) {
+        self.file_bell.notify_all();
+        #[cfg(feature = "http")]
+        self.http_bell.notify_one();
+    }
+
+    pub fn close(&self) {
+        self.lock().closed = true;
+        self.ring();
+    }
+
+    /// The next file to read; blocks; `None` when the pager ends.
+    pub fn take_file(&self) -> Option<Job> {
+        let mut waiting = self.lock();
+        loop {
+            if waiting.closed {
+                return None;
+            }
+            if waiting.outstanding < waiting.allowed
+                && let Some(job) = waiting.file.pop()
+            {
+                waiting.outstanding += 1;
+                waiting.taken.push(job.ticket);
+                return Some(job);
+            }
+            waiting = self.file_bell.wait(waiting).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+}
+
+/// A page that waits for its contexts, or for its turn to merge.
+pub(super) struct Arrived {
+    pub page: Box<Page>,
+    pub gpu_bytes: u64,
+    /// Contexts that still compile.
+    pub contexts_left: usize,
+}
+
+/// How far a request is.
+pub(super) enum Progress {
+    Waiting,
+    Loading,
+    Arrived(Arrived),
+    /// Not before this moment.
+    Failed { retry_at: Option<Instant> },
+}
+
+/// A request and what became of it.
+pub(super) struct Entry {
+    pub job: Job,
+    pub priority: f32,
+    /// Frame in which cull last asked.
+    pub wanted_frame: u32,
+    pub since: Instant,
+    pub tries: u32,
+    pub progress: Progress,
+}

@@ -1,0 +1,24 @@
+//! The DatabasePager: from cull's requests to merged pages, and out again.
+//!
+//! ```text
+//! main     update_scene_graph: results -> compile queues -> merge -> expire -> request list
+//! file n x read local files          |
+//! http 1 x one async runtime, many   | -> decode n x: io::decode -> results (back to main)
+//!          requests in flight        |
+//! reaper   drops expired pages
+//! ```
+//! Cull takes no lock: its requests are data. The threads share one request list behind one mutex, rewritten by
+//! update once a frame; every other hand-over is a bounded channel that cannot fill (see [`list`]).
+
+mod config;
+#[cfg(feature = "http")]
+mod http;
+mod list;
+mod residents;
+mod stats;
+mod threads;
+mod update;
+
+pub use config::{CompileContext, PagerConfig, PagerError};
+pub use stats::{ErrorRecord, PagerStats};
+pub use update::DatabasePager;

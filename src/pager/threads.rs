@@ -1,0 +1,138 @@
+//! The pager's threads: file readers, decode workers, the reaper. Each ends when the list closes or its channel does.
+
+use std::sync::Arc;
+use std::thread::JoinHandle;
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+
+use super::config::{PagerConfig, PagerError};
+use super::list::{Answer, Job, Loaded, RequestList};
+use crate::io::{self, Content, ReadOptions};
+use crate::scene::Page;
+
+/// Pages that the reaper may have before it; more are dropped where they are.
+const REAPER_QUEUE: usize = 256;
+
+/// All threads of a pager; dropping it stops and joins them.
+pub(super) struct Threads {
+    pub list: Arc<RequestList>,
+    /// `None` once closed.
+    pub answers: Option<Receiver<Answer>>,
+    reaper: Option<Sender<Box<Page>>>,
+    handles: Vec<JoinHandle<()>>,
+}
+
+impl Threads {
+    pub fn start(config: &PagerConfig, options: &ReadOptions) -> Result<Self, PagerError> {
+        let capacity = config.http_in_flight.max(1) + 4 * config.file_threads.max(1) + 2 * config.decode_threads.max(1);
+        let list = Arc::new(RequestList::new(capacity));
+        let (loaded_sender, loaded) = bounded::<Loaded>(capacity);
+        let (answer_sender, answers) = bounded::<Answer>(capacity);
+        let (reaper, doomed) = bounded::<Box<Page>>(REAPER_QUEUE);
+        let mut threads =
+            Self { list: list.clone(), answers: Some(answers), reaper: Some(reaper), handles: Vec::new() };
+        for i in 0..config.file_threads.max(1) {
+            let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
+            threads.spawn(format!("pager-file-{i}"), move || read_files(&list, &sender, &limits))?;
+        }
+        #[cfg(feature = "http")]
+        {
+            let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
+            let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
+            let (in_flight, answers) = (config.http_in_flight.max(1), answer_sender.clone());
+            let name = "pager-http".to_owned();
+            let runtime = tokio::runtime::Builder::new_current_thread()
+                .enable_all()
+                .build()
+                .map_err(|source| PagerError::Thread { name: name.clone(), source })?;
+            threads.spawn(name, move || {
+                super::http::run(&runtime, &client, &list, &sender, &answers, &limits, in_flight);
+            })?;
+        }
+        for i in 0..config.decode_threads.max(1) {
+            let (loaded, sender, options) = (loaded.clone(), answer_sender.clone(), options.clone());
+            threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options))?;
+        }
+        threads.spawn("pager-reaper".to_owned(), move || doomed.iter().for_each(drop))?;
+        Ok(threads)
+    }
+
+    fn spawn(&mut self, name: String, run: impl FnOnce() + Send + 'static) -> Result<(), PagerError> {
+        let builder = std::thread::Builder::new().name(name.clone());
+        let handle = builder.spawn(run).map_err(|source| PagerError::Thread { name, source })?;
+        self.handles.push(handle);
+        Ok(())
+    }
+
+    /// Drops a page off the main thread.
+    pub fn reap(&self, page: Box<Page>) {
+        if let Some(reaper) = &self.reaper {
+            // A full queue hands the page back, and it is dropped here.
+            let _ = reaper.try_send(page);
+        }
+    }
+}
+
+impl Drop for Threads {
+    fn drop(&mut self) {
+        self.list.close();
+        self.answers = None;
+        self.reaper = None;
+        for handle in self.handles.drain(..) {
+            if handle.join().is_err() {
+                log::error!("a pager thread panicked");
+            }
+        }
+    }
+}
+
+fn read_files(list: &RequestList, sender: &Sender<Loaded>, limits: &io::Limits) {
+    while let Some(job) = list.take_file() {
+        let bytes = io::read_file(&job.uri, limits);
+        let companions: Vec<_> = match &bytes {
+            Ok(_) => io::companions(&job.uri, job.reader_data.as_ref())
+                .into_iter()
+                .map(|uri| {
+                    let bytes = io::read_file(&uri, limits);
+                    (uri, bytes)
+                })
+                .collect(),
+            Err(_) => Vec::new(),
+        };
+        let bytes_read = read_bytes(&bytes, &companions);
+        if sender.send(Loaded { job, bytes, companions, bytes_read, bytes_http: 0 }).is_err() {
+            return;
+        }
+    }
+}
+
+/// Bytes that came in for a content and its companions.
+pub(super) fn read_bytes(
+    bytes: &Result<Vec<u8>, io::IoError>,
+    companions: &[(Arc<str>, Result<Vec<u8>, io::IoError>)],
+) -> u64 {
+    let of = |r: &Result<Vec<u8>, io::IoError>| r.as_ref().map_or(0, |b| b.len() as u64);
+    of(bytes) + companions.iter().map(|(_, r)| of(r)).sum::<u64>()
+}
+
+fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOptions) {
+    for Loaded { job, bytes, companions, bytes_read, bytes_http } in loaded {
+        let page = bytes.and_then(|bytes| decode_one(&job, bytes, companions, options));
+        if sender.send(Answer { job, page: Some(page), bytes_read, bytes_http }).is_err() {
+            return;
+        }
+    }
+}
+
+fn decode_one(
+    job: &Job,
+    bytes: Vec<u8>,
+    companions: Vec<(Arc<str>, Result<Vec<u8>, io::IoError>)>,
+    options: &ReadOptions,
+) -> Result<Page, io::IoError> {
+    let content = Content { uri: job.uri.clone(), bytes, reader_data: job.reader_data.clone(), companions };
+    let options = ReadOptions { chain: job.chain.clone(), ..options.clone() };
+    // The readers do not panic on outside data; should one of the crates behind them do so, one tile fails, not all.
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| io::decode(content, &options)))
+        .unwrap_or_else(|_| Err(io::IoError::Invalid { uri: job.uri.to_string(), reason: "the decoder panicked".into() }))
+}

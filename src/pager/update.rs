@@ -1,0 +1,467 @@
+//! [`DatabasePager`]: the main thread's side. Everything here runs in the update stage.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::config::{CompileContext, PagerConfig, PagerError};
+use super::list::{Answer, Arrived, Entry, Job, Progress};
+use super::residents::{Resident, Residents};
+use super::stats::{ErrorRecord, Errors, PagerStats};
+use super::threads::Threads;
+use crate::cull::PageRequest;
+use crate::gpu::CompileOperation;
+use crate::io::{self, Content, IoError, ReadOptions};
+use crate::scene::{NodeId, Page, PageId, Scene, SlotState};
+
+/// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
+const EXPIRY_LOOKS: usize = 256;
+/// Bytes a page is taken to need before the first one was seen.
+const FIRST_GUESS_BYTES: u64 = 64 << 10;
+
+/// Streams pages in and out of a [`Scene`].
+pub struct DatabasePager {
+    config: PagerConfig,
+    options: ReadOptions,
+    threads: Threads,
+    /// Requests that are not merged, by slot.
+    entries: HashMap<NodeId, Entry>,
+    /// Slots by ticket, for what contexts hand back.
+    compiling: HashMap<u64, NodeId>,
+    /// Arrived and compiled, waiting to be merged.
+    ready: Vec<NodeId>,
+    residents: Residents,
+    /// Chain of tilesets for pages that are tilesets; roots have `root_chain`.
+    chains: HashMap<PageId, Arc<[Arc<str>]>>,
+    root_chain: Arc<[Arc<str>]>,
+    next_ticket: u64,
+    frame: u32,
+    stats: PagerStats,
+    errors: Errors,
+    /// Mean sizes of pages so far, for reserving budget before a size is known.
+    mean_cpu_bytes: u64,
+    mean_gpu_bytes: u64,
+    /// The scene's budget is full of what is visible.
+    full: bool,
+}
+
+impl DatabasePager {
+    /// Starts the threads. `options` is the scope of the tile set that is paged.
+    pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
+        let options = ReadOptions { limits: config.limits, ..options };
+        let threads = Threads::start(&config, &options)?;
+        Ok(Self {
+            root_chain: options.chain.clone(),
+            config,
+            options,
+            threads,
+            entries: HashMap::new(),
+            compiling: HashMap::new(),
+            ready: Vec::new(),
+            residents: Residents::new(),
+            chains: HashMap::new(),
+            next_ticket: 1,
+            frame: 0,
+            stats: PagerStats::default(),
+            errors: Errors::default(),
+            mean_cpu_bytes: FIRST_GUESS_BYTES,
+            mean_gpu_bytes: FIRST_GUESS_BYTES,
+            full: false,
+        })
+    }
+
+    /// Reads a root tileset (or a single content) on the calling thread.
+    pub fn read_root(&mut self, uri: &Arc<str>) -> Result<Page, IoError> {
+        let bytes = self.read_blocking(uri)?;
+        self.stats.bytes_read += bytes.len() as u64;
+        if io::is_http(uri) {
+            self.stats.bytes_http += bytes.len() as u64;
+        }
+        let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
+        let page = io::decode(content, &self.options)?;
+        self.root_chain = self.options.below(uri).chain;
+        Ok(page)
+    }
+
+    fn read_blocking(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        if !io::is_http(uri) {
+            return io::read_file(uri, &self.config.limits);
+        }
+        #[cfg(feature = "http")]
+        {
+            let client = io::HttpClient::new(&self.config.http)?;
+            let runtime = tokio::runtime::Builder::new_current_thread()
+                .enable_all()
+                .build()
+                .map_err(|e| IoError::Network { uri: uri.to_owned(), reason: e.to_string() })?;
+            runtime.block_on(client.get(uri, &self.config.limits))
+        }
+        #[cfg(not(feature = "http"))]
+        Err(IoError::Unsupported { uri: uri.to_owned(), what: "http (built without the feature)".to_owned() })
+    }
+
+    /// The pager's turn with the scene, once a frame: takes what was loaded and compiled, merges, expires, and
+    /// rewrites the request list from `requests` (the last culls' outputs, all cameras together).
+    pub fn update_scene_graph(
+        &mut self,
+        scene: &mut Scene,
+        frame: u32,
+        requests: &[PageRequest],
+        contexts: &mut [&mut dyn CompileContext],
+    ) {
+        self.frame = frame;
+        self.accept(scene, requests);
+        self.take_answers(scene, contexts);
+        self.take_compiled(contexts);
+        self.merge(scene, contexts);
+        self.expire(scene, contexts);
+        self.retry(scene);
+        self.rewrite_list();
+        while self.config.blocking && self.is_busy() {
+            let answer =
+                self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
+            if let Some(answer) = answer {
+                self.answer(scene, answer, contexts);
+            }
+            self.take_answers(scene, contexts);
+            self.take_compiled(contexts);
+            self.merge(scene, contexts);
+            self.expire(scene, contexts);
+            self.rewrite_list();
+        }
+        self.count();
+    }
+
+    /// True when nothing is waiting, being read, decoded, compiled or merged. Failed contents do not count.
+    pub fn is_idle(&self) -> bool {
+        !self.entries.values().any(|e| !matches!(e.progress, Progress::Failed { .. }))
+    }
+
+    /// Counters up to the last update.
+    pub fn stats(&self) -> &PagerStats {
+        &self.stats
+    }
+
+    /// What failed so far, by URI and reason.
+    pub fn errors(&self) -> Vec<ErrorRecord> {
+        self.errors.list()
+    }
+
+    /// Something will change without another request: for the blocking mode.
+    fn is_busy(&self) -> bool {
+        self.entries.values().any(|e| match e.progress {
+            Progress::Waiting => !self.full,
+            Progress::Loading | Progress::Arrived(_) => true,
+            Progress::Failed { .. } => false,
+        })
+    }
+
+    /// Takes up new requests and renews those that are known.
+    fn accept(&mut self, scene: &Scene, requests: &[PageRequest]) {
+        for request in requests {
+            if let Some(entry) = self.entries.get_mut(&request.slot) {
+                if entry.wanted_frame == self.frame {
+                    entry.priority = entry.priority.max(request.priority);
+                } else {
+                    entry.priority = request.priority;
+                    entry.wanted_frame = self.frame;
+                }
+                continue;
+            }
+            let Some(slot) = scene.slot(request.slot) else { continue };
+            if slot.state != SlotState::Empty {
+                continue;
+            }
+            let job = Job {
+                ticket: self.next_ticket,
+                slot: request.slot,
+                uri: slot.uri.clone(),
+                reader_data: slot.reader_data.cloned(),
+                chain: self.chains.get(&slot.page).unwrap_or(&self.root_chain).clone(),
+            };
+            self.next_ticket += 1;
+            self.stats.requested += 1;
+            let entry = Entry {
+                job,
+                priority: request.priority,
+                wanted_frame: self.frame,
+                since: Instant::now(),
+                tries: 0,
+                progress: Progress::Waiting,
+            };
+            self.entries.insert(request.slot, entry);
+        }
+    }
+
+    fn take_answers(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        while let Some(answer) = self.threads.answers.as_ref().and_then(|a| a.try_recv().ok()) {
+            self.answer(scene, answer, contexts);
+        }
+    }
+
+    fn answer(&mut self, scene: &mut Scene, answer: Answer, contexts: &mut [&mut dyn CompileContext]) {
+        {
+            let mut waiting = self.threads.list.lock();
+            waiting.outstanding = waiting.outstanding.saturating_sub(1);
+        }
+        self.stats.bytes_read += answer.bytes_read;
+        self.stats.bytes_http += answer.bytes_http;
+        let slot = answer.job.slot;
+        let known = self.entries.get_mut(&slot).filter(|e| e.job.ticket == answer.job.ticket);
+        let Some(entry) = known else {
+            // The tree that held the slot is gone.
+            if let Some(Ok(page)) = answer.page {
+                self.threads.reap(Box::new(page));
+            }
+            return;
+        };
+        match answer.page {
+            None => {
+                self.stats.cancelled += 1;
+                self.entries.remove(&slot);
+            }
+            Some(Err(error)) => {
+                self.stats.failed += 1;
+                self.errors.add(&error);
+                entry.tries += 1;
+                let again = error.is_transient() && entry.tries < self.config.max_tries;
+                let wait = self.config.retry_after * 2u32.saturating_pow(entry.tries.min(10) - 1);
+                entry.progress = Progress::Failed { retry_at: again.then(|| Instant::now() + wait) };
+                scene.set_failed(slot, true);
+            }
+            Some(Ok(mut page)) => {
+                self.stats.loaded += 1;
+                self.stats.bytes_decoded += page.size_bytes();
+                let drawables = page.take_drawables();
+                let ticket = entry.job.ticket;
+                let contexts_left = if drawables.is_empty() { 0 } else { contexts.len() };
+                entry.progress = Progress::Arrived(Arrived { page: Box::new(page), gpu_bytes: 0, contexts_left });
+                if contexts_left == 0 {
+                    self.ready.push(slot);
+                    return;
+                }
+                self.compiling.insert(ticket, slot);
+                let mut drawables = Some(drawables);
+                let last = contexts.len() - 1;
+                for (i, context) in contexts.iter_mut().enumerate() {
+                    let for_this = if i == last { drawables.take() } else { drawables.clone() };
+                    context.compile(CompileOperation { ticket, drawables: for_this.unwrap_or_default() });
+                }
+            }
+        }
+    }
+
+    fn take_compiled(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        for context in contexts.iter_mut() {
+            for compiled in context.take_compiled() {
+                let slot = self.compiling.get(&compiled.ticket).copied();
+                let entry = slot.and_then(|s| self.entries.get_mut(&s));
+                let (Some(slot), Some(entry)) = (slot, entry) else {
+                    context.release(compiled.slots);
+                    continue;
+                };
+                for error in &compiled.errors {
+                    self.stats.failed += 1;
+                    self.errors.add_text(&entry.job.uri, error);
+                }
+                let Progress::Arrived(arrived) = &mut entry.progress else {
+                    context.release(compiled.slots);
+                    continue;
+                };
+                arrived.gpu_bytes += compiled.bytes;
+                arrived.page.set_draw_slots(context.id(), compiled.slots);
+                arrived.contexts_left = arrived.contexts_left.saturating_sub(1);
+                if arrived.contexts_left == 0 {
+                    self.compiling.remove(&compiled.ticket);
+                    self.ready.push(slot);
+                }
+            }
+        }
+    }
+
+    /// Hangs pages into their slots, coarse before fine, within the time budget. What does not fit into the byte
+    /// budgets, with everything else in use, is dropped and asked for again when there is room.
+    fn merge(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        if self.ready.is_empty() {
+            return;
+        }
+        let start = Instant::now();
+        let priority = |s: &NodeId| self.entries.get(s).map_or(f32::MIN, |e| e.priority);
+        self.ready.sort_by(|a, b| priority(b).total_cmp(&priority(a)).then(a.cmp(b)));
+        let mut done = 0;
+        for slot in std::mem::take(&mut self.ready) {
+            if done > 0 && !self.config.blocking && start.elapsed() >= self.config.merge_time {
+                self.ready.push(slot);
+                continue;
+            }
+            let Some(entry) = self.entries.remove(&slot) else { continue };
+            let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
+            let cpu_bytes = page.size_bytes();
+            self.mean_cpu_bytes = (7 * self.mean_cpu_bytes + cpu_bytes) / 8;
+            self.mean_gpu_bytes = (7 * self.mean_gpu_bytes + gpu_bytes) / 8;
+            if !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
+                self.stats.declined += 1;
+                self.retire(page, contexts);
+                continue;
+            }
+            let tile_tree = page.is_tile_tree();
+            match scene.attach(slot, *page) {
+                Ok(id) => {
+                    let latency_s = entry.since.elapsed().as_secs_f64();
+                    self.stats.merged += 1;
+                    self.stats.latency_sum_s += latency_s;
+                    self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
+                    self.residents.insert(id, Resident { slot, cpu_bytes, gpu_bytes });
+                    if tile_tree {
+                        let chain = entry.job.chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
+                        self.chains.insert(id, chain);
+                    }
+                }
+                // The slot went with its tree.
+                Err(refused) => self.retire(Box::new(refused.1), contexts),
+            }
+            done += 1;
+        }
+    }
+
+    /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
+    fn make_room(
+        &mut self,
+        scene: &mut Scene,
+        cpu_bytes: u64,
+        gpu_bytes: u64,
+        contexts: &mut [&mut dyn CompileContext],
+    ) -> bool {
+        let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS);
+        while self.residents.cpu_bytes + cpu_bytes > self.config.max_bytes_cpu
+            || self.residents.gpu_bytes + gpu_bytes > self.config.max_bytes_gpu
+            || self.residents.len() + 1 > self.config.max_tiles
+        {
+            // In want of room, the last two frames' tiles alone are safe.
+            let Some((id, _)) = self.residents.pop_expired(scene, self.frame, 2, &mut looks) else { return false };
+            self.detach(scene, id, contexts);
+        }
+        true
+    }
+
+    /// Takes out what was not wanted for long, while less than a tenth of a budget is free.
+    fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        let c = &self.config;
+        let (cpu, gpu, tiles) = (c.max_bytes_cpu / 10 * 9, c.max_bytes_gpu / 10 * 9, c.max_tiles / 10 * 9);
+        let unused_frames = c.expiry_frames;
+        let mut looks = self.residents.len().min(EXPIRY_LOOKS);
+        while self.residents.cpu_bytes > cpu || self.residents.gpu_bytes > gpu || self.residents.len() > tiles {
+            let expired = self.residents.pop_expired(scene, self.frame, unused_frames, &mut looks);
+            let Some((id, _)) = expired else { break };
+            self.detach(scene, id, contexts);
+        }
+    }
+
+    fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
+        // Requests for slots inside an expired tileset go with it.
+        if self.chains.remove(&id).is_some() {
+            self.entries.retain(|slot, _| slot.page != id);
+        }
+        match scene.detach(id) {
+            Ok(page) => {
+                self.stats.expired += 1;
+                self.retire(Box::new(page), contexts);
+            }
+            Err(e) => log::error!("an expired page could not be taken out: {e}"),
+        }
+    }
+
+    /// Gives a page's slots back and drops it on the reaper's thread.
+    fn retire(&mut self, mut page: Box<Page>, contexts: &mut [&mut dyn CompileContext]) {
+        for (id, slots) in page.take_draw_slots() {
+            if let Some(context) = contexts.iter_mut().find(|c| c.id() == id) {
+                context.release(slots);
+            }
+        }
+        self.threads.reap(page);
+    }
+
+    /// Lets failures whose wait is over be requested again.
+    fn retry(&mut self, scene: &mut Scene) {
+        let now = Instant::now();
+        for entry in self.entries.values_mut() {
+            if let Progress::Failed { retry_at: Some(at) } = entry.progress
+                && at <= now
+            {
+                scene.set_failed(entry.job.slot, false);
+                entry.job.ticket = self.next_ticket;
+                self.next_ticket += 1;
+                entry.wanted_frame = self.frame;
+                entry.progress = Progress::Waiting;
+            }
+        }
+    }
+
+    /// Drops what is stale, aborts what nobody wants, and writes the waiting jobs in order of priority.
+    fn rewrite_list(&mut self) {
+        let frame = self.frame;
+        let stale_frames = self.config.stale_frames;
+        let list = &self.threads.list;
+        let mut waiting = list.lock();
+        for ticket in std::mem::take(&mut waiting.taken) {
+            // Few are taken a frame; the map is by slot.
+            if let Some(entry) = self.entries.values_mut().find(|e| e.job.ticket == ticket) {
+                entry.progress = Progress::Loading;
+            }
+        }
+        let mut stale = 0;
+        self.entries.retain(|_, e| {
+            let old = frame.saturating_sub(e.wanted_frame) > stale_frames && matches!(e.progress, Progress::Waiting);
+            stale += u64::from(old);
+            !old
+        });
+        self.stats.stale += stale;
+        let mut jobs: Vec<(f32, &Entry)> = Vec::new();
+        for entry in self.entries.values() {
+            match entry.progress {
+                Progress::Waiting => jobs.push((entry.priority, entry)),
+                Progress::Loading
+                    if io::is_http(&entry.job.uri)
+                        && frame.saturating_sub(entry.wanted_frame) > self.config.abort_frames =>
+                {
+                    waiting.abort.push(entry.job.ticket);
+                }
+                _ => {}
+            }
+        }
+        // Taken from the end: the most urgent last.
+        jobs.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.job.slot.cmp(&a.1.job.slot)));
+        waiting.file.clear();
+        waiting.http.clear();
+        for (_, entry) in &jobs {
+            let to = if io::is_http(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
+            to.push(entry.job.clone());
+        }
+        waiting.allowed = self.allowed_in_flight(list.capacity);
+        self.full = waiting.allowed == 0 && !jobs.is_empty();
+        drop(waiting);
+        list.ring();
+    }
+
+    /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
+    fn allowed_in_flight(&self, capacity: usize) -> usize {
+        let arrived = self.entries.values().filter(|e| matches!(e.progress, Progress::Arrived(_))).count() as u64;
+        let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
+        let cpu = room(self.config.max_bytes_cpu, self.residents.cpu_bytes, self.mean_cpu_bytes);
+        let gpu = room(self.config.max_bytes_gpu, self.residents.gpu_bytes, self.mean_gpu_bytes);
+        let tiles = (self.config.max_tiles as u64).saturating_sub(self.residents.len() as u64 + arrived);
+        cpu.min(gpu).min(tiles).min(capacity as u64) as usize
+    }
+
+    fn count(&mut self) {
+        let s = &mut self.stats;
+        s.cpu_bytes = self.residents.cpu_bytes;
+        s.cpu_bytes_peak = s.cpu_bytes_peak.max(s.cpu_bytes);
+        s.gpu_bytes = self.residents.gpu_bytes;
+        s.gpu_bytes_peak = s.gpu_bytes_peak.max(s.gpu_bytes);
+        s.resident = self.residents.len() as u64;
+        s.waiting = self.entries.values().filter(|e| matches!(e.progress, Progress::Waiting)).count() as u64;
+        let flying = |e: &&Entry| matches!(e.progress, Progress::Loading | Progress::Arrived(_));
+        s.in_flight = self.entries.values().filter(flying).count() as u64;
+    }
+}
