@@ -17,6 +17,9 @@ pub(super) struct Open {
     mask: u8,
 }
 
+/// Subtrees of so few nodes are scanned: setting up the ranges would cost more.
+const SMALL_SUBTREE: u32 = 4;
+
 impl Cull<'_> {
     /// Visits nodes `first..last`, whole subtrees, under a matrix and the planes they may cross.
     pub(super) fn scan_nodes(&mut self, context: &PageContext, first: u32, last: u32, mask: u8, matrix: u32) {
@@ -60,7 +63,7 @@ impl Cull<'_> {
                 node += skip;
                 continue;
             }
-            if mask == 0 && record.flags & PLAIN != 0 && shortcut {
+            if mask == 0 && skip > SMALL_SUBTREE && record.flags & PLAIN != 0 && shortcut {
                 self.take_inside(context, node, node + skip, above.matrix);
                 node += skip;
                 continue;
@@ -160,8 +163,7 @@ impl Cull<'_> {
         let first = matrices.len() as u32;
         let [x, y, z] = context.eye_rows;
         let at = context.visit.eye_from_page.translation;
-        let mut linear = u32::MAX;
-        let mut rows = [[0.0f32; 4]; 3];
+        let (mut linear, mut rows) = self.linear_rows;
         let places = &all.translations[transforms.clone()];
         let linear_of = &all.linear_of[transforms];
         matrices.extend(places.iter().zip(linear_of).map(|(place, of)| {
@@ -180,6 +182,7 @@ impl Cull<'_> {
             matrix[2][3] = (z.x * px + z.y * py + z.z * pz + at.z) as f32;
             matrix
         }));
+        self.linear_rows = (linear, rows);
         first
     }
 

@@ -86,6 +86,8 @@ pub(super) struct Cull<'a> {
     pub graph: &'a mut StateGraph,
     pub leaves: &'a mut Vec<RenderLeaf>,
     pub range: DepthRange,
+    /// The last linear part of the current page that was multiplied, and the product as rows.
+    pub linear_rows: (u32, [[f32; 4]; 3]),
     pub counters: CullCounters,
     /// Pixels at 1 m of distance per metre, over the error limit and the LOD scale: error times it = range.
     pub range_per_error: f32,
@@ -136,6 +138,7 @@ impl CullVisitor {
             graph: &mut self.graph,
             leaves: &mut self.leaves,
             range: DepthRange { near: f32::INFINITY, far: f32::NEG_INFINITY },
+            linear_rows: (NONE, [[0.0; 4]; 3]),
             counters: CullCounters::default(),
             range_per_error: (camera.px_per_radian() / limit) as f32,
             range_per_metre: (1.0 / camera.lod_scale) as f32,
@@ -193,6 +196,7 @@ impl Cull<'_> {
             }
             return;
         }
+        self.linear_rows.0 = NONE;
         let context = PageContext {
             page,
             eye_rows: [0, 1, 2].map(|row| visit.eye_from_page.matrix3.row(row)),
