@@ -56,12 +56,14 @@ fn up_at(table: u32, side: u32, vertex: vec2<i32>) -> vec3<f32> {
     return vec3<f32>(row.z * column.x, row.z * (1.0 - column.y), row.w);
 }
 
-// Normal from the differences over `step` cells each way, cut off at the border.
+// Normal from the differences over `step` cells each way, fewer towards the edges: the same number both ways, so
+// that the tile beyond the edge comes to the same normal there.
 fn normal_at(table: u32, side: u32, layer: u32, vertex: vec2<i32>, step: i32) -> vec3<f32> {
-    let last = i32(side);
-    let low = max(vertex - step, vec2<i32>(-1));
-    let high = min(vertex + step, vec2<i32>(last));
-    let span = vec2<f32>(high - low);
+    let inside = min(vertex, i32(side) - 1 - vertex);
+    let reach = min(vec2<i32>(step), inside + 1);
+    let low = vertex - reach;
+    let high = vertex + reach;
+    let span = vec2<f32>(2 * reach);
     let row = row_of(table, vertex.y);
     let column = column_of(table, side, vertex.x);
     let p0 = tables[table].x;

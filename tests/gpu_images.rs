@@ -1,0 +1,67 @@
+//! Pictures compared with references: terrain on the globe with sky and haze, and meshes.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on shall panic")]
+
+mod gpu_support;
+
+use glam::DVec3;
+use gpu_support::{Terrain, assert_picture, camera, new_rig, rig};
+use terrane::draw::Environment;
+
+fn alps() -> Terrain {
+    Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: true }
+}
+
+fn environment(up: DVec3, north: DVec3) -> Environment {
+    let east = north.cross(up);
+    Environment {
+        up_in_world: up,
+        sun_direction: (0.5 * up - 0.6 * east - 0.35 * north).normalize(),
+        ..Environment::default()
+    }
+}
+
+#[test]
+fn terrain_with_sky_and_haze() {
+    let Some(mut rig) = rig("terrain_with_sky_and_haze") else { return };
+    let terrain = alps();
+    let eye = terrain.world(0.5, 0.1, 1500.0);
+    let up = terrain.up(0.5, 0.1);
+    let camera = camera([256, 256], eye, terrain.world(0.5, 0.6, 0.0), up);
+    let tiles = terrain.tiles_for(&camera, eye, 4);
+    let scene = rig.scene(tiles);
+    let picture = rig.picture(&scene, &camera, &environment(up, DVec3::Z));
+    rig.release(scene);
+    assert_picture("terrain", &picture);
+}
+
+/// Not a test: large pictures to look at, in $LOOK_DIR.
+#[test]
+#[ignore = "writes large pictures for people"]
+fn look() {
+    let Some(mut rig) = new_rig([1280, 720]) else { return };
+    let folder = std::path::PathBuf::from(std::env::var("LOOK_DIR").unwrap_or_else(|_| "/tmp".into()));
+    let terrain = alps();
+    for (name, from, above_m, to) in [
+        ("valley", (0.5, 0.05), 700.0, (0.6, 0.5)),
+        ("high", (0.5, -0.2), 20_000.0, (0.5, 0.5)),
+        ("space", (0.5, -6.0), 300_000.0, (0.5, 0.5)),
+        ("down", (0.52, 0.52), 6_000.0, (0.521, 0.5305)),
+    ] {
+        let eye = terrain.world(from.0, from.1, above_m);
+        let up = terrain.up(from.0, from.1);
+        let camera = camera([1280, 720], eye, terrain.world(to.0, to.1, 0.0), up);
+        let tiles = terrain.tiles_for(&camera, eye, 6);
+        let count = tiles.children.len();
+        let scene = rig.scene(tiles);
+        let environment = environment(up, DVec3::Z);
+        for _ in 0..4 {
+            rig.draw(&scene, &camera, &environment);
+        }
+        let start = std::time::Instant::now();
+        let stats = rig.draw(&scene, &camera, &environment);
+        let picture = rig.renderer.read_back(&mut rig.ctx).unwrap();
+        println!("{name}: {count} tiles, {:?}, draw and read back {:?}", stats, start.elapsed());
+        picture.save(folder.join(format!("look-{name}.png"))).unwrap();
+        rig.release(scene);
+    }
+}
