@@ -102,6 +102,10 @@ impl Rig {
 
     pub fn picture(&mut self, scene: &Scene, camera: &CullCamera, environment: &Environment) -> RgbaImage {
         self.draw(scene, camera, environment);
+        self.read_back()
+    }
+
+    pub fn read_back(&mut self) -> RgbaImage {
         self.renderer.read_back(&mut self.ctx).unwrap()
     }
 }
