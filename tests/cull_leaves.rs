@@ -183,6 +183,35 @@ proptest! {
         }
     }
 
+    /// Boxes that reach into the frustum by less than an f32 step.
+    #[test]
+    fn nothing_is_lost_to_rounding(
+        columns in prop::collection::vec((-500.0..500.0f64, 0.0..20.0f64), 8),
+        inside_m in 1e-7..1e-5f64,
+        height in 100.0..400.0f64,
+    ) {
+        // Boxes of a column have the same edge towards the left plane, whose normal has no y.
+        let boxes: Vec<_> = columns
+            .iter()
+            .flat_map(|(x, z)| (-20..20).map(|i| ([*x, f64::from(i) * 1.7, *z], [0.3, 0.21, 0.4])).collect::<Vec<_>>())
+            .collect();
+        let shape = Shape::Geode(boxes);
+        let mut scene = Scene::new();
+        scene.add_root(page(node(&shape), 0));
+        for (x, z) in &columns {
+            // The left plane, 30 degrees off the axis, through the column's upper right edge.
+            let eye_x = x + 0.3 + (height - z - 0.4) * 30f64.to_radians().tan() - inside_m;
+            let eye = DVec3::new(eye_x, 0.0, height);
+            let camera = look_at(eye, DVec3::new(eye_x, 0.0, 0.0), DVec3::Y);
+            let mut oracle = Oracle::new(&camera);
+            oracle.visit(&shape, DAffine3::IDENTITY, true);
+            let seen = slots(&cull(&scene, &camera));
+            for (i, reach_m) in oracle.reach_m.iter().enumerate() {
+                prop_assert!(seen.contains(&(i as u32)) || reach_m.unwrap() < 1e-9, "lost {}: {:?}", i, reach_m);
+            }
+        }
+    }
+
     #[test]
     fn near_and_far_hold_every_leaf(shape in shape(), eye in prop::array::uniform3(-90.0..90.0f64)) {
         let mut scene = Scene::new();

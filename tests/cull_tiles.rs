@@ -219,8 +219,8 @@ proptest! {
                 let (pick, what) = choices[step % choices.len()];
                 step += 1;
                 for (i, request) in stage.requests.iter().enumerate() {
-                    if what >= 5 || (i as u32 * 7 + pick) % 3 == 0 {
-                        if what == 3 && pick % 5 == 0 {
+                    if what >= 5 || (i as u32 * 7 + pick).is_multiple_of(3) {
+                        if what == 3 && pick.is_multiple_of(5) {
                             world.scene.set_failed(request.slot, true);
                         } else {
                             world.load(request.slot);
@@ -393,6 +393,47 @@ fn a_failed_tile_keeps_its_parent() {
     assert_eq!(drawn(&scene), (vec![0], 1));
     scene.attach(slots[4], content(50.0, 4)).unwrap();
     assert_eq!(drawn(&scene), (vec![1, 2, 3, 4], 0));
+}
+
+/// An external tileset whose own tiles all lie outside the frustum is loaded nevertheless: its parent waits for it.
+#[test]
+fn culled_tiles_of_an_external_tileset_are_asked_for() {
+    let leaf = |refine| Tile { refine, kind: Kind::Content, children: vec![] };
+    let external = Tile { refine: Refine::Replace, kind: Kind::External, children: vec![leaf(Refine::Replace)] };
+    let tree = Tile { refine: Refine::Replace, kind: Kind::Content, children: vec![external] };
+    let mut world = World::new(&tree);
+    // Over the external tile's far corner: the tile (from -1024 to 0) is seen, its child (to -512) is not.
+    let mut camera = camera([-60.0, -60.0, 60.0], [-60.0, -60.5]);
+    for round in 0.. {
+        let stage = world.cull(&camera);
+        assert!(round < 5);
+        if stage.requests.is_empty() {
+            assert_eq!(round, 2, "root and external tileset, then what is in it");
+            assert!(world.drawn(&stage).is_empty(), "the root gave way");
+            break;
+        }
+        stage.requests.iter().for_each(|r| world.load(r.slot));
+        camera.frame += 1;
+    }
+    for slot in world.all_slots() {
+        assert_eq!(world.scene.slot(slot).unwrap().last_used_frame, camera.frame);
+    }
+}
+
+/// A tile set whose errors grow downwards is still loaded from the top.
+#[test]
+fn coarse_comes_first_even_where_errors_are_wrong() {
+    let error = |geometric_error_m| RangeMode::ScreenSpaceError { geometric_error_m };
+    let leaf = tile_at(DVec3::ZERO, 1.0, error(0.0), "2");
+    let root = tile_at(DVec3::ZERO, 3.0, error(10.0), "0")
+        .with_child(tile_at(DVec3::ZERO, 2.0, error(1000.0), "1").with_child(leaf));
+    let mut scene = Scene::new();
+    let id = scene.add_root(page(root, 0));
+    let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+    visitor.cull(&scene, &look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z), &mut stage);
+    let order: Vec<f32> =
+        scene.slots_of_page(id).map(|slot| stage.requests.iter().find(|r| r.slot == slot).unwrap().priority).collect();
+    assert!(order[0] > order[1] && order[1] > order[2], "{order:?}");
 }
 
 /// At planetary coordinates the distance to a tile is still good to a millimetre.
