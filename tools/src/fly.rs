@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use terrane::draw::Sky;
 use image::RgbaImage;
+use terrane::draw::Sky;
 use terrane::viewer::{
     AnimationPath, Camera, HoleCheck, KEY_COLOR, Report, Settled, ViewFrom, Viewer, ViewerConfig, ViewerError,
     WindowOptions, has_display, run_window,
@@ -48,12 +48,8 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
     // A second handler in one process (tests) is no reason not to fly.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
 
-    let mut config = ViewerConfig {
-        size_px: args.size.0,
-        threading: args.threading,
-        validation: false,
-        ..ViewerConfig::default()
-    };
+    let mut config =
+        ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
     config.pager.blocking = args.blocking;
     let offscreen = args.offscreen || !display;
     let mut flight = Flight::new(*args, path, stop)?;
