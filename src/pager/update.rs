@@ -387,7 +387,9 @@ impl DatabasePager {
         let mut waiting = list.lock();
         for ticket in std::mem::take(&mut waiting.taken) {
             // Few are taken a frame; the map is by slot.
-            if let Some(entry) = self.entries.values_mut().find(|e| e.job.ticket == ticket) {
+            // The answer may be here already.
+            let waits = |e: &&mut Entry| e.job.ticket == ticket && matches!(e.progress, Progress::Waiting);
+            if let Some(entry) = self.entries.values_mut().find(waits) {
                 entry.progress = Progress::Loading;
             }
         }
