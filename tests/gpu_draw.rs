@@ -47,8 +47,7 @@ fn depth_still_tells_metres_apart_ten_thousand_kilometres_away() {
     // Reversed-Z float depth with the near plane at 0.1 m: relative steps of 6e-8 and rounding of the projection.
     let far = -1.0e7f32;
     let half = 1.0e6;
-    let drawables =
-        vec![quad([0.0, 0.0, far + 20.0], [half, half], RED), quad([0.0, 0.0, far], [half, half], GREEN)];
+    let drawables = vec![quad([0.0, 0.0, far + 20.0], [half, half], RED), quad([0.0, 0.0, far], [half, half], GREEN)];
     let scene = rig.scene(Node::geode(drawables));
     let picture = rig.picture(&scene, &unit_camera(256), &plain());
     assert_eq!(count(&picture, [0, 255, 0]), 0);
@@ -124,9 +123,8 @@ fn lines_and_points_are_drawn() {
     line.topology = Topology::Lines;
     let mut points = mesh(vec![vertex(-0.498, 0.502), vertex(0.502, 0.502), vertex(0.502, -0.498)], vec![0, 1, 2]);
     points.topology = Topology::Points;
-    let drawables = [line, points]
-        .map(|m| Drawable { geometry: Geometry::Mesh(Arc::new(m)), material: material.clone() })
-        .to_vec();
+    let drawables =
+        [line, points].map(|m| Drawable { geometry: Geometry::Mesh(Arc::new(m)), material: material.clone() }).to_vec();
     let scene = rig.scene(Node::geode(drawables));
     let camera = unit_camera(256);
     let stats = rig.draw(&scene, &camera, &plain());

@@ -12,7 +12,8 @@ const FRAMES: u32 = 200;
 
 fn height_set(folder: &Path) -> String {
     let set = folder.join("set");
-    terrane_data_gen::generate(&terrane_data_gen::GenConfig { levels: 5, seed: 11, ..Default::default() }, &set).unwrap();
+    terrane_data_gen::generate(&terrane_data_gen::GenConfig { levels: 5, seed: 11, ..Default::default() }, &set)
+        .unwrap();
     set.display().to_string()
 }
 

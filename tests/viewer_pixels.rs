@@ -10,7 +10,8 @@ use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
 fn small_set(folder: &Path) -> String {
     let set = folder.join("set");
-    terrane_data_gen::generate(&terrane_data_gen::GenConfig { levels: 4, seed: 3, ..Default::default() }, &set).unwrap();
+    terrane_data_gen::generate(&terrane_data_gen::GenConfig { levels: 4, seed: 3, ..Default::default() }, &set)
+        .unwrap();
     set.display().to_string()
 }
 

@@ -327,8 +327,7 @@ impl Terrain {
         let mut nearest = f64::INFINITY;
         for j in 0..=64 {
             for i in 0..=64 {
-                let (u, v) =
-                    ((f64::from(x) + f64::from(i) / 64.0) * size, (f64::from(y) + f64::from(j) / 64.0) * size);
+                let (u, v) = ((f64::from(x) + f64::from(i) / 64.0) * size, (f64::from(y) + f64::from(j) / 64.0) * size);
                 nearest = nearest.min(self.world(u, v, 0.0).distance(eye));
             }
         }
