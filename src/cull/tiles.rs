@@ -182,7 +182,7 @@ impl Cull<'_> {
         } else if purpose != Purpose::Draw && !record.has(flag::EXTERNAL) {
             return; // plain content: nothing in it to ask for
         }
-        let state = self.state_of(page, tiles.state_paths[index]);
+        let state = self.chain_state(page, tiles.state_paths[index]);
         let content = &tiles.content_transforms[tiles.content_transform_of[index] as usize];
         self.queue.push(PageVisit {
             place: record.resident,
