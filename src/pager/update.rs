@@ -405,7 +405,9 @@ impl DatabasePager {
         let mut waiting = list.lock();
         for ticket in std::mem::take(&mut waiting.taken) {
             // Few are taken a frame; the map is by slot.
-            if let Some(entry) = self.entries.values_mut().find(|e| e.job.ticket == ticket) {
+            let entry = self.entries.values_mut().find(|e| e.job.ticket == ticket);
+            // Its answer may have been taken before this.
+            if let Some(entry) = entry.filter(|e| matches!(e.progress, Progress::Waiting)) {
                 entry.progress = Progress::Loading;
             }
         }
