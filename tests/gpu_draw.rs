@@ -47,8 +47,7 @@ fn depth_still_tells_metres_apart_ten_thousand_kilometres_away() {
     // Reversed-Z float depth with the near plane at 0.1 m: relative steps of 6e-8 and rounding of the projection.
     let far = -1.0e7f32;
     let half = 1.0e6;
-    let drawables =
-        vec![quad([0.0, 0.0, far + 20.0], [half, half], RED), quad([0.0, 0.0, far], [half, half], GREEN)];
+    let drawables = vec![quad([0.0, 0.0, far + 20.0], [half, half], RED), quad([0.0, 0.0, far], [half, half], GREEN)];
     let scene = rig.scene(Node::geode(drawables));
     let picture = rig.picture(&scene, &unit_camera(256), &plain());
     assert_eq!(count(&picture, [0, 255, 0]), 0);
@@ -124,14 +123,13 @@ fn lines_and_points_are_drawn() {
     line.topology = Topology::Lines;
     let mut points = mesh(vec![vertex(-0.498, 0.502), vertex(0.502, 0.502), vertex(0.502, -0.498)], vec![0, 1, 2]);
     points.topology = Topology::Points;
-    let drawables = [line, points]
-        .map(|m| Drawable { geometry: Geometry::Mesh(Arc::new(m)), material: material.clone() })
-        .to_vec();
+    let drawables =
+        [line, points].map(|m| Drawable { geometry: Geometry::Mesh(Arc::new(m)), material: material.clone() }).to_vec();
     let scene = rig.scene(Node::geode(drawables));
     let camera = unit_camera(256);
     let stats = rig.draw(&scene, &camera, &plain());
     assert_eq!((stats.points, stats.triangles, stats.draw_calls), (3, 0, 2));
-    let picture = rig.renderer.read_back(&mut rig.ctx).unwrap();
+    let picture = rig.read_back();
     let red = count(&picture, [255, 0, 0]);
     assert!((127..=131).contains(&(red - 3)), "{red}");
     rig.release(scene);
@@ -185,7 +183,9 @@ fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
         Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25, 0.25], RED)]),
     ]));
     let fog = Fog { enabled: false, density_per_m: 0.0 };
-    let environment = Environment { up_in_world: DVec3::Y, fog, sky: Sky::Gradient, ..Environment::default() };
+    let sun_direction = DVec3::new(0.3, 0.8, 0.5).normalize();
+    let environment =
+        Environment { up_in_world: DVec3::Y, sun_direction, fog, sky: Sky::Gradient, ..Environment::default() };
     let picture = rig.picture(&scene, &unit_camera(256), &environment);
     assert_eq!(count(&picture, [255, 0, 0]), 64 * 64);
     let [sky, through] = [picture.get_pixel(128, 128).0, picture.get_pixel(192, 128).0];
@@ -205,7 +205,9 @@ fn haze_takes_far_things_to_the_horizons_color() {
     let mut camera = unit_camera(256);
     camera.clip_from_eye = glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.2, 1.0, 0.1);
     let fog = Fog { enabled: true, density_per_m: 2e-5 };
-    let environment = Environment { up_in_world: DVec3::Y, fog, sky: Sky::Gradient, ..Environment::default() };
+    let sun_direction = DVec3::new(0.3, 0.8, 0.5).normalize();
+    let environment =
+        Environment { up_in_world: DVec3::Y, sun_direction, fog, sky: Sky::Gradient, ..Environment::default() };
     let picture = rig.picture(&scene, &camera, &environment);
     let [near, far] = [picture.get_pixel(36, 128).0, picture.get_pixel(220, 128).0];
     assert!(near[0] > 230 && near[1] < 60, "{near:?}");
@@ -243,8 +245,9 @@ fn no_background_shows_between_levels() {
             // Background that has terrain on both sides of it along the row or the column.
             leaks += enclosed(&picture);
         }
+        println!("{leaks} enclosed pixels of background, skirts {skirts}");
         // Without skirts, a pixel may fall between two edges that are equal but for rounding.
-        let allowed = if skirts { 0 } else { 6 };
+        let allowed = if skirts { 0 } else { 2 };
         assert!(leaks <= allowed, "{leaks} pixels of background, skirts {skirts}");
     }
 }

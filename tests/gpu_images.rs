@@ -3,8 +3,8 @@
 
 mod gpu_support;
 
-use gpu_support::{Terrain, assert_picture, camera, new_rig, rig};
 use glam::DVec3;
+use gpu_support::{Terrain, assert_picture, camera, new_rig, rig};
 use terrane::draw::Environment;
 
 fn alps() -> Terrain {

@@ -66,7 +66,10 @@ fn a_square_is_drawn_moved_and_removed() {
         let [r, g, b, _] = picture.get_pixel(80, 45).0;
         assert!(r > 240 && g < 140 && b < 120, "{r} {g} {b}");
 
-        viewer.scene_mut().set_transform(NodeId { page: root, index: 0 }, DAffine3::from_scale(DVec3::splat(0.5))).unwrap();
+        viewer
+            .scene_mut()
+            .set_transform(NodeId { page: root, index: 0 }, DAffine3::from_scale(DVec3::splat(0.5)))
+            .unwrap();
         frames(&mut viewer, 1);
         let smaller = viewer.read_back().unwrap();
         assert!((coverage(&smaller, KEY_COLOR) - expected / 4.0).abs() < 0.01);

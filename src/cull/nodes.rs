@@ -27,7 +27,7 @@ impl Cull<'_> {
         let base = self.node_stack.len();
         let mut above = Open { end: last, matrix, mask };
         let mut node = first;
-        let shortcut = self.small_feature == 0.0;
+        let shortcut = self.shortcut;
         loop {
             while node >= above.end {
                 if self.node_stack.len() == base {
@@ -59,7 +59,7 @@ impl Cull<'_> {
                     }
                 }
             }
-            if !shortcut && self.is_small(context, sphere) {
+            if !shortcut && self.small_feature > 0.0 && self.is_small(context, sphere) {
                 node += skip;
                 continue;
             }

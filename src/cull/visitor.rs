@@ -70,6 +70,7 @@ pub struct CullVisitor {
     pub(super) graph: StateGraph,
     pub(super) leaves: Vec<RenderLeaf>,
     sorter: Sorter,
+    visits_all: bool,
 }
 
 /// A cull under way.
@@ -93,6 +94,8 @@ pub(super) struct Cull<'a> {
     pub range_per_error: f32,
     pub range_per_metre: f32,
     pub max_sse_px: f32,
+    /// Subtrees wholly inside are taken as ranges.
+    pub shortcut: bool,
     /// Radius over depth below which a bound is too small; 0 when off.
     pub small_feature: f32,
 }
@@ -101,6 +104,13 @@ impl CullVisitor {
     /// A visitor without memory; the first culls make it.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// A visitor that visits the nodes of subtrees that are wholly inside too, so that its counters can be compared
+    /// with another engine's.
+    #[doc(hidden)]
+    pub fn visiting_all() -> Self {
+        Self { visits_all: true, ..Self::default() }
     }
 
     /// Culls a scene for a camera: clears and refills the stage. Allocates nothing once the visitor and the stage
@@ -143,6 +153,7 @@ impl CullVisitor {
             range_per_error: (camera.px_per_radian() / limit) as f32,
             range_per_metre: (1.0 / camera.lod_scale) as f32,
             max_sse_px: camera.max_sse_px as f32,
+            shortcut: !self.visits_all && small == 0.0,
             small_feature: small as f32,
         };
         cull.run();

@@ -14,6 +14,7 @@ mod image;
 mod read;
 mod tileset;
 mod uri;
+pub mod write;
 
 pub use error::{IoError, Limits};
 pub use file::read_file;

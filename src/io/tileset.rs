@@ -21,8 +21,7 @@ pub(crate) struct TilesetJson {
     pub asset: AssetJson,
     #[serde(rename = "extensionsRequired", default)]
     pub extensions_required: Vec<String>,
-    #[serde(rename = "extensionsUsed", default)]
-    pub extensions_used: Vec<String>,
+
     pub root: TileJson,
 }
 

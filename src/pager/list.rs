@@ -129,7 +129,9 @@ pub(super) enum Progress {
     Loading,
     Arrived(Arrived),
     /// Not before this moment.
-    Failed { retry_at: Option<Instant> },
+    Failed {
+        retry_at: Option<Instant>,
+    },
 }
 
 /// A request and what became of it.

@@ -118,8 +118,7 @@ impl DatabasePager {
         self.retry(scene);
         self.rewrite_list();
         while self.config.blocking && self.is_busy() {
-            let answer =
-                self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
+            let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
             if let Some(answer) = answer {
                 self.answer(scene, answer, contexts);
             }

@@ -279,7 +279,17 @@ impl ContextHandle {
         };
         // With a thread only that thread may keep a sender, so that its end is noticed.
         let reply_sender = if matches!(side, Side::Inline(_)) { reply_sender } else { crossbeam_channel::bounded(0).0 };
-        Ok(Self { id, side, replies, reply_sender, compiled, compiled_own: Vec::new(), in_flight: 0, finish_compiles: false, adapter_name })
+        Ok(Self {
+            id,
+            side,
+            replies,
+            reply_sender,
+            compiled,
+            compiled_own: Vec::new(),
+            in_flight: 0,
+            finish_compiles: false,
+            adapter_name,
+        })
     }
 
     /// Name of the adapter that draws.
@@ -381,7 +391,14 @@ impl CompileContext for ContextHandle {
             let _ = self.replies.recv();
         }
         let own = &mut self.compiled_own;
-        let for_pager = |c: Compiled| if c.ticket & OWN_TICKET == 0 { Some(c) } else { own.push(c); None };
+        let for_pager = |c: Compiled| {
+            if c.ticket & OWN_TICKET == 0 {
+                Some(c)
+            } else {
+                own.push(c);
+                None
+            }
+        };
         self.compiled.try_iter().filter_map(for_pager).collect()
     }
 

@@ -102,6 +102,10 @@ impl Rig {
 
     pub fn picture(&mut self, scene: &Scene, camera: &CullCamera, environment: &Environment) -> RgbaImage {
         self.draw(scene, camera, environment);
+        self.read_back()
+    }
+
+    pub fn read_back(&mut self) -> RgbaImage {
         self.renderer.read_back(&mut self.ctx).unwrap()
     }
 }
@@ -323,8 +327,7 @@ impl Terrain {
         let mut nearest = f64::INFINITY;
         for j in 0..=64 {
             for i in 0..=64 {
-                let (u, v) =
-                    ((f64::from(x) + f64::from(i) / 64.0) * size, (f64::from(y) + f64::from(j) / 64.0) * size);
+                let (u, v) = ((f64::from(x) + f64::from(i) / 64.0) * size, (f64::from(y) + f64::from(j) / 64.0) * size);
                 nearest = nearest.min(self.world(u, v, 0.0).distance(eye));
             }
         }
