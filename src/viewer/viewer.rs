@@ -9,7 +9,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::camera::Camera;
 use super::holes::{KEY_COLOR, coverage};
-use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
+use super::home::{LocalFrame, SetBounds, ViewFrom, declared_region, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
 use super::report::Settled;
 use super::stats::{FrameStats, StatsHistory};
@@ -188,11 +188,17 @@ impl Viewer {
     pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
         let uri = io::root_uri(source)?;
         let options = io::ReadOptions::for_root(&uri, self.pager_config.limits);
-        let mut pager = DatabasePager::new(self.pager_config.clone(), options)?;
+        let mut pager = DatabasePager::new(self.pager_config.clone(), options.clone())?;
         let page = pager.read_root(&uri)?;
         self.pager = Some(pager);
+        let region = declared_region(&uri, &options);
         self.root_uri = Some(uri);
-        self.add_root(page)
+        let first = self.bounds.is_none();
+        let root = self.add_root(page)?;
+        if let (true, Some(bounds), Some(region)) = (first, &mut self.bounds, region) {
+            *bounds = SetBounds::new(bounds.sphere, Some(region));
+        }
+        Ok(root)
     }
 
     /// Adds a page made by the application as a root; paged contents in it are read by the pager of
