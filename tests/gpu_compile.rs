@@ -115,8 +115,7 @@ fn equal_images_meshes_and_indices_are_uploaded_once() {
 #[test]
 fn released_places_are_used_again() {
     let Some(mut rig) = fresh("released_places_are_used_again") else { return };
-    let terrain =
-        Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1000.0, root_error_m: 100.0, textured: true };
+    let terrain = Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1000.0, root_error_m: 100.0, textured: true };
     let drawables = |x: u32| {
         let mut page = terrane::scene::Page::from_node(Node::group(vec![
             terrain.tile(3, x, 0),
@@ -157,8 +156,8 @@ fn a_drawable_that_cannot_be_made_is_an_error_of_its_own() {
         let mesh = mesh(vec![MeshVertex::default(); 3], vec![0, 1, index]);
         Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material: Material::default() }
     };
-    let mut tile = Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1.0, root_error_m: 1.0, textured: false }
-        .tile(0, 0, 0);
+    let mut tile =
+        Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1.0, root_error_m: 1.0, textured: false }.tile(0, 0, 0);
     let terrane::scene::NodeKind::Geode(tile) = &mut tile.children[0].kind else { panic!("a geode") };
     let mut tile = tile.remove(0);
     if let Geometry::Height(tile) = &mut tile.geometry {

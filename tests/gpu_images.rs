@@ -65,3 +65,49 @@ fn look() {
         rig.release(scene);
     }
 }
+
+/// Not a test: what tiles cost, printed.
+#[test]
+#[ignore = "measures"]
+fn measure() {
+    let Some(mut rig) = new_rig([1280, 720]) else { return };
+    let terrain = alps();
+    let (mut run_max, mut draw_max) = (0.0f64, 0.0f64);
+    let mut scene = terrane::scene::Scene::new();
+    let eye = terrain.world(0.5, 0.5, 60_000.0);
+    let camera = camera([1280, 720], eye, terrain.world(0.5, 0.5, 0.0), DVec3::Z);
+    let environment = environment(terrain.up(0.5, 0.5), DVec3::Z);
+    let texture = std::sync::Arc::new(gpu_support::with_mips(256, 256, vec![128; 256 * 256 * 4]));
+    let mut times = Vec::new();
+    for i in 0..256u32 {
+        let mut root = terrain.tile(4, i % 16, i / 16);
+        if let terrane::scene::NodeKind::Geode(drawables) = &mut root.children[0].kind
+            && let terrane::scene::Geometry::Height(tile) = &mut drawables[0].geometry
+        {
+            std::sync::Arc::make_mut(tile).texture = Some(texture.clone());
+        }
+        let mut page = terrane::scene::Page::from_node(root).unwrap();
+        let start = std::time::Instant::now();
+        let compiled = rig.compile(page.take_drawables());
+        let run = start.elapsed().as_secs_f64() * 1e3;
+        run_max = run_max.max(run);
+        page.set_draw_slots(0, compiled.slots);
+        scene.add_root(page);
+        let start = std::time::Instant::now();
+        rig.draw(&scene, &camera, &environment);
+        let draw = start.elapsed().as_secs_f64() * 1e3;
+        draw_max = draw_max.max(if i > 2 { draw } else { 0.0 });
+        times.push((run, draw));
+    }
+    for (i, (run, draw)) in times.iter().enumerate() {
+        if i < 4 || i % 16 < 2 {
+            println!("tile {i}: compile {run:.2} ms, draw {draw:.2} ms");
+        }
+    }
+    let mut stats = Default::default();
+    let start = std::time::Instant::now();
+    for _ in 0..20 {
+        stats = rig.draw(&scene, &camera, &environment);
+    }
+    println!("{stats:?}, {:?} a frame", start.elapsed() / 20);
+}

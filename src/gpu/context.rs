@@ -276,6 +276,11 @@ impl GraphicsContext {
         self.errors.lock().map(|mut e| std::mem::take(&mut *e)).unwrap_or_default()
     }
 
+    /// Called by the renderer, whose submit takes along what was written before.
+    pub(crate) fn submitted(&mut self) {
+        self.compiles.flushed();
+    }
+
     pub(crate) fn drawable(&self, slot: DrawSlot) -> Option<&DrawableEntry> {
         self.drawables.entry(slot)
     }

@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use terrane::draw::Sky;
 use image::RgbaImage;
+use terrane::draw::Sky;
 use terrane::viewer::{
     AnimationPath, Camera, HoleCheck, KEY_COLOR, Report, Settled, ViewFrom, Viewer, ViewerConfig, ViewerError,
     WindowOptions, has_display, run_window,
@@ -48,12 +48,8 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
     // A second handler in one process (tests) is no reason not to fly.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
 
-    let mut config = ViewerConfig {
-        size_px: args.size.0,
-        threading: args.threading,
-        validation: false,
-        ..ViewerConfig::default()
-    };
+    let mut config =
+        ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
     config.pager.blocking = args.blocking;
     let offscreen = args.offscreen || !display;
     let mut flight = Flight::new(*args, path, stop)?;
@@ -345,7 +341,12 @@ fn check_progress(viewer: &Viewer, last: &mut Option<(Instant, [u64; 4])>) -> Re
             if since.elapsed() > STALLED_AFTER {
                 let missing = viewer.stats().last().map_or(0, |s| s.wanted_missing);
                 let seconds = STALLED_AFTER.as_secs();
-                bail!("the picture does not settle: {missing} tiles missing and no progress for {seconds} s");
+                let (waiting, in_flight) =
+                    viewer.pager().map_or((0, 0), |p| (p.stats().waiting, p.stats().in_flight));
+                bail!(
+                    "the picture does not settle: {missing} tiles missing, {waiting} waiting, {in_flight} in flight, \
+                     and no progress for {seconds} s"
+                );
             }
         }
         _ => *last = Some((Instant::now(), now)),
