@@ -12,7 +12,8 @@ const FRAMES: u32 = 200;
 
 fn height_set(folder: &Path) -> String {
     let set = folder.join("set");
-    let args = terrane_data_gen::GenArgs { levels: Some(5), seed: 11, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(5), seed: 11, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
     terrane_data_gen::run(&args).unwrap();
     set.display().to_string()
 }

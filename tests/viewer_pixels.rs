@@ -10,7 +10,8 @@ use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
 fn small_set(folder: &Path) -> String {
     let set = folder.join("set");
-    let args = terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
     terrane_data_gen::run(&args).unwrap();
     set.display().to_string()
 }

@@ -8,8 +8,8 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use super::camera::world_from_eye;
 use super::camera_path::{AnimationPath, ControlPoint};
 use crate::draw::{Environment, Fog};
-use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, WGS84};
 use crate::io;
+use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, WGS84};
 use crate::scene::{NodeKind, Page, flag};
 
 /// A set whose bounding sphere's centre lies farther than this from the origin is taken as earth-centred.

@@ -341,8 +341,7 @@ fn check_progress(viewer: &Viewer, last: &mut Option<(Instant, [u64; 4])>) -> Re
             if since.elapsed() > STALLED_AFTER {
                 let missing = viewer.stats().last().map_or(0, |s| s.wanted_missing);
                 let seconds = STALLED_AFTER.as_secs();
-                let (waiting, in_flight) =
-                    viewer.pager().map_or((0, 0), |p| (p.stats().waiting, p.stats().in_flight));
+                let (waiting, in_flight) = viewer.pager().map_or((0, 0), |p| (p.stats().waiting, p.stats().in_flight));
                 bail!(
                     "the picture does not settle: {missing} tiles missing, {waiting} waiting, {in_flight} in flight, \
                      and no progress for {seconds} s"
