@@ -73,6 +73,10 @@ fn read(
         }
     }
     root.extensions_required.clear();
+    // Attributes of other purposes (batch and feature ids, whatever their names) are not drawn and not judged.
+    for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
+        primitive.attributes.retain(|semantic, _| matches!(semantic, gltf::json::validation::Checked::Valid(_)));
+    }
     let cesium_rtc: Option<DVec3> = root.extensions.as_ref().and_then(|_| cesium_rtc(json));
     let document = gltf::Document::from_json(root).map_err(|e| IoError::invalid(uri, format!("glTF: {e}")))?;
     let mut reader = Reader {
