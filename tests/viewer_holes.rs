@@ -1,6 +1,8 @@
 //! No hole and no crack: low flights over a generated height set show no background below the horizon, while tiles
 //! are loading and when all are there. Needs a GPU (a software one will do).
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use std::path::Path;
 
 use terrane::draw::Sky;

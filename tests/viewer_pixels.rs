@@ -1,6 +1,8 @@
 //! Equal paths give equal pictures in blocking mode, whoever draws; stages and contexts end cleanly. Needs a GPU
 //! (a software one will do).
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use std::path::Path;
 
 use image::RgbaImage;

@@ -21,7 +21,7 @@ mod window;
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use holes::{HoleCheck, KEY_COLOR, coverage};
-pub use home::{LocalFrame, SetBounds, ViewFrom, environment_for};
+pub use home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for};
 pub use manipulator::{CameraManipulator, Event, FlyManipulator, MoveKey};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};

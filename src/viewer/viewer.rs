@@ -9,7 +9,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::camera::Camera;
 use super::holes::{KEY_COLOR, coverage};
-use super::home::{LocalFrame, SetBounds, ViewFrom, declared_region, environment_for, root_volume};
+use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
 use super::report::Settled;
 use super::stats::{FrameStats, StatsHistory};
@@ -17,7 +17,6 @@ use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, Thr
 use crate::cull::{CullVisitor, PageRequest, RenderStage};
 use crate::draw::{Environment, Sky};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
-use crate::io;
 use crate::pager::{CompileContext, DatabasePager, PagerConfig};
 use crate::scene::{DrawSlot, Page, PageId, Scene, SlotState};
 
@@ -186,12 +185,13 @@ impl Viewer {
     /// Loads a root tile set (folder, file or URL), places the camera at the first view of it and sets sun and
     /// haze to its size. Blocks until the root file is read.
     pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
-        let uri = io::root_uri(source)?;
-        let options = io::ReadOptions::for_root(&uri, self.pager_config.limits);
-        let mut pager = DatabasePager::new(self.pager_config.clone(), options.clone())?;
-        let page = pager.read_root(&uri)?;
+        self.set_root(LoadedRoot::read(source, &self.pager_config)?)
+    }
+
+    /// As [`Self::load`], with a root that was read before there was a viewer.
+    pub fn set_root(&mut self, root: LoadedRoot) -> Result<PageId, ViewerError> {
+        let LoadedRoot { pager, page, uri, region } = root;
         self.pager = Some(pager);
-        let region = declared_region(&uri, &options);
         self.root_uri = Some(uri);
         let first = self.bounds.is_none();
         let root = self.add_root(page)?;

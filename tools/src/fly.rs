@@ -10,8 +10,8 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::viewer::{
-    AnimationPath, Camera, HoleCheck, KEY_COLOR, Report, Settled, ViewFrom, Viewer, ViewerConfig, ViewerError,
-    WindowOptions, has_display, run_window,
+    AnimationPath, Camera, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerConfig,
+    ViewerError, WindowOptions, has_display, run_window,
 };
 
 use crate::args::FlyArgs;
@@ -51,18 +51,20 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
     let mut config =
         ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
     config.pager.blocking = args.blocking;
+    // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
+    let root = LoadedRoot::read(&source, &config.pager)?;
     let offscreen = args.offscreen || !display;
     let mut flight = Flight::new(*args, path, stop)?;
     let mut viewer = if offscreen {
         let mut viewer = Viewer::new_offscreen(&config)?;
-        flight.open(&mut viewer, &source)?;
+        flight.open(&mut viewer, root)?;
         while flight.before_frame(&mut viewer)? {
             viewer.frame_at(flight.time_s())?;
             flight.after_frame(&mut viewer)?;
         }
         viewer
     } else {
-        let (viewer, back) = in_window(flight, config, source)?;
+        let (viewer, back) = in_window(flight, config, root, &source)?;
         flight = back;
         viewer
     };
@@ -75,7 +77,7 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
 }
 
 /// The same flight, a frame each time the window draws.
-fn in_window(flight: Flight, config: ViewerConfig, source: String) -> Result<(Viewer, Flight)> {
+fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &str) -> Result<(Viewer, Flight)> {
     let interactive = flight.args.interactive;
     if interactive {
         println!("{}", terrane::viewer::KEYS);
@@ -91,7 +93,7 @@ fn in_window(flight: Flight, config: ViewerConfig, source: String) -> Result<(Vi
     let flight = std::rc::Rc::new(std::cell::RefCell::new(flight));
     let (on_open, before, after) = (flight.clone(), flight.clone(), flight.clone());
     let options = WindowOptions {
-        on_open: Box::new(move |viewer| on_open.borrow_mut().open(viewer, &source).map_err(application)),
+        on_open: Box::new(move |viewer| on_open.borrow_mut().open(viewer, root).map_err(application)),
         before_frame: Box::new(move |viewer| before.borrow_mut().before_frame(viewer).map_err(application)),
         after_frame: Box::new(move |viewer| after.borrow_mut().after_frame(viewer).map_err(application)),
         ..options
@@ -178,9 +180,9 @@ impl Flight {
         })
     }
 
-    /// Loads the set and places the first camera.
-    fn open(&mut self, viewer: &mut Viewer, source: &str) -> Result<()> {
-        viewer.load(source)?;
+    /// Takes the set and places the first camera.
+    fn open(&mut self, viewer: &mut Viewer, root: LoadedRoot) -> Result<()> {
+        viewer.set_root(root)?;
         viewer.camera.max_sse_px = match self.args.sse {
             Some(limit) => limit.0,
             None if viewer.is_height_set() => HEIGHT_SSE_PX,
