@@ -146,7 +146,7 @@ fn equal_meshes_are_one_draw_and_states_are_set_once() {
     };
     // Interleaved, and under two state sets that differ in color only.
     let tinted = |i: u32, node: Node| {
-        let color = if i % 3 == 0 { [1.0; 4] } else { [0.5, 0.5, 0.5, 1.0] };
+        let color = if i.is_multiple_of(3) { [1.0; 4] } else { [0.5, 0.5, 0.5, 1.0] };
         node.with_state_set(Arc::new(StateSet { color: Some(color), ..StateSet::default() }))
     };
     let nodes = (0..100).map(|i| tinted(i, place(i, if i % 2 == 0 { &one } else { &other }))).collect();

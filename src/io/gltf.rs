@@ -432,8 +432,9 @@ impl<'a> Reader<'a> {
 
 /// Strips, fans and loops as lists.
 fn assemble(mode: Mode, i: Arc<[u32]>) -> (Topology, Arc<[u32]>) {
-    let whole =
-        |n: usize| -> Arc<[u32]> { if i.len() % n == 0 { i.clone() } else { i[..i.len() - i.len() % n].into() } };
+    let whole = |n: usize| -> Arc<[u32]> {
+        if i.len().is_multiple_of(n) { i.clone() } else { i[..i.len() - i.len() % n].into() }
+    };
     match mode {
         Mode::Points => (Topology::Points, i.clone()),
         Mode::Lines => (Topology::Lines, whole(2)),

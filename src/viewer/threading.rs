@@ -102,13 +102,13 @@ pub enum DrawCommand {
     Compile(CompileOperation),
     /// Free slots after the last frame that drew them.
     Release(Vec<DrawSlot>),
-    /// Upload everything queued, whatever the time; answered by [`Reply::Compiled`].
+    /// Upload everything queued, whatever the time; answered by `Reply::Compiled`.
     FinishCompiles,
-    /// Upload within the budget and draw; answered by [`Reply::Frame`].
+    /// Upload within the budget and draw; answered by `Reply::Frame`.
     Frame(Box<FrameJob>),
     /// The target has a new size in pixels.
     Resize([u32; 2]),
-    /// Read the last picture, offscreen; answered by [`Reply::Image`].
+    /// Read the last picture, offscreen; answered by `Reply::Image`.
     ReadBack,
     /// End the thread.
     Stop,
