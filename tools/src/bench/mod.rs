@@ -1,6 +1,7 @@
 //! `terrane bench`: one layer at a time, JSON lines on stdout with the peer programs' field names.
 
 pub mod cull;
+pub mod page;
 
 use anyhow::Result;
 
@@ -12,6 +13,6 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             cull::run(*secs);
             Ok(())
         }
-        Bench::Page { source: _ } => anyhow::bail!("not in this build"),
+        Bench::Page(args) => page::run(args),
     }
 }
