@@ -1,6 +1,7 @@
 //! `terrane fly` and `terrane view`: a flight over a tile set, offscreen or in a window, and its report.
 
 use std::collections::VecDeque;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -80,7 +81,7 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
 fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &str) -> Result<(Viewer, Flight)> {
     let interactive = flight.args.interactive;
     if interactive {
-        println!("{}", terrane::viewer::KEYS);
+        writeln!(std::io::stdout(), "{}", terrane::viewer::KEYS).context("stdout")?;
     }
     let options = WindowOptions {
         title: format!("Terrane - {source}"),
@@ -327,8 +328,7 @@ impl Flight {
             pictures: (pictures > 0).then_some((pictures, self.frames_dir.as_deref())),
             report_file: self.report_file.as_deref(),
         };
-        print!("{}", summary::lines(&report, &notes));
-        Ok(())
+        std::io::stdout().write_all(summary::lines(&report, &notes).as_bytes()).context("stdout")
     }
 }
 

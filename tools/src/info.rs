@@ -1,20 +1,17 @@
 //! `terrane info`: what a tile set holds, as text or JSON.
 
 use std::fmt::Write as _;
+use std::io::Write as _;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use terrane::io::{self, Info, Limits};
 
 use crate::args::InfoArgs;
 
 pub fn run(args: &InfoArgs) -> Result<()> {
     let info = io::inspect(&args.source, &Limits::default())?;
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&info)?);
-    } else {
-        print!("{}", text(&info));
-    }
-    Ok(())
+    let text = if args.json { serde_json::to_string_pretty(&info)? + "\n" } else { text(&info) };
+    std::io::stdout().write_all(text.as_bytes()).context("stdout")
 }
 
 fn text(info: &Info) -> String {

@@ -1,6 +1,7 @@
 //! Paging along the default path in the phases of the `osg_page` peer: converge at the first camera, fly, converge
 //! at the last. One JSON object a phase with the peer's field names; a file here is one tile.
 
+use std::io::Write as _;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
@@ -36,7 +37,8 @@ pub fn run(args: &BenchPageArgs) -> Result<()> {
     let bounds = *viewer.bounds().context("the set has no bounds")?;
     let path = bounds.default_path(&viewer.camera.world_from_eye);
     for name in NAMES {
-        println!("{}", phase(&mut viewer, &path, name, args)?);
+        let line = phase(&mut viewer, &path, name, args)?;
+        writeln!(std::io::stdout(), "{line}").context("stdout")?;
     }
     Ok(())
 }
