@@ -1,6 +1,8 @@
 //! No hole and no crack: low flights over a generated height set show no background below the horizon, while tiles
 //! are loading and when all are there. Needs a GPU (a software one will do).
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use std::path::Path;
 
 use terrane::draw::Sky;
@@ -12,7 +14,9 @@ const FRAMES: u32 = 200;
 
 fn height_set(folder: &Path) -> String {
     let set = folder.join("set");
-    terrane_data_gen::generate(&terrane_data_gen::GenConfig { levels: 5, seed: 11, ..Default::default() }, &set).unwrap();
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(5), seed: 11, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
     set.display().to_string()
 }
 

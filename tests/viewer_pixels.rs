@@ -1,6 +1,8 @@
 //! Equal paths give equal pictures in blocking mode, whoever draws; stages and contexts end cleanly. Needs a GPU
 //! (a software one will do).
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use std::path::Path;
 
 use image::RgbaImage;
@@ -10,7 +12,9 @@ use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
 fn small_set(folder: &Path) -> String {
     let set = folder.join("set");
-    terrane_data_gen::generate(&terrane_data_gen::GenConfig { levels: 4, seed: 3, ..Default::default() }, &set).unwrap();
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
     set.display().to_string()
 }
 

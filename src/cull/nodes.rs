@@ -3,7 +3,7 @@
 use glam::{DAffine3, DVec3, Vec4};
 
 use super::stage::RenderLeaf;
-use super::visitor::{Cull, PageContext, Purpose, eye_in};
+use super::visitor::{Cull, DepthRange, PageContext, Purpose};
 use crate::scene::{DrawSlot, PLAIN, UNBOUNDED, kind};
 
 /// What holds again behind a subtree.
@@ -17,6 +17,9 @@ pub(super) struct Open {
     mask: u8,
 }
 
+/// Subtrees of so few nodes are scanned: setting up the ranges would cost more.
+const SMALL_SUBTREE: u32 = 4;
+
 impl Cull<'_> {
     /// Visits nodes `first..last`, whole subtrees, under a matrix and the planes they may cross.
     pub(super) fn scan_nodes(&mut self, context: &PageContext, first: u32, last: u32, mask: u8, matrix: u32) {
@@ -24,7 +27,7 @@ impl Cull<'_> {
         let base = self.node_stack.len();
         let mut above = Open { end: last, matrix, mask };
         let mut node = first;
-        let shortcut = self.small_feature == 0.0;
+        let shortcut = self.shortcut;
         loop {
             while node >= above.end {
                 if self.node_stack.len() == base {
@@ -56,11 +59,11 @@ impl Cull<'_> {
                     }
                 }
             }
-            if !shortcut && self.is_small(context, sphere) {
+            if !shortcut && self.small_feature > 0.0 && self.is_small(context, sphere) {
                 node += skip;
                 continue;
             }
-            if mask == 0 && record.flags & PLAIN != 0 && shortcut {
+            if mask == 0 && skip > SMALL_SUBTREE && record.flags & PLAIN != 0 && shortcut {
                 self.take_inside(context, node, node + skip, above.matrix);
                 node += skip;
                 continue;
@@ -78,7 +81,8 @@ impl Cull<'_> {
                     node += 1;
                 }
                 kind::TRANSFORM => {
-                    let matrix = self.push_transform(context, record.first_transform);
+                    let own = record.first_transform as usize;
+                    let matrix = self.push_transforms(context, own..own + 1);
                     self.node_stack.push(above);
                     above = Open { end: node + skip, matrix, mask };
                     node += 1;
@@ -108,7 +112,7 @@ impl Cull<'_> {
                 _ => {
                     let lod = &page.lods[page.payloads[node as usize] as usize];
                     let enclosing = self.enclosing_transform(context, node);
-                    let eye = page.transforms.point_in_node(enclosing, eye_in(&context.visit.eye_from_page));
+                    let eye = page.transforms.point_in_node(enclosing, context.eye);
                     let distance_m = eye.distance(lod.center) * self.camera.lod_scale;
                     let mut child = node + 1;
                     for index in 0.. {
@@ -131,10 +135,11 @@ impl Cull<'_> {
     #[cold]
     fn keep_tiles(&mut self, context: &PageContext, first: u32, end: u32) {
         let tiles = &context.page.tiles;
-        for root in 0..tiles.roots.len() {
-            if (first..end).contains(&tiles.nodes[tiles.roots[root].tile as usize]) {
-                self.scan_tiles(context.page, &context.visit, root, 0, Purpose::Keep);
-            }
+        let node_of = |root: usize| tiles.nodes[tiles.roots[root].tile as usize];
+        let mut root = tiles.roots.partition_point(|r| tiles.nodes[r.tile as usize] < first);
+        while root < tiles.roots.len() && node_of(root) < end {
+            self.scan_tiles(context.page, &context.visit, root, 0, Purpose::Keep);
+            root += 1;
         }
     }
 
@@ -151,9 +156,35 @@ impl Cull<'_> {
         0
     }
 
-    fn push_transform(&mut self, context: &PageContext, transform: u32) -> u32 {
-        let page_from_node = context.page.transforms.page_from_node(transform);
-        self.push_matrix(&(context.visit.eye_from_page * page_from_node))
+    /// Stores the matrices of a range of transforms one behind the other and returns the first's index.
+    #[inline(always)]
+    fn push_transforms(&mut self, context: &PageContext, transforms: std::ops::Range<usize>) -> u32 {
+        let all = &context.page.transforms;
+        let matrices = &mut self.stage.eye_from_drawable;
+        let first = matrices.len() as u32;
+        let [x, y, z] = context.eye_rows;
+        let at = context.visit.eye_from_page.translation;
+        let (mut linear, mut rows) = self.linear_rows;
+        let places = &all.translations[transforms.clone()];
+        let linear_of = &all.linear_of[transforms];
+        matrices.extend(places.iter().zip(linear_of).map(|(place, of)| {
+            if *of != linear {
+                linear = *of;
+                let page_from_node = all.linears[linear as usize].page_from_node;
+                rows = super::visitor::rows(&DAffine3 {
+                    matrix3: context.visit.eye_from_page.matrix3 * page_from_node,
+                    translation: DVec3::ZERO,
+                });
+            }
+            let [px, py, pz] = *place;
+            let mut matrix = rows;
+            matrix[0][3] = (x.x * px + x.y * py + x.z * pz + at.x) as f32;
+            matrix[1][3] = (y.x * px + y.y * py + y.z * pz + at.y) as f32;
+            matrix[2][3] = (z.x * px + z.y * py + z.z * pz + at.z) as f32;
+            matrix
+        }));
+        self.linear_rows = (linear, rows);
+        first
     }
 
     /// True for a bound that projects to too few pixels.
@@ -199,21 +230,59 @@ impl Cull<'_> {
     fn take_inside(&mut self, context: &PageContext, first: u32, end: u32, matrix: u32) {
         let page = context.page;
         let (from, to) = (page.nodes[first as usize], page.nodes[end as usize]);
-        let base = self.stage.eye_from_drawable.len() as u32;
-        for transform in from.first_transform..to.first_transform {
-            self.push_transform(context, transform);
+        let first_transform = from.first_transform;
+        let base = self.push_transforms(context, first_transform as usize..to.first_transform as usize);
+        let matrix_of = |transform: u32| {
+            if transform >= first_transform { base + (transform - first_transform) } else { matrix }
+        };
+        let (first, end) = (from.first_drawable as usize, to.first_drawable as usize);
+        self.leaves.reserve(end - first);
+        // Whole blocks of four in the middle, single drawables at the ends.
+        let head_end = first.next_multiple_of(4).min(end);
+        let blocks = head_end.div_ceil(4)..end / 4;
+        let tail_start = (4 * blocks.end).max(head_end);
+        self.take_singly(context, first..head_end, &matrix_of);
+        let row = context.depth;
+        let abs = row.abs();
+        let (mut near, mut far) = (Vec4::splat(self.range.near), Vec4::splat(self.range.far));
+        for (block, four) in page.boxes.iter().enumerate().take(blocks.end).skip(blocks.start) {
+            let start = 4 * block;
+            let [cx, cy, cz] = four.center;
+            let [hx, hy, hz] = four.half;
+            let depth = cx * row.x + cy * row.y + cz * row.z + Vec4::splat(row.w);
+            let reach = hx * abs.x + hy * abs.y + hz * abs.z;
+            let behind = (depth + reach).cmplt(Vec4::ZERO) | hx.cmpge(Vec4::splat(UNBOUNDED));
+            if behind.any() {
+                self.take_singly(context, start..start + 4, &matrix_of);
+                continue;
+            }
+            // A NaN in the first operand loses.
+            near = (depth - reach).min(near);
+            far = (depth + reach).max(far);
+            self.counters.drawables_tested += 4;
+            let Some(&[a, b, c, d]) = page.drawable_refs[start..].first_chunk::<4>() else { break };
+            let slots = context.slots.get(start..start + 4).and_then(|s| s.first_chunk::<4>());
+            let slots = slots.copied().unwrap_or([DrawSlot::NONE; 4]);
+            let states = [a, b, c, d].map(|r| self.state_of(page, r.state_path));
+            let matrices = [a, b, c, d].map(|r| matrix_of(r.transform));
+            let depths = depth.to_array();
+            let leaf =
+                |i: usize| RenderLeaf { slot: slots[i], state: states[i], matrix: matrices[i], depth: depths[i] };
+            self.leaves.extend_from_slice(&[leaf(0), leaf(1), leaf(2), leaf(3)]);
         }
-        for drawable in from.first_drawable..to.first_drawable {
-            let transform = page.drawable_refs[drawable as usize].transform;
-            let matrix =
-                if transform >= from.first_transform { base + (transform - from.first_transform) } else { matrix };
-            self.test_drawables(context, drawable, drawable + 1, 0, matrix);
+        self.range = DepthRange { near: near.min_element(), far: far.max_element() };
+        self.take_singly(context, tail_start..end, &matrix_of);
+    }
+
+    fn take_singly(
+        &mut self,
+        context: &PageContext,
+        drawables: std::ops::Range<usize>,
+        matrix_of: &impl Fn(u32) -> u32,
+    ) {
+        for drawable in drawables {
+            let matrix = matrix_of(context.page.drawable_refs[drawable].transform);
+            self.test_drawables(context, drawable as u32, drawable as u32 + 1, 0, matrix);
         }
     }
-}
-
-/// Shared by the tile walk: the map into eye space of a point given in a page's transform.
-pub(super) fn eye_from_transform(context_eye_from_page: &DAffine3, page_from_node: &DAffine3) -> (DAffine3, DVec3) {
-    let eye_from_node = *context_eye_from_page * *page_from_node;
-    (eye_from_node, eye_in(&eye_from_node))
 }

@@ -23,7 +23,14 @@ pub(super) struct StateGraph {
     nodes: Vec<Node>,
     table: Vec<(u32, u32)>,
     stamp: u32,
+    /// States that have leaves, in the order first met.
+    met: Vec<u32>,
+    /// By state: whether it is in `met`.
+    is_met: Vec<bool>,
 }
+
+/// A state without leaves.
+pub(super) const NOT_MET: u32 = u32::MAX;
 
 /// The state without any state set.
 pub(super) const ROOT: u32 = 0;
@@ -35,12 +42,30 @@ impl StateGraph {
         self.nodes.push(Node { parent: u32::MAX, key: 0 });
         resolved.clear();
         resolved.push(ResolvedState::default());
+        self.met.clear();
+        self.is_met.clear();
         if self.table.is_empty() || self.stamp == u32::MAX {
             self.table.clear();
             self.table.resize(64, (0, 0));
             self.stamp = 0;
         }
         self.stamp += 1;
+    }
+
+    /// States that have leaves, in the order first met.
+    pub fn met(&self) -> &[u32] {
+        &self.met
+    }
+
+    /// Notes that a state has leaves.
+    pub fn meet(&mut self, state: u32) {
+        if self.is_met.len() <= state as usize {
+            self.is_met.resize(self.nodes.len(), false);
+        }
+        if let Some(is_met) = self.is_met.get_mut(state as usize).filter(|m| !**m) {
+            *is_met = true;
+            self.met.push(state);
+        }
     }
 
     /// The state of a set under a parent.

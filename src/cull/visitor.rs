@@ -6,7 +6,7 @@ use super::planes::{EyePlanes, Planes, depth_row};
 use super::sort::Sorter;
 use super::stage::{CullCounters, RenderLeaf, RenderStage};
 use super::state_graph::{ROOT, StateGraph};
-use super::tiles::TileFrame;
+use super::tiles::{TileFrame, TileView};
 use super::{CullCamera, CullingMode, SMALL_FEATURE_PX};
 use crate::scene::{BLEND, NONE, Page, Scene};
 
@@ -48,6 +48,10 @@ pub(super) struct DepthRange {
 /// What is constant during the visit of a page.
 pub(super) struct PageContext<'a> {
     pub page: &'a Page,
+    /// Linear part of `eye_from_page` as rows.
+    pub eye_rows: [DVec3; 3],
+    /// The eye in the page's frame; only known where the page has LOD nodes.
+    pub eye: DVec3,
     pub planes: Planes,
     /// Depth of a point relative to the page's origin.
     pub depth: Vec4,
@@ -61,11 +65,14 @@ pub struct CullVisitor {
     pub(super) queue: Vec<PageVisit>,
     pub(super) node_stack: Vec<super::nodes::Open>,
     pub(super) tile_stack: Vec<TileFrame>,
-    /// State of each chain of the current page, or `NONE`.
+    /// State of each chain of the current page that has leaves, or `NONE`.
     pub(super) memo: Vec<u32>,
+    /// State of each chain that others start from, or `NONE`.
+    pub(super) chains: Vec<u32>,
     pub(super) graph: StateGraph,
     pub(super) leaves: Vec<RenderLeaf>,
     sorter: Sorter,
+    visits_all: bool,
 }
 
 /// A cull under way.
@@ -78,14 +85,21 @@ pub(super) struct Cull<'a> {
     pub node_stack: &'a mut Vec<super::nodes::Open>,
     pub tile_stack: &'a mut Vec<TileFrame>,
     pub memo: &'a mut Vec<u32>,
+    pub chains: &'a mut Vec<u32>,
     pub graph: &'a mut StateGraph,
     pub leaves: &'a mut Vec<RenderLeaf>,
     pub range: DepthRange,
+    /// The last linear part of the current page that was multiplied, and the product as rows.
+    pub linear_rows: (u32, [[f32; 4]; 3]),
+    /// The last frame with tile trees of the current page.
+    pub tile_view: Option<TileView>,
     pub counters: CullCounters,
     /// Pixels at 1 m of distance per metre, over the error limit and the LOD scale: error times it = range.
     pub range_per_error: f32,
     pub range_per_metre: f32,
     pub max_sse_px: f32,
+    /// Subtrees wholly inside are taken as ranges.
+    pub shortcut: bool,
     /// Radius over depth below which a bound is too small; 0 when off.
     pub small_feature: f32,
 }
@@ -94,6 +108,13 @@ impl CullVisitor {
     /// A visitor without memory; the first culls make it.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// A visitor that visits the nodes of subtrees that are wholly inside too, so that its counters can be compared
+    /// with another engine's.
+    #[doc(hidden)]
+    pub fn visiting_all() -> Self {
+        Self { visits_all: true, ..Self::default() }
     }
 
     /// Culls a scene for a camera: clears and refills the stage. Allocates nothing once the visitor and the stage
@@ -127,13 +148,17 @@ impl CullVisitor {
             node_stack: &mut self.node_stack,
             tile_stack: &mut self.tile_stack,
             memo: &mut self.memo,
+            chains: &mut self.chains,
             graph: &mut self.graph,
             leaves: &mut self.leaves,
             range: DepthRange { near: f32::INFINITY, far: f32::NEG_INFINITY },
+            linear_rows: (NONE, [[0.0; 4]; 3]),
+            tile_view: None,
             counters: CullCounters::default(),
             range_per_error: (camera.px_per_radian() / limit) as f32,
             range_per_metre: (1.0 / camera.lod_scale) as f32,
             max_sse_px: camera.max_sse_px as f32,
+            shortcut: !self.visits_all && small == 0.0,
             small_feature: small as f32,
         };
         cull.run();
@@ -142,7 +167,7 @@ impl CullVisitor {
     /// The second half of [`Self::cull`].
     #[doc(hidden)]
     pub fn sort(&mut self, stage: &mut RenderStage) {
-        self.sorter.fill_bins(&mut self.leaves, stage);
+        self.sorter.fill_bins(&mut self.leaves, self.graph.met(), stage);
     }
 }
 
@@ -174,9 +199,12 @@ impl Cull<'_> {
     fn visit_page(&mut self, visit: PageVisit) {
         let scene = self.scene;
         let Some(page) = scene.page_at(visit.place) else { return };
+        self.tile_view = None;
         self.memo.clear();
         self.memo.resize(page.paths.len(), NONE);
-        if let Some(root) = self.memo.first_mut() {
+        self.chains.clear();
+        self.chains.resize(page.paths.len(), NONE);
+        if let Some(root) = self.chains.first_mut() {
             *root = visit.state;
         }
         if visit.purpose != Purpose::Draw {
@@ -185,9 +213,16 @@ impl Cull<'_> {
             }
             return;
         }
+        self.linear_rows.0 = NONE;
         let context = PageContext {
             page,
-            planes: self.eye_planes.in_frame(&visit.eye_from_page, page.origin),
+            eye_rows: [0, 1, 2].map(|row| visit.eye_from_page.matrix3.row(row)),
+            eye: if page.lods.is_empty() { DVec3::ZERO } else { eye_in(&visit.eye_from_page) },
+            planes: if visit.mask == 0 {
+                Planes::UNUSED
+            } else {
+                self.eye_planes.in_frame(&visit.eye_from_page, page.origin)
+            },
             depth: depth_row(&visit.eye_from_page, page.origin),
             slots: page.draw_slots_of(self.camera.context),
             visit,
@@ -204,40 +239,47 @@ impl Cull<'_> {
         index
     }
 
-    /// The state of one of the page's chains.
+    /// The state of the leaves of one of the page's chains.
     #[inline(always)]
     pub(super) fn state_of(&mut self, page: &Page, path: u32) -> u32 {
         match self.memo.get(path as usize) {
             Some(&state) if state != NONE => state,
-            _ => self.insert_state(page, path),
+            _ => self.meet_state(page, path),
         }
     }
 
     #[cold]
-    fn insert_state(&mut self, page: &Page, path: u32) -> u32 {
-        // Up to the first chain that is known, then down again; chains are as deep as the graph at most.
-        let known = |memo: &[u32], path: u32| memo.get(path as usize).copied().filter(|s| *s != NONE);
+    fn meet_state(&mut self, page: &Page, path: u32) -> u32 {
+        let state = self.chain_state(page, path);
+        self.graph.meet(state);
+        if let Some(known) = self.memo.get_mut(path as usize) {
+            *known = state;
+        }
+        state
+    }
+
+    /// The state below one of the page's chains, whether or not it has leaves.
+    pub(super) fn chain_state(&mut self, page: &Page, path: u32) -> u32 {
+        // Up to the first chain that is known, one step down, again; chains are as deep as the graph at most.
         loop {
             let mut at = path;
-            let parent_state = loop {
-                let Some(link) = page.paths.get(at as usize) else { return ROOT };
-                match known(self.memo, link.parent) {
-                    Some(state) => break state,
-                    None if link.parent == NONE => return ROOT,
-                    None => at = link.parent,
+            let mut above = None;
+            let state = loop {
+                match (self.chains.get(at as usize), page.paths.get(at as usize)) {
+                    (Some(&state), _) if state != NONE => break state,
+                    (_, Some(link)) => (above, at) = (Some(at), link.parent),
+                    _ => break ROOT,
                 }
             };
-            let set = page.paths[at as usize].set;
+            let Some(next) = above else { return state };
+            let set = page.paths[next as usize].set;
             let resolved = &mut self.stage.state_sets;
-            let state = match page.state_sets.get(set as usize) {
-                _ if set == BLEND => self.graph.find_or_insert_blend(parent_state, resolved),
-                Some(set) => self.graph.find_or_insert(parent_state, set, resolved),
-                None => parent_state,
+            let below = match page.state_sets.get(set as usize) {
+                _ if set == BLEND => self.graph.find_or_insert_blend(state, resolved),
+                Some(set) => self.graph.find_or_insert(state, set, resolved),
+                None => state,
             };
-            self.memo[at as usize] = state;
-            if at == path {
-                return state;
-            }
+            self.chains[next as usize] = below;
         }
     }
 }

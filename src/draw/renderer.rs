@@ -127,6 +127,7 @@ impl Renderer {
         if ctx.acquire()? == Acquired::Skip {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
+        ctx.submitted();
         let ctx = &*ctx;
         let dropped = self.batch.build(ctx, stage, self.most_leaves);
         if dropped > 0 {

@@ -17,6 +17,8 @@ use crate::scene::{DrawSlot, Drawable, Geometry, HeightTile, Mesh, MeshVertex, T
 
 /// Most bytes of one slice: about 100 us of copying, so that the time budget is met closely.
 const SLICE_BYTES: u64 = 256 << 10;
+/// What the first slice of a call may have however small the budget, so that every upload ends.
+const LEAST_SLICE_BYTES: u64 = 16 << 10;
 /// Uploads are handed to the driver at the latest when so many bytes wait.
 const FLUSH_BYTES: u64 = 8 << 20;
 
@@ -47,7 +49,7 @@ pub struct Compiled {
 pub struct CompileBudget {
     /// Time.
     pub time: Duration,
-    /// Bytes.
+    /// Bytes; a call may always upload 16 KiB, or one row of an image.
     pub bytes: u64,
 }
 
@@ -130,10 +132,11 @@ pub(super) struct CompileQueue {
     unflushed_bytes: u64,
 }
 
-/// How many units of a slice fit: within `most_bytes`, at least one when nothing was uploaded yet.
+/// How many units of a slice fit; the first slice of a call has at least one.
 fn fitting(left: usize, unit_bytes: usize, most_bytes: u64, is_first: bool) -> usize {
+    let most_bytes = if is_first { most_bytes.max(LEAST_SLICE_BYTES) } else { most_bytes };
     let fit = (most_bytes.min(SLICE_BYTES) / unit_bytes.max(1) as u64) as usize;
-    // A unit larger than a slice goes alone.
+    // A unit larger than a slice (a row of a huge image) goes alone.
     let fit = if fit == 0 && (is_first || unit_bytes as u64 <= most_bytes) { 1 } else { fit };
     fit.min(left)
 }
@@ -141,6 +144,11 @@ fn fitting(left: usize, unit_bytes: usize, most_bytes: u64, is_first: bool) -> u
 impl CompileQueue {
     pub(super) fn push(&mut self, operation: CompileOperation) {
         self.waiting.push_back(operation);
+    }
+
+    /// Everything written so far went to the driver with a draw.
+    pub(super) fn flushed(&mut self) {
+        self.unflushed_bytes = 0;
     }
 
     pub(super) fn pending(&self) -> usize {

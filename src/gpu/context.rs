@@ -52,6 +52,8 @@ pub struct GraphicsContext {
     compiles: CompileQueue,
     /// Written by wgpu's device-lost callback on any thread, read by the draw thread; first reason wins.
     lost: Arc<Mutex<Option<String>>>,
+    /// Written by wgpu's error callback on the draw thread, emptied by [`Self::take_device_errors`].
+    errors: Arc<Mutex<Vec<String>>>,
     bytes_peak: u64,
 }
 
@@ -60,7 +62,11 @@ struct Opened {
     device: wgpu::Device,
     queue: wgpu::Queue,
     lost: Arc<Mutex<Option<String>>>,
+    errors: Arc<Mutex<Vec<String>>>,
 }
+
+/// Errors of the device that are kept until somebody asks.
+const MOST_ERRORS: usize = 16;
 
 fn instance(traits: &ContextTraits) -> wgpu::Instance {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
@@ -120,7 +126,18 @@ fn open(
             lost.get_or_insert(message);
         }
     });
-    Ok(Opened { adapter, device, queue, lost })
+    // Without a handler wgpu panics, on running out of memory too.
+    let errors = Arc::new(Mutex::new(Vec::new()));
+    let on_error = errors.clone();
+    device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+        log::error!("graphics device: {error}");
+        if let Ok(mut errors) = on_error.lock()
+            && errors.len() < MOST_ERRORS
+        {
+            errors.push(error.to_string());
+        }
+    }));
+    Ok(Opened { adapter, device, queue, lost, errors })
 }
 
 impl GraphicsContext {
@@ -144,7 +161,7 @@ impl GraphicsContext {
     }
 
     fn assemble(opened: Opened, target: Target) -> Self {
-        let Opened { adapter, device, queue, lost } = opened;
+        let Opened { adapter, device, queue, lost, errors } = opened;
         let pools = Pools::new(&device, Layouts::new(&device));
         Self {
             adapter_info: adapter.get_info(),
@@ -153,6 +170,7 @@ impl GraphicsContext {
             drawables: DrawableTable::default(),
             compiles: CompileQueue::default(),
             lost,
+            errors,
             bytes_peak: 0,
             device,
             queue,
@@ -251,6 +269,16 @@ impl GraphicsContext {
     /// Largest [`Self::bytes_allocated`] so far.
     pub fn bytes_peak(&self) -> u64 {
         self.bytes_peak
+    }
+
+    /// What the device complained about since the last call (also logged): out of memory, or a bug of ours.
+    pub fn take_device_errors(&mut self) -> Vec<String> {
+        self.errors.lock().map(|mut e| std::mem::take(&mut *e)).unwrap_or_default()
+    }
+
+    /// Called by the renderer, whose submit takes along what was written before.
+    pub(crate) fn submitted(&mut self) {
+        self.compiles.flushed();
     }
 
     pub(crate) fn drawable(&self, slot: DrawSlot) -> Option<&DrawableEntry> {

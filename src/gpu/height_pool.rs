@@ -243,6 +243,10 @@ impl Block {
     }
 }
 
+/// Cells are drawn in strips as wide as this, south to north, so that a row's vertices are still in the adapter's
+/// vertex cache when the next row needs them.
+const STRIP_CELLS: usize = 16;
+
 /// Indices of the grid and its skirt. Vertices `0..side^2` are the grid, row-major from the south-west; then a
 /// ring of `4 (side - 1)` skirt vertices, counter-clockwise from the south-west corner, each below its edge
 /// vertex (the shader knows the order). Cells are cut from south-west to north-east, so that a cell whose
@@ -250,11 +254,14 @@ impl Block {
 fn grid_indices(side: u32) -> Vec<u32> {
     let cells = side - 1;
     let mut indices = Vec::with_capacity((cells * cells * 6 + 4 * cells * 6) as usize);
-    for j in 0..cells {
-        for i in 0..cells {
-            let sw = j * side + i;
-            let (se, nw, ne) = (sw + 1, sw + side, sw + side + 1);
-            indices.extend([sw, se, ne, sw, ne, nw]);
+    for west in (0..cells).step_by(STRIP_CELLS) {
+        let east = cells.min(west + STRIP_CELLS as u32);
+        for j in 0..cells {
+            for i in west..east {
+                let sw = j * side + i;
+                let (se, nw, ne) = (sw + 1, sw + side, sw + side + 1);
+                indices.extend([sw, se, ne, sw, ne, nw]);
+            }
         }
     }
     let ring = 4 * cells;

@@ -23,6 +23,7 @@ pub(crate) struct TilesetJson {
     pub extensions_required: Vec<String>,
     #[serde(rename = "extensionsUsed", default)]
     pub extensions_used: Vec<String>,
+
     pub root: TileJson,
 }
 

@@ -107,10 +107,7 @@ fn read_files(list: &RequestList, sender: &Sender<Loaded>, limits: &io::Limits) 
 }
 
 /// Bytes that came in for a content and its companions.
-pub(super) fn read_bytes(
-    bytes: &Result<Vec<u8>, io::IoError>,
-    companions: &[(Arc<str>, Result<Vec<u8>, io::IoError>)],
-) -> u64 {
+pub(super) fn read_bytes(bytes: &Result<Vec<u8>, io::IoError>, companions: &[io::Fetched]) -> u64 {
     let of = |r: &Result<Vec<u8>, io::IoError>| r.as_ref().map_or(0, |b| b.len() as u64);
     of(bytes) + companions.iter().map(|(_, r)| of(r)).sum::<u64>()
 }
@@ -127,12 +124,13 @@ fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOpti
 fn decode_one(
     job: &Job,
     bytes: Vec<u8>,
-    companions: Vec<(Arc<str>, Result<Vec<u8>, io::IoError>)>,
+    companions: Vec<io::Fetched>,
     options: &ReadOptions,
 ) -> Result<Page, io::IoError> {
     let content = Content { uri: job.uri.clone(), bytes, reader_data: job.reader_data.clone(), companions };
     let options = ReadOptions { chain: job.chain.clone(), ..options.clone() };
     // The readers do not panic on outside data; should one of the crates behind them do so, one tile fails, not all.
-    std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| io::decode(content, &options)))
-        .unwrap_or_else(|_| Err(io::IoError::Invalid { uri: job.uri.to_string(), reason: "the decoder panicked".into() }))
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| io::decode(content, &options))).unwrap_or_else(|_| {
+        Err(io::IoError::Invalid { uri: job.uri.to_string(), reason: "the decoder panicked".into() })
+    })
 }

@@ -72,7 +72,7 @@ impl DatabasePager {
 
     /// Reads a root tileset (or a single content) on the calling thread.
     pub fn read_root(&mut self, uri: &Arc<str>) -> Result<Page, IoError> {
-        let bytes = self.read_blocking(uri)?;
+        let bytes = io::fetch(uri, &self.config.limits)?;
         self.stats.bytes_read += bytes.len() as u64;
         if io::is_http(uri) {
             self.stats.bytes_http += bytes.len() as u64;
@@ -81,23 +81,6 @@ impl DatabasePager {
         let page = io::decode(content, &self.options)?;
         self.root_chain = self.options.below(uri).chain;
         Ok(page)
-    }
-
-    fn read_blocking(&self, uri: &str) -> Result<Vec<u8>, IoError> {
-        if !io::is_http(uri) {
-            return io::read_file(uri, &self.config.limits);
-        }
-        #[cfg(feature = "http")]
-        {
-            let client = io::HttpClient::new(&self.config.http)?;
-            let runtime = tokio::runtime::Builder::new_current_thread()
-                .enable_all()
-                .build()
-                .map_err(|e| IoError::Network { uri: uri.to_owned(), reason: e.to_string() })?;
-            runtime.block_on(client.get(uri, &self.config.limits))
-        }
-        #[cfg(not(feature = "http"))]
-        Err(IoError::Unsupported { uri: uri.to_owned(), what: "http (built without the feature)".to_owned() })
     }
 
     /// The pager's turn with the scene, once a frame: takes what was loaded and compiled, merges, expires, and
@@ -115,8 +98,7 @@ impl DatabasePager {
         self.retry(scene);
         self.rewrite_list();
         while self.config.blocking && self.is_busy() {
-            let answer =
-                self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
+            let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
             if let Some(answer) = answer {
                 self.answer(scene, answer, contexts);
             }

@@ -90,10 +90,10 @@ impl Scene {
     /// Takes a page out of its slot; refused while other pages hang in its own slots. Costs what attach costs.
     pub fn detach(&mut self, id: PageId) -> Result<Page, SceneError> {
         let page = self.page(id).ok_or(SceneError::StalePage { page: id })?;
+        let slot = self.slot_at(id.slot).ok_or(SceneError::IsRoot { page: id })?;
         if page.attached_pages > 0 {
             return Err(SceneError::HasPages { page: id, count: page.attached_pages });
         }
-        let slot = self.slot_at(id.slot).ok_or(SceneError::IsRoot { page: id })?;
         let entry = slot.page.slot;
         if let Some(tile) = self.page_at(entry).and_then(|p| p.tile_of(slot.index)) {
             let was_ready = self.tile_ready(entry, tile);

@@ -325,10 +325,11 @@ impl Page {
 fn stored_sphere(center: DVec3, radius_m: f64) -> Vec4 {
     let slack = rounding_slack(center.abs().max_element() + radius_m);
     let radius_m = radius_m + slack;
-    if !center.is_finite() || !(radius_m < f64::from(UNBOUNDED)) {
-        return Vec4::new(0.0, 0.0, 0.0, UNBOUNDED);
+    if center.is_finite() && radius_m < f64::from(UNBOUNDED) {
+        center.as_vec3().extend(radius_m as f32)
+    } else {
+        Vec4::new(0.0, 0.0, 0.0, UNBOUNDED)
     }
-    center.as_vec3().extend(radius_m as f32)
 }
 
 /// One f32 step at a coordinate: the spike measured that nothing is lost with it, and 1 leaf of 5 million without.

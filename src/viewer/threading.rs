@@ -19,7 +19,7 @@ use crate::cull::RenderStage;
 use crate::draw::{DrawStats, Environment, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
 use crate::pager::CompileContext;
-use crate::scene::DrawSlot;
+use crate::scene::{DrawSlot, Drawable};
 
 /// Where drawing happens.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -57,6 +57,9 @@ pub const STAGES_IN_FLIGHT: usize = 2;
 
 /// Commands that may wait before the sender does; many small uploads fit between two frames.
 const COMMAND_QUEUE: usize = 1024;
+
+/// Set in the tickets of what the viewer itself compiles (pages that the application made); the rest are the pager's.
+const OWN_TICKET: u64 = 1 << 63;
 
 /// One frame's work for the thread that owns the context.
 pub struct FrameJob {
@@ -99,13 +102,13 @@ pub enum DrawCommand {
     Compile(CompileOperation),
     /// Free slots after the last frame that drew them.
     Release(Vec<DrawSlot>),
-    /// Upload everything queued, whatever the time; answered by [`Reply::Compiled`].
+    /// Upload everything queued, whatever the time; answered by `Reply::Compiled`.
     FinishCompiles,
-    /// Upload within the budget and draw; answered by [`Reply::Frame`].
+    /// Upload within the budget and draw; answered by `Reply::Frame`.
     Frame(Box<FrameJob>),
     /// The target has a new size in pixels.
     Resize([u32; 2]),
-    /// Read the last picture, offscreen; answered by [`Reply::Image`].
+    /// Read the last picture, offscreen; answered by `Reply::Image`.
     ReadBack,
     /// End the thread.
     Stop,
@@ -185,6 +188,11 @@ impl DrawSide {
         if let Some(mut paint) = job.overlay {
             self.paint(&mut paint);
         }
+        let submitted = Instant::now();
+        if job.read_back {
+            // The adapter's work is part of the frame, copying its picture is not.
+            let _ = self.context.device().poll(wgpu::PollType::wait_indefinitely());
+        }
         let drawn = Instant::now();
         // A window's image can be read until it is presented only.
         let image = (job.read_back && stats.is_ok()).then(|| self.renderer.read_back(&mut self.context));
@@ -195,7 +203,7 @@ impl DrawSide {
         FrameDone {
             stage: job.stage,
             stats,
-            draw_ms: millis(drawn - compiled),
+            draw_ms: millis(submitted - compiled),
             compile_ms: millis(compiled - start),
             read_back_ms: if image.is_some() { millis(read_back) } else { 0.0 },
             image,
@@ -232,6 +240,8 @@ pub struct ContextHandle {
     /// Used inline only: the draw thread has its own end.
     reply_sender: Sender<Reply>,
     compiled: Receiver<Compiled>,
+    /// Compiled for the viewer's own pages, until it asks.
+    compiled_own: Vec<Compiled>,
     in_flight: usize,
     /// Wait for every upload when the pager asks what is compiled: the blocking mode.
     pub finish_compiles: bool,
@@ -274,7 +284,17 @@ impl ContextHandle {
         };
         // With a thread only that thread may keep a sender, so that its end is noticed.
         let reply_sender = if matches!(side, Side::Inline(_)) { reply_sender } else { crossbeam_channel::bounded(0).0 };
-        Ok(Self { id, side, replies, reply_sender, compiled, in_flight: 0, finish_compiles: false, adapter_name })
+        Ok(Self {
+            id,
+            side,
+            replies,
+            reply_sender,
+            compiled,
+            compiled_own: Vec::new(),
+            in_flight: 0,
+            finish_compiles: false,
+            adapter_name,
+        })
     }
 
     /// Name of the adapter that draws.
@@ -321,6 +341,17 @@ impl ContextHandle {
         }
     }
 
+    /// Uploads what the application made itself; see [`Self::take_compiled_own`].
+    pub(super) fn compile_own(&mut self, number: u32, drawables: Vec<Drawable>) -> Result<(), ViewerError> {
+        let ticket = OWN_TICKET | u64::from(number);
+        self.send(DrawCommand::Compile(CompileOperation { ticket, drawables }))
+    }
+
+    /// What was uploaded by [`Self::compile_own`], with its number; called after the pager has taken its own.
+    pub(super) fn take_compiled_own(&mut self) -> Vec<(u32, Compiled)> {
+        self.compiled_own.drain(..).map(|c| (c.ticket as u32, c)).collect()
+    }
+
     /// The target has a new size.
     pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
         self.send(DrawCommand::Resize(size_px))
@@ -364,7 +395,16 @@ impl CompileContext for ContextHandle {
         if self.finish_compiles && self.in_flight == 0 && self.send(DrawCommand::FinishCompiles).is_ok() {
             let _ = self.replies.recv();
         }
-        self.compiled.try_iter().collect()
+        let own = &mut self.compiled_own;
+        let for_pager = |c: Compiled| {
+            if c.ticket & OWN_TICKET == 0 {
+                Some(c)
+            } else {
+                own.push(c);
+                None
+            }
+        };
+        self.compiled.try_iter().filter_map(for_pager).collect()
     }
 
     fn release(&mut self, slots: Vec<DrawSlot>) {

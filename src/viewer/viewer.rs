@@ -9,7 +9,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::camera::Camera;
 use super::holes::{KEY_COLOR, coverage};
-use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
+use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
 use super::report::Settled;
 use super::stats::{FrameStats, StatsHistory};
@@ -17,8 +17,7 @@ use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, Thr
 use crate::cull::{CullVisitor, PageRequest, RenderStage};
 use crate::draw::{Environment, Sky};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
-use crate::io;
-use crate::pager::{DatabasePager, PagerConfig};
+use crate::pager::{CompileContext, DatabasePager, PagerConfig};
 use crate::scene::{DrawSlot, Page, PageId, Scene, SlotState};
 
 /// How a viewer is made.
@@ -102,6 +101,8 @@ pub struct Viewer {
     bounds: Option<SetBounds>,
     root_uri: Option<Arc<str>>,
     root: Option<PageId>,
+    /// Pages made by the application whose drawables were sent to be uploaded; the index is the ticket.
+    compiling: Vec<PageId>,
     first_frame: Option<Instant>,
     last_frame: Option<Instant>,
     stamp: FrameStamp,
@@ -164,6 +165,7 @@ impl Viewer {
             bounds: None,
             root_uri: None,
             root: None,
+            compiling: Vec::new(),
             first_frame: None,
             last_frame: None,
             stamp: FrameStamp::default(),
@@ -183,18 +185,25 @@ impl Viewer {
     /// Loads a root tile set (folder, file or URL), places the camera at the first view of it and sets sun and
     /// haze to its size. Blocks until the root file is read.
     pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
-        let uri = io::root_uri(source)?;
-        let options = io::ReadOptions::for_root(&uri, self.pager_config.limits);
-        let mut pager = DatabasePager::new(self.pager_config.clone(), options)?;
-        let page = pager.read_root(&uri)?;
+        self.set_root(LoadedRoot::read(source, &self.pager_config)?)
+    }
+
+    /// As [`Self::load`], with a root that was read before there was a viewer.
+    pub fn set_root(&mut self, root: LoadedRoot) -> Result<PageId, ViewerError> {
+        let LoadedRoot { pager, page, uri, region } = root;
         self.pager = Some(pager);
         self.root_uri = Some(uri);
-        Ok(self.add_root(page))
+        let first = self.bounds.is_none();
+        let root = self.add_root(page)?;
+        if let (true, Some(bounds), Some(region)) = (first, &mut self.bounds, region) {
+            *bounds = SetBounds::new(bounds.sphere, Some(region));
+        }
+        Ok(root)
     }
 
     /// Adds a page made by the application as a root; paged contents in it are read by the pager of
     /// [`Self::set_pager`]. The first root places the camera.
-    pub fn add_root(&mut self, page: Page) -> PageId {
+    pub fn add_root(&mut self, mut page: Page) -> Result<PageId, ViewerError> {
         let bounds = SetBounds::new(page.bounding_sphere(), root_volume(&page));
         if self.bounds.is_none() {
             self.bounds = Some(bounds);
@@ -202,9 +211,24 @@ impl Viewer {
             self.camera.min_near_m = (1e-5 * bounds.sphere.radius_m).clamp(1e-4, 1.0);
             self.environment = environment_for(&bounds);
         }
+        let drawables = page.take_drawables();
         let root = self.scene.add_root(page);
         self.root.get_or_insert(root);
-        root
+        if !drawables.is_empty() {
+            self.context.compile_own(self.compiling.len() as u32, drawables)?;
+            self.compiling.push(root);
+        }
+        Ok(root)
+    }
+
+    /// Takes a root out of the scene and frees what it has on the GPU; `None` when it is not a root, or while
+    /// pages hang in it.
+    pub fn remove_root(&mut self, id: PageId) -> Option<Page> {
+        let mut page = self.scene.remove_root(id)?;
+        for (_, slots) in page.take_draw_slots() {
+            self.context.release(slots);
+        }
+        Some(page)
     }
 
     /// Replaces the pager, for scenes made by hand.
@@ -416,6 +440,7 @@ impl Viewer {
     /// The pager's turn with the scene; milliseconds.
     fn page(&mut self) -> f64 {
         let start = Instant::now();
+        self.merge_own();
         if let Some(pager) = &mut self.pager {
             pager.update_scene_graph(&mut self.scene, self.stamp.frame, &self.requests, &mut [&mut self.context]);
             self.quiet_frames = if pager.is_idle() { self.quiet_frames.saturating_add(1) } else { 0 };
@@ -423,6 +448,24 @@ impl Viewer {
             self.quiet_frames = QUIET_FRAMES;
         }
         millis(start.elapsed())
+    }
+
+    /// Gives pages that the application made the slots of their uploaded drawables.
+    fn merge_own(&mut self) {
+        if self.pager.is_none() && !self.compiling.is_empty() {
+            // Nobody else takes what is compiled.
+            self.context.take_compiled();
+        }
+        for (number, compiled) in self.context.take_compiled_own() {
+            for error in &compiled.errors {
+                log::error!("a drawable of a root cannot be drawn: {error}");
+            }
+            match self.compiling.get(number as usize).and_then(|id| self.scene.page_mut(*id)) {
+                Some(page) => page.set_draw_slots(CONTEXT, compiled.slots),
+                // Removed meanwhile.
+                None => self.context.release(compiled.slots),
+            }
+        }
     }
 
     fn cull_into(&mut self, stage: &mut RenderStage) {

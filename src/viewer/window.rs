@@ -232,7 +232,12 @@ impl ApplicationHandler for App {
     }
 
     fn exiting(&mut self, _: &ActiveEventLoop) {
-        if let Some(open) = self.open.take() {
+        if let Some(mut open) = self.open.take() {
+            // Pictures of the last frames may still be on their way.
+            let ended = open.viewer.finish().and_then(|()| open.after_frame(&mut self.options));
+            if let Err(error) = ended {
+                self.error.get_or_insert(error);
+            }
             self.closed = Some(open.viewer);
         }
     }
@@ -298,6 +303,12 @@ impl Open {
             let time_s = self.viewer.frame_stamp().reference_time_s;
             points.push(ControlPoint::from_pose(time_s, &self.viewer.camera.world_from_eye));
         }
+        self.after_frame(options)?;
+        Ok(true)
+    }
+
+    /// The application first: pictures that it leaves are the user's.
+    fn after_frame(&mut self, options: &mut WindowOptions) -> Result<(), ViewerError> {
         (options.after_frame)(&mut self.viewer)?;
         for (_, picture) in self.viewer.take_pictures() {
             self.pictures_taken += 1;
@@ -307,7 +318,7 @@ impl Open {
                 Err(error) => log::error!("{}: {error}", file.display()),
             }
         }
-        Ok(true)
+        Ok(())
     }
 }
 

@@ -1,5 +1,7 @@
 //! The `terrane` command from outside: exit codes, lines on stdout and stderr, files.
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -67,7 +69,6 @@ fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
     for source in [folder.path().join("missing").to_str().unwrap(), broken.to_str().unwrap()] {
         let out = terrane(&["fly", source, "--offscreen", "--frames", "1"]);
         let stderr = lines(&out.stderr);
-        // Without an adapter the line is about that, which is just as well here.
         assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
         assert!(stderr[0].starts_with("terrane fly: "), "{stderr:?}");
     }
@@ -86,8 +87,20 @@ fn a_flight_reports() {
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (report, shot, selection, pictures) = (at("report.json"), at("shot.png"), at("drawn.json"), at("frames"));
     let out = terrane(&[
-        "fly", set.to_str().unwrap(), "--frames", "12", "--size", "160x90", "--report", &report, "--screenshot", &shot,
-        "--selection", &selection, "--frames-dir", &pictures,
+        "fly",
+        set.to_str().unwrap(),
+        "--frames",
+        "12",
+        "--size",
+        "160x90",
+        "--report",
+        &report,
+        "--screenshot",
+        &shot,
+        "--selection",
+        &selection,
+        "--frames-dir",
+        &pictures,
     ]);
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     assert_eq!(lines(&out.stdout).len(), 5, "{}", String::from_utf8_lossy(&out.stdout));
@@ -139,8 +152,20 @@ fn a_settled_picture_is_complete() {
     let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let (report, selection, shot) = (at("report.json"), at("drawn.json"), at("shot.png"));
     let out = terrane(&[
-        "fly", set.to_str().unwrap(), "--offscreen", "--settle", "--size", "160x90", "--report", &report,
-        "--selection", &selection, "--screenshot", &shot, "--background", "1a334d",
+        "fly",
+        set.to_str().unwrap(),
+        "--offscreen",
+        "--settle",
+        "--size",
+        "160x90",
+        "--report",
+        &report,
+        "--selection",
+        &selection,
+        "--screenshot",
+        &shot,
+        "--background",
+        "1a334d",
     ]);
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
     let report = json(Path::new(&report));
@@ -168,7 +193,14 @@ fn a_missing_tile_is_reported_and_the_flight_goes_on() {
     std::fs::remove_file(&missing).unwrap();
     let report = folder.path().join("report.json");
     let out = terrane(&[
-        "fly", set.to_str().unwrap(), "--settle", "--sse", "0.5", "--size", "160x90", "--report",
+        "fly",
+        set.to_str().unwrap(),
+        "--settle",
+        "--sse",
+        "0.5",
+        "--size",
+        "160x90",
+        "--report",
         report.to_str().unwrap(),
     ]);
     assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
@@ -189,7 +221,15 @@ fn holes_are_counted() {
     let set = tile_set(folder.path());
     let report = folder.path().join("report.json");
     let out = terrane(&[
-        "fly", set.to_str().unwrap(), "--frames", "20", "--size", "160x90", "--check-holes", "--blocking", "--report",
+        "fly",
+        set.to_str().unwrap(),
+        "--frames",
+        "20",
+        "--size",
+        "160x90",
+        "--check-holes",
+        "--blocking",
+        "--report",
         report.to_str().unwrap(),
     ]);
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));

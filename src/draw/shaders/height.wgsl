@@ -5,6 +5,12 @@
 // the level alone. So two tiles that share an edge compute the same points on it: where the finer one ends, its
 // edge has k = 1, which is the coarser one's edge.
 
+// A vertex with height h, in the row (dp, dz, cos, sin) and the column (sin, 1 - cos), lies at
+//     east   = (p0 + dp + h cos) * sin'
+//     radial = dp + h cos - (p0 + dp + h cos) * (1 - cos')
+//     polar  = dz + h sin
+// which is the ellipsoid in small differences (see HeightTile).
+
 @group(1) @binding(0) var heights: texture_2d_array<f32>;
 @group(1) @binding(1) var<storage, read> tables: array<vec4<f32>>;
 @group(1) @binding(2) var color_layers: texture_2d_array<f32>;
@@ -41,41 +47,18 @@ fn height_at(layer: u32, vertex: vec2<i32>) -> f32 {
     return textureLoad(heights, vertex + 1, layer, 0).r;
 }
 
-fn surface_point(table: u32, side: u32, vertex: vec2<i32>, height: f32) -> vec3<f32> {
-    let p0 = tables[table].x;
-    let row = row_of(table, vertex.y);
-    let column = column_of(table, side, vertex.x);
-    let out = row.x + height * row.z;
-    return vec3<f32>((p0 + out) * column.x, out - (p0 + out) * column.y, row.y + height * row.w);
-}
-
-// Away from the ground at a vertex, in the tile's frame.
-fn up_at(table: u32, side: u32, vertex: vec2<i32>) -> vec3<f32> {
-    let row = row_of(table, vertex.y);
-    let column = column_of(table, side, vertex.x);
-    return vec3<f32>(row.z * column.x, row.z * (1.0 - column.y), row.w);
-}
-
-// Normal from the differences over `step` cells each way, cut off at the border.
-fn normal_at(table: u32, side: u32, layer: u32, vertex: vec2<i32>, step: i32) -> vec3<f32> {
-    let last = i32(side);
-    let low = max(vertex - step, vec2<i32>(-1));
-    let high = min(vertex + step, vec2<i32>(last));
-    let span = vec2<f32>(high - low);
-    let row = row_of(table, vertex.y);
-    let column = column_of(table, side, vertex.x);
-    let p0 = tables[table].x;
-    // Cells narrow towards the poles.
-    let cell = tables[table].zw * vec2<f32>(max(1.0 + row.x / p0, 1e-3), 1.0);
-    let slope = vec2<f32>(
+// Slopes east and north from the differences over `step` cells each way, fewer towards the edges: the same number
+// both ways, so that the tile beyond the edge comes to the same slopes there.
+fn slope_at(side: u32, layer: u32, vertex: vec2<i32>, step: i32, cell: vec2<f32>) -> vec2<f32> {
+    let inside = min(vertex, i32(side) - 1 - vertex);
+    let reach = min(vec2<i32>(step), inside + 1);
+    let low = vertex - reach;
+    let high = vertex + reach;
+    let rise = vec2<f32>(
         height_at(layer, vec2<i32>(high.x, vertex.y)) - height_at(layer, vec2<i32>(low.x, vertex.y)),
         height_at(layer, vec2<i32>(vertex.x, high.y)) - height_at(layer, vec2<i32>(vertex.x, low.y)),
-    ) / (span * cell);
-    let cos_lon = 1.0 - column.y;
-    let east = vec3<f32>(cos_lon, -column.x, 0.0);
-    let north = vec3<f32>(-row.w * column.x, -row.w * cos_lon, row.z);
-    let up = vec3<f32>(row.z * column.x, row.z * cos_lon, row.w);
-    return normalize(up - slope.x * east - slope.y * north);
+    );
+    return rise / (vec2<f32>(2 * reach) * cell);
 }
 
 fn range_error(table: u32, n: u32) -> f32 {
@@ -104,17 +87,28 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) leaf: u
         drop = tables[table].y;
     }
 
+    let header = tables[table];  // p0, skirt, cell size east and north
     let levels = u32(tables[table + 2u].z);
     let morph_start = frame.sun_color.w;
     let range_per_error = frame.sun_direction.w;
+    let row = row_of(table, vertex.y);
+    let column = column_of(table, side, vertex.x);
+    // Cells narrow towards the poles.
+    let cell = header.zw * vec2<f32>(max(1.0 + row.x / header.x, 1e-3), 1.0);
+
     var weight = 1.0;
     var step = 1;
     var v = vertex;
+    var v_row = row;
+    var v_column = column;
     var position = vec3<f32>(0.0);
-    var normal = vec3<f32>(0.0);
+    var slope = vec2<f32>(0.0);
     var grid = vec2<f32>(0.0);
     for (var n = 0u; n <= 6u; n++) {
-        let point = surface_point(table, side, v, height_at(layer, v));
+        let height = height_at(layer, v);
+        let out = v_row.x + height * v_row.z;
+        let across = header.x + out;
+        let point = vec3<f32>(across * v_column.x, out - across * v_column.y, v_row.y + height * v_row.w);
         var k = 0.0;
         if n < levels {
             let distance = length(point_in_eye(leaf, point));
@@ -124,7 +118,7 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) leaf: u
         let share = weight * (1.0 - k);
         if share > 0.0 {
             position += share * point;
-            normal += share * normal_at(table, side, layer, v, step);
+            slope += share * slope_at(side, layer, v, step, cell);
             grid += share * vec2<f32>(v);
         }
         weight *= k;
@@ -133,8 +127,16 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) leaf: u
         }
         step *= 2;
         v = vec2<i32>(v.x & -step, v.y & -step);
+        v_row = row_of(table, v.y);
+        v_column = column_of(table, side, v.x);
     }
-    let up = up_at(table, side, vertex);
+
+    // East, north and up at the vertex, in the tile's (left-handed) frame.
+    let cos_lon = 1.0 - column.y;
+    let east = vec3<f32>(cos_lon, -column.x, 0.0);
+    let north = vec3<f32>(-row.w * column.x, -row.w * cos_lon, row.z);
+    let up = vec3<f32>(row.z * column.x, row.z * cos_lon, row.w);
+    let normal = up - slope.x * east - slope.y * north;
     position -= drop * up;
 
     let in_eye = point_in_eye(leaf, position);

@@ -12,6 +12,7 @@ use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::gpu::{
     AdapterChoice, CompileBudget, CompileOperation, CompileStats, Compiled, ContextTraits, GraphicsContext,
 };
+use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{Limits, ReadOptions};
 use terrane::math::{BoundingSphere, BoundingVolume, OrientedBox};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
@@ -116,87 +117,33 @@ impl Tile {
         Ok(Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) })
     }
 
-    /// The tile as binary glTF: y-up, east and north relative to its centre; floats but for the normals (signed
-    /// bytes, `KHR_mesh_quantization`), 16-bit indices, a stored (not deflated) PNG.
+    /// The tile as binary glTF: y-up, east and north relative to its centre; a stored (not deflated) PNG.
     fn glb(self) -> Result<Vec<u8>> {
         let ([x0, y0], center, side_m) = (self.corner(), self.center(), self.side_m());
         let step = side_m / (SIDE - 1) as f64;
-        let (mut positions, mut normals, mut uvs) = (Vec::new(), Vec::new(), Vec::new());
-        let (mut low, mut high) = (f32::MAX, f32::MIN);
+        let mut mesh = GlbMesh { image: Some(self.png()?), base_color: [1.0; 4], ..GlbMesh::default() };
         for j in 0..SIDE {
             for i in 0..SIDE {
                 let (x, y) = (x0 + i as f64 * step, y0 + j as f64 * step);
-                let z = height_m(x, y) as f32;
-                (low, high) = (low.min(z), high.max(z));
-                for v in [(x - center.x) as f32, z, (center.y - y) as f32] {
-                    positions.extend(v.to_le_bytes());
-                }
                 let n = DVec3::new(
                     height_m(x - step, y) - height_m(x + step, y),
                     height_m(x, y - step) - height_m(x, y + step),
                     2.0 * step,
                 )
                 .normalize();
-                normals.extend([n.x, n.z, -n.y].map(|c| (c * 127.0).round() as i8 as u8));
-                normals.push(0);
-                for v in [i as f32 / (SIDE - 1) as f32, 1.0 - j as f32 / (SIDE - 1) as f32] {
-                    uvs.extend(v.to_le_bytes());
-                }
+                mesh.positions.push([(x - center.x) as f32, height_m(x, y) as f32, (center.y - y) as f32]);
+                mesh.normals.push([n.x as f32, n.z as f32, -n.y as f32]);
+                mesh.uvs.push([i as f32 / (SIDE - 1) as f32, 1.0 - j as f32 / (SIDE - 1) as f32]);
             }
         }
-        let mut indices = Vec::new();
         for j in 0..SIDE - 1 {
             for i in 0..SIDE - 1 {
                 let a = (j * SIDE + i) as u16;
                 let (b, c, d) = (a + 1, a + SIDE as u16, a + SIDE as u16 + 1);
-                indices.extend([a, b, d, a, d, c].into_iter().flat_map(u16::to_le_bytes));
+                mesh.indices.extend([a, b, d, a, d, c]);
             }
         }
-        let picture = self.png()?;
-        let vertices = SIDE * SIDE;
-        let parts = [positions, normals, uvs, indices, picture];
-        let mut binary = Vec::new();
-        let mut views = Vec::new();
-        for part in &parts {
-            views.push(json!({"buffer": 0, "byteOffset": binary.len(), "byteLength": part.len()}));
-            binary.extend_from_slice(part);
-            binary.resize(binary.len().next_multiple_of(4), 0);
-        }
-        views[1]["byteStride"] = json!(4);
-        let half = 0.5 * side_m;
-        let document = json!({
-            "asset": {"version": "2.0"},
-            "extensionsUsed": ["KHR_mesh_quantization"], "extensionsRequired": ["KHR_mesh_quantization"],
-            "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-            "meshes": [{"primitives": [{
-                "attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}, "indices": 3, "material": 0,
-            }]}],
-            "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0.0}}],
-            "textures": [{"source": 0, "sampler": 0}],
-            "samplers": [{"wrapS": 33071, "wrapT": 33071}],
-            "images": [{"bufferView": 4, "mimeType": "image/png"}],
-            "accessors": [
-                {"bufferView": 0, "componentType": 5126, "count": vertices, "type": "VEC3",
-                 "min": [-half, low, -half], "max": [half, high, half]},
-                {"bufferView": 1, "componentType": 5120, "count": vertices, "type": "VEC3", "normalized": true},
-                {"bufferView": 2, "componentType": 5126, "count": vertices, "type": "VEC2"},
-                {"bufferView": 3, "componentType": 5123, "count": (SIDE - 1) * (SIDE - 1) * 6, "type": "SCALAR"},
-            ],
-            "bufferViews": views, "buffers": [{"byteLength": binary.len()}],
-        });
-        let mut text = document.to_string().into_bytes();
-        text.resize(text.len().next_multiple_of(4), b' ');
-        let mut out = Vec::new();
-        let length = 12 + 8 + text.len() + 8 + binary.len();
-        out.extend(b"glTF");
-        out.extend(2u32.to_le_bytes());
-        out.extend((length as u32).to_le_bytes());
-        for (kind, chunk) in [(b"JSON", &text), (b"BIN\0", &binary)] {
-            out.extend((chunk.len() as u32).to_le_bytes());
-            out.extend(kind);
-            out.extend(chunk);
-        }
-        Ok(out)
+        Ok(write_glb(&mesh))
     }
 
     /// The peer's texels, its first row in the south.
@@ -414,6 +361,7 @@ impl Bench {
         self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, &mut [&mut self.context]);
         let t1 = Instant::now();
         self.visitor.cull(&self.scene, &camera(u, self.frame), &mut self.stage);
+        self.pager.request(&self.scene, &self.stage.requests);
         let t2 = Instant::now();
         self.context.compile = self.context.graphics.run_compiles(&CompileBudget::default());
         let t3 = Instant::now();

@@ -1,0 +1,101 @@
+//! The options of `terrane gen`, and what it reports.
+
+use std::path::PathBuf;
+
+/// What the tiles hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum ContentKind {
+    /// EXR heights and JPEG colour, drawn from one shared grid.
+    #[default]
+    Height,
+    /// glb meshes with skirts, for any 3D Tiles client.
+    Mesh,
+}
+
+/// Makes a tile set from elevation data, or from noise where none is given.
+#[derive(Clone, Debug, clap::Args)]
+pub struct GenArgs {
+    /// Folder to write
+    pub out: PathBuf,
+    /// Elevation: GeoTIFF, HGT, terrain-RGB PNG or EXR; several are put together, the first that knows a place wins
+    #[arg(long, value_name = "FILE")]
+    pub dem: Vec<PathBuf>,
+    /// Colour: GeoTIFF, or PNG or JPEG with a world file
+    #[arg(long, value_name = "FILE")]
+    pub imagery: Option<PathBuf>,
+    /// What the tiles hold
+    #[arg(long, value_enum, default_value_t)]
+    pub content: ContentKind,
+    /// Levels of the pyramid; by default as many as the elevation has detail for
+    #[arg(long)]
+    pub levels: Option<u32>,
+    /// Side of procedural terrain in metres
+    #[arg(long, default_value_t = 60_000.0)]
+    pub size: f64,
+    /// Seed of procedural terrain
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Threads; all cores by default
+    #[arg(long)]
+    pub jobs: Option<usize>,
+    /// Replace OUT where it exists
+    #[arg(long)]
+    pub overwrite: bool,
+}
+
+impl GenArgs {
+    /// The defaults for a folder.
+    pub fn new(out: impl Into<PathBuf>) -> Self {
+        Self {
+            out: out.into(),
+            dem: Vec::new(),
+            imagery: None,
+            content: ContentKind::Height,
+            levels: None,
+            size: 60_000.0,
+            seed: 1,
+            jobs: None,
+            overwrite: false,
+        }
+    }
+}
+
+/// What was made.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Summary {
+    /// Folder.
+    pub out: PathBuf,
+    /// Tiles written.
+    pub tiles: u64,
+    /// Levels.
+    pub levels: u32,
+    /// Bytes written.
+    pub bytes: u64,
+    /// Lowest height in metres.
+    pub min_height_m: f64,
+    /// Highest height in metres.
+    pub max_height_m: f64,
+    /// Samples of the finest level that no source knew and that were filled from around.
+    pub filled_samples: u64,
+    /// Measured errors by level, root first, metres.
+    pub level_errors_m: Vec<f64>,
+    /// Seconds it took.
+    pub seconds: f64,
+}
+
+impl std::fmt::Display for Summary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "{} tiles on {} levels, {:.1} MB, heights {:.0} to {:.0} m, {} samples filled, {:.1} s: {}",
+            self.tiles,
+            self.levels,
+            self.bytes as f64 / 1e6,
+            self.min_height_m,
+            self.max_height_m,
+            self.filled_samples,
+            self.seconds,
+            self.out.display()
+        )
+    }
+}

@@ -1,0 +1,246 @@
+//! Elevation rasters: GeoTIFF, HGT, terrain-RGB PNG and EXR, placed on the earth.
+
+use std::io::BufReader;
+use std::path::Path;
+
+use tiff::decoder::DecodingResult;
+
+use crate::projection::Crs;
+use crate::{ElevationSource, GenError, geotiff};
+
+/// Where files without any georeference are put: longitude and latitude of the north-west corner, and the pixel, in degrees.
+const DEFAULT_PLACE: ([f64; 2], f64) = ([8.0, 47.0], 1.0 / 3600.0);
+/// Most samples of one raster.
+const MAX_SAMPLES: usize = 1 << 30;
+
+/// From pixel corners to the reference system: `origin + column * dx + row * dy`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct GeoTransform {
+    pub origin: [f64; 2],
+    pub dx: [f64; 2],
+    pub dy: [f64; 2],
+}
+
+impl GeoTransform {
+    fn at(&self, column: f64, row: f64) -> [f64; 2] {
+        [0, 1].map(|k| self.origin[k] + column * self.dx[k] + row * self.dy[k])
+    }
+
+    /// Column and row, pixel corners integral; `None` for a singular transform.
+    pub fn pixel(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
+        let determinant = self.dx[0] * self.dy[1] - self.dy[0] * self.dx[1];
+        let (u, v) = (x - self.origin[0], y - self.origin[1]);
+        let p = [(u * self.dy[1] - v * self.dy[0]) / determinant, (v * self.dx[0] - u * self.dx[1]) / determinant];
+        p.iter().all(|c| c.is_finite()).then_some(p)
+    }
+}
+
+/// One elevation file in memory.
+pub struct Raster {
+    width: usize,
+    height: usize,
+    /// Metres, north row first; NaN where unknown.
+    samples: Vec<f32>,
+    transform: GeoTransform,
+    crs: Crs,
+}
+
+impl Raster {
+    /// Reads a file; the format is told by its magic bytes, HGT by its name.
+    pub fn read(path: &Path) -> Result<Self, GenError> {
+        let mut magic = [0u8; 8];
+        let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;
+        let got = std::io::Read::read(&mut file, &mut magic).map_err(GenError::file(path))?;
+        let is_hgt = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
+        let raster = match &magic[..got] {
+            _ if is_hgt => hgt(path)?,
+            [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff(path)?,
+            [0x89, b'P', b'N', b'G', ..] => terrain_rgb(path)?,
+            [0x76, 0x2f, 0x31, 0x01, ..] => exr(path)?,
+            _ => return Err(GenError::invalid(path, "neither GeoTIFF, HGT, PNG nor EXR")),
+        };
+        if !raster.samples.iter().any(|h| h.is_finite()) {
+            return Err(GenError::invalid(path, "no sample has a height"));
+        }
+        Ok(raster)
+    }
+
+    /// Width and height in samples.
+    pub fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
+    }
+
+    /// Lowest and highest sample, metres.
+    pub fn range_m(&self) -> [f32; 2] {
+        let finite = self.samples.iter().filter(|h| h.is_finite());
+        finite.fold([f32::INFINITY, f32::NEG_INFINITY], |[a, b], h| [a.min(*h), b.max(*h)])
+    }
+
+    /// West, south, east, north in radians, of the outermost samples.
+    pub fn bounds(&self) -> [f64; 4] {
+        let mut b = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
+        let (w, h) = (self.width as f64, self.height as f64);
+        for i in 0..=16 {
+            let t = f64::from(i) / 16.0;
+            let (c, r) = (0.5 + t * (w - 1.0), 0.5 + t * (h - 1.0));
+            for (column, row) in [(c, 0.5), (c, h - 0.5), (0.5, r), (w - 0.5, r)] {
+                let [x, y] = self.transform.at(column, row);
+                let [lon, lat] = self.crs.unproject(x, y);
+                b = [b[0].min(lon), b[1].min(lat), b[2].max(lon), b[3].max(lat)];
+            }
+        }
+        b
+    }
+}
+
+impl ElevationSource for Raster {
+    /// Bilinear between sample centres; where some of the four are unknown, the known ones by their weights.
+    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        let [c, r] = self.transform.pixel(self.crs.project(longitude, latitude))?;
+        let (x, y) = (c - 0.5, r - 0.5);
+        let (w, h) = (self.width as f64 - 1.0, self.height as f64 - 1.0);
+        // A hair outside is rounding; half a pixel outside belongs to the outermost sample's area.
+        if x < -0.501 || y < -0.501 || x > w + 0.501 || y > h + 0.501 {
+            return None;
+        }
+        let (x, y) = (x.clamp(0.0, w), y.clamp(0.0, h));
+        let (x0, y0) = (x.floor(), y.floor());
+        let (fx, fy) = (x - x0, y - y0);
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (dx, dy, weight) in
+            [(0, 0, (1.0 - fx) * (1.0 - fy)), (1, 0, fx * (1.0 - fy)), (0, 1, (1.0 - fx) * fy), (1, 1, fx * fy)]
+        {
+            let (i, j) = ((x0 as usize + dx).min(self.width - 1), (y0 as usize + dy).min(self.height - 1));
+            let sample = f64::from(*self.samples.get(j * self.width + i)?);
+            if weight > 0.0 && sample.is_finite() {
+                sum += weight * sample;
+                weights += weight;
+            }
+        }
+        (weights > 1e-6).then(|| sum / weights)
+    }
+}
+
+fn tiff(path: &Path) -> Result<Raster, GenError> {
+    let t = geotiff::read(path)?;
+    if t.channels != 1 {
+        return Err(GenError::invalid(path, format!("TIFF with {} channels is no elevation", t.channels)));
+    }
+    let mut samples: Vec<f32> = match t.samples {
+        DecodingResult::U8(v) => v.into_iter().map(f32::from).collect(),
+        DecodingResult::U16(v) => v.into_iter().map(f32::from).collect(),
+        DecodingResult::U32(v) => v.into_iter().map(|x| x as f32).collect(),
+        DecodingResult::I8(v) => v.into_iter().map(f32::from).collect(),
+        DecodingResult::I16(v) => v.into_iter().map(f32::from).collect(),
+        DecodingResult::I32(v) => v.into_iter().map(|x| x as f32).collect(),
+        DecodingResult::F32(v) => v,
+        DecodingResult::F64(v) => v.into_iter().map(|x| x as f32).collect(),
+        _ => return Err(GenError::invalid(path, "TIFF: sample format that is not read")),
+    };
+    let nodata = t.nodata.map(|n| n as f32);
+    // -32768 is the void of SRTM whether the file says so or not; nothing on earth is beyond 12 km.
+    for h in &mut samples {
+        if nodata == Some(*h) || h.abs() > 12_000.0 {
+            *h = f32::NAN;
+        }
+    }
+    let (transform, crs) = t.georeference.unwrap_or_else(|| placed(path));
+    Ok(Raster { width: t.width, height: t.height, samples, transform, crs })
+}
+
+/// A world file beside the picture (.pgw, .wld, ...), else the default place.
+pub(crate) fn placed(path: &Path) -> (GeoTransform, Crs) {
+    for extension in ["pgw", "jgw", "tfw", "wld", "exw"] {
+        let Ok(text) = std::fs::read_to_string(path.with_extension(extension)) else { continue };
+        let n: Vec<f64> = text.split_whitespace().filter_map(|t| t.parse().ok()).collect();
+        if let [a, d, b, e, x, y] = n[..] {
+            let origin = [x - 0.5 * (a + b), y - 0.5 * (d + e)];
+            let crs = if x.abs() <= 180.0 && y.abs() <= 90.0 { Crs::Geographic } else { Crs::WebMercator };
+            return (GeoTransform { origin, dx: [a, d], dy: [b, e] }, crs);
+        }
+    }
+    let (origin, pixel) = DEFAULT_PLACE;
+    (GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] }, Crs::Geographic)
+}
+
+/// SRTM tiles: big-endian int16, one degree, named by their south-west corner, samples on the edges.
+fn hgt(path: &Path) -> Result<Raster, GenError> {
+    let bytes = std::fs::read(path).map_err(GenError::file(path))?;
+    let side = match bytes.len() {
+        // Some distributors append a few bytes.
+        n if (1201 * 1201 * 2..1202 * 1202 * 2).contains(&n) => 1201,
+        n if (3601 * 3601 * 2..3602 * 3602 * 2).contains(&n) => 3601,
+        n => return Err(GenError::invalid(path, format!("HGT of {n} bytes: neither 1201 nor 3601 samples a side"))),
+    };
+    let name = path.file_stem().and_then(|s| s.to_str()).unwrap_or("").to_ascii_uppercase();
+    let corner = || -> Option<[f64; 2]> {
+        let (ns, rest) = name.split_at_checked(1)?;
+        let (lat, rest) = rest.split_at_checked(2)?;
+        let (ew, lon) = rest.split_at_checked(1)?;
+        let (lat, lon): (f64, f64) = (lat.parse().ok()?, lon.get(..3)?.parse().ok()?);
+        let sign = |c: &str, plus: &str, minus: &str| match c {
+            _ if c == plus => Some(1.0),
+            _ if c == minus => Some(-1.0),
+            _ => None,
+        };
+        Some([lon * sign(ew, "E", "W")?, lat * sign(ns, "N", "S")?])
+    };
+    let [west, south] = corner().ok_or_else(|| GenError::invalid(path, "HGT: the name is not like N42E001"))?;
+    let pixel = 1.0 / (side - 1) as f64;
+    let samples = bytes
+        .chunks_exact(2)
+        .take(side * side)
+        .map(|b| match i16::from_be_bytes([b[0], b[1]]) {
+            i16::MIN => f32::NAN,
+            h => f32::from(h),
+        })
+        .collect();
+    let origin = [west - 0.5 * pixel, south + 1.0 + 0.5 * pixel];
+    let transform = GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] };
+    Ok(Raster { width: side, height: side, samples, transform, crs: Crs::Geographic })
+}
+
+/// Mapbox Terrain-RGB: `h = -10000 + (R * 65536 + G * 256 + B) / 10`.
+fn terrain_rgb(path: &Path) -> Result<Raster, GenError> {
+    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
+    let reader = image::ImageReader::with_format(BufReader::new(file), image::ImageFormat::Png);
+    let image = reader.decode().map_err(|e| GenError::invalid(path, format!("PNG: {e}")))?.into_rgba8();
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let samples = image
+        .pixels()
+        .map(|p| match p.0 {
+            [.., 0] => f32::NAN,
+            [r, g, b, _] => (-10_000.0 + 0.1 * (f64::from(r) * 65536.0 + f64::from(g) * 256.0 + f64::from(b))) as f32,
+        })
+        .collect();
+    let (transform, crs) = placed(path);
+    Ok(Raster { width, height, samples, transform, crs })
+}
+
+/// An EXR's channel Y, or its R, or its only one; metres.
+fn exr(path: &Path) -> Result<Raster, GenError> {
+    use exr::prelude::{ReadChannels as _, ReadLayers as _};
+    let bad = |e: String| GenError::invalid(path, format!("EXR: {e}"));
+    let image = exr::prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .from_file(path)
+        .map_err(|e| bad(e.to_string()))?;
+    let (width, height) = (image.layer_data.size.width(), image.layer_data.size.height());
+    if width == 0 || height == 0 || width.saturating_mul(height) > MAX_SAMPLES {
+        return Err(bad(format!("{width} x {height} samples")));
+    }
+    let channels = &image.layer_data.channel_data.list;
+    let named = |name: &str| channels.iter().find(|c| c.name.eq(name));
+    let channel = named("Y").or_else(|| named("R")).or_else(|| channels.first());
+    let channel = channel.ok_or_else(|| bad("no channel".to_owned()))?;
+    let samples: Vec<f32> = channel.sample_data.values_as_f32().collect();
+    if samples.len() != width * height {
+        return Err(bad("subsampled channel".to_owned()));
+    }
+    let (transform, crs) = placed(path);
+    Ok(Raster { width, height, samples, transform, crs })
+}

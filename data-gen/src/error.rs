@@ -1,0 +1,44 @@
+//! What can go wrong; each names the file.
+
+use std::path::PathBuf;
+
+/// Why a tile set could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum GenError {
+    /// A file could not be read or written.
+    #[error("{}: {reason}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        reason: std::io::Error,
+    },
+    /// A file is not what it should be.
+    #[error("{}: {reason}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The output folder is not empty.
+    #[error("{}: already exists; --overwrite replaces it", .0.display())]
+    Exists(PathBuf),
+    /// An option that cannot be met.
+    #[error("{0}")]
+    Argument(String),
+    /// A tile could not be encoded.
+    #[error("{0}")]
+    Encode(String),
+}
+
+impl GenError {
+    pub(crate) fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |reason| Self::File { path, reason }
+    }
+
+    pub(crate) fn invalid(path: impl Into<PathBuf>, reason: impl Into<String>) -> Self {
+        Self::Invalid { path: path.into(), reason: reason.into() }
+    }
+}

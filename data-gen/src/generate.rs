@@ -1,0 +1,274 @@
+//! From arguments to a folder of tiles.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use glam::{DAffine3, DMat4};
+use image::codecs::jpeg::JpegEncoder;
+use indicatif::{ProgressBar, ProgressStyle};
+use rayon::prelude::*;
+use serde_json::{Value, json};
+use terrane::io::write::{write_glb, write_height_exr};
+
+use crate::color::{Painter, TEXELS};
+use crate::grid::{Extent, Grid, QUANTUM_M};
+use crate::imagery::Imagery;
+use crate::pyramid::{CELLS, Pyramid, TileKey};
+use crate::{ContentKind, ElevationSource, GenArgs, GenError, Procedural, Raster, Summary, mesh};
+
+const JPEG_QUALITY: u8 = 85;
+/// Place of procedural terrain, degrees.
+const PROCEDURAL_PLACE: [f64; 2] = [8.0, 47.0];
+/// Levels of procedural terrain where none are asked for.
+const PROCEDURAL_LEVELS: u32 = 5;
+const MAX_LEVELS: u32 = 9;
+/// The default set's folder changes with what it holds.
+const DEFAULT_SET: &str = "default-set-1";
+
+/// Several rasters: the first that knows a place wins.
+struct Mosaic(Vec<Raster>);
+
+impl ElevationSource for Mosaic {
+    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        self.0.iter().find_map(|r| r.height_m(longitude, latitude))
+    }
+}
+
+/// Makes the small set that `terrane fly` shows by default, once; returns its folder.
+pub fn default_set(folder: &Path) -> Result<PathBuf, GenError> {
+    let out = folder.join(DEFAULT_SET);
+    if !out.join("tileset.json").is_file() {
+        let args = GenArgs { overwrite: true, levels: Some(5), size: 40_000.0, ..GenArgs::new(&out) };
+        run(&args)?;
+    }
+    Ok(out)
+}
+
+/// Makes a tile set. Files are written beside OUT first and moved there when all are complete.
+pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
+    let start = Instant::now();
+    let out = std::path::absolute(&args.out).map_err(GenError::file(&args.out))?;
+    let occupied = match std::fs::read_dir(&out) {
+        Ok(mut entries) => entries.next().is_some(),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
+        Err(e) => return Err(GenError::File { path: out, reason: e }),
+    };
+    if occupied && !args.overwrite {
+        return Err(GenError::Exists(out));
+    }
+    if !(args.size.is_finite() && (100.0..=2_000_000.0).contains(&args.size)) {
+        return Err(GenError::Argument(format!("--size {} is not within 100 m and 2,000 km", args.size)));
+    }
+    if args.levels.is_some_and(|l| l == 0 || l > MAX_LEVELS) {
+        return Err(GenError::Argument(format!("--levels must be 1 to {MAX_LEVELS}")));
+    }
+    let threads = args.jobs.unwrap_or(0);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))?;
+    let name = out.file_name().map_or_else(|| "set".into(), |n| n.to_string_lossy().into_owned());
+    let partial = out.with_file_name(format!(".{name}.partial-{}", std::process::id()));
+    let made = pool.install(|| write_set(args, &partial));
+    let mut summary = match made {
+        Ok(summary) => summary,
+        Err(e) => {
+            // What was written so far is of no use; a failure to remove it changes nothing.
+            let _ = std::fs::remove_dir_all(&partial);
+            return Err(e);
+        }
+    };
+    if out.exists() {
+        std::fs::remove_dir_all(&out).map_err(GenError::file(&out))?;
+    }
+    std::fs::rename(&partial, &out).map_err(GenError::file(&out))?;
+    summary.out = out;
+    summary.seconds = start.elapsed().as_secs_f64();
+    Ok(summary)
+}
+
+/// What is sampled, where, and how finely.
+fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), GenError> {
+    if args.dem.is_empty() {
+        let [lon, lat] = PROCEDURAL_PLACE.map(f64::to_radians);
+        let half = 0.5 * args.size / 6_371_000.0;
+        let half_lon = half / lat.cos();
+        let extent = Extent { west: lon - half_lon, south: lat - half, east: lon + half_lon, north: lat + half };
+        let source = Procedural { seed: args.seed, cos_latitude: lat.cos() };
+        return Ok((Box::new(source), extent, args.levels.unwrap_or(PROCEDURAL_LEVELS)));
+    }
+    let rasters = args.dem.iter().map(|path| Raster::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
+    let mut cell = f64::INFINITY;
+    for r in &rasters {
+        let [west, south, east, north] = r.bounds();
+        e = Extent {
+            west: e.west.min(west),
+            south: e.south.min(south),
+            east: e.east.max(east),
+            north: e.north.max(north),
+        };
+        let [w, h] = r.size();
+        cell = cell.min((east - west) / w.max(2) as f64).min((north - south) / h.max(2) as f64);
+    }
+    let pi = std::f64::consts::PI;
+    let sane = e.west >= -pi - 1e-6 && e.east <= pi + 1e-6 && e.south >= -0.5 * pi - 1e-6 && e.north <= 0.5 * pi + 1e-6;
+    if !sane || e.east - e.west < 1e-9 || e.north - e.south < 1e-9 {
+        let path = args.dem.first().cloned().unwrap_or_default();
+        return Err(GenError::invalid(path, "the elevation lies nowhere on the earth"));
+    }
+    let cells = (e.east - e.west).max(e.north - e.south) / cell;
+    let wanted = ((cells / CELLS as f64).log2().ceil().max(0.0) as u32 + 1).clamp(1, MAX_LEVELS);
+    Ok((Box::new(Mosaic(rasters)), e, args.levels.unwrap_or(wanted)))
+}
+
+fn bar(length: u64, what: &'static str) -> ProgressBar {
+    // Draws on stderr, and only when that is a terminal.
+    let style = ProgressStyle::with_template("{msg:10} [{bar:40}] {pos}/{len} {eta}");
+    ProgressBar::new(length).with_message(what).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
+    let (source, extent, levels) = source(args)?;
+    let imagery = args.imagery.as_deref().map(Imagery::read).transpose()?;
+    let sampling = bar(1, "sampling");
+    sampling.tick();
+    let grid = Grid::sample(source.as_ref(), extent, (CELLS << (levels - 1)) + 1);
+    let filled_samples = grid.filled;
+    let pyramid = Pyramid::new(grid, levels);
+    sampling.finish_and_clear();
+    let painter = Painter::new(&pyramid, imagery.as_ref());
+    let keys: Vec<TileKey> = pyramid.keys().collect();
+    for level in 0..levels {
+        for x in 0..1u32 << level {
+            let path = folder.join(level.to_string()).join(x.to_string());
+            std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
+        }
+    }
+    let progress = bar(keys.len() as u64, "tiles");
+    let bytes = AtomicU64::new(0);
+    let level_errors_m = pyramid.level_errors_m();
+    keys.par_iter().try_for_each(|&key| {
+        let written = write_tile(args.content, &pyramid, &painter, &level_errors_m, folder, key)?;
+        bytes.fetch_add(written, Ordering::Relaxed);
+        progress.inc(1);
+        Ok::<_, GenError>(())
+    })?;
+    progress.finish_and_clear();
+    let root = TileKey { level: 0, x: 0, y: 0 };
+    let facts = pyramid.facts(root);
+    let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;
+    let mut asset = json!({ "version": "1.1", "generator": "terrane" });
+    if args.content == ContentKind::Height {
+        asset["extras"] = json!({ "terrane": {
+            "format": 1, "content": "height", "layout": "wgs84", "side": CELLS + 1, "border": 1,
+            "quantum_m": QUANTUM_M, "level_errors_m": level_errors_m,
+        } });
+    }
+    let tree = tile_json(args.content, &pyramid, &level_errors_m, root, DAffine3::IDENTITY);
+    let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * facts.error_m), "root": tree });
+    tileset["root"]["refine"] = "REPLACE".into();
+    let text = tileset.to_string();
+    let path = folder.join("tileset.json");
+    std::fs::write(&path, &text).map_err(GenError::file(&path))?;
+    Ok(Summary {
+        out: folder.to_path_buf(),
+        tiles: keys.len() as u64,
+        levels,
+        bytes: bytes.into_inner() + text.len() as u64,
+        min_height_m: facts.min_height_m.into(),
+        max_height_m: facts.max_height_m.into(),
+        filled_samples,
+        level_errors_m,
+        seconds: 0.0,
+    })
+}
+
+/// How far the skirt of a tile reaches down: over the step to a neighbour one level coarser.
+fn skirt_m(level_errors_m: &[f64], key: TileKey) -> f64 {
+    let coarser = level_errors_m[key.level.saturating_sub(1) as usize];
+    2.0 * coarser + 1.0
+}
+
+fn write_tile(
+    content: ContentKind,
+    pyramid: &Pyramid,
+    painter: &Painter<'_>,
+    level_errors_m: &[f64],
+    folder: &Path,
+    key: TileKey,
+) -> Result<u64, GenError> {
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
+        .encode(&painter.paint(key), TEXELS, TEXELS, image::ExtendedColorType::Rgb8)
+        .map_err(|e| GenError::Encode(format!("JPEG of tile {key:?}: {e}")))?;
+    let stem = folder.join(format!("{}/{}/{}", key.level, key.x, key.y));
+    let write = |extension: &str, bytes: &[u8]| -> Result<u64, GenError> {
+        let path = stem.with_extension(extension);
+        std::fs::write(&path, bytes).map_err(GenError::file(&path))?;
+        Ok(bytes.len() as u64)
+    };
+    match content {
+        ContentKind::Height => {
+            let last = CELLS as i64 + 1;
+            let mut heights = Vec::with_capacity((CELLS + 3) * (CELLS + 3));
+            for j in (-1..=last).rev() {
+                heights.extend((-1..=last).map(|i| pyramid.height_m(key, i, j)));
+            }
+            let uri = format!("{}/{}/{}.exr", key.level, key.x, key.y);
+            let exr = write_height_exr(&uri, CELLS + 3, heights).map_err(|e| GenError::Encode(e.to_string()))?;
+            Ok(write("exr", &exr)? + write("jpg", &jpeg)?)
+        }
+        ContentKind::Mesh => {
+            let glb = write_glb(&mesh::build(pyramid, key, skirt_m(level_errors_m, key), jpeg));
+            write("glb", &glb)
+        }
+    }
+}
+
+fn tile_json(
+    content: ContentKind,
+    pyramid: &Pyramid,
+    level_errors_m: &[f64],
+    key: TileKey,
+    ecef_from_parent: DAffine3,
+) -> Value {
+    let e = pyramid.extent(key);
+    let f = pyramid.facts(key);
+    // The height of the chord's middle below the arc: meshes cut through the ellipsoid between their vertices.
+    let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
+    let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
+    let low_m = f64::from(f.min_height_m) - skirt_m(level_errors_m, key) - sagitta_m - 0.1;
+    let region = [e.west, e.south, e.east, e.north, low_m, f64::from(f.max_height_m) + 0.1];
+    let name = format!("{}/{}/{}", key.level, key.x, key.y);
+    let leaf = key.level + 1 == pyramid.levels;
+    let mut tile = json!({
+        "boundingVolume": { "region": region },
+        "geometricError": if leaf { 0.0 } else { f.error_m },
+    });
+    let mut ecef_from_tile = ecef_from_parent;
+    match content {
+        ContentKind::Height => {
+            tile["content"] = json!({ "uri": format!("{name}.exr") });
+            tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
+        }
+        ContentKind::Mesh => {
+            tile["content"] = json!({ "uri": format!("{name}.glb") });
+            ecef_from_tile = mesh::ecef_from_tile(pyramid, key);
+            let parent_from_tile = ecef_from_parent.inverse() * ecef_from_tile;
+            tile["transform"] = json!(DMat4::from(parent_from_tile).to_cols_array());
+        }
+    }
+    if !leaf {
+        let children: Vec<Value> = [(0, 0), (1, 0), (0, 1), (1, 1)]
+            .into_iter()
+            .map(|(dx, dy)| {
+                let child = TileKey { level: key.level + 1, x: 2 * key.x + dx, y: 2 * key.y + dy };
+                tile_json(content, pyramid, level_errors_m, child, ecef_from_tile)
+            })
+            .collect();
+        tile["children"] = children.into();
+    }
+    tile
+}

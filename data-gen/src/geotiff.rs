@@ -1,0 +1,94 @@
+//! GeoTIFF (OGC 19-008): samples by the `tiff` crate, the georeference from the tags.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::Tag;
+
+use crate::GenError;
+use crate::dem::GeoTransform;
+use crate::projection::Crs;
+
+/// Most bytes of one decoded image.
+const MAX_BYTES: usize = 4 << 30;
+
+/// What a TIFF holds: samples, row-major, north row first, channels interleaved.
+pub(crate) struct Tiff {
+    pub width: usize,
+    pub height: usize,
+    pub channels: usize,
+    pub samples: DecodingResult,
+    pub georeference: Option<(GeoTransform, Crs)>,
+    pub nodata: Option<f64>,
+}
+
+pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {
+    let bad = |e: tiff::TiffError| GenError::invalid(path, format!("TIFF: {e}"));
+    let file = File::open(path).map_err(GenError::file(path))?;
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = MAX_BYTES;
+    limits.intermediate_buffer_size = 1 << 30;
+    limits.ifd_value_size = 256 << 20;
+    let mut decoder = Decoder::new(BufReader::new(file)).map_err(bad)?.with_limits(limits);
+    let (width, height) = decoder.dimensions().map_err(bad)?;
+    let georeference = georeference(path, &mut decoder)?;
+    let nodata = decoder
+        .get_tag_ascii_string(Tag::GdalNodata)
+        .ok()
+        .and_then(|t| t.trim_matches(|c: char| c == '\0' || c.is_whitespace()).parse().ok());
+    let samples = decoder.read_image().map_err(bad)?;
+    let (width, height) = (width as usize, height as usize);
+    let count = match &samples {
+        DecodingResult::U8(v) => v.len(),
+        DecodingResult::U16(v) => v.len(),
+        DecodingResult::U32(v) => v.len(),
+        DecodingResult::I8(v) => v.len(),
+        DecodingResult::I16(v) => v.len(),
+        DecodingResult::I32(v) => v.len(),
+        DecodingResult::F32(v) => v.len(),
+        DecodingResult::F64(v) => v.len(),
+        _ => return Err(GenError::invalid(path, "TIFF: sample format that is not read")),
+    };
+    if width == 0 || height == 0 || count % (width * height) != 0 || count == 0 {
+        return Err(GenError::invalid(path, format!("TIFF: {count} samples for {width} x {height} pixels")));
+    }
+    Ok(Tiff { width, height, channels: count / (width * height), samples, georeference, nodata })
+}
+
+/// The tags ModelPixelScale + ModelTiepoint or ModelTransformation, and the GeoKeys.
+fn georeference<R: std::io::Read + std::io::Seek>(
+    path: &Path,
+    decoder: &mut Decoder<R>,
+) -> Result<Option<(GeoTransform, Crs)>, GenError> {
+    let numbers = |decoder: &mut Decoder<R>, tag| decoder.get_tag_f64_vec(tag).ok();
+    let scale = numbers(decoder, Tag::ModelPixelScaleTag);
+    let tie = numbers(decoder, Tag::ModelTiepointTag);
+    let matrix = numbers(decoder, Tag::ModelTransformationTag);
+    let keys = decoder.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default();
+    let key = |id: u16| keys.chunks_exact(4).skip(1).find(|k| k[0] == id && k[1] == 0).map(|k| u32::from(k[3]));
+    let mut transform = match (scale.as_deref(), tie.as_deref(), matrix.as_deref()) {
+        (Some([sx, sy, ..]), Some([i, j, _, x, y, ..]), _) => {
+            GeoTransform { origin: [x - i * sx, y + j * sy], dx: [*sx, 0.0], dy: [0.0, -sy] }
+        }
+        (_, _, Some(m)) if m.len() >= 8 => GeoTransform { origin: [m[3], m[7]], dx: [m[0], m[4]], dy: [m[1], m[5]] },
+        _ => return Ok(None),
+    };
+    // GTRasterTypeGeoKey: 1 area (the reference is the pixel's corner), 2 point (its centre).
+    if key(1025) == Some(2) {
+        transform.origin[0] -= 0.5 * (transform.dx[0] + transform.dy[0]);
+        transform.origin[1] -= 0.5 * (transform.dx[1] + transform.dy[1]);
+    }
+    // ProjectedCSType, else GeographicType, else the model type alone.
+    let code = key(3072).or_else(|| key(2048));
+    let crs = match (code, key(1024)) {
+        (Some(code), model) if code != 32767 => Crs::from_epsg(code)
+            // Any geodetic system in degrees is within a few hundred metres of WGS84 at worst.
+            .or((model == Some(2)).then_some(Crs::Geographic))
+            .ok_or_else(|| GenError::invalid(path, format!("GeoTIFF: EPSG:{code} is not understood")))?,
+        (_, Some(2) | None) => Crs::Geographic,
+        _ => return Err(GenError::invalid(path, "GeoTIFF: user-defined projection")),
+    };
+    Ok(Some((transform, crs)))
+}

@@ -1,0 +1,59 @@
+//! Given imagery: RGB rasters placed on the earth.
+
+use std::path::Path;
+
+use tiff::decoder::DecodingResult;
+
+use crate::dem::{GeoTransform, placed};
+use crate::projection::Crs;
+use crate::{GenError, geotiff};
+
+/// An RGB picture in memory.
+pub(crate) struct Imagery {
+    width: usize,
+    height: usize,
+    channels: usize,
+    pixels: Vec<u8>,
+    transform: GeoTransform,
+    crs: Crs,
+}
+
+impl Imagery {
+    pub fn read(path: &Path) -> Result<Self, GenError> {
+        let is_tiff = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"));
+        if is_tiff {
+            let t = geotiff::read(path)?;
+            let DecodingResult::U8(pixels) = t.samples else {
+                return Err(GenError::invalid(path, "imagery must have 8 bits a channel"));
+            };
+            let (transform, crs) = t.georeference.unwrap_or_else(|| placed(path));
+            return Ok(Self { width: t.width, height: t.height, channels: t.channels, pixels, transform, crs });
+        }
+        let image = image::open(path).map_err(|e| GenError::invalid(path, e.to_string()))?.into_rgb8();
+        let (transform, crs) = placed(path);
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        Ok(Self { width, height, channels: 3, pixels: image.into_raw(), transform, crs })
+    }
+
+    /// Bilinear sRGB at a place; `None` outside.
+    pub fn at(&self, longitude: f64, latitude: f64) -> Option<[f64; 3]> {
+        let [c, r] = self.transform.pixel(self.crs.project(longitude, latitude))?;
+        let (w, h) = (self.width as f64, self.height as f64);
+        if !(0.0..=w).contains(&c) || !(0.0..=h).contains(&r) {
+            return None;
+        }
+        let (x, y) = ((c - 0.5).clamp(0.0, w - 1.0), (r - 0.5).clamp(0.0, h - 1.0));
+        let (x0, y0) = (x as usize, y as usize);
+        let (x1, y1) = ((x0 + 1).min(self.width - 1), (y0 + 1).min(self.height - 1));
+        let (fx, fy) = (x - x0 as f64, y - y0 as f64);
+        let at = |x: usize, y: usize, k: usize| {
+            let k = if self.channels < 3 { 0 } else { k };
+            f64::from(self.pixels.get((y * self.width + x) * self.channels + k).copied().unwrap_or(0))
+        };
+        Some([0, 1, 2].map(|k| {
+            let low = at(x0, y0, k) * (1.0 - fx) + at(x1, y0, k) * fx;
+            let high = at(x0, y1, k) * (1.0 - fx) + at(x1, y1, k) * fx;
+            low * (1.0 - fy) + high * fy
+        }))
+    }
+}

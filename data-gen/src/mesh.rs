@@ -1,0 +1,70 @@
+//! Mesh content: a tile's grid with skirts as glb, in the east-north-up frame at the tile's centre.
+
+use glam::{DAffine3, DVec3};
+use terrane::io::write::GlbMesh;
+use terrane::math::{Geodetic, WGS84};
+
+use crate::pyramid::{CELLS, Pyramid, TileKey};
+
+/// ECEF from the frame that the tile's mesh is in.
+pub(crate) fn ecef_from_tile(pyramid: &Pyramid, key: TileKey) -> DAffine3 {
+    let e = pyramid.extent(key);
+    let f = pyramid.facts(key);
+    let height_m = 0.5 * (f64::from(f.min_height_m) + f64::from(f.max_height_m));
+    WGS84.ecef_from_enu(&Geodetic { longitude: 0.5 * (e.west + e.east), latitude: 0.5 * (e.south + e.north), height_m })
+}
+
+/// The mesh; skirts hang `skirt_m` down from the edges.
+pub(crate) fn build(pyramid: &Pyramid, key: TileKey, skirt_m: f64, image: Vec<u8>) -> GlbMesh {
+    let e = pyramid.extent(key);
+    let tile_from_ecef = ecef_from_tile(pyramid, key).inverse();
+    let side = CELLS + 1;
+    let place = |i: i64, j: i64, drop_m: f64| -> DVec3 {
+        let g = Geodetic {
+            longitude: e.west + (e.east - e.west) * (i as f64 / CELLS as f64),
+            latitude: e.south + (e.north - e.south) * (j as f64 / CELLS as f64),
+            height_m: f64::from(pyramid.height_m(key, i, j)) - drop_m,
+        };
+        tile_from_ecef.transform_point3(WGS84.ecef(&g))
+    };
+    // East, north, up to glTF's y-up: x = east, y = up, z = -north.
+    let y_up = |v: DVec3| [v.x as f32, v.z as f32, -v.y as f32];
+    let mut mesh = GlbMesh { base_color: [1.0; 4], image: Some(image), ..GlbMesh::default() };
+    let last = CELLS as i64;
+    for j in 0..=last {
+        for i in 0..=last {
+            let east = place(i + 1, j, 0.0) - place(i - 1, j, 0.0);
+            let north = place(i, j + 1, 0.0) - place(i, j - 1, 0.0);
+            mesh.positions.push(y_up(place(i, j, 0.0)));
+            mesh.normals.push(y_up(east.cross(north).normalize_or(DVec3::Z)));
+            mesh.uvs.push([i as f32 / CELLS as f32, 1.0 - j as f32 / CELLS as f32]);
+        }
+    }
+    let at = |i: usize, j: usize| (j * side + i) as u16;
+    for j in 0..CELLS {
+        for i in 0..CELLS {
+            let (sw, se, nw, ne) = (at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1));
+            mesh.indices.extend([sw, se, ne, sw, ne, nw]);
+        }
+    }
+    // Around the edge counter-clockwise seen from above: the skirt's outside faces outwards.
+    let mut ring: Vec<(usize, usize)> = Vec::with_capacity(4 * CELLS);
+    ring.extend((0..CELLS).map(|i| (i, 0)));
+    ring.extend((0..CELLS).map(|j| (CELLS, j)));
+    ring.extend((0..CELLS).map(|i| (CELLS - i, CELLS)));
+    ring.extend((0..CELLS).map(|j| (0, CELLS - j)));
+    let first = mesh.positions.len();
+    for &(i, j) in &ring {
+        let top = at(i, j) as usize;
+        mesh.positions.push(y_up(place(i as i64, j as i64, skirt_m)));
+        mesh.normals.push(mesh.normals[top]);
+        mesh.uvs.push(mesh.uvs[top]);
+    }
+    for k in 0..ring.len() {
+        let next = (k + 1) % ring.len();
+        let (a, b) = (at(ring[k].0, ring[k].1), at(ring[next].0, ring[next].1));
+        let (c, d) = ((first + k) as u16, (first + next) as u16);
+        mesh.indices.extend([a, c, d, a, d, b]);
+    }
+    mesh
+}

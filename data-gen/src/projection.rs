@@ -1,0 +1,165 @@
+//! Coordinate reference systems of elevation files, to and from longitude and latitude on WGS84.
+//!
+//! Transverse Mercator by Krüger's series to the fourth order in n: below a millimetre within a UTM zone
+//! (C. F. F. Karney, Transverse Mercator with an accuracy of a few nanometers, 2011, equations 7 to 11, 35, 36).
+
+use terrane::math::WGS84;
+
+/// A reference system that is understood.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Crs {
+    /// Degrees, EPSG:4326 (and NAD83's 4269, which differs by less than two metres).
+    Geographic,
+    /// EPSG:3857.
+    WebMercator,
+    /// EPSG:326zz, 327zz, 269zz.
+    Utm {
+        /// 1 to 60.
+        zone: u32,
+        /// Northern hemisphere: no false northing.
+        north: bool,
+    },
+}
+
+impl Crs {
+    /// By EPSG code.
+    pub fn from_epsg(code: u32) -> Option<Self> {
+        match code {
+            4326 | 4269 | 4979 => Some(Self::Geographic),
+            3857 | 900_913 | 3785 => Some(Self::WebMercator),
+            32601..=32660 => Some(Self::Utm { zone: code - 32600, north: true }),
+            32701..=32760 => Some(Self::Utm { zone: code - 32700, north: false }),
+            26901..=26923 => Some(Self::Utm { zone: code - 26900, north: true }),
+            _ => None,
+        }
+    }
+
+    /// Coordinates in the system (degrees or metres) of a place in radians.
+    pub fn project(&self, longitude: f64, latitude: f64) -> [f64; 2] {
+        match *self {
+            Self::Geographic => [longitude.to_degrees(), latitude.to_degrees()],
+            Self::WebMercator => {
+                let y = (std::f64::consts::FRAC_PI_4 + 0.5 * latitude).tan().ln();
+                [WGS84.semi_major_m * longitude, WGS84.semi_major_m * y]
+            }
+            Self::Utm { zone, north } => utm_from_geodetic(zone, north, longitude, latitude),
+        }
+    }
+
+    /// Longitude and latitude in radians of coordinates in the system.
+    pub fn unproject(&self, x: f64, y: f64) -> [f64; 2] {
+        match *self {
+            Self::Geographic => [x.to_radians(), y.to_radians()],
+            Self::WebMercator => {
+                let latitude = 2.0 * (y / WGS84.semi_major_m).exp().atan() - std::f64::consts::FRAC_PI_2;
+                [x / WGS84.semi_major_m, latitude]
+            }
+            Self::Utm { zone, north } => utm_to_geodetic(zone, north, x, y),
+        }
+    }
+}
+
+struct Series {
+    /// k0 times the rectifying radius.
+    scale_m: f64,
+    eccentricity: f64,
+    alpha: [f64; 4],
+    beta: [f64; 4],
+}
+
+fn series() -> Series {
+    let f = (WGS84.semi_major_m - WGS84.semi_minor_m) / WGS84.semi_major_m;
+    let n = f / (2.0 - f);
+    let (n2, n3, n4) = (n * n, n * n * n, n * n * n * n);
+    Series {
+        scale_m: 0.9996 * WGS84.semi_major_m / (1.0 + n) * (1.0 + n2 / 4.0 + n4 / 64.0),
+        eccentricity: 2.0 * n.sqrt() / (1.0 + n),
+        alpha: [
+            n / 2.0 - 2.0 * n2 / 3.0 + 5.0 * n3 / 16.0 + 41.0 * n4 / 180.0,
+            13.0 * n2 / 48.0 - 3.0 * n3 / 5.0 + 557.0 * n4 / 1440.0,
+            61.0 * n3 / 240.0 - 103.0 * n4 / 140.0,
+            49561.0 * n4 / 161_280.0,
+        ],
+        beta: [
+            n / 2.0 - 2.0 * n2 / 3.0 + 37.0 * n3 / 96.0 - n4 / 360.0,
+            n2 / 48.0 + n3 / 15.0 - 437.0 * n4 / 1440.0,
+            17.0 * n3 / 480.0 - 37.0 * n4 / 840.0,
+            4397.0 * n4 / 161_280.0,
+        ],
+    }
+}
+
+fn central_meridian(zone: u32) -> f64 {
+    (f64::from(zone) * 6.0 - 183.0).to_radians()
+}
+
+/// Easting and northing in metres of a place in radians.
+pub fn utm_from_geodetic(zone: u32, north: bool, longitude: f64, latitude: f64) -> [f64; 2] {
+    let s = series();
+    let lambda = longitude - central_meridian(zone);
+    let sin = latitude.sin();
+    let t = (sin.atanh() - s.eccentricity * (s.eccentricity * sin).atanh()).sinh();
+    let xi_0 = t.atan2(lambda.cos());
+    let eta_0 = (lambda.sin() / (1.0 + t * t).sqrt()).atanh();
+    let (mut xi, mut eta) = (xi_0, eta_0);
+    for (j, a) in s.alpha.iter().enumerate() {
+        let k = 2.0 * (j + 1) as f64;
+        xi += a * (k * xi_0).sin() * (k * eta_0).cosh();
+        eta += a * (k * xi_0).cos() * (k * eta_0).sinh();
+    }
+    [500_000.0 + s.scale_m * eta, s.scale_m * xi + if north { 0.0 } else { 10_000_000.0 }]
+}
+
+/// Longitude and latitude in radians of easting and northing in metres.
+pub fn utm_to_geodetic(zone: u32, north: bool, easting_m: f64, northing_m: f64) -> [f64; 2] {
+    let s = series();
+    let xi = (northing_m - if north { 0.0 } else { 10_000_000.0 }) / s.scale_m;
+    let eta = (easting_m - 500_000.0) / s.scale_m;
+    let (mut xi_0, mut eta_0) = (xi, eta);
+    for (j, b) in s.beta.iter().enumerate() {
+        let k = 2.0 * (j + 1) as f64;
+        xi_0 -= b * (k * xi).sin() * (k * eta).cosh();
+        eta_0 -= b * (k * xi).cos() * (k * eta).sinh();
+    }
+    let lambda = eta_0.sinh().atan2(xi_0.cos());
+    let sin_conformal = xi_0.sin() / eta_0.cosh();
+    let mut sin = sin_conformal;
+    // Contracts by e^2 a step.
+    for _ in 0..12 {
+        sin = (sin_conformal.atanh() + s.eccentricity * (s.eccentricity * sin).atanh()).tanh();
+    }
+    [lambda + central_meridian(zone), sin.asin()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn utm_known_point() {
+        // The CN Tower: 43 38 33.24 N 79 23 13.7 W is 630084 E 4833438 N in zone 17 (Wikipedia's worked example).
+        let lat = (43.0 + 38.0 / 60.0 + 33.24 / 3600.0f64).to_radians();
+        let lon = -(79.0 + 23.0 / 60.0 + 13.7 / 3600.0f64).to_radians();
+        let [e, n] = utm_from_geodetic(17, true, lon, lat);
+        assert!((e - 630_084.0).abs() < 1.0 && (n - 4_833_438.0).abs() < 1.0, "{e} {n}");
+    }
+
+    #[test]
+    fn round_trips() {
+        for crs in
+            [Crs::Geographic, Crs::WebMercator, Crs::Utm { zone: 32, north: true }, Crs::Utm { zone: 5, north: false }]
+        {
+            let lon_0 = match crs {
+                Crs::Utm { zone, .. } => central_meridian(zone),
+                _ => 0.1,
+            };
+            for dlon in [-0.05, 0.0, 0.05] {
+                for lat in [-1.2, -0.3, 0.0, 0.7, 1.4f64] {
+                    let [x, y] = crs.project(lon_0 + dlon, lat);
+                    let [lon, back] = crs.unproject(x, y);
+                    assert!((lon - lon_0 - dlon).abs() < 1e-10 && (back - lat).abs() < 1e-10, "{crs:?} {lat}");
+                }
+            }
+        }
+    }
+}

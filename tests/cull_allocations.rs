@@ -1,0 +1,101 @@
+//! A steady cull allocates nothing: counted by the allocator of this test binary.
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod scenes;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use glam::DVec3;
+use scenes::{Grid, content, look_at, page, quadtree, state_sets};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::scene::{Refine, Scene};
+use terrane::state::{BinDetails, SortMode, StateSet};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+#[allow(unsafe_code, reason = "GlobalAlloc is an unsafe trait; the only way to count allocations")]
+// SAFETY: forwards every call unchanged to the system allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's contract is the system allocator's.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, ptr: *mut u8, layout: Layout) {
+        // SAFETY: as above.
+        unsafe { System.dealloc(ptr, layout) }
+    }
+
+    unsafe fn realloc(&self, ptr: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: as above.
+        unsafe { System.realloc(ptr, layout, new_size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Flies a circle twice and counts the allocations of the second time around.
+fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCamera) -> u64 {
+    let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+    let mut before = 0;
+    let mut leaves = 0;
+    for round in 0..2 {
+        before = ALLOCATIONS.load(Ordering::Relaxed);
+        for frame in 0..100 {
+            let camera = CullCamera { frame: 1 + round * 100 + frame, ..camera_at(frame) };
+            visitor.cull(scene, &camera, &mut stage);
+            leaves += stage.counters.leaves;
+        }
+    }
+    let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
+    assert!(leaves > 1_000);
+    allocations
+}
+
+// One test, so that no other thread of the harness counts in between.
+#[test]
+fn a_steady_cull_allocates_nothing() {
+    for sort in [
+        SortMode::ByState,
+        SortMode::ByStateThenFrontToBack,
+        SortMode::FrontToBack,
+        SortMode::BackToFront,
+        SortMode::TraversalOrder,
+    ] {
+        let grid = Grid::new(10_000);
+        let sets: Vec<_> = (0..64)
+            .map(|i| Arc::new(StateSet { bin: Some(BinDetails { number: i % 3, sort }), ..StateSet::default() }))
+            .collect();
+        let mut scene = Scene::new();
+        scene.add_root(page(grid.build(&sets), 0));
+        let round = allocations_of_second_round(&scene, |frame| {
+            let angle = f64::from(frame) * 0.0628;
+            let center = DVec3::new(50.0, 50.0, 0.0);
+            look_at(center + DVec3::new(60.0 * angle.cos(), 60.0 * angle.sin(), 40.0), center, DVec3::Z)
+        });
+        assert_eq!(round, 0, "{sort:?}");
+    }
+    assert!(!state_sets(1, &StateSet::default()).is_empty());
+
+    // Half the tiles are there, so that there are requests, fallbacks and pages of content.
+    let mut scene = Scene::new();
+    let root = scene.add_root(page(quadtree(6, 2000.0, 200.0, Refine::Replace), 0));
+    for (i, slot) in scene.slots_of_page(root).collect::<Vec<_>>().into_iter().enumerate() {
+        if i % 7 != 3 || i < 3 {
+            assert!(scene.attach(slot, content(50.0, i as u32)).is_ok());
+        }
+    }
+    let round = allocations_of_second_round(&scene, |frame| {
+        let angle = f64::from(frame) * 0.0628;
+        let eye = DVec3::new(1500.0 * angle.cos(), 1500.0 * angle.sin(), 100.0 + f64::from(frame));
+        look_at(eye, DVec3::new(0.0, 0.0, 1.0), DVec3::Z)
+    });
+    assert_eq!(round, 0);
+}

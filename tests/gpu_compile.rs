@@ -1,0 +1,205 @@
+//! Compile operations: budgets, splitting, sharing, reuse of released places, and what cannot be made.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on shall panic")]
+
+mod gpu_support;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use gpu_support::{Rig, Terrain, count, mesh, new_rig, plain, quad, unit_camera, with_mips};
+use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
+use terrane::scene::{DrawSlot, Drawable, Geometry, Material, MeshVertex, Node, Texture};
+
+fn fresh(test: &str) -> Option<Rig> {
+    let rig = new_rig([64, 64]);
+    if rig.is_none() {
+        eprintln!("{test}: skipped: no adapter");
+    }
+    rig
+}
+
+fn textured(texture: &Arc<Texture>) -> Drawable {
+    let mut drawable = quad([0.0; 3], [1.0, 1.0], [1.0; 4]);
+    drawable.material.texture = Some(texture.clone());
+    drawable
+}
+
+#[test]
+fn a_huge_texture_is_split_over_calls_and_arrives_whole() {
+    let Some(mut rig) = fresh("a_huge_texture_is_split_over_calls_and_arrives_whole") else { return };
+    // 64 quadrants in two colors, so that a missing or misplaced slice shows.
+    let side = 2048u32;
+    let pixels = (0..side * side)
+        .flat_map(
+            |i| if (i % side / 256 + i / side / 256).is_multiple_of(2) { [255, 0, 0, 255] } else { [0, 0, 255, 255] },
+        )
+        .collect();
+    let texture = Arc::new(with_mips(side, side, pixels));
+    let bytes: u64 = texture.mips.iter().map(|m| m.len() as u64).sum();
+    rig.ctx.compile(CompileOperation { ticket: 7, drawables: vec![textured(&texture)] });
+    let budget = CompileBudget { time: Duration::from_secs(1), bytes: 1 << 20 };
+    let (mut calls, mut sum) = (0, 0);
+    while rig.ctx.pending_compiles() > 0 {
+        let stats = rig.ctx.run_compiles(&budget);
+        assert!(stats.bytes <= budget.bytes, "{} bytes in one call", stats.bytes);
+        assert!(stats.bytes > 0);
+        calls += 1;
+        sum += stats.bytes;
+        assert!(calls < 100);
+    }
+    assert!(calls >= bytes / budget.bytes, "{calls} calls");
+    assert!(sum >= bytes && sum < bytes + 1000, "{sum} of {bytes}");
+    let compiled = rig.ctx.take_compiled().remove(0);
+    assert_eq!((compiled.ticket, compiled.slots.len(), compiled.errors.len()), (7, 1, 0));
+    assert!(compiled.bytes >= bytes);
+
+    let mut page = terrane::scene::Page::from_node(Node::geode(vec![textured(&texture)])).unwrap();
+    page.take_drawables();
+    let mut drawable_is_unlit = textured(&texture);
+    drawable_is_unlit.material.unlit = true;
+    page.set_draw_slots(0, compiled.slots);
+    let mut scene = terrane::scene::Scene::new();
+    scene.add_root(page);
+    let picture = rig.picture(&scene, &unit_camera(64), &plain());
+    let (red, blue) = (count(&picture, [255, 0, 0]), count(&picture, [0, 0, 255]));
+    assert!(red > 1000 && red.abs_diff(blue) < 200, "{red} red, {blue} blue");
+}
+
+#[test]
+fn a_call_always_uploads_something_and_an_empty_queue_nothing() {
+    let Some(mut rig) = fresh("a_call_always_uploads_something_and_an_empty_queue_nothing") else { return };
+    let nothing = CompileBudget { time: Duration::ZERO, bytes: 0 };
+    assert_eq!(rig.ctx.run_compiles(&nothing).slices, 0);
+    for ticket in 0..3 {
+        rig.ctx.compile(CompileOperation { ticket, drawables: vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])] });
+    }
+    rig.ctx.compile(CompileOperation { ticket: 3, drawables: Vec::new() });
+    let mut tickets = Vec::new();
+    for _ in 0..20 {
+        let stats = rig.ctx.run_compiles(&nothing);
+        assert!(stats.slices <= 1);
+        tickets.extend(rig.ctx.take_compiled().into_iter().map(|c| c.ticket));
+    }
+    assert_eq!(tickets, [0, 1, 2, 3], "all finish, in order");
+}
+
+#[test]
+fn equal_images_meshes_and_indices_are_uploaded_once() {
+    let Some(mut rig) = fresh("equal_images_meshes_and_indices_are_uploaded_once") else { return };
+    let texture = Arc::new(with_mips(128, 128, vec![200; 128 * 128 * 4]));
+    let first = rig.compile(vec![textured(&texture)]);
+    let again = rig.compile(vec![textured(&texture)]);
+    assert!(first.bytes > texture.mips[0].len() as u64);
+    assert!(again.bytes < 10_000, "the image is shared: {} bytes", again.bytes);
+
+    let drawable = quad([0.0; 3], [1.0, 1.0], [1.0; 4]);
+    rig.compile(vec![drawable.clone()]);
+    assert_eq!(rig.compile(vec![drawable.clone(), drawable]).bytes, 0, "the mesh is shared");
+
+    let indices: Arc<[u32]> = (0..3000u32).map(|i| i % 100).collect();
+    let with_indices = |z: f32| {
+        let vertices = (0..100).map(|i| MeshVertex { position: [i as f32, 0.0, z], ..MeshVertex::default() });
+        let mut mesh = mesh(vertices.collect(), vec![0]);
+        mesh.indices = indices.clone();
+        Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material: Material::default() }
+    };
+    let one = rig.compile(vec![with_indices(0.0)]);
+    let other = rig.compile(vec![with_indices(1.0)]);
+    assert!(other.bytes + 4 * 3000 <= one.bytes, "{} then {}", one.bytes, other.bytes);
+
+    // Given back one by one, in the end nothing but the white texel is left.
+    for compiled in [first, again, one, other] {
+        rig.ctx.release(&compiled.slots);
+    }
+    rig.ctx.release(&[DrawSlot::NONE, DrawSlot(99_999)]);
+}
+
+#[test]
+fn released_places_are_used_again() {
+    let Some(mut rig) = fresh("released_places_are_used_again") else { return };
+    let terrain = Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1000.0, root_error_m: 100.0, textured: true };
+    let drawables = |x: u32| {
+        let mut page = terrane::scene::Page::from_node(Node::group(vec![
+            terrain.tile(3, x, 0),
+            Node::geode(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]),
+        ]))
+        .unwrap();
+        page.take_drawables()
+    };
+    rig.compile(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]);
+    let base = (rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated());
+    let first = rig.compile(drawables(0));
+    let used = (rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated());
+    assert!(used.0 >= base.0 + first.bytes);
+    for x in 1..8 {
+        let kept = rig.compile(drawables(x));
+        rig.ctx.release(&kept.slots);
+        assert_eq!((rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated()), used, "round {x}");
+    }
+    let peak = rig.ctx.bytes_peak();
+    rig.ctx.release(&first.slots);
+    // Twice: the second time it is nobody's.
+    rig.ctx.release(&first.slots);
+    assert_eq!(rig.ctx.bytes_in_use(), base.0);
+    assert_eq!(rig.ctx.bytes_allocated(), base.1, "empty blocks are given back");
+    assert_eq!(rig.ctx.bytes_peak(), peak);
+    let again = rig.compile(drawables(3));
+    assert!(again.slots.iter().all(|s| first.slots.contains(s)), "{:?} {:?}", again.slots, first.slots);
+}
+
+#[test]
+fn a_drawable_that_cannot_be_made_is_an_error_of_its_own() {
+    let Some(mut rig) = fresh("a_drawable_that_cannot_be_made_is_an_error_of_its_own") else { return };
+    let good = quad([0.0; 3], [1.0, 1.0], [1.0; 4]);
+    let bad_texture = |width: u32, height: u32, mips: Vec<Vec<u8>>| {
+        textured(&Arc::new(Texture { width, height, mips, repeat: false }))
+    };
+    let with_index = |index: u32| {
+        let mesh = mesh(vec![MeshVertex::default(); 3], vec![0, 1, index]);
+        Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material: Material::default() }
+    };
+    let mut tile =
+        Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1.0, root_error_m: 1.0, textured: false }.tile(0, 0, 0);
+    let terrane::scene::NodeKind::Geode(tile) = &mut tile.children[0].kind else { panic!("a geode") };
+    let mut tile = tile.remove(0);
+    if let Geometry::Height(tile) = &mut tile.geometry {
+        Arc::make_mut(tile).heights.pop();
+    }
+    let drawables = vec![
+        good.clone(),
+        bad_texture(0, 4, vec![vec![]]),
+        bad_texture(1 << 20, 1, vec![vec![0; 4 << 20]]),
+        bad_texture(4, 4, vec![vec![0; 63]]),
+        bad_texture(4, 4, Vec::new()),
+        bad_texture(1, 1, vec![vec![0; 4], vec![0; 4]]),
+        with_index(3),
+        with_index(u32::MAX),
+        tile,
+        good,
+    ];
+    let before = rig.ctx.bytes_in_use();
+    let compiled = rig.compile(drawables);
+    let made: Vec<_> = compiled.slots.iter().map(|s| *s != DrawSlot::NONE).collect();
+    assert_eq!(made, [true, false, false, false, false, false, false, false, false, true]);
+    assert_eq!(compiled.errors.len(), 8, "{:?}", compiled.errors);
+    rig.ctx.release(&compiled.slots);
+    let white_texel = 4;
+    assert_eq!(rig.ctx.bytes_in_use(), before + white_texel, "what was half made is given back");
+    assert!(rig.ctx.take_device_errors().is_empty());
+}
+
+#[test]
+fn the_noop_backend_compiles_and_draws() {
+    let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, validation: false };
+    let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+    let mut renderer = terrane::draw::Renderer::new(&mut ctx);
+    ctx.compile(CompileOperation { ticket: 1, drawables: vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])] });
+    ctx.run_compiles(&CompileBudget::UNLIMITED);
+    assert_eq!(ctx.take_compiled().len(), 1);
+    let stage = terrane::cull::RenderStage::new();
+    let stats = renderer.draw(&mut ctx, &stage, &plain()).unwrap();
+    assert_eq!(stats.leaves, 0);
+    assert!(ctx.resize([0, 10]).is_err());
+    assert!(ctx.resize([128, 32]).is_ok());
+    assert_eq!(renderer.read_back(&mut ctx).unwrap().dimensions(), (128, 32));
+}

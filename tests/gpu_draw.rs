@@ -1,0 +1,321 @@
+//! What is drawn, counted in pixels: coverage, depth, blending, batching, and no cracks between levels.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on shall panic")]
+
+mod gpu_support;
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use gpu_support::{MAGENTA, Terrain, camera, count, mesh, plain, quad, rig, unit_camera, with_mips};
+use terrane::draw::{Environment, Fog, Sky};
+use terrane::scene::{AlphaMode, Drawable, Geometry, Material, MeshVertex, Node, Texture, Topology};
+use terrane::state::StateSet;
+
+const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
+const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
+
+#[test]
+fn a_quad_covers_exactly_its_pixels() {
+    let Some(mut rig) = rig("a_quad_covers_exactly_its_pixels") else { return };
+    // A quarter of the picture's width and half its height; edges fall between pixel centres.
+    let scene = rig.scene(Node::geode(vec![quad([0.0, 0.0, 0.0], [0.25, 0.5], RED)]));
+    let picture = rig.picture(&scene, &unit_camera(256), &plain());
+    assert_eq!(count(&picture, [255, 0, 0]), 64 * 128);
+    assert_eq!(count(&picture, MAGENTA), 256 * 256 - 64 * 128);
+    rig.release(scene);
+}
+
+#[test]
+fn the_nearer_quad_hides_the_farther_in_either_order() {
+    let Some(mut rig) = rig("the_nearer_quad_hides_the_farther_in_either_order") else { return };
+    for flip in [false, true] {
+        let mut drawables = vec![quad([0.0, 0.0, 0.5], [0.4, 0.4], RED), quad([0.0, 0.0, -0.5], [0.4, 0.4], GREEN)];
+        if flip {
+            drawables.reverse();
+        }
+        let scene = rig.scene(Node::geode(drawables));
+        let picture = rig.picture(&scene, &unit_camera(256), &plain());
+        assert_eq!(picture.get_pixel(128, 128).0[..3], [255, 0, 0]);
+        assert_eq!(count(&picture, [0, 255, 0]), 0, "flip {flip}");
+        rig.release(scene);
+    }
+}
+
+#[test]
+fn depth_still_tells_metres_apart_ten_thousand_kilometres_away() {
+    let Some(mut rig) = rig("depth_still_tells_metres_apart_ten_thousand_kilometres_away") else { return };
+    // Reversed-Z float depth with the near plane at 0.1 m: relative steps of 6e-8 and rounding of the projection.
+    let far = -1.0e7f32;
+    let half = 1.0e6;
+    let drawables = vec![quad([0.0, 0.0, far + 20.0], [half, half], RED), quad([0.0, 0.0, far], [half, half], GREEN)];
+    let scene = rig.scene(Node::geode(drawables));
+    let picture = rig.picture(&scene, &unit_camera(256), &plain());
+    assert_eq!(count(&picture, [0, 255, 0]), 0);
+    assert!(count(&picture, [255, 0, 0]) > 10_000);
+    rig.release(scene);
+}
+
+#[test]
+fn blended_quads_are_drawn_far_to_near_over_opaque_ones() {
+    let Some(mut rig) = rig("blended_quads_are_drawn_far_to_near_over_opaque_ones") else { return };
+    let blended = |z: f32, color: [f32; 4]| {
+        let mut drawable = quad([0.0, 0.0, z], [0.5, 0.5], color);
+        drawable.material.alpha = AlphaMode::Blend;
+        drawable
+    };
+    // Given near to far, each in a node of its own so that cull sorts them.
+    let scene = rig.scene(Node::group(vec![
+        Node::geode(vec![blended(0.5, [1.0, 0.0, 0.0, 0.5])]),
+        Node::geode(vec![blended(-0.5, [0.0, 0.0, 1.0, 0.5])]),
+        Node::geode(vec![quad([0.0, 0.0, -1.0], [0.9, 0.9], GREEN)]),
+    ]));
+    let picture = rig.picture(&scene, &unit_camera(256), &plain());
+    // Linear: ((green / 2 + blue / 2) / 2 + red / 2), then encoded.
+    let encode = |l: f64| (255.0 * (1.055 * l.powf(1.0 / 2.4) - 0.055)).round() as i32;
+    let got = picture.get_pixel(128, 128).0.map(i32::from);
+    for (channel, expected) in [encode(0.5), encode(0.25), encode(0.25)].into_iter().enumerate() {
+        assert!((got[channel] - expected).abs() <= 1, "{got:?}");
+    }
+    assert_eq!(got[3], 255);
+    rig.release(scene);
+}
+
+#[test]
+fn masked_textures_are_cut_at_their_cutoff() {
+    let Some(mut rig) = rig("masked_textures_are_cut_at_their_cutoff") else { return };
+    // Left half opaque red, right half nearly transparent.
+    let pixels = (0..64 * 64).flat_map(|i| [255, 0, 0, if i % 64 < 32 { 255 } else { 20 }]).collect();
+    let texture = Texture { width: 64, height: 64, mips: vec![pixels], repeat: false };
+    let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], [1.0; 4]);
+    drawable.material.texture = Some(Arc::new(texture));
+    drawable.material.alpha = AlphaMode::Mask(0.5);
+    let scene = rig.scene(Node::geode(vec![drawable]));
+    let picture = rig.picture(&scene, &unit_camera(256), &plain());
+    assert_eq!(count(&picture, [255, 0, 0]) + count(&picture, MAGENTA), 256 * 256);
+    let red = count(&picture, [255, 0, 0]) as i64;
+    assert!((red - 64 * 128).abs() <= 128, "{red}");
+    rig.release(scene);
+}
+
+#[test]
+fn back_faces_are_culled_unless_double_sided() {
+    let Some(mut rig) = rig("back_faces_are_culled_unless_double_sided") else { return };
+    let turned = DAffine3::from_rotation_y(std::f64::consts::PI);
+    let mirrored = DAffine3::from_scale(DVec3::new(-1.0, 1.0, 1.0));
+    for (transform, double_sided, pixels) in
+        [(turned, false, 0), (turned, true, 128 * 128), (mirrored, false, 128 * 128)]
+    {
+        let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], RED);
+        drawable.material.double_sided = double_sided;
+        let scene = rig.scene(Node::transform(transform, vec![Node::geode(vec![drawable])]));
+        let picture = rig.picture(&scene, &unit_camera(256), &plain());
+        assert_eq!(count(&picture, [255, 0, 0]), pixels, "{transform:?}");
+        rig.release(scene);
+    }
+}
+
+#[test]
+fn lines_and_points_are_drawn() {
+    let Some(mut rig) = rig("lines_and_points_are_drawn") else { return };
+    let vertex = |x: f32, y: f32| MeshVertex { position: [x, y, 0.0], color: [255; 4], ..MeshVertex::default() };
+    let material = Material { base_color: RED, unlit: true, ..Material::default() };
+    let mut line = mesh(vec![vertex(-0.5, 0.002), vertex(0.5, 0.002)], vec![0, 1]);
+    line.topology = Topology::Lines;
+    let mut points = mesh(vec![vertex(-0.498, 0.502), vertex(0.502, 0.502), vertex(0.502, -0.498)], vec![0, 1, 2]);
+    points.topology = Topology::Points;
+    let drawables =
+        [line, points].map(|m| Drawable { geometry: Geometry::Mesh(Arc::new(m)), material: material.clone() }).to_vec();
+    let scene = rig.scene(Node::geode(drawables));
+    let camera = unit_camera(256);
+    let stats = rig.draw(&scene, &camera, &plain());
+    assert_eq!((stats.points, stats.triangles, stats.draw_calls), (3, 0, 2));
+    let picture = rig.read_back();
+    let red = count(&picture, [255, 0, 0]);
+    assert!((127..=131).contains(&(red - 3)), "{red}");
+    rig.release(scene);
+}
+
+#[test]
+fn equal_meshes_are_one_draw_and_states_are_set_once() {
+    let Some(mut rig) = rig("equal_meshes_are_one_draw_and_states_are_set_once") else { return };
+    let one = quad([0.0; 3], [0.01, 0.01], RED);
+    let other = quad([0.0; 3], [0.02, 0.01], GREEN);
+    let place = |i: u32, drawable: &Drawable| {
+        let offset = DVec3::new(f64::from(i % 10) * 0.1 - 0.5, f64::from(i / 10) * 0.1 - 0.5, 0.0);
+        Node::transform(DAffine3::from_translation(offset), vec![Node::geode(vec![drawable.clone()])])
+    };
+    // Interleaved, and under two state sets that differ in color only.
+    let tinted = |i: u32, node: Node| {
+        let color = if i.is_multiple_of(3) { [1.0; 4] } else { [0.5, 0.5, 0.5, 1.0] };
+        node.with_state_set(Arc::new(StateSet { color: Some(color), ..StateSet::default() }))
+    };
+    let nodes = (0..100).map(|i| tinted(i, place(i, if i % 2 == 0 { &one } else { &other }))).collect();
+    let scene = rig.scene(Node::group(nodes));
+    let stats = rig.draw(&scene, &unit_camera(256), &plain());
+    assert_eq!(stats.leaves, 100);
+    assert_eq!(stats.triangles, 200);
+    assert_eq!(stats.draw_calls, 2, "a draw a mesh");
+    assert_eq!(stats.state_changes, 4, "pipeline, textures, vertices and indices once");
+    assert_eq!(stats.state_changes_skipped, 4);
+    rig.release(scene);
+}
+
+#[test]
+fn height_tiles_of_a_block_are_one_draw() {
+    let Some(mut rig) = rig("height_tiles_of_a_block_are_one_draw") else { return };
+    let terrain = terrain(false);
+    let tiles = (0..16).map(|i| terrain.tile(2, i % 4, i / 4)).collect();
+    let scene = rig.scene(Node::group(tiles));
+    let camera = camera([256, 256], terrain.world(0.5, 0.4, 30_000.0), terrain.world(0.5, 0.5, 0.0), DVec3::Z);
+    let stats = rig.draw(&scene, &camera, &plain());
+    assert_eq!((stats.leaves, stats.draw_calls, stats.state_changes), (16, 1, 3));
+    assert_eq!(stats.triangles, 16 * (64 * 64 * 2 + 64 * 4 * 2));
+    rig.release(scene);
+}
+
+#[test]
+fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
+    let Some(mut rig) = rig("the_sky_is_behind_everything_opaque_and_under_what_blends") else { return };
+    let mut glass = quad([0.5, 0.0, 0.0], [0.25, 0.25], [1.0, 0.0, 0.0, 0.5]);
+    glass.material.alpha = AlphaMode::Blend;
+    let scene = rig.scene(Node::group(vec![
+        Node::geode(vec![glass]),
+        Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25, 0.25], RED)]),
+    ]));
+    let fog = Fog { enabled: false, density_per_m: 0.0 };
+    let sun_direction = DVec3::new(0.3, 0.8, 0.5).normalize();
+    let environment =
+        Environment { up_in_world: DVec3::Y, sun_direction, fog, sky: Sky::Gradient, ..Environment::default() };
+    let picture = rig.picture(&scene, &unit_camera(256), &environment);
+    assert_eq!(count(&picture, [255, 0, 0]), 64 * 64);
+    let [sky, through] = [picture.get_pixel(128, 128).0, picture.get_pixel(192, 128).0];
+    assert!(sky[2] > sky[0], "{sky:?}");
+    assert!(through[0] > sky[0] && through[2] < sky[2] && through[2] > 60, "{through:?} over {sky:?}");
+    let top = picture.get_pixel(128, 4).0;
+    assert!(top[0] < sky[0], "towards the zenith it is a deeper blue: {top:?} {sky:?}");
+    rig.release(scene);
+}
+
+#[test]
+fn haze_takes_far_things_to_the_horizons_color() {
+    let Some(mut rig) = rig("haze_takes_far_things_to_the_horizons_color") else { return };
+    let near = quad([-50.0, 0.0, -100.0], [20.0, 20.0], RED);
+    let far = quad([250_000.0, 0.0, -500_000.0], [100_000.0, 100_000.0], RED);
+    let scene = rig.scene(Node::geode(vec![near, far]));
+    let mut camera = unit_camera(256);
+    camera.clip_from_eye = glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.2, 1.0, 0.1);
+    let fog = Fog { enabled: true, density_per_m: 2e-5 };
+    let sun_direction = DVec3::new(0.3, 0.8, 0.5).normalize();
+    let environment =
+        Environment { up_in_world: DVec3::Y, sun_direction, fog, sky: Sky::Gradient, ..Environment::default() };
+    let picture = rig.picture(&scene, &camera, &environment);
+    let [near, far] = [picture.get_pixel(36, 128).0, picture.get_pixel(220, 128).0];
+    assert!(near[0] > 230 && near[1] < 60, "{near:?}");
+    assert!(far[1] > 180 && far[2] > 180, "{far:?}");
+    rig.release(scene);
+}
+
+fn terrain(textured: bool) -> Terrain {
+    Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured }
+}
+
+/// A tile of level 1 beside tiles of level 2, over many distances of the eye: no background shows between them,
+/// where the finer level is drawn only closer than the coarser one's range, as cull does.
+#[test]
+fn no_background_shows_between_levels() {
+    let Some(mut rig) = rig("no_background_shows_between_levels") else { return };
+    let terrain = terrain(false);
+    for skirts in [true, false] {
+        let mut leaks = 0;
+        for step in 0..24 {
+            // Low over the western edge, looking east across the terrain, farther and farther away: the finer
+            // tiles go through every stage of their morph.
+            let eye_u = 0.3 - 0.02 * f64::from(step);
+            let eye = terrain.world(eye_u, 0.5, 4_500.0 + 700.0 * f64::from(step));
+            let up = terrain.up(eye_u, 0.5);
+            let mut camera = camera([256, 256], eye, terrain.world(0.5, 0.5, 0.0), up);
+            camera.max_sse_px = 4.0;
+            let mut root = terrain.tiles_for(&camera, eye, 4);
+            if !skirts {
+                without_skirts(&mut root);
+            }
+            let scene = rig.scene(root);
+            let picture = rig.picture(&scene, &camera, &plain());
+            rig.release(scene);
+            // Background that has terrain on both sides of it along the row or the column.
+            leaks += enclosed(&picture);
+        }
+        println!("{leaks} enclosed pixels of background, skirts {skirts}");
+        // Without skirts, a pixel may fall between two edges that are equal but for rounding.
+        let allowed = if skirts { 0 } else { 2 };
+        assert!(leaks <= allowed, "{leaks} pixels of background, skirts {skirts}");
+    }
+}
+
+fn without_skirts(node: &mut Node) {
+    if let terrane::scene::NodeKind::Geode(drawables) = &mut node.kind {
+        for drawable in drawables {
+            if let Geometry::Height(tile) = &mut drawable.geometry {
+                Arc::make_mut(tile).skirt_m = 0.0;
+            }
+        }
+    }
+    node.children.iter_mut().for_each(without_skirts);
+}
+
+/// Background pixels that are no part of the background connected with the picture's border.
+fn enclosed(picture: &image::RgbaImage) -> usize {
+    let (w, h) = picture.dimensions();
+    let is_background = |x: u32, y: u32| picture.get_pixel(x, y).0[..3] == MAGENTA;
+    let mut outside = vec![false; (w * h) as usize];
+    let mut stack: Vec<(u32, u32)> = (0..w).map(|x| (x, 0)).filter(|&(x, y)| is_background(x, y)).collect();
+    while let Some((x, y)) = stack.pop() {
+        let seen = &mut outside[(y * w + x) as usize];
+        if *seen {
+            continue;
+        }
+        *seen = true;
+        for (nx, ny) in [(x.wrapping_sub(1), y), (x + 1, y), (x, y.wrapping_sub(1)), (x, y + 1)] {
+            if nx < w && ny < h && is_background(nx, ny) {
+                stack.push((nx, ny));
+            }
+        }
+    }
+    let mut enclosed = 0;
+    for y in 0..h {
+        for x in 0..w {
+            // The bottom rows may show the ground's near end.
+            if is_background(x, y) && !outside[(y * w + x) as usize] {
+                enclosed += 1;
+            }
+        }
+    }
+    enclosed
+}
+
+#[test]
+fn textures_have_their_north_at_the_top() {
+    let Some(mut rig) = rig("textures_have_their_north_at_the_top") else { return };
+    // Red northern half, green southern half.
+    let pixels: Vec<u8> =
+        (0..64 * 64).flat_map(|i| if i < 32 * 64 { [255, 0, 0, 255] } else { [0, 255, 0, 255] }).collect();
+    let terrain = terrain(false);
+    let mut root = terrain.tile(0, 0, 0);
+    let mut paint = |node: &mut Node| {
+        if let terrane::scene::NodeKind::Geode(drawables) = &mut node.kind
+            && let Geometry::Height(tile) = &mut drawables[0].geometry
+        {
+            Arc::make_mut(tile).texture = Some(Arc::new(with_mips(64, 64, pixels.clone())));
+            drawables[0].material.unlit = true;
+        }
+    };
+    root.children.iter_mut().for_each(&mut paint);
+    let scene = rig.scene(root);
+    // From above, north up.
+    let eye = terrain.world(0.5, 0.5, 60_000.0);
+    let camera = camera([256, 256], eye, terrain.world(0.5, 0.5, 0.0), DVec3::Z);
+    let picture = rig.picture(&scene, &camera, &plain());
+    assert_eq!(picture.get_pixel(128, 90).0[..3], [255, 0, 0]);
+    assert_eq!(picture.get_pixel(128, 166).0[..3], [0, 255, 0]);
+    rig.release(scene);
+}

@@ -1,0 +1,123 @@
+//! Scenes that the application makes itself: drawn, moved, resized, removed. Needs a GPU (a software one will do).
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use terrane::draw::Sky;
+use terrane::gpu::AdapterChoice;
+use terrane::math::Aabb;
+use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, Topology};
+use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig, coverage};
+
+/// A square of 2 m in the x, z plane, facing -y.
+fn square() -> Drawable {
+    let corner = |x: f32, z: f32| MeshVertex {
+        position: [x, 0.0, z],
+        normal: [0, -127, 0, 0],
+        color: [255; 4],
+        ..MeshVertex::default()
+    };
+    let mesh = Mesh {
+        vertices: vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
+        indices: Arc::from([0, 1, 2, 0, 2, 3]),
+        topology: Topology::Triangles,
+        bounds: Aabb { min: DVec3::new(-1.0, 0.0, -1.0), max: DVec3::new(1.0, 0.0, 1.0) },
+    };
+    let material = Material { base_color: [1.0, 0.2, 0.1, 1.0], unlit: true, ..Material::default() };
+    Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material }
+}
+
+fn viewer(threading: ThreadingModel, adapter: AdapterChoice) -> Option<Viewer> {
+    let validation = adapter != AdapterChoice::Noop;
+    let config = ViewerConfig { size_px: [160, 90], threading, adapter, validation, ..ViewerConfig::default() };
+    match Viewer::new_offscreen(&config) {
+        Ok(viewer) => Some(viewer),
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+    }
+}
+
+fn frames(viewer: &mut Viewer, count: u32) {
+    for _ in 0..count {
+        viewer.frame().unwrap();
+    }
+}
+
+#[test]
+fn a_square_is_drawn_moved_and_removed() {
+    let mut pictures = Vec::new();
+    for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+        let Some(mut viewer) = viewer(threading, AdapterChoice::Software) else { return };
+        let square = Node::transform(DAffine3::IDENTITY, vec![Node::geode(vec![square()])]);
+        let root = viewer.add_root(Page::from_node(square).unwrap()).unwrap();
+        viewer.environment.sky = Sky::Background(KEY_COLOR);
+        viewer.environment.fog.enabled = false;
+        viewer.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
+        frames(&mut viewer, 4);
+        let picture = viewer.read_back().unwrap();
+        // 2 m of the 5.77 m that 60 degrees see at 5 m, both ways.
+        let side = 2.0 / (2.0 * 5.0 * 30f64.to_radians().tan()) * 160.0;
+        let expected = side * side / (160.0 * 90.0);
+        assert!((coverage(&picture, KEY_COLOR) - expected).abs() < 0.01, "{}", coverage(&picture, KEY_COLOR));
+        assert_eq!(picture.get_pixel(0, 0).0, [255, 0, 255, 255]);
+        let [r, g, b, _] = picture.get_pixel(80, 45).0;
+        assert!(r > 240 && g < 140 && b < 120, "{r} {g} {b}");
+
+        viewer
+            .scene_mut()
+            .set_transform(NodeId { page: root, index: 0 }, DAffine3::from_scale(DVec3::splat(0.5)))
+            .unwrap();
+        frames(&mut viewer, 1);
+        let smaller = viewer.read_back().unwrap();
+        assert!((coverage(&smaller, KEY_COLOR) - expected / 4.0).abs() < 0.01);
+
+        viewer.resize([90, 160]).unwrap();
+        frames(&mut viewer, 1);
+        let turned = viewer.read_back().unwrap();
+        assert_eq!((turned.width(), turned.height()), (90, 160));
+
+        assert!(viewer.remove_root(root).is_some());
+        frames(&mut viewer, 2);
+        assert_eq!(coverage(&viewer.read_back().unwrap(), KEY_COLOR), 0.0);
+        pictures.push((picture, smaller, turned));
+    }
+    assert!(pictures[0] == pictures[1], "who draws makes a difference");
+}
+
+#[test]
+fn the_near_plane_follows_what_is_near() {
+    let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded, AdapterChoice::Software) else { return };
+    viewer.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
+    viewer.environment.sky = Sky::Background(KEY_COLOR);
+    viewer.environment.fog.enabled = false;
+    // From far to almost touching, in leaps: the square must never be cut.
+    for distance_m in [4000.0, 1.0, 500.0, 0.01, 0.001] {
+        viewer.camera.look_at(DVec3::new(0.0, -distance_m, 0.0), DVec3::ZERO, DVec3::Z);
+        frames(&mut viewer, 1);
+        let first = coverage(&viewer.read_back().unwrap(), KEY_COLOR);
+        frames(&mut viewer, 1);
+        let second = coverage(&viewer.read_back().unwrap(), KEY_COLOR);
+        assert!(distance_m > 1.0 || second == 1.0, "{distance_m} m: {second}");
+        assert!(distance_m == 4000.0 || first == second, "{distance_m} m: {first} and {second}");
+    }
+}
+
+#[test]
+fn frames_run_without_a_gpu_and_stats_are_kept() {
+    let Some(mut viewer) = viewer(ThreadingModel::DrawThreadPerContext, AdapterChoice::Noop) else { return };
+    viewer.add_root(Page::from_node(Node::geode(vec![square(), square()])).unwrap()).unwrap();
+    let seen = Arc::new(std::sync::atomic::AtomicU32::new(0));
+    let counter = Arc::clone(&seen);
+    viewer.on_update(Box::new(move |_, stamp| counter.store(stamp.frame, std::sync::atomic::Ordering::Relaxed)));
+    frames(&mut viewer, 20);
+    let report = viewer.report().unwrap();
+    assert_eq!((report.frames, report.draw.leaves, report.draw.triangles), (20, 2, 4));
+    assert_eq!(seen.load(std::sync::atomic::Ordering::Relaxed), 20);
+    assert!(viewer.stats().iter().all(|s| s.drawn && s.frame_ms >= s.cull_ms));
+    assert!(viewer.is_settled() && viewer.converge_s().is_some());
+}
