@@ -11,9 +11,7 @@ use std::{fs, path::Path, sync::Arc};
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use terrane::io::write::{GlbMesh, write_glb};
-use terrane::io::{Limits, ReadOptions};
 use terrane::math::{BoundingSphere, BoundingVolume};
-use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine};
 use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};
 
@@ -34,8 +32,7 @@ fn main() -> Result<()> {
         fs::write(folder.join(file), write_glb(&ball(segments, color)))?;
     }
     let build = move |viewer: &mut Viewer| {
-        let options = ReadOptions::for_root(&folder.join(LEVELS[0].0).display().to_string(), Limits::default());
-        viewer.set_pager(DatabasePager::new(PagerConfig::default(), options)?);
+        viewer.page_files_in(&folder)?;
         let balls = (0..12).map(|i| tile(&folder, 0, DVec3::new(f64::from(i % 3 - 1) * 5.0, 8.0 * f64::from(i), 0.0)));
         let page = Page::from_node(Node::group(balls.collect())).expect("groups and PagedLods can be culled");
         viewer.add_root(page)?;
@@ -72,16 +69,14 @@ fn tile(folder: &Path, level: usize, center: DVec3) -> Node {
 fn ball(segments: u16, base_color: [f32; 4]) -> GlbMesh {
     let mut mesh =
         GlbMesh { positions: vec![], normals: vec![], uvs: vec![], indices: vec![], image: None, base_color };
-    for j in 0..=segments {
-        for i in 0..=segments {
-            let (t, p) = (PI * f32::from(j) / f32::from(segments), TAU * f32::from(i) / f32::from(segments));
-            let normal = [t.sin() * p.sin(), t.cos(), t.sin() * p.cos()];
-            mesh.normals.push(normal);
-            mesh.positions.push(normal.map(|n| 2.0 * n));
-            if i < segments && j < segments {
-                let (a, row) = (j * (segments + 1) + i, segments + 1);
-                mesh.indices.extend([a, a + row, a + row + 1, a, a + row + 1, a + 1]);
-            }
+    let row = segments + 1;
+    for (i, j) in (0..row * row).map(|k| (k % row, k / row)) {
+        let (t, p) = (PI * f32::from(j) / f32::from(segments), TAU * f32::from(i) / f32::from(segments));
+        mesh.normals.push([t.sin() * p.sin(), t.cos(), t.sin() * p.cos()]);
+        mesh.positions.push([2.0 * t.sin() * p.sin(), 2.0 * t.cos(), 2.0 * t.sin() * p.cos()]);
+        if i < segments && j < segments {
+            let a = j * row + i;
+            mesh.indices.extend([a, a + row, a + row + 1, a, a + row + 1, a + 1]);
         }
     }
     mesh

@@ -10,9 +10,7 @@ use std::{fs, sync::Arc};
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use terrane::io::write::{GlbMesh, write_glb};
-use terrane::io::{Limits, ReadOptions};
 use terrane::math::BoundingSphere;
-use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::{Node, NodeKind, Page, ProxyLoading, ProxyNode};
 use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};
 
@@ -31,9 +29,7 @@ fn main() -> Result<()> {
     fs::write(&tileset, TILESET)?;
 
     let build = move |viewer: &mut Viewer| {
-        // The root of what may be read is the tile set's folder.
-        let options = ReadOptions::for_root(&tileset, Limits::default());
-        viewer.set_pager(DatabasePager::new(PagerConfig::default(), options)?);
+        viewer.page_files_in(&folder)?;
         let proxies = (0..9).map(|i| {
             let place = DVec3::new(f64::from(i % 3) * 14.0, f64::from(i / 3) * 14.0, 0.0);
             Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {

@@ -10,7 +10,14 @@ use std::process::Command;
 fn example(name: &str) -> PathBuf {
     let me = std::env::current_exe().unwrap();
     let profile = me.parent().and_then(|deps| deps.parent()).unwrap();
-    profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX))
+    let program = profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+    // `cargo test` has built it; `cargo test --test examples_run` has not.
+    if !program.is_file() {
+        let release = if profile.ends_with("release") { &["--release"][..] } else { &[] };
+        let built = Command::new(env!("CARGO")).args(["build", "-p", "terrane", "--example", name]).args(release).status().unwrap();
+        assert!(built.success());
+    }
+    program
 }
 
 fn run(name: &str, arguments: &[&str], colours_at_least: usize) {

@@ -1,5 +1,6 @@
 //! The viewer: owns the scene, the pager, the camera and the context, and runs the frame. Main thread.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -17,6 +18,7 @@ use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, Thr
 use crate::cull::{CullVisitor, PageRequest, RenderStage};
 use crate::draw::{Environment, Sky};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
+use crate::io::ReadOptions;
 use crate::pager::{CompileContext, DatabasePager, PagerConfig};
 use crate::scene::{DrawSlot, Page, PageId, Scene, SlotState};
 
@@ -229,6 +231,15 @@ impl Viewer {
             self.context.release(slots);
         }
         Some(page)
+    }
+
+    /// Pages files in a folder and below, for scenes made by hand.
+    pub fn page_files_in(&mut self, folder: &Path) -> Result<(), ViewerError> {
+        // The scope of a root is the folder it lies in.
+        let root = folder.join("tileset.json").display().to_string();
+        let options = ReadOptions::for_root(&root, self.pager_config.limits);
+        self.pager = Some(DatabasePager::new(self.pager_config.clone(), options)?);
+        Ok(())
     }
 
     /// Replaces the pager, for scenes made by hand.
