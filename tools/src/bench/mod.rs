@@ -13,7 +13,6 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             cull::run(*secs);
             Ok(())
         }
-<<<<<<< HEAD
         Bench::Page { frames, pace, draw, tiles } => {
             page::run(page::Options { frames: *frames, pace_hz: *pace, draw: *draw, tiles: *tiles })
         }
@@ -28,8 +27,5 @@ fn percentile(values: &mut [f64], p: f64) -> f64 {
     match (values.get(low), values.get(high)) {
         (Some(a), Some(b)) => a + (b - a) * (place - low as f64),
         _ => 0.0,
-=======
-        Bench::Page(args) => page::run(args),
->>>>>>> viewer
     }
 }
