@@ -61,9 +61,10 @@ fn range_error(table: u32, n: u32) -> f32 {
 }
 
 @vertex
-fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) leaf: u32) -> HeightFragment {
-    let side = leaves[leaf].side;
-    let layer = leaves[leaf].layer;
+fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> HeightFragment {
+    let leaf = leaves[instance];
+    let side = leaf.side;
+    let layer = leaf.layer;
     let table = layer * (HEADER + side + (side + 1u) / 2u);
     let cells = i32(side) - 1;
 
@@ -138,12 +139,12 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) leaf: u
     var out: HeightFragment;
     out.position = frame.clip_from_eye * vec4<f32>(in_eye, 1.0);
     out.uv = vec2<f32>(grid.x, f32(cells) - grid.y) / f32(cells);
-    if (leaves[leaf].flags & FLAG_UNLIT) == 0u {
+    if (leaf.flags & FLAG_UNLIT) == 0u {
         out.light = light(normalize(direction_in_eye(leaf, normal)), normalize(direction_in_eye(leaf, up)));
     } else {
         out.light = vec3<f32>(1.0);
     }
-    out.light *= leaves[leaf].color.rgb;
+    out.light *= leaf.color.rgb;
     out.haze = haze(in_eye);
     out.layer = layer;
     return out;

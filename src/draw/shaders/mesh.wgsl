@@ -23,17 +23,18 @@ struct MeshFragment {
 }
 
 @vertex
-fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) leaf: u32) -> MeshFragment {
+fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MeshFragment {
+    let leaf = leaves[instance];
     let in_eye = point_in_eye(leaf, vertex.position);
     return MeshFragment(
         frame.clip_from_eye * vec4<f32>(in_eye, 1.0),
         in_eye,
         direction_in_eye(leaf, vertex.normal.xyz),
         vertex.uv,
-        vertex.color * leaves[leaf].color,
-        leaves[leaf].layer,
-        leaves[leaf].flags,
-        leaves[leaf].alpha_cutoff,
+        vertex.color * leaf.color,
+        leaf.layer,
+        leaf.flags,
+        leaf.alpha_cutoff,
     );
 }
 
