@@ -199,8 +199,8 @@ proptest! {
         let mut scene = Scene::new();
         scene.add_root(page(node(&shape), 0));
         for (x, z) in &columns {
-            // The left plane, 30 degrees off the axis, through the column's upper right edge.
-            let eye_x = x + 0.3 + (height - z - 0.4) * 30f64.to_radians().tan() - inside_m;
+            // The left plane, 30 degrees off the axis, through the column's lower right edge.
+            let eye_x = x + 0.3 + (height - z + 0.4) * 30f64.to_radians().tan() - inside_m;
             let eye = DVec3::new(eye_x, 0.0, height);
             let camera = look_at(eye, DVec3::new(eye_x, 0.0, 0.0), DVec3::Y);
             let mut oracle = Oracle::new(&camera);

@@ -30,7 +30,9 @@ fn a_huge_texture_is_split_over_calls_and_arrives_whole() {
     // 64 quadrants in two colors, so that a missing or misplaced slice shows.
     let side = 2048u32;
     let pixels = (0..side * side)
-        .flat_map(|i| if (i % side / 256 + i / side / 256).is_multiple_of(2) { [255, 0, 0, 255] } else { [0, 0, 255, 255] })
+        .flat_map(
+            |i| if (i % side / 256 + i / side / 256).is_multiple_of(2) { [255, 0, 0, 255] } else { [0, 0, 255, 255] },
+        )
         .collect();
     let texture = Arc::new(with_mips(side, side, pixels));
     let bytes: u64 = texture.mips.iter().map(|m| m.len() as u64).sum();

@@ -110,10 +110,7 @@ fn measure() {
     let eye = terrain.world(0.5, 0.05, 700.0);
     let low = gpu_support::camera([1280, 720], eye, terrain.world(0.6, 0.5, 0.0), terrain.up(0.5, 0.05));
     let nodes = (0..64).map(|i| terrain.tile(3, i % 8, i / 8)).collect();
-    let scenes = [
-        ("low", low, terrain.tiles_for(&low, eye, 6)),
-        ("high", camera, terrane::scene::Node::group(nodes)),
-    ];
+    let scenes = [("low", low, terrain.tiles_for(&low, eye, 6)), ("high", camera, terrane::scene::Node::group(nodes))];
     for (name, camera, nodes) in scenes {
         let scene = rig.scene(nodes);
         for _ in 0..4 {

@@ -1,5 +1,7 @@
 //! Camera paths: the text form survives a round trip and bad lines are named. No GPU.
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
 use terrane::viewer::{AnimationPath, ControlPoint, PathError};

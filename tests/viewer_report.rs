@@ -1,5 +1,7 @@
 //! The report's schema is stable: names and kinds of every field. No GPU.
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use serde_json::Value;
 use terrane::viewer::{FrameStats, Report, ReportError, Settled};
 

@@ -1,5 +1,7 @@
 //! Scenes that the application makes itself: drawn, moved, resized, removed. Needs a GPU (a software one will do).
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};

@@ -167,8 +167,9 @@ pub(crate) fn placed(path: &Path) -> (GeoTransform, Crs) {
 fn hgt(path: &Path) -> Result<Raster, GenError> {
     let bytes = std::fs::read(path).map_err(GenError::file(path))?;
     let side = match bytes.len() {
-        n if n == 1201 * 1201 * 2 => 1201,
-        n if n == 3601 * 3601 * 2 => 3601,
+        // Some distributors append a few bytes.
+        n if (1201 * 1201 * 2..1202 * 1202 * 2).contains(&n) => 1201,
+        n if (3601 * 3601 * 2..3602 * 3602 * 2).contains(&n) => 3601,
         n => return Err(GenError::invalid(path, format!("HGT of {n} bytes: neither 1201 nor 3601 samples a side"))),
     };
     let name = path.file_stem().and_then(|s| s.to_str()).unwrap_or("").to_ascii_uppercase();
@@ -188,6 +189,7 @@ fn hgt(path: &Path) -> Result<Raster, GenError> {
     let pixel = 1.0 / (side - 1) as f64;
     let samples = bytes
         .chunks_exact(2)
+        .take(side * side)
         .map(|b| match i16::from_be_bytes([b[0], b[1]]) {
             i16::MIN => f32::NAN,
             h => f32::from(h),

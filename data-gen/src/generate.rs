@@ -52,7 +52,7 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     let occupied = match std::fs::read_dir(&out) {
         Ok(mut entries) => entries.next().is_some(),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
-        Err(e) => return Err(GenError::File { path: out, source: e }),
+        Err(e) => return Err(GenError::File { path: out, reason: e }),
     };
     if occupied && !args.overwrite {
         return Err(GenError::Exists(out));

@@ -19,7 +19,7 @@ impl ElevationSource for Procedural {
     fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
         let x = longitude * RADIUS_M * self.cos_latitude;
         let y = latitude * RADIUS_M;
-        let s = self.seed.wrapping_mul(0x1000_0001_b3);
+        let s = self.seed.wrapping_mul(0x0100_0000_01b3);
         // Warp the plane so that ridges bend and valleys wind.
         let wx = x + 3800.0 * fbm(x / 11_000.0, y / 11_000.0, 4, s ^ 0x11);
         let wy = y + 3800.0 * fbm(x / 11_000.0, y / 11_000.0, 4, s ^ 0x22);

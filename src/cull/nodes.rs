@@ -3,7 +3,7 @@
 use glam::{DAffine3, DVec3, Vec4};
 
 use super::stage::RenderLeaf;
-use super::visitor::{Cull, DepthRange, PageContext, Purpose, eye_in};
+use super::visitor::{Cull, DepthRange, PageContext, Purpose};
 use crate::scene::{DrawSlot, PLAIN, UNBOUNDED, kind};
 
 /// What holds again behind a subtree.
@@ -112,7 +112,7 @@ impl Cull<'_> {
                 _ => {
                     let lod = &page.lods[page.payloads[node as usize] as usize];
                     let enclosing = self.enclosing_transform(context, node);
-                    let eye = page.transforms.point_in_node(enclosing, eye_in(&context.visit.eye_from_page));
+                    let eye = page.transforms.point_in_node(enclosing, context.eye);
                     let distance_m = eye.distance(lod.center) * self.camera.lod_scale;
                     let mut child = node + 1;
                     for index in 0.. {
@@ -135,10 +135,11 @@ impl Cull<'_> {
     #[cold]
     fn keep_tiles(&mut self, context: &PageContext, first: u32, end: u32) {
         let tiles = &context.page.tiles;
-        for root in 0..tiles.roots.len() {
-            if (first..end).contains(&tiles.nodes[tiles.roots[root].tile as usize]) {
-                self.scan_tiles(context.page, &context.visit, root, 0, Purpose::Keep);
-            }
+        let node_of = |root: usize| tiles.nodes[tiles.roots[root].tile as usize];
+        let mut root = tiles.roots.partition_point(|r| tiles.nodes[r.tile as usize] < first);
+        while root < tiles.roots.len() && node_of(root) < end {
+            self.scan_tiles(context.page, &context.visit, root, 0, Purpose::Keep);
+            root += 1;
         }
     }
 
@@ -284,10 +285,4 @@ impl Cull<'_> {
             self.test_drawables(context, drawable as u32, drawable as u32 + 1, 0, matrix);
         }
     }
-}
-
-/// Shared by the tile walk: the map into eye space of a point given in a page's transform.
-pub(super) fn eye_from_transform(context_eye_from_page: &DAffine3, page_from_node: &DAffine3) -> (DAffine3, DVec3) {
-    let eye_from_node = *context_eye_from_page * *page_from_node;
-    (eye_from_node, eye_in(&eye_from_node))
 }

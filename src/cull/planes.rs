@@ -11,6 +11,9 @@ use super::{CullCamera, CullingMode};
 pub(super) const SIDES: u8 = 0b0_1111;
 pub(super) const NEAR: u8 = 0b1_0000;
 
+/// A plane that everything is inside of.
+const EVERYTHING: DVec4 = DVec4::new(0.0, 0.0, 0.0, 1.0);
+
 /// Left, right, bottom, top, near; eye space, `normal . p + d >= 0` inside.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EyePlanes {
@@ -23,6 +26,10 @@ impl EyePlanes {
         let m: DMat4 = camera.clip_from_eye.transpose();
         let planes =
             [m.w_axis + m.x_axis, m.w_axis - m.x_axis, m.w_axis + m.y_axis, m.w_axis - m.y_axis, m.w_axis - m.z_axis];
+        let planes = planes.map(|p| {
+            let length = p.truncate().length();
+            if length > 0.0 && (p / length).is_finite() { p / length } else { EVERYTHING }
+        });
         let mut mask = 0;
         if camera.culling.contains(CullingMode::VIEW_FRUSTUM_SIDES) {
             mask |= SIDES;
@@ -40,11 +47,16 @@ impl EyePlanes {
         let moved = self.planes.map(|p| {
             let normal = to_frame * p.truncate();
             let d = p.truncate().dot(origin_in_eye) + p.w;
-            let length = normal.length();
+            let length2 = normal.length_squared();
+            // Rigid maps, nearly all there are, keep the unit length: saves the root and the divisions.
+            if (length2 - 1.0).abs() < 1e-12 {
+                return normal.extend(d).as_vec4();
+            }
+            let length = length2.sqrt();
             if length > 0.0 && length.is_finite() && d.is_finite() {
                 (normal / length).extend(d / length).as_vec4()
             } else {
-                Vec4::new(0.0, 0.0, 0.0, 1.0) // a plane that everything is inside of
+                EVERYTHING.as_vec4()
             }
         });
         let [a, b, c, d, near] = moved;
@@ -56,6 +68,11 @@ impl EyePlanes {
             near,
         }
     }
+}
+
+impl Planes {
+    /// For frames in which no plane is crossed: never tested.
+    pub const UNUSED: Self = Self { x: Vec4::ZERO, y: Vec4::ZERO, z: Vec4::ZERO, w: Vec4::ONE, near: Vec4::W };
 }
 
 /// Four planes, component by component, and the near plane.

@@ -4,12 +4,11 @@
 //! when all its children are ready, culled ones too, so that no hole can open; until then it is drawn and the walk
 //! goes on below it only to ask for what is missing, all levels in one frame, coarse first.
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
-use super::nodes::eye_from_transform;
 use super::planes::Planes;
 use super::stage::PageRequest;
-use super::visitor::{Cull, PageVisit, Purpose};
+use super::visitor::{Cull, PageVisit, Purpose, eye_in};
 use crate::scene::{NodeId, Page, TileBounds, TileRecord, flag};
 
 /// What holds for the tiles up to `end`.
@@ -24,8 +23,12 @@ pub(super) struct TileFrame {
     shown_px2: f32,
 }
 
-/// A tile tree seen from the eye.
-struct TileView {
+/// A frame with tile trees, seen from the eye.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TileView {
+    transform: u32,
+    eye_from_tile: DAffine3,
+    /// Relative to the eye.
     planes: Planes,
     eye: DVec3,
 }
@@ -34,9 +37,8 @@ impl Cull<'_> {
     /// Walks one tile tree of a page.
     pub(super) fn scan_tiles(&mut self, page: &Page, visit: &PageVisit, root: usize, mask: u8, purpose: Purpose) {
         let Some(tile_root) = page.tiles.roots.get(root) else { return };
-        let page_from_tile = page.transforms.page_from_node(tile_root.transform);
-        let (eye_from_tile, eye) = eye_from_transform(&visit.eye_from_page, &page_from_tile);
-        let view = TileView { planes: self.eye_planes.in_frame(&eye_from_tile, eye), eye };
+        let view = self.tile_view(page, visit, tile_root.transform);
+        let eye_from_tile = view.eye_from_tile;
         let tiles = &page.tiles;
         let frame = self.camera.frame;
         let mut tile = tile_root.tile;
@@ -76,11 +78,12 @@ impl Cull<'_> {
             let (range2, distance2) = self.range_and_distance(page, tile, &record, bounds, offset, view.eye);
             let ready = record.not_ready_children == 0;
             let missing = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
-            let own_px2 = (self.max_sse_px * self.max_sse_px) * range2 / distance2;
+            let px2 = self.max_sse_px * self.max_sse_px;
+            let own_px2 = || px2 * range2 / distance2;
             // Never as large as what is shown above it: coarse comes first whatever the bounds are.
-            let below_px2 = own_px2.min(above.shown_px2 * 0.998);
+            let below_px2 = || own_px2().min(above.shown_px2 * 0.998);
             if missing && (purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD)) {
-                self.request(page, visit, tile, purpose, above.shown_px2, own_px2);
+                self.request(page, visit, tile, purpose, above.shown_px2, own_px2());
             }
             let mut descend = None;
             let resident = record.has(flag::RESIDENT);
@@ -98,27 +101,27 @@ impl Cull<'_> {
                 let replaces = !record.has(flag::ADD);
                 if purpose == Purpose::Want {
                     if wants {
-                        descend = Some((purpose, replaces, below_px2));
+                        descend = Some((purpose, replaces, below_px2()));
                     }
                 } else if !replaces {
                     if resident {
                         self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0);
                     }
                     if wants {
-                        descend = Some((purpose, false, below_px2));
+                        descend = Some((purpose, false, below_px2()));
                     }
                 } else if wants && ready {
-                    descend = Some((purpose, true, below_px2));
+                    descend = Some((purpose, true, below_px2()));
                 } else {
                     if resident {
                         self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0);
                     } else if missing {
-                        self.request(page, visit, tile, purpose, above.shown_px2, own_px2);
+                        self.request(page, visit, tile, purpose, above.shown_px2, own_px2());
                     }
                     if wants {
-                        descend = Some((Purpose::Want, true, below_px2));
+                        descend = Some((Purpose::Want, true, below_px2()));
                     } else if !resident && record.has_children() && ready {
-                        descend = Some((purpose, true, below_px2));
+                        descend = Some((purpose, true, below_px2()));
                     }
                 }
             }
@@ -129,6 +132,19 @@ impl Cull<'_> {
                     tile += 1;
                 }
                 _ => tile += skip,
+            }
+        }
+    }
+
+    /// The frame of a transform; pages with many tile trees have them in one frame.
+    fn tile_view(&mut self, page: &Page, visit: &PageVisit, transform: u32) -> TileView {
+        match self.tile_view {
+            Some(view) if view.transform == transform => view,
+            _ => {
+                let eye_from_tile = visit.eye_from_page * page.transforms.page_from_node(transform);
+                let eye = eye_in(&eye_from_tile);
+                let planes = self.eye_planes.in_frame(&eye_from_tile, eye);
+                *self.tile_view.insert(TileView { transform, eye_from_tile, planes, eye })
             }
         }
     }
@@ -167,7 +183,7 @@ impl Cull<'_> {
     fn enter(
         &mut self,
         page: &Page,
-        eye_from_tile: &glam::DAffine3,
+        eye_from_tile: &DAffine3,
         tile: u32,
         mask: u8,
         purpose: Purpose,

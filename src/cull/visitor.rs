@@ -6,7 +6,7 @@ use super::planes::{EyePlanes, Planes, depth_row};
 use super::sort::Sorter;
 use super::stage::{CullCounters, RenderLeaf, RenderStage};
 use super::state_graph::{ROOT, StateGraph};
-use super::tiles::TileFrame;
+use super::tiles::{TileFrame, TileView};
 use super::{CullCamera, CullingMode, SMALL_FEATURE_PX};
 use crate::scene::{BLEND, NONE, Page, Scene};
 
@@ -50,6 +50,8 @@ pub(super) struct PageContext<'a> {
     pub page: &'a Page,
     /// Linear part of `eye_from_page` as rows.
     pub eye_rows: [DVec3; 3],
+    /// The eye in the page's frame; only known where the page has LOD nodes.
+    pub eye: DVec3,
     pub planes: Planes,
     /// Depth of a point relative to the page's origin.
     pub depth: Vec4,
@@ -89,6 +91,8 @@ pub(super) struct Cull<'a> {
     pub range: DepthRange,
     /// The last linear part of the current page that was multiplied, and the product as rows.
     pub linear_rows: (u32, [[f32; 4]; 3]),
+    /// The last frame with tile trees of the current page.
+    pub tile_view: Option<TileView>,
     pub counters: CullCounters,
     /// Pixels at 1 m of distance per metre, over the error limit and the LOD scale: error times it = range.
     pub range_per_error: f32,
@@ -149,6 +153,7 @@ impl CullVisitor {
             leaves: &mut self.leaves,
             range: DepthRange { near: f32::INFINITY, far: f32::NEG_INFINITY },
             linear_rows: (NONE, [[0.0; 4]; 3]),
+            tile_view: None,
             counters: CullCounters::default(),
             range_per_error: (camera.px_per_radian() / limit) as f32,
             range_per_metre: (1.0 / camera.lod_scale) as f32,
@@ -194,6 +199,7 @@ impl Cull<'_> {
     fn visit_page(&mut self, visit: PageVisit) {
         let scene = self.scene;
         let Some(page) = scene.page_at(visit.place) else { return };
+        self.tile_view = None;
         self.memo.clear();
         self.memo.resize(page.paths.len(), NONE);
         self.chains.clear();
@@ -211,7 +217,12 @@ impl Cull<'_> {
         let context = PageContext {
             page,
             eye_rows: [0, 1, 2].map(|row| visit.eye_from_page.matrix3.row(row)),
-            planes: self.eye_planes.in_frame(&visit.eye_from_page, page.origin),
+            eye: if page.lods.is_empty() { DVec3::ZERO } else { eye_in(&visit.eye_from_page) },
+            planes: if visit.mask == 0 {
+                Planes::UNUSED
+            } else {
+                self.eye_planes.in_frame(&visit.eye_from_page, page.origin)
+            },
             depth: depth_row(&visit.eye_from_page, page.origin),
             slots: page.draw_slots_of(self.camera.context),
             visit,

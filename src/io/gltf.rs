@@ -73,6 +73,10 @@ fn read(
         }
     }
     root.extensions_required.clear();
+    // Attributes of other purposes (batch and feature ids, whatever their names) are not drawn and not judged.
+    for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
+        primitive.attributes.retain(|semantic, _| matches!(semantic, gltf::json::validation::Checked::Valid(_)));
+    }
     let cesium_rtc: Option<DVec3> = root.extensions.as_ref().and_then(|_| cesium_rtc(json));
     let document = gltf::Document::from_json(root).map_err(|e| IoError::invalid(uri, format!("glTF: {e}")))?;
     let mut reader = Reader {
@@ -428,8 +432,9 @@ impl<'a> Reader<'a> {
 
 /// Strips, fans and loops as lists.
 fn assemble(mode: Mode, i: Arc<[u32]>) -> (Topology, Arc<[u32]>) {
-    let whole =
-        |n: usize| -> Arc<[u32]> { if i.len() % n == 0 { i.clone() } else { i[..i.len() - i.len() % n].into() } };
+    let whole = |n: usize| -> Arc<[u32]> {
+        if i.len().is_multiple_of(n) { i.clone() } else { i[..i.len() - i.len() % n].into() }
+    };
     match mode {
         Mode::Points => (Topology::Points, i.clone()),
         Mode::Lines => (Topology::Lines, whole(2)),

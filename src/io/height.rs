@@ -11,7 +11,7 @@ use exr::prelude::{ReadChannels, ReadLayers, read as exr_read};
 use glam::{DAffine3, DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-use super::{IoError, Limits, RootScope, image, resolve};
+use super::{Fetched, IoError, Limits, RootScope, image, resolve};
 use crate::math::{Aabb, BoundingVolume, WGS84};
 use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, Texture};
 
@@ -103,7 +103,7 @@ pub(crate) fn read(
     uri: &str,
     bytes: &[u8],
     reader_data: Option<&str>,
-    companions: Vec<(Arc<str>, Result<Vec<u8>, IoError>)>,
+    companions: Vec<Fetched>,
     limits: &Limits,
 ) -> Result<Node, IoError> {
     let data: TileData = match reader_data {

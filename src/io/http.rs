@@ -110,6 +110,15 @@ impl HttpClient {
     }
 }
 
+/// Runs one request on the calling thread.
+pub(crate) fn block_on<T>(uri: &str, request: impl Future<Output = Result<T, IoError>>) -> Result<T, IoError> {
+    tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .map_err(|e| IoError::Network { uri: uri.to_owned(), reason: e.to_string() })?
+        .block_on(request)
+}
+
 /// An error with its causes, in one line.
 fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();

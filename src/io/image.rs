@@ -79,9 +79,12 @@ pub(crate) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec<Vec<u8>> {
     levels
 }
 
+/// To linear and back.
+type Tables = (Box<[u32; 256]>, Box<[u8; 4096]>);
+
 /// sRGB to 16-bit linear, and 12-bit linear back (IEC 61966-2-1).
-fn srgb_tables() -> &'static (Box<[u32; 256]>, Box<[u8; 4096]>) {
-    static TABLES: OnceLock<(Box<[u32; 256]>, Box<[u8; 4096]>)> = OnceLock::new();
+fn srgb_tables() -> &'static Tables {
+    static TABLES: OnceLock<Tables> = OnceLock::new();
     TABLES.get_or_init(|| {
         let mut linear = Box::new([0u32; 256]);
         for (i, l) in linear.iter_mut().enumerate() {

@@ -11,6 +11,7 @@ mod height;
 #[cfg(feature = "http")]
 mod http;
 mod image;
+mod info;
 mod read;
 mod tileset;
 mod uri;
@@ -20,5 +21,7 @@ pub use error::{IoError, Limits};
 pub use file::read_file;
 #[cfg(feature = "http")]
 pub use http::{HttpClient, HttpConfig};
-pub use read::{Content, ReadOptions, companions, decode, decode_node};
+pub(crate) use info::fetch;
+pub use info::{BoundsInfo, Info, InfoError, LevelInfo, inspect};
+pub use read::{Content, Fetched, ReadOptions, companions, decode, decode_node};
 pub use uri::{RootScope, is_http, resolve, root_uri};

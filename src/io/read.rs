@@ -29,6 +29,9 @@ impl ReadOptions {
     }
 }
 
+/// A URI and the bytes that came from it, or why none did.
+pub type Fetched = (Arc<str>, Result<Vec<u8>, IoError>);
+
 /// The bytes of one content and what came with it.
 #[derive(Clone, Debug)]
 pub struct Content {
@@ -39,7 +42,7 @@ pub struct Content {
     /// What the tileset's reader left for the content's reader.
     pub reader_data: Option<Arc<str>>,
     /// The files that [`companions`] named.
-    pub companions: Vec<(Arc<str>, Result<Vec<u8>, IoError>)>,
+    pub companions: Vec<Fetched>,
 }
 
 /// The other URIs that a content needs: a height tile's imagery.

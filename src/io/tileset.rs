@@ -21,6 +21,8 @@ pub(crate) struct TilesetJson {
     pub asset: AssetJson,
     #[serde(rename = "extensionsRequired", default)]
     pub extensions_required: Vec<String>,
+    #[serde(rename = "extensionsUsed", default)]
+    pub extensions_used: Vec<String>,
 
     pub root: TileJson,
 }

@@ -7,7 +7,7 @@
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-use crate::io::IoError;
+use crate::io::{Fetched, IoError};
 use crate::scene::{NodeId, Page};
 
 /// One content to load.
@@ -26,7 +26,7 @@ pub(super) struct Job {
 pub(super) struct Loaded {
     pub job: Job,
     pub bytes: Result<Vec<u8>, IoError>,
-    pub companions: Vec<(Arc<str>, Result<Vec<u8>, IoError>)>,
+    pub companions: Vec<Fetched>,
     pub bytes_read: u64,
     pub bytes_http: u64,
 }

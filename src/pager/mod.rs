@@ -8,7 +8,7 @@
 //! reaper   drops expired pages
 //! ```
 //! Cull takes no lock: its requests are data. The threads share one request list behind one mutex, rewritten by
-//! update once a frame; every other hand-over is a bounded channel that cannot fill (see [`list`]).
+//! update once a frame; every other hand-over is a bounded channel that cannot fill (see `list.rs`).
 
 mod config;
 #[cfg(feature = "http")]

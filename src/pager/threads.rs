@@ -107,10 +107,7 @@ fn read_files(list: &RequestList, sender: &Sender<Loaded>, limits: &io::Limits) 
 }
 
 /// Bytes that came in for a content and its companions.
-pub(super) fn read_bytes(
-    bytes: &Result<Vec<u8>, io::IoError>,
-    companions: &[(Arc<str>, Result<Vec<u8>, io::IoError>)],
-) -> u64 {
+pub(super) fn read_bytes(bytes: &Result<Vec<u8>, io::IoError>, companions: &[io::Fetched]) -> u64 {
     let of = |r: &Result<Vec<u8>, io::IoError>| r.as_ref().map_or(0, |b| b.len() as u64);
     of(bytes) + companions.iter().map(|(_, r)| of(r)).sum::<u64>()
 }
@@ -127,7 +124,7 @@ fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOpti
 fn decode_one(
     job: &Job,
     bytes: Vec<u8>,
-    companions: Vec<(Arc<str>, Result<Vec<u8>, io::IoError>)>,
+    companions: Vec<io::Fetched>,
     options: &ReadOptions,
 ) -> Result<Page, io::IoError> {
     let content = Content { uri: job.uri.clone(), bytes, reader_data: job.reader_data.clone(), companions };

@@ -1,13 +1,18 @@
 //! Where a set is and from where to look at it first: local frame, first camera, default path, haze to its size.
 //! Computed once when a root is loaded, on the main thread.
 
+use std::sync::Arc;
+
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
+use super::ViewerError;
 use super::camera::world_from_eye;
 use super::camera_path::{AnimationPath, ControlPoint};
 use crate::draw::{Environment, Fog};
+use crate::io;
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, WGS84};
-use crate::scene::{Page, flag};
+use crate::pager::{DatabasePager, PagerConfig};
+use crate::scene::{NodeKind, Page, flag};
 
 /// A set whose bounding sphere's centre lies farther than this from the origin is taken as earth-centred.
 const GEOREFERENCED_BEYOND_M: f64 = 1.0e6;
@@ -162,6 +167,39 @@ pub fn environment_for(bounds: &SetBounds) -> Environment {
         up_in_world: bounds.frame.up(),
         fog: Fog { density_per_m: bounds.fog_density_per_m() as f32, ..base.fog },
         ..base
+    }
+}
+
+/// A root tile set that was read, and the pager for the rest of it.
+pub struct LoadedRoot {
+    pub(super) pager: DatabasePager,
+    pub(super) page: Page,
+    pub(super) uri: Arc<str>,
+    pub(super) region: Option<BoundingVolume>,
+}
+
+impl LoadedRoot {
+    /// Reads a folder's, file's or URL's root; blocks until it is there. Any thread.
+    pub fn read(source: &str, config: &PagerConfig) -> Result<Self, ViewerError> {
+        let uri = io::root_uri(source)?;
+        let options = io::ReadOptions::for_root(&uri, config.limits);
+        let mut pager = DatabasePager::new(config.clone(), options.clone())?;
+        let page = pager.read_root(&uri)?;
+        let region = declared_region(&uri, &options);
+        Ok(Self { pager, page, uri, region })
+    }
+}
+
+/// The region that a local root tileset declares; a page keeps only the box around it. Reads the file once more.
+fn declared_region(uri: &Arc<str>, options: &io::ReadOptions) -> Option<BoundingVolume> {
+    if io::is_http(uri) {
+        return None;
+    }
+    let bytes = io::read_file(uri, &options.limits).ok()?;
+    let content = io::Content { uri: Arc::clone(uri), bytes, reader_data: None, companions: Vec::new() };
+    match io::decode_node(content, options).ok()?.kind {
+        NodeKind::PagedLod(tile) => Some(tile.bounds).filter(|b| matches!(b, BoundingVolume::Region(_))),
+        _ => None,
     }
 }
 

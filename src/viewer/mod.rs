@@ -1,7 +1,7 @@
 //! The viewer: runs the frame and owns what it needs. The only room that knows winit and egui.
 //!
-//! [`Viewer::frame`] is advance, event, update and rendering; see [`viewer`] for who may touch the scene when and
-//! [`threading`] for who draws. Everything here runs on the main thread, except what [`threading`] sends away.
+//! [`Viewer::frame`] is advance, event, update and rendering; see `viewer.rs` for who may touch the scene when and
+//! `threading.rs` for who draws. Everything here runs on the main thread, except what `threading.rs` sends away.
 
 mod camera;
 mod camera_path;
@@ -21,7 +21,7 @@ mod window;
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use holes::{HoleCheck, KEY_COLOR, coverage};
-pub use home::{LocalFrame, SetBounds, ViewFrom, environment_for};
+pub use home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for};
 pub use manipulator::{CameraManipulator, Event, FlyManipulator, MoveKey};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};

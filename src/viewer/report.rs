@@ -244,7 +244,7 @@ impl Viewer {
             report.errors = pager
                 .errors()
                 .into_iter()
-                .map(|e| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count.into() })
+                .map(|e| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count })
                 .collect();
         }
         Ok(report)

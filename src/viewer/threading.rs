@@ -102,13 +102,13 @@ pub enum DrawCommand {
     Compile(CompileOperation),
     /// Free slots after the last frame that drew them.
     Release(Vec<DrawSlot>),
-    /// Upload everything queued, whatever the time; answered by [`Reply::Compiled`].
+    /// Upload everything queued, whatever the time; answered by `Reply::Compiled`.
     FinishCompiles,
-    /// Upload within the budget and draw; answered by [`Reply::Frame`].
+    /// Upload within the budget and draw; answered by `Reply::Frame`.
     Frame(Box<FrameJob>),
     /// The target has a new size in pixels.
     Resize([u32; 2]),
-    /// Read the last picture, offscreen; answered by [`Reply::Image`].
+    /// Read the last picture, offscreen; answered by `Reply::Image`.
     ReadBack,
     /// End the thread.
     Stop,
@@ -188,6 +188,11 @@ impl DrawSide {
         if let Some(mut paint) = job.overlay {
             self.paint(&mut paint);
         }
+        let submitted = Instant::now();
+        if job.read_back {
+            // The adapter's work is part of the frame, copying its picture is not.
+            let _ = self.context.device().poll(wgpu::PollType::wait_indefinitely());
+        }
         let drawn = Instant::now();
         // A window's image can be read until it is presented only.
         let image = (job.read_back && stats.is_ok()).then(|| self.renderer.read_back(&mut self.context));
@@ -198,7 +203,7 @@ impl DrawSide {
         FrameDone {
             stage: job.stage,
             stats,
-            draw_ms: millis(drawn - compiled),
+            draw_ms: millis(submitted - compiled),
             compile_ms: millis(compiled - start),
             read_back_ms: if image.is_some() { millis(read_back) } else { 0.0 },
             image,

@@ -1,5 +1,6 @@
 //! The viewer: owns the scene, the pager, the camera and the context, and runs the frame. Main thread.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -9,7 +10,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::camera::Camera;
 use super::holes::{KEY_COLOR, coverage};
-use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
+use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
 use super::report::Settled;
 use super::stats::{FrameStats, StatsHistory};
@@ -17,7 +18,7 @@ use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, Thr
 use crate::cull::{CullVisitor, PageRequest, RenderStage};
 use crate::draw::{Environment, Sky};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
-use crate::io;
+use crate::io::ReadOptions;
 use crate::pager::{CompileContext, DatabasePager, PagerConfig};
 use crate::scene::{DrawSlot, Page, PageId, Scene, SlotState};
 
@@ -186,13 +187,20 @@ impl Viewer {
     /// Loads a root tile set (folder, file or URL), places the camera at the first view of it and sets sun and
     /// haze to its size. Blocks until the root file is read.
     pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
-        let uri = io::root_uri(source)?;
-        let options = io::ReadOptions::for_root(&uri, self.pager_config.limits);
-        let mut pager = DatabasePager::new(self.pager_config.clone(), options)?;
-        let page = pager.read_root(&uri)?;
+        self.set_root(LoadedRoot::read(source, &self.pager_config)?)
+    }
+
+    /// As [`Self::load`], with a root that was read before there was a viewer.
+    pub fn set_root(&mut self, root: LoadedRoot) -> Result<PageId, ViewerError> {
+        let LoadedRoot { pager, page, uri, region } = root;
         self.pager = Some(pager);
         self.root_uri = Some(uri);
-        self.add_root(page)
+        let first = self.bounds.is_none();
+        let root = self.add_root(page)?;
+        if let (true, Some(bounds), Some(region)) = (first, &mut self.bounds, region) {
+            *bounds = SetBounds::new(bounds.sphere, Some(region));
+        }
+        Ok(root)
     }
 
     /// Adds a page made by the application as a root; paged contents in it are read by the pager of
@@ -223,6 +231,15 @@ impl Viewer {
             self.context.release(slots);
         }
         Some(page)
+    }
+
+    /// Pages files in a folder and below, for scenes made by hand.
+    pub fn page_files_in(&mut self, folder: &Path) -> Result<(), ViewerError> {
+        // The scope of a root is the folder it lies in.
+        let root = folder.join("tileset.json").display().to_string();
+        let options = ReadOptions::for_root(&root, self.pager_config.limits);
+        self.pager = Some(DatabasePager::new(self.pager_config.clone(), options)?);
+        Ok(())
     }
 
     /// Replaces the pager, for scenes made by hand.

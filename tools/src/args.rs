@@ -152,8 +152,18 @@ pub enum Bench {
     },
     /// Files to merged pages
     Page {
-        /// Folder, tileset.json or http(s) URL; without it a small set is made in the user's cache folder
-        source: Option<String>,
+        /// Frames of the flight
+        #[arg(long, default_value_t = 1200)]
+        frames: u32,
+        /// Frames a second; 0 for as many as go
+        #[arg(long, default_value_t = 60.0)]
+        pace: f64,
+        /// Draw each frame too
+        #[arg(long)]
+        draw: bool,
+        /// Most tiles that are kept
+        #[arg(long, default_value_t = 600)]
+        tiles: usize,
     },
 }
 

@@ -7,11 +7,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use terrane::draw::Sky;
 use image::RgbaImage;
+use terrane::draw::Sky;
 use terrane::viewer::{
-    AnimationPath, Camera, HoleCheck, KEY_COLOR, Report, Settled, ViewFrom, Viewer, ViewerConfig, ViewerError,
-    WindowOptions, has_display, run_window,
+    AnimationPath, Camera, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerConfig,
+    ViewerError, WindowOptions, has_display, run_window,
 };
 
 use crate::args::FlyArgs;
@@ -48,25 +48,23 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
     // A second handler in one process (tests) is no reason not to fly.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
 
-    let mut config = ViewerConfig {
-        size_px: args.size.0,
-        threading: args.threading,
-        validation: false,
-        ..ViewerConfig::default()
-    };
+    let mut config =
+        ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
     config.pager.blocking = args.blocking;
+    // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
+    let root = LoadedRoot::read(&source, &config.pager)?;
     let offscreen = args.offscreen || !display;
     let mut flight = Flight::new(*args, path, stop)?;
     let mut viewer = if offscreen {
         let mut viewer = Viewer::new_offscreen(&config)?;
-        flight.open(&mut viewer, &source)?;
+        flight.open(&mut viewer, root)?;
         while flight.before_frame(&mut viewer)? {
             viewer.frame_at(flight.time_s())?;
             flight.after_frame(&mut viewer)?;
         }
         viewer
     } else {
-        let (viewer, back) = in_window(flight, config, source)?;
+        let (viewer, back) = in_window(flight, config, root, &source)?;
         flight = back;
         viewer
     };
@@ -79,7 +77,7 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
 }
 
 /// The same flight, a frame each time the window draws.
-fn in_window(flight: Flight, config: ViewerConfig, source: String) -> Result<(Viewer, Flight)> {
+fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &str) -> Result<(Viewer, Flight)> {
     let interactive = flight.args.interactive;
     if interactive {
         println!("{}", terrane::viewer::KEYS);
@@ -95,7 +93,7 @@ fn in_window(flight: Flight, config: ViewerConfig, source: String) -> Result<(Vi
     let flight = std::rc::Rc::new(std::cell::RefCell::new(flight));
     let (on_open, before, after) = (flight.clone(), flight.clone(), flight.clone());
     let options = WindowOptions {
-        on_open: Box::new(move |viewer| on_open.borrow_mut().open(viewer, &source).map_err(application)),
+        on_open: Box::new(move |viewer| on_open.borrow_mut().open(viewer, root).map_err(application)),
         before_frame: Box::new(move |viewer| before.borrow_mut().before_frame(viewer).map_err(application)),
         after_frame: Box::new(move |viewer| after.borrow_mut().after_frame(viewer).map_err(application)),
         ..options
@@ -182,9 +180,9 @@ impl Flight {
         })
     }
 
-    /// Loads the set and places the first camera.
-    fn open(&mut self, viewer: &mut Viewer, source: &str) -> Result<()> {
-        viewer.load(source)?;
+    /// Takes the set and places the first camera.
+    fn open(&mut self, viewer: &mut Viewer, root: LoadedRoot) -> Result<()> {
+        viewer.set_root(root)?;
         viewer.camera.max_sse_px = match self.args.sse {
             Some(limit) => limit.0,
             None if viewer.is_height_set() => HEIGHT_SSE_PX,
@@ -345,7 +343,11 @@ fn check_progress(viewer: &Viewer, last: &mut Option<(Instant, [u64; 4])>) -> Re
             if since.elapsed() > STALLED_AFTER {
                 let missing = viewer.stats().last().map_or(0, |s| s.wanted_missing);
                 let seconds = STALLED_AFTER.as_secs();
-                bail!("the picture does not settle: {missing} tiles missing and no progress for {seconds} s");
+                let (waiting, in_flight) = viewer.pager().map_or((0, 0), |p| (p.stats().waiting, p.stats().in_flight));
+                bail!(
+                    "the picture does not settle: {missing} tiles missing, {waiting} waiting, {in_flight} in flight, \
+                     and no progress for {seconds} s"
+                );
             }
         }
         _ => *last = Some((Instant::now(), now)),

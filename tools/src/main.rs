@@ -18,7 +18,9 @@ fn main() -> ExitCode {
     let (name, result) = match args.command {
         args::Command::Fly(args) => ("fly", fly::run(args)),
         args::Command::View(args) => ("view", fly::run(args.into())),
-        args::Command::Gen(args) => ("gen", terrane_data_gen::run(&args).map(|summary| println!("{summary}")).map_err(Into::into)),
+        args::Command::Gen(args) => {
+            ("gen", terrane_data_gen::run(&args).map(|summary| println!("{summary}")).map_err(Into::into))
+        }
         args::Command::Info(args) => ("info", info::run(&args)),
         args::Command::Bench(args) => ("bench", bench::run(&args)),
     };

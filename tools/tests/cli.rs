@@ -1,5 +1,7 @@
 //! The `terrane` command from outside: exit codes, lines on stdout and stderr, files.
 
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -67,7 +69,6 @@ fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
     for source in [folder.path().join("missing").to_str().unwrap(), broken.to_str().unwrap()] {
         let out = terrane(&["fly", source, "--offscreen", "--frames", "1"]);
         let stderr = lines(&out.stderr);
-        // Without an adapter the line is about that, which is just as well here.
         assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
         assert!(stderr[0].starts_with("terrane fly: "), "{stderr:?}");
     }

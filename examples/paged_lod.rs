@@ -1,0 +1,83 @@
+//! PagedLods made by hand: balls in a row, each in three files that are paged in and out by distance.
+//!
+//! ```text
+//! cargo run --release --example paged_lod -- [--offscreen] [--frames N] [--screenshot FILE]
+//! ```
+//! Expected: a row of balls leading away; near ones round and red, then coarser and yellow, far ones blue and angular.
+
+use std::f32::consts::{PI, TAU};
+use std::{fs, path::Path, sync::Arc};
+
+use anyhow::Result;
+use glam::{DAffine3, DVec3};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::{BoundingSphere, BoundingVolume};
+use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine};
+use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};
+
+/// File, segments, colour, and the distance in metres below which the next finer file takes over.
+const LEVELS: [(&str, u16, [f32; 4], f64); 3] = [
+    ("coarse.glb", 5, [0.1, 0.25, 0.9, 1.0], 45.0),
+    ("medium.glb", 10, [0.9, 0.7, 0.1, 1.0], 22.0),
+    ("fine.glb", 48, [0.8, 0.1, 0.08, 1.0], 0.0),
+];
+
+fn main() -> Result<()> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
+    let frames: u32 = value("--frames").map_or(Ok(60), |n| n.parse())?;
+    let folder = std::env::temp_dir().join("terrane-paged-lod");
+    fs::create_dir_all(&folder)?;
+    for (file, segments, color, _) in LEVELS {
+        fs::write(folder.join(file), write_glb(&ball(segments, color)))?;
+    }
+    let build = move |viewer: &mut Viewer| {
+        viewer.page_files_in(&folder)?;
+        let balls = (0..12).map(|i| tile(&folder, 0, DVec3::new(f64::from(i % 3 - 1) * 5.0, 8.0 * f64::from(i), 0.0)));
+        let page = Page::from_node(Node::group(balls.collect())).expect("groups and PagedLods can be culled");
+        viewer.add_root(page)?;
+        viewer.camera.look_at(DVec3::new(-3.0, -14.0, 9.0), DVec3::new(0.0, 20.0, 0.0), DVec3::Z);
+        Ok(())
+    };
+    if has_display() && !args.iter().any(|a| a == "--offscreen") {
+        run_window(ViewerConfig::default(), WindowOptions { on_open: Box::new(build), ..WindowOptions::default() })?;
+        return Ok(());
+    }
+    let mut viewer = Viewer::new_offscreen(&ViewerConfig::default())?;
+    build(&mut viewer)?;
+    while viewer.frame_stamp().frame < frames || !viewer.is_settled() {
+        viewer.frame()?;
+    }
+    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+}
+
+/// A ball's file at a level, and the next finer one below it.
+fn tile(folder: &Path, level: usize, center: DVec3) -> Node {
+    let (file, _, _, range_m) = LEVELS[level];
+    let children = if level + 1 < LEVELS.len() { vec![tile(folder, level + 1, center)] } else { Vec::new() };
+    let lod = PagedLod {
+        bounds: BoundingVolume::Sphere(BoundingSphere::new(center, 2.0)),
+        range_mode: RangeMode::Distance { center, range_m },
+        refine: Refine::Replace,
+        content: Some(Arc::from(folder.join(file).display().to_string())),
+        content_transform: DAffine3::from_translation(center),
+        reader_data: None,
+    };
+    Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
+}
+
+fn ball(segments: u16, base_color: [f32; 4]) -> GlbMesh {
+    let mut mesh =
+        GlbMesh { positions: vec![], normals: vec![], uvs: vec![], indices: vec![], image: None, base_color };
+    let row = segments + 1;
+    for (i, j) in (0..row * row).map(|k| (k % row, k / row)) {
+        let (t, p) = (PI * f32::from(j) / f32::from(segments), TAU * f32::from(i) / f32::from(segments));
+        mesh.normals.push([t.sin() * p.sin(), t.cos(), t.sin() * p.cos()]);
+        mesh.positions.push([2.0 * t.sin() * p.sin(), 2.0 * t.cos(), 2.0 * t.sin() * p.cos()]);
+        if i < segments && j < segments {
+            let a = j * row + i;
+            mesh.indices.extend([a, a + row, a + row + 1, a, a + row + 1, a + 1]);
+        }
+    }
+    mesh
+}

@@ -1,0 +1,69 @@
+//! ProxyNodes: the application's own graph names tile sets that are loaded when they first come into view.
+//!
+//! ```text
+//! cargo run --release --example proxy_node -- [--offscreen] [--frames N] [--screenshot FILE]
+//! ```
+//! Expected: nine orange houses (one tile set, placed nine times, each turned a little more) on nothing at all.
+
+use std::{fs, sync::Arc};
+
+use anyhow::Result;
+use glam::{DAffine3, DVec3};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::BoundingSphere;
+use terrane::scene::{Node, NodeKind, Page, ProxyLoading, ProxyNode};
+use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};
+
+const TILESET: &str = r#"{ "asset": { "version": "1.1" }, "geometricError": 10, "root": {
+    "boundingVolume": { "box": [0, 0, 3, 4, 0, 0, 0, 4, 0, 0, 0, 3] }, "geometricError": 0, "refine": "REPLACE",
+    "content": { "uri": "house.glb" } } }"#;
+
+fn main() -> Result<()> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let value = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1));
+    let frames: u32 = value("--frames").map_or(Ok(60), |n| n.parse())?;
+    let folder = std::env::temp_dir().join("terrane-proxy-node");
+    fs::create_dir_all(&folder)?;
+    fs::write(folder.join("house.glb"), write_glb(&house()))?;
+    let tileset = folder.join("tileset.json").display().to_string();
+    fs::write(&tileset, TILESET)?;
+
+    let build = move |viewer: &mut Viewer| {
+        viewer.page_files_in(&folder)?;
+        let proxies = (0..9).map(|i| {
+            let place = DVec3::new(f64::from(i % 3) * 14.0, f64::from(i / 3) * 14.0, 0.0);
+            Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
+                uri: Arc::from(tileset.as_str()),
+                bounds: BoundingSphere::new(place + DVec3::Z * 3.0, 7.0),
+                content_transform: DAffine3::from_translation(place) * DAffine3::from_rotation_z(0.2 * f64::from(i)),
+                loading: ProxyLoading::DeferToPager,
+            })))
+        });
+        let page = Page::from_node(Node::group(proxies.collect())).expect("groups and ProxyNodes can be culled");
+        viewer.add_root(page)?;
+        Ok(())
+    };
+    if has_display() && !args.iter().any(|a| a == "--offscreen") {
+        run_window(ViewerConfig::default(), WindowOptions { on_open: Box::new(build), ..WindowOptions::default() })?;
+        return Ok(());
+    }
+    let mut viewer = Viewer::new_offscreen(&ViewerConfig::default())?;
+    build(&mut viewer)?;
+    while viewer.frame_stamp().frame < frames || !viewer.is_settled() {
+        viewer.frame()?;
+    }
+    value("--screenshot").map_or(Ok(()), |file| Ok(viewer.read_back()?.save(file)?))
+}
+
+/// Four walls and a roof, in glTF's axes: y up.
+fn house() -> GlbMesh {
+    let outline = [[-4.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 6.0], [-4.0, 4.0]];
+    let positions = [-4.0, 4.0].iter().flat_map(|z| outline.map(|[x, y]| [x, y, *z])).collect();
+    let mut indices = vec![0, 2, 1, 0, 4, 2, 4, 3, 2, 5, 6, 7, 5, 7, 9, 9, 7, 8];
+    for i in 0..5 {
+        let next = (i + 1) % 5;
+        indices.extend([i, next, next + 5, i, next + 5, i + 5]);
+    }
+    let base_color = [0.9, 0.35, 0.08, 1.0];
+    GlbMesh { positions, normals: vec![], uvs: vec![], indices, image: None, base_color }
+}

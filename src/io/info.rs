@@ -1,0 +1,219 @@
+//! What a tile set holds: for `terrane info`. Blocking; reads every tileset, and of contents the sizes (files only).
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::tileset::{self, TileJson};
+use super::{IoError, Limits, ReadOptions, is_http, read_file, resolve, root_uri};
+use crate::scene::Page;
+
+/// Summary of a tile set.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Info {
+    /// "3D Tiles", or "3D Tiles with heights".
+    pub format: String,
+    /// The asset's version.
+    pub version: String,
+    /// Tiles, external tilesets included.
+    pub tiles: u64,
+    /// Contents that tiles name, tilesets not counted.
+    pub contents: u64,
+    /// By level, root first.
+    pub levels: Vec<LevelInfo>,
+    /// Bytes of contents and tilesets; contents on servers are not fetched and count 0.
+    pub bytes: u64,
+    /// Extensions that the tilesets use.
+    pub extensions: BTreeSet<String>,
+    /// Around everything.
+    pub bounds: BoundsInfo,
+    /// What is missing or wrong.
+    pub errors: Vec<InfoError>,
+}
+
+/// One level of the tree.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct LevelInfo {
+    /// Root 0; an external tileset's root is one below the tile that names it.
+    pub level: u32,
+    /// Tiles.
+    pub tiles: u64,
+    /// Contents.
+    pub contents: u64,
+    /// Bytes of the contents.
+    pub bytes: u64,
+}
+
+/// A sphere, and the region where the root has one.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct BoundsInfo {
+    /// Metres in the set's frame.
+    pub center: [f64; 3],
+    /// Metres.
+    pub radius_m: f64,
+    /// West, south, east, north in radians, lowest and highest height in metres.
+    pub region: Option<Vec<f64>>,
+}
+
+/// A failure.
+#[derive(Clone, Debug, Serialize)]
+pub struct InfoError {
+    /// What failed.
+    pub uri: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// Walks a tile set. Fails only when the root cannot be read; everything below goes into `errors`.
+pub fn inspect(source: &str, limits: &Limits) -> Result<Info, IoError> {
+    let root = root_uri(source)?;
+    let options = ReadOptions::for_root(&root, *limits);
+    let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
+    let bytes = fetch(&root, limits)?;
+    let json = tileset::parse(&root, &bytes)?;
+    info.version.clone_from(&json.asset.version);
+    if json.asset.extras.as_ref().and_then(|e| e.get("terrane")?.get("content")?.as_str()) == Some("height") {
+        info.format = "3D Tiles with heights".to_owned();
+    }
+    info.bounds.region.clone_from(&json.root.bounding_volume.region);
+    info.bytes += bytes.len() as u64;
+    info.extensions.extend(json.extensions_used.iter().cloned());
+    match tileset::read(&root, &bytes, &options)
+        .and_then(|node| Page::from_node(node).map_err(|e| IoError::invalid(&root, e.to_string())))
+    {
+        Ok(page) => {
+            let sphere = page.bounding_sphere();
+            info.bounds.center = sphere.center.to_array();
+            info.bounds.radius_m = sphere.radius_m;
+        }
+        Err(e) => info.fail(&e),
+    }
+    info.walk(&root, &json.root, 0, &options);
+    Ok(info)
+}
+
+impl Info {
+    fn fail(&mut self, error: &IoError) {
+        self.errors.push(InfoError { uri: error.uri().to_owned(), reason: error.reason() });
+    }
+
+    fn level(&mut self, level: u32) -> &mut LevelInfo {
+        while self.levels.len() <= level as usize {
+            self.levels.push(LevelInfo { level: self.levels.len() as u32, ..LevelInfo::default() });
+        }
+        &mut self.levels[level as usize]
+    }
+
+    fn walk(&mut self, base: &Arc<str>, tile: &TileJson, level: u32, options: &ReadOptions) {
+        if level > options.limits.max_depth {
+            return;
+        }
+        self.tiles += 1;
+        self.level(level).tiles += 1;
+        for content in tile.content.iter().chain(&tile.contents) {
+            let Some(reference) = content.uri() else { continue };
+            let uri = match resolve(base, reference, &options.root) {
+                Ok(uri) => uri,
+                Err(e) => {
+                    self.fail(&e);
+                    continue;
+                }
+            };
+            if uri.split(['?', '#']).next().is_some_and(|path| path.ends_with(".json")) {
+                if let Err(e) = self.external(base, &uri, level, options) {
+                    self.fail(&e);
+                }
+                continue;
+            }
+            self.contents += 1;
+            self.level(level).contents += 1;
+            if is_http(&uri) {
+                continue;
+            }
+            match std::fs::metadata(&*uri) {
+                Ok(m) => {
+                    self.bytes += m.len();
+                    self.level(level).bytes += m.len();
+                }
+                Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+                    self.fail(&IoError::NotFound { uri: uri.to_string() });
+                }
+                Err(e) => self.fail(&IoError::File { uri: uri.to_string(), reason: e.to_string() }),
+            }
+        }
+        for child in &tile.children {
+            self.walk(base, child, level + 1, options);
+        }
+    }
+
+    fn external(&mut self, base: &Arc<str>, uri: &Arc<str>, level: u32, options: &ReadOptions) -> Result<(), IoError> {
+        if uri == base || options.chain.contains(uri) {
+            return Err(IoError::invalid(uri, "the tileset contains itself"));
+        }
+        if options.chain.len() >= options.limits.max_external_depth {
+            return Err(IoError::invalid(uri, "external tilesets are nested too deep"));
+        }
+        let bytes = fetch(uri, &options.limits)?;
+        let json = tileset::parse(uri, &bytes)?;
+        self.bytes += bytes.len() as u64;
+        self.extensions.extend(json.extensions_used.iter().cloned());
+        self.walk(uri, &json.root, level + 1, &options.below(base));
+        Ok(())
+    }
+}
+
+/// Bytes from a file or a server, on this thread.
+pub(crate) fn fetch(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
+    if !is_http(uri) {
+        return read_file(uri, limits);
+    }
+    #[cfg(feature = "http")]
+    {
+        let client = super::HttpClient::new(&super::HttpConfig::default())?;
+        super::http::block_on(uri, client.get(uri, limits))
+    }
+    #[cfg(not(feature = "http"))]
+    Err(IoError::unsupported(uri, "http (built without the feature)"))
+}
+
+impl std::fmt::Display for Info {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mb = |b: u64| b as f64 / 1e6;
+        writeln!(
+            f,
+            "{} {}: {} tiles, {} contents, {:.2} MB",
+            self.format,
+            self.version,
+            self.tiles,
+            self.contents,
+            mb(self.bytes)
+        )?;
+        let [x, y, z] = self.bounds.center;
+        writeln!(f, "bounds: centre {x:.1} {y:.1} {z:.1}, radius {:.1} m", self.bounds.radius_m)?;
+        if let Some([west, south, east, north, low, high]) = self.bounds.region.as_deref() {
+            let d = |a: &f64| a.to_degrees();
+            let (w, s, e, n) = (d(west), d(south), d(east), d(north));
+            writeln!(f, "region: {w:.5} {s:.5} to {e:.5} {n:.5} degrees, {low:.1} to {high:.1} m")?;
+        }
+        for l in &self.levels {
+            writeln!(
+                f,
+                "level {:2}: {:6} tiles, {:6} contents, {:10.2} MB",
+                l.level,
+                l.tiles,
+                l.contents,
+                mb(l.bytes)
+            )?;
+        }
+        if !self.extensions.is_empty() {
+            let list: Vec<&str> = self.extensions.iter().map(String::as_str).collect();
+            writeln!(f, "extensions: {}", list.join(", "))?;
+        }
+        write!(f, "errors: {}", self.errors.len())?;
+        for e in &self.errors {
+            write!(f, "\n  {}: {}", e.uri, e.reason)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,61 @@
+//! Every example runs offscreen and draws something. Needs a GPU (a software one will do).
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::process::Command;
+
+/// Where cargo puts examples: beside the folder of this test's own program.
+fn example(name: &str) -> PathBuf {
+    let me = std::env::current_exe().unwrap();
+    let profile = me.parent().and_then(|deps| deps.parent()).unwrap();
+    let program = profile.join("examples").join(format!("{name}{}", std::env::consts::EXE_SUFFIX));
+    // `cargo test` has built it; `cargo test --test examples_run` has not.
+    if !program.is_file() {
+        let release = if profile.ends_with("release") { &["--release"][..] } else { &[] };
+        let built = Command::new(env!("CARGO")).args(["build", "-p", "terrane", "--example", name]).args(release).status().unwrap();
+        assert!(built.success());
+    }
+    program
+}
+
+fn run(name: &str, arguments: &[&str], colours_at_least: usize) {
+    let traits = terrane::gpu::ContextTraits::default();
+    if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&traits) {
+        assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+        eprintln!("SKIPPED {name}: {error}");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let picture = folder.path().join("picture.png");
+    let out = Command::new(example(name))
+        .args(arguments)
+        .args(["--offscreen", "--frames", "30", "--screenshot", picture.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{name}: {}", String::from_utf8_lossy(&out.stderr));
+    let picture = image::open(&picture).unwrap().into_rgb8();
+    assert_eq!((picture.width(), picture.height()), (1280, 720));
+    let colours: BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
+    assert!(colours.len() >= colours_at_least, "{name}: {} colours", colours.len());
+}
+
+#[test]
+fn hello_terrain() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = folder.path().join("set");
+    let args = terrane_data_gen::GenArgs { levels: Some(3), size: 10_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    run("hello_terrain", &[set.to_str().unwrap()], 1000);
+}
+
+#[test]
+fn paged_lod() {
+    run("paged_lod", &[], 300);
+}
+
+#[test]
+fn proxy_node() {
+    run("proxy_node", &[], 100);
+}

@@ -1,0 +1,45 @@
+//! `terrane info`: what a tile set holds, as text or JSON.
+
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use terrane::io::{self, Info, Limits};
+
+use crate::args::InfoArgs;
+
+pub fn run(args: &InfoArgs) -> Result<()> {
+    let info = io::inspect(&args.source, &Limits::default())?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&info)?);
+    } else {
+        print!("{}", text(&info));
+    }
+    Ok(())
+}
+
+fn text(info: &Info) -> String {
+    let mebibytes = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+    let mut out = String::new();
+    // Writing to a String cannot fail.
+    let _ = writeln!(out, "format   {} {}", info.format, info.version);
+    let _ = writeln!(out, "tiles    {}, {} contents", info.tiles, info.contents);
+    let _ = writeln!(out, "size     {:.1} MiB", mebibytes(info.bytes));
+    let [x, y, z] = info.bounds.center;
+    let _ = writeln!(out, "bounds   {:.1} m around {x:.1}, {y:.1}, {z:.1}", info.bounds.radius_m);
+    if let Some([west, south, east, north, low, high]) = info.bounds.region.as_deref() {
+        let [west, south, east, north] = [west, south, east, north].map(|angle| angle.to_degrees());
+        let _ = writeln!(out, "         {south:.5} to {north:.5} N, {west:.5} to {east:.5} E, {low:.1} to {high:.1} m");
+    }
+    if !info.extensions.is_empty() {
+        let names: Vec<&str> = info.extensions.iter().map(String::as_str).collect();
+        let _ = writeln!(out, "uses     {}", names.join(", "));
+    }
+    for l in &info.levels {
+        let (level, size) = (l.level, mebibytes(l.bytes));
+        let _ = writeln!(out, "level {level:<2} {:>8} tiles {:>8} contents {size:>9.1} MiB", l.tiles, l.contents);
+    }
+    for e in &info.errors {
+        let _ = writeln!(out, "error    {}: {}", e.uri, e.reason);
+    }
+    out
+}
