@@ -84,24 +84,26 @@ impl<'a> Painter<'a> {
         let dy = (self.height(u, v + step, depth) - self.height(u, v - step, depth)) / (2.0 * step * meters[1]);
         let slope = dx.hypot(dy);
         let (x, y) = (u * meters[0], v * meters[1]);
-        let patch = fbm(x / 900.0, y / 900.0, 4, 901);
+        let patch = fbm(x / 1700.0, y / 1700.0, 6, 901);
         let grain = gradient(x / 70.0, y / 70.0, 902);
         // Heights relative to the set, so that any mountains have meadows below and snow above.
         let span = (self.high_m - self.low_m).max(1.0);
+        // Snow lies by height above the sea, not by height in the set.
+        let snow_line = smooth(2300.0, 2900.0, h + 260.0 * patch + 60.0 * grain);
         let tall = smooth(300.0, 1800.0, span);
         let t = (h - self.low_m) / span + 0.05 * patch;
         let mix = |a: [f64; 3], b: [f64; 3], t: f64| [0, 1, 2].map(|k| a[k] + (b[k] - a[k]) * t.clamp(0.0, 1.0));
         let meadow = mix([104.0, 122.0, 62.0], [134.0, 138.0, 82.0], 0.5 + 0.9 * patch);
-        let forest = mix([44.0, 68.0, 38.0], [62.0, 84.0, 46.0], 0.5 + 0.5 * grain);
+        let forest = mix([58.0, 82.0, 46.0], [76.0, 98.0, 54.0], 0.5 + 0.5 * grain);
         let alpine = mix([122.0, 122.0, 84.0], [104.0, 104.0, 76.0], 0.5 + patch);
         let rock = mix([112.0, 106.0, 98.0], [140.0, 132.0, 120.0], 0.5 + 0.5 * grain + 0.3 * patch);
         let scree = [148.0, 142.0, 132.0];
         let snow = [240.0, 244.0, 250.0];
-        let mut color = mix(meadow, forest, smooth(-0.05, 0.12, patch + 0.25 * smooth(0.1, 0.35, slope) - 0.05));
+        let mut color = mix(meadow, forest, smooth(-0.10, 0.42, patch + 0.30 * smooth(0.1, 0.4, slope) + 0.06 * grain));
         color = mix(color, alpine, smooth(0.42, 0.58, t));
         color = mix(color, scree, 0.7 * tall * smooth(0.60, 0.74, t));
         color = mix(color, rock, smooth(0.45, 0.85, slope + 0.08 * grain));
-        color = mix(color, snow, tall * smooth(0.70, 0.82, t + 0.03 * grain) * (1.0 - smooth(0.75, 1.25, slope)));
+        color = mix(color, snow, snow_line * (1.0 - smooth(0.75, 1.25, slope)));
         // Ambient: how far the place lies below its surroundings at three scales.
         let mut open = 0.0;
         for k in 1..=3 {

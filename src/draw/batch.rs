@@ -71,8 +71,10 @@ fn item(ctx: &GraphicsContext, entry: &DrawableEntry, rows: &[[f32; 4]; 3], stat
         Shape::Height(place) => {
             leaf.layer = place.layer;
             leaf.side = place.side;
+            // A tile's frame (east, radial, polar) is left-handed, so its transform mirrors; skirts face outwards.
+            let double_sided = entry.double_sided || !is_mirrored(rows);
             let key = RunKey {
-                pipeline: PipelineKey::height(state.depth_write, state.wireframe),
+                pipeline: PipelineKey::height(double_sided, state.depth_write, state.wireframe),
                 block: place.block,
                 vertex_chunk: 0,
                 index_chunk: 0,

@@ -25,9 +25,15 @@ const WIREFRAME: u8 = 1 << 6;
 const KEYS: usize = 1 << 7;
 
 impl PipelineKey {
-    /// Height tiles: opaque, both sides (skirts are seen from either).
-    pub(super) fn height(depth_write: bool, wireframe: bool) -> Self {
-        Self(KIND_HEIGHT | if depth_write { 0 } else { NO_DEPTH_WRITE } | if wireframe { WIREFRAME } else { 0 })
+    /// Height tiles: opaque; seen from above, or from both sides.
+    pub(super) fn height(double_sided: bool, depth_write: bool, wireframe: bool) -> Self {
+        let mut key = KIND_HEIGHT;
+        for (is_set, bit) in [(double_sided, DOUBLE_SIDED), (!depth_write, NO_DEPTH_WRITE), (wireframe, WIREFRAME)] {
+            if is_set {
+                key |= bit;
+            }
+        }
+        Self(key)
     }
 
     /// Meshes, lines and points. Blended ones write no depth.
@@ -200,7 +206,7 @@ impl Pipelines {
                     block_layout: Some(&ctx.layouts().height_block),
                     buffers: &[],
                     topology: wgpu::PrimitiveTopology::TriangleList,
-                    cull_back: false,
+                    cull_back: !is_set(DOUBLE_SIDED),
                     wireframe,
                     depth_write,
                     depth_compare: wgpu::CompareFunction::Greater,

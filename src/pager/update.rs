@@ -1,6 +1,6 @@
 //! [`DatabasePager`]: the main thread's side. Everything here runs in the update stage.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -94,10 +94,7 @@ impl DatabasePager {
     ) {
         self.frame = frame;
         self.accept(scene, requests);
-        self.take_answers(scene, contexts);
-        self.take_compiled(contexts);
-        self.merge(scene, contexts);
-        self.expire(scene, contexts);
+        self.merge_arrived(scene, contexts);
         self.retry(scene);
         self.rewrite_list();
         while self.config.blocking && self.is_busy() {
@@ -105,13 +102,27 @@ impl DatabasePager {
             if let Some(answer) = answer {
                 self.answer(scene, answer, contexts);
             }
-            self.take_answers(scene, contexts);
-            self.take_compiled(contexts);
-            self.merge(scene, contexts);
-            self.expire(scene, contexts);
+            self.merge_arrived(scene, contexts);
             self.rewrite_list();
         }
         self.count();
+    }
+
+    /// Hands over what a cull asks for without waiting for the next update: reading overlaps the rest of the frame.
+    /// Optional, after a cull; the next [`Self::update_scene_graph`] may get the same requests again.
+    pub fn request(&mut self, scene: &Scene, requests: &[PageRequest]) {
+        if !requests.is_empty() {
+            self.accept(scene, requests);
+            self.rewrite_list();
+        }
+    }
+
+    /// Takes what was loaded and compiled, merges and expires; may be called more than once a frame.
+    pub fn merge_arrived(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        self.take_answers(scene, contexts);
+        self.take_compiled(contexts);
+        self.merge(scene, contexts);
+        self.expire(scene, contexts);
     }
 
     /// True when nothing is waiting, being read, decoded, compiled or merged. Failed contents do not count.
@@ -122,6 +133,11 @@ impl DatabasePager {
     /// Counters up to the last update.
     pub fn stats(&self) -> &PagerStats {
         &self.stats
+    }
+
+    /// Starts the longest latency of [`PagerStats`] anew, to measure a phase by itself.
+    pub fn reset_latency_max(&mut self) {
+        self.stats.latency_max_s = 0.0;
     }
 
     /// What failed so far, by URI and reason.
@@ -385,12 +401,13 @@ impl DatabasePager {
         let stale_frames = self.config.stale_frames;
         let list = &self.threads.list;
         let mut waiting = list.lock();
-        for ticket in std::mem::take(&mut waiting.taken) {
-            // Few are taken a frame; the map is by slot.
-            let entry = self.entries.values_mut().find(|e| e.job.ticket == ticket);
-            // Its answer may have been taken before this.
-            if let Some(entry) = entry.filter(|e| matches!(e.progress, Progress::Waiting)) {
-                entry.progress = Progress::Loading;
+        let taken: HashSet<u64> = waiting.taken.drain(..).collect();
+        if !taken.is_empty() {
+            for entry in self.entries.values_mut() {
+                // What was taken and answered since the last look is further already.
+                if matches!(entry.progress, Progress::Waiting) && taken.contains(&entry.job.ticket) {
+                    entry.progress = Progress::Loading;
+                }
             }
         }
         let mut stale = 0;

@@ -150,29 +150,21 @@ pub enum Bench {
         #[arg(long, default_value_t = 1.0)]
         secs: f64,
     },
-    /// Files to merged pages, along the default path; without a GPU unless told to draw
-    Page(BenchPageArgs),
-}
-
-#[derive(Clone, Debug, ClapArgs)]
-pub struct BenchPageArgs {
-    /// Folder, tileset.json or http(s) URL; without it a small set is made in the user's cache folder
-    pub source: Option<String>,
-    /// Frames of the flight
-    #[arg(long, value_name = "N", default_value_t = 1200)]
-    pub frames: u32,
-    /// Frames a second; 0 is as many as possible
-    #[arg(long, value_name = "HZ", default_value_t = 60.0)]
-    pub pace: f64,
-    /// Refine tiles whose error shows as more pixels
-    #[arg(long, value_name = "PX", default_value = "3")]
-    pub sse: Positive,
-    /// Draw, on the best adapter
-    #[arg(long)]
-    pub draw: bool,
-    /// SingleThreaded or DrawThreadPerContext
-    #[arg(long, value_name = "MODEL", default_value = "DrawThreadPerContext")]
-    pub threading: ThreadingModel,
+    /// Files to merged pages
+    Page {
+        /// Frames of the flight
+        #[arg(long, default_value_t = 1200)]
+        frames: u32,
+        /// Frames a second; 0 for as many as go
+        #[arg(long, default_value_t = 60.0)]
+        pace: f64,
+        /// Draw each frame too
+        #[arg(long)]
+        draw: bool,
+        /// Most tiles that are kept
+        #[arg(long, default_value_t = 600)]
+        tiles: usize,
+    },
 }
 
 /// Width and height in pixels.

@@ -12,7 +12,7 @@ pub fn ensure() -> Result<String> {
 }
 
 /// The user's cache folder as the platform has it.
-fn cache_folder() -> Option<PathBuf> {
+pub fn cache_folder() -> Option<PathBuf> {
     let from = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
     from("XDG_CACHE_HOME").or_else(|| {
         if cfg!(windows) {

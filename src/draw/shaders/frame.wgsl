@@ -28,20 +28,20 @@ const FLAG_UNLIT: u32 = 1u;
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
 
-fn point_in_eye(leaf: u32, point: vec3<f32>) -> vec3<f32> {
+fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
     let p = vec4<f32>(point, 1.0);
     return vec3<f32>(
-        dot(leaves[leaf].eye_from_drawable_x, p),
-        dot(leaves[leaf].eye_from_drawable_y, p),
-        dot(leaves[leaf].eye_from_drawable_z, p),
+        dot(leaf.eye_from_drawable_x, p),
+        dot(leaf.eye_from_drawable_y, p),
+        dot(leaf.eye_from_drawable_z, p),
     );
 }
 
-fn direction_in_eye(leaf: u32, direction: vec3<f32>) -> vec3<f32> {
+fn direction_in_eye(leaf: Leaf, direction: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(
-        dot(leaves[leaf].eye_from_drawable_x.xyz, direction),
-        dot(leaves[leaf].eye_from_drawable_y.xyz, direction),
-        dot(leaves[leaf].eye_from_drawable_z.xyz, direction),
+        dot(leaf.eye_from_drawable_x.xyz, direction),
+        dot(leaf.eye_from_drawable_y.xyz, direction),
+        dot(leaf.eye_from_drawable_z.xyz, direction),
     );
 }
 

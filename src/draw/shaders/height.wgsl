@@ -19,18 +19,13 @@
 struct HeightFragment {
     @builtin(position) position: vec4<f32>,
     @location(0) uv: vec2<f32>,
-    @location(1) light: vec3<f32>,
+    @location(1) light: vec3<f32>,  // times the leaf's color
     @location(2) haze: f32,
-    @location(3) @interpolate(flat) leaf: u32,
+    // By value, not by leaf: a load from a buffer for each pixel is dear on software adapters.
+    @location(3) @interpolate(flat) layer: u32,
 }
 
 const HEADER: u32 = 3u;
-
-// First vector of a tile in the tables.
-fn table_of(leaf: u32) -> u32 {
-    let side = leaves[leaf].side;
-    return leaves[leaf].layer * (HEADER + side + (side + 1u) / 2u);
-}
 
 fn row_of(table: u32, j: i32) -> vec4<f32> {
     return tables[table + HEADER + u32(j)];
@@ -66,10 +61,11 @@ fn range_error(table: u32, n: u32) -> f32 {
 }
 
 @vertex
-fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) leaf: u32) -> HeightFragment {
-    let side = leaves[leaf].side;
-    let layer = leaves[leaf].layer;
-    let table = table_of(leaf);
+fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> HeightFragment {
+    let leaf = leaves[instance];
+    let side = leaf.side;
+    let layer = leaf.layer;
+    let table = layer * (HEADER + side + (side + 1u) / 2u);
     let cells = i32(side) - 1;
 
     // The vertex in the grid; after the grid comes the skirt's ring, counter-clockwise from the south-west.
@@ -143,18 +139,19 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) leaf: u
     var out: HeightFragment;
     out.position = frame.clip_from_eye * vec4<f32>(in_eye, 1.0);
     out.uv = vec2<f32>(grid.x, f32(cells) - grid.y) / f32(cells);
-    if (leaves[leaf].flags & FLAG_UNLIT) == 0u {
+    if (leaf.flags & FLAG_UNLIT) == 0u {
         out.light = light(normalize(direction_in_eye(leaf, normal)), normalize(direction_in_eye(leaf, up)));
     } else {
         out.light = vec3<f32>(1.0);
     }
+    out.light *= leaf.color.rgb;
     out.haze = haze(in_eye);
-    out.leaf = leaf;
+    out.layer = layer;
     return out;
 }
 
 @fragment
 fn fs_height(in: HeightFragment) -> @location(0) vec4<f32> {
-    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * leaves[in.leaf].color;
+    let base = textureSample(color_layers, color_sampler, in.uv, in.layer);
     return vec4<f32>(mix(base.rgb * in.light, frame.horizon_color.rgb, in.haze), 1.0);
 }

@@ -16,25 +16,31 @@ struct MeshFragment {
     @location(1) normal: vec3<f32>,
     @location(2) uv: vec2<f32>,
     @location(3) color: vec4<f32>,
-    @location(4) @interpolate(flat) leaf: u32,
+    // By value, not by leaf: a load from a buffer for each pixel is dear on software adapters.
+    @location(4) @interpolate(flat) layer: u32,
+    @location(5) @interpolate(flat) flags: u32,
+    @location(6) @interpolate(flat) alpha_cutoff: f32,
 }
 
 @vertex
-fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) leaf: u32) -> MeshFragment {
+fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MeshFragment {
+    let leaf = leaves[instance];
     let in_eye = point_in_eye(leaf, vertex.position);
     return MeshFragment(
         frame.clip_from_eye * vec4<f32>(in_eye, 1.0),
         in_eye,
         direction_in_eye(leaf, vertex.normal.xyz),
         vertex.uv,
-        vertex.color * leaves[leaf].color,
-        leaf,
+        vertex.color * leaf.color,
+        leaf.layer,
+        leaf.flags,
+        leaf.alpha_cutoff,
     );
 }
 
 fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) -> vec3<f32> {
     var color = base.rgb;
-    if (leaves[in.leaf].flags & FLAG_UNLIT) == 0u {
+    if (in.flags & FLAG_UNLIT) == 0u {
         var normal = facet;
         if dot(in.normal, in.normal) > 1e-12 {
             normal = normalize(in.normal);
@@ -63,15 +69,15 @@ fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
 @fragment
 fn fs_mesh(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let facet = facet_normal(in.in_eye);
-    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * in.color;
+    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
     return vec4<f32>(shade(in, is_front, facet, base), 1.0);
 }
 
 @fragment
 fn fs_mesh_masked(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let facet = facet_normal(in.in_eye);
-    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * in.color;
-    if base.a < leaves[in.leaf].alpha_cutoff {
+    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
+    if base.a < in.alpha_cutoff {
         discard;
     }
     return vec4<f32>(shade(in, is_front, facet, base), 1.0);
@@ -80,13 +86,13 @@ fn fs_mesh_masked(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @l
 @fragment
 fn fs_mesh_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let facet = facet_normal(in.in_eye);
-    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * in.color;
+    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
     return vec4<f32>(shade(in, is_front, facet, base), base.a);
 }
 
 // Lines and points have no facets: without a normal they face up.
 @fragment
 fn fs_thin(in: MeshFragment) -> @location(0) vec4<f32> {
-    let base = textureSample(color_layers, color_sampler, in.uv, leaves[in.leaf].layer) * in.color;
+    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
     return vec4<f32>(shade(in, true, frame.up.xyz, base), base.a);
 }

@@ -16,6 +16,8 @@ use terrane::state::{BinDetails, SortMode, StateSet};
 
 use glam::{DAffine3, DVec3};
 
+use super::percentile;
+
 /// Measures every case for about `seconds` each and prints a line for it.
 pub fn run(seconds: f64) {
     let seconds = if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 };
@@ -180,14 +182,4 @@ fn measure(cells: u32, state_sets: u32, view: View, name: &str, sort: SortMode, 
         "sort_us": us(percentile(&mut sorting, 0.5), 2), "reset_us": 0.0,
         "total_us": us(percentile(&mut total, 0.5), 2), "flatten_us": us(flatten.as_secs_f64(), 1),
     })
-}
-
-fn percentile(values: &mut [f64], p: f64) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let place = p * (values.len().max(1) - 1) as f64;
-    let (low, high) = (place.floor() as usize, place.ceil() as usize);
-    match (values.get(low), values.get(high)) {
-        (Some(a), Some(b)) => a + (b - a) * (place - low as f64),
-        _ => 0.0,
-    }
 }

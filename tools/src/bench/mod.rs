@@ -13,6 +13,19 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             cull::run(*secs);
             Ok(())
         }
-        Bench::Page(args) => page::run(args),
+        Bench::Page { frames, pace, draw, tiles } => {
+            page::run(page::Options { frames: *frames, pace_hz: *pace, draw: *draw, tiles: *tiles })
+        }
+    }
+}
+
+/// The value at a share `p` of the sorted values, between neighbours linearly.
+fn percentile(values: &mut [f64], p: f64) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    let place = p * (values.len().max(1) - 1) as f64;
+    let (low, high) = (place.floor() as usize, place.ceil() as usize);
+    match (values.get(low), values.get(high)) {
+        (Some(a), Some(b)) => a + (b - a) * (place - low as f64),
+        _ => 0.0,
     }
 }

@@ -1,114 +1,425 @@
-//! Paging along the default path in the phases of the `osg_page` peer: converge at the first camera, fly, converge
-//! at the last. One JSON object a phase with the peer's field names; a file here is one tile.
+//! Paging cost on the terrain of the `osg_page` peer: 5461 tiles in seven levels, flown over on the same path.
+//!
+//! One JSON object per phase with the peer's field names. A file is one tile here (four in the peer).
 
-use std::io::Write as _;
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result};
-use serde_json::json;
-use terrane::gpu::AdapterChoice;
-use terrane::pager::PagerStats;
-use terrane::viewer::{AnimationPath, FrameStats, Samples, Viewer, ViewerConfig};
+use anyhow::{Context as _, Result, ensure};
+use serde_json::{Value, json};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::gpu::{
+    AdapterChoice, CompileBudget, CompileOperation, CompileStats, Compiled, ContextTraits, GraphicsContext,
+};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::io::{Limits, ReadOptions};
+use terrane::math::{BoundingSphere, BoundingVolume, OrientedBox};
+use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
+use terrane::scene::{DrawSlot, Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene};
 
-use crate::args::BenchPageArgs;
-use crate::default_set;
+use glam::{DAffine3, DMat3, DVec3};
 
-/// A phase that holds the camera ends after so many frames in which nothing was wanted and nothing pending.
-const QUIET_FRAMES: u32 = 15;
+use super::percentile;
+
+/// What is measured, from the command line.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Frames of the flight.
+    pub frames: u32,
+    /// Frames a second; 0 for as many as go.
+    pub pace_hz: f64,
+    /// Draw each frame too.
+    pub draw: bool,
+    /// Most tiles that are kept.
+    pub tiles: usize,
+}
+
+/// Side of the terrain in metres, corner at the origin.
+const WORLD_M: f64 = 65536.0;
+/// Deepest level.
+const LEVELS: u32 = 6;
+/// Vertices and texels along a tile's side.
+const SIDE: usize = 33;
+const TEXELS: usize = 64;
+/// A tile gives way to its children nearer than so many radii.
+const RATIO: f64 = 7.0;
+/// Changes when the tiles' form does: other folders are not read.
+const VERSION: &str = "bench-page-1";
+/// A phase that does not come to rest ends.
 const TIMEOUT: Duration = Duration::from_secs(60);
-const NAMES: [&str; 3] = ["converge_start", "fly", "converge_end"];
 
-pub fn run(args: &BenchPageArgs) -> Result<()> {
-    let source = match &args.source {
-        Some(source) => source.clone(),
-        None => default_set::ensure()?,
+fn height_m(x: f64, y: f64) -> f64 {
+    800.0 * (x / 5000.0).sin() * (y / 7000.0).cos()
+        + 200.0 * (x / 900.0 + 1.0).sin() * (y / 1100.0).sin()
+        + 40.0 * (x / 170.0).sin() * (y / 130.0).cos()
+}
+
+/// A tile of the quadtree.
+#[derive(Clone, Copy)]
+struct Tile {
+    level: u32,
+    x: u32,
+    y: u32,
+}
+
+impl Tile {
+    fn side_m(self) -> f64 {
+        WORLD_M / f64::from(1u32 << self.level)
+    }
+
+    fn corner(self) -> [f64; 2] {
+        [f64::from(self.x) * self.side_m(), f64::from(self.y) * self.side_m()]
+    }
+
+    fn center(self) -> DVec3 {
+        let [x, y] = self.corner().map(|c| c + 0.5 * self.side_m());
+        DVec3::new(x, y, height_m(x, y))
+    }
+
+    fn file(self, folder: &Path) -> PathBuf {
+        folder.join(format!("t_{}_{}_{}.glb", self.level, self.x, self.y))
+    }
+
+    fn children(self) -> impl Iterator<Item = Self> {
+        let inner = self.level < LEVELS;
+        let child = move |i: u32| Self { level: self.level + 1, x: 2 * self.x + i % 2, y: 2 * self.y + i / 2 };
+        (0..if inner { 4 } else { 0 }).map(child)
+    }
+
+    /// The tile and everything below it.
+    fn node(self, folder: &Path) -> Result<Node> {
+        let center = self.center();
+        let radius_m = self.side_m() * 0.5f64.sqrt();
+        let bounds = if self.level < LEVELS {
+            BoundingVolume::Sphere(BoundingSphere { center, radius_m })
+        } else {
+            // A leaf of the peer is its mesh, with the mesh's own box.
+            let [x0, y0] = self.corner();
+            let step = self.side_m() / (SIDE - 1) as f64;
+            let heights =
+                (0..SIDE * SIDE).map(|k| height_m(x0 + (k % SIDE) as f64 * step, y0 + (k / SIDE) as f64 * step));
+            let (low, high) = heights.fold((f64::MAX, f64::MIN), |(l, h), z| (l.min(z), h.max(z)));
+            let half = DVec3::new(0.5 * self.side_m(), 0.5 * self.side_m(), 0.5 * (high - low));
+            let center = DVec3::new(center.x, center.y, 0.5 * (low + high));
+            BoundingVolume::Box(OrientedBox { center, half_axes: DMat3::from_diagonal(half) })
+        };
+        let file = self.file(folder);
+        let lod = PagedLod {
+            bounds,
+            range_mode: RangeMode::Distance { center, range_m: RATIO * radius_m },
+            refine: Refine::Replace,
+            content: Some(file.to_str().context("the cache folder's path is not UTF-8")?.into()),
+            content_transform: DAffine3::from_translation(DVec3::new(center.x, center.y, 0.0)),
+            reader_data: None,
+        };
+        let children = self.children().map(|c| c.node(folder)).collect::<Result<Vec<_>>>()?;
+        Ok(Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) })
+    }
+
+    /// The tile as binary glTF: y-up, east and north relative to its centre; a stored (not deflated) PNG.
+    fn glb(self) -> Result<Vec<u8>> {
+        let ([x0, y0], center, side_m) = (self.corner(), self.center(), self.side_m());
+        let step = side_m / (SIDE - 1) as f64;
+        let mut mesh = GlbMesh { image: Some(self.png()?), base_color: [1.0; 4], ..GlbMesh::default() };
+        for j in 0..SIDE {
+            for i in 0..SIDE {
+                let (x, y) = (x0 + i as f64 * step, y0 + j as f64 * step);
+                let n = DVec3::new(
+                    height_m(x - step, y) - height_m(x + step, y),
+                    height_m(x, y - step) - height_m(x, y + step),
+                    2.0 * step,
+                )
+                .normalize();
+                mesh.positions.push([(x - center.x) as f32, height_m(x, y) as f32, (center.y - y) as f32]);
+                mesh.normals.push([n.x as f32, n.z as f32, -n.y as f32]);
+                mesh.uvs.push([i as f32 / (SIDE - 1) as f32, 1.0 - j as f32 / (SIDE - 1) as f32]);
+            }
+        }
+        for j in 0..SIDE - 1 {
+            for i in 0..SIDE - 1 {
+                let a = (j * SIDE + i) as u16;
+                let (b, c, d) = (a + 1, a + SIDE as u16, a + SIDE as u16 + 1);
+                mesh.indices.extend([a, b, d, a, d, c]);
+            }
+        }
+        Ok(write_glb(&mesh))
+    }
+
+    /// The peer's texels, its first row in the south.
+    fn png(self) -> Result<Vec<u8>> {
+        use image::ImageEncoder as _;
+        use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+        let ([x0, y0], side_m) = (self.corner(), self.side_m());
+        let mut pixels = Vec::with_capacity(TEXELS * TEXELS * 3);
+        for j in (0..TEXELS).rev() {
+            for i in 0..TEXELS {
+                let at = |k: usize| (k as f64 + 0.5) * side_m / TEXELS as f64;
+                let h = height_m(x0 + at(i), y0 + at(j));
+                pixels.push((60 + self.level * 25) as u8);
+                pixels.push((127.0 + h * 0.12).clamp(0.0, 255.0) as u8);
+                pixels.push(((i * 4) ^ (j * 4)) as u8);
+            }
+        }
+        let mut out = Vec::new();
+        let side = TEXELS as u32;
+        PngEncoder::new_with_quality(&mut out, CompressionType::Uncompressed, FilterType::NoFilter).write_image(
+            &pixels,
+            side,
+            side,
+            image::ExtendedColorType::Rgb8,
+        )?;
+        Ok(out)
+    }
+}
+
+const ROOT: Tile = Tile { level: 0, x: 0, y: 0 };
+
+/// The folder of the tiles; writes them, once.
+fn tiles() -> Result<PathBuf> {
+    let cache = crate::default_set::cache_folder().unwrap_or_else(std::env::temp_dir);
+    let folder = cache.join("terrane").join(VERSION);
+    let complete = folder.join("complete");
+    if !complete.exists() {
+        let made = || format!("cannot write tiles to {}", folder.display());
+        std::fs::create_dir_all(&folder).with_context(made)?;
+        eprintln!("writing 5461 tiles to {} (320 MB)", folder.display());
+        let mut open = vec![ROOT];
+        while let Some(tile) = open.pop() {
+            std::fs::write(tile.file(&folder), tile.glb()?).with_context(made)?;
+            open.extend(tile.children());
+        }
+        std::fs::write(&complete, "").with_context(made)?;
+    }
+    // Into the page cache: both sides are measured warm.
+    for entry in std::fs::read_dir(&folder)? {
+        std::io::copy(&mut std::fs::File::open(entry?.path())?, &mut std::io::sink())?;
+    }
+    Ok(folder)
+}
+
+/// A graphics context that compiles on the thread that updates; as the viewer without a draw thread.
+struct Context {
+    graphics: GraphicsContext,
+    compile: CompileStats,
+}
+
+impl CompileContext for Context {
+    fn id(&self) -> u32 {
+        0
+    }
+
+    fn compile(&mut self, operation: CompileOperation) {
+        self.graphics.compile(operation);
+    }
+
+    /// Uploads within the frame's budget what this very update handed over: a page that has arrived by the start of
+    /// a frame is drawn in that frame.
+    fn take_compiled(&mut self) -> Vec<Compiled> {
+        self.compile = self.graphics.run_compiles(&CompileBudget::default());
+        self.graphics.take_compiled()
+    }
+
+    fn release(&mut self, slots: Vec<DrawSlot>) {
+        self.graphics.release(&slots);
+    }
+}
+
+/// The camera at `u` of the path.
+fn camera(u: f64, frame: u32) -> CullCamera {
+    use std::f64::consts::{PI, TAU};
+    let (x, y) = (8192.0 + 49152.0 * u, 32768.0 + 20000.0 * (TAU * u).sin());
+    let eye = DVec3::new(x, y, height_m(x, y) + 1200.0 + 400.0 * (3.0 * TAU * u).sin());
+    let ahead = DVec3::new(49152.0, 40000.0 * PI * (TAU * u).cos(), 0.0).normalize();
+    let (sin, cos) = 20f64.to_radians().sin_cos();
+    let view =
+        glam::dcamera::rh::view::look_at_mat4(eye, eye + DVec3::new(ahead.x * cos, ahead.y * cos, -sin), DVec3::Z);
+    CullCamera { eye_from_world: DAffine3::from_mat4(view), viewport_px: [64, 64], frame, ..CullCamera::default() }
+}
+
+/// A figure of this process from the system, in MB; 0 where there is none.
+fn status_mb(name: &str) -> f64 {
+    let text = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = text.lines().find_map(|l| l.strip_prefix(name));
+    let kb = line.and_then(|l| l.trim_start_matches(':').trim().trim_end_matches("kB").trim().parse::<f64>().ok());
+    kb.unwrap_or(0.0) / 1024.0
+}
+
+/// Processor time of this process, seconds; 0 where the system does not say.
+fn cpu_s() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields: Vec<&str> = text.rsplit_once(')').map_or(Vec::new(), |(_, rest)| rest.split_whitespace().collect());
+    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(0.0);
+    (ticks(11) + ticks(12)) / 100.0
+}
+
+/// Everything that lives through the phases.
+struct Bench {
+    options: Options,
+    scene: Scene,
+    pager: DatabasePager,
+    context: Context,
+    renderer: Option<terrane::draw::Renderer>,
+    visitor: CullVisitor,
+    stage: RenderStage,
+    frame: u32,
+    rss_start_mb: f64,
+}
+
+/// Times of one phase, seconds.
+#[derive(Default)]
+struct Times {
+    work: Vec<f64>,
+    update: Vec<f64>,
+    cull: Vec<f64>,
+    compile: Vec<f64>,
+    missing: Vec<f64>,
+}
+
+/// Runs the three phases and prints a line for each.
+pub fn run(options: Options) -> Result<()> {
+    ensure!(options.pace_hz.is_finite() && options.pace_hz >= 0.0, "--pace must be zero or above");
+    ensure!(options.frames >= 2, "--frames must be at least 2");
+    let folder = tiles()?;
+    let mut scene = Scene::new();
+    scene.add_root(Page::from_node(ROOT.node(&folder)?)?);
+    let traits = |adapter| ContextTraits { size_px: [64, 64], adapter, validation: false };
+    let mut graphics = GraphicsContext::new_offscreen(&traits(AdapterChoice::Software))
+        .or_else(|_| GraphicsContext::new_offscreen(&traits(AdapterChoice::Noop)))?;
+    let root_uri = ROOT.file(&folder);
+    let read = ReadOptions::for_root(root_uri.to_str().unwrap_or_default(), Limits::default());
+    let config = PagerConfig { max_tiles: options.tiles, ..PagerConfig::default() };
+    let pager = DatabasePager::new(config, read)?;
+    let renderer = options.draw.then(|| terrane::draw::Renderer::new(&mut graphics));
+    let mut bench = Bench {
+        options,
+        scene,
+        pager,
+        context: Context { graphics, compile: CompileStats::default() },
+        renderer,
+        visitor: CullVisitor::new(),
+        stage: RenderStage::new(),
+        frame: 0,
+        rss_start_mb: status_mb("VmRSS"),
     };
-    let adapter = if args.draw { AdapterChoice::Any } else { AdapterChoice::Noop };
-    let config = ViewerConfig {
-        size_px: [256, 256],
-        threading: args.threading,
-        adapter,
-        validation: false,
-        max_sse_px: args.sse.0,
-        ..ViewerConfig::default()
-    };
-    let mut viewer = Viewer::new_offscreen(&config)?;
-    viewer.load(&source)?;
-    let bounds = *viewer.bounds().context("the set has no bounds")?;
-    let path = bounds.default_path(&viewer.camera.world_from_eye);
-    for name in NAMES {
-        let line = phase(&mut viewer, &path, name, args)?;
-        writeln!(std::io::stdout(), "{line}").context("stdout")?;
+    for phase in ["converge_start", "fly", "converge_end"] {
+        println!("{}", bench.phase(phase)?);
     }
     Ok(())
 }
 
-fn phase(viewer: &mut Viewer, path: &AnimationPath, name: &str, args: &BenchPageArgs) -> Result<serde_json::Value> {
-    let fly = name == "fly";
-    let before = stats(viewer);
-    let first_frame = viewer.frame_stamp().frame;
-    let start = Instant::now();
-    let (mut last_busy, mut quiet, mut frames) = (start, 0, 0);
-    let mut next = start;
-    let converged = loop {
-        if fly && frames == args.frames {
-            break None;
-        }
-        let share = match name {
-            "converge_start" => 0.0,
-            "fly" => f64::from(frames) / f64::from(args.frames.saturating_sub(1).max(1)),
-            _ => 1.0,
-        };
-        viewer.camera.world_from_eye = path.world_from_eye(path.first_s() + share * path.duration_s());
-        viewer.frame()?;
-        frames += 1;
-        if !fly {
-            if viewer.is_settled() {
-                quiet += 1;
-            } else {
-                (quiet, last_busy) = (0, Instant::now());
+impl Bench {
+    fn phase(&mut self, name: &str) -> Result<Value> {
+        let fly = name == "fly";
+        let before = *self.pager.stats();
+        self.pager.reset_latency_max();
+        let (cpu, start) = (cpu_s(), Instant::now());
+        let mut times = Times::default();
+        let (mut next, mut last_busy, mut quiet, mut converged) = (start, start, 0, false);
+        let (mut tiles_peak, mut drawn) = (0, HashSet::new());
+        let period = Duration::from_secs_f64(if self.options.pace_hz > 0.0 { 1.0 / self.options.pace_hz } else { 0.0 });
+        let mut i = 0;
+        while !fly || i < self.options.frames {
+            let u = match name {
+                "fly" => f64::from(i) / f64::from(self.options.frames - 1),
+                "converge_end" => 1.0,
+                _ => 0.0,
+            };
+            i += 1;
+            let merged = self.pager.stats().merged;
+            self.one_frame(u, &mut times)?;
+            let stats = self.pager.stats();
+            tiles_peak = tiles_peak.max(stats.resident);
+            drawn.insert(self.stage.counters.tiles_drawn);
+            if !fly {
+                if stats.merged != merged || !self.stage.requests.is_empty() || !self.pager.is_idle() {
+                    (last_busy, quiet) = (Instant::now(), 0);
+                } else {
+                    quiet += 1;
+                    if quiet >= 15 {
+                        converged = true;
+                        break;
+                    }
+                }
+                if start.elapsed() > TIMEOUT {
+                    break;
+                }
             }
-            if quiet >= QUIET_FRAMES {
-                break Some(true);
-            }
-            if start.elapsed() > TIMEOUT {
-                break Some(false);
-            }
+            let now = Instant::now();
+            next = (next + period).max(now.checked_sub(period).unwrap_or(now));
+            std::thread::sleep(next.saturating_duration_since(now));
         }
-        if args.pace > 0.0 {
-            // A late frame is not made up for by more than one interval.
-            let interval = Duration::from_secs_f64(1.0 / args.pace);
-            next = (next + interval).max(Instant::now().checked_sub(interval).unwrap_or(start));
-            std::thread::sleep(next.saturating_duration_since(Instant::now()));
-        }
-    };
-    viewer.finish()?;
-    let time_s = if fly { start.elapsed() } else { last_busy - start }.as_secs_f64();
-    let after = stats(viewer);
-    let of_phase = |value: fn(&FrameStats) -> f64| {
-        Samples::new(viewer.stats().iter().filter(|s| s.frame > first_frame).map(value))
-    };
-    let (frame, update, missing) =
-        (of_phase(|s| s.frame_ms), of_phase(|s| s.merge_ms), of_phase(|s| f64::from(s.wanted_missing)));
-    let merged = after.merged - before.merged;
-    let latency_s = after.latency_sum_s - before.latency_sum_s;
-    Ok(json!({
-        "bench": "page", "phase": name, "threading": args.threading.to_string(), "pace": args.pace,
-        "draw": i32::from(args.draw), "sse": args.sse.0, "frames": frames, "converged": converged, "time_s": time_s,
-        "frame_p50_ms": frame.median(), "frame_p95_ms": frame.percentile(0.95), "frame_p99_ms": frame.percentile(0.99),
-        "frame_max_ms": frame.max(),
-        "frames_over_budget": if args.pace > 0.0 { frame.above(1000.0 / args.pace) } else { 0 },
-        "pager_update_p50_us": update.median() * 1e3, "pager_update_max_ms": update.max(),
-        "files_requested": after.requested - before.requested, "files_read": after.loaded - before.loaded,
-        "files_merged": merged, "files_deleted": after.expired - before.expired,
-        "tiles_loaded": merged, "tiles_per_s": if time_s > 0.0 { merged as f64 / time_s } else { 0.0 },
-        "read_failures": after.failed - before.failed, "missing_p50": missing.median(),
-        "missing_p95": missing.percentile(0.95),
-        "tile_latency_mean_ms": if merged > 0 { latency_s * 1e3 / merged as f64 } else { 0.0 },
-        "tile_latency_max_ms": after.latency_max_s * 1e3,
-    }))
-}
+        let time_s = if fly { start.elapsed() } else { last_busy - start }.as_secs_f64();
+        Ok(self.line(name, &before, time_s, converged, cpu_s() - cpu, tiles_peak, times))
+    }
 
-fn stats(viewer: &Viewer) -> PagerStats {
-    viewer.pager().map(|pager| *pager.stats()).unwrap_or_default()
+    /// Update, cull, upload and, if asked for, draw.
+    fn one_frame(&mut self, u: f64, times: &mut Times) -> Result<()> {
+        self.frame += 1;
+        let t0 = Instant::now();
+        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, &mut [&mut self.context]);
+        let t1 = Instant::now();
+        self.visitor.cull(&self.scene, &camera(u, self.frame), &mut self.stage);
+        self.pager.request(&self.scene, &self.stage.requests);
+        let t2 = Instant::now();
+        let t3 = Instant::now();
+        if let Some(renderer) = &mut self.renderer {
+            renderer.draw(&mut self.context.graphics, &self.stage, &terrane::draw::Environment::default())?;
+        }
+        let t4 = Instant::now();
+        times.update.push((t1 - t0).as_secs_f64());
+        times.cull.push((t2 - t1).as_secs_f64());
+        times.compile.push((t3 - t2).as_secs_f64());
+        times.work.push((t4 - t0).as_secs_f64());
+        times.missing.push(f64::from(self.stage.counters.wanted_missing));
+        Ok(())
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "the figures of one line")]
+    fn line(
+        &self,
+        phase: &str,
+        before: &PagerStats,
+        time_s: f64,
+        converged: bool,
+        cpu_s: f64,
+        tiles_peak: u64,
+        mut times: Times,
+    ) -> Value {
+        let now = self.pager.stats();
+        let merged = now.merged - before.merged;
+        let (frames, missing_sum) = (times.work.len(), times.missing.iter().sum::<f64>());
+        let round = |v: f64| (v * 1e3).round() / 1e3;
+        let ms = |v: &mut Vec<f64>, p: f64| round(percentile(v, p) * 1e3);
+        let over = times.work.iter().filter(|w| self.options.pace_hz > 0.0 && **w > 1.0 / self.options.pace_hz).count();
+        let latency_ms = (now.latency_sum_s - before.latency_sum_s) * 1e3 / merged.max(1) as f64;
+        json!({
+            "bench": "terrane_page", "phase": phase, "source": "file", "pace": self.options.pace_hz,
+            "maxtiles": self.options.tiles, "draw": u32::from(self.options.draw),
+            "adapter": self.context.graphics.adapter_name(),
+            "frames": frames, "converged": if phase == "fly" { Value::Null } else { converged.into() },
+            "time_s": round(time_s),
+            "frame_p50_ms": ms(&mut times.work, 0.5), "frame_p95_ms": ms(&mut times.work, 0.95),
+            "frame_p99_ms": ms(&mut times.work, 0.99), "frame_max_ms": ms(&mut times.work, 1.0),
+            "frames_over_budget": over,
+            "pager_update_p50_us": round(percentile(&mut times.update, 0.5) * 1e6),
+            "pager_update_max_ms": ms(&mut times.update, 1.0),
+            "cull_p50_us": round(percentile(&mut times.cull, 0.5) * 1e6), "cull_max_ms": ms(&mut times.cull, 1.0),
+            "compile_p50_us": round(percentile(&mut times.compile, 0.5) * 1e6),
+            "compile_max_ms": ms(&mut times.compile, 1.0),
+            "files_requested": now.requested - before.requested, "files_read": now.loaded - before.loaded,
+            "files_merged": merged,
+            "files_read_but_dropped": (now.loaded - before.loaded) as i64 - merged as i64,
+            "files_deleted": now.expired - before.expired,
+            "tiles_loaded": merged, "tiles_per_s": round(merged as f64 / time_s.max(1e-9)),
+            "read_failures": now.failed,
+            "missing_mean": round(missing_sum / frames.max(1) as f64),
+            "missing_p95": round(percentile(&mut times.missing, 0.95)),
+            "drawables": self.stage.counters.leaves, "tiles_peak": tiles_peak, "tiles_end": now.resident,
+            "tile_latency_mean_ms": round(latency_ms), "tile_latency_max_ms": round(now.latency_max_s * 1e3),
+            "gpu_mb": round(self.context.graphics.bytes_peak() as f64 / 1048576.0),
+            "rss_start_mb": round(self.rss_start_mb), "rss_mb": round(status_mb("VmRSS")),
+            "peak_rss_mb": round(status_mb("VmHWM")), "cpu_s": round(cpu_s),
+        })
+    }
 }
