@@ -1,0 +1,175 @@
+//! No input panics, hangs or exhausts memory: every failure is one typed error with URI and reason. No GPU.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::sync::Arc;
+
+use proptest::prelude::*;
+use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
+use terrane::io::{Content, IoError, Limits, ReadOptions, decode, inspect};
+use terrane::scene::Page;
+
+const ROOT: &str = "/set/tileset.json";
+
+fn read(bytes: &[u8], reader_data: Option<&str>) -> Result<Page, IoError> {
+    let limits = Limits { max_image_side_px: 64, ..Limits::default() };
+    let content = Content {
+        uri: "/set/tile".into(),
+        bytes: bytes.to_vec(),
+        reader_data: reader_data.map(Arc::from),
+        companions: Vec::new(),
+    };
+    decode(content, &ReadOptions::for_root(ROOT, limits))
+}
+
+/// The error, which must say what failed and why.
+fn refused(bytes: &[u8]) -> String {
+    let error = read(bytes, None).unwrap_err();
+    assert!(!error.uri().is_empty() && !error.reason().is_empty(), "{error:?}");
+    error.reason()
+}
+
+fn png(side: u32) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_pixel(side, side, image::Rgb([200, 30, 10]))
+        .write_to(&mut bytes, image::ImageFormat::Png)
+        .unwrap();
+    bytes.into_inner()
+}
+
+fn triangle(image: Vec<u8>) -> Vec<u8> {
+    write_glb(&GlbMesh {
+        positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        normals: vec![[0.0, 0.0, 1.0]; 3],
+        uvs: vec![[0.0; 2]; 3],
+        indices: vec![0, 1, 2],
+        image: Some(image),
+        base_color: [1.0; 4],
+    })
+}
+
+fn tileset(volume: &str, error: &str, content: &str) -> Vec<u8> {
+    format!(
+        r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{{"refine":"ADD","boundingVolume":{{{volume}}},"geometricError":{error},"content":{{"uri":"{content}"}}}}}}"#
+    )
+    .into_bytes()
+}
+
+const SPHERE: &str = r#""sphere":[0,0,0,5]"#;
+
+#[test]
+fn what_is_good_is_read() {
+    assert_eq!(read(&triangle(png(4)), None).unwrap().drawable_count(), 1);
+    assert!(read(&tileset(SPHERE, "1", "a.glb"), None).unwrap().is_tile_tree());
+}
+
+#[test]
+fn a_glb_cut_anywhere_is_refused() {
+    let whole = triangle(png(4));
+    for length in 0..whole.len() {
+        refused(&whole[..length]);
+    }
+}
+
+#[test]
+fn wrong_magic_error_pages_and_foreign_formats_are_named() {
+    assert!(refused(b"\x01\x02\x03\x04rubbish").contains("magic"));
+    assert!(refused(b"<html>404</html>").contains("error page"));
+    for (magic, name) in [("i3dm", "i3dm"), ("pnts", "pnts"), ("cmpt", "cmpt"), ("subt", "implicit")] {
+        assert!(refused(magic.as_bytes()).contains(name));
+    }
+}
+
+#[test]
+fn images_are_measured_before_they_are_decoded() {
+    assert!(refused(&triangle(png(65))).contains("limit"));
+    let mut empty = png(4);
+    empty[16..24].fill(0);
+    refused(&triangle(empty));
+}
+
+#[test]
+fn bounds_and_errors_must_be_sane() {
+    for volume in [
+        r#""sphere":[0,0,0,-1]"#,
+        r#""sphere":[0,0,1e300,1]"#,
+        r#""sphere":[0,0,0]"#,
+        r#""box":[1,2,3]"#,
+        r#""region":[0,1,0.1,0.5,0,10]"#,
+        r#""region":[0,0,0.1,0.5,10,0]"#,
+        r#""region":[0,0,99,0.5,0,10]"#,
+        "",
+    ] {
+        refused(&tileset(volume, "1", "a.glb"));
+    }
+    refused(&tileset(SPHERE, "-1", "a.glb"));
+    refused(&tileset(SPHERE, "NaN", "a.glb"));
+    refused(&tileset(SPHERE, "1e999", "a.glb"));
+}
+
+#[test]
+fn references_stay_in_the_sets_folder() {
+    for escape in ["../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "%2e%2e/x.glb", "http://other/x.glb"] {
+        refused(&tileset(SPHERE, "1", escape));
+    }
+}
+
+#[test]
+fn tilesets_that_contain_themselves_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("tileset.json");
+    std::fs::write(&root, tileset(SPHERE, "1", "other.json")).unwrap();
+    std::fs::write(folder.path().join("other.json"), tileset(SPHERE, "1", "tileset.json")).unwrap();
+    let info = inspect(root.to_str().unwrap(), &Limits::default()).unwrap();
+    assert_eq!((info.tiles, info.errors.len()), (2, 1));
+    assert!(info.errors[0].reason.contains("contains itself"));
+    let options = ReadOptions::for_root(ROOT, Limits::default()).below(&"/set/tile".into());
+    let content = Content {
+        uri: "/set/tile".into(),
+        bytes: tileset(SPHERE, "1", "a.glb"),
+        reader_data: None,
+        companions: vec![],
+    };
+    assert!(decode(content, &options).unwrap_err().reason().contains("contains itself"));
+}
+
+#[test]
+fn deep_nesting_is_refused() {
+    refused(&[b"{\"root\":".repeat(5000), b"1".to_vec()].concat());
+}
+
+const HEIGHT: &str =
+    r#"{"region":[0.1,0.8,0.11,0.81],"side":5,"border":1,"level":1,"errors_m":[1.0,2.0],"imagery":null}"#;
+
+#[test]
+fn height_tiles_are_checked() {
+    let exr = |side: usize, h: f32| write_height_exr("t", side, vec![h; side * side]).unwrap();
+    assert_eq!(read(&exr(7, 12.0), Some(HEIGHT)).unwrap().drawable_count(), 1);
+    for (bytes, data) in [(exr(7, 1.0), None), (exr(9, 1.0), Some(HEIGHT)), (exr(7, f32::NAN), Some(HEIGHT))] {
+        assert!(!read(&bytes, data).unwrap_err().reason().is_empty());
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// Whatever bytes are turned, the answer is a page or an error, never a panic.
+    #[test]
+    fn flipped_bytes_never_panic(
+        flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        which in 0..3usize,
+    ) {
+        let (mut bytes, data) = match which {
+            0 => (triangle(png(4)), None),
+            1 => (tileset(SPHERE, "1", "a.glb"), None),
+            _ => (write_height_exr("t", 7, vec![5.0; 49]).unwrap(), Some(HEIGHT)),
+        };
+        for (index, value) in flips {
+            let at = index.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Err(error) = read(&bytes, data) {
+            prop_assert!(!error.uri().is_empty() && !error.reason().is_empty());
+        }
+    }
+}
