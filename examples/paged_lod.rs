@@ -40,8 +40,8 @@ fn main() -> Result<()> {
         Ok(())
     };
     if has_display() && !args.iter().any(|a| a == "--offscreen") {
-        run_window(ViewerConfig::default(), WindowOptions { on_open: Box::new(build), ..WindowOptions::default() })?;
-        return Ok(());
+        let options = WindowOptions { on_open: Box::new(build), ..WindowOptions::default() };
+        return Ok(run_window(ViewerConfig::default(), options).map(drop)?);
     }
     let mut viewer = Viewer::new_offscreen(&ViewerConfig::default())?;
     build(&mut viewer)?;
@@ -67,17 +67,15 @@ fn tile(folder: &Path, level: usize, center: DVec3) -> Node {
 }
 
 fn ball(segments: u16, base_color: [f32; 4]) -> GlbMesh {
-    let mut mesh =
-        GlbMesh { positions: vec![], normals: vec![], uvs: vec![], indices: vec![], image: None, base_color };
-    let row = segments + 1;
+    let (mut positions, mut normals, mut indices, row) = (vec![], vec![], vec![], segments + 1);
     for (i, j) in (0..row * row).map(|k| (k % row, k / row)) {
         let (t, p) = (PI * f32::from(j) / f32::from(segments), TAU * f32::from(i) / f32::from(segments));
-        mesh.normals.push([t.sin() * p.sin(), t.cos(), t.sin() * p.cos()]);
-        mesh.positions.push([2.0 * t.sin() * p.sin(), 2.0 * t.cos(), 2.0 * t.sin() * p.cos()]);
+        let normal = [t.sin() * p.sin(), t.cos(), t.sin() * p.cos()];
+        normals.push(normal);
+        positions.push(normal.map(|n| 2.0 * n));
         if i < segments && j < segments {
-            let a = j * row + i;
-            mesh.indices.extend([a, a + row, a + row + 1, a, a + row + 1, a + 1]);
+            indices.extend([0, row, row + 1, 0, row + 1, 1].map(|corner| j * row + i + corner));
         }
     }
-    mesh
+    GlbMesh { positions, normals, uvs: vec![], indices, image: None, base_color }
 }

@@ -14,7 +14,11 @@ fn example(name: &str) -> PathBuf {
     // `cargo test` has built it; `cargo test --test examples_run` has not.
     if !program.is_file() {
         let release = if profile.ends_with("release") { &["--release"][..] } else { &[] };
-        let built = Command::new(env!("CARGO")).args(["build", "-p", "terrane", "--example", name]).args(release).status().unwrap();
+        let built = Command::new(env!("CARGO"))
+            .args(["build", "-p", "terrane", "--example", name])
+            .args(release)
+            .status()
+            .unwrap();
         assert!(built.success());
     }
     program

@@ -20,7 +20,7 @@ const SLICE_BYTES: u64 = 256 << 10;
 /// What the first slice of a call may have however small the budget, so that every upload ends.
 const LEAST_SLICE_BYTES: u64 = 16 << 10;
 /// Uploads are handed to the driver at the latest when so many bytes wait.
-const FLUSH_BYTES: u64 = 8 << 20;
+const FLUSH_BYTES: u64 = 2 << 20;
 
 /// Drawables to upload together, usually one page's.
 #[derive(Debug)]

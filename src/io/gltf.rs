@@ -4,11 +4,14 @@
 //! of what is returned turns it, as 3D Tiles asks.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::hash::{Hash as _, Hasher as _};
+use std::num::NonZeroUsize;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::{Mode, Semantic};
+use lru::LruCache;
 
 use super::{IoError, Limits, image};
 use crate::math::Aabb;
@@ -395,6 +398,7 @@ impl<'a> Reader<'a> {
                     }
                     _ => return Err(self.bad("indices of a signed or float type")),
                 };
+                let list = shared(list);
                 self.indices.insert(accessor.index(), list.clone());
                 list
             }
@@ -428,6 +432,23 @@ impl<'a> Reader<'a> {
         self.textures.insert(key, decoded.clone());
         Ok(decoded)
     }
+}
+
+/// The same list as one read before, where there is one: tiles of a terrain often share their grid, and what is one
+/// `Arc` is uploaded once. Decode workers share the few lists that are kept; the lock is held for a comparison.
+fn shared(list: Arc<[u32]>) -> Arc<[u32]> {
+    static LISTS: OnceLock<Mutex<LruCache<u64, Weak<[u32]>>>> = OnceLock::new();
+    const KEPT: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
+    let mut hasher = std::hash::DefaultHasher::new();
+    list.hash(&mut hasher);
+    let key = hasher.finish();
+    let lists = LISTS.get_or_init(|| Mutex::new(LruCache::new(KEPT)));
+    let mut lists = lists.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(known) = lists.get(&key).and_then(Weak::upgrade).filter(|known| *known == list) {
+        return known;
+    }
+    lists.put(key, Arc::downgrade(&list));
+    list
 }
 
 /// Strips, fans and loops as lists.

@@ -147,10 +147,10 @@ impl SetBounds {
         AnimationPath::new(points).expect("the first pose is a point")
     }
 
-    /// Fog density per metre that leaves a set visible as a whole from the first camera and hides little of what
-    /// is near: optical depth 0.35 at the first camera's distance.
+    /// Fog density per metre that leaves a set visible as a whole from the first camera: optical depth 0.35 at that
+    /// distance, and never thicker than a hazy day's, so that what is small is clear.
     pub fn fog_density_per_m(&self) -> f64 {
-        0.35 / (2.2 * self.sphere.radius_m)
+        (0.35 / (2.2 * self.sphere.radius_m)).min(5e-5)
     }
 
     /// Direction towards the sun in the world: from the south-east, 40 degrees up.

@@ -11,6 +11,7 @@ mod manipulator;
 #[cfg(feature = "window")]
 mod overlay;
 mod report;
+mod settled;
 mod stats;
 mod threading;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]

@@ -9,18 +9,16 @@ use image::RgbaImage;
 
 use super::ViewerError;
 use super::camera::Camera;
-use super::holes::{KEY_COLOR, coverage};
 use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
-use super::report::Settled;
 use super::stats::{FrameStats, StatsHistory};
 use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
 use crate::cull::{CullVisitor, PageRequest, RenderStage};
-use crate::draw::{Environment, Sky};
+use crate::draw::Environment;
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::io::ReadOptions;
 use crate::pager::{CompileContext, DatabasePager, PagerConfig};
-use crate::scene::{DrawSlot, Page, PageId, Scene, SlotState};
+use crate::scene::{Page, PageId, Scene};
 
 /// How a viewer is made.
 #[derive(Clone, Debug)]
@@ -89,14 +87,14 @@ pub struct Viewer {
     pub compile_budget: CompileBudget,
     #[cfg(feature = "window")]
     overlay: Option<super::overlay::OverlayPaint>,
-    scene: Scene,
+    pub(super) scene: Scene,
     pub(super) pager: Option<DatabasePager>,
     pager_config: PagerConfig,
     cull: CullVisitor,
     pub(super) context: ContextHandle,
     pub(super) size_px: [u32; 2],
-    free_stages: Vec<RenderStage>,
-    requests: Vec<PageRequest>,
+    pub(super) free_stages: Vec<RenderStage>,
+    pub(super) requests: Vec<PageRequest>,
     manipulator: Option<Box<dyn CameraManipulator>>,
     events: Vec<Event>,
     update_callbacks: Vec<UpdateCallback>,
@@ -117,13 +115,13 @@ pub struct Viewer {
     read_back_ms: f64,
     /// Frames in a row in which the pager had nothing to do.
     quiet_frames: u32,
-    wanted_missing: u32,
+    pub(super) wanted_missing: u32,
     pub(super) converge_s: Option<f64>,
     first_pose: Option<DAffine3>,
 }
 
 /// The one context of a viewer.
-const CONTEXT: u32 = 0;
+pub(super) const CONTEXT: u32 = 0;
 /// With nothing under way for this many frames, requests that remain are ones the pager declines.
 const QUIET_FRAMES: u32 = 4;
 /// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
@@ -479,7 +477,7 @@ impl Viewer {
         }
     }
 
-    fn cull_into(&mut self, stage: &mut RenderStage) {
+    pub(super) fn cull_into(&mut self, stage: &mut RenderStage) {
         let camera = self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT);
         self.cull.cull(&self.scene, &camera, stage);
         // The near plane of this very frame, from what cull has just found.
@@ -497,7 +495,7 @@ impl Viewer {
         }
     }
 
-    fn job(&mut self, stage: RenderStage) -> FrameJob {
+    pub(super) fn job(&mut self, stage: RenderStage) -> FrameJob {
         // Over a globe, up is a matter of where one is.
         if let Some(bounds) = self.bounds.filter(|b| b.frame.georeferenced) {
             self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
@@ -554,78 +552,6 @@ impl Viewer {
             self.pictures.push((frame, image?));
         }
         Ok(())
-    }
-
-    /// Draws the present view once more, unseen and without statistics; on the key colour without fog if asked.
-    fn draw_again(&mut self, on_key: bool) -> Result<(FrameStats, RgbaImage), ViewerError> {
-        self.absorb_all()?;
-        let stage = self.cull_again();
-        let mut stats = FrameStats { tiles_drawn: stage.counters.tiles_drawn, ..FrameStats::default() };
-        let mut job = self.job(stage);
-        if on_key {
-            job.environment.sky = Sky::Background(KEY_COLOR);
-            job.environment.fog.enabled = false;
-        }
-        job.read_back = true;
-        job.present = false;
-        self.context.frame(job)?;
-        let done = self.context.wait_done()?.ok_or(ViewerError::DrawThreadStopped)?;
-        self.free_stages.push(done.stage);
-        let drawn = done.stats?;
-        stats.triangles = drawn.triangles;
-        stats.points = drawn.points;
-        let image = done.image.ok_or(ViewerError::DrawThreadStopped)??;
-        Ok((stats, image))
-    }
-
-    /// Culls the present view once more, leaving requests and counters as they are.
-    fn cull_again(&mut self) -> RenderStage {
-        let mut stage = self.free_stages.pop().unwrap_or_default();
-        let (requests, wanted_missing) = (std::mem::take(&mut self.requests), self.wanted_missing);
-        self.cull_into(&mut stage);
-        (self.requests, self.wanted_missing) = (requests, wanted_missing);
-        stage
-    }
-
-    /// The present view's picture, drawn once more.
-    pub fn picture(&mut self) -> Result<RgbaImage, ViewerError> {
-        Ok(self.draw_again(false)?.1)
-    }
-
-    /// What the present view draws, for the report; draws it once more.
-    pub fn settled(&mut self) -> Result<Settled, ViewerError> {
-        let (stats, image) = self.draw_again(true)?;
-        Ok(Settled {
-            tiles: u64::from(stats.tiles_drawn),
-            contents: self.drawn_contents().len() as u64,
-            triangles: stats.triangles,
-            points: stats.points,
-            coverage: coverage(&image, KEY_COLOR),
-        })
-    }
-
-    /// URIs of the contents that the present view draws, sorted.
-    pub fn drawn_contents(&mut self) -> Vec<Arc<str>> {
-        let stage = self.cull_again();
-        let mut drawn: Vec<DrawSlot> = stage.bins.iter().flat_map(|b| &b.leaves).map(|leaf| leaf.slot).collect();
-        drawn.retain(|slot| *slot != DrawSlot::NONE);
-        drawn.sort_unstable();
-        self.free_stages.push(stage);
-        let mut uris = Vec::new();
-        let mut pages = self.scene.roots().to_vec();
-        while let Some(page) = pages.pop() {
-            for slot in self.scene.slots_of_page(page).filter_map(|id| self.scene.slot(id)) {
-                let SlotState::Resident(content) = slot.state else { continue };
-                pages.push(content);
-                let slots = self.scene.page(content).map_or(&[][..], |p| p.draw_slots_of(CONTEXT));
-                if slots.iter().any(|s| drawn.binary_search(s).is_ok()) {
-                    uris.push(Arc::clone(slot.uri));
-                }
-            }
-        }
-        uris.sort();
-        uris.dedup();
-        uris
     }
 }
 

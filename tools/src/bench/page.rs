@@ -97,8 +97,8 @@ impl Tile {
             // A leaf of the peer is its mesh, with the mesh's own box.
             let [x0, y0] = self.corner();
             let step = self.side_m() / (SIDE - 1) as f64;
-            let heights = (0..SIDE * SIDE)
-                .map(|k| height_m(x0 + (k % SIDE) as f64 * step, y0 + (k / SIDE) as f64 * step));
+            let heights =
+                (0..SIDE * SIDE).map(|k| height_m(x0 + (k % SIDE) as f64 * step, y0 + (k / SIDE) as f64 * step));
             let (low, high) = heights.fold((f64::MAX, f64::MIN), |(l, h), z| (l.min(z), h.max(z)));
             let half = DVec3::new(0.5 * self.side_m(), 0.5 * self.side_m(), 0.5 * (high - low));
             let center = DVec3::new(center.x, center.y, 0.5 * (low + high));
@@ -213,7 +213,10 @@ impl CompileContext for Context {
         self.graphics.compile(operation);
     }
 
+    /// Uploads within the frame's budget what this very update handed over: a page that has arrived by the start of
+    /// a frame is drawn in that frame.
     fn take_compiled(&mut self) -> Vec<Compiled> {
+        self.compile = self.graphics.run_compiles(&CompileBudget::default());
         self.graphics.take_compiled()
     }
 
@@ -229,13 +232,9 @@ fn camera(u: f64, frame: u32) -> CullCamera {
     let eye = DVec3::new(x, y, height_m(x, y) + 1200.0 + 400.0 * (3.0 * TAU * u).sin());
     let ahead = DVec3::new(49152.0, 40000.0 * PI * (TAU * u).cos(), 0.0).normalize();
     let (sin, cos) = 20f64.to_radians().sin_cos();
-    let view = glam::dcamera::rh::view::look_at_mat4(eye, eye + DVec3::new(ahead.x * cos, ahead.y * cos, -sin), DVec3::Z);
-    CullCamera {
-        eye_from_world: DAffine3::from_mat4(view),
-        viewport_px: [64, 64],
-        frame,
-        ..CullCamera::default()
-    }
+    let view =
+        glam::dcamera::rh::view::look_at_mat4(eye, eye + DVec3::new(ahead.x * cos, ahead.y * cos, -sin), DVec3::Z);
+    CullCamera { eye_from_world: DAffine3::from_mat4(view), viewport_px: [64, 64], frame, ..CullCamera::default() }
 }
 
 /// A figure of this process from the system, in MB; 0 where there is none.
@@ -363,7 +362,6 @@ impl Bench {
         self.visitor.cull(&self.scene, &camera(u, self.frame), &mut self.stage);
         self.pager.request(&self.scene, &self.stage.requests);
         let t2 = Instant::now();
-        self.context.compile = self.context.graphics.run_compiles(&CompileBudget::default());
         let t3 = Instant::now();
         if let Some(renderer) = &mut self.renderer {
             renderer.draw(&mut self.context.graphics, &self.stage, &terrane::draw::Environment::default())?;
