@@ -177,3 +177,51 @@ fn regroupable(sort: SortMode, stage: &RenderStage, leaves: &[RenderLeaf], first
     let fits = |l: &RenderLeaf| if writes_depth(first) { writes_depth(l) } else { l.state == first.state };
     leaves.iter().position(|l| !fits(l)).unwrap_or(leaves.len())
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::cull::{CullCamera, CullVisitor};
+    use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
+    use crate::math::Aabb;
+    use crate::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Page, Scene, Topology};
+
+    #[test]
+    fn a_steady_batch_keeps_its_memory() {
+        let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, validation: false };
+        let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let drawable = |z: f64| {
+            let vertices = vec![MeshVertex { position: [0.0, 0.0, z as f32], ..MeshVertex::default() }; 3];
+            let bounds = Aabb { min: glam::DVec3::new(-1.0, -1.0, z), max: glam::DVec3::new(1.0, 1.0, z) };
+            let mesh = Mesh { vertices, indices: [0, 1, 2].into(), topology: Topology::Triangles, bounds };
+            Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material: Material::default() }
+        };
+        let nodes = (0..200).map(|i| Node::geode(vec![drawable(-5.0 - f64::from(i))])).collect();
+        let mut page = Page::from_node(Node::group(nodes)).unwrap();
+        ctx.compile(CompileOperation { ticket: 0, drawables: page.take_drawables() });
+        ctx.run_compiles(&CompileBudget::UNLIMITED);
+        page.set_draw_slots(0, ctx.take_compiled().remove(0).slots);
+        let mut scene = Scene::new();
+        scene.add_root(page);
+        let mut stage = RenderStage::new();
+        CullVisitor::new().cull(&scene, &CullCamera::default(), &mut stage);
+
+        let mut batch = Batch::default();
+        let memory = |b: &Batch| {
+            let places = (b.items.as_ptr() as usize, b.leaves.as_ptr() as usize, b.runs.as_ptr() as usize);
+            (places, b.items.capacity(), b.leaves.capacity(), b.runs.capacity())
+        };
+        assert_eq!(batch.build(&ctx, &stage, usize::MAX), 0);
+        assert_eq!(batch.leaves.len(), 200);
+        let warm = memory(&batch);
+        for _ in 0..10 {
+            batch.build(&ctx, &stage, usize::MAX);
+            assert_eq!(memory(&batch), warm);
+        }
+        // What does not fit into the adapter's buffer is dropped and counted.
+        assert_eq!(batch.build(&ctx, &stage, 150), 50);
+        assert_eq!(batch.leaves.len(), 150);
+    }
+}

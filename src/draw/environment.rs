@@ -44,8 +44,8 @@ impl Default for Environment {
     fn default() -> Self {
         Self {
             sun_direction: DVec3::new(0.45, -0.55, 0.7).normalize(),
-            sun_color: [1.25, 1.17, 1.02],
-            ambient_color: [0.17, 0.21, 0.29],
+            sun_color: [1.12, 1.05, 0.92],
+            ambient_color: [0.18, 0.22, 0.30],
             fog: Fog { enabled: true, density_per_m: 1.2e-5 },
             sky: Sky::Gradient,
             up_in_world: DVec3::Z,

@@ -32,7 +32,7 @@ pub(super) struct FrameUniform {
     pub(super) zenith_color: [f32; 4],
     /// Eye-space ray of a pixel from its clip position: x and y scale, x and y offset.
     pub(super) ray: [f32; 4],
-    /// Sine of the dip of the horizon, then unused.
+    /// Sine of the dip of the horizon, share of air at the eye, sine over which the sky's haze thins to 1/e.
     pub(super) horizon: [f32; 4],
 }
 
@@ -99,6 +99,9 @@ impl FrameUniform {
             0.0
         };
         let air = (-height_m / (3.0 * AIR_SCALE_HEIGHT_M)).exp();
+        // The bright band above the horizon: the air's thickness, seen from as far as the horizon is.
+        let horizon_m = (height_m * (2.0 * radius_m + height_m)).sqrt().max(1.0);
+        let band = (2.0 * AIR_SCALE_HEIGHT_M / horizon_m).min(0.32);
         let sun = direction_in_eye(stage, environment.sun_direction);
         let up = direction_in_eye(stage, environment.up_in_world);
         let sun_height = sun[0] * up[0] + sun[1] * up[1] + sun[2] * up[2];
@@ -116,7 +119,7 @@ impl FrameUniform {
             sun_color: with_w(environment.sun_color, MORPH_START),
             ambient_color: with_w(environment.ambient_color, density as f32),
             up: vec4(up, height_m),
-            horizon_color: vec4(mix(space, horizon, air.sqrt()), 1.0 / AIR_SCALE_HEIGHT_M),
+            horizon_color: vec4(horizon, 1.0 / AIR_SCALE_HEIGHT_M),
             zenith_color: vec4(mix(space, zenith, air), if is_globe { 1.0 / radius_m } else { 0.0 }),
             ray: [
                 (1.0 / p.x_axis.x) as f32,
@@ -124,7 +127,7 @@ impl FrameUniform {
                 (p.z_axis.x / p.x_axis.x) as f32,
                 (p.z_axis.y / p.y_axis.y) as f32,
             ],
-            horizon: [dip_sine as f32, air as f32, 0.0, 0.0],
+            horizon: [dip_sine as f32, air as f32, band as f32, 0.0],
         }
     }
 }

@@ -9,7 +9,7 @@ struct Frame {
     horizon_color: vec4<f32>,  // linear; w: 1 / height over which air thins to 1/e
     zenith_color: vec4<f32>,   // linear; w: 1 / radius of the ground, 0 when flat
     ray: vec4<f32>,            // eye ray from clip position: scale xy, offset zw
-    horizon: vec4<f32>,        // sine of the horizon's dip, share of air at the eye
+    horizon: vec4<f32>,        // sine of the horizon's dip, share of air at the eye, sine over which the sky's haze thins
 }
 
 struct Leaf {
@@ -64,7 +64,13 @@ fn haze(point: vec3<f32>) -> f32 {
     let rise = dot(point, frame.up.xyz);
     let across2 = max(distance * distance - rise * rise, 0.0);
     let eye_height = frame.up.w * frame.horizon_color.w;
-    let point_height = max(frame.up.w + rise + 0.5 * across2 * frame.zenith_color.w, 0.0) * frame.horizon_color.w;
+    var height = frame.up.w + rise;
+    if frame.zenith_color.w > 0.0 {
+        let radius = 1.0 / frame.zenith_color.w;
+        let from_center = radius + height;
+        height = sqrt(from_center * from_center + across2) - radius;
+    }
+    let point_height = max(height, 0.0) * frame.horizon_color.w;
     let climb = point_height - eye_height;
     var density = exp(-0.5 * (point_height + eye_height));
     if abs(climb) > 1e-2 {

@@ -18,12 +18,10 @@ fn fs_sky(in: SkyVertex) -> @location(0) vec4<f32> {
     // Height above the horizon, which from high up lies below the level.
     let above = dot(ray, frame.up.xyz) + frame.horizon.x;
     let air = frame.horizon.y;
-    // With height the air's band above the horizon becomes thin.
-    let band = mix(0.04, 0.32, air);
-    let t = 1.0 - exp(-max(above, 0.0) / band);
+    let t = 1.0 - exp(-max(above, 0.0) / frame.horizon.z);
     var color = mix(frame.horizon_color.rgb, frame.zenith_color.rgb, t);
     // Below the horizon: ground that is not there, in haze.
-    color *= mix(1.0, 0.55, smoothstep(0.0, -0.35, above));
+    color *= mix(1.0, mix(0.15, 0.55, air), smoothstep(0.0, -1.2 * frame.horizon.z, above));
     let toward_sun = max(dot(ray, frame.sun_direction.xyz), 0.0);
     let glow = 0.25 * pow(toward_sun, 24.0) * max(air, 0.1) + 4.0 * pow(toward_sun, 3000.0);
     color += frame.sun_color.rgb * glow * smoothstep(-0.02, 0.02, above);
