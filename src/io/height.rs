@@ -188,8 +188,10 @@ fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> N
     let stride = side + 2 * data.border as usize;
     let own_error_m = data.errors_m.first().copied().unwrap_or(0.0);
     let coarser_errors_m: Vec<f32> = data.errors_m.iter().skip(1).map(|e| *e as f32).collect();
-    // Deep enough for the step to a neighbour that is coarser by one level, or still loading.
-    let skirt_m = (2.0 * coarser_errors_m.first().map_or(own_error_m, |e| f64::from(*e)) + 1.0) as f32;
+    // Both sides of an edge lie within their errors of the same ground: deep enough for any neighbour, the coarsest
+    // too, which stands there while its children load.
+    let coarsest_m = data.errors_m.iter().copied().fold(own_error_m, f64::max);
+    let skirt_m = (own_error_m + coarsest_m + 1.0) as f32;
     let mut min = DVec3::INFINITY;
     let mut max = DVec3::NEG_INFINITY;
     for j in 0..side {
