@@ -1,4 +1,14 @@
-//! Terrane: a paged large-terrain streaming engine on wgpu.
+//! Terrane: a paged large-terrain streaming engine on wgpu, with OpenSceneGraph's words.
+//!
+//! A frame is [`viewer::Viewer::frame`]: advance, event, update, rendering. Update alone changes the [`scene::Scene`]:
+//! the [`pager::DatabasePager`] merges what was loaded and takes out what is not needed. Cull reads it:
+//! [`cull::CullVisitor`] turns scene and camera into a [`cull::RenderStage`], leaves sorted into bins, and a list of
+//! [`cull::PageRequest`]s for what is missing. [`draw::Renderer`] executes the stage on a [`gpu::GraphicsContext`],
+//! perhaps on a thread of its own, while the next frame is already being updated.
+//!
+//! To follow a tile from its URI to pixels, read [`io`] (bytes to [`scene::Page`]), [`pager`], [`scene`], [`cull`],
+//! [`gpu`] and [`draw`] in this order. World positions are metres in `f64`, z up (ECEF where a set is georeferenced);
+//! what reaches the GPU is `f32` relative to the eye.
 
 pub mod cull;
 pub mod draw;
