@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
-use terrane::io::{Content, IoError, Limits, ReadOptions, decode, inspect};
+use terrane::io::{Content, DECODER_PANICKED, IoError, Limits, ReadOptions, decode, inspect};
 use terrane::scene::Page;
 
 const ROOT: &str = "/set/tileset.json";
@@ -26,6 +26,7 @@ fn read(bytes: &[u8], reader_data: Option<&str>) -> Result<Page, IoError> {
 fn refused(bytes: &[u8]) -> String {
     let error = read(bytes, None).unwrap_err();
     assert!(!error.uri().is_empty() && !error.reason().is_empty(), "{error:?}");
+    assert_ne!(error.reason(), DECODER_PANICKED);
     error.reason()
 }
 
@@ -77,6 +78,25 @@ fn wrong_magic_error_pages_and_foreign_formats_are_named() {
     assert!(refused(b"<html>404</html>").contains("error page"));
     for (magic, name) in [("i3dm", "i3dm"), ("pnts", "pnts"), ("cmpt", "cmpt"), ("subt", "implicit")] {
         assert!(refused(magic.as_bytes()).contains(name));
+    }
+}
+
+/// What the gltf crate's own validation takes for granted.
+#[test]
+fn a_glb_with_a_bad_reference_is_refused() {
+    let whole = triangle(png(4));
+    for (was, now, why) in [
+        ("\"mimeType\"", "\"nimeType\"", "mimeType"),
+        ("\"accessors\"", "\"accessor_\"", "accessor 0 of 0"),
+        ("\"images\"", "\"imagez\"", "glTF"),
+        ("\"bufferViews\"", "\"bufferView_\"", "glTF"),
+        ("\"meshes\"", "\"meshez\"", "glTF"),
+    ] {
+        let mut changed = whole.clone();
+        let at = whole.windows(was.len()).position(|w| w == was.as_bytes()).unwrap();
+        changed[at..at + now.len()].copy_from_slice(now.as_bytes());
+        let reason = refused(&changed);
+        assert!(reason.contains(why), "{was}: {reason}");
     }
 }
 
@@ -170,6 +190,7 @@ proptest! {
         }
         if let Err(error) = read(&bytes, data) {
             prop_assert!(!error.uri().is_empty() && !error.reason().is_empty());
+            prop_assert_ne!(error.reason(), DECODER_PANICKED);
         }
     }
 }

@@ -76,6 +76,20 @@ fn read(
         }
     }
     root.extensions_required.clear();
+    // The crate takes for granted what the next two loops check.
+    let accessors = root.accessors.len();
+    for primitive in root.meshes.iter().flat_map(|m| &m.primitives) {
+        if let Some(index) = primitive.attributes.values().map(|a| a.value()).find(|index| *index >= accessors) {
+            return Err(IoError::invalid(uri, format!("glTF: accessor {index} of {accessors}")));
+        }
+    }
+    for (i, image) in root.images.iter().enumerate() {
+        let named = if image.buffer_view.is_some() { image.mime_type.is_some() } else { image.uri.is_some() };
+        if !named {
+            let reason = format!("glTF: image {i} has no source, or no mimeType for its bufferView");
+            return Err(IoError::invalid(uri, reason));
+        }
+    }
     // Attributes of other purposes (batch and feature ids, whatever their names) are not drawn and not judged.
     for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
         primitive.attributes.retain(|semantic, _| matches!(semantic, gltf::json::validation::Checked::Valid(_)));

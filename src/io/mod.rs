@@ -23,5 +23,5 @@ pub use file::read_file;
 pub use http::{HttpClient, HttpConfig};
 pub(crate) use info::fetch;
 pub use info::{BoundsInfo, Info, InfoError, LevelInfo, inspect};
-pub use read::{Content, Fetched, ReadOptions, companions, decode, decode_node};
+pub use read::{Content, DECODER_PANICKED, Fetched, ReadOptions, companions, decode, decode_node};
 pub use uri::{RootScope, is_http, resolve, root_uri};

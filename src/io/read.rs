@@ -51,11 +51,21 @@ pub fn companions(uri: &Arc<str>, reader_data: Option<&Arc<str>>) -> Vec<Arc<str
 }
 
 /// Decodes a content. CPU only, no I/O; any thread.
+///
+/// The readers do not panic on outside data; should one of the crates behind them do so, that content fails with an
+/// error that says so, and nothing else.
 pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> {
     let uri = content.uri.clone();
-    let node = decode_node(content, options)?;
-    Page::from_node(node).map_err(|e| IoError::invalid(&uri, e.to_string()))
+    let read = || {
+        let node = decode_node(content, options)?;
+        Page::from_node(node).map_err(|e| IoError::invalid(&uri, e.to_string()))
+    };
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(read))
+        .unwrap_or_else(|_| Err(IoError::invalid(&uri, DECODER_PANICKED)))
 }
+
+/// The reason given for a content whose decoder panicked.
+pub const DECODER_PANICKED: &str = "the decoder panicked";
 
 /// [`decode`] before the graph is flattened.
 pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoError> {

@@ -129,8 +129,5 @@ fn decode_one(
 ) -> Result<Page, io::IoError> {
     let content = Content { uri: job.uri.clone(), bytes, reader_data: job.reader_data.clone(), companions };
     let options = ReadOptions { chain: job.chain.clone(), ..options.clone() };
-    // The readers do not panic on outside data; should one of the crates behind them do so, one tile fails, not all.
-    std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| io::decode(content, &options))).unwrap_or_else(|_| {
-        Err(io::IoError::Invalid { uri: job.uri.to_string(), reason: "the decoder panicked".into() })
-    })
+    io::decode(content, &options)
 }
