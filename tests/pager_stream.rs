@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
-use terrane::gpu::{CompileOperation, Compiled};
+use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{Limits, ReadOptions, root_uri};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
@@ -29,6 +29,8 @@ impl CompileContext for Context {
         self.slots_out += slots.len();
         self.done.push(Compiled { ticket: operation.ticket, slots, bytes: 1000, errors: Vec::new() });
     }
+
+    fn run_compiles(&mut self, _: &CompileBudget) {}
 
     fn take_compiled(&mut self) -> Vec<Compiled> {
         std::mem::take(&mut self.done)

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::gpu::{CompileOperation, Compiled};
+use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::io::{IoError, Limits};
 use crate::scene::DrawSlot;
 
@@ -12,6 +12,9 @@ pub trait CompileContext {
     fn id(&self) -> u32;
     /// Queues drawables for upload; done within the context's budget a frame.
     fn compile(&mut self, operation: CompileOperation);
+    /// Uploads within a budget, now or on the context's own thread: for the time between two frames. What a frame
+    /// uploads itself is not the pager's to say.
+    fn run_compiles(&mut self, budget: &CompileBudget);
     /// What has been uploaded since the last call.
     fn take_compiled(&mut self) -> Vec<Compiled>;
     /// Gives slots back, after the last frame that may draw them was queued.

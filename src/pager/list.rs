@@ -59,6 +59,13 @@ pub(super) struct Waiting {
     pub closed: bool,
 }
 
+impl Waiting {
+    /// Jobs that no thread has taken.
+    pub fn len(&self) -> usize {
+        self.file.len() + self.http.len()
+    }
+}
+
 /// The list and its bell.
 pub(super) struct RequestList {
     waiting: Mutex<Waiting>,

@@ -10,12 +10,16 @@ use super::residents::{Resident, Residents};
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
 use crate::cull::PageRequest;
-use crate::gpu::CompileOperation;
+use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
 use crate::scene::{NodeId, Page, PageId, Scene, SlotState};
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
 const EXPIRY_LOOKS: usize = 256;
+/// How often contexts are asked for what they uploaded, between frames.
+const COMPILE_POLL: Duration = Duration::from_micros(200);
+/// Kept free before the next frame is due: the longest single step, the upload of one slice or the merge of a page.
+const WORK_MARGIN: Duration = Duration::from_micros(500);
 /// Bytes a page is taken to need before the first one was seen.
 const FIRST_GUESS_BYTES: u64 = 64 << 10;
 
@@ -123,6 +127,47 @@ impl DatabasePager {
         self.take_compiled(contexts);
         self.merge(scene, contexts);
         self.expire(scene, contexts);
+        self.allow_more();
+    }
+
+    /// Lets the threads go on when there is more room than the list last said.
+    fn allow_more(&self) {
+        let allowed = self.allowed_in_flight(self.threads.list.capacity);
+        let mut waiting = self.threads.list.lock();
+        waiting.allowed = allowed;
+        let go_on = waiting.outstanding < allowed && waiting.len() > 0;
+        drop(waiting);
+        if go_on {
+            self.threads.list.ring();
+        }
+    }
+
+    /// Uploads, merges and expires what arrives until shortly before `deadline`, for a main thread that would
+    /// otherwise wait for the next frame to be due. Returns early when nothing is under way.
+    pub fn work_until(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext], deadline: Instant) {
+        let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
+        while self.is_under_way() && !left().is_zero() {
+            let patience = if self.compiling.is_empty() { left() } else { left().min(COMPILE_POLL) };
+            if let Some(answer) = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(patience).ok()) {
+                self.answer(scene, answer, contexts);
+            }
+            self.take_answers(scene, contexts);
+            let time = left();
+            for context in contexts.iter_mut() {
+                context.run_compiles(&CompileBudget { time, bytes: u64::MAX });
+            }
+            self.merge_arrived(scene, contexts);
+        }
+        self.count();
+    }
+
+    /// Something is being read, decoded, uploaded or merged, or will be once a thread is free.
+    fn is_under_way(&self) -> bool {
+        if !self.compiling.is_empty() || !self.ready.is_empty() {
+            return true;
+        }
+        let waiting = self.threads.list.lock();
+        waiting.outstanding > 0 || (waiting.allowed > 0 && waiting.len() > 0)
     }
 
     /// True when nothing is waiting, being read, decoded, compiled or merged. Failed contents do not count.
@@ -446,12 +491,14 @@ impl DatabasePager {
 
     /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
     fn allowed_in_flight(&self, capacity: usize) -> usize {
-        let arrived = self.entries.values().filter(|e| matches!(e.progress, Progress::Arrived(_))).count() as u64;
+        // What waits for its upload holds memory like what is being loaded.
+        let arrived = (self.compiling.len() + self.ready.len()) as u64;
         let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
         let cpu = room(self.config.max_bytes_cpu, self.residents.cpu_bytes, self.mean_cpu_bytes);
         let gpu = room(self.config.max_bytes_gpu, self.residents.gpu_bytes, self.mean_gpu_bytes);
         let tiles = (self.config.max_tiles as u64).saturating_sub(self.residents.len() as u64 + arrived);
-        cpu.min(gpu).min(tiles).min(capacity as u64) as usize
+        let capacity = (capacity as u64).saturating_sub(arrived);
+        cpu.min(gpu).min(tiles).min(capacity) as usize
     }
 
     fn count(&mut self) {

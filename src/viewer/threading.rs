@@ -8,10 +8,12 @@
 //! release after the last. At most [`STAGES_IN_FLIGHT`] stages are on the way; each comes back with its answer
 //! and its memory is used again. With [`ThreadingModel::SingleThreaded`] the same commands run inline.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use image::RgbaImage;
 
 use super::ViewerError;
@@ -58,6 +60,9 @@ pub const STAGES_IN_FLIGHT: usize = 2;
 /// Commands that may wait before the sender does; many small uploads fit between two frames.
 const COMMAND_QUEUE: usize = 1024;
 
+/// Most time for uploads between two frames at once, so that a frame sent after them does not wait longer.
+const MOST_COMPILING: Duration = Duration::from_millis(2);
+
 /// Set in the tickets of what the viewer itself compiles (pages that the application made); the rest are the pager's.
 const OWN_TICKET: u64 = 1 << 63;
 
@@ -102,6 +107,8 @@ pub enum DrawCommand {
     Compile(CompileOperation),
     /// Free slots after the last frame that drew them.
     Release(Vec<DrawSlot>),
+    /// Upload within a budget, between two frames.
+    RunCompiles(CompileBudget),
     /// Upload everything queued, whatever the time; answered by `Reply::Compiled`.
     FinishCompiles,
     /// Upload within the budget and draw; answered by `Reply::Frame`.
@@ -130,6 +137,8 @@ struct DrawSide {
     /// Made when the first overlay comes.
     #[cfg(feature = "window")]
     overlay: Option<super::overlay::OverlayPainter>,
+    /// Shared with the main side, which sends no second [`DrawCommand::RunCompiles`] while this is set.
+    running_compiles: Arc<AtomicBool>,
     /// To the main side; never blocks (its length is bounded by what the pager has in flight).
     compiled: Sender<Compiled>,
 }
@@ -143,6 +152,12 @@ impl DrawSide {
             }
             DrawCommand::Release(slots) => {
                 self.context.release(&slots);
+                None
+            }
+            DrawCommand::RunCompiles(budget) => {
+                self.context.run_compiles(&budget);
+                self.pass_on_compiled();
+                self.running_compiles.store(false, Ordering::Release);
                 None
             }
             DrawCommand::FinishCompiles => {
@@ -240,6 +255,10 @@ pub struct ContextHandle {
     /// Used inline only: the draw thread has its own end.
     reply_sender: Sender<Reply>,
     compiled: Receiver<Compiled>,
+    /// Operations sent whose answers were not taken.
+    compiling: usize,
+    /// An upload between frames was sent and has not been done.
+    running_compiles: Arc<AtomicBool>,
     /// Compiled for the viewer's own pages, until it asks.
     compiled_own: Vec<Compiled>,
     in_flight: usize,
@@ -255,7 +274,9 @@ impl ContextHandle {
         let renderer = Renderer::new(&mut context);
         let (compiled_sender, compiled) = crossbeam_channel::unbounded();
         let (reply_sender, replies) = crossbeam_channel::unbounded();
+        let running_compiles = Arc::new(AtomicBool::new(false));
         let mut draw_side = DrawSide {
+            running_compiles: running_compiles.clone(),
             context,
             renderer,
             failed: None,
@@ -290,6 +311,8 @@ impl ContextHandle {
             replies,
             reply_sender,
             compiled,
+            compiling: 0,
+            running_compiles,
             compiled_own: Vec::new(),
             in_flight: 0,
             finish_compiles: false,
@@ -325,6 +348,18 @@ impl ContextHandle {
         }
     }
 
+    /// Waits a while for the next frame to come back.
+    pub fn wait_done_for(&mut self, patience: Duration) -> Result<Option<Box<FrameDone>>, ViewerError> {
+        match self.replies.recv_timeout(patience) {
+            Ok(Reply::Frame(done)) => {
+                self.in_flight -= 1;
+                Ok(Some(done))
+            }
+            Ok(Reply::Image(_) | Reply::CompilesFinished) | Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => Err(ViewerError::DrawThreadStopped),
+        }
+    }
+
     /// Waits for the next frame to come back; `None` when none is on its way.
     pub fn wait_done(&mut self) -> Result<Option<Box<FrameDone>>, ViewerError> {
         if self.in_flight == 0 {
@@ -344,6 +379,7 @@ impl ContextHandle {
     /// Uploads what the application made itself; see [`Self::take_compiled_own`].
     pub(super) fn compile_own(&mut self, number: u32, drawables: Vec<Drawable>) -> Result<(), ViewerError> {
         let ticket = OWN_TICKET | u64::from(number);
+        self.compiling += 1;
         self.send(DrawCommand::Compile(CompileOperation { ticket, drawables }))
     }
 
@@ -386,8 +422,18 @@ impl CompileContext for ContextHandle {
     }
 
     fn compile(&mut self, op: CompileOperation) {
+        self.compiling += 1;
         // A draw thread that has ended shows at the next frame.
         let _ = self.send(DrawCommand::Compile(op));
+    }
+
+    /// On a draw thread this waits behind the frames sent before.
+    fn run_compiles(&mut self, budget: &CompileBudget) {
+        if self.compiling > 0 && !self.running_compiles.swap(true, Ordering::AcqRel) {
+            let budget = CompileBudget { time: budget.time.min(MOST_COMPILING), ..*budget };
+            // A draw thread that has ended shows at the next frame.
+            let _ = self.send(DrawCommand::RunCompiles(budget));
+        }
     }
 
     fn take_compiled(&mut self) -> Vec<Compiled> {
@@ -404,7 +450,9 @@ impl CompileContext for ContextHandle {
                 None
             }
         };
-        self.compiled.try_iter().filter_map(for_pager).collect()
+        let compiling = &mut self.compiling;
+        let came = self.compiled.try_iter().inspect(|_| *compiling = compiling.saturating_sub(1));
+        came.filter_map(for_pager).collect()
     }
 
     fn release(&mut self, slots: Vec<DrawSlot>) {

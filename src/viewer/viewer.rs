@@ -124,6 +124,8 @@ pub struct Viewer {
 pub(super) const CONTEXT: u32 = 0;
 /// With nothing under way for this many frames, requests that remain are ones the pager declines.
 const QUIET_FRAMES: u32 = 4;
+/// How often arrivals are looked for while the draw thread is busy.
+const ARRIVAL_POLL: Duration = Duration::from_micros(300);
 /// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
 const MAX_BLOCKING_ROUNDS: u32 = 256;
 
@@ -380,9 +382,7 @@ impl Viewer {
         stats.update_ms = millis(after_event.elapsed());
 
         // Rendering: cull now, draw on the context's thread.
-        while self.context.in_flight() >= STAGES_IN_FLIGHT {
-            self.absorb_next()?;
-        }
+        self.wait_for_stage()?;
         let before_cull = Instant::now();
         let mut stage = self.free_stages.pop().unwrap_or_default();
         self.cull_into(&mut stage);
@@ -411,6 +411,15 @@ impl Viewer {
             stats.frame_ms = frame_ms;
         }
         Ok(())
+    }
+
+    /// For a loop with a frame rate of its own, instead of sleeping until the next frame is due: uploads, merges and
+    /// expires what arrives, so that frames have less to do. Returns at `deadline`.
+    pub fn work_until(&mut self, deadline: Instant) {
+        if let (Some(pager), false) = (&mut self.pager, self.pager_config.blocking) {
+            pager.work_until(&mut self.scene, &mut [&mut self.context], deadline);
+        }
+        std::thread::sleep(deadline.saturating_duration_since(Instant::now()));
     }
 
     /// Waits until every frame has been drawn, so that statistics and pictures are complete.
@@ -517,6 +526,24 @@ impl Viewer {
             let waited_ms = millis(start.elapsed());
             self.read_back_ms += done.read_back_ms.min(waited_ms);
             self.absorb(*done)?;
+        }
+        Ok(())
+    }
+
+    /// Waits until a stage is free, merging what arrives meanwhile.
+    fn wait_for_stage(&mut self) -> Result<(), ViewerError> {
+        while self.context.in_flight() >= STAGES_IN_FLIGHT {
+            match &mut self.pager {
+                Some(pager) if !self.pager_config.blocking && !pager.is_idle() => {
+                    pager.merge_arrived(&mut self.scene, &mut [&mut self.context]);
+                    let start = Instant::now();
+                    if let Some(done) = self.context.wait_done_for(ARRIVAL_POLL)? {
+                        self.read_back_ms += done.read_back_ms.min(millis(start.elapsed()));
+                        self.absorb(*done)?;
+                    }
+                }
+                _ => self.absorb_next()?,
+            }
         }
         Ok(())
     }

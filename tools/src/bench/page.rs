@@ -9,9 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
-use terrane::gpu::{
-    AdapterChoice, CompileBudget, CompileOperation, CompileStats, Compiled, ContextTraits, GraphicsContext,
-};
+use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{Limits, ReadOptions};
 use terrane::math::{BoundingSphere, BoundingVolume, OrientedBox};
@@ -201,7 +199,6 @@ fn tiles() -> Result<PathBuf> {
 /// A graphics context that compiles on the thread that updates; as the viewer without a draw thread.
 struct Context {
     graphics: GraphicsContext,
-    compile: CompileStats,
 }
 
 impl CompileContext for Context {
@@ -213,10 +210,11 @@ impl CompileContext for Context {
         self.graphics.compile(operation);
     }
 
-    /// Uploads within the frame's budget what this very update handed over: a page that has arrived by the start of
-    /// a frame is drawn in that frame.
+    fn run_compiles(&mut self, budget: &CompileBudget) {
+        self.graphics.run_compiles(budget);
+    }
+
     fn take_compiled(&mut self) -> Vec<Compiled> {
-        self.compile = self.graphics.run_compiles(&CompileBudget::default());
         self.graphics.take_compiled()
     }
 
@@ -274,6 +272,10 @@ struct Times {
     cull: Vec<f64>,
     compile: Vec<f64>,
     missing: Vec<f64>,
+    /// Uploads and merges between two frames, waiting for them included.
+    between: Vec<f64>,
+    /// How much later than due the next frame began.
+    late: Vec<f64>,
 }
 
 /// Runs the three phases and prints a line for each.
@@ -295,7 +297,7 @@ pub fn run(options: Options) -> Result<()> {
         options,
         scene,
         pager,
-        context: Context { graphics, compile: CompileStats::default() },
+        context: Context { graphics },
         renderer,
         visitor: CullVisitor::new(),
         stage: RenderStage::new(),
@@ -347,7 +349,12 @@ impl Bench {
             }
             let now = Instant::now();
             next = (next + period).max(now.checked_sub(period).unwrap_or(now));
-            std::thread::sleep(next.saturating_duration_since(now));
+            let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+            self.pager.work_until(&mut self.scene, contexts, next);
+            let worked = Instant::now();
+            times.between.push((worked - now).as_secs_f64());
+            std::thread::sleep(next.saturating_duration_since(worked));
+            times.late.push(Instant::now().saturating_duration_since(next).as_secs_f64());
         }
         let time_s = if fly { start.elapsed() } else { last_busy - start }.as_secs_f64();
         Ok(self.line(name, &before, time_s, converged, cpu_s() - cpu, tiles_peak, times))
@@ -362,6 +369,7 @@ impl Bench {
         self.visitor.cull(&self.scene, &camera(u, self.frame), &mut self.stage);
         self.pager.request(&self.scene, &self.stage.requests);
         let t2 = Instant::now();
+        self.context.graphics.run_compiles(&CompileBudget::default());
         let t3 = Instant::now();
         if let Some(renderer) = &mut self.renderer {
             renderer.draw(&mut self.context.graphics, &self.stage, &terrane::draw::Environment::default())?;
@@ -391,9 +399,15 @@ impl Bench {
         let (frames, missing_sum) = (times.work.len(), times.missing.iter().sum::<f64>());
         let round = |v: f64| (v * 1e3).round() / 1e3;
         let ms = |v: &mut Vec<f64>, p: f64| round(percentile(v, p) * 1e3);
+        // Before the times are sorted: frames beyond twice the median that would not be without their paging.
+        let mut sorted = times.work.clone();
+        let median = percentile(&mut sorted, 0.5);
+        let hitches = (times.work.iter().zip(&times.update).zip(&times.compile))
+            .filter(|((work, update), compile)| **work > 2.0 * median && **work - *update - *compile <= 2.0 * median)
+            .count();
         let over = times.work.iter().filter(|w| self.options.pace_hz > 0.0 && **w > 1.0 / self.options.pace_hz).count();
         let latency_ms = (now.latency_sum_s - before.latency_sum_s) * 1e3 / merged.max(1) as f64;
-        json!({
+        let mut line = json!({
             "bench": "terrane_page", "phase": phase, "source": "file", "pace": self.options.pace_hz,
             "maxtiles": self.options.tiles, "draw": u32::from(self.options.draw),
             "adapter": self.context.graphics.adapter_name(),
@@ -420,6 +434,17 @@ impl Bench {
             "gpu_mb": round(self.context.graphics.bytes_peak() as f64 / 1048576.0),
             "rss_start_mb": round(self.rss_start_mb), "rss_mb": round(status_mb("VmRSS")),
             "peak_rss_mb": round(status_mb("VmHWM")), "cpu_s": round(cpu_s),
-        })
+        });
+        for (name, value) in [
+            ("hitches_from_paging", (hitches as f64)),
+            ("between_p50_ms", ms(&mut times.between, 0.5)),
+            ("between_max_ms", ms(&mut times.between, 1.0)),
+            ("late_p50_ms", ms(&mut times.late, 0.5)),
+            ("late_p99_ms", ms(&mut times.late, 0.99)),
+            ("late_max_ms", ms(&mut times.late, 1.0)),
+        ] {
+            line[name] = value.into();
+        }
+        line
     }
 }
