@@ -20,7 +20,7 @@ const SLICE_BYTES: u64 = 256 << 10;
 /// What the first slice of a call may have however small the budget, so that every upload ends.
 const LEAST_SLICE_BYTES: u64 = 16 << 10;
 /// Uploads are handed to the driver at the latest when so many bytes wait.
-const FLUSH_BYTES: u64 = 2 << 20;
+const FLUSH_BYTES: u64 = 256 << 10;
 
 /// Drawables to upload together, usually one page's.
 #[derive(Debug)]
@@ -214,8 +214,12 @@ impl CompileQueue {
         }
         self.unflushed_bytes += stats.bytes;
         if self.unflushed_bytes >= FLUSH_BYTES {
-            // Staging memory is only given back once it was submitted; frames without a draw must not pile it up.
+            // Staging memory (several times the bytes for small images) is only given back once it was submitted and
+            // the device was polled.
             queue.submit([]);
+            if let Err(error) = device.poll(wgpu::PollType::Poll) {
+                log::error!("uploads: {error}");
+            }
             self.unflushed_bytes = 0;
         }
         stats.pending = self.pending();

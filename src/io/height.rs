@@ -1,6 +1,7 @@
 //! Height tiles: EXR content of tile sets that `data-gen` writes, to [`HeightTile`]s.
 //!
-//! The asset's `extras.terrane` says what all tiles share; a tile's region and `extras.terrane.imagery` the rest.
+//! The asset's `extras.terrane` says what all tiles share; a tile's region (or `extras.terrane.plane`: least x and y,
+//! largest x and y in metres, for sets that are not on the earth) and `extras.terrane.imagery` the rest.
 //! The tileset's reader hands both to this reader as `reader_data`, JSON of [`TileData`].
 
 use std::f64::consts::FRAC_PI_2;
@@ -25,14 +26,26 @@ pub(crate) struct HeightSet {
 /// What a height tile's reader needs beside the EXR.
 #[derive(Serialize, Deserialize)]
 struct TileData {
-    /// west, south, east, north in radians.
-    region: [f64; 4],
+    #[serde(flatten)]
+    place: Place,
     side: u32,
     border: u32,
     level: u32,
     /// Error of the level itself, then of the coarser levels, nearest first.
     errors_m: Vec<f64>,
     imagery: Option<Arc<str>>,
+}
+
+/// Where a tile lies. Its samples divide it evenly.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+enum Place {
+    /// West, south, east, north on WGS84, in radians.
+    #[serde(rename = "region")]
+    Region([f64; 4]),
+    /// Least x and y, largest x and y of a plane with z up, in metres of the tile's frame (the world's, where no
+    /// tile has a transform).
+    #[serde(rename = "plane")]
+    Plane([f64; 4]),
 }
 
 impl HeightSet {
@@ -74,12 +87,16 @@ impl HeightSet {
         extras: Option<&serde_json::Value>,
         scope: &RootScope,
     ) -> Result<Option<Arc<str>>, IoError> {
-        let BoundingVolume::Region(r) = bounds else {
-            return Err(IoError::invalid(tileset_uri, "a height tile needs a region"));
+        let own = extras.and_then(|e| e.get("terrane"));
+        let plane = own.and_then(|own| own.get("plane")).map(|p| serde_json::from_value::<[f64; 4]>(p.clone()));
+        let place = match (bounds, plane) {
+            (BoundingVolume::Region(r), None) => Place::Region([r.west, r.south, r.east, r.north]),
+            (_, Some(Ok(p))) if p.iter().all(|x| x.abs() < 1e9) && p[0] < p[2] && p[1] < p[3] => Place::Plane(p),
+            _ => return Err(IoError::invalid(tileset_uri, "a height tile needs a region, or a plane in its extras")),
         };
-        let imagery = extras.and_then(|e| e.get("terrane")?.get("imagery")?.as_str());
+        let imagery = own.and_then(|own| own.get("imagery")?.as_str());
         let data = TileData {
-            region: [r.west, r.south, r.east, r.north],
+            place,
             side: self.side,
             border: self.border,
             level,
@@ -164,27 +181,74 @@ fn heights(uri: &str, bytes: &[u8], stride: usize, limits: &Limits) -> Result<Ve
     Ok(samples.chunks_exact(stride).rev().flatten().copied().collect())
 }
 
-/// The tile and its place on the ellipsoid.
-fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> Node {
-    let [west, south, east, north] = data.region;
-    let side = data.side as usize;
+/// The tile in small differences: what the rows, columns and the origin mean is said at [`HeightTile`].
+struct Layout {
+    rows: Vec<[f32; 4]>,
+    columns: Vec<[f32; 2]>,
+    p0_m: f64,
+    cell_m: [f32; 2],
+    world_from_tile: DAffine3,
+}
+
+impl Place {
+    fn layout(self, side: usize) -> Layout {
+        match self {
+            Self::Region(region) => on_ellipsoid(region, side),
+            Self::Plane(plane) => on_plane(plane, side),
+        }
+    }
+}
+
+fn on_ellipsoid([west, south, east, north]: [f64; 4], side: usize) -> Layout {
     let cells = (side - 1) as f64;
     let (lon_0, lat_0) = (0.5 * (west + east), 0.5 * (south + north));
     let e2 = WGS84.eccentricity_squared();
     let n_0 = WGS84.prime_vertical_radius_m(lat_0);
     let (p_0, z_0) = (n_0 * lat_0.cos(), n_0 * (1.0 - e2) * lat_0.sin());
-    let mut rows = Vec::with_capacity(side);
-    for j in 0..side {
+    let row = |j: usize| {
         let lat = south + (north - south) * j as f64 / cells;
         let n = WGS84.prime_vertical_radius_m(lat.clamp(-FRAC_PI_2, FRAC_PI_2));
         let (sin, cos) = lat.sin_cos();
-        rows.push([(n * cos - p_0) as f32, (n * (1.0 - e2) * sin - z_0) as f32, cos as f32, sin as f32]);
-    }
-    let mut columns = Vec::with_capacity(side);
-    for i in 0..side {
+        [(n * cos - p_0) as f32, (n * (1.0 - e2) * sin - z_0) as f32, cos as f32, sin as f32]
+    };
+    let column = |i: usize| {
         let half = 0.5 * ((east - west) * (i as f64 / cells - 0.5));
-        columns.push([(2.0 * half).sin() as f32, (2.0 * half.sin() * half.sin()) as f32]);
+        [(2.0 * half).sin() as f32, (2.0 * half.sin() * half.sin()) as f32]
+    };
+    let (sin_lon, cos_lon) = lon_0.sin_cos();
+    let axes = DMat3::from_cols(DVec3::new(-sin_lon, cos_lon, 0.0), DVec3::new(cos_lon, sin_lon, 0.0), DVec3::Z);
+    Layout {
+        rows: (0..side).map(row).collect(),
+        columns: (0..side).map(column).collect(),
+        p0_m: p_0,
+        cell_m: [(p_0 * (east - west) / cells) as f32, ((north - south) / cells * WGS84.semi_major_m) as f32],
+        world_from_tile: DAffine3 { matrix3: axes, translation: DVec3::new(p_0 * cos_lon, p_0 * sin_lon, z_0) },
     }
+}
+
+/// Distance from the axis that makes an earth flat: what a tile's side is to it vanishes in `f32`.
+const FLAT_M: f64 = 1e15;
+
+/// A plane is the ellipsoid's form at the pole of an endless earth: the radial axis points south, the polar one up.
+fn on_plane([x_0, y_0, x_1, y_1]: [f64; 4], side: usize) -> Layout {
+    let cells = (side - 1) as f64;
+    let from_center = |k: usize| k as f64 / cells - 0.5;
+    Layout {
+        rows: (0..side).map(|j| [((y_0 - y_1) * from_center(j)) as f32, 0.0, 0.0, 1.0]).collect(),
+        columns: (0..side).map(|i| [((x_1 - x_0) * from_center(i) / FLAT_M) as f32, 0.0]).collect(),
+        p0_m: FLAT_M,
+        cell_m: [((x_1 - x_0) / cells) as f32, ((y_1 - y_0) / cells) as f32],
+        world_from_tile: DAffine3 {
+            matrix3: DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::Z),
+            translation: DVec3::new(0.5 * (x_0 + x_1), 0.5 * (y_0 + y_1), 0.0),
+        },
+    }
+}
+
+/// The tile and its place.
+fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> Node {
+    let side = data.side as usize;
+    let Layout { rows, columns, p0_m, cell_m, world_from_tile } = data.place.layout(side);
     let stride = side + 2 * data.border as usize;
     let own_error_m = data.errors_m.first().copied().unwrap_or(0.0);
     let coarser_errors_m: Vec<f32> = data.errors_m.iter().skip(1).map(|e| *e as f32).collect();
@@ -200,20 +264,19 @@ fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> N
             let [s, c1] = columns[i].map(f64::from);
             let h = f64::from(heights[(j + 1) * stride + i + 1]);
             for h in [h, h - f64::from(skirt_m)] {
-                let p = p_0 + dp + h * cos;
+                let p = p0_m + dp + h * cos;
                 let v = DVec3::new(p * s, dp + h * cos - p * c1, dz + h * sin);
                 min = min.min(v);
                 max = max.max(v);
             }
         }
     }
-    let cell_m = [(p_0 * (east - west) / cells) as f32, ((north - south) / cells * WGS84.semi_major_m) as f32];
     let tile = HeightTile {
         side: data.side,
         heights,
         rows,
         columns,
-        p0_m: p_0 as f32,
+        p0_m: p0_m as f32,
         level: data.level,
         coarser_errors_m,
         skirt_m,
@@ -221,13 +284,8 @@ fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> N
         texture,
         bounds: Aabb { min, max },
     };
-    let (sin_lon, cos_lon) = lon_0.sin_cos();
-    let ecef_from_tile = DAffine3 {
-        matrix3: DMat3::from_cols(DVec3::new(-sin_lon, cos_lon, 0.0), DVec3::new(cos_lon, sin_lon, 0.0), DVec3::Z),
-        translation: DVec3::new(p_0 * cos_lon, p_0 * sin_lon, z_0),
-    };
     let drawable = Drawable { geometry: Geometry::Height(Arc::new(tile)), material: Material::default() };
-    Node::transform(ecef_from_tile, vec![Node::geode(vec![drawable])])
+    Node::transform(world_from_tile, vec![Node::geode(vec![drawable])])
 }
 
 #[cfg(test)]
@@ -236,9 +294,31 @@ mod tests {
     use crate::math::Geodetic;
 
     #[test]
+    fn the_small_differences_are_the_plane() {
+        let place = Place::Plane([4000.0, -3000.0, 5000.0, -1000.0]);
+        let data = TileData { place, side: 5, border: 1, level: 0, errors_m: vec![10.0], imagery: None };
+        let node = build(&data, (0..49).map(|i| i as f32 * 37.5).collect(), None);
+        let crate::scene::NodeKind::Transform(world_from_tile) = node.kind else { panic!("a transform") };
+        let crate::scene::NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
+        let Geometry::Height(tile) = &drawables[0].geometry else { panic!("heights") };
+        for j in 0..5 {
+            for i in 0..5 {
+                let h = tile.heights[(j + 1) * 7 + i + 1];
+                let [dp, dz, cos, sin] = tile.rows[j];
+                let [s, c1] = tile.columns[i];
+                let p = tile.p0_m + dp + h * cos;
+                let v = glam::Vec3::new(p * s, dp + h * cos - p * c1, dz + h * sin).as_dvec3();
+                let exact = DVec3::new(4000.0 + 250.0 * i as f64, -3000.0 + 500.0 * j as f64, f64::from(h));
+                assert!(world_from_tile.transform_point3(v).distance(exact) < 1e-3);
+                assert!((tile.bounds.min - 1e-3).cmple(v).all() && v.cmple(tile.bounds.max + 1e-3).all());
+            }
+        }
+    }
+
+    #[test]
     fn the_small_differences_are_the_ellipsoid() {
         let data = TileData {
-            region: [0.14, 0.81, 0.15, 0.82],
+            place: Place::Region([0.14, 0.81, 0.15, 0.82]),
             side: 5,
             border: 1,
             level: 0,

@@ -107,8 +107,8 @@ impl Default for Material {
 /// radial =  row.dp + h * row.cos - (p0 + row.dp + h * row.cos) * col.one_minus_cos
 /// polar  =  row.dz + h * row.sin
 /// ```
-/// which is the exact ellipsoid in small differences (p: distance from the earth's axis, z: along it); for a
-/// plane set `p0 = 1, row.dp = 0...`; see `io` for both.
+/// which is the exact ellipsoid in small differences (p: distance from the earth's axis, z: along it). A plane is the
+/// same at the pole of an endless earth: `p0` vast, `row = [-north, 0, 0, 1]`, `col = [east / p0, 0]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeightTile {
     /// Vertices along a side, 2^k + 1 (65).

@@ -164,7 +164,19 @@ pub enum Bench {
         /// Most tiles that are kept
         #[arg(long, default_value_t = 600)]
         tiles: usize,
+        /// What the tiles hold
+        #[arg(long, value_enum, default_value_t = PageContent::Mesh)]
+        content: PageContent,
     },
+}
+
+/// What the tiles of `bench page` hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum PageContent {
+    /// Binary glTF with positions, normals, texture coordinates and an image, as the peer's tiles
+    Mesh,
+    /// EXR heights on a shared grid and an image
+    Height,
 }
 
 /// Width and height in pixels.

@@ -13,8 +13,8 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             cull::run(*secs);
             Ok(())
         }
-        Bench::Page { frames, pace, draw, tiles } => {
-            page::run(page::Options { frames: *frames, pace_hz: *pace, draw: *draw, tiles: *tiles })
+        Bench::Page { frames, pace, draw, tiles, content } => {
+            page::run(page::Options { frames: *frames, pace_hz: *pace, draw: *draw, tiles: *tiles, content: *content })
         }
     }
 }

@@ -4,13 +4,15 @@
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
+use clap::ValueEnum as _;
 use serde_json::{Value, json};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
-use terrane::io::write::{GlbMesh, write_glb};
+use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
 use terrane::io::{Limits, ReadOptions};
 use terrane::math::{BoundingSphere, BoundingVolume, OrientedBox};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
@@ -19,6 +21,7 @@ use terrane::scene::{DrawSlot, Node, NodeKind, Page, PagedLod, RangeMode, Refine
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::percentile;
+use crate::args::PageContent;
 
 /// What is measured, from the command line.
 #[derive(Clone, Copy, Debug)]
@@ -31,6 +34,8 @@ pub struct Options {
     pub draw: bool,
     /// Most tiles that are kept.
     pub tiles: usize,
+    /// What the tiles hold.
+    pub content: PageContent,
 }
 
 /// Side of the terrain in metres, corner at the origin.
@@ -43,7 +48,7 @@ const TEXELS: usize = 64;
 /// A tile gives way to its children nearer than so many radii.
 const RATIO: f64 = 7.0;
 /// Changes when the tiles' form does: other folders are not read.
-const VERSION: &str = "bench-page-1";
+const VERSION: &str = "bench-page-2";
 /// A phase that does not come to rest ends.
 const TIMEOUT: Duration = Duration::from_secs(60);
 
@@ -75,8 +80,24 @@ impl Tile {
         DVec3::new(x, y, height_m(x, y))
     }
 
-    fn file(self, folder: &Path) -> PathBuf {
-        folder.join(format!("t_{}_{}_{}.glb", self.level, self.x, self.y))
+    fn file(self, folder: &Path, extension: &str) -> PathBuf {
+        folder.join(format!("t_{}_{}_{}.{extension}", self.level, self.x, self.y))
+    }
+
+    /// The content's file, and what its reader needs beside it.
+    fn content(self, folder: &Path, content: PageContent) -> Result<(Arc<str>, Option<Arc<str>>)> {
+        let text = |path: PathBuf| -> Result<Arc<str>> {
+            Ok(path.to_str().context("the cache folder's path is not UTF-8")?.into())
+        };
+        if content == PageContent::Mesh {
+            return Ok((text(self.file(folder, "glb"))?, None));
+        }
+        let half = 0.5 * self.side_m();
+        let data = json!({
+            "plane": [-half, -half, half, half], "side": SIDE, "border": 1, "level": self.level, "errors_m": [1.0],
+            "imagery": text(self.file(folder, "png"))?,
+        });
+        Ok((text(self.file(folder, "exr"))?, Some(data.to_string().into())))
     }
 
     fn children(self) -> impl Iterator<Item = Self> {
@@ -86,7 +107,7 @@ impl Tile {
     }
 
     /// The tile and everything below it.
-    fn node(self, folder: &Path) -> Result<Node> {
+    fn node(self, folder: &Path, content: PageContent) -> Result<Node> {
         let center = self.center();
         let radius_m = self.side_m() * 0.5f64.sqrt();
         let bounds = if self.level < LEVELS {
@@ -102,24 +123,24 @@ impl Tile {
             let center = DVec3::new(center.x, center.y, 0.5 * (low + high));
             BoundingVolume::Box(OrientedBox { center, half_axes: DMat3::from_diagonal(half) })
         };
-        let file = self.file(folder);
+        let (file, reader_data) = self.content(folder, content)?;
         let lod = PagedLod {
             bounds,
             range_mode: RangeMode::Distance { center, range_m: RATIO * radius_m },
             refine: Refine::Replace,
-            content: Some(file.to_str().context("the cache folder's path is not UTF-8")?.into()),
+            content: Some(file),
             content_transform: DAffine3::from_translation(DVec3::new(center.x, center.y, 0.0)),
-            reader_data: None,
+            reader_data,
         };
-        let children = self.children().map(|c| c.node(folder)).collect::<Result<Vec<_>>>()?;
+        let children = self.children().map(|c| c.node(folder, content)).collect::<Result<Vec<_>>>()?;
         Ok(Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) })
     }
 
     /// The tile as binary glTF: y-up, east and north relative to its centre; a stored (not deflated) PNG.
-    fn glb(self) -> Result<Vec<u8>> {
+    fn glb(self, png: &[u8]) -> Result<Vec<u8>> {
         let ([x0, y0], center, side_m) = (self.corner(), self.center(), self.side_m());
         let step = side_m / (SIDE - 1) as f64;
-        let mut mesh = GlbMesh { image: Some(self.png()?), base_color: [1.0; 4], ..GlbMesh::default() };
+        let mut mesh = GlbMesh { image: Some(png.to_vec()), base_color: [1.0; 4], ..GlbMesh::default() };
         for j in 0..SIDE {
             for i in 0..SIDE {
                 let (x, y) = (x0 + i as f64 * step, y0 + j as f64 * step);
@@ -142,6 +163,17 @@ impl Tile {
             }
         }
         Ok(write_glb(&mesh))
+    }
+
+    /// The tile's heights as EXR, first row in the north, one sample around.
+    fn exr(self) -> Result<Vec<u8>> {
+        let ([x0, y0], step) = (self.corner(), self.side_m() / (SIDE - 1) as f64);
+        let stride = SIDE + 2;
+        let height = |k: usize| {
+            let (i, j) = ((k % stride) as f64 - 1.0, (SIDE - k / stride) as f64);
+            height_m(x0 + i * step, y0 + j * step) as f32
+        };
+        Ok(write_height_exr("tile", stride, (0..stride * stride).map(height).collect())?)
     }
 
     /// The peer's texels, its first row in the south.
@@ -181,10 +213,13 @@ fn tiles() -> Result<PathBuf> {
     if !complete.exists() {
         let made = || format!("cannot write tiles to {}", folder.display());
         std::fs::create_dir_all(&folder).with_context(made)?;
-        eprintln!("writing 5461 tiles to {} (320 MB)", folder.display());
+        eprintln!("writing 5461 tiles in two forms to {} (420 MB)", folder.display());
         let mut open = vec![ROOT];
         while let Some(tile) = open.pop() {
-            std::fs::write(tile.file(&folder), tile.glb()?).with_context(made)?;
+            let png = tile.png()?;
+            std::fs::write(tile.file(&folder, "glb"), tile.glb(&png)?).with_context(made)?;
+            std::fs::write(tile.file(&folder, "exr"), tile.exr()?).with_context(made)?;
+            std::fs::write(tile.file(&folder, "png"), png).with_context(made)?;
             open.extend(tile.children());
         }
         std::fs::write(&complete, "").with_context(made)?;
@@ -284,11 +319,11 @@ pub fn run(options: Options) -> Result<()> {
     ensure!(options.frames >= 2, "--frames must be at least 2");
     let folder = tiles()?;
     let mut scene = Scene::new();
-    scene.add_root(Page::from_node(ROOT.node(&folder)?)?);
+    scene.add_root(Page::from_node(ROOT.node(&folder, options.content)?)?);
     let traits = |adapter| ContextTraits { size_px: [64, 64], adapter, validation: false };
     let mut graphics = GraphicsContext::new_offscreen(&traits(AdapterChoice::Software))
         .or_else(|_| GraphicsContext::new_offscreen(&traits(AdapterChoice::Noop)))?;
-    let root_uri = ROOT.file(&folder);
+    let root_uri = ROOT.file(&folder, "glb");
     let read = ReadOptions::for_root(root_uri.to_str().unwrap_or_default(), Limits::default());
     let config = PagerConfig { max_tiles: options.tiles, ..PagerConfig::default() };
     let pager = DatabasePager::new(config, read)?;
@@ -318,6 +353,7 @@ impl Bench {
         let (cpu, start) = (cpu_s(), Instant::now());
         let mut times = Times::default();
         let (mut next, mut last_busy, mut quiet, mut converged) = (start, start, 0, false);
+        let mut merged = before.merged;
         let (mut tiles_peak, mut drawn) = (0, HashSet::new());
         let period = Duration::from_secs_f64(if self.options.pace_hz > 0.0 { 1.0 / self.options.pace_hz } else { 0.0 });
         let mut i = 0;
@@ -328,13 +364,17 @@ impl Bench {
                 _ => 0.0,
             };
             i += 1;
-            let merged = self.pager.stats().merged;
             self.one_frame(u, &mut times)?;
             let stats = self.pager.stats();
             tiles_peak = tiles_peak.max(stats.resident);
             drawn.insert(self.stage.counters.tiles_drawn);
             if !fly {
-                if stats.merged != merged || !self.stage.requests.is_empty() || !self.pager.is_idle() {
+                // What was merged between the frames counts until the end of the frame that shows it.
+                let merged_now = stats.merged;
+                if std::mem::replace(&mut merged, merged_now) != merged_now
+                    || !self.stage.requests.is_empty()
+                    || !self.pager.is_idle()
+                {
                     (last_busy, quiet) = (Instant::now(), 0);
                 } else {
                     quiet += 1;
@@ -408,7 +448,8 @@ impl Bench {
         let over = times.work.iter().filter(|w| self.options.pace_hz > 0.0 && **w > 1.0 / self.options.pace_hz).count();
         let latency_ms = (now.latency_sum_s - before.latency_sum_s) * 1e3 / merged.max(1) as f64;
         let mut line = json!({
-            "bench": "terrane_page", "phase": phase, "source": "file", "pace": self.options.pace_hz,
+            "bench": "terrane_page", "phase": phase, "source": "file",
+            "pace": self.options.pace_hz,
             "maxtiles": self.options.tiles, "draw": u32::from(self.options.draw),
             "adapter": self.context.graphics.adapter_name(),
             "frames": frames, "converged": if phase == "fly" { Value::Null } else { converged.into() },
@@ -435,6 +476,8 @@ impl Bench {
             "rss_start_mb": round(self.rss_start_mb), "rss_mb": round(status_mb("VmRSS")),
             "peak_rss_mb": round(status_mb("VmHWM")), "cpu_s": round(cpu_s),
         });
+        let label = self.options.content.to_possible_value().map_or_else(String::new, |v| v.get_name().to_owned());
+        line["label"] = label.into();
         for (name, value) in [
             ("hitches_from_paging", (hitches as f64)),
             ("between_p50_ms", ms(&mut times.between, 0.5)),
