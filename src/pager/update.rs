@@ -20,8 +20,6 @@ const EXPIRY_LOOKS: usize = 256;
 const COMPILE_POLL: Duration = Duration::from_micros(200);
 /// Kept free before the next frame is due: the longest single step, the upload of one slice or the merge of a page.
 const WORK_MARGIN: Duration = Duration::from_micros(500);
-/// Bytes a page is taken to need before the first one was seen.
-const FIRST_GUESS_BYTES: u64 = 64 << 10;
 
 /// Streams pages in and out of a [`Scene`].
 pub struct DatabasePager {
@@ -42,7 +40,7 @@ pub struct DatabasePager {
     frame: u32,
     stats: PagerStats,
     errors: Errors,
-    /// Mean sizes of pages so far, for reserving budget before a size is known.
+    /// Mean sizes of the last pages, for reserving budget before a size is known; 0 before the first.
     mean_cpu_bytes: u64,
     mean_gpu_bytes: u64,
     /// The scene's budget is full of what is visible.
@@ -68,8 +66,8 @@ impl DatabasePager {
             frame: 0,
             stats: PagerStats::default(),
             errors: Errors::default(),
-            mean_cpu_bytes: FIRST_GUESS_BYTES,
-            mean_gpu_bytes: FIRST_GUESS_BYTES,
+            mean_cpu_bytes: 0,
+            mean_gpu_bytes: 0,
             full: false,
         })
     }
@@ -340,8 +338,13 @@ impl DatabasePager {
             let Some(entry) = self.entries.remove(&slot) else { continue };
             let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
             let cpu_bytes = page.size_bytes();
-            self.mean_cpu_bytes = (7 * self.mean_cpu_bytes + cpu_bytes) / 8;
-            self.mean_gpu_bytes = (7 * self.mean_gpu_bytes + gpu_bytes) / 8;
+            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes);
+            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes);
+            if cpu_bytes > self.config.max_bytes_cpu || gpu_bytes > self.config.max_bytes_gpu {
+                self.refuse(scene, slot, entry.job, (cpu_bytes, gpu_bytes));
+                self.retire(page, contexts);
+                continue;
+            }
             if !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
                 self.stats.declined += 1;
                 self.retire(page, contexts);
@@ -365,6 +368,28 @@ impl DatabasePager {
             }
             done += 1;
         }
+    }
+
+    /// A page that alone is beyond a budget: an error, and not asked for again.
+    fn refuse(&mut self, scene: &mut Scene, slot: NodeId, job: Job, (cpu_bytes, gpu_bytes): (u64, u64)) {
+        let config = &self.config;
+        let (what, got, limit) = if cpu_bytes > config.max_bytes_cpu {
+            ("memory of the page", cpu_bytes, config.max_bytes_cpu)
+        } else {
+            ("GPU memory of the page", gpu_bytes, config.max_bytes_gpu)
+        };
+        self.stats.failed += 1;
+        self.errors.add(&IoError::TooLarge { uri: job.uri.to_string(), what, got, limit });
+        let entry = Entry {
+            job,
+            priority: 0.0,
+            wanted_frame: self.frame,
+            since: Instant::now(),
+            tries: self.config.max_tries,
+            progress: Progress::Failed { retry_at: None },
+        };
+        self.entries.insert(slot, entry);
+        scene.set_failed(slot, true);
     }
 
     /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
@@ -512,4 +537,8 @@ impl DatabasePager {
         let flying = |e: &&Entry| matches!(e.progress, Progress::Loading | Progress::Arrived(_));
         s.in_flight = self.entries.values().filter(flying).count() as u64;
     }
+}
+
+fn moving_mean(mean: u64, value: u64) -> u64 {
+    if mean == 0 { value } else { (7 * mean + value) / 8 }
 }

@@ -1,0 +1,229 @@
+//! What the pager may hold and may read: byte and tile budgets over a flight, and requests that nobody wants any more.
+//! Real files, no GPU.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::io::{Limits, ReadOptions, root_uri};
+use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
+use terrane::scene::{DrawSlot, Scene};
+
+/// Bytes that the context says a page takes.
+const PAGE_GPU_BYTES: u64 = 1000;
+const WORLD_M: f64 = 4096.0;
+const LEVELS: u32 = 4;
+
+/// Compiles at once.
+#[derive(Default)]
+struct Context {
+    done: Vec<Compiled>,
+    slots_out: u64,
+}
+
+impl CompileContext for Context {
+    fn id(&self) -> u32 {
+        0
+    }
+
+    fn compile(&mut self, operation: CompileOperation) {
+        let slots = vec![DrawSlot(0); operation.drawables.len()];
+        self.slots_out += slots.len() as u64;
+        let ticket = operation.ticket;
+        self.done.push(Compiled { ticket, slots, bytes: PAGE_GPU_BYTES, errors: Vec::new() });
+    }
+
+    fn run_compiles(&mut self, _: &CompileBudget) {}
+
+    fn take_compiled(&mut self) -> Vec<Compiled> {
+        std::mem::take(&mut self.done)
+    }
+
+    fn release(&mut self, slots: Vec<DrawSlot>) {
+        self.slots_out -= slots.len() as u64;
+    }
+}
+
+/// A flat quadtree, one triangle a tile; returns the bytes of a content.
+fn write_quadtree(folder: &Path) -> u64 {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    fn tile(folder: &Path, glb: &[u8], level: u32, x: u32, y: u32) -> String {
+        let side = WORLD_M / f64::from(1u32 << level);
+        let [cx, cy] = [x, y].map(|k| (f64::from(k) + 0.5) * side);
+        let name = format!("{level}_{x}_{y}.glb");
+        std::fs::write(folder.join(&name), glb).unwrap();
+        let (error, children): (f64, Vec<String>) = if level == LEVELS {
+            (0.0, Vec::new())
+        } else {
+            let child = |i: u32| tile(folder, glb, level + 1, 2 * x + i % 2, 2 * y + i / 2);
+            (side / 16.0, (0..4).map(child).collect())
+        };
+        format!(
+            r#"{{"boundingVolume":{{"box":[{cx},{cy},0,{h},0,0,0,{h},0,0,0,1]}},"geometricError":{error},"content":{{"uri":"{name}"}},"children":[{}]}}"#,
+            children.join(","),
+            h = 0.5 * side,
+        )
+    }
+    let root = tile(folder, &glb, 0, 0, 0);
+    let json = format!(
+        r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{}}}"#,
+        root.replacen('{', r#"{"refine":"REPLACE","#, 1)
+    );
+    std::fs::write(folder.join("tileset.json"), json).unwrap();
+    glb.len() as u64
+}
+
+struct Run {
+    scene: Scene,
+    pager: DatabasePager,
+    context: Context,
+    stage: RenderStage,
+    visitor: CullVisitor,
+    frame: u32,
+    root_bytes: u64,
+}
+
+impl Run {
+    fn new(folder: &Path, config: PagerConfig) -> Self {
+        let uri = root_uri(folder.to_str().unwrap()).unwrap();
+        let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
+        let mut scene = Scene::new();
+        scene.add_root(pager.read_root(&uri).unwrap());
+        let root_bytes = pager.stats().bytes_read;
+        let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
+        Self { scene, pager, context, stage, visitor, frame: 0, root_bytes }
+    }
+
+    /// A frame that looks straight down.
+    fn frame(&mut self, eye: DVec3) {
+        self.frame += 1;
+        let camera =
+            CullCamera { eye_from_world: DAffine3::from_translation(-eye), frame: self.frame, ..CullCamera::default() };
+        self.visitor.cull(&self.scene, &camera, &mut self.stage);
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, contexts);
+    }
+
+    fn frames_until(&mut self, eye: DVec3, what: &str, done: impl Fn(&Self) -> bool) {
+        let end = Instant::now() + Duration::from_secs(60);
+        while !done(self) {
+            assert!(Instant::now() < end, "{what}: {:?}", self.pager.stats());
+            self.frame(eye);
+            std::thread::yield_now();
+        }
+    }
+}
+
+fn over_the_world(u: f64, height_m: f64) -> DVec3 {
+    DVec3::new(WORLD_M * u, 0.5 * WORLD_M + 0.3 * WORLD_M * (9.0 * u).sin(), height_m)
+}
+
+#[test]
+fn budgets_hold_in_every_frame_and_what_is_seen_comes_first() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig {
+        max_bytes_gpu: 40 * PAGE_GPU_BYTES,
+        max_bytes_cpu: 64 << 10,
+        max_tiles: 60,
+        expiry_frames: 2,
+        ..PagerConfig::default()
+    };
+    let mut run = Run::new(folder.path(), config.clone());
+    let end = Instant::now() + Duration::from_secs(60);
+    // Until the budgets were pressed on, however slow the machine reads.
+    for i in 0u32.. {
+        if i >= 1500 && run.pager.stats().expired > 50 {
+            break;
+        }
+        assert!(Instant::now() < end, "nothing expires: {:?}", run.pager.stats());
+        let u = f64::from(i % 1500) / 1499.0;
+        // Low enough for the finest level below the camera, now and then high enough to see all.
+        let height_m = if i % 300 < 250 { 150.0 } else { 3000.0 };
+        run.frame(over_the_world(u, height_m));
+        let s = *run.pager.stats();
+        assert!(s.gpu_bytes <= config.max_bytes_gpu && s.cpu_bytes <= config.max_bytes_cpu, "frame {i}: {s:?}");
+        assert!(s.resident <= config.max_tiles as u64, "frame {i}: {s:?}");
+        assert_eq!(s.gpu_bytes, s.resident * PAGE_GPU_BYTES, "frame {i}");
+        if i % 10 == 0 {
+            std::thread::sleep(Duration::from_micros(200));
+        }
+    }
+    // The last view fits, so it is shown whole in spite of what was there before.
+    let eye = over_the_world(0.5, 150.0);
+    run.frame(eye);
+    run.frames_until(eye, "the last view does not arrive", |r| r.stage.counters.wanted_missing == 0);
+    assert!(run.stage.counters.tiles_drawn > 1);
+    assert!(run.pager.errors().is_empty());
+    assert!(run.context.slots_out >= run.pager.stats().resident, "what is drawn keeps its slots");
+}
+
+#[test]
+fn a_page_beyond_the_whole_budget_is_one_error() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig { max_bytes_gpu: PAGE_GPU_BYTES - 1, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path(), config);
+    let far = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
+    run.frames_until(far, "the root is not refused", |r| r.pager.stats().failed == 1);
+    for _ in 0..20 {
+        run.frame(far);
+    }
+    let (stats, errors) = (*run.pager.stats(), run.pager.errors());
+    assert_eq!((stats.loaded, stats.resident, stats.gpu_bytes), (1, 0, 0), "read once: {stats:?}");
+    assert_eq!((errors.len(), run.context.slots_out), (1, 0));
+    assert!(errors[0].uri.ends_with("0_0_0.glb") && errors[0].reason.contains("999"), "{errors:?}");
+}
+
+#[test]
+fn a_stale_request_reads_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let content_bytes = write_quadtree(folder.path());
+    // Room for the root alone: whatever else is asked for waits.
+    let config = PagerConfig { max_tiles: 1, stale_frames: 3, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path(), config);
+    let far = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
+    run.frames_until(far, "the root does not arrive", |r| r.pager.stats().merged == 1);
+    for _ in 0..20 {
+        run.frame(over_the_world(0.5, 150.0));
+    }
+    let asked = *run.pager.stats();
+    assert!(asked.waiting > 0 && asked.in_flight == 0, "{asked:?}");
+    for _ in 0..10 {
+        run.frame(far);
+    }
+    let after = *run.pager.stats();
+    assert_eq!((after.waiting, after.stale), (0, asked.waiting), "{after:?}");
+    assert_eq!(after.bytes_read, run.root_bytes + content_bytes, "only the root's content was read");
+    assert_eq!(after.loaded, 1);
+}
+
+#[test]
+fn work_between_frames_loads_everything_the_last_cull_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let mut run = Run::new(folder.path(), PagerConfig::default());
+    let eye = over_the_world(0.5, 150.0);
+    run.frame(eye);
+    let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+    let start = Instant::now();
+    run.pager.work_until(&mut run.scene, contexts, start + Duration::from_secs(60));
+    assert!(start.elapsed() < Duration::from_secs(50), "returns when nothing is under way");
+    assert!(run.pager.is_idle());
+    run.frame(eye);
+    assert_eq!((run.stage.counters.wanted_missing, run.stage.requests.len()), (0, 0), "{:?}", run.pager.stats());
+    assert!(run.stage.counters.tiles_drawn > 1);
+    // Nothing to do: it does not wait for the deadline.
+    let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+    run.pager.work_until(&mut run.scene, contexts, Instant::now() + Duration::from_secs(60));
+}
