@@ -10,12 +10,16 @@ pub fn read_file(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
         std::io::ErrorKind::NotFound => IoError::NotFound { uri: uri.to_owned() },
         _ => IoError::File { uri: uri.to_owned(), reason: e.to_string() },
     };
-    let file = std::fs::File::open(uri).map_err(failed)?;
-    let metadata = file.metadata().map_err(failed)?;
+    let metadata = std::fs::metadata(uri).map_err(failed)?;
     if metadata.is_dir() {
         return Err(IoError::File { uri: uri.to_owned(), reason: "is a folder".to_owned() });
     }
+    // A pipe or a device may never end, or never begin.
+    if !metadata.is_file() {
+        return Err(IoError::File { uri: uri.to_owned(), reason: "is not a regular file".to_owned() });
+    }
     check(uri, metadata.len(), limits)?;
+    let file = std::fs::File::open(uri).map_err(failed)?;
     let mut bytes = Vec::with_capacity(metadata.len() as usize);
     file.take(limits.max_file_bytes + 1).read_to_end(&mut bytes).map_err(failed)?;
     check(uri, bytes.len() as u64, limits)?;

@@ -34,6 +34,22 @@ impl Default for HttpConfig {
     }
 }
 
+/// Most redirects of one request.
+const MAX_REDIRECTS: usize = 8;
+
+/// Never from an encrypted connection to an open one; other schemes than http and https the client refuses itself.
+fn follow(attempt: reqwest::redirect::Attempt<'_>) -> reqwest::redirect::Action {
+    let was_encrypted = attempt.previous().iter().any(|url| url.scheme() == "https");
+    if was_encrypted && attempt.url().scheme() != "https" {
+        let to = format!("redirected from https to {}", attempt.url());
+        attempt.error(to)
+    } else if attempt.previous().len() > MAX_REDIRECTS {
+        attempt.error(format!("more than {MAX_REDIRECTS} redirects"))
+    } else {
+        attempt.follow()
+    }
+}
+
 /// A client with its connection pool. Cheap to clone; used inside a tokio runtime.
 #[derive(Clone, Debug)]
 pub struct HttpClient {
@@ -51,7 +67,7 @@ impl HttpClient {
             .read_timeout(config.read_timeout)
             .timeout(config.total_timeout)
             .user_agent(concat!("terrane/", env!("CARGO_PKG_VERSION")))
-            .redirect(reqwest::redirect::Policy::limited(8))
+            .redirect(reqwest::redirect::Policy::custom(follow))
             .build()
             .map_err(|e| IoError::Network { uri: String::new(), reason: chain(&e) })?;
         Ok(Self { client, config: config.clone() })
@@ -110,13 +126,14 @@ impl HttpClient {
     }
 }
 
-/// Runs one request on the calling thread.
-pub(crate) fn block_on<T>(uri: &str, request: impl Future<Output = Result<T, IoError>>) -> Result<T, IoError> {
+/// One request on the calling thread.
+pub(crate) fn get_here(uri: &str, limits: &Limits, config: &HttpConfig) -> Result<Vec<u8>, IoError> {
+    let client = HttpClient::new(config)?;
     tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .map_err(|e| IoError::Network { uri: uri.to_owned(), reason: e.to_string() })?
-        .block_on(request)
+        .block_on(client.get(uri, limits))
 }
 
 /// An error with its causes, in one line.

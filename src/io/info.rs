@@ -170,8 +170,7 @@ pub(crate) fn fetch(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
     }
     #[cfg(feature = "http")]
     {
-        let client = super::HttpClient::new(&super::HttpConfig::default())?;
-        super::http::block_on(uri, client.get(uri, limits))
+        super::http::get_here(uri, limits, &super::HttpConfig::default())
     }
     #[cfg(not(feature = "http"))]
     Err(IoError::unsupported(uri, "http (built without the feature)"))

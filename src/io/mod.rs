@@ -20,6 +20,8 @@ pub mod write;
 pub use error::{IoError, Limits};
 pub use file::read_file;
 #[cfg(feature = "http")]
+pub(crate) use http::get_here;
+#[cfg(feature = "http")]
 pub use http::{HttpClient, HttpConfig};
 pub(crate) use info::fetch;
 pub use info::{BoundsInfo, Info, InfoError, LevelInfo, inspect};

@@ -74,7 +74,7 @@ impl DatabasePager {
 
     /// Reads a root tileset (or a single content) on the calling thread.
     pub fn read_root(&mut self, uri: &Arc<str>) -> Result<Page, IoError> {
-        let bytes = io::fetch(uri, &self.config.limits)?;
+        let bytes = self.fetch(uri)?;
         self.stats.bytes_read += bytes.len() as u64;
         if io::is_http(uri) {
             self.stats.bytes_http += bytes.len() as u64;
@@ -83,6 +83,14 @@ impl DatabasePager {
         let page = io::decode(content, &self.options)?;
         self.root_chain = self.options.below(uri).chain;
         Ok(page)
+    }
+
+    fn fetch(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        #[cfg(feature = "http")]
+        if io::is_http(uri) {
+            return io::get_here(uri, &self.config.limits, &self.config.http);
+        }
+        io::fetch(uri, &self.config.limits)
     }
 
     /// The pager's turn with the scene, once a frame: takes what was loaded and compiled, merges, expires, and

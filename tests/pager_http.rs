@@ -1,0 +1,423 @@
+//! The pager over HTTP: a real server on this machine that answers, fails, stalls and breaks off. No GPU.
+
+#![cfg(feature = "http")]
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::collections::HashMap;
+use std::io::{Read as _, Write as _};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::io::{HttpConfig, IoError, Limits, ReadOptions, root_uri};
+use terrane::pager::{CompileContext, DatabasePager, ErrorRecord, PagerConfig};
+use terrane::scene::{DrawSlot, Scene};
+
+/// What the server does with a request.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Answer {
+    Whole,
+    Status(u16),
+    /// The head promises all, the body ends half way.
+    Truncated,
+    /// Half the body, then nothing until the client goes.
+    Stalled,
+    /// Nothing at all until the client goes.
+    Silent,
+    /// The connection is closed at once.
+    Broken,
+    /// An error page with status 200.
+    Page,
+    /// The whole after 20 ms.
+    Slow,
+    /// To another address.
+    Moved(&'static str),
+}
+
+/// What the server saw.
+#[derive(Default)]
+struct Seen {
+    requests: Vec<String>,
+    /// Paths of requests that the client gave up.
+    given_up: Vec<String>,
+}
+
+struct Server {
+    url: String,
+    seen: Arc<Mutex<Seen>>,
+}
+
+impl Server {
+    /// Serves `files`; `plan` says what happens at the n-th request (from 0) of a path.
+    fn start(files: HashMap<String, Vec<u8>>, plan: impl Fn(&str, usize) -> Answer + Send + Sync + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("http://{}", listener.local_addr().unwrap());
+        let seen = Arc::new(Mutex::new(Seen::default()));
+        let (files, plan, log) = (Arc::new(files), Arc::new(plan), seen.clone());
+        // Ends with the process.
+        std::thread::spawn(move || {
+            for stream in listener.incoming().flatten() {
+                let (files, plan, log) = (files.clone(), plan.clone(), log.clone());
+                std::thread::spawn(move || serve(stream, &files, &*plan, &log));
+            }
+        });
+        Self { url, seen }
+    }
+
+    fn requests(&self, path: &str) -> usize {
+        self.seen.lock().unwrap().requests.iter().filter(|p| *p == path).count()
+    }
+
+    fn given_up(&self) -> Vec<String> {
+        self.seen.lock().unwrap().given_up.clone()
+    }
+}
+
+fn serve(
+    mut stream: TcpStream,
+    files: &HashMap<String, Vec<u8>>,
+    plan: &dyn Fn(&str, usize) -> Answer,
+    log: &Mutex<Seen>,
+) -> Option<()> {
+    let mut head = Vec::new();
+    let mut byte = [0u8];
+    while !head.ends_with(b"\r\n\r\n") {
+        (stream.read(&mut byte).ok()? == 1).then_some(())?;
+        head.push(byte[0]);
+    }
+    let head = String::from_utf8(head).ok()?;
+    let path = head.split(' ').nth(1)?.to_owned();
+    let nth = {
+        let mut log = log.lock().unwrap();
+        log.requests.push(path.clone());
+        log.requests.iter().filter(|p| **p == path).count() - 1
+    };
+    let answer = plan(&path, nth);
+    let body = files.get(&path).map_or(&[][..], Vec::as_slice);
+    let head = |status: &str, length: usize| {
+        format!("HTTP/1.1 {status}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n")
+    };
+    let until_given_up = |stream: &mut TcpStream| {
+        // Nothing comes but the end.
+        while matches!(stream.read(&mut [0; 64]), Ok(n) if n > 0) {}
+        log.lock().unwrap().given_up.push(path.clone());
+    };
+    match answer {
+        Answer::Broken => stream.shutdown(Shutdown::Both).ok()?,
+        Answer::Silent => until_given_up(&mut stream),
+        Answer::Status(code) => stream.write_all(head(&format!("{code} No"), 0).as_bytes()).ok()?,
+        Answer::Moved(to) => {
+            let text =
+                format!("HTTP/1.1 302 Found\r\nLocation: {to}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+            stream.write_all(text.as_bytes()).ok()?;
+        }
+        Answer::Page => {
+            let page = b"<html><body>Sorry</body></html>";
+            stream.write_all(head("200 OK", page.len()).as_bytes()).ok()?;
+            stream.write_all(page).ok()?;
+        }
+        Answer::Whole | Answer::Slow if !files.contains_key(&path) => {
+            stream.write_all(head("404 Not Found", 0).as_bytes()).ok()?;
+        }
+        Answer::Whole | Answer::Slow => {
+            if answer == Answer::Slow {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            stream.write_all(head("200 OK", body.len()).as_bytes()).ok()?;
+            stream.write_all(body).ok()?;
+        }
+        Answer::Truncated | Answer::Stalled => {
+            stream.write_all(head("200 OK", body.len()).as_bytes()).ok()?;
+            stream.write_all(&body[..body.len() / 2]).ok()?;
+            if answer == Answer::Stalled {
+                until_given_up(&mut stream);
+            }
+        }
+    }
+    Some(())
+}
+
+const CHILDREN: usize = 6;
+
+/// A root and its children around the origin, one glb each, by path.
+fn set() -> HashMap<String, Vec<u8>> {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let mut files = HashMap::new();
+    let mut tile = |name: &str, error: f64, children: &str| {
+        files.insert(format!("/set/{name}.glb"), glb.clone());
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,2]}},"geometricError":{error},"content":{{"uri":"{name}.glb"}},"children":[{children}]}}"#
+        )
+    };
+    let children: Vec<String> = (0..CHILDREN).map(|i| tile(&format!("child{i}"), 0.0, "")).collect();
+    let root = tile("root", 5.0, &children.join(","));
+    let json = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{root}}}"#);
+    files.insert("/set/tileset.json".to_owned(), json.into_bytes());
+    files
+}
+
+/// Compiles at once.
+#[derive(Default)]
+struct Context(Vec<Compiled>);
+
+impl CompileContext for Context {
+    fn id(&self) -> u32 {
+        0
+    }
+
+    fn compile(&mut self, operation: CompileOperation) {
+        let slots = vec![DrawSlot(0); operation.drawables.len()];
+        self.0.push(Compiled { ticket: operation.ticket, slots, bytes: 100, errors: Vec::new() });
+    }
+
+    fn run_compiles(&mut self, _: &CompileBudget) {}
+
+    fn take_compiled(&mut self) -> Vec<Compiled> {
+        std::mem::take(&mut self.0)
+    }
+
+    fn release(&mut self, _: Vec<DrawSlot>) {}
+}
+
+/// Short waits; generous enough for a busy machine where an answer does come.
+fn impatient() -> PagerConfig {
+    PagerConfig {
+        http: HttpConfig {
+            connect_timeout: Duration::from_secs(10),
+            first_byte_timeout: Duration::from_millis(700),
+            read_timeout: Duration::from_millis(700),
+            total_timeout: Duration::from_secs(20),
+            max_retries: 1,
+            retry_backoff: Duration::from_millis(5),
+        },
+        max_tries: 1,
+        ..PagerConfig::default()
+    }
+}
+
+/// Waits for answers as long as a test runs.
+fn patient() -> PagerConfig {
+    let long = Duration::from_secs(100);
+    let mut config = impatient();
+    config.http.first_byte_timeout = long;
+    config.http.read_timeout = long;
+    config.http.total_timeout = long;
+    config
+}
+
+struct Run {
+    scene: Scene,
+    pager: DatabasePager,
+    context: Context,
+    stage: RenderStage,
+    visitor: CullVisitor,
+    frame: u32,
+}
+
+const NEAR_M: f64 = 10.0;
+const FAR_M: f64 = 100_000.0;
+
+impl Run {
+    fn new(server: &Server, config: PagerConfig) -> Self {
+        let uri = root_uri(&format!("{}/set/", server.url)).unwrap();
+        let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
+        let mut scene = Scene::new();
+        scene.add_root(pager.read_root(&uri).unwrap());
+        let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
+        Self { scene, pager, context, stage, visitor, frame: 0 }
+    }
+
+    fn frame(&mut self, distance_m: f64) {
+        self.frame += 1;
+        let eye_from_world = DAffine3::from_translation(DVec3::new(0.0, 0.0, -distance_m));
+        let camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
+        self.visitor.cull(&self.scene, &camera, &mut self.stage);
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, contexts);
+    }
+
+    fn until(&mut self, distance_m: f64, what: &str, done: impl Fn(&Self) -> bool) {
+        let end = Instant::now() + Duration::from_secs(60);
+        while !done(self) {
+            assert!(Instant::now() < end, "{what}: {:?} {:?}", self.pager.stats(), self.pager.errors());
+            self.frame(distance_m);
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn settle(&mut self) {
+        self.frame(NEAR_M);
+        self.until(NEAR_M, "does not settle", |r| r.pager.is_idle() && r.stage.requests.is_empty());
+        self.frame(NEAR_M);
+    }
+
+    fn error_of(&self, name: &str) -> ErrorRecord {
+        let errors = self.pager.errors();
+        let found: Vec<_> = errors.iter().filter(|e| e.uri.ends_with(name)).cloned().collect();
+        assert_eq!(found.len(), 1, "one error for {name}: {errors:?}");
+        found[0].clone()
+    }
+}
+
+#[test]
+fn a_set_streams_whole() {
+    let files = set();
+    let bytes: u64 = files.values().map(|f| f.len() as u64).sum();
+    for answer in [Answer::Whole, Answer::Slow] {
+        let server = Server::start(files.clone(), move |_, _| answer);
+        let mut run = Run::new(&server, impatient());
+        run.settle();
+        let stats = *run.pager.stats();
+        assert_eq!((stats.merged, stats.failed), (CHILDREN as u64 + 1, 0), "{:?}", run.pager.errors());
+        assert_eq!((stats.bytes_http, stats.bytes_read), (bytes, bytes), "every byte once");
+        assert_eq!(run.stage.counters.tiles_drawn, CHILDREN as u32);
+        assert_eq!(server.seen.lock().unwrap().requests.len(), CHILDREN + 2, "every file once");
+    }
+}
+
+#[test]
+fn each_fault_is_one_error_and_costs_nothing_else() {
+    let plan = |path: &str, _: usize| match path {
+        "/set/child0.glb" => Answer::Status(404),
+        "/set/child1.glb" => Answer::Status(500),
+        "/set/child2.glb" => Answer::Truncated,
+        "/set/child3.glb" => Answer::Stalled,
+        "/set/child4.glb" => Answer::Page,
+        _ => Answer::Whole,
+    };
+    let server = Server::start(set(), plan);
+    let mut run = Run::new(&server, impatient());
+    run.settle();
+    for (name, why) in [
+        ("child0.glb", "not found"),
+        ("child1.glb", "HTTP status 500"),
+        ("child2.glb", ""),
+        ("child3.glb", "timed out"),
+        ("child4.glb", "markup"),
+    ] {
+        let error = run.error_of(name);
+        assert!(error.uri.starts_with("http://127.0.0.1") && !error.reason.is_empty(), "{error:?}");
+        assert!(error.reason.contains(why), "{error:?}");
+        assert_eq!(error.count, 1, "{error:?}");
+    }
+    let stats = *run.pager.stats();
+    assert_eq!((stats.failed, stats.merged), (5, 2), "the root and the whole child are there: {stats:?}");
+    assert_eq!(run.stage.counters.tiles_drawn, 1, "the parent stays");
+    // What cannot pass was asked for once, what may was tried again.
+    assert_eq!(["0", "1", "3"].map(|i| server.requests(&format!("/set/child{i}.glb"))), [1, 2, 2]);
+    let before = server.seen.lock().unwrap().requests.len();
+    for _ in 0..50 {
+        run.frame(NEAR_M);
+    }
+    assert_eq!(server.seen.lock().unwrap().requests.len(), before, "failures are not hammered");
+}
+
+#[test]
+fn what_passes_is_tried_again() {
+    for fault in [Answer::Status(503), Answer::Broken, Answer::Truncated] {
+        let server = Server::start(
+            set(),
+            move |path, nth| {
+                if path == "/set/child2.glb" && nth == 0 { fault } else { Answer::Whole }
+            },
+        );
+        let mut run = Run::new(&server, impatient());
+        run.settle();
+        assert_eq!(run.stage.counters.tiles_drawn, CHILDREN as u32, "{fault:?}: {:?}", run.pager.errors());
+        assert_eq!((server.requests("/set/child2.glb"), run.pager.stats().failed), (2, 0), "{fault:?}");
+    }
+    // Beyond the client's own retries, the pager's.
+    let server =
+        Server::start(
+            set(),
+            |path, nth| {
+                if path == "/set/child2.glb" && nth < 2 { Answer::Status(503) } else { Answer::Whole }
+            },
+        );
+    let mut run =
+        Run::new(&server, PagerConfig { max_tries: 3, retry_after: Duration::from_millis(20), ..impatient() });
+    run.until(NEAR_M, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
+    assert_eq!((run.error_of("child2.glb").count, server.requests("/set/child2.glb")), (1, 3));
+}
+
+#[test]
+fn a_hung_request_blocks_nobody() {
+    let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });
+    let mut run = Run::new(&server, patient());
+    run.until(NEAR_M, "the others wait", |r| r.pager.stats().merged == CHILDREN as u64);
+    assert_eq!(server.requests("/set/child0.glb"), 1);
+    assert_eq!(run.pager.stats().in_flight, 1);
+}
+
+#[test]
+fn an_unwanted_request_is_aborted() {
+    let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });
+    let mut run = Run::new(&server, PagerConfig { abort_frames: 5, ..patient() });
+    run.until(NEAR_M, "not asked for", |_| server.requests("/set/child0.glb") == 1);
+    run.until(FAR_M, "not aborted", |r| r.pager.stats().cancelled == 1 && server.given_up() == ["/set/child0.glb"]);
+    run.until(FAR_M, "does not rest", |r| r.pager.is_idle());
+    assert!(run.pager.errors().is_empty(), "nobody is told of what nobody wants: {:?}", run.pager.errors());
+    // Wanted again, it is asked for again.
+    run.until(NEAR_M, "not asked for again", |_| server.requests("/set/child0.glb") == 2);
+}
+
+#[test]
+fn a_stale_request_never_reaches_the_server() {
+    let server = Server::start(set(), |path, _| if path.contains("child") { Answer::Silent } else { Answer::Whole });
+    let mut run =
+        Run::new(&server, PagerConfig { http_in_flight: 1, stale_frames: 2, abort_frames: 1000, ..patient() });
+    run.until(NEAR_M, "none is under way", |r| {
+        r.pager.stats().merged == 1 && server.seen.lock().unwrap().requests.len() == 3
+    });
+    let waiting = run.pager.stats().waiting;
+    assert_eq!(waiting, CHILDREN as u64 - 1);
+    run.until(FAR_M, "nothing gets stale", |r| r.pager.stats().stale == waiting);
+    assert_eq!(server.seen.lock().unwrap().requests.len(), 3, "the set, the root and one child");
+}
+
+#[test]
+fn a_pager_ends_with_requests_under_way() {
+    let server = Server::start(set(), |path, _| if path.ends_with("glb") { Answer::Silent } else { Answer::Whole });
+    let mut run = Run::new(&server, patient());
+    run.until(NEAR_M, "none is under way", |_| server.seen.lock().unwrap().requests.len() == CHILDREN + 2);
+    let start = Instant::now();
+    drop(run);
+    assert!(start.elapsed() < Duration::from_secs(30), "does not wait for the server");
+}
+
+/// The error of a root that cannot be read.
+fn root_error(url: &str) -> IoError {
+    let uri = root_uri(url).unwrap();
+    let mut pager = DatabasePager::new(impatient(), ReadOptions::for_root(&uri, Limits::default())).unwrap();
+    let error = pager.read_root(&uri).err().unwrap();
+    assert!(error.uri().starts_with("http://127.0.0.1"), "{error}");
+    error
+}
+
+#[test]
+fn a_root_that_cannot_be_read_says_why() {
+    let server = Server::start(set(), |path, _| match path {
+        "/gone/tileset.json" => Answer::Status(410),
+        "/file/tileset.json" => Answer::Moved("file:///etc/passwd"),
+        _ => Answer::Whole,
+    });
+    assert!(matches!(root_error(&format!("{}/none/", server.url)), IoError::NotFound { .. }));
+    assert!(matches!(root_error(&format!("{}/gone/", server.url)), IoError::NotFound { .. }));
+    let to_file = root_error(&format!("{}/file/", server.url));
+    assert!(
+        matches!(to_file, IoError::Network { .. } | IoError::Status { status: 302, .. }),
+        "no way to files: {to_file:?}"
+    );
+    // A port that was free a moment ago.
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    assert!(matches!(root_error(&format!("http://127.0.0.1:{port}/set/")), IoError::Network { .. }));
+}
