@@ -47,7 +47,7 @@ pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
     match GraphicsContext::new_offscreen(&traits) {
         Ok(mut ctx) => {
             let renderer = Renderer::new(&mut ctx);
-            Some(Rig { ctx, renderer, visitor: CullVisitor::new(), stage: RenderStage::new(), ticket: 0 })
+            Some(Rig::new(ctx, renderer))
         }
         Err(GpuError::NoAdapter { reason }) => {
             assert!(std::env::var("REQUIRE_GPU").is_err(), "REQUIRE_GPU is set, but: {reason}");
@@ -58,6 +58,10 @@ pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
 }
 
 impl Rig {
+    pub fn new(ctx: GraphicsContext, renderer: Renderer) -> Self {
+        Self { ctx, renderer, visitor: CullVisitor::new(), stage: RenderStage::new(), ticket: 0 }
+    }
+
     /// Uploads drawables at once.
     pub fn compile(&mut self, drawables: Vec<Drawable>) -> Compiled {
         self.ticket += 1;

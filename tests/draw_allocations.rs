@@ -1,0 +1,144 @@
+//! A steady frame allocates nothing in draw's own code: counted by the allocator of this test binary, each allocation
+//! laid to the innermost crate of its call stack, wgpu or Terrane. The noop adapter draws.
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod gpu_support;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::{Cell, RefCell};
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use gpu_support::{Rig, Terrain, camera, quad};
+use terrane::cull::{CullVisitor, RenderStage};
+use terrane::draw::{Environment, Renderer};
+use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::scene::Node;
+use terrane::state::{BinDetails, SortMode, StateSet};
+
+thread_local! {
+    /// Allocations of this thread are recorded.
+    static RECORDING: Cell<bool> = const { Cell::new(false) };
+    /// Instruction addresses, innermost first.
+    static RECORDED: RefCell<Vec<Vec<usize>>> = const { RefCell::new(Vec::new()) };
+}
+
+fn record() {
+    // Recording allocates itself.
+    if RECORDING.try_with(|r| r.replace(false)).unwrap_or(false) {
+        let mut trace = Vec::new();
+        backtrace::trace(|frame| {
+            trace.push(frame.ip() as usize);
+            true
+        });
+        RECORDED.with(|all| all.borrow_mut().push(trace));
+        RECORDING.with(|r| r.set(true));
+    }
+}
+
+struct Recording;
+
+#[allow(unsafe_code, reason = "GlobalAlloc is an unsafe trait; the only way to see allocations")]
+// SAFETY: forwards every call unchanged to the system allocator.
+unsafe impl GlobalAlloc for Recording {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        record();
+        // SAFETY: the caller's contract is the system allocator's.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, ptr: *mut u8, layout: Layout) {
+        // SAFETY: as above.
+        unsafe { System.dealloc(ptr, layout) }
+    }
+
+    unsafe fn realloc(&self, ptr: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        record();
+        // SAFETY: as above.
+        unsafe { System.realloc(ptr, layout, new_size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Recording = Recording;
+
+/// What was allocated while `work` ran: by Terrane (the call stacks) and by wgpu (how often).
+fn allocations(work: impl FnOnce()) -> (Vec<String>, usize) {
+    RECORDED.with(|all| all.borrow_mut().clear());
+    RECORDING.with(|r| r.set(true));
+    work();
+    RECORDING.with(|r| r.set(false));
+    let traces = RECORDED.with(|all| std::mem::take(&mut *all.borrow_mut()));
+    // Finding names takes milliseconds: each address once.
+    let mut names: HashMap<usize, Vec<String>> = HashMap::new();
+    let (mut own, mut wgpu) = (Vec::new(), 0);
+    for trace in traces {
+        let mut calls = Vec::new();
+        for ip in trace {
+            let of_address = names.entry(ip).or_insert_with(|| {
+                let mut found = Vec::new();
+                backtrace::resolve(ip as *mut _, |symbol| {
+                    let file = symbol.filename().map_or_else(String::new, |f| f.display().to_string());
+                    found.push(format!("{} at {file}", symbol.name().map_or_else(String::new, |n| n.to_string())));
+                });
+                found
+            });
+            calls.extend_from_slice(of_address);
+        }
+        // Crates without debug information have whole names, Terrane's own code has file names.
+        let own_sources = concat!(env!("CARGO_MANIFEST_DIR"), "/src/");
+        let is_own = |c: &str| c.contains(own_sources) || c.contains(" at src/") || c.contains(" at ./src/");
+        let innermost = calls.iter().find(|c| c.contains("wgpu") || is_own(c));
+        if innermost.is_some_and(|c| !is_own(c)) {
+            wgpu += 1;
+        } else {
+            own.push(calls.join("\n"));
+        }
+    }
+    (own, wgpu)
+}
+
+#[test]
+fn a_steady_frame_allocates_nothing_of_its_own() {
+    let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, validation: false };
+    let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+    let renderer = Renderer::new(&mut ctx);
+    let mut rig = Rig::new(ctx, renderer);
+    let terrain =
+        Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: true };
+    let mut nodes: Vec<Node> = (0..16).map(|i| terrain.tile(2, i % 4, i / 4)).collect();
+    // Meshes under state sets of three bins, some of them blended, near the terrain's middle.
+    let up = terrain.world(0.5, 0.5, 1_000.0);
+    nodes.extend((0..200u32).map(|i| {
+        let bin = Some(BinDetails { number: i as i32 % 3 - 1, sort: SortMode::ByState });
+        let set = StateSet { bin, color: Some([1.0, 0.5, 0.2, 1.0]), ..StateSet::default() };
+        let offset = up + 100.0 * DVec3::new(f64::from(i % 20), f64::from(i / 20), 0.0);
+        let alpha = if i % 7 == 0 { 0.5 } else { 1.0 };
+        let drawable = quad([0.0; 3], [20.0 + (i % 5) as f32, 20.0], [1.0, 1.0, 1.0, alpha]);
+        Node::transform(DAffine3::from_translation(offset), vec![Node::geode(vec![drawable])])
+            .with_state_set(Arc::new(set))
+    }));
+    let scene = rig.scene(Node::group(nodes));
+    let environment = Environment::default();
+    let mut leaves = 0;
+    let mut fly = |rig: &mut Rig, frames: std::ops::Range<u32>| {
+        for frame in frames {
+            let angle = f64::from(frame) * 0.3;
+            let eye = terrain.world(0.5 + 0.2 * angle.cos(), 0.5 + 0.2 * angle.sin(), 20_000.0);
+            let view = camera([64, 64], eye, terrain.world(0.5, 0.5, 0.0), DVec3::Z);
+            leaves += rig.draw(&scene, &view, &environment).leaves;
+        }
+    };
+    for _ in 0..3 {
+        fly(&mut rig, 0..20);
+    }
+    // Two frames: finding the names of a call stack takes milliseconds.
+    let (own, wgpu) = allocations(|| fly(&mut rig, 7..9));
+    eprintln!("wgpu itself allocated {} times a frame", wgpu / 2);
+    assert!(wgpu > 0, "the call stacks say nothing: are there symbols?");
+    assert!(own.is_empty(), "{} allocations, the first:\n{}", own.len(), own[0]);
+    assert!(leaves > 1_000);
+    let (own, _) = allocations(|| drop((CullVisitor::new(), Box::new(RenderStage::new()))));
+    assert!(!own.is_empty(), "a box is an allocation that is seen");
+}
