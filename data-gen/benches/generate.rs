@@ -1,0 +1,45 @@
+//! Making a tile set from noise: sampling, the pyramid, colouring, encoding, writing; all cores and one.
+#![allow(missing_docs, reason = "criterion's macros make undocumented items")]
+
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use terrane_data_gen::{ContentKind, ElevationSource as _, GenArgs, Procedural, run};
+
+fn noise(criterion: &mut Criterion) {
+    let source = Procedural { seed: 1, cos_latitude: 0.7 };
+    let mut group = criterion.benchmark_group("noise");
+    group.throughput(Throughput::Elements(1));
+    let mut k = 0u32;
+    group.bench_function("one height", |b| {
+        b.iter(|| {
+            k = k.wrapping_add(1);
+            source.height_m(0.14 + 1e-6 * f64::from(k % 1000), 0.82 + 1e-6 * f64::from(k / 1000 % 1000))
+        });
+    });
+    group.finish();
+}
+
+fn generate(criterion: &mut Criterion) {
+    let Ok(folder) = tempfile::tempdir() else { return };
+    let mut group = criterion.benchmark_group("generate");
+    group.sample_size(10);
+    for (content, name) in [(ContentKind::Height, "height"), (ContentKind::Mesh, "mesh")] {
+        for jobs in [Some(1), None] {
+            let out = folder.path().join(format!("{name}-{}", jobs.unwrap_or(0)));
+            let args = GenArgs { content, jobs, levels: Some(4), size: 20_000.0, overwrite: true, ..GenArgs::new(out) };
+            // 1 + 4 + 16 + 64
+            group.throughput(Throughput::Elements(85));
+            let threads = if jobs.is_some() { "one thread" } else { "all threads" };
+            group.bench_function(BenchmarkId::new(name, threads), |b| {
+                b.iter(|| {
+                    let summary = run(&args);
+                    assert!(summary.as_ref().is_ok_and(|s| s.tiles == 85), "a bench of something that fails");
+                    summary
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
+criterion_group!(benches, noise, generate);
+criterion_main!(benches);
