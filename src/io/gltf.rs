@@ -8,6 +8,7 @@ use std::hash::{Hash as _, Hasher as _};
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
+use base64::Engine as _;
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::{Mode, Semantic};
@@ -152,31 +153,12 @@ fn data_uri(uri: &str, reference: &str) -> Result<Vec<u8>, IoError> {
     let Some((_, text)) = data else {
         return Err(IoError::unsupported(uri, format!("glTF with an external file {:.60}", reference)));
     };
-    base64(text).ok_or_else(|| IoError::invalid(uri, "glTF: bad base64 in a data: URI"))
-}
-
-/// RFC 4648, padding optional.
-fn base64(text: &str) -> Option<Vec<u8>> {
-    let mut out = Vec::with_capacity(text.len() / 4 * 3);
-    let (mut bits, mut count) = (0u32, 0);
-    for b in text.bytes().filter(|b| *b != b'=') {
-        let v = match b {
-            b'A'..=b'Z' => b - b'A',
-            b'a'..=b'z' => b - b'a' + 26,
-            b'0'..=b'9' => b - b'0' + 52,
-            b'+' => 62,
-            b'/' => 63,
-            _ => return None,
-        };
-        bits = bits << 6 | u32::from(v);
-        count += 6;
-        if count >= 8 {
-            count -= 8;
-            out.push((bits >> count) as u8);
-            bits &= (1 << count) - 1;
-        }
-    }
-    Some(out)
+    // Some writers leave the padding out.
+    let engine = base64::engine::GeneralPurpose::new(
+        &base64::alphabet::STANDARD,
+        base64::engine::general_purpose::PAD.with_decode_padding_mode(base64::engine::DecodePaddingMode::Indifferent),
+    );
+    engine.decode(text).map_err(|e| IoError::invalid(uri, format!("glTF: base64 of a data: URI: {e}")))
 }
 
 struct Reader<'a> {

@@ -1,0 +1,224 @@
+//! What the readers make of well-formed 3D Tiles and glTF: volumes, refinement, transforms, external tilesets. No GPU.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::io::Write as _;
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::io::{Content, Limits, ReadOptions, decode, decode_node};
+use terrane::math::BoundingVolume;
+use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind, PagedLod, RangeMode, Refine, Topology};
+
+const SET: &str = "/data/set/tileset.json";
+
+fn content(bytes: impl Into<Vec<u8>>) -> Content {
+    Content { uri: SET.into(), bytes: bytes.into(), reader_data: None, companions: Vec::new() }
+}
+
+fn read(bytes: impl Into<Vec<u8>>) -> Node {
+    decode_node(content(bytes), &ReadOptions::for_root(SET, Limits::default())).unwrap()
+}
+
+fn tileset(version: &str, root: &str) -> Node {
+    read(format!(r#"{{"asset":{{"version":"{version}"}},"geometricError":100,"root":{root}}}"#))
+}
+
+fn lod(node: &Node) -> &PagedLod {
+    let NodeKind::PagedLod(lod) = &node.kind else { panic!("a tile, not {:?}", node.kind) };
+    lod
+}
+
+fn error_m(lod: &PagedLod) -> f64 {
+    let RangeMode::ScreenSpaceError { geometric_error_m } = lod.range_mode else { panic!("by error") };
+    geometric_error_m
+}
+
+#[test]
+fn volumes_are_what_they_say() {
+    let tile = |volume: &str| tileset("1.1", &format!(r#"{{"boundingVolume":{{{volume}}},"geometricError":7}}"#));
+    let node = tile(r#""box":[1,2,3, 4,0,0, 0,5,0, 0,0,6]"#);
+    let BoundingVolume::Box(b) = lod(&node).bounds else { panic!("a box") };
+    assert_eq!((b.center, b.half_axes.x_axis, b.half_axes.z_axis.z), (DVec3::new(1.0, 2.0, 3.0), DVec3::X * 4.0, 6.0));
+    let node = tile(r#""sphere":[1,2,3,9]"#);
+    let BoundingVolume::Sphere(s) = lod(&node).bounds else { panic!("a sphere") };
+    assert_eq!((s.center, s.radius_m), (DVec3::new(1.0, 2.0, 3.0), 9.0));
+    let node = tile(r#""region":[0.1,0.2,0.3,0.4,-5,60]"#);
+    let BoundingVolume::Region(r) = lod(&node).bounds else { panic!("a region") };
+    assert_eq!([r.west, r.south, r.east, r.north, r.min_height_m, r.max_height_m], [0.1, 0.2, 0.3, 0.4, -5.0, 60.0]);
+    assert_eq!((error_m(lod(&node)), lod(&node).refine, &lod(&node).content), (7.0, Refine::Replace, &None));
+}
+
+#[test]
+fn refinement_is_inherited_and_contents_are_resolved() {
+    let child = |extra: &str| format!(r#"{{"boundingVolume":{{"sphere":[0,0,0,1]}},"geometricError":1{extra}}}"#);
+    let root = format!(
+        r#"{{"refine":"ADD","boundingVolume":{{"sphere":[0,0,0,5]}},"geometricError":9,"content":{{"url":"a/b.b3dm?v=1"}},"children":[{},{}]}}"#,
+        child(r#","content":{"uri":"../set/c.glb"}"#),
+        child(r#","refine":"REPLACE""#),
+    );
+    // 1.0 says url, some 1.0 files write the keyword in lower case.
+    for (version, root) in [("1.0", root.clone()), ("1.1", root.replace("\"ADD\"", "\"add\""))] {
+        let node = tileset(version, &root);
+        assert_eq!(lod(&node).content.as_deref(), Some("/data/set/a/b.b3dm"), "the query is not part of a file's name");
+        assert_eq!((lod(&node).refine, node.children.len()), (Refine::Add, 2));
+        let [first, second] = [0, 1].map(|i| lod(&node.children[i]));
+        assert_eq!((first.refine, first.content.as_deref()), (Refine::Add, Some("/data/set/c.glb")));
+        assert_eq!((second.refine, &second.content), (Refine::Replace, &None));
+    }
+}
+
+#[test]
+fn transforms_multiply_down_and_scale_errors() {
+    // Twice as large and 10 east; then turned a quarter around z.
+    let outer = "[2,0,0,0, 0,2,0,0, 0,0,2,0, 10,0,0,1]";
+    let inner = "[0,1,0,0, -1,0,0,0, 0,0,1,0, 0,0,0,1]";
+    let node = tileset(
+        "1.0",
+        &format!(
+            r#"{{"transform":{outer},"boundingVolume":{{"sphere":[1,0,0,3]}},"geometricError":5,"children":[{{"transform":{inner},"boundingVolume":{{"sphere":[1,0,0,1]}},"geometricError":2,"content":{{"uri":"x.glb"}}}}]}}"#
+        ),
+    );
+    let sphere = |lod: &PagedLod| lod.bounds.bounding_sphere();
+    assert_eq!((sphere(lod(&node)).center, sphere(lod(&node)).radius_m), (DVec3::new(12.0, 0.0, 0.0), 6.0));
+    assert_eq!(error_m(lod(&node)), 10.0);
+    let child = lod(&node.children[0]);
+    assert!(sphere(child).center.distance(DVec3::new(10.0, 2.0, 0.0)) < 1e-12, "{:?}", sphere(child));
+    assert_eq!(error_m(child), 4.0);
+    let moved = child.content_transform.transform_point3(DVec3::new(0.0, 1.0, 1.0));
+    assert!(moved.distance(DVec3::new(8.0, 0.0, 2.0)) < 1e-12, "{moved}");
+    // Regions are on the globe whatever the transform.
+    let node = tileset(
+        "1.1",
+        &format!(r#"{{"transform":{outer},"boundingVolume":{{"region":[0,0,0.1,0.1,0,1]}},"geometricError":5}}"#),
+    );
+    assert!(matches!(lod(&node).bounds, BoundingVolume::Region(r) if r.east == 0.1));
+}
+
+#[test]
+fn an_external_tileset_is_a_proxy() {
+    let node = tileset(
+        "1.1",
+        r#"{"transform":[1,0,0,0,0,1,0,0,0,0,1,0,7,0,0,1],"boundingVolume":{"sphere":[0,0,0,5]},"geometricError":9,"content":{"uri":"sub/tileset.json"}}"#,
+    );
+    assert_eq!((&lod(&node).content, node.children.len()), (&None, 1));
+    let NodeKind::ProxyNode(proxy) = &node.children[0].kind else { panic!("a proxy") };
+    assert_eq!((&*proxy.uri, proxy.bounds.radius_m), ("/data/set/sub/tileset.json", 5.0));
+    assert_eq!(proxy.content_transform, DAffine3::from_translation(DVec3::X * 7.0));
+}
+
+#[test]
+fn several_contents_are_drawn_together() {
+    let node = tileset(
+        "1.1",
+        r#"{"boundingVolume":{"sphere":[0,0,0,5]},"geometricError":9,"contents":[{"uri":"a.glb"},{"uri":"b.glb"}]}"#,
+    );
+    assert_eq!(lod(&node).refine, Refine::Add);
+    let contents: Vec<_> = node.children.iter().map(|c| lod(c).content.as_deref().unwrap()).collect();
+    assert_eq!(contents, ["/data/set/a.glb", "/data/set/b.glb"]);
+}
+
+#[test]
+fn gzip_and_byte_order_marks_are_undone() {
+    let plain = br#"{"asset":{"version":"1.1"},"geometricError":1,"root":{"boundingVolume":{"sphere":[0,0,0,5]},"geometricError":3}}"#;
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    gzip.write_all(plain).unwrap();
+    for bytes in [plain.to_vec(), gzip.finish().unwrap(), [b"\xef\xbb\xbf".as_slice(), plain].concat()] {
+        assert_eq!(error_m(lod(&read(bytes))), 3.0);
+    }
+}
+
+/// The drawables of a tree with the transforms above them.
+fn drawables(node: &Node, above: DAffine3, out: &mut Vec<(DAffine3, Drawable)>) {
+    let here = if let NodeKind::Transform(m) = node.kind { above * m } else { above };
+    if let NodeKind::Geode(list) = &node.kind {
+        out.extend(list.iter().map(|d| (here, d.clone())));
+    }
+    for child in &node.children {
+        drawables(child, here, out);
+    }
+}
+
+fn only_drawable(node: &Node) -> (DAffine3, Drawable) {
+    let mut all = Vec::new();
+    drawables(node, DAffine3::IDENTITY, &mut all);
+    assert_eq!(all.len(), 1);
+    all.remove(0)
+}
+
+fn triangle() -> Vec<u8> {
+    write_glb(&GlbMesh {
+        positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 3.0]],
+        indices: vec![0, 1, 2],
+        base_color: [0.5, 1.0, 1.0, 1.0],
+        ..GlbMesh::default()
+    })
+}
+
+/// World positions of a drawable's vertices.
+fn positions((world, drawable): &(DAffine3, Drawable)) -> Vec<DVec3> {
+    let Geometry::Mesh(mesh) = &drawable.geometry else { panic!("a mesh") };
+    mesh.vertices.iter().map(|v| world.transform_point3(glam::Vec3::from(v.position).as_dvec3())).collect()
+}
+
+#[test]
+fn gltf_is_turned_z_up() {
+    let drawable = only_drawable(&read(triangle()));
+    assert_eq!(positions(&drawable)[2], DVec3::new(0.0, -3.0, 2.0), "glTF's y is up");
+    assert_eq!(drawable.1.material.base_color, [0.5, 1.0, 1.0, 1.0]);
+    let page = decode(content(triangle()), &ReadOptions::for_root(SET, Limits::default())).unwrap();
+    assert_eq!(page.drawable_count(), 1);
+}
+
+#[test]
+fn b3dm_is_moved_by_its_center() {
+    let table = br#"{"BATCH_LENGTH":0,"RTC_CENTER":[100.0,200.0,300.0]}   "#;
+    let glb = triangle();
+    let mut b3dm = b"b3dm".to_vec();
+    let total = 28 + table.len() + glb.len();
+    for word in [1, total, table.len(), 0, 0, 0] {
+        b3dm.extend((word as u32).to_le_bytes());
+    }
+    b3dm.extend(table);
+    b3dm.extend(&glb);
+    let drawable = only_drawable(&read(b3dm));
+    assert_eq!(positions(&drawable)[1], DVec3::new(101.0, 200.0, 300.0));
+}
+
+#[test]
+fn gltf_in_json_with_data_uris_strips_and_materials() {
+    use base64::Engine as _;
+    // Four corners, drawn as a strip with 8-bit indices.
+    let mut buffer = Vec::new();
+    for p in [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]] {
+        buffer.extend(p.iter().flat_map(|x| x.to_le_bytes()));
+    }
+    buffer.extend([0u8, 1, 2, 3]);
+    let uri =
+        format!("data:application/octet-stream;base64,{}", base64::engine::general_purpose::STANDARD.encode(buffer));
+    let gltf = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0,"translation":[5,0,0]}}],
+        "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"mode":5,"material":0}}]}}],
+        "materials":[{{"alphaMode":"MASK","alphaCutoff":0.25,"doubleSided":true}}],
+        "buffers":[{{"byteLength":52,"uri":"{uri}"}}],
+        "bufferViews":[{{"buffer":0,"byteLength":48}},{{"buffer":0,"byteOffset":48,"byteLength":4}}],
+        "accessors":[{{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}},
+        {{"bufferView":1,"componentType":5121,"count":4,"type":"SCALAR"}}]}}"#
+    );
+    let drawable = only_drawable(&read(gltf));
+    let Geometry::Mesh(mesh) = &drawable.1.geometry else { panic!("a mesh") };
+    assert_eq!(
+        (mesh.topology, &*mesh.indices),
+        (Topology::Triangles, &[0, 1, 2, 2, 1, 3][..]),
+        "the strip keeps its winding"
+    );
+    assert_eq!((drawable.1.material.alpha, drawable.1.material.double_sided), (AlphaMode::Mask(0.25), true));
+    assert_eq!(positions(&drawable)[3], DVec3::new(6.0, 0.0, 1.0));
+}
+
+#[test]
+fn tiles_of_one_file_share_their_indices() {
+    let [a, b] = [0, 1].map(|_| only_drawable(&read(triangle())).1);
+    let [Geometry::Mesh(a), Geometry::Mesh(b)] = [&a.geometry, &b.geometry] else { panic!("meshes") };
+    assert!(Arc::ptr_eq(&a.indices, &b.indices), "equal lists are one, and uploaded once");
+}
