@@ -497,3 +497,41 @@ fn broken_tiles_do_no_harm() {
     assert_eq!(stage.counters.leaves, 3);
     assert!(stage.near_m > 7.0 && stage.far_m < 13.0);
 }
+
+/// A globe of 6 x 12 tiles of 30 degrees: from 1,000 km up only what is on this side of the horizon is met.
+#[test]
+fn the_earth_hides_what_is_behind_it() {
+    use terrane::math::{Geodetic, Region, WGS84};
+    let tiles = (0..72).map(|k| {
+        let (i, j) = (f64::from(k % 12), f64::from(k / 12));
+        let step = 30f64.to_radians();
+        let (west, south) = (i * step - std::f64::consts::PI, j * step - 0.5 * std::f64::consts::PI);
+        let region =
+            Region { west, south, east: west + step, north: south + step, min_height_m: 0.0, max_height_m: 1000.0 };
+        Node::new(NodeKind::PagedLod(Box::new(PagedLod {
+            bounds: BoundingVolume::Region(region),
+            range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+            refine: Refine::Replace,
+            content: Some(format!("{k}").into()),
+            content_transform: DAffine3::IDENTITY,
+            reader_data: None,
+        })))
+    });
+    let mut scene = Scene::new();
+    scene.add_root(page(Node::group(tiles.collect()), 0));
+    let eye = WGS84.ecef(&Geodetic { longitude: 0.26, latitude: 0.26, height_m: 1.0e6 });
+    // Towards the earth's centre: half of what is behind lies in the frustum's cone beyond it.
+    let straight = look_at(eye, DVec3::ZERO, DVec3::Z);
+    let wanted = |camera: &CullCamera| {
+        let mut stage = RenderStage::new();
+        CullVisitor::new().cull(&scene, camera, &mut stage);
+        let uris = stage.requests.iter().map(|r| scene.slot(r.slot).unwrap().uri.parse::<u32>().unwrap());
+        uris.collect::<BTreeSet<u32>>()
+    };
+    let through = wanted(&straight);
+    let solid = wanted(&CullCamera { horizon: Some(WGS84), ..straight });
+    assert!(solid.is_subset(&through) && solid.len() < through.len(), "{solid:?} {through:?}");
+    // The tile below the eye, and no tile of the far hemisphere.
+    assert!(solid.contains(&(3 * 12 + 6)), "{solid:?}");
+    assert!(through.contains(&(2 * 12)) && !solid.contains(&(2 * 12)), "the antipode: {through:?} {solid:?}");
+}

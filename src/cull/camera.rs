@@ -4,6 +4,8 @@ use std::ops::{BitAnd, BitOr};
 
 use glam::{DAffine3, DMat4};
 
+use crate::math::Ellipsoid;
+
 /// Bounds that project to fewer pixels are dropped where [`CullingMode::SMALL_FEATURE`] is on.
 pub const SMALL_FEATURE_PX: f64 = 2.0;
 
@@ -67,6 +69,9 @@ pub struct CullCamera {
     pub cull_mask: u32,
     /// Which culls are made.
     pub culling: CullingMode,
+    /// The body of the earth, where the world is earth-centred: tiles wholly behind its horizon are culled. It must
+    /// lie below everything that is drawn as ground.
+    pub horizon: Option<Ellipsoid>,
     /// Stamped on tiles that are wanted; start at 1.
     pub frame: u32,
     /// Whose draw slots the leaves get.
@@ -88,6 +93,7 @@ impl Default for CullCamera {
             max_sse_px: 16.0,
             cull_mask: u32::MAX,
             culling: CullingMode::DEFAULT,
+            horizon: None,
             frame: 1,
             context: 0,
         }

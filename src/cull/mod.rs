@@ -7,12 +7,13 @@
 //! ```text
 //! CullVisitor::cull    page queue: the root pages, then the pages that tiles hang in, breadth first
 //!   nodes              flat depth-first scan of a page; subtrees wholly inside become two ranges
-//!   tiles              tile trees: REPLACE and ADD, screen-space error, requests
+//!   tiles              tile trees: REPLACE and ADD, screen-space error, requests; horizon: what the earth hides
 //!   state_graph        find-or-insert of state sets under their parent
 //!   sort               leaves to bins, in draw order
 //! ```
 
 mod camera;
+mod horizon;
 mod nodes;
 mod planes;
 mod sort;

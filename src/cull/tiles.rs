@@ -6,6 +6,7 @@
 
 use glam::{DAffine3, DVec3};
 
+use super::horizon::Horizon;
 use super::planes::Planes;
 use super::stage::PageRequest;
 use super::visitor::{Cull, PageVisit, Purpose, eye_in};
@@ -31,6 +32,7 @@ pub(super) struct TileView {
     /// Relative to the eye.
     planes: Planes,
     eye: DVec3,
+    horizon: Option<Horizon>,
 }
 
 impl Cull<'_> {
@@ -73,6 +75,15 @@ impl Cull<'_> {
                         continue;
                     }
                 }
+            }
+            if let (Some(horizon), true) = (&view.horizon, purpose != Purpose::Keep)
+                && horizon.hides(offset, bounds.radius_m)
+            {
+                if !above.required {
+                    tile += skip;
+                    continue;
+                }
+                purpose = Purpose::Keep;
             }
             tiles.stamp(index, frame);
             let (range2, distance2) = self.range_and_distance(page, tile, &record, bounds, offset, view.eye);
@@ -144,7 +155,11 @@ impl Cull<'_> {
                 let eye_from_tile = visit.eye_from_page * page.transforms.page_from_node(transform);
                 let eye = eye_in(&eye_from_tile);
                 let planes = self.eye_planes.in_frame(&eye_from_tile, eye);
-                *self.tile_view.insert(TileView { transform, eye_from_tile, planes, eye })
+                let horizon = self.camera.horizon.as_ref().and_then(|body| {
+                    let world_from_eye = self.camera.eye_from_world.inverse();
+                    Horizon::new(body, &(world_from_eye * eye_from_tile), world_from_eye.translation)
+                });
+                *self.tile_view.insert(TileView { transform, eye_from_tile, planes, eye, horizon })
             }
         }
     }

@@ -251,6 +251,8 @@ fn bounds_of(sphere: &BoundingSphere, oriented_box: Option<&OrientedBox>, metric
         bounds.center = b.center.to_array();
         bounds.axes = axes.map(|a| a.as_vec3().to_array());
         bounds.half_m = half.map(round_up);
+        // Around the box's own centre; a region's sphere has another.
+        bounds.radius_m = round_up(DVec3::from_array(half).length());
     }
     bounds
 }

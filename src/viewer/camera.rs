@@ -100,6 +100,7 @@ impl Camera {
             max_sse_px: self.max_sse_px,
             cull_mask: self.cull_mask,
             culling: CullingMode::default(),
+            horizon: None,
             frame,
             context,
         }

@@ -10,7 +10,7 @@ use super::camera::world_from_eye;
 use super::camera_path::{AnimationPath, ControlPoint};
 use crate::draw::{Environment, Fog};
 use crate::io;
-use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, WGS84};
+use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, WGS84};
 use crate::pager::{DatabasePager, PagerConfig};
 use crate::scene::{NodeKind, Page, flag};
 
@@ -82,6 +82,9 @@ impl Default for ViewFrom {
     }
 }
 
+/// The deepest trench.
+const LOWEST_GROUND_M: f64 = -12_000.0;
+
 impl SetBounds {
     /// Bounds from a sphere alone.
     pub fn from_sphere(sphere: BoundingSphere) -> Self {
@@ -100,6 +103,19 @@ impl SetBounds {
             _ => (DVec3::ZERO, DVec3::splat(sphere.radius_m / 3f64.sqrt())),
         };
         Self { sphere, volume, frame, half_size_m, middle_m }
+    }
+
+    /// The earth below the set's lowest ground, which hides what lies behind the horizon; `None` for a set that is not
+    /// on the earth.
+    pub fn body(&self) -> Option<Ellipsoid> {
+        let lowest_m = match self.volume {
+            Some(BoundingVolume::Region(region)) => region.min_height_m.min(0.0),
+            _ => LOWEST_GROUND_M,
+        };
+        let shrunk = |radius_m: f64| radius_m + lowest_m.max(LOWEST_GROUND_M);
+        self.frame
+            .georeferenced
+            .then(|| Ellipsoid { semi_major_m: shrunk(WGS84.semi_major_m), semi_minor_m: shrunk(WGS84.semi_minor_m) })
     }
 
     /// Metres above the highest thing the set can hold; negative below.

@@ -13,7 +13,7 @@ use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, 
 use super::manipulator::{CameraManipulator, Event};
 use super::stats::{FrameStats, StatsHistory};
 use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
-use crate::cull::{CullVisitor, PageRequest, RenderStage};
+use crate::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
 use crate::draw::Environment;
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::io::ReadOptions;
@@ -487,7 +487,8 @@ impl Viewer {
     }
 
     pub(super) fn cull_into(&mut self, stage: &mut RenderStage) {
-        let camera = self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT);
+        let horizon = self.bounds.as_ref().and_then(SetBounds::body);
+        let camera = CullCamera { horizon, ..self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT) };
         self.cull.cull(&self.scene, &camera, stage);
         // The near plane of this very frame, from what cull has just found.
         stage.camera.clip_from_eye = self.camera.clip_from_eye(self.size_px, self.camera.near_for(stage.near_m));

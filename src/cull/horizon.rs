@@ -1,0 +1,146 @@
+//! Horizon culling: what the body of the earth hides.
+//!
+//! Seen from outside, an ellipsoid hides a cone with the eye as apex, cut off by the plane of the horizon. In space
+//! scaled by the radii the ellipsoid is the unit sphere, and a sphere around a tile lies in that cone when its centre
+//! does so by a radius (K. Ring and P. Cozzi tell it for points: "Horizon Culling", cesium.com/blog, 2013).
+
+use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
+
+use crate::math::Ellipsoid;
+
+/// The hidden cone as it is tested in one frame of tiles.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Horizon {
+    /// Scaled space from the frame, without the translation.
+    scaled_from_frame: Mat3,
+    /// Unit direction from the eye to the earth's centre, scaled space.
+    axis: Vec3,
+    /// Distance of the horizon's plane from the eye along the axis.
+    plane: f32,
+    /// Half angle of the cone.
+    sin: f32,
+    cos: f32,
+    /// Scaled length per metre of the frame, at most.
+    scale: f32,
+}
+
+/// What f32 may be wrong by, as a share of the distance.
+const ROUNDING: f32 = 5e-7;
+
+impl Horizon {
+    /// `None` where the eye is not above the body, or a matrix is degenerate.
+    pub fn new(body: &Ellipsoid, world_from_frame: &DAffine3, eye_in_world: DVec3) -> Option<Self> {
+        let shrink = DVec3::new(1.0 / body.semi_major_m, 1.0 / body.semi_major_m, 1.0 / body.semi_minor_m);
+        let eye = eye_in_world * shrink;
+        let distance2 = eye.length_squared();
+        // Below this the cone is the half space under one's feet, and rounding decides.
+        if !(distance2 > 1.0 + 1e-9 && distance2 < 1e12) {
+            return None;
+        }
+        let distance = distance2.sqrt();
+        let linear = DMat3::from_diagonal(shrink) * world_from_frame.matrix3;
+        let scale = crate::math::max_scale(&linear);
+        if !linear.is_finite() || !scale.is_finite() {
+            return None;
+        }
+        Some(Self {
+            scaled_from_frame: linear.as_mat3(),
+            axis: (-eye / distance).as_vec3(),
+            plane: ((distance2 - 1.0) / distance) as f32,
+            sin: (1.0 / distance) as f32,
+            cos: ((distance2 - 1.0).sqrt() / distance) as f32,
+            scale: (scale * (1.0 + 1e-6)) as f32,
+        })
+    }
+
+    /// True when a sphere lies wholly behind the horizon; `offset` is its centre relative to the eye, in the frame.
+    #[inline(always)]
+    pub fn hides(&self, offset: [f32; 3], radius_m: f32) -> bool {
+        let v = self.scaled_from_frame * Vec3::from_array(offset);
+        let along = v.dot(self.axis);
+        if !(along > self.plane) {
+            return false;
+        }
+        let radius = radius_m * self.scale + ROUNDING * v.length();
+        let across = (v - self.axis * along).length();
+        along - self.plane >= radius && along * self.sin - across * self.cos >= radius
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::WGS84;
+    use proptest::prelude::*;
+
+    /// True when the straight line from the eye to the point meets the ellipsoid before the point.
+    fn hidden(eye: DVec3, point: DVec3) -> bool {
+        let shrink = DVec3::new(1.0 / WGS84.semi_major_m, 1.0 / WGS84.semi_major_m, 1.0 / WGS84.semi_minor_m);
+        let (a, d) = (eye * shrink, (point - eye) * shrink);
+        let (qa, qb, qc) = (d.length_squared(), a.dot(d), a.length_squared() - 1.0);
+        let root = qb * qb - qa * qc;
+        root >= 0.0 && {
+            let t = (-qb - root.sqrt()) / qa;
+            (0.0..=1.0 + 1e-9).contains(&t)
+        }
+    }
+
+    fn place(longitude: f64, latitude: f64, height_m: f64) -> DVec3 {
+        WGS84.ecef(&crate::math::Geodetic { longitude, latitude, height_m })
+    }
+
+    proptest! {
+        /// Whatever is culled cannot be seen, by rays to points of the sphere; and what is far behind is culled.
+        #[test]
+        fn hides_exactly_what_no_ray_reaches(
+            (lon, lat) in (-3.1..3.1f64, -1.5..1.5f64),
+            height in 0.3..8.0f64,
+            (away, turn) in (0.0..1.0f64, 0.0..6.28f64),
+            (target_height, radius) in (-3.0..4.0f64, 0.0..5.5f64),
+            points in prop::collection::vec((0.0..6.28f64, -1.0..1.0f64), 40),
+        ) {
+            let eye = place(lon, lat, 10f64.powf(height));
+            // Somewhere between here and the antipode, closer ones more often.
+            let angle = 3.0 * away * away;
+            let up = eye.normalize();
+            let side = up.any_orthonormal_vector();
+            let side = side * turn.cos() + up.cross(side) * turn.sin();
+            let direction = up * angle.cos() + side * angle.sin();
+            let ground = WGS84.geodetic(direction * 6.37e6);
+            let center = place(ground.longitude, ground.latitude, target_height.signum() * 10f64.powf(target_height.abs()));
+            let radius = 10f64.powf(radius);
+            let frame = DAffine3::from_rotation_y(0.3);
+            let offset = frame.inverse().transform_vector3(center - eye).as_vec3().to_array();
+            let Some(horizon) = Horizon::new(&WGS84, &frame, eye) else { panic!("{eye}") };
+            let hides = horizon.hides(offset, radius as f32);
+            let on_sphere = |(a, z): &(f64, f64)| {
+                let r = (1.0 - z * z).sqrt();
+                center + radius * DVec3::new(r * a.cos(), r * a.sin(), *z)
+            };
+            if hides {
+                prop_assert!(hidden(eye, center));
+                for point in points.iter().map(on_sphere) {
+                    prop_assert!(hidden(eye, point), "culled, and {point} is seen from {eye}");
+                }
+            } else if radius > 100.0 && target_height > 0.0 {
+                // A somewhat larger sphere is seen somewhere: at its points, above it, or at its rim.
+                let zenith = center.normalize();
+                let around = points.iter().map(on_sphere).chain([center + radius * zenith]);
+                let grown = around.map(|p| center + (p - center) * 1.05 + zenith * 30.0);
+                let toward = (eye - center).normalize();
+                let rim = (zenith - toward * zenith.dot(toward)).normalize_or_zero();
+                let highest = center + (radius * 1.05 + 30.0) * rim;
+                prop_assert!(grown.chain([highest]).any(|p| !hidden(eye, p)), "kept, and nothing of it is seen");
+            }
+        }
+    }
+
+    #[test]
+    fn below_the_ground_nothing_is_hidden() {
+        assert!(Horizon::new(&WGS84, &DAffine3::IDENTITY, place(0.2, 0.3, -10.0)).is_none());
+        assert!(Horizon::new(&WGS84, &DAffine3::IDENTITY, DVec3::NAN).is_none());
+        let horizon = Horizon::new(&WGS84, &DAffine3::IDENTITY, place(0.0, 0.0, 1000.0)).unwrap();
+        assert!(!horizon.hides([f32::NAN; 3], 1.0) && !horizon.hides([-1e9, 0.0, 0.0], f32::INFINITY));
+        assert!(horizon.hides([-1.2e7, 0.0, 0.0], 1000.0), "the other side of the earth");
+    }
+}
