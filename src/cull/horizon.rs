@@ -58,7 +58,7 @@ impl Horizon {
     pub fn hides(&self, offset: [f32; 3], radius_m: f32) -> bool {
         let v = self.scaled_from_frame * Vec3::from_array(offset);
         let along = v.dot(self.axis);
-        if !(along > self.plane) {
+        if along <= self.plane {
             return false;
         }
         let radius = radius_m * self.scale + ROUNDING * v.length();
