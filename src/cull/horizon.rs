@@ -95,9 +95,9 @@ mod tests {
         fn hides_exactly_what_no_ray_reaches(
             (lon, lat) in (-3.1..3.1f64, -1.5..1.5f64),
             height in 0.3..8.0f64,
-            (away, turn) in (0.0..1.0f64, 0.0..6.28f64),
+            (away, turn) in (0.0..1.0f64, 0.0..std::f64::consts::TAU),
             (target_height, radius) in (-3.0..4.0f64, 0.0..5.5f64),
-            points in prop::collection::vec((0.0..6.28f64, -1.0..1.0f64), 40),
+            points in prop::collection::vec((0.0..std::f64::consts::TAU, -1.0..1.0f64), 40),
         ) {
             let eye = place(lon, lat, 10f64.powf(height));
             // Somewhere between here and the antipode, closer ones more often.

@@ -19,7 +19,9 @@ use crate::scene::{DrawSlot, Drawable, Geometry, HeightTile, Mesh, MeshVertex, T
 const SLICE_BYTES: u64 = 256 << 10;
 /// What the first slice of a call may have however small the budget, so that every upload ends.
 const LEAST_SLICE_BYTES: u64 = 16 << 10;
-/// Uploads are handed to the driver at the latest when so many bytes wait.
+/// Uploads are handed to the driver at the latest when so many bytes wait: while frames are drawn, whose submissions
+/// take them along and which a submission in between may wait for; and while none are.
+const FLUSH_BYTES_DRAWING: u64 = 4 << 20;
 const FLUSH_BYTES: u64 = 256 << 10;
 
 /// Drawables to upload together, usually one page's.
@@ -130,6 +132,8 @@ pub(super) struct CompileQueue {
     finished: Vec<Compiled>,
     table_scratch: Vec<f32>,
     unflushed_bytes: u64,
+    /// A frame was drawn since uploads were last flushed on their own.
+    drawing: bool,
 }
 
 /// How many units of a slice fit; the first slice of a call has at least one.
@@ -149,6 +153,7 @@ impl CompileQueue {
     /// Everything written so far went to the driver with a draw.
     pub(super) fn flushed(&mut self) {
         self.unflushed_bytes = 0;
+        self.drawing = true;
     }
 
     pub(super) fn pending(&self) -> usize {
@@ -213,7 +218,8 @@ impl CompileQueue {
             stats.finished += 1;
         }
         self.unflushed_bytes += stats.bytes;
-        if self.unflushed_bytes >= FLUSH_BYTES {
+        let most = if self.drawing { FLUSH_BYTES_DRAWING } else { FLUSH_BYTES };
+        if self.unflushed_bytes >= most {
             // Staging memory (several times the bytes for small images) is only given back once it was submitted and
             // the device was polled.
             queue.submit([]);
@@ -221,6 +227,7 @@ impl CompileQueue {
                 log::error!("uploads: {error}");
             }
             self.unflushed_bytes = 0;
+            self.drawing = false;
         }
         stats.pending = self.pending();
         stats.time = start.elapsed();
