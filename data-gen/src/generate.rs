@@ -24,7 +24,7 @@ const PROCEDURAL_PLACE: [f64; 2] = [8.0, 47.0];
 const PROCEDURAL_LEVELS: u32 = 5;
 const MAX_LEVELS: u32 = 9;
 /// The default set's folder changes with what it holds.
-const DEFAULT_SET: &str = "default-set-1";
+const DEFAULT_SET: &str = "default-set-2";
 
 /// Several rasters: the first that knows a place wins.
 struct Mosaic(Vec<Raster>);
