@@ -135,6 +135,7 @@ impl TerrainRow {
         // Heights relative to the set, so that any mountains have meadows below and snow above.
         let span = (high_m - low_m).max(1.0);
         let tall = smooth(300.0, 1800.0, span);
+        let hilly = smooth(100.0, 700.0, span);
         let scales_m = [4.0, 16.0, 64.0].map(|s| s * self.step_m[1] as f32);
         let [red, green, blue] = out;
         for k in 0..N {
@@ -144,7 +145,7 @@ impl TerrainRow {
             let snow_line = smooth(2300.0, 2900.0, h + 260.0 * patch + 60.0 * grain);
             let t = (h - low_m) / span + 0.05 * patch;
             let wood = smooth(-0.10, 0.42, patch + 0.30 * smooth(0.1, 0.4, slope) + 0.06 * grain);
-            let high = smooth(0.42, 0.58, t);
+            let high = hilly * smooth(0.42, 0.58, t);
             let loose = 0.7 * tall * smooth(0.60, 0.74, t);
             let steep = smooth(0.45, 0.85, slope + 0.08 * grain);
             let snowy = snow_line * (1.0 - smooth(0.75, 1.25, slope));

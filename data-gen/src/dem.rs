@@ -22,7 +22,8 @@ pub(crate) struct GeoTransform {
 }
 
 impl GeoTransform {
-    fn at(&self, column: f64, row: f64) -> [f64; 2] {
+    /// Coordinates of a column and row, pixel corners integral.
+    pub fn at(&self, column: f64, row: f64) -> [f64; 2] {
         [0, 1].map(|k| self.origin[k] + column * self.dx[k] + row * self.dy[k])
     }
 

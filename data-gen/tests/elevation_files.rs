@@ -235,6 +235,15 @@ fn bad_imagery_and_arguments_are_refused() {
     let path = folder.path().join("picture.jpg");
     fs::write(&path, b"\xff\xd8\xff\xe0 nothing").unwrap();
     refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "");
+    let path = folder.path().join("elsewhere.png");
+    image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&path).unwrap();
+    let world = |west: f64| fs::write(path.with_extension("pgw"), format!("0.0001\n0\n0\n-0.0001\n{west}\n46.48\n"));
+    world(9.0).unwrap();
+    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "covers none of the elevation");
+    // A picture far smaller than a tile is used where it lies.
+    world(7.52).unwrap();
+    run(&GenArgs { imagery: Some(path.clone()), overwrite: true, ..args.clone() }).unwrap();
+    fs::remove_dir_all(&args.out).unwrap();
     for bad in [
         GenArgs { levels: Some(0), ..args.clone() },
         GenArgs { levels: Some(40), ..args.clone() },
@@ -245,4 +254,20 @@ fn bad_imagery_and_arguments_are_refused() {
         assert!(matches!(error, GenError::Argument(_)) && error.to_string().contains("--"), "{error:?}");
     }
     run(&args).unwrap();
+}
+
+#[test]
+fn levels_are_as_many_as_the_elevation_has_detail_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let levels = |side: usize, stretch: f64| {
+        let exr = write_height_exr("test", side, (0..side * side).map(|k| (k % 97) as f32).collect()).unwrap();
+        let world = format!("{}\n0\n0\n-0.001\n7\n46\n", 0.001 * stretch);
+        fs::write(folder.path().join("detail.wld"), world).unwrap();
+        let args = GenArgs { levels: None, overwrite: true, ..from_dem(folder.path(), "detail.exr", &exr) };
+        run(&args).unwrap().levels
+    };
+    // 64 cells a tile: a level more begins at one sample more. The shape of the samples does not matter.
+    for stretch in [1.0, 1.5, 0.6] {
+        assert_eq!([40, 65, 66, 129, 130].map(|side| levels(side, stretch)), [1, 1, 2, 2, 3], "{stretch}");
+    }
 }
