@@ -76,7 +76,10 @@ pub fn has_display() -> bool {
 
 /// Opens a window and runs it until it is closed; returns the viewer for its report. Main thread only.
 pub fn run_window(config: ViewerConfig, options: WindowOptions) -> Result<Option<Viewer>, ViewerError> {
-    let event_loop = EventLoop::new().map_err(|e| ViewerError::Window(e.to_string()))?;
+    // winit panics where a library that it loads at run time is missing.
+    let event_loop = std::panic::catch_unwind(EventLoop::new)
+        .map_err(|_| ViewerError::Window("a window library is missing (Debian: libxkbcommon-x11-0)".to_owned()))?
+        .map_err(|e| ViewerError::Window(e.to_string()))?;
     event_loop.set_control_flow(ControlFlow::Poll);
     let mut app = App { config, options, open: None, closed: None, error: None };
     event_loop.run_app(&mut app).map_err(|e| ViewerError::Window(e.to_string()))?;
