@@ -4,12 +4,12 @@
 //! the renderer's; baked is only how much sky a place sees.
 
 use crate::imagery::Imagery;
-use crate::noise::{fbm, gradient};
-use crate::procedural::smooth;
+use crate::noise::{add_gradient_row, fbm_row};
 use crate::pyramid::{Pyramid, TileKey};
 
 /// Texels along a tile's side.
 pub(crate) const TEXELS: u32 = 256;
+const N: usize = TEXELS as usize;
 
 /// What colours tiles.
 pub(crate) struct Painter<'a> {
@@ -39,82 +39,219 @@ impl<'a> Painter<'a> {
     /// RGB, north row first.
     pub fn paint(&self, key: TileKey) -> Vec<u8> {
         let e = self.pyramid.extent(key);
-        let n = TEXELS as usize;
-        let mut rgb = Vec::with_capacity(n * n * 3);
-        // Two levels finer than the tile: one texel is one cell there.
-        let depth = (self.pyramid.levels - 1 - key.level).saturating_sub(2) as usize;
+        let mut rgb = Vec::with_capacity(N * N * 3);
         let tiles = f64::from(1u32 << key.level);
-        let world = self.pyramid.grid.extent;
-        let mean_lat = 0.5 * (world.south + world.north);
-        let meters =
-            [6_371_000.0 * mean_lat.cos() * (world.east - world.west), 6_371_000.0 * (world.north - world.south)];
-        for row in 0..n {
-            let v = (f64::from(key.y) + 1.0 - (row as f64 + 0.5) / n as f64) / tiles;
-            let latitude = e.north - (e.north - e.south) * (row as f64 + 0.5) / n as f64;
-            for column in 0..n {
-                let u = (f64::from(key.x) + (column as f64 + 0.5) / n as f64) / tiles;
-                let longitude = e.west + (e.east - e.west) * (column as f64 + 0.5) / n as f64;
-                let picture = self.imagery.and_then(|i| i.at(longitude, latitude));
-                let color = picture.unwrap_or_else(|| self.natural(u, v, depth, meters));
-                rgb.extend(color.map(|c| c.clamp(0.0, 255.0).round() as u8));
+        let u = [0.5, N as f64 - 0.5].map(|c| (f64::from(key.x) + c / N as f64) / tiles);
+        let mut terrain = TerrainRow::new(self, key.level, u);
+        let mut colors = [[0.0f32; N]; 3];
+        for row in 0..N {
+            let v = (f64::from(key.y) + 1.0 - (row as f64 + 0.5) / N as f64) / tiles;
+            let latitude = e.north - (e.north - e.south) * (row as f64 + 0.5) / N as f64;
+            let mut natural = false;
+            for column in 0..N {
+                let longitude = e.west + (e.east - e.west) * (column as f64 + 0.5) / N as f64;
+                let color = match self.imagery.and_then(|i| i.at(longitude, latitude)) {
+                    Some(color) => color.map(|c| c as f32),
+                    None => {
+                        if !natural {
+                            terrain.sample(self, v);
+                            terrain.color(self.low_m as f32, self.high_m as f32, &mut colors);
+                            natural = true;
+                        }
+                        [colors[0][column], colors[1][column], colors[2][column]]
+                    }
+                };
+                rgb.extend(color.map(|c| (c + 0.5) as u8));
             }
         }
         rgb
     }
+}
 
-    /// Height at (u, v) in 0..1 over the set, from the smoothed level `depth`.
-    fn height(&self, u: f64, v: f64, depth: usize) -> f64 {
-        let (side, heights) = &self.smoothed[depth.min(self.smoothed.len() - 1)];
-        let last = (*side - 1) as f64;
-        let (x, y) = ((u * last).clamp(0.0, last), (v * last).clamp(0.0, last));
-        let (x0, y0) = ((x as usize).min(side - 2), (y as usize).min(side - 2));
-        let (fx, fy) = (x - x0 as f64, y - y0 as f64);
-        let at = |x: usize, y: usize| f64::from(heights[y * side + x]);
-        let low = at(x0, y0) * (1.0 - fx) + at(x0 + 1, y0) * fx;
-        let high = at(x0, y0 + 1) * (1.0 - fx) + at(x0 + 1, y0 + 1) * fx;
-        low * (1.0 - fy) + high * fy
-    }
+/// What one row of texels is coloured by; every buffer has one value a texel.
+struct TerrainRow {
+    /// Smoothed levels: the one whose cells are texels, and three coarser for the ambient shading.
+    levels: [LevelRow; 4],
+    /// Metres from the set's western edge to the first texel, and between texels.
+    x_m: [f64; 2],
+    /// Sides of the set in metres.
+    sides_m: [f64; 2],
+    /// Metres between samples of the first level, east and north.
+    step_m: [f64; 2],
+    height: [f32; N],
+    east: [f32; N],
+    north: [f32; N],
+    around: [[f32; N]; 3],
+    patch: [f32; N],
+    grain: [f32; N],
+}
 
-    /// sRGB 0..255 of terrain in a temperate climate.
-    fn natural(&self, u: f64, v: f64, depth: usize, meters: [f64; 2]) -> [f64; 3] {
-        let (side, _) = self.smoothed[depth.min(self.smoothed.len() - 1)];
-        let step = 1.0 / (side - 1) as f64;
-        let h = self.height(u, v, depth);
-        let dx = (self.height(u + step, v, depth) - self.height(u - step, v, depth)) / (2.0 * step * meters[0]);
-        let dy = (self.height(u, v + step, depth) - self.height(u, v - step, depth)) / (2.0 * step * meters[1]);
-        let slope = dx.hypot(dy);
-        let (x, y) = (u * meters[0], v * meters[1]);
-        let patch = fbm(x / 1700.0, y / 1700.0, 6, 901);
-        let grain = gradient(x / 70.0, y / 70.0, 902);
-        // Heights relative to the set, so that any mountains have meadows below and snow above.
-        let span = (self.high_m - self.low_m).max(1.0);
-        // Snow lies by height above the sea, not by height in the set.
-        let snow_line = smooth(2300.0, 2900.0, h + 260.0 * patch + 60.0 * grain);
-        let tall = smooth(300.0, 1800.0, span);
-        let t = (h - self.low_m) / span + 0.05 * patch;
-        let mix = |a: [f64; 3], b: [f64; 3], t: f64| [0, 1, 2].map(|k| a[k] + (b[k] - a[k]) * t.clamp(0.0, 1.0));
-        let meadow = mix([104.0, 122.0, 62.0], [134.0, 138.0, 82.0], 0.5 + 0.9 * patch);
-        let forest = mix([58.0, 82.0, 46.0], [76.0, 98.0, 54.0], 0.5 + 0.5 * grain);
-        let alpine = mix([122.0, 122.0, 84.0], [104.0, 104.0, 76.0], 0.5 + patch);
-        let rock = mix([112.0, 106.0, 98.0], [140.0, 132.0, 120.0], 0.5 + 0.5 * grain + 0.3 * patch);
-        let scree = [148.0, 142.0, 132.0];
-        let snow = [240.0, 244.0, 250.0];
-        let mut color = mix(meadow, forest, smooth(-0.10, 0.42, patch + 0.30 * smooth(0.1, 0.4, slope) + 0.06 * grain));
-        color = mix(color, alpine, smooth(0.42, 0.58, t));
-        color = mix(color, scree, 0.7 * tall * smooth(0.60, 0.74, t));
-        color = mix(color, rock, smooth(0.45, 0.85, slope + 0.08 * grain));
-        color = mix(color, snow, snow_line * (1.0 - smooth(0.75, 1.25, slope)));
-        // Ambient: how far the place lies below its surroundings at three scales.
-        let mut open = 0.0;
-        for k in 1..=3 {
-            let around = self.height(u, v, depth + 2 * k);
-            let scale_m = step * meters[1] * (1 << (2 * k)) as f64;
-            open += (h - around) / scale_m;
+impl TerrainRow {
+    /// `u`: of the first texel and of the last, 0..1 over the set.
+    fn new(painter: &Painter<'_>, level: u32, u: [f64; 2]) -> Self {
+        let extent = painter.pyramid.grid.extent;
+        let mean_lat = 0.5 * (extent.south + extent.north);
+        let sides_m =
+            [6_371_000.0 * mean_lat.cos() * (extent.east - extent.west), 6_371_000.0 * (extent.north - extent.south)];
+        // Two levels finer than the tile: one texel is one cell there.
+        let depth = (painter.pyramid.levels - 1 - level).saturating_sub(2) as usize;
+        let levels = [0, 2, 4, 6].map(|coarser| LevelRow::new(painter, depth + coarser, u));
+        let cells = (painter.smoothed[levels[0].depth].0 - 1) as f64;
+        Self {
+            levels,
+            x_m: [u[0] * sides_m[0], (u[1] - u[0]) / (N - 1) as f64 * sides_m[0]],
+            sides_m,
+            step_m: sides_m.map(|m| m / cells),
+            height: [0.0; N],
+            east: [0.0; N],
+            north: [0.0; N],
+            around: [[0.0; N]; 3],
+            patch: [0.0; N],
+            grain: [0.0; N],
         }
-        let ambient = 1.0 + 0.55 * (open / (0.25 + open.abs())).clamp(-0.62, 0.35);
-        let shade = ambient * (1.0 + 0.05 * grain);
-        color.map(|c| c * shade)
     }
+
+    /// Takes heights, slopes and noise at `v`, 0..1 over the set.
+    fn sample(&mut self, painter: &Painter<'_>, v: f64) {
+        let [fine, coarser @ ..] = &mut self.levels;
+        fine.slopes(painter, v, &mut self.height, &mut self.east, &mut self.north);
+        let per_m = self.step_m.map(|m| (0.5 / m) as f32);
+        self.east.iter_mut().for_each(|d| *d *= per_m[0]);
+        self.north.iter_mut().for_each(|d| *d *= per_m[1]);
+        for (level, around) in coarser.iter_mut().zip(&mut self.around) {
+            level.heights(painter, v, around);
+        }
+        let ([x, step], y) = (self.x_m, v * self.sides_m[1]);
+        fbm_row(&mut self.patch, x / 1700.0, step / 1700.0, y / 1700.0, 6, 901);
+        self.grain.fill(0.0);
+        if step < 35.0 {
+            add_gradient_row(&mut self.grain, 1.0, x / 70.0, step / 70.0, y / 70.0, 902);
+        }
+    }
+
+    /// sRGB 0..255 of terrain in a temperate climate between the set's lowest and highest point. One branchless loop
+    /// over separate arrays, for the compiler to do several texels at once.
+    fn color(&self, low_m: f32, high_m: f32, out: &mut [[f32; N]; 3]) {
+        // Heights relative to the set, so that any mountains have meadows below and snow above.
+        let span = (high_m - low_m).max(1.0);
+        let tall = smooth(300.0, 1800.0, span);
+        let hilly = smooth(100.0, 700.0, span);
+        let scales_m = [4.0, 16.0, 64.0].map(|s| s * self.step_m[1] as f32);
+        let [red, green, blue] = out;
+        for k in 0..N {
+            let (h, patch, grain) = (self.height[k], self.patch[k], self.grain[k]);
+            let slope = (self.east[k] * self.east[k] + self.north[k] * self.north[k]).sqrt();
+            // Snow lies by height above the sea, not by height in the set.
+            let snow_line = smooth(2300.0, 2900.0, h + 260.0 * patch + 60.0 * grain);
+            let t = (h - low_m) / span + 0.05 * patch;
+            let wood = smooth(-0.10, 0.42, patch + 0.30 * smooth(0.1, 0.4, slope) + 0.06 * grain);
+            let high = hilly * smooth(0.42, 0.58, t);
+            let loose = 0.7 * tall * smooth(0.60, 0.74, t);
+            let steep = smooth(0.45, 0.85, slope + 0.08 * grain);
+            let snowy = snow_line * (1.0 - smooth(0.75, 1.25, slope));
+            // Ambient: how far the place lies below its surroundings at three scales.
+            let mut open = 0.0;
+            for (around, scale_m) in self.around.iter().zip(scales_m) {
+                open += (h - around[k]) / scale_m;
+            }
+            let ambient = 1.0 + 0.55 * (open / (0.25 + open.abs())).clamp(-0.62, 0.35);
+            let shade = ambient * (1.0 + 0.05 * grain);
+            let meadow = (0.5 + 0.9 * patch).clamp(0.0, 1.0);
+            let forest = (0.5 + 0.5 * grain).clamp(0.0, 1.0);
+            let alpine = (0.5 + patch).clamp(0.0, 1.0);
+            let rock = (0.5 + 0.5 * grain + 0.3 * patch).clamp(0.0, 1.0);
+            let channel = |c: usize| {
+                let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+                let pair = |p: &[[f32; 3]; 2], t: f32| mix(p[0][c], p[1][c], t);
+                let mut color = mix(pair(&MEADOW, meadow), pair(&FOREST, forest), wood);
+                color = mix(color, pair(&ALPINE, alpine), high);
+                color = mix(color, SCREE[c], loose);
+                color = mix(color, pair(&ROCK, rock), steep);
+                color = mix(color, SNOW[c], snowy);
+                color * shade
+            };
+            red[k] = channel(0);
+            green[k] = channel(1);
+            blue[k] = channel(2);
+        }
+    }
+}
+
+const MEADOW: [[f32; 3]; 2] = [[104.0, 122.0, 62.0], [134.0, 138.0, 82.0]];
+const FOREST: [[f32; 3]; 2] = [[58.0, 82.0, 46.0], [76.0, 98.0, 54.0]];
+const ALPINE: [[f32; 3]; 2] = [[122.0, 122.0, 84.0], [104.0, 104.0, 76.0]];
+const ROCK: [[f32; 3]; 2] = [[112.0, 106.0, 98.0], [140.0, 132.0, 120.0]];
+const SCREE: [f32; 3] = [148.0, 142.0, 132.0];
+const SNOW: [f32; 3] = [240.0, 244.0, 250.0];
+
+/// A row of texels in one smoothed level: first blended between two rows of samples, then along them.
+struct LevelRow {
+    depth: usize,
+    /// Column of the first sample in the lines, one left of the first needed.
+    first: usize,
+    /// For each texel the place in the lines of the sample left of it, and how far it is to the next, 0..1.
+    columns: Vec<(usize, f32)>,
+    /// Samples at the texels' latitude, and one sample south and north of it.
+    lines: [Vec<f32>; 3],
+}
+
+impl LevelRow {
+    fn new(painter: &Painter<'_>, depth: usize, u: [f64; 2]) -> Self {
+        let depth = depth.min(painter.smoothed.len() - 1);
+        let side = painter.smoothed[depth].0;
+        let place = |k: usize| {
+            let u = u[0] + (u[1] - u[0]) * (k as f64 / (N - 1) as f64);
+            let x = (u * (side - 1) as f64).max(0.0);
+            let left = (x as usize).min(side - 2);
+            (left, (x - left as f64).min(1.0) as f32)
+        };
+        let (first, last) = (place(0).0, place(N - 1).0);
+        let columns = (0..N).map(place).map(|(left, f)| (left - first + 1, f)).collect();
+        // From one left of the first to one right of the sample that the last texel blends to.
+        Self { depth, first, columns, lines: [0; 3].map(|_| vec![0.0; last - first + 4]) }
+    }
+
+    /// Blends rows of samples at `v` moved by `rows`, columns outside the set repeated.
+    fn line(&mut self, painter: &Painter<'_>, v: f64, which: usize, rows: f64) {
+        let (side, heights) = &painter.smoothed[self.depth];
+        let last = (side - 1) as f64;
+        let y = (v * last + rows).clamp(0.0, last);
+        let y0 = (y as usize).min(side - 2);
+        let f = (y - y0 as f64) as f32;
+        for (k, out) in self.lines[which].iter_mut().enumerate() {
+            let x = (self.first + k).saturating_sub(1).min(side - 1);
+            let (a, b) = (heights[y0 * side + x], heights[(y0 + 1) * side + x]);
+            *out = a + (b - a) * f;
+        }
+    }
+
+    fn heights(&mut self, painter: &Painter<'_>, v: f64, out: &mut [f32; N]) {
+        self.line(painter, v, 0, 0.0);
+        let line = &self.lines[0];
+        for ((left, f), out) in self.columns.iter().zip(out) {
+            *out = line[*left] + (line[left + 1] - line[*left]) * f;
+        }
+    }
+
+    /// Heights, and their differences over two samples eastwards and northwards.
+    fn slopes(&mut self, painter: &Painter<'_>, v: f64, out: &mut [f32; N], east: &mut [f32; N], north: &mut [f32; N]) {
+        self.heights(painter, v, out);
+        self.line(painter, v, 1, -1.0);
+        self.line(painter, v, 2, 1.0);
+        let [line, below, above] = &self.lines;
+        for (k, (left, f)) in self.columns.iter().enumerate() {
+            let i = *left;
+            let at_left = line[i + 1] - line[i - 1];
+            east[k] = at_left + (line[i + 2] - line[i] - at_left) * f;
+            let at_left = above[i] - below[i];
+            north[k] = at_left + (above[i + 1] - below[i + 1] - at_left) * f;
+        }
+    }
+}
+
+fn smooth(low: f32, high: f32, x: f32) -> f32 {
+    let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
 }
 
 /// Every second sample of a `[1 2 1]` blur.

@@ -22,7 +22,8 @@ pub(crate) struct GeoTransform {
 }
 
 impl GeoTransform {
-    fn at(&self, column: f64, row: f64) -> [f64; 2] {
+    /// Coordinates of a column and row, pixel corners integral.
+    pub fn at(&self, column: f64, row: f64) -> [f64; 2] {
         [0, 1].map(|k| self.origin[k] + column * self.dx[k] + row * self.dy[k])
     }
 
@@ -144,23 +145,34 @@ fn tiff(path: &Path) -> Result<Raster, GenError> {
             *h = f32::NAN;
         }
     }
-    let (transform, crs) = t.georeference.unwrap_or_else(|| placed(path));
+    // A TIFF is expected to know its place; pictures and EXR are not.
+    let (transform, crs) = t
+        .georeference
+        .or_else(|| world_file(path))
+        .ok_or_else(|| GenError::invalid(path, "no georeference: neither GeoTIFF tags nor a world file beside it"))?;
     Ok(Raster { width: t.width, height: t.height, samples, transform, crs })
 }
 
-/// A world file beside the picture (.pgw, .wld, ...), else the default place.
+/// A world file beside the picture, else the default place.
 pub(crate) fn placed(path: &Path) -> (GeoTransform, Crs) {
+    world_file(path).unwrap_or_else(|| {
+        let (origin, pixel) = DEFAULT_PLACE;
+        (GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] }, Crs::Geographic)
+    })
+}
+
+/// The world file beside a picture: .pgw, .wld and the like.
+fn world_file(path: &Path) -> Option<(GeoTransform, Crs)> {
     for extension in ["pgw", "jgw", "tfw", "wld", "exw"] {
         let Ok(text) = std::fs::read_to_string(path.with_extension(extension)) else { continue };
         let n: Vec<f64> = text.split_whitespace().filter_map(|t| t.parse().ok()).collect();
         if let [a, d, b, e, x, y] = n[..] {
             let origin = [x - 0.5 * (a + b), y - 0.5 * (d + e)];
             let crs = if x.abs() <= 180.0 && y.abs() <= 90.0 { Crs::Geographic } else { Crs::WebMercator };
-            return (GeoTransform { origin, dx: [a, d], dy: [b, e] }, crs);
+            return Some((GeoTransform { origin, dx: [a, d], dy: [b, e] }, crs));
         }
     }
-    let (origin, pixel) = DEFAULT_PLACE;
-    (GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] }, Crs::Geographic)
+    None
 }
 
 /// SRTM tiles: big-endian int16, one degree, named by their south-west corner, samples on the edges.

@@ -39,6 +39,8 @@ impl GenError {
     }
 
     pub(crate) fn invalid(path: impl Into<PathBuf>, reason: impl Into<String>) -> Self {
-        Self::Invalid { path: path.into(), reason: reason.into() }
+        // Decoders' messages may have several lines; an error here is one.
+        let reason = reason.into().split_whitespace().collect::<Vec<_>>().join(" ");
+        Self::Invalid { path: path.into(), reason }
     }
 }

@@ -24,7 +24,7 @@ const PROCEDURAL_PLACE: [f64; 2] = [8.0, 47.0];
 const PROCEDURAL_LEVELS: u32 = 5;
 const MAX_LEVELS: u32 = 9;
 /// The default set's folder changes with what it holds.
-const DEFAULT_SET: &str = "default-set-1";
+const DEFAULT_SET: &str = "default-set-2";
 
 /// Several rasters: the first that knows a place wins.
 struct Mosaic(Vec<Raster>);
@@ -100,7 +100,8 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
     }
     let rasters = args.dem.iter().map(|path| Raster::read(path)).collect::<Result<Vec<_>, _>>()?;
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
-    let mut cell = f64::INFINITY;
+    // Smallest step between samples, east and north, radians.
+    let mut step = [f64::INFINITY; 2];
     for r in &rasters {
         let [west, south, east, north] = r.bounds();
         e = Extent {
@@ -110,7 +111,8 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
             north: e.north.max(north),
         };
         let [w, h] = r.size();
-        cell = cell.min((east - west) / w.max(2) as f64).min((north - south) / h.max(2) as f64);
+        let own = [(east - west) / (w.max(2) - 1) as f64, (north - south) / (h.max(2) - 1) as f64];
+        step = [step[0].min(own[0]), step[1].min(own[1])];
     }
     let pi = std::f64::consts::PI;
     let sane = e.west >= -pi - 1e-6 && e.east <= pi + 1e-6 && e.south >= -0.5 * pi - 1e-6 && e.north <= 0.5 * pi + 1e-6;
@@ -118,7 +120,8 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
         let path = args.dem.first().cloned().unwrap_or_default();
         return Err(GenError::invalid(path, "the elevation lies nowhere on the earth"));
     }
-    let cells = (e.east - e.west).max(e.north - e.south) / cell;
+    // Less what rounding adds, so that 513 samples are 512 cells.
+    let cells = ((e.east - e.west) / step[0]).max((e.north - e.south) / step[1]) - 1e-6;
     let wanted = ((cells / CELLS as f64).log2().ceil().max(0.0) as u32 + 1).clamp(1, MAX_LEVELS);
     Ok((Box::new(Mosaic(rasters)), e, args.levels.unwrap_or(wanted)))
 }
@@ -132,6 +135,11 @@ fn bar(length: u64, what: &'static str) -> ProgressBar {
 fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let (source, extent, levels) = source(args)?;
     let imagery = args.imagery.as_deref().map(Imagery::read).transpose()?;
+    if let (Some(picture), Some(path)) = (&imagery, &args.imagery)
+        && !picture.covers(&extent)
+    {
+        return Err(GenError::invalid(path, "covers none of the elevation"));
+    }
     let sampling = bar(1, "sampling");
     sampling.tick();
     let grid = Grid::sample(source.as_ref(), extent, (CELLS << (levels - 1)) + 1);

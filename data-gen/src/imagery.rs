@@ -5,6 +5,7 @@ use std::path::Path;
 use tiff::decoder::DecodingResult;
 
 use crate::dem::{GeoTransform, placed};
+use crate::grid::Extent;
 use crate::projection::Crs;
 use crate::{GenError, geotiff};
 
@@ -33,6 +34,19 @@ impl Imagery {
         let (transform, crs) = placed(path);
         let (width, height) = (image.width() as usize, image.height() as usize);
         Ok(Self { width, height, channels: 3, pixels: image.into_raw(), transform, crs })
+    }
+
+    /// Whether the picture lies over any of `extent`: places of one are looked for in the other.
+    pub fn covers(&self, extent: &Extent) -> bool {
+        let grid = (0..=32).flat_map(|j| (0..=32).map(move |i| [f64::from(i) / 32.0, f64::from(j) / 32.0]));
+        grid.into_iter().any(|[s, t]| {
+            let longitude = extent.west + s * (extent.east - extent.west);
+            let latitude = extent.south + t * (extent.north - extent.south);
+            let [x, y] = self.transform.at(s * self.width as f64, t * self.height as f64);
+            let [lon, lat] = self.crs.unproject(x, y);
+            let inside = (extent.west..=extent.east).contains(&lon) && (extent.south..=extent.north).contains(&lat);
+            inside || self.at(longitude, latitude).is_some()
+        })
     }
 
     /// Bilinear sRGB at a place; `None` outside.

@@ -25,10 +25,13 @@ impl ElevationSource for Procedural {
         let wy = y + 3800.0 * fbm(x / 11_000.0, y / 11_000.0, 4, s ^ 0x22);
         let range = fbm(wx / 34_000.0, wy / 34_000.0, 3, s ^ 0x33);
         let mask = smooth(-0.18, 0.30, range);
-        let ridges = ridged(wx / 13_000.0, wy / 13_000.0, 10, s ^ 0x44);
         let hills = fbm(wx / 5_200.0, wy / 5_200.0, 8, s ^ 0x55);
         let broad = fbm(x / 52_000.0, y / 52_000.0, 3, s ^ 0x66);
         let plain = 520.0 + 420.0 * broad + 170.0 * hills * (0.35 + 0.65 * mask);
+        if mask == 0.0 {
+            return Some(plain);
+        }
+        let ridges = ridged(wx / 13_000.0, wy / 13_000.0, 10, s ^ 0x44);
         Some(plain + mask * (2900.0 * ridges * (0.35 + 0.65 * mask) - 350.0 * (1.0 - mask)))
     }
 }

@@ -1,0 +1,273 @@
+//! Elevation in each format lands where its georeference says; what is broken is one error that names the file.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod files;
+
+use std::fs;
+use std::path::Path;
+
+use files::{
+    PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_uint16, tile_heights,
+    tileset,
+};
+use terrane::io::write::write_height_exr;
+use terrane_data_gen::{GenArgs, GenError, Summary, run};
+
+/// Runs, checks the root's region against `bounds` and the corner heights against the input's.
+fn lands(args: &GenArgs, bounds: [f64; 4], corners_m: Option<[f32; 4]>) -> Summary {
+    let summary = run(args).unwrap();
+    let found = region(&tileset(&args.out)["root"]);
+    for k in 0..4 {
+        assert!((found[k] - bounds[k]).abs() < 1e-9, "{}: {found:?}, not {bounds:?}", args.out.display());
+    }
+    assert!(found[4] <= summary.min_height_m && found[5] >= summary.max_height_m);
+    if let Some(corners_m) = corners_m {
+        let tile = tile_heights(&args.out, 0, 0, 0);
+        let at = |row: usize, column: usize| tile[row * files::TILE_SIDE + column];
+        let got = [at(1, 1), at(1, 65), at(65, 1), at(65, 65)];
+        for (got, wanted) in got.iter().zip(corners_m) {
+            assert!((got - wanted).abs() < 0.01, "{got}, not {wanted}");
+        }
+    }
+    summary
+}
+
+/// North-west, north-east, south-west, south-east.
+fn corners(heights: &[f32], side: usize) -> [f32; 4] {
+    [heights[0], heights[side - 1], heights[side * (side - 1)], heights[side * side - 1]]
+}
+
+#[test]
+fn geotiffs_land_where_their_tags_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let h = heights();
+    let expected = corners(&h, SIDE as usize);
+    let inner = Place { tie_px: [10.0, 4.0], tie_deg: [-70.25, -33.5], pixel_deg: [0.0005, 0.0005], point: false };
+    let point = Place { point: true, ..PLACE };
+    for (k, place) in [PLACE, inner, point].into_iter().enumerate() {
+        for (name, bytes) in [
+            ("int16", tiff_int16(&h, Some(place), None)),
+            ("uint16", tiff_uint16(&h, Some(place), None)),
+            ("float32", tiff_float32(&h, Some(place), None)),
+        ] {
+            let args = from_dem(folder.path(), &format!("{name}-{k}.tif"), &bytes);
+            let summary = lands(&args, place.bounds(), Some(expected));
+            assert_eq!(summary.filled_samples, 0);
+            assert_eq!(summary.tiles, 5);
+        }
+    }
+}
+
+#[test]
+fn voids_are_filled_from_around_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let n = SIDE as usize;
+    let with = |void: f32| -> Vec<f32> {
+        let mut h = heights();
+        for j in 10..20 {
+            for i in 5..25 {
+                h[j * n + i] = void;
+            }
+        }
+        h
+    };
+    let place = Some(PLACE);
+    let mut filled = Vec::new();
+    for (name, bytes) in [
+        ("declared-int16.tif", tiff_int16(&with(-999.0), place, Some("-999"))),
+        ("srtm-int16.tif", tiff_int16(&with(-32768.0), place, None)),
+        ("declared-uint16.tif", tiff_uint16(&with(9999.0), place, Some("9999"))),
+        ("declared-float32.tif", tiff_float32(&with(-5000.0), place, Some("-5e3"))),
+        ("nan-float32.tif", tiff_float32(&with(f32::NAN), place, None)),
+    ] {
+        let args = from_dem(folder.path(), name, &bytes);
+        let summary = lands(&args, PLACE.bounds(), Some(corners(&heights(), n)));
+        assert!(summary.min_height_m >= 195.0 && summary.max_height_m <= 820.0, "{name}: {summary}");
+        assert!(summary.filled_samples > 1000, "{name}: {summary}");
+        filled.push(summary.filled_samples);
+    }
+    assert!(filled.iter().all(|f| *f == filled[0]), "{filled:?}");
+}
+
+#[test]
+fn srtm_hgt_lands_by_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let height = |i: i16, j: i16| if (i, j) == (600, 600) { i16::MIN } else { 100 + i / 2 + j / 3 };
+    let bytes: Vec<u8> = (0..1201).flat_map(|j| (0..1201).flat_map(move |i| height(i, j).to_be_bytes())).collect();
+    let expected = [height(0, 0), height(1200, 0), height(0, 1200), height(1200, 1200)].map(f32::from);
+    for (name, [west, south]) in [("N42E001.hgt", [1.0, 42.0f64]), ("s09w070.HGT", [-70.0, -9.0])] {
+        let args = from_dem(folder.path(), name, &bytes);
+        lands(&args, [west, south, west + 1.0, south + 1.0].map(f64::to_radians), Some(expected));
+    }
+}
+
+#[test]
+fn pictures_of_heights_land_by_their_world_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let h = heights();
+    let rgb = image::RgbImage::from_fn(SIDE, SIDE, |x, y| {
+        let v = ((h[(y * SIDE + x) as usize] + 10_000.0) * 10.0).round() as u32;
+        image::Rgb([(v >> 16) as u8, (v >> 8) as u8, v as u8])
+    });
+    let mut png = std::io::Cursor::new(Vec::new());
+    rgb.write_to(&mut png, image::ImageFormat::Png).unwrap();
+    let exr = write_height_exr("test", SIDE as usize, h.clone()).unwrap();
+    let (west, north, pixel) = (7.0, 46.0, 0.001);
+    let world = format!("{pixel}\n0\n0\n-{pixel}\n{west}\n{north}\n");
+    let last = pixel * f64::from(SIDE - 1);
+    let bounds = [west, north - last, west + last, north].map(f64::to_radians);
+    for (name, world_name, bytes) in [("rgb.png", "rgb.pgw", png.into_inner()), ("heights.exr", "heights.wld", exr)] {
+        fs::write(folder.path().join(world_name), &world).unwrap();
+        let args = from_dem(folder.path(), name, &bytes);
+        lands(&args, bounds, Some(corners(&h, SIDE as usize)));
+        // Without it the place is a default one, and the heights are the same.
+        let args = from_dem(folder.path(), &format!("free-{name}"), &bytes);
+        assert!((run(&args).unwrap().min_height_m - 200.0).abs() < 0.1);
+    }
+}
+
+#[test]
+fn several_files_are_one_set() {
+    let folder = tempfile::tempdir().unwrap();
+    let east = Place { tie_deg: [PLACE.tie_deg[0] + 0.03, PLACE.tie_deg[1]], ..PLACE };
+    let low = vec![100.0f32; (SIDE * SIDE) as usize];
+    let high = vec![700.0f32; (SIDE * SIDE) as usize];
+    let mut args = from_dem(folder.path(), "west.tif", &tiff_int16(&low, Some(PLACE), None));
+    args.dem.extend(from_dem(folder.path(), "east.tif", &tiff_int16(&high, Some(east), None)).dem);
+    let [west, south, _, north] = PLACE.bounds();
+    let summary = lands(&args, [west, south, east.bounds()[2], north], Some([100.0, 700.0, 100.0, 700.0]));
+    assert_eq!((summary.min_height_m, summary.max_height_m), (100.0, 700.0));
+    // Where both know a place the first wins: 0.04 of 0.069 degrees are the western file's.
+    let tile = tile_heights(&args.out, 0, 0, 0);
+    let row = &tile[30 * files::TILE_SIDE..31 * files::TILE_SIDE];
+    let low = row[1..66].iter().filter(|h| **h == 100.0).count();
+    assert!((36..=38).contains(&low), "{low}");
+}
+
+/// The one error of a run, which must name `file` and say `why` in one line; no output may be left.
+fn refused(args: &GenArgs, file: &Path, why: &str) -> GenError {
+    let error = run(args).unwrap_err();
+    let line = error.to_string();
+    assert!(line.contains(&*file.to_string_lossy()), "{line}");
+    assert!(line.contains(why), "{line}, not {why}");
+    assert!(!line.contains('\n'), "{line}");
+    assert!(!args.out.exists());
+    error
+}
+
+#[test]
+fn broken_elevation_is_one_error_that_names_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = tiff_int16(&heights(), Some(PLACE), None);
+    let n = (SIDE * SIDE) as usize;
+    let zero_wide = |tag: u16| {
+        let mut bytes = good.clone();
+        set_tag(&mut bytes, tag, 0);
+        bytes
+    };
+    let huge = {
+        let mut bytes = good.clone();
+        set_tag(&mut bytes, 256, u32::MAX);
+        set_tag(&mut bytes, 257, u32::MAX);
+        bytes
+    };
+    let nowhere = Place { tie_deg: [7.5, 460.0], ..PLACE };
+    let flat = Place { pixel_deg: [0.0, 0.0], ..PLACE };
+    for (name, bytes, why) in [
+        ("not-placed.tif", tiff_int16(&heights(), None, None), "no georeference"),
+        ("zero-width.tif", zero_wide(256), "TIFF"),
+        ("zero-height.tif", zero_wide(257), "TIFF"),
+        ("huge.tif", huge, "TIFF"),
+        ("nan.tif", tiff_float32(&vec![f32::NAN; n], Some(PLACE), None), "no sample has a height"),
+        ("void.tif", tiff_int16(&vec![-32768.0; n], Some(PLACE), None), "no sample has a height"),
+        ("nowhere.tif", tiff_int16(&heights(), Some(nowhere), None), "nowhere on the earth"),
+        ("flat.tif", tiff_int16(&heights(), Some(flat), None), "nowhere on the earth"),
+        ("text.tif", b"ncols 40\nnrows 40\n".to_vec(), "neither GeoTIFF"),
+        ("empty.tif", Vec::new(), "neither GeoTIFF"),
+        ("N42E001.hgt", vec![0; 1000], "HGT of 1000 bytes"),
+        ("somewhere.hgt", vec![0; 1201 * 1201 * 2], "the name is not like"),
+        ("é€42E001.hgt", vec![0; 1201 * 1201 * 2], "the name is not like"),
+    ] {
+        let args = from_dem(folder.path(), name, &bytes);
+        let error = refused(&args, &args.dem[0], why);
+        assert!(matches!(error, GenError::Invalid { .. }), "{error:?}");
+    }
+    let missing = folder.path().join("missing.tif");
+    let args = GenArgs { dem: vec![missing.clone()], ..GenArgs::new(folder.path().join("out")) };
+    let error = refused(&args, &missing, "");
+    assert!(matches!(error, GenError::File { .. }), "{error:?}");
+}
+
+#[test]
+fn a_file_cut_anywhere_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let h = heights();
+    let exr = write_height_exr("test", SIDE as usize, h.clone()).unwrap();
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_pixel(SIDE, SIDE, image::Rgb([1, 140, 160]))
+        .write_to(&mut png, image::ImageFormat::Png)
+        .unwrap();
+    let png = png.into_inner();
+    // PNG's last chunk says only that it is the last; decoders take the picture without it.
+    let picture_end = png.len() - 12;
+    for (name, whole, end) in [
+        ("cut.tif", &tiff_float32(&h, Some(PLACE), None), None),
+        ("cut.exr", &exr, None),
+        ("cut.png", &png, Some(picture_end - 8)),
+    ] {
+        let end = end.unwrap_or(whole.len() - 1);
+        for length in (0..60).map(|k| k * end / 60).chain([end]) {
+            let args = from_dem(folder.path(), name, &whole[..length]);
+            let error = refused(&args, &args.dem[0], "");
+            assert!(matches!(error, GenError::Invalid { .. }), "{length}: {error:?}");
+        }
+    }
+}
+
+#[test]
+fn bad_imagery_and_arguments_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = from_dem(folder.path(), "good.tif", &tiff_int16(&heights(), Some(PLACE), None));
+    let path = folder.path().join("picture.tif");
+    fs::write(&path, tiff_int16(&heights(), Some(PLACE), None)).unwrap();
+    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "8 bits a channel");
+    let path = folder.path().join("picture.jpg");
+    fs::write(&path, b"\xff\xd8\xff\xe0 nothing").unwrap();
+    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "");
+    let path = folder.path().join("elsewhere.png");
+    image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&path).unwrap();
+    let world = |west: f64| fs::write(path.with_extension("pgw"), format!("0.0001\n0\n0\n-0.0001\n{west}\n46.48\n"));
+    world(9.0).unwrap();
+    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "covers none of the elevation");
+    // A picture far smaller than a tile is used where it lies.
+    world(7.52).unwrap();
+    run(&GenArgs { imagery: Some(path.clone()), overwrite: true, ..args.clone() }).unwrap();
+    fs::remove_dir_all(&args.out).unwrap();
+    for bad in [
+        GenArgs { levels: Some(0), ..args.clone() },
+        GenArgs { levels: Some(40), ..args.clone() },
+        GenArgs { size: 0.0, ..args.clone() },
+        GenArgs { size: f64::NAN, ..args.clone() },
+    ] {
+        let error = run(&bad).unwrap_err();
+        assert!(matches!(error, GenError::Argument(_)) && error.to_string().contains("--"), "{error:?}");
+    }
+    run(&args).unwrap();
+}
+
+#[test]
+fn levels_are_as_many_as_the_elevation_has_detail_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let levels = |side: usize, stretch: f64| {
+        let exr = write_height_exr("test", side, (0..side * side).map(|k| (k % 97) as f32).collect()).unwrap();
+        let world = format!("{}\n0\n0\n-0.001\n7\n46\n", 0.001 * stretch);
+        fs::write(folder.path().join("detail.wld"), world).unwrap();
+        let args = GenArgs { levels: None, overwrite: true, ..from_dem(folder.path(), "detail.exr", &exr) };
+        run(&args).unwrap().levels
+    };
+    // 64 cells a tile: a level more begins at one sample more. The shape of the samples does not matter.
+    for stretch in [1.0, 1.5, 0.6] {
+        assert_eq!([40, 65, 66, 129, 130].map(|side| levels(side, stretch)), [1, 1, 2, 2, 3], "{stretch}");
+    }
+}
