@@ -228,9 +228,9 @@ impl Cull<'_> {
 
     fn request(&mut self, page: &Page, visit: &PageVisit, tile: u32, purpose: Purpose, shown_px2: f32, own_px2: f32) {
         let slot = NodeId { page: self.scene.page_id_at(visit.place), index: page.tiles.nodes[tile as usize] };
-        let share = if purpose == Purpose::Keep { 0.25 } else { 1.0 };
-        let priority = finite(shown_px2).sqrt() * share;
-        self.stage.requests.push(PageRequest { slot, priority, error_px: finite(own_px2).sqrt() });
+        // Squares, until the end of the cull: roots are cheaper one after the other.
+        let share = if purpose == Purpose::Keep { KEPT_SHARE * KEPT_SHARE } else { 1.0 };
+        self.stage.requests.push(PageRequest { slot, priority: shown_px2 * share, error_px: own_px2 });
         self.counters.wanted_missing += 1;
     }
 }
@@ -251,7 +251,14 @@ fn test(planes: &Planes, bounds: &TileBounds, record: &TileRecord, offset: [f32;
     }
 }
 
-/// Keeps priorities ordered and finite whatever the input was.
-fn finite(value: f32) -> f32 {
-    if value.is_nan() { 0.0 } else { value.clamp(0.0, f32::MAX) }
+/// Priority of tiles outside the frustum, as a share of what it would be inside.
+const KEPT_SHARE: f32 = 0.25;
+
+/// Makes pixels of the squares that the walk left, ordered and finite whatever the input was.
+pub(super) fn finish_requests(requests: &mut [PageRequest]) {
+    let pixels = |px2: f32| if px2.is_nan() { 0.0 } else { px2.clamp(0.0, f32::MAX).sqrt() };
+    for request in requests {
+        request.priority = pixels(request.priority);
+        request.error_px = pixels(request.error_px);
+    }
 }

@@ -189,6 +189,7 @@ impl Cull<'_> {
             next += 1;
             self.visit_page(visit);
         }
+        super::tiles::finish_requests(&mut self.stage.requests);
         self.counters.leaves = self.leaves.len() as u32;
         self.stage.counters = self.counters;
         let DepthRange { near, far } = self.range;
