@@ -439,8 +439,8 @@ fn blended_drawables_go_to_the_transparent_bin() {
             stage.bins.iter().map(|b| (b.number, b.leaves.iter().map(|l| l.slot.0).collect())).collect();
         assert_eq!(bins, [(-1, vec![3]), (0, vec![1]), (10, vec![2, 0])]);
         let state = stage.state_sets[stage.bins[2].leaves[0].state as usize];
-        assert!(state.blend && !state.depth_write && state.bin == BinDetails::TRANSPARENT);
-        assert!(stage.state_sets[stage.bins[1].leaves[0].state as usize].depth_write);
+        assert!(state.blends() && !state.writes_depth() && state.bin == BinDetails::TRANSPARENT);
+        assert!(stage.state_sets[stage.bins[1].leaves[0].state as usize].writes_depth());
     }
 }
 

@@ -23,5 +23,5 @@ mod tiles;
 mod visitor;
 
 pub use camera::{CullCamera, CullingMode, SMALL_FEATURE_PX};
-pub use stage::{CullCounters, PageRequest, RenderBin, RenderLeaf, RenderStage, ResolvedState};
+pub use stage::{CullCounters, PageRequest, RenderBin, RenderLeaf, RenderStage};
 pub use visitor::CullVisitor;

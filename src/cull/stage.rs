@@ -3,7 +3,7 @@
 use super::CullCamera;
 use super::sort::Spare;
 use crate::scene::{DrawSlot, NodeId};
-use crate::state::{BinDetails, SortMode, StateSet};
+use crate::state::{ResolvedState, SortMode};
 
 /// Something to draw; 16 bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,72 +27,6 @@ pub struct RenderBin {
     pub sort: SortMode,
     /// Leaves in draw order.
     pub leaves: Vec<RenderLeaf>,
-}
-
-/// Inherited state sets, resolved.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ResolvedState {
-    /// Linear colour factor.
-    pub color: [f32; 4],
-    /// Writes depth; off for blended drawables unless a state set says otherwise.
-    pub depth_write: bool,
-    /// Wireframe where the adapter can.
-    pub wireframe: bool,
-    /// The drawables' materials blend.
-    pub blend: bool,
-    /// The bin the leaves are in.
-    pub bin: BinDetails,
-    /// Some state set asked for `depth_write`.
-    pub(super) depth_write_given: bool,
-    /// Some state set asked for `bin`.
-    pub(super) bin_given: bool,
-}
-
-impl Default for ResolvedState {
-    fn default() -> Self {
-        Self {
-            color: [1.0; 4],
-            depth_write: true,
-            wireframe: false,
-            blend: false,
-            bin: BinDetails::OPAQUE,
-            depth_write_given: false,
-            bin_given: false,
-        }
-    }
-}
-
-impl ResolvedState {
-    /// The state below a state set.
-    pub(super) fn below(mut self, set: &StateSet) -> Self {
-        if let Some(color) = set.color {
-            for (mine, factor) in self.color.iter_mut().zip(color) {
-                *mine *= factor;
-            }
-        }
-        if let Some(depth_write) = set.depth_write {
-            (self.depth_write, self.depth_write_given) = (depth_write, true);
-        }
-        if let Some(wireframe) = set.wireframe {
-            self.wireframe = wireframe;
-        }
-        if let Some(bin) = set.bin {
-            (self.bin, self.bin_given) = (bin, true);
-        }
-        self
-    }
-
-    /// The state of blended drawables.
-    pub(super) fn blended(mut self) -> Self {
-        self.blend = true;
-        if !self.depth_write_given {
-            self.depth_write = false;
-        }
-        if !self.bin_given {
-            self.bin = BinDetails::TRANSPARENT;
-        }
-        self
-    }
 }
 
 /// A page that is wanted and missing.

@@ -5,8 +5,7 @@
 
 use std::sync::Arc;
 
-use super::stage::ResolvedState;
-use crate::state::StateSet;
+use crate::state::{ResolvedState, StateSet};
 
 /// Key of the pseudo state set of blended drawables; no `Arc` has this address.
 const BLEND_KEY: usize = 1;
@@ -140,6 +139,7 @@ fn hash(parent: u32, key: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::state::{Attribute, Depth};
 
     #[test]
     fn finds_by_identity_under_the_parent() {
@@ -165,14 +165,16 @@ mod tests {
         let mut resolved = Vec::new();
         graph.clear(&mut resolved);
         let red = Arc::new(StateSet { color: Some([0.5, 0.0, 0.0, 1.0]), ..StateSet::default() });
-        let write = Arc::new(StateSet { depth_write: Some(true), color: Some([0.5; 4]), ..StateSet::default() });
+        let write = Arc::new(
+            StateSet { color: Some([0.5; 4]), ..StateSet::default() }.with(Attribute::Depth(Depth::default())),
+        );
         let a = graph.find_or_insert(ROOT, &red, &mut resolved);
         let blended = graph.find_or_insert_blend(a, &mut resolved);
-        assert!(!resolved[blended as usize].depth_write);
+        assert!(!resolved[blended as usize].writes_depth());
         assert_eq!(resolved[blended as usize].bin, crate::state::BinDetails::TRANSPARENT);
         let b = graph.find_or_insert(a, &write, &mut resolved);
         let blended = graph.find_or_insert_blend(b, &mut resolved);
-        assert!(resolved[blended as usize].depth_write);
+        assert!(resolved[blended as usize].writes_depth());
         assert_eq!(resolved[b as usize].color, [0.25, 0.0, 0.0, 0.5]);
     }
 }

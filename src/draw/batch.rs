@@ -3,11 +3,12 @@
 //! Draw thread. Reuses its memory; allocates nothing once as large a stage was drawn before.
 
 use super::frame::{FLAG_UNLIT, LeafUniform};
-use super::pipelines::PipelineKey;
-use crate::cull::{RenderLeaf, RenderStage, ResolvedState};
+use super::key::{PipelineKey, StateKey};
+use super::pipelines::Pipelines;
+use crate::cull::{RenderLeaf, RenderStage};
 use crate::gpu::{DrawableEntry, GraphicsContext, Shape};
 use crate::scene::AlphaMode;
-use crate::state::SortMode;
+use crate::state::{ResolvedState, SortMode};
 
 /// Everything that must be equal for two leaves to be one draw; sorted so that dear changes are rare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -25,6 +26,8 @@ pub(super) struct RunKey {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Run {
     pub(super) key: RunKey,
+    /// Index of the pipeline, once it was made.
+    pub(super) pipeline: u32,
     pub(super) base_vertex: i32,
     pub(super) first_index: u32,
     pub(super) index_count: u32,
@@ -47,6 +50,8 @@ struct Item {
 #[derive(Default)]
 pub(super) struct Batch {
     items: Vec<Item>,
+    /// By state of the stage.
+    state_keys: Vec<StateKey>,
     pub(super) leaves: Vec<LeafUniform>,
     pub(super) runs: Vec<Run>,
     /// Index of the run before which the sky belongs.
@@ -58,7 +63,13 @@ fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
     a.dot(b.cross(c)) < 0.0
 }
 
-fn item(ctx: &GraphicsContext, entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &ResolvedState) -> Option<Item> {
+fn item(
+    ctx: &GraphicsContext,
+    entry: &DrawableEntry,
+    rows: &[[f32; 4]; 3],
+    state: &ResolvedState,
+    state_key: &StateKey,
+) -> Option<Item> {
     let mut leaf = LeafUniform {
         eye_from_drawable: *rows,
         color: [0, 1, 2, 3].map(|i| entry.base_color[i] * state.color[i]),
@@ -71,10 +82,8 @@ fn item(ctx: &GraphicsContext, entry: &DrawableEntry, rows: &[[f32; 4]; 3], stat
         Shape::Height(place) => {
             leaf.layer = place.layer;
             leaf.side = place.side;
-            // A tile's frame (east, radial, polar) is left-handed, so its transform mirrors; skirts face outwards.
-            let double_sided = entry.double_sided || !is_mirrored(rows);
             let key = RunKey {
-                pipeline: PipelineKey::height(double_sided, state.depth_write, state.wireframe),
+                pipeline: PipelineKey::height(state_key, is_mirrored(rows)),
                 block: place.block,
                 vertex_chunk: 0,
                 index_chunk: 0,
@@ -85,9 +94,7 @@ fn item(ctx: &GraphicsContext, entry: &DrawableEntry, rows: &[[f32; 4]; 3], stat
         }
         Shape::Mesh { place, topology, texture } => {
             leaf.layer = texture.layer;
-            // A mirroring transform turns front faces into back faces; then both sides are drawn.
-            let double_sided = entry.double_sided || is_mirrored(rows);
-            let pipeline = PipelineKey::mesh(*topology, entry.alpha, double_sided, state.depth_write, state.wireframe);
+            let pipeline = PipelineKey::mesh(state_key, *topology, entry.alpha, entry.double_sided, is_mirrored(rows));
             let key = RunKey {
                 pipeline,
                 block: texture.block,
@@ -109,14 +116,22 @@ fn item(ctx: &GraphicsContext, entry: &DrawableEntry, rows: &[[f32; 4]; 3], stat
 
 impl Batch {
     /// Fills the batch from a stage; at most `most_leaves`, the rest is dropped (and the count returned).
-    pub(super) fn build(&mut self, ctx: &GraphicsContext, stage: &RenderStage, most_leaves: usize) -> usize {
+    pub(super) fn build(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        stage: &RenderStage,
+        most_leaves: usize,
+    ) -> usize {
         self.leaves.clear();
         self.runs.clear();
+        self.state_keys.clear();
+        self.state_keys.extend(stage.state_sets.iter().map(|state| pipelines.state_key(state)));
         let mut dropped = 0;
         for bin in &stage.bins {
             let mut rest = &bin.leaves[..];
             while let Some(first) = rest.first() {
-                let (group, after) = rest.split_at(regroupable(bin.sort, stage, rest, first));
+                let (group, after) = rest.split_at(regroupable(bin.sort, &self.state_keys, rest, first));
                 rest = after;
                 self.gather(ctx, stage, group);
                 if bin.sort == SortMode::ByState {
@@ -134,12 +149,14 @@ impl Batch {
         self.items.clear();
         for leaf in leaves {
             let Some(entry) = ctx.drawable(leaf.slot) else { continue };
-            let (Some(rows), Some(state)) =
-                (stage.eye_from_drawable.get(leaf.matrix as usize), stage.state_sets.get(leaf.state as usize))
-            else {
+            let (Some(rows), Some(state), Some(state_key)) = (
+                stage.eye_from_drawable.get(leaf.matrix as usize),
+                stage.state_sets.get(leaf.state as usize),
+                self.state_keys.get(leaf.state as usize),
+            ) else {
                 continue;
             };
-            if let Some(mut item) = item(ctx, entry, rows, state) {
+            if let Some(mut item) = item(ctx, entry, rows, state, state_key) {
                 item.sequence = self.items.len() as u32;
                 self.items.push(item);
             }
@@ -155,6 +172,7 @@ impl Batch {
                 Some(run) if run.key == item.key => run.leaf_count += 1,
                 _ => self.runs.push(Run {
                     key: item.key,
+                    pipeline: 0,
                     base_vertex: item.base_vertex,
                     first_index: item.first_index,
                     index_count: item.index_count,
@@ -167,14 +185,14 @@ impl Batch {
     }
 }
 
-/// How many of the next leaves may change places with each other. In a bin sorted by state, leaves that write
-/// depth may, whatever their state; those that do not may inside one state. Other bins keep cull's order.
-fn regroupable(sort: SortMode, stage: &RenderStage, leaves: &[RenderLeaf], first: &RenderLeaf) -> usize {
+/// How many of the next leaves may change places with each other. In a bin sorted by state, leaves of which the
+/// nearer hides the farther may, whatever their state; others may inside one state. Other bins keep cull's order.
+fn regroupable(sort: SortMode, states: &[StateKey], leaves: &[RenderLeaf], first: &RenderLeaf) -> usize {
     if sort != SortMode::ByState {
         return leaves.len();
     }
-    let writes_depth = |l: &RenderLeaf| stage.state_sets.get(l.state as usize).is_none_or(|s| s.depth_write);
-    let fits = |l: &RenderLeaf| if writes_depth(first) { writes_depth(l) } else { l.state == first.state };
+    let is_free = |l: &RenderLeaf| states.get(l.state as usize).is_none_or(|s| s.order_is_free);
+    let fits = |l: &RenderLeaf| if is_free(first) { is_free(l) } else { l.state == first.state };
     leaves.iter().position(|l| !fits(l)).unwrap_or(leaves.len())
 }
 
@@ -209,19 +227,20 @@ mod tests {
         CullVisitor::new().cull(&scene, &CullCamera::default(), &mut stage);
 
         let mut batch = Batch::default();
+        let mut pipelines = Pipelines::new(ctx.device());
         let memory = |b: &Batch| {
             let places = (b.items.as_ptr() as usize, b.leaves.as_ptr() as usize, b.runs.as_ptr() as usize);
             (places, b.items.capacity(), b.leaves.capacity(), b.runs.capacity())
         };
-        assert_eq!(batch.build(&ctx, &stage, usize::MAX), 0);
+        assert_eq!(batch.build(&ctx, &mut pipelines, &stage, usize::MAX), 0);
         assert_eq!(batch.leaves.len(), 200);
         let warm = memory(&batch);
         for _ in 0..10 {
-            batch.build(&ctx, &stage, usize::MAX);
+            batch.build(&ctx, &mut pipelines, &stage, usize::MAX);
             assert_eq!(memory(&batch), warm);
         }
         // What does not fit into the adapter's buffer is dropped and counted.
-        assert_eq!(batch.build(&ctx, &stage, 150), 50);
+        assert_eq!(batch.build(&ctx, &mut pipelines, &stage, 150), 50);
         assert_eq!(batch.leaves.len(), 150);
     }
 }

@@ -13,6 +13,7 @@
 mod batch;
 mod environment;
 mod frame;
+mod key;
 mod pipelines;
 mod renderer;
 

@@ -1,98 +1,27 @@
 //! Pipelines, made when first needed: a software adapter takes a third of a second for each at its first draw.
 
+use std::collections::HashMap;
+
+use super::key::{Alpha, Kind, Offsets, PipelineKey, StateKey};
 use crate::gpu::{DEPTH_FORMAT, GraphicsContext};
-use crate::scene::{AlphaMode, MeshVertex, Topology};
+use crate::scene::MeshVertex;
+use crate::state::{BlendEquation, BlendFactor, CompareFunction, PolygonMode, PolygonOffset, ResolvedState};
 
 const HEIGHT_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/height.wgsl"));
 const MESH_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/mesh.wgsl"));
 const SKY_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/sky.wgsl"));
 
-/// What a pipeline is chosen by, packed: two bits of kind, two of alpha, then double-sided, no depth write,
-/// wireframe.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct PipelineKey(u8);
-
-const KIND_HEIGHT: u8 = 0;
-const KIND_MESH: u8 = 1;
-const KIND_LINES: u8 = 2;
-const KIND_POINTS: u8 = 3;
-const ALPHA_OPAQUE: u8 = 0;
-const ALPHA_MASK: u8 = 1 << 2;
-const ALPHA_BLEND: u8 = 2 << 2;
-const DOUBLE_SIDED: u8 = 1 << 4;
-const NO_DEPTH_WRITE: u8 = 1 << 5;
-const WIREFRAME: u8 = 1 << 6;
-const KEYS: usize = 1 << 7;
-
-impl PipelineKey {
-    /// Height tiles: opaque; seen from above, or from both sides.
-    pub(super) fn height(double_sided: bool, depth_write: bool, wireframe: bool) -> Self {
-        let mut key = KIND_HEIGHT;
-        for (is_set, bit) in [(double_sided, DOUBLE_SIDED), (!depth_write, NO_DEPTH_WRITE), (wireframe, WIREFRAME)] {
-            if is_set {
-                key |= bit;
-            }
-        }
-        Self(key)
-    }
-
-    /// Meshes, lines and points. Blended ones write no depth.
-    pub(super) fn mesh(
-        topology: Topology,
-        alpha: AlphaMode,
-        double_sided: bool,
-        depth_write: bool,
-        wireframe: bool,
-    ) -> Self {
-        let kind = match topology {
-            Topology::Triangles => KIND_MESH,
-            Topology::Lines => KIND_LINES,
-            Topology::Points => KIND_POINTS,
-        };
-        let is_triangles = kind == KIND_MESH;
-        let alpha = match alpha {
-            AlphaMode::Blend => ALPHA_BLEND,
-            AlphaMode::Mask(_) if is_triangles => ALPHA_MASK,
-            AlphaMode::Opaque | AlphaMode::Mask(_) => ALPHA_OPAQUE,
-        };
-        let mut key = kind | alpha;
-        if double_sided && is_triangles {
-            key |= DOUBLE_SIDED;
-        }
-        if !depth_write {
-            key |= NO_DEPTH_WRITE;
-        }
-        if wireframe && is_triangles {
-            key |= WIREFRAME;
-        }
-        Self(key)
-    }
-
-    pub(super) fn is_height(self) -> bool {
-        self.0 & 3 == KIND_HEIGHT
-    }
-
-    pub(super) fn is_points(self) -> bool {
-        self.0 & 3 == KIND_POINTS
-    }
-
-    pub(super) fn is_lines(self) -> bool {
-        self.0 & 3 == KIND_LINES
-    }
-
-    pub(super) fn writes_depth(self) -> bool {
-        self.0 & NO_DEPTH_WRITE == 0
-    }
-}
-
 /// Pipelines of a renderer, by key.
 pub(super) struct Pipelines {
     pub(super) frame_layout: wgpu::BindGroupLayout,
-    pipelines: Vec<Option<wgpu::RenderPipeline>>,
+    pipelines: Vec<wgpu::RenderPipeline>,
+    /// Only looked up, never walked.
+    index_of: HashMap<PipelineKey, u32>,
+    offsets: Offsets,
     sky: Option<wgpu::RenderPipeline>,
     height_shader: Option<wgpu::ShaderModule>,
     mesh_shader: Option<wgpu::ShaderModule>,
-    can_wireframe: bool,
+    features: wgpu::Features,
     created: u32,
 }
 
@@ -105,11 +34,14 @@ struct Variant<'a> {
     block_layout: Option<&'a wgpu::BindGroupLayout>,
     buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
     topology: wgpu::PrimitiveTopology,
-    cull_back: bool,
-    wireframe: bool,
+    culled: Option<wgpu::Face>,
+    front_face: wgpu::FrontFace,
+    polygon_mode: wgpu::PolygonMode,
     depth_write: bool,
     depth_compare: wgpu::CompareFunction,
-    blend: bool,
+    bias: wgpu::DepthBiasState,
+    blend: Option<wgpu::BlendState>,
+    write_mask: wgpu::ColorWrites,
 }
 
 fn shader(device: &wgpu::Device, label: &str, source: &'static str) -> wgpu::ShaderModule {
@@ -137,11 +69,13 @@ impl Pipelines {
         });
         Self {
             frame_layout,
-            pipelines: (0..KEYS).map(|_| None).collect(),
+            pipelines: Vec::new(),
+            index_of: HashMap::new(),
+            offsets: Offsets::default(),
             sky: None,
             height_shader: None,
             mesh_shader: None,
-            can_wireframe: device.features().contains(wgpu::Features::POLYGON_MODE_LINE),
+            features: device.features(),
             created: 0,
         }
     }
@@ -151,8 +85,14 @@ impl Pipelines {
         self.created
     }
 
-    pub(super) fn pipeline(&self, key: PipelineKey) -> Option<&wgpu::RenderPipeline> {
-        self.pipelines.get(usize::from(key.0))?.as_ref()
+    /// A pipeline by the index that [`Self::ensure`] gave.
+    pub(super) fn pipeline(&self, index: u32) -> Option<&wgpu::RenderPipeline> {
+        self.pipelines.get(index as usize)
+    }
+
+    /// The pipeline part of a state.
+    pub(super) fn state_key(&mut self, state: &ResolvedState) -> StateKey {
+        StateKey::new(state, self.offsets.index_of(state.polygon_offset()))
     }
 
     pub(super) fn sky(&self) -> Option<&wgpu::RenderPipeline> {
@@ -175,86 +115,100 @@ impl Pipelines {
                 block_layout: None,
                 buffers: &[],
                 topology: wgpu::PrimitiveTopology::TriangleList,
-                cull_back: false,
-                wireframe: false,
+                culled: None,
+                front_face: wgpu::FrontFace::Ccw,
+                polygon_mode: wgpu::PolygonMode::Fill,
                 depth_write: false,
                 // Only where nothing was drawn: the depth is still the cleared 0.
                 depth_compare: wgpu::CompareFunction::GreaterEqual,
-                blend: false,
+                bias: wgpu::DepthBiasState::default(),
+                blend: None,
+                write_mask: wgpu::ColorWrites::COLOR,
             },
         ));
         self.created += 1;
     }
 
-    /// Makes a pipeline unless it is there.
-    pub(super) fn ensure(&mut self, ctx: &GraphicsContext, key: PipelineKey) {
-        if self.pipeline(key).is_some() {
-            return;
+    /// The index of a key's pipeline; makes it unless it is there.
+    pub(super) fn ensure(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> u32 {
+        if let Some(index) = self.index_of.get(&key) {
+            return *index;
         }
-        let is_set = |bit: u8| key.0 & bit != 0;
-        let depth_write = !is_set(NO_DEPTH_WRITE);
-        let wireframe = is_set(WIREFRAME) && self.can_wireframe;
-        let pipeline = if key.is_height() {
-            let module = self.height_shader.get_or_insert_with(|| shader(ctx.device(), "height", HEIGHT_WGSL)).clone();
-            self.create(
-                ctx,
-                &Variant {
-                    label: "height tiles",
-                    shader: &module,
-                    vertex: "vs_height",
-                    fragment: "fs_height",
-                    block_layout: Some(&ctx.layouts().height_block),
-                    buffers: &[],
-                    topology: wgpu::PrimitiveTopology::TriangleList,
-                    // Both sides: with back faces culled, a pixel in a flight of 200 frames showed the background
-                    // between two tiles, whose edges differ by the rounding of their frames.
-                    cull_back: false,
-                    wireframe,
-                    depth_write,
-                    depth_compare: wgpu::CompareFunction::Greater,
-                    blend: false,
-                },
-            )
-        } else {
-            let module = self.mesh_shader.get_or_insert_with(|| shader(ctx.device(), "mesh", MESH_WGSL)).clone();
-            let (topology, is_thin) = match key.0 & 3 {
-                KIND_LINES => (wgpu::PrimitiveTopology::LineList, true),
-                KIND_POINTS => (wgpu::PrimitiveTopology::PointList, true),
-                _ => (wgpu::PrimitiveTopology::TriangleList, false),
-            };
-            let alpha = key.0 & (3 << 2);
-            let fragment = match alpha {
-                _ if is_thin => "fs_thin",
-                ALPHA_MASK => "fs_mesh_masked",
-                ALPHA_BLEND => "fs_mesh_blended",
-                _ => "fs_mesh",
-            };
-            self.create(
-                ctx,
-                &Variant {
-                    label: fragment,
-                    shader: &module,
-                    vertex: "vs_mesh",
-                    fragment,
-                    block_layout: Some(&ctx.layouts().texture_block),
-                    buffers: &[Some(wgpu::VertexBufferLayout {
-                        array_stride: size_of::<MeshVertex>() as u64,
-                        step_mode: wgpu::VertexStepMode::Vertex,
-                        attributes: &wgpu::vertex_attr_array![
-                            0 => Float32x3, 1 => Float32x2, 2 => Snorm8x4, 3 => Unorm8x4
-                        ],
-                    })],
-                    topology,
-                    cull_back: !is_thin && !is_set(DOUBLE_SIDED),
-                    wireframe,
-                    depth_write,
-                    depth_compare: wgpu::CompareFunction::Greater,
-                    blend: alpha == ALPHA_BLEND,
-                },
-            )
-        };
-        self.pipelines[usize::from(key.0)] = Some(pipeline);
+        let pipeline = self.make(ctx, key);
+        let index = self.pipelines.len() as u32;
+        self.pipelines.push(pipeline);
+        self.index_of.insert(key, index);
         self.created += 1;
+        index
+    }
+
+    fn make(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> wgpu::RenderPipeline {
+        let is_height = key.kind() == Kind::Height;
+        let (module, vertex) = if is_height {
+            (self.height_shader.get_or_insert_with(|| shader(ctx.device(), "height", HEIGHT_WGSL)), "vs_height")
+        } else {
+            (self.mesh_shader.get_or_insert_with(|| shader(ctx.device(), "mesh", MESH_WGSL)), "vs_mesh")
+        };
+        let module = module.clone();
+        let fragment = match (key.kind(), key.alpha()) {
+            (Kind::Height, _) => "fs_height",
+            (Kind::Lines | Kind::Points, _) => "fs_thin",
+            (Kind::Triangles, Alpha::Masked) => "fs_mesh_masked",
+            (Kind::Triangles, Alpha::Blended) => "fs_mesh_blended",
+            (Kind::Triangles, Alpha::Opaque) => "fs_mesh",
+        };
+        let topology = match key.kind() {
+            Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
+            Kind::Lines => wgpu::PrimitiveTopology::LineList,
+            Kind::Points => wgpu::PrimitiveTopology::PointList,
+        };
+        let vertices = [Some(wgpu::VertexBufferLayout {
+            array_stride: size_of::<MeshVertex>() as u64,
+            step_mode: wgpu::VertexStepMode::Vertex,
+            attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x2, 2 => Snorm8x4, 3 => Unorm8x4],
+        })];
+        let layouts = ctx.layouts();
+        let variant = Variant {
+            label: fragment,
+            shader: &module,
+            vertex,
+            fragment,
+            block_layout: Some(if is_height { &layouts.height_block } else { &layouts.texture_block }),
+            buffers: if is_height { &[] } else { &vertices },
+            topology,
+            culled: match key.culled() {
+                1 => Some(wgpu::Face::Back),
+                2 => Some(wgpu::Face::Front),
+                // Both faces are culled by never passing the depth test.
+                _ => None,
+            },
+            front_face: if key.is_clockwise() { wgpu::FrontFace::Cw } else { wgpu::FrontFace::Ccw },
+            polygon_mode: self.polygon_mode(key.polygon_mode()),
+            depth_write: key.writes_depth(),
+            depth_compare: if key.culled() == 3 { wgpu::CompareFunction::Never } else { reversed(key.depth_compare()) },
+            bias: bias(self.offsets.get(key.offset())),
+            blend: key.blend().map(|(source, destination, equation)| {
+                let component = wgpu::BlendComponent {
+                    src_factor: factor(source),
+                    dst_factor: factor(destination),
+                    operation: operation(equation),
+                };
+                wgpu::BlendState { color: component, alpha: component }
+            }),
+            write_mask: wgpu::ColorWrites::from_bits_truncate(key.color_mask() as u32),
+        };
+        self.create(ctx, &variant)
+    }
+
+    /// What the adapter cannot is filled.
+    fn polygon_mode(&self, mode: PolygonMode) -> wgpu::PolygonMode {
+        match mode {
+            PolygonMode::Line if self.features.contains(wgpu::Features::POLYGON_MODE_LINE) => wgpu::PolygonMode::Line,
+            PolygonMode::Point if self.features.contains(wgpu::Features::POLYGON_MODE_POINT) => {
+                wgpu::PolygonMode::Point
+            }
+            _ => wgpu::PolygonMode::Fill,
+        }
     }
 
     fn create(&self, ctx: &GraphicsContext, variant: &Variant<'_>) -> wgpu::RenderPipeline {
@@ -276,9 +230,9 @@ impl Pipelines {
             },
             primitive: wgpu::PrimitiveState {
                 topology: variant.topology,
-                front_face: wgpu::FrontFace::Ccw,
-                cull_mode: variant.cull_back.then_some(wgpu::Face::Back),
-                polygon_mode: if variant.wireframe { wgpu::PolygonMode::Line } else { wgpu::PolygonMode::Fill },
+                front_face: variant.front_face,
+                cull_mode: variant.culled,
+                polygon_mode: variant.polygon_mode,
                 ..Default::default()
             },
             depth_stencil: Some(wgpu::DepthStencilState {
@@ -286,7 +240,7 @@ impl Pipelines {
                 depth_write_enabled: Some(variant.depth_write),
                 depth_compare: Some(variant.depth_compare),
                 stencil: wgpu::StencilState::default(),
-                bias: wgpu::DepthBiasState::default(),
+                bias: variant.bias,
             }),
             multisample: wgpu::MultisampleState::default(),
             fragment: Some(wgpu::FragmentState {
@@ -295,14 +249,59 @@ impl Pipelines {
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
                 targets: &[Some(wgpu::ColorTargetState {
                     format: ctx.color_format(),
-                    blend: variant.blend.then_some(wgpu::BlendState::ALPHA_BLENDING),
-                    // Pictures stay opaque: alpha is the cleared 1.
-                    write_mask: wgpu::ColorWrites::COLOR,
+                    blend: variant.blend,
+                    // Never alpha: pictures stay opaque.
+                    write_mask: variant.write_mask,
                 })],
             }),
             multiview_mask: None,
             cache: None,
         })
+    }
+}
+
+/// Depths are stored reversed: nearer is greater.
+fn reversed(function: CompareFunction) -> wgpu::CompareFunction {
+    match function {
+        CompareFunction::Never => wgpu::CompareFunction::Never,
+        CompareFunction::Less => wgpu::CompareFunction::Greater,
+        CompareFunction::Equal => wgpu::CompareFunction::Equal,
+        CompareFunction::LessOrEqual => wgpu::CompareFunction::GreaterEqual,
+        CompareFunction::Greater => wgpu::CompareFunction::Less,
+        CompareFunction::NotEqual => wgpu::CompareFunction::NotEqual,
+        CompareFunction::GreaterOrEqual => wgpu::CompareFunction::LessEqual,
+        CompareFunction::Always => wgpu::CompareFunction::Always,
+    }
+}
+
+/// Away from the eye is less, reversed.
+fn bias(offset: PolygonOffset) -> wgpu::DepthBiasState {
+    wgpu::DepthBiasState { constant: -(offset.units as i32), slope_scale: -offset.factor, clamp: 0.0 }
+}
+
+fn factor(factor: BlendFactor) -> wgpu::BlendFactor {
+    match factor {
+        BlendFactor::Zero => wgpu::BlendFactor::Zero,
+        BlendFactor::One => wgpu::BlendFactor::One,
+        BlendFactor::SrcColor => wgpu::BlendFactor::Src,
+        BlendFactor::OneMinusSrcColor => wgpu::BlendFactor::OneMinusSrc,
+        BlendFactor::SrcAlpha => wgpu::BlendFactor::SrcAlpha,
+        BlendFactor::OneMinusSrcAlpha => wgpu::BlendFactor::OneMinusSrcAlpha,
+        BlendFactor::DstColor => wgpu::BlendFactor::Dst,
+        BlendFactor::OneMinusDstColor => wgpu::BlendFactor::OneMinusDst,
+        BlendFactor::DstAlpha => wgpu::BlendFactor::DstAlpha,
+        BlendFactor::OneMinusDstAlpha => wgpu::BlendFactor::OneMinusDstAlpha,
+        BlendFactor::SrcAlphaSaturate => wgpu::BlendFactor::SrcAlphaSaturated,
+    }
+}
+
+fn operation(equation: BlendEquation) -> wgpu::BlendOperation {
+    match equation {
+        BlendEquation::Add => wgpu::BlendOperation::Add,
+        BlendEquation::Subtract => wgpu::BlendOperation::Subtract,
+        BlendEquation::ReverseSubtract => wgpu::BlendOperation::ReverseSubtract,
+        BlendEquation::Min => wgpu::BlendOperation::Min,
+        BlendEquation::Max => wgpu::BlendOperation::Max,
     }
 }
 

@@ -8,6 +8,7 @@ use std::time::Duration;
 use super::batch::{Batch, Run};
 use super::environment::{Environment, Sky};
 use super::frame::{FrameUniform, LeafUniform, clear_color};
+use super::key::Kind;
 use super::pipelines::Pipelines;
 use crate::cull::RenderStage;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
@@ -55,7 +56,7 @@ pub struct Renderer {
 /// Sets state only where it changes, and counts both.
 struct State<'p, 'e> {
     pass: &'p mut wgpu::RenderPass<'e>,
-    pipeline: Option<super::pipelines::PipelineKey>,
+    pipeline: Option<u32>,
     /// Block, and whether it is one of height tiles.
     block: Option<(bool, u32)>,
     vertex_chunk: Option<u32>,
@@ -129,13 +130,19 @@ impl Renderer {
         }
         ctx.submitted();
         let ctx = &*ctx;
-        let dropped = self.batch.build(ctx, stage, self.most_leaves);
+        let dropped = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
         if dropped > 0 {
             log::warn!("{dropped} leaves are more than the adapter's largest buffer holds, and not drawn");
         }
         let created_before = self.pipelines.created();
-        for run in &self.batch.runs {
-            self.pipelines.ensure(ctx, run.key.pipeline);
+        let mut last = None;
+        for run in &mut self.batch.runs {
+            let index = match last {
+                Some((key, index)) if key == run.key.pipeline => index,
+                _ => self.pipelines.ensure(ctx, run.key.pipeline),
+            };
+            run.pipeline = index;
+            last = Some((run.key.pipeline, index));
         }
         if environment.sky == Sky::Gradient {
             self.pipelines.ensure_sky(ctx);
@@ -260,7 +267,7 @@ impl State<'_, '_> {
 
     fn draw(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines, run: &Run) {
         let key = &run.key;
-        let is_height = key.pipeline.is_height();
+        let is_height = key.pipeline.kind() == Kind::Height;
         let pools = ctx.pools();
         // All looked up first: a run that lacks something changes nothing.
         let (block, vertices, indices, format) = if is_height {
@@ -271,10 +278,10 @@ impl State<'_, '_> {
             let indices = pools.meshes.index_buffer(key.index_chunk);
             (pools.textures.bind_group(key.block), vertices, indices, wgpu::IndexFormat::Uint32)
         };
-        let (Some(pipeline), Some(block), Some(indices)) = (pipelines.pipeline(key.pipeline), block, indices) else {
+        let (Some(pipeline), Some(block), Some(indices)) = (pipelines.pipeline(run.pipeline), block, indices) else {
             return;
         };
-        if Self::changes(&mut self.stats, &mut self.pipeline, key.pipeline) {
+        if Self::changes(&mut self.stats, &mut self.pipeline, run.pipeline) {
             self.pass.set_pipeline(pipeline);
         }
         if Self::changes(&mut self.stats, &mut self.block, (is_height, key.block)) {
@@ -293,9 +300,9 @@ impl State<'_, '_> {
         self.pass.draw_indexed(index_range, run.base_vertex, run.first_leaf..run.first_leaf + run.leaf_count);
         self.stats.draw_calls += 1;
         let primitives = u64::from(run.index_count) * u64::from(run.leaf_count);
-        if key.pipeline.is_points() {
+        if key.pipeline.kind() == Kind::Points {
             self.stats.points += primitives;
-        } else if !key.pipeline.is_lines() {
+        } else if key.pipeline.kind() != Kind::Lines {
             self.stats.triangles += primitives / 3;
         }
     }

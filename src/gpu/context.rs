@@ -108,7 +108,8 @@ fn open(
         return Err(GpuError::NoAdapter { reason });
     };
     let info = adapter.get_info();
-    let wanted = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::POLYGON_MODE_LINE;
+    let wanted =
+        wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::POLYGON_MODE_LINE | wgpu::Features::POLYGON_MODE_POINT;
     let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
         label: Some("terrane"),
         required_features: adapter.features() & wanted,

@@ -1,0 +1,275 @@
+//! What a pipeline is chosen by: the kind of drawable and the pipeline part of its state, packed.
+//!
+//! ```text
+//! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
+//! 11-12 polygon mode   13-15 color mask   16 blend   17-20 source   21-24 destination   25-27 equation   28-35 offset
+//! ```
+
+use crate::scene::{AlphaMode, Topology};
+use crate::state::{
+    BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, FrontFace, PolygonMode, PolygonOffset,
+    ResolvedState,
+};
+
+/// Key of a pipeline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(super) struct PipelineKey(u64);
+
+/// What the fragment shader does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Alpha {
+    Opaque,
+    Masked,
+    Blended,
+}
+
+/// What the vertices are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Height,
+    Triangles,
+    Lines,
+    Points,
+}
+
+const CLOCKWISE: u64 = 1 << 10;
+const BLEND: u64 = 1 << 16;
+/// What triangles alone have: culled faces, polygon mode, offset.
+const OF_TRIANGLES: u64 = 3 << 4 | 3 << 11 | 0xff << 28;
+
+/// The pipeline part of a resolved state, made once a frame for each.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StateKey {
+    common: u64,
+    /// Culled faces of single-sided and of double-sided drawables.
+    culled: [u64; 2],
+    blends: bool,
+    /// Leaves may change places: nearer ones hide farther ones in any order.
+    pub order_is_free: bool,
+}
+
+impl StateKey {
+    /// `offset` is the index of the state's polygon offset in [`Offsets`].
+    pub fn new(state: &ResolvedState, offset: u8) -> Self {
+        let depth = state.depth();
+        let (compare, write) = depth.map_or((CompareFunction::Always, false), |d| (d.function, d.write));
+        let culled = |double_sided| match state.culled_face(double_sided) {
+            None => 0,
+            Some(CullFace::Back) => 1 << 4,
+            Some(CullFace::Front) => 2 << 4,
+            Some(CullFace::FrontAndBack) => 3 << 4,
+        };
+        let blends = state.blends();
+        let ColorMask(mask) = state.color_mask();
+        let mut common = u64::from(write) << 6
+            | (compare as u64) << 7
+            | (state.polygon_mode() as u64) << 11
+            | (0..3).map(|i| u64::from(mask[i]) << (13 + i)).sum::<u64>()
+            | u64::from(offset) << 28;
+        if state.front_face() == FrontFace::Clockwise {
+            common |= CLOCKWISE;
+        }
+        if blends {
+            let BlendFunc { source, destination } = state.blend_func();
+            common |=
+                BLEND | (source as u64) << 17 | (destination as u64) << 21 | (state.blend_equation() as u64) << 25;
+        }
+        let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
+        Self { common, culled: [culled(false), culled(true)], blends, order_is_free: write && nearer_wins && !blends }
+    }
+}
+
+impl PipelineKey {
+    /// Height tiles: as of a double-sided material. `mirrored` is whether the transform mirrors; the frame of a tile
+    /// is left-handed, so that its own does.
+    pub fn height(state: &StateKey, mirrored: bool) -> Self {
+        let alpha = if state.blends { 2 << 2 } else { 0 };
+        let front = if mirrored { 0 } else { CLOCKWISE };
+        Self((state.common | state.culled[1] | alpha) ^ front)
+    }
+
+    /// Meshes, lines and points.
+    pub fn mesh(state: &StateKey, topology: Topology, alpha: AlphaMode, double_sided: bool, mirrored: bool) -> Self {
+        let kind = match topology {
+            Topology::Triangles => 1,
+            Topology::Lines => 2,
+            Topology::Points => 3,
+        };
+        let alpha = match alpha {
+            _ if state.blends => 2 << 2,
+            AlphaMode::Mask(_) if kind == 1 => 1 << 2,
+            _ => 0,
+        };
+        let common = if kind == 1 {
+            state.common | state.culled[usize::from(double_sided)]
+        } else {
+            state.common & !OF_TRIANGLES
+        };
+        let front = if mirrored && kind == 1 { CLOCKWISE } else { 0 };
+        Self((common | kind | alpha) ^ front)
+    }
+
+    pub fn kind(self) -> Kind {
+        [Kind::Height, Kind::Triangles, Kind::Lines, Kind::Points][self.field(0, 2)]
+    }
+
+    pub fn alpha(self) -> Alpha {
+        [Alpha::Opaque, Alpha::Masked, Alpha::Blended, Alpha::Blended][self.field(2, 2)]
+    }
+
+    /// Bit 0: back faces, bit 1: front faces.
+    pub fn culled(self) -> usize {
+        self.field(4, 2)
+    }
+
+    pub fn writes_depth(self) -> bool {
+        self.field(6, 1) == 1
+    }
+
+    pub fn depth_compare(self) -> CompareFunction {
+        use CompareFunction::{Always, Equal, Greater, GreaterOrEqual, Less, LessOrEqual, Never, NotEqual};
+        [Never, Less, Equal, LessOrEqual, Greater, NotEqual, GreaterOrEqual, Always][self.field(7, 3)]
+    }
+
+    pub fn is_clockwise(self) -> bool {
+        self.0 & CLOCKWISE != 0
+    }
+
+    pub fn polygon_mode(self) -> PolygonMode {
+        [PolygonMode::Fill, PolygonMode::Line, PolygonMode::Point, PolygonMode::Fill][self.field(11, 2)]
+    }
+
+    /// Red, green, blue in bits 0 to 2.
+    pub fn color_mask(self) -> usize {
+        self.field(13, 3)
+    }
+
+    /// Source, destination and equation, where blending is on.
+    pub fn blend(self) -> Option<(BlendFactor, BlendFactor, BlendEquation)> {
+        use BlendFactor::{
+            DstAlpha, DstColor, One, OneMinusDstAlpha, OneMinusDstColor, OneMinusSrcAlpha, OneMinusSrcColor, SrcAlpha,
+            SrcAlphaSaturate, SrcColor, Zero,
+        };
+        const FACTORS: [BlendFactor; 11] = [
+            Zero,
+            One,
+            SrcColor,
+            OneMinusSrcColor,
+            SrcAlpha,
+            OneMinusSrcAlpha,
+            DstColor,
+            OneMinusDstColor,
+            DstAlpha,
+            OneMinusDstAlpha,
+            SrcAlphaSaturate,
+        ];
+        const EQUATIONS: [BlendEquation; 5] = [
+            BlendEquation::Add,
+            BlendEquation::Subtract,
+            BlendEquation::ReverseSubtract,
+            BlendEquation::Min,
+            BlendEquation::Max,
+        ];
+        let factor = |shift| FACTORS[self.field(shift, 4).min(10)];
+        (self.0 & BLEND != 0).then(|| (factor(17), factor(21), EQUATIONS[self.field(25, 3).min(4)]))
+    }
+
+    pub fn offset(self) -> u8 {
+        self.field(28, 8) as u8
+    }
+
+    fn field(self, shift: u32, bits: u32) -> usize {
+        (self.0 >> shift) as usize & ((1 << bits) - 1)
+    }
+}
+
+/// The polygon offsets met so far; 0 is none.
+#[derive(Debug, Default)]
+pub(super) struct Offsets(Vec<PolygonOffset>);
+
+impl Offsets {
+    /// The index of an offset. Beyond 255 different ones the last is used for all further.
+    pub fn index_of(&mut self, offset: Option<PolygonOffset>) -> u8 {
+        let usable = offset.filter(|o| o.factor.is_finite() && o.units.is_finite());
+        let Some(offset) = usable.filter(|o| *o != PolygonOffset::default()) else { return 0 };
+        let place = self.0.iter().position(|o| *o == offset).unwrap_or_else(|| {
+            if self.0.len() < 255 {
+                self.0.push(offset);
+            }
+            self.0.len() - 1
+        });
+        place as u8 + 1
+    }
+
+    pub fn get(&self, index: u8) -> PolygonOffset {
+        usize::from(index).checked_sub(1).and_then(|i| self.0.get(i)).copied().unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::{Attribute, Depth, Mode, StateSet, StateValue};
+
+    #[test]
+    fn what_is_packed_comes_out() {
+        let set = StateSet::default()
+            .with(Attribute::BlendFunc(BlendFunc {
+                source: BlendFactor::OneMinusDstColor,
+                destination: BlendFactor::SrcAlphaSaturate,
+            }))
+            .with(Attribute::BlendEquation(BlendEquation::Max))
+            .with(Attribute::Depth(Depth { function: CompareFunction::NotEqual, write: false }))
+            .with(Attribute::CullFace(CullFace::Front))
+            .with(Attribute::FrontFace(FrontFace::Clockwise))
+            .with(Attribute::PolygonMode(PolygonMode::Point))
+            .with(Attribute::ColorMask(ColorMask([true, false, true])));
+        let state = StateKey::new(&ResolvedState::default().below(&set), 200);
+        let key = PipelineKey::mesh(&state, Topology::Triangles, AlphaMode::Opaque, false, false);
+        assert_eq!((key.kind(), key.alpha(), key.culled()), (Kind::Triangles, Alpha::Blended, 2));
+        assert_eq!((key.writes_depth(), key.depth_compare()), (false, CompareFunction::NotEqual));
+        assert_eq!((key.is_clockwise(), key.polygon_mode(), key.color_mask()), (true, PolygonMode::Point, 0b101));
+        let blend = (BlendFactor::OneMinusDstColor, BlendFactor::SrcAlphaSaturate, BlendEquation::Max);
+        assert_eq!((key.blend(), key.offset()), (Some(blend), 200));
+        assert!(!state.order_is_free);
+        let mirrored = PipelineKey::mesh(&state, Topology::Triangles, AlphaMode::Opaque, true, true);
+        assert_eq!((mirrored.is_clockwise(), mirrored.culled()), (false, 0));
+        let line = PipelineKey::mesh(&state, Topology::Lines, AlphaMode::Mask(0.5), false, true);
+        assert_eq!(
+            (line.kind(), line.culled(), line.offset(), line.polygon_mode()),
+            (Kind::Lines, 0, 0, PolygonMode::Fill)
+        );
+    }
+
+    #[test]
+    fn the_defaults_are_plain() {
+        let state = StateKey::new(&ResolvedState::default(), 0);
+        assert!(state.order_is_free);
+        let key = PipelineKey::height(&state, true);
+        assert_eq!((key.kind(), key.culled(), key.blend(), key.color_mask()), (Kind::Height, 0, None, 7));
+        assert_eq!((key.depth_compare(), key.writes_depth()), (CompareFunction::Less, true));
+        let off = StateSet::default().with_mode(Mode::DepthTest, StateValue::OFF);
+        let state = StateKey::new(&ResolvedState::default().below(&off), 0);
+        let key = PipelineKey::height(&state, false);
+        assert_eq!(
+            (key.depth_compare(), key.writes_depth(), key.is_clockwise()),
+            (CompareFunction::Always, false, true)
+        );
+    }
+
+    #[test]
+    fn offsets_are_kept_once() {
+        let mut offsets = Offsets::default();
+        let a = PolygonOffset { factor: 1.0, units: 2.0 };
+        assert_eq!([offsets.index_of(None), offsets.index_of(Some(a)), offsets.index_of(Some(a))], [0, 1, 1]);
+        assert_eq!(offsets.index_of(Some(PolygonOffset { factor: f32::NAN, units: 0.0 })), 0);
+        assert_eq!(
+            (offsets.get(1), offsets.get(0), offsets.get(9)),
+            (a, PolygonOffset::default(), PolygonOffset::default())
+        );
+        for i in 0..300 {
+            offsets.index_of(Some(PolygonOffset { factor: 0.0, units: i as f32 + 1.0 }));
+        }
+        assert_eq!(offsets.0.len(), 255);
+    }
+}
