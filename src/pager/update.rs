@@ -18,6 +18,8 @@ use crate::scene::{NodeId, Page, PageId, Scene, SlotState};
 const EXPIRY_LOOKS: usize = 256;
 /// How often contexts are asked for what they uploaded, between frames.
 const COMPILE_POLL: Duration = Duration::from_micros(200);
+/// Decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing is loaded.
+const MOST_PENDING_BYTES: u64 = 24 << 20;
 /// Kept free before the next frame is due: the longest single step, the upload of one slice or the merge of a page.
 const WORK_MARGIN: Duration = Duration::from_micros(500);
 
@@ -524,14 +526,14 @@ impl DatabasePager {
 
     /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
     fn allowed_in_flight(&self, capacity: usize) -> usize {
-        // What waits for its upload holds memory like what is being loaded.
         let arrived = (self.compiling.len() + self.ready.len()) as u64;
         let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
         let cpu = room(self.config.max_bytes_cpu, self.residents.cpu_bytes, self.mean_cpu_bytes);
         let gpu = room(self.config.max_bytes_gpu, self.residents.gpu_bytes, self.mean_gpu_bytes);
         let tiles = (self.config.max_tiles as u64).saturating_sub(self.residents.len() as u64 + arrived);
-        let capacity = (capacity as u64).saturating_sub(arrived);
-        cpu.min(gpu).min(tiles).min(capacity) as usize
+        // What waits for its upload holds memory besides the budgets'.
+        let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).saturating_sub(arrived);
+        cpu.min(gpu).min(tiles).min(pending).min(capacity as u64) as usize
     }
 
     fn count(&mut self) {
