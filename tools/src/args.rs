@@ -24,6 +24,8 @@ pub enum Command {
     Gen(Box<terrane_data_gen::GenArgs>),
     /// Say what is in a tile set
     Info(InfoArgs),
+    /// Serve a folder over HTTP, as well or as badly as asked
+    Serve(crate::serve::ServeArgs),
     /// Measure one layer; JSON lines on stdout
     Bench(BenchArgs),
 }

@@ -6,6 +6,7 @@ mod default_set;
 mod fly;
 mod info;
 mod pictures;
+mod serve;
 mod summary;
 
 use std::process::ExitCode;
@@ -22,6 +23,7 @@ fn main() -> ExitCode {
             ("gen", terrane_data_gen::run(&args).map(|summary| println!("{summary}")).map_err(Into::into))
         }
         args::Command::Info(args) => ("info", info::run(&args)),
+        args::Command::Serve(args) => ("serve", serve::run(args)),
         args::Command::Bench(args) => ("bench", bench::run(&args)),
     };
     match result {

@@ -1,0 +1,395 @@
+//! `terrane serve`: a folder over HTTP/1.1, as well or as badly as asked: latency, bandwidth, errors, truncation,
+//! corruption, stalls and resets, the same for the same seed.
+//!
+//! A thread a connection, which is enough for one client; for many use a real web server.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufRead as _, BufReader, ErrorKind, Read, Seek as _, SeekFrom, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::{Component, Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, UNIX_EPOCH};
+
+use anyhow::{Context as _, Result, ensure};
+use clap::Args as ClapArgs;
+
+/// Longest request head.
+const MOST_HEAD_BYTES: u64 = 16 << 10;
+/// A connection without a request ends.
+const IDLE: Duration = Duration::from_secs(60);
+/// Bytes between two looks at the clock.
+const PIECE: usize = 16 << 10;
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct ServeArgs {
+    /// Folder to serve
+    pub folder: PathBuf,
+    /// Port; 0 takes a free one
+    #[arg(long, default_value_t = 8080)]
+    pub port: u16,
+    /// Address to listen on
+    #[arg(long, default_value = "127.0.0.1")]
+    pub bind: String,
+    /// Wait before every answer, milliseconds
+    #[arg(long, default_value_t = 0.0)]
+    pub latency_ms: f64,
+    /// Up to so much more, by chance
+    #[arg(long, default_value_t = 0.0)]
+    pub jitter_ms: f64,
+    /// Bytes a second of each connection; 0 for as many as go
+    #[arg(long, default_value_t = 0.0)]
+    pub bandwidth: f64,
+    /// Share of answers that are status 500 or 503
+    #[arg(long, default_value_t = 0.0)]
+    pub error_rate: f64,
+    /// Share of answers whose body ends early
+    #[arg(long, default_value_t = 0.0)]
+    pub truncate_rate: f64,
+    /// Share of answers with changed bytes
+    #[arg(long, default_value_t = 0.0)]
+    pub corrupt_rate: f64,
+    /// Share of answers that stop half way until the client goes
+    #[arg(long, default_value_t = 0.0)]
+    pub stall_rate: f64,
+    /// Share of connections closed instead of an answer
+    #[arg(long, default_value_t = 0.0)]
+    pub reset_rate: f64,
+    /// Chance is the same for the same seed, path and number of the request for that path
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// What happens to an answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fate {
+    Whole,
+    Error(u16),
+    Truncated,
+    Corrupted,
+    Stalled,
+    Reset,
+}
+
+struct Server {
+    args: ServeArgs,
+    folder: PathBuf,
+    /// Requests so far by path.
+    counts: Mutex<HashMap<String, u64>>,
+}
+
+pub fn run(args: ServeArgs) -> Result<()> {
+    let rates = [args.error_rate, args.truncate_rate, args.corrupt_rate, args.stall_rate, args.reset_rate];
+    ensure!(rates.iter().all(|r| (0.0..=1.0).contains(r)), "rates are shares from 0 to 1");
+    ensure!(rates.iter().sum::<f64>() <= 1.0, "the rates are more than 1 together");
+    for (name, value) in
+        [("--latency-ms", args.latency_ms), ("--jitter-ms", args.jitter_ms), ("--bandwidth", args.bandwidth)]
+    {
+        ensure!((0.0..1e12).contains(&value), "{name} must be zero or above");
+    }
+    let folder = args.folder.canonicalize().with_context(|| args.folder.display().to_string())?;
+    ensure!(folder.is_dir(), "{}: is not a folder", folder.display());
+    let address = format!("{}:{}", args.bind, args.port);
+    let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
+    println!("serving {} at http://{}/", folder.display(), listener.local_addr()?);
+    let server = Arc::new(Server { args, folder, counts: Mutex::default() });
+    for stream in listener.incoming() {
+        let Ok(stream) = stream else { continue };
+        let server = server.clone();
+        std::thread::Builder::new().name("connection".to_owned()).spawn(move || {
+            // A client that goes is not an error.
+            let _ = server.connection(stream);
+        })?;
+    }
+    Ok(())
+}
+
+/// The parts of a request that count.
+struct Request {
+    is_head: bool,
+    path: String,
+    range: Option<String>,
+    if_none_match: Option<String>,
+    takes_gzip: bool,
+    keeps_alive: bool,
+}
+
+impl Server {
+    fn connection(&self, stream: TcpStream) -> std::io::Result<()> {
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(IDLE))?;
+        let mut reader = BufReader::new(stream.try_clone()?);
+        let mut stream = stream;
+        while let Some(head) = read_head(&mut reader)? {
+            let Some(request) = parse(&head) else {
+                return stream.write_all(&head_of("400 Bad Request", 0, "", false));
+            };
+            let keeps_alive = request.keeps_alive;
+            if !self.answer(&mut stream, &request)? || !keeps_alive {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// False when the connection ends with it.
+    fn answer(&self, stream: &mut TcpStream, request: &Request) -> std::io::Result<bool> {
+        let number = {
+            let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+            let count = counts.entry(request.path.clone()).or_insert(0);
+            *count += 1;
+            *count
+        };
+        let mut chance = Chance::new(self.args.seed, &request.path, number);
+        let fate = self.fate(&mut chance);
+        let wait_ms = self.args.latency_ms + self.args.jitter_ms * chance.share();
+        std::thread::sleep(Duration::from_secs_f64(wait_ms / 1e3));
+        match fate {
+            Fate::Reset => {
+                stream.shutdown(Shutdown::Both)?;
+                return Ok(false);
+            }
+            Fate::Error(code) => {
+                stream.write_all(&head_of(&format!("{code} By Chance"), 0, "Retry-After: 0\r\n", true))?;
+                return Ok(true);
+            }
+            _ => {}
+        }
+        let Some((mut file, encoding)) = self.open(request) else {
+            stream.write_all(&head_of("404 Not Found", 0, "", true))?;
+            return Ok(true);
+        };
+        let metadata = file.metadata()?;
+        let length = metadata.len();
+        let modified =
+            metadata.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok()).map_or(0, |d| d.as_nanos());
+        let tag = format!("\"{length:x}-{modified:x}\"");
+        let mut headers = format!("ETag: {tag}\r\nAccept-Ranges: bytes\r\nContent-Type: {}\r\n", kind(&request.path));
+        if encoding {
+            headers.push_str("Content-Encoding: gzip\r\nVary: Accept-Encoding\r\n");
+        }
+        if request.if_none_match.as_deref() == Some(tag.as_str()) {
+            stream.write_all(&head_of("304 Not Modified", 0, &headers, true))?;
+            return Ok(true);
+        }
+        let (status, first, count) = match request.range.as_deref().map(|r| range(r, length)) {
+            None => ("200 OK", 0, length),
+            Some(Some((first, last))) => {
+                headers.push_str(&format!("Content-Range: bytes {first}-{last}/{length}\r\n"));
+                ("206 Partial Content", first, last - first + 1)
+            }
+            Some(None) => {
+                headers.push_str(&format!("Content-Range: bytes */{length}\r\n"));
+                stream.write_all(&head_of("416 Range Not Satisfiable", 0, &headers, true))?;
+                return Ok(true);
+            }
+        };
+        stream.write_all(&head_of(status, count, &headers, true))?;
+        if request.is_head {
+            return Ok(true);
+        }
+        file.seek(SeekFrom::Start(first))?;
+        let sent = if matches!(fate, Fate::Truncated | Fate::Stalled) { count / 2 } else { count };
+        let corrupt_at = (fate == Fate::Corrupted).then(|| (chance.share() * count as f64) as u64);
+        self.send(stream, &mut file, sent, corrupt_at)?;
+        match fate {
+            Fate::Truncated => Ok(false),
+            Fate::Stalled => {
+                stream.set_read_timeout(None)?;
+                while stream.read(&mut [0; 256]).is_ok_and(|n| n > 0) {}
+                Ok(false)
+            }
+            _ => Ok(true),
+        }
+    }
+
+    fn send(
+        &self,
+        stream: &mut TcpStream,
+        file: &mut File,
+        mut left: u64,
+        corrupt_at: Option<u64>,
+    ) -> std::io::Result<()> {
+        let mut piece = vec![0; PIECE];
+        let mut at = 0u64;
+        while left > 0 {
+            let wanted = (left as usize).min(PIECE);
+            let got = file.read(&mut piece[..wanted])?;
+            if got == 0 {
+                return Err(ErrorKind::UnexpectedEof.into());
+            }
+            if let Some(place) = corrupt_at.and_then(|c| c.checked_sub(at)).filter(|p| *p < got as u64) {
+                piece[place as usize] ^= 0xff;
+            }
+            stream.write_all(&piece[..got])?;
+            if self.args.bandwidth > 0.0 {
+                std::thread::sleep(Duration::from_secs_f64(got as f64 / self.args.bandwidth));
+            }
+            at += got as u64;
+            left -= got as u64;
+        }
+        Ok(())
+    }
+
+    fn fate(&self, chance: &mut Chance) -> Fate {
+        let a = &self.args;
+        let mut share = chance.share();
+        let code = if chance.share() < 0.5 { 500 } else { 503 };
+        for (rate, fate) in [
+            (a.error_rate, Fate::Error(code)),
+            (a.truncate_rate, Fate::Truncated),
+            (a.corrupt_rate, Fate::Corrupted),
+            (a.stall_rate, Fate::Stalled),
+            (a.reset_rate, Fate::Reset),
+        ] {
+            if share < rate {
+                return fate;
+            }
+            share -= rate;
+        }
+        Fate::Whole
+    }
+
+    /// The file, and whether it is gzip of what was asked for. Nothing outside the folder, links included.
+    fn open(&self, request: &Request) -> Option<(File, bool)> {
+        let relative = Path::new(request.path.trim_start_matches('/'));
+        if !relative.components().all(|c| matches!(c, Component::Normal(_))) {
+            return None;
+        }
+        let open = |path: PathBuf| {
+            let path = path.canonicalize().ok().filter(|p| p.starts_with(&self.folder) && p.is_file())?;
+            File::open(path).ok()
+        };
+        let path = self.folder.join(relative);
+        let mut packed = path.clone().into_os_string();
+        packed.push(".gz");
+        let gzip = if request.takes_gzip { open(packed.into()) } else { None };
+        match gzip {
+            Some(file) => Some((file, true)),
+            None => open(path).map(|file| (file, false)),
+        }
+    }
+}
+
+/// The head of a request; `None` at the end of the connection.
+fn read_head(reader: &mut BufReader<TcpStream>) -> std::io::Result<Option<Vec<u8>>> {
+    let mut head = Vec::new();
+    let mut limited = reader.take(MOST_HEAD_BYTES);
+    loop {
+        let before = head.len();
+        if limited.read_until(b'\n', &mut head)? == 0 {
+            return Ok(None);
+        }
+        if matches!(&head[before..], b"\r\n" | b"\n") && before > 0 {
+            return Ok(Some(head));
+        }
+    }
+}
+
+fn parse(head: &[u8]) -> Option<Request> {
+    let mut headers = [httparse::EMPTY_HEADER; 64];
+    let mut request = httparse::Request::new(&mut headers);
+    request.parse(head).ok().filter(httparse::Status::is_complete)?;
+    let is_head = match request.method? {
+        "GET" => false,
+        "HEAD" => true,
+        _ => return None,
+    };
+    let target = request.path?.split(['?', '#']).next()?;
+    let path = percent_encoding::percent_decode_str(target).decode_utf8().ok()?.into_owned();
+    let header = |name: &str| {
+        let found = request.headers.iter().find(|h| h.name.eq_ignore_ascii_case(name))?;
+        std::str::from_utf8(found.value).ok().map(str::to_owned)
+    };
+    let has = |name: &str, what: &str| header(name).is_some_and(|v| v.to_ascii_lowercase().contains(what));
+    Some(Request {
+        is_head,
+        path,
+        range: header("range"),
+        if_none_match: header("if-none-match"),
+        takes_gzip: has("accept-encoding", "gzip"),
+        keeps_alive: request.version == Some(1) && !has("connection", "close"),
+    })
+}
+
+fn head_of(status: &str, length: u64, headers: &str, keeps_alive: bool) -> Vec<u8> {
+    let connection = if keeps_alive { "keep-alive" } else { "close" };
+    // Other pages may fetch from here, as a viewer in a browser does.
+    format!(
+        "HTTP/1.1 {status}\r\nContent-Length: {length}\r\nConnection: {connection}\r\nAccess-Control-Allow-Origin: *\r\n{headers}\r\n"
+    )
+    .into_bytes()
+}
+
+/// First and last byte of a single range; `None` when it lies outside.
+fn range(text: &str, length: u64) -> Option<(u64, u64)> {
+    let (first, last) = text.strip_prefix("bytes=")?.split_once('-')?;
+    let (first, last) = match (first.trim(), last.trim()) {
+        ("", suffix) => (length.saturating_sub(suffix.parse().ok()?), length.checked_sub(1)?),
+        (first, "") => (first.parse().ok()?, length.checked_sub(1)?),
+        (first, last) => (first.parse().ok()?, last.parse::<u64>().ok()?.min(length.checked_sub(1)?)),
+    };
+    (first <= last && last < length).then_some((first, last))
+}
+
+fn kind(path: &str) -> &'static str {
+    match path.rsplit('.').next().unwrap_or("") {
+        "json" => "application/json",
+        "glb" => "model/gltf-binary",
+        "gltf" => "model/gltf+json",
+        "png" => "image/png",
+        "jpg" | "jpeg" => "image/jpeg",
+        "exr" => "image/aces",
+        _ => "application/octet-stream",
+    }
+}
+
+/// Chance that is the same each time (SplitMix64 over a hash of what is asked for).
+struct Chance(u64);
+
+impl Chance {
+    fn new(seed: u64, path: &str, number: u64) -> Self {
+        // FNV-1a.
+        let hash =
+            path.bytes().fold(0xcbf2_9ce4_8422_2325u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
+        Self(hash ^ seed.rotate_left(32) ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15))
+    }
+
+    /// From 0, below 1.
+    fn share(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_within_the_file() {
+        assert_eq!(range("bytes=0-9", 100), Some((0, 9)));
+        assert_eq!(range("bytes=90-", 100), Some((90, 99)));
+        assert_eq!(range("bytes=-10", 100), Some((90, 99)));
+        assert_eq!(range("bytes=50-500", 100), Some((50, 99)));
+        for bad in ["bytes=100-", "bytes=5-4", "bytes=", "rows=1-2", "bytes=a-b", "bytes=0-0,5-6"] {
+            assert_eq!(range(bad, 100), None, "{bad}");
+        }
+        assert_eq!(range("bytes=0-", 0), None);
+    }
+
+    #[test]
+    fn chance_is_even_and_repeats() {
+        let mut a = Chance::new(7, "/x", 1);
+        let mut b = Chance::new(7, "/x", 1);
+        let shares: Vec<f64> = (0..1000).map(|_| a.share()).collect();
+        assert!(shares.iter().all(|s| *s == b.share() && (0.0..1.0).contains(s)));
+        let mean = shares.iter().sum::<f64>() / 1000.0;
+        assert!((0.45..0.55).contains(&mean), "{mean}");
+        assert_ne!(Chance::new(7, "/x", 2).share(), shares[0]);
+        assert_ne!(Chance::new(8, "/x", 1).share(), shares[0]);
+    }
+}

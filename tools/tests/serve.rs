@@ -1,0 +1,165 @@
+//! `terrane serve` from outside, and a flight over what it serves badly.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use serde_json::Value;
+
+struct Server {
+    child: Child,
+    address: String,
+}
+
+impl Server {
+    fn start(folder: &Path, options: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_terrane"))
+            .args(["serve", folder.to_str().unwrap(), "--port", "0"])
+            .args(options)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line.trim().rsplit("http://").next().unwrap().trim_end_matches('/').to_owned();
+        Self { child, address }
+    }
+
+    /// Status, head and body of one request on a connection of its own; status 0 when there is no answer.
+    fn ask(&self, method: &str, path: &str, headers: &str) -> (u16, String, Vec<u8>) {
+        let mut stream = TcpStream::connect(&self.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        write!(stream, "{method} {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n{headers}\r\n").unwrap();
+        let mut answer = Vec::new();
+        // A reset is no answer.
+        let _ = stream.read_to_end(&mut answer);
+        let Some(end) = answer.windows(4).position(|w| w == b"\r\n\r\n") else { return (0, String::new(), answer) };
+        let head = String::from_utf8(answer[..end].to_vec()).unwrap();
+        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+        (status, head, answer[end + 4..].to_vec())
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn files_are_served_whole_and_in_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = folder.path().join("set");
+    std::fs::create_dir_all(set.join("a b")).unwrap();
+    let bytes: Vec<u8> = (0..100_000u32).map(|i| (i * 7) as u8).collect();
+    std::fs::write(set.join("a b/tile.glb"), &bytes).unwrap();
+    std::fs::write(set.join("tile.json"), "plain").unwrap();
+    std::fs::write(set.join("tile.json.gz"), "packed").unwrap();
+    std::fs::write(folder.path().join("secret"), "secret").unwrap();
+    let server = Server::start(&set, &[]);
+    let (status, head, body) = server.ask("GET", "/a%20b/tile.glb?v=1", "");
+    assert_eq!((status, body == bytes), (200, true), "{head}");
+    assert!(head.contains("Content-Length: 100000") && head.contains("model/gltf-binary"), "{head}");
+    let (status, head, body) = server.ask("HEAD", "/a%20b/tile.glb", "");
+    assert_eq!((status, body.len()), (200, 0), "{head}");
+    let (status, head, body) = server.ask("GET", "/a%20b/tile.glb", "Range: bytes=10-19\r\n");
+    assert_eq!((status, &body[..]), (206, &bytes[10..20]), "{head}");
+    assert!(head.contains("Content-Range: bytes 10-19/100000"), "{head}");
+    assert_eq!(server.ask("GET", "/a%20b/tile.glb", "Range: bytes=100000-\r\n").0, 416);
+    let tag = head.lines().find_map(|l| l.strip_prefix("ETag: ")).unwrap();
+    assert_eq!(server.ask("GET", "/a%20b/tile.glb", &format!("If-None-Match: {tag}\r\n")).0, 304);
+    assert_eq!(server.ask("GET", "/tile.json", "").2, b"plain");
+    let (_, head, body) = server.ask("GET", "/tile.json", "Accept-Encoding: br, gzip\r\n");
+    assert_eq!((&body[..], head.contains("Content-Encoding: gzip")), (&b"packed"[..], true));
+    for path in ["/none", "/", "/a%20b", "/../secret", "/%2e%2e/secret", "//etc/passwd", "/a%20b/../../secret"] {
+        assert_eq!(server.ask("GET", path, "").0, 404, "{path}");
+    }
+    assert_eq!(server.ask("POST", "/tile.json", "").0, 400);
+}
+
+#[test]
+fn chance_is_the_same_for_the_same_seed() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("f"), vec![b'x'; 1000]).unwrap();
+    let rates = ["--error-rate", "0.2", "--truncate-rate", "0.2", "--corrupt-rate", "0.2", "--reset-rate", "0.2"];
+    let fates = |seed: &str| {
+        let server = Server::start(folder.path(), &[&rates[..], &["--seed", seed]].concat());
+        (0..60)
+            .map(|_| {
+                let (status, _, body) = server.ask("GET", "/f", "");
+                (status, body.len(), body.iter().filter(|b| **b != b'x').count())
+            })
+            .collect::<Vec<_>>()
+    };
+    let first = fates("3");
+    assert_eq!(first, fates("3"));
+    assert_ne!(first, fates("4"));
+    for (what, seen) in
+        [("whole", (200, 1000, 0)), ("truncated", (200, 500, 0)), ("corrupted", (200, 1000, 1)), ("reset", (0, 0, 0))]
+    {
+        assert!(first.contains(&seen), "{what}: {first:?}");
+    }
+    assert!(first.iter().any(|f| f.0 == 500 || f.0 == 503), "{first:?}");
+}
+
+#[test]
+fn wrong_arguments_are_said() {
+    for (arguments, word) in
+        [(&["serve", "/no/such/folder"][..], "/no/such/folder"), (&["serve", ".", "--error-rate", "2"], "rates")]
+    {
+        let out = Command::new(env!("CARGO_BIN_EXE_terrane")).args(arguments).output().unwrap();
+        let said = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert_eq!((out.status.code(), said.lines().count()), (Some(1), 1), "{said}");
+        assert!(said.contains(word), "{said}");
+    }
+}
+
+/// A flight over a bad server: what can be had is there, the rest is reported, and the picture has no hole.
+#[test]
+fn a_flight_over_a_bad_server_ends_whole() {
+    if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&terrane::gpu::ContextTraits::default()) {
+        assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+        eprintln!("a_flight_over_a_bad_server_ends_whole: skipped: {error}");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = folder.path().join("set");
+    let made = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["gen", set.to_str().unwrap(), "--levels", "3", "--size", "5000"])
+        .output()
+        .unwrap();
+    assert!(made.status.success());
+    let rates = [
+        "--error-rate",
+        "0.1",
+        "--truncate-rate",
+        "0.1",
+        "--reset-rate",
+        "0.1",
+        "--latency-ms",
+        "5",
+        "--jitter-ms",
+        "10",
+    ];
+    let server = Server::start(&set, &rates);
+    let report = folder.path().join("report.json");
+    let url = format!("http://{}/tileset.json", server.address);
+    let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["fly", &url, "--offscreen", "--settle", "--size", "160x90", "--sse", "0.02"])
+        .args(["--report", report.to_str().unwrap()])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let report: Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
+    let (loaded, failed) = (report["tiles"]["loaded"].as_u64().unwrap(), report["tiles"]["failed"].as_u64().unwrap());
+    assert!(loaded > 10, "{report}");
+    assert_eq!(report["errors"].as_array().unwrap().iter().map(|e| e["count"].as_u64().unwrap()).sum::<u64>(), failed);
+    let coverage = report["settled"]["coverage"].as_f64().unwrap();
+    assert!(coverage > 0.1, "{report}");
+}
