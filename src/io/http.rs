@@ -34,6 +34,8 @@ impl Default for HttpConfig {
     }
 }
 
+/// Memory taken for an answer before its bytes come.
+const MOST_RESERVED_BYTES: u64 = 1 << 20;
 /// Most redirects of one request.
 const MAX_REDIRECTS: usize = 8;
 
@@ -68,6 +70,8 @@ impl HttpClient {
             .timeout(config.total_timeout)
             .user_agent(concat!("terrane/", env!("CARGO_PKG_VERSION")))
             .redirect(reqwest::redirect::Policy::custom(follow))
+            // A query may hold a token.
+            .referer(false)
             .build()
             .map_err(|e| IoError::Network { uri: String::new(), reason: chain(&e) })?;
         Ok(Self { client, config: config.clone() })
@@ -89,9 +93,15 @@ impl HttpClient {
     }
 
     async fn get_once(&self, uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
+        let start = std::time::Instant::now();
         let failed = |e: reqwest::Error| {
-            let phase = if e.is_connect() { "connecting" } else { "reading the answer" };
-            let seconds = if e.is_connect() { self.config.connect_timeout } else { self.config.read_timeout };
+            let (phase, seconds) = if e.is_connect() {
+                ("connecting", self.config.connect_timeout)
+            } else if start.elapsed() >= self.config.total_timeout {
+                ("the whole answer", self.config.total_timeout)
+            } else {
+                ("reading the answer", self.config.read_timeout)
+            };
             if e.is_timeout() {
                 return IoError::Timeout { uri: uri.to_owned(), phase, seconds: seconds.as_secs_f64() };
             }
@@ -115,7 +125,9 @@ impl HttpClient {
         if let Some(length) = response.content_length().filter(|l| *l > limits.max_file_bytes) {
             return Err(too_large(length));
         }
-        let mut bytes = Vec::with_capacity(response.content_length().unwrap_or(0) as usize);
+        // What a server announces is not believed beyond this.
+        let announced = response.content_length().unwrap_or(0).min(MOST_RESERVED_BYTES);
+        let mut bytes = Vec::with_capacity(announced as usize);
         while let Some(piece) = response.chunk().await.map_err(failed)? {
             if (bytes.len() + piece.len()) as u64 > limits.max_file_bytes {
                 return Err(too_large((bytes.len() + piece.len()) as u64));

@@ -61,8 +61,11 @@ pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc
                     format!("scheme {} is not allowed in a tile set on a server", url.scheme()),
                 ));
             }
-            // Session tokens travel in the root's query; a child without one inherits it.
-            if url.query().is_none() && url.host_str() == base.host_str() {
+            if base.scheme() == "https" && url.scheme() != "https" {
+                return Err(bad(reference, "an open connection is not allowed in a tile set on an encrypted one"));
+            }
+            // Session tokens travel in the root's query; a child without one inherits it, at the same server only.
+            if url.query().is_none() && url.origin() == base.origin() {
                 url.set_query(base.query());
             }
             Ok(url.as_str().into())
@@ -142,5 +145,10 @@ mod tests {
         assert_eq!(&*r("b.glb").unwrap(), "http://h/a/b.glb?k=1");
         assert_eq!(&*r("https://other/b.glb").unwrap(), "https://other/b.glb");
         assert!(r("file:///etc/passwd").is_err());
+        let get = |base: &str, reference: &str| resolve(base, reference, &RootScope::Http);
+        assert_eq!(&*get("https://a/s/t.json?key=1", "x.glb").unwrap(), "https://a/s/x.glb?key=1");
+        assert_eq!(&*get("https://a/t.json?key=1", "https://a:444/x.glb").unwrap(), "https://a:444/x.glb");
+        assert_eq!(&*get("https://a/t.json?key=1", "https://b/x.glb").unwrap(), "https://b/x.glb");
+        assert!(get("https://a/t.json?key=1", "http://a/x.glb").is_err(), "never in clear");
     }
 }

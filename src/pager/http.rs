@@ -49,7 +49,17 @@ pub(super) fn run(
                         }
                     }
                     Err(e) if e.is_cancelled() => {}
-                    Err(e) => log::error!("an HTTP task failed: {e}"),
+                    Err(e) => {
+                        let ticket = running.iter().find(|(_, (handle, _))| handle.id() == e.id()).map(|(t, _)| *t);
+                        if let Some((_, job)) = ticket.and_then(|t| running.remove(&t)) {
+                            let reason = "the request panicked".to_owned();
+                            let bytes = Err(IoError::Network { uri: job.uri.to_string(), reason });
+                            let failed = Loaded { job, bytes, companions: Vec::new(), bytes_read: 0, bytes_http: 0 };
+                            if loaded.send(failed).is_err() {
+                                return;
+                            }
+                        }
+                    }
                 },
             }
         }
@@ -69,15 +79,17 @@ fn take(list: &RequestList, room: usize) -> (Vec<Job>, Vec<u64>, bool) {
     (jobs, std::mem::take(&mut waiting.abort), waiting.closed)
 }
 
+/// The content and its companions at the same time: what a tile needs is known before its bytes.
 async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> Loaded {
-    let bytes = client.get(&job.uri, limits).await;
-    let mut companions = Vec::new();
-    if bytes.is_ok() {
+    let companions = async {
+        let mut fetched = Vec::new();
         for uri in io::companions(&job.uri, job.reader_data.as_ref()) {
             let bytes: Result<Vec<u8>, IoError> = client.get(&uri, limits).await;
-            companions.push((uri, bytes));
+            fetched.push((uri, bytes));
         }
-    }
+        fetched
+    };
+    let (bytes, companions) = tokio::join!(client.get(&job.uri, limits), companions);
     let bytes_read = read_bytes(&bytes, &companions);
     Loaded { job, bytes, companions, bytes_read, bytes_http: bytes_read }
 }

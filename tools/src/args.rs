@@ -169,6 +169,9 @@ pub enum Bench {
         /// What the tiles hold
         #[arg(long, value_enum, default_value_t = PageContent::Mesh)]
         content: PageContent,
+        /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
+        #[arg(long, value_name = "URL")]
+        url: Option<String>,
     },
 }
 

@@ -85,7 +85,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
     for (name, value) in
         [("--latency-ms", args.latency_ms), ("--jitter-ms", args.jitter_ms), ("--bandwidth", args.bandwidth)]
     {
-        ensure!((0.0..1e12).contains(&value), "{name} must be zero or above");
+        ensure!(value == 0.0 || (1e-3..1e12).contains(&value), "{name} must be zero or above");
     }
     let folder = args.folder.canonicalize().with_context(|| args.folder.display().to_string())?;
     ensure!(folder.is_dir(), "{}: is not a folder", folder.display());
@@ -94,12 +94,19 @@ pub fn run(args: ServeArgs) -> Result<()> {
     println!("serving {} at http://{}/", folder.display(), listener.local_addr()?);
     let server = Arc::new(Server { args, folder, counts: Mutex::default() });
     for stream in listener.incoming() {
-        let Ok(stream) = stream else { continue };
+        let Ok(stream) = stream else {
+            // Out of descriptors, for example: others may end meanwhile.
+            std::thread::sleep(Duration::from_millis(20));
+            continue;
+        };
         let server = server.clone();
-        std::thread::Builder::new().name("connection".to_owned()).spawn(move || {
+        let spawned = std::thread::Builder::new().name("connection".to_owned()).spawn(move || {
             // A client that goes is not an error.
             let _ = server.connection(stream);
-        })?;
+        });
+        if let Err(error) = spawned {
+            eprintln!("terrane serve: a connection was refused: {error}");
+        }
     }
     Ok(())
 }
@@ -121,8 +128,9 @@ impl Server {
         let mut reader = BufReader::new(stream.try_clone()?);
         let mut stream = stream;
         while let Some(head) = read_head(&mut reader)? {
-            let Some(request) = parse(&head) else {
-                return stream.write_all(&head_of("400 Bad Request", 0, "", false));
+            let request = match parse(&head) {
+                Ok(request) => request,
+                Err(status) => return stream.write_all(&head_of(status, 0, "", false)),
             };
             let keeps_alive = request.keeps_alive;
             if !self.answer(&mut stream, &request)? || !keeps_alive {
@@ -165,14 +173,16 @@ impl Server {
             metadata.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok()).map_or(0, |d| d.as_nanos());
         let tag = format!("\"{length:x}-{modified:x}\"");
         let mut headers = format!("ETag: {tag}\r\nAccept-Ranges: bytes\r\nContent-Type: {}\r\n", kind(&request.path));
+        headers.push_str("Vary: Accept-Encoding\r\n");
         if encoding {
-            headers.push_str("Content-Encoding: gzip\r\nVary: Accept-Encoding\r\n");
+            headers.push_str("Content-Encoding: gzip\r\n");
         }
         if request.if_none_match.as_deref() == Some(tag.as_str()) {
-            stream.write_all(&head_of("304 Not Modified", 0, &headers, true))?;
+            stream.write_all(&head_of("304 Not Modified", length, &headers, true))?;
             return Ok(true);
         }
-        let (status, first, count) = match request.range.as_deref().map(|r| range(r, length)) {
+        let (status, first, count) = match request.range.as_deref().and_then(|r| range(r, length)) {
+            // None, or one that is not understood: the whole.
             None => ("200 OK", 0, length),
             Some(Some((first, last))) => {
                 headers.push_str(&format!("Content-Range: bytes {first}-{last}/{length}\r\n"));
@@ -286,23 +296,25 @@ fn read_head(reader: &mut BufReader<TcpStream>) -> std::io::Result<Option<Vec<u8
     }
 }
 
-fn parse(head: &[u8]) -> Option<Request> {
+/// The request, or the status that it gets.
+fn parse(head: &[u8]) -> Result<Request, &'static str> {
+    const BAD: &str = "400 Bad Request";
     let mut headers = [httparse::EMPTY_HEADER; 64];
     let mut request = httparse::Request::new(&mut headers);
-    request.parse(head).ok().filter(httparse::Status::is_complete)?;
-    let is_head = match request.method? {
+    request.parse(head).ok().filter(httparse::Status::is_complete).ok_or(BAD)?;
+    let is_head = match request.method.ok_or(BAD)? {
         "GET" => false,
         "HEAD" => true,
-        _ => return None,
+        _ => return Err("405 Method Not Allowed"),
     };
-    let target = request.path?.split(['?', '#']).next()?;
-    let path = percent_encoding::percent_decode_str(target).decode_utf8().ok()?.into_owned();
+    let target = request.path.and_then(|p| p.split(['?', '#']).next()).ok_or(BAD)?;
+    let path = percent_encoding::percent_decode_str(target).decode_utf8().map_err(|_| BAD)?.into_owned();
     let header = |name: &str| {
         let found = request.headers.iter().find(|h| h.name.eq_ignore_ascii_case(name))?;
         std::str::from_utf8(found.value).ok().map(str::to_owned)
     };
     let has = |name: &str, what: &str| header(name).is_some_and(|v| v.to_ascii_lowercase().contains(what));
-    Some(Request {
+    Ok(Request {
         is_head,
         path,
         range: header("range"),
@@ -321,15 +333,21 @@ fn head_of(status: &str, length: u64, headers: &str, keeps_alive: bool) -> Vec<u
     .into_bytes()
 }
 
-/// First and last byte of a single range; `None` when it lies outside.
-fn range(text: &str, length: u64) -> Option<(u64, u64)> {
+/// First and last byte of a single range: `None` when it is not one, `Some(None)` when it lies outside.
+fn range(text: &str, length: u64) -> Option<Option<(u64, u64)>> {
     let (first, last) = text.strip_prefix("bytes=")?.split_once('-')?;
+    let number = |text: &str| text.trim().parse::<u64>().ok();
+    let end = length.checked_sub(1);
     let (first, last) = match (first.trim(), last.trim()) {
-        ("", suffix) => (length.saturating_sub(suffix.parse().ok()?), length.checked_sub(1)?),
-        (first, "") => (first.parse().ok()?, length.checked_sub(1)?),
-        (first, last) => (first.parse().ok()?, last.parse::<u64>().ok()?.min(length.checked_sub(1)?)),
+        ("", suffix) => (length.saturating_sub(number(suffix)?), end),
+        (first, "") => (number(first)?, end),
+        (first, last) => {
+            let (first, last) = (number(first)?, number(last)?);
+            (first <= last).then_some(())?;
+            (first, end.map(|e| last.min(e)))
+        }
     };
-    (first <= last && last < length).then_some((first, last))
+    Some(last.filter(|last| first <= *last).map(|last| (first, last)))
 }
 
 fn kind(path: &str) -> &'static str {
@@ -371,14 +389,15 @@ mod tests {
 
     #[test]
     fn ranges_are_within_the_file() {
-        assert_eq!(range("bytes=0-9", 100), Some((0, 9)));
-        assert_eq!(range("bytes=90-", 100), Some((90, 99)));
-        assert_eq!(range("bytes=-10", 100), Some((90, 99)));
-        assert_eq!(range("bytes=50-500", 100), Some((50, 99)));
-        for bad in ["bytes=100-", "bytes=5-4", "bytes=", "rows=1-2", "bytes=a-b", "bytes=0-0,5-6"] {
-            assert_eq!(range(bad, 100), None, "{bad}");
+        assert_eq!(range("bytes=0-9", 100), Some(Some((0, 9))));
+        assert_eq!(range("bytes=90-", 100), Some(Some((90, 99))));
+        assert_eq!(range("bytes=-10", 100), Some(Some((90, 99))));
+        assert_eq!(range("bytes=50-500", 100), Some(Some((50, 99))));
+        assert_eq!(range("bytes=100-", 100), Some(None));
+        assert_eq!(range("bytes=0-", 0), Some(None));
+        for unknown in ["bytes=5-4", "bytes=", "rows=1-2", "bytes=a-b", "bytes=0-0,5-6"] {
+            assert_eq!(range(unknown, 100), None, "{unknown}");
         }
-        assert_eq!(range("bytes=0-", 0), None);
     }
 
     #[test]

@@ -13,9 +13,14 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             cull::run(*secs);
             Ok(())
         }
-        Bench::Page { frames, pace, draw, tiles, content } => {
-            page::run(page::Options { frames: *frames, pace_hz: *pace, draw: *draw, tiles: *tiles, content: *content })
-        }
+        Bench::Page { frames, pace, draw, tiles, content, url } => page::run(page::Options {
+            frames: *frames,
+            pace_hz: *pace,
+            draw: *draw,
+            tiles: *tiles,
+            content: *content,
+            url: url.clone(),
+        }),
     }
 }
 

@@ -3,7 +3,7 @@
 //! One JSON object per phase with the peer's field names. A file is one tile here (four in the peer).
 
 use std::collections::HashSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -24,7 +24,7 @@ use super::percentile;
 use crate::args::PageContent;
 
 /// What is measured, from the command line.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Options {
     /// Frames of the flight.
     pub frames: u32,
@@ -36,6 +36,8 @@ pub struct Options {
     pub tiles: usize,
     /// What the tiles hold.
     pub content: PageContent,
+    /// Where the folder of the tiles is served; `None` reads the files.
+    pub url: Option<String>,
 }
 
 /// Side of the terrain in metres, corner at the origin.
@@ -80,24 +82,22 @@ impl Tile {
         DVec3::new(x, y, height_m(x, y))
     }
 
-    fn file(self, folder: &Path, extension: &str) -> PathBuf {
-        folder.join(format!("t_{}_{}_{}.{extension}", self.level, self.x, self.y))
+    fn file(self, extension: &str) -> String {
+        format!("t_{}_{}_{}.{extension}", self.level, self.x, self.y)
     }
 
-    /// The content's file, and what its reader needs beside it.
-    fn content(self, folder: &Path, content: PageContent) -> Result<(Arc<str>, Option<Arc<str>>)> {
-        let text = |path: PathBuf| -> Result<Arc<str>> {
-            Ok(path.to_str().context("the cache folder's path is not UTF-8")?.into())
-        };
+    /// The content's URI, and what its reader needs beside it.
+    fn content(self, base: &str, content: PageContent) -> (Arc<str>, Option<Arc<str>>) {
+        let uri = |extension| format!("{base}{}", self.file(extension));
         if content == PageContent::Mesh {
-            return Ok((text(self.file(folder, "glb"))?, None));
+            return (uri("glb").into(), None);
         }
         let half = 0.5 * self.side_m();
         let data = json!({
             "plane": [-half, -half, half, half], "side": SIDE, "border": 1, "level": self.level, "errors_m": [1.0],
-            "imagery": text(self.file(folder, "png"))?,
+            "imagery": uri("png"),
         });
-        Ok((text(self.file(folder, "exr"))?, Some(data.to_string().into())))
+        (uri("exr").into(), Some(data.to_string().into()))
     }
 
     fn children(self) -> impl Iterator<Item = Self> {
@@ -107,7 +107,7 @@ impl Tile {
     }
 
     /// The tile and everything below it.
-    fn node(self, folder: &Path, content: PageContent) -> Result<Node> {
+    fn node(self, base: &str, content: PageContent) -> Node {
         let center = self.center();
         let radius_m = self.side_m() * 0.5f64.sqrt();
         let bounds = if self.level < LEVELS {
@@ -123,17 +123,17 @@ impl Tile {
             let center = DVec3::new(center.x, center.y, 0.5 * (low + high));
             BoundingVolume::Box(OrientedBox { center, half_axes: DMat3::from_diagonal(half) })
         };
-        let (file, reader_data) = self.content(folder, content)?;
+        let (uri, reader_data) = self.content(base, content);
         let lod = PagedLod {
             bounds,
             range_mode: RangeMode::Distance { center, range_m: RATIO * radius_m },
             refine: Refine::Replace,
-            content: Some(file),
+            content: Some(uri),
             content_transform: DAffine3::from_translation(DVec3::new(center.x, center.y, 0.0)),
             reader_data,
         };
-        let children = self.children().map(|c| c.node(folder, content)).collect::<Result<Vec<_>>>()?;
-        Ok(Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) })
+        let children = self.children().map(|c| c.node(base, content)).collect();
+        Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
     }
 
     /// The tile as binary glTF: y-up, east and north relative to its centre; a stored (not deflated) PNG.
@@ -217,9 +217,9 @@ fn tiles() -> Result<PathBuf> {
         let mut open = vec![ROOT];
         while let Some(tile) = open.pop() {
             let png = tile.png()?;
-            std::fs::write(tile.file(&folder, "glb"), tile.glb(&png)?).with_context(made)?;
-            std::fs::write(tile.file(&folder, "exr"), tile.exr()?).with_context(made)?;
-            std::fs::write(tile.file(&folder, "png"), png).with_context(made)?;
+            std::fs::write(folder.join(tile.file("glb")), tile.glb(&png)?).with_context(made)?;
+            std::fs::write(folder.join(tile.file("exr")), tile.exr()?).with_context(made)?;
+            std::fs::write(folder.join(tile.file("png")), png).with_context(made)?;
             open.extend(tile.children());
         }
         std::fs::write(&complete, "").with_context(made)?;
@@ -319,12 +319,18 @@ pub fn run(options: Options) -> Result<()> {
     ensure!(options.frames >= 2, "--frames must be at least 2");
     let folder = tiles()?;
     let mut scene = Scene::new();
-    scene.add_root(Page::from_node(ROOT.node(&folder, options.content)?)?);
+    let base = match &options.url {
+        Some(url) => {
+            eprintln!("the tiles are in {}", folder.display());
+            format!("{}/", url.trim_end_matches('/'))
+        }
+        None => format!("{}/", folder.to_str().context("the cache folder's path is not UTF-8")?),
+    };
+    scene.add_root(Page::from_node(ROOT.node(&base, options.content))?);
     let traits = |adapter| ContextTraits { size_px: [64, 64], adapter, validation: false };
     let mut graphics = GraphicsContext::new_offscreen(&traits(AdapterChoice::Software))
         .or_else(|_| GraphicsContext::new_offscreen(&traits(AdapterChoice::Noop)))?;
-    let root_uri = ROOT.file(&folder, "glb");
-    let read = ReadOptions::for_root(root_uri.to_str().unwrap_or_default(), Limits::default());
+    let read = ReadOptions::for_root(&format!("{base}{}", ROOT.file("glb")), Limits::default());
     let config = PagerConfig { max_tiles: options.tiles, ..PagerConfig::default() };
     let pager = DatabasePager::new(config, read)?;
     let renderer = options.draw.then(|| terrane::draw::Renderer::new(&mut graphics));
@@ -448,7 +454,7 @@ impl Bench {
         let over = times.work.iter().filter(|w| self.options.pace_hz > 0.0 && **w > 1.0 / self.options.pace_hz).count();
         let latency_ms = (now.latency_sum_s - before.latency_sum_s) * 1e3 / merged.max(1) as f64;
         let mut line = json!({
-            "bench": "terrane_page", "phase": phase, "source": "file",
+            "bench": "terrane_page", "phase": phase, "source": if self.options.url.is_some() { "http" } else { "file" },
             "pace": self.options.pace_hz,
             "maxtiles": self.options.tiles, "draw": u32::from(self.options.draw),
             "adapter": self.context.graphics.adapter_name(),
