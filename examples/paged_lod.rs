@@ -62,6 +62,7 @@ fn tile(folder: &Path, level: usize, center: DVec3) -> Node {
         content: Some(Arc::from(folder.join(file).display().to_string())),
         content_transform: DAffine3::from_translation(center),
         reader_data: None,
+        request_volume: None,
     };
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }

@@ -78,6 +78,7 @@ fn build(tile: &Tile, center: DVec3, half_m: f64, name: &str) -> Node {
             DAffine3::from_translation(center)
         },
         reader_data: None,
+        request_volume: None,
     };
     let mut node = Node::new(NodeKind::PagedLod(Box::new(lod)));
     if tile.kind != Kind::External {
@@ -467,6 +468,7 @@ fn tile_at(center: DVec3, radius_m: f64, range_mode: RangeMode, name: &str) -> N
         content: Some(name.into()),
         content_transform: DAffine3::from_translation(center),
         reader_data: None,
+        request_volume: None,
     })))
 }
 
@@ -515,6 +517,7 @@ fn the_earth_hides_what_is_behind_it() {
             content: Some(format!("{k}").into()),
             content_transform: DAffine3::IDENTITY,
             reader_data: None,
+            request_volume: None,
         })))
     });
     let mut scene = Scene::new();

@@ -61,6 +61,10 @@ impl Cull<'_> {
                 tile += skip;
                 continue;
             }
+            if record.has(flag::REQUEST_VOLUME) && !tiles.may_be_requested(tile, view.eye) {
+                tile += skip;
+                continue;
+            }
             self.counters.tiles_visited += 1;
             let bounds = &tiles.bounds[index];
             let offset = offset_from(view.eye, bounds);

@@ -12,6 +12,7 @@ mod height;
 mod http;
 mod image;
 mod info;
+mod pnts;
 mod read;
 mod tileset;
 mod uri;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{IoError, Limits, RootScope, b3dm, file, gltf, height, image, tileset};
+use super::{IoError, Limits, RootScope, b3dm, file, gltf, height, image, pnts, tileset};
 use crate::scene::{Node, Page};
 
 /// What every read of a tile set shares.
@@ -84,9 +84,11 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
         return height::read(&uri, &bytes, reader_data.as_deref(), companions, limits);
     }
+    if bytes.starts_with(b"pnts") {
+        return pnts::read(&uri, &bytes, limits);
+    }
     for (magic, what) in [
         (&b"i3dm"[..], "instanced model (i3dm)"),
-        (b"pnts", "point cloud (pnts)"),
         (b"cmpt", "composite tile (cmpt)"),
         (b"subt", "implicit tiling (subtree)"),
     ] {

@@ -38,6 +38,8 @@ pub(crate) struct AssetJson {
 #[serde(rename_all = "camelCase")]
 pub(crate) struct TileJson {
     pub bounding_volume: VolumeJson,
+    #[serde(default)]
+    pub viewer_request_volume: Option<VolumeJson>,
     pub geometric_error: f64,
     #[serde(default)]
     pub refine: Option<String>,
@@ -149,6 +151,7 @@ impl Reader<'_> {
             _ => inherited,
         };
         let bounds = self.volume(&json.bounding_volume, &world)?;
+        let request_volume = json.viewer_request_volume.as_ref().map(|v| self.volume(v, &world)).transpose()?;
         if !(json.geometric_error.is_finite() && json.geometric_error >= 0.0) {
             return Err(IoError::invalid(self.uri, format!("geometricError {} of a tile", json.geometric_error)));
         }
@@ -188,6 +191,7 @@ impl Reader<'_> {
                     content: Some(uri),
                     content_transform: world,
                     reader_data: None,
+                    request_volume,
                 })))
             })
             .collect();
@@ -203,6 +207,7 @@ impl Reader<'_> {
                 content: first,
                 content_transform: world,
                 reader_data,
+                request_volume,
             })))
         };
         if extra.is_empty() {
@@ -221,6 +226,7 @@ impl Reader<'_> {
                     content: None,
                     content_transform: world,
                     reader_data: None,
+                    request_volume,
                 })))
             });
         }

@@ -250,6 +250,23 @@ pub enum BoundingVolume {
 }
 
 impl BoundingVolume {
+    /// True when a point (in ECEF for a region) is inside or on the surface.
+    pub fn contains(&self, point: DVec3) -> bool {
+        match self {
+            Self::Sphere(s) => s.center.distance(point) <= s.radius_m,
+            Self::Box(b) => b.distance_to(point) <= 1e-9 * b.center.distance(point),
+            Self::Region(r) => {
+                let g = WGS84.geodetic(point);
+                // East of the antimeridian's other side where the region crosses it.
+                let east = if r.east < r.west { r.east + std::f64::consts::TAU } else { r.east };
+                let longitude = if g.longitude < r.west { g.longitude + std::f64::consts::TAU } else { g.longitude };
+                longitude <= east
+                    && (r.south..=r.north).contains(&g.latitude)
+                    && (r.min_height_m..=r.max_height_m).contains(&g.height_m)
+            }
+        }
+    }
+
     /// The oriented box of a box or region; `None` for a sphere.
     pub fn oriented_box(&self) -> Option<OrientedBox> {
         match self {

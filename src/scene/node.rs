@@ -109,6 +109,9 @@ pub struct PagedLod {
     pub content_transform: DAffine3,
     /// Opaque to the scene; handed back to the reader with the content's URI (height tile parameters and the like).
     pub reader_data: Option<Arc<str>>,
+    /// Where the eye must be for the tile and what is below it to be drawn or asked for (3D Tiles'
+    /// `viewerRequestVolume`), in the frame of `bounds`; `None` is anywhere.
+    pub request_volume: Option<BoundingVolume>,
 }
 
 /// A place for a page that is read from `uri`.

@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::node::{PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine};
 use super::page::{NONE, UNBOUNDED};
-use crate::math::{BoundingSphere, OrientedBox};
+use crate::math::{BoundingSphere, BoundingVolume, OrientedBox};
 
 /// Flags of a [`TileRecord`].
 pub(crate) mod flag {
@@ -24,6 +24,8 @@ pub(crate) mod flag {
     pub const FAILED: u16 = 128;
     /// The resident page is a tile tree itself.
     pub const EXTERNAL: u16 = 256;
+    /// Only for eyes inside a volume of a separate table.
+    pub const REQUEST_VOLUME: u16 = 512;
 }
 
 /// What the tile walk reads of every tile it meets.
@@ -89,6 +91,8 @@ pub(crate) struct Tiles {
     pub reader_data: Vec<Option<Arc<str>>>,
     /// Centres of tiles with `RangeMode::Distance`, sorted by tile.
     pub distance_centers: Vec<(u32, DVec3)>,
+    /// By tile, for tiles with [`flag::REQUEST_VOLUME`].
+    pub request_volumes: Vec<(u32, BoundingVolume)>,
     pub roots: Vec<TileRoot>,
     /// Top tiles that are not ready.
     pub not_ready_roots: u32,
@@ -124,6 +128,10 @@ impl Tiles {
                 range_m
             }
         };
+        if let Some(volume) = tile.request_volume {
+            flags |= flag::REQUEST_VOLUME;
+            self.request_volumes.push((self.records.len() as u32, volume));
+        }
         let sphere = tile.bounds.bounding_sphere();
         let oriented_box = tile.bounds.oriented_box();
         self.push(
@@ -213,6 +221,14 @@ impl Tiles {
     pub fn stamp(&self, tile: usize, frame: u32) {
         if let Some(stamp) = self.last_used.get(tile) {
             stamp.store(frame, Ordering::Relaxed);
+        }
+    }
+
+    /// True when a tile has no request volume, or the eye is in it.
+    pub fn may_be_requested(&self, tile: u32, eye: DVec3) -> bool {
+        match self.request_volumes.binary_search_by_key(&tile, |(t, _)| *t) {
+            Ok(place) => self.request_volumes[place].1.contains(eye),
+            Err(_) => true,
         }
     }
 

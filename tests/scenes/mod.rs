@@ -120,6 +120,7 @@ fn quad(levels: u32, center: DVec3, half_m: f64, error_m: f64, refine: Refine, n
         content: Some(name.into()),
         content_transform: DAffine3::from_translation(center),
         reader_data: None,
+        request_volume: None,
     })));
     if levels > 1 {
         for (i, (x, y)) in [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].into_iter().enumerate() {

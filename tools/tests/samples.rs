@@ -55,9 +55,7 @@ fn sample_tile_sets_draw_as_in_cesium() {
         let (ours, cesium) = (&report["settled"], &case["cesium"]);
         let count = |v: &Value| v.as_u64().unwrap();
         assert_eq!(count(&ours["triangles"]), count(&cesium["tri"]), "{file}: triangles");
-        // One of the sets holds a pnts cloud, which is refused by name.
-        let points = count(&cesium["pts"]);
-        assert!(count(&ours["points"]) == points || report["errors"].to_string().contains("pnts"), "{file}: points");
+        assert_eq!(count(&ours["points"]), count(&cesium["pts"]), "{file}: points");
         let (own, other) = (ours["coverage"].as_f64().unwrap(), cesium["cov"].as_f64().unwrap());
         assert!((own - other).abs() < 0.001, "{file}: covers {own}, in CesiumJS {other}");
         std::fs::remove_file(&report_file).unwrap();

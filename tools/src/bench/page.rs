@@ -131,6 +131,7 @@ impl Tile {
             content: Some(uri),
             content_transform: DAffine3::from_translation(DVec3::new(center.x, center.y, 0.0)),
             reader_data,
+            request_volume: None,
         };
         let children = self.children().map(|c| c.node(base, content)).collect();
         Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
