@@ -41,6 +41,9 @@ impl Cull<'_> {
             let record = page.nodes[node as usize];
             let skip = record.skip;
             if !page.masks.is_empty() && page.masks[node as usize] & self.camera.cull_mask == 0 {
+                if context.visit.required && record.flags & PLAIN == 0 {
+                    self.keep_tiles(context, node, node + skip);
+                }
                 node += skip;
                 continue;
             }
@@ -59,7 +62,9 @@ impl Cull<'_> {
                     }
                 }
             }
-            if !shortcut && self.small_feature > 0.0 && self.is_small(context, sphere) {
+            // Not where tiles are below: their errors decide.
+            let has_small_features = self.small_feature > 0.0 && record.flags & PLAIN != 0;
+            if !shortcut && has_small_features && self.is_small(context, sphere) {
                 node += skip;
                 continue;
             }

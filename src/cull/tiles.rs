@@ -57,7 +57,8 @@ impl Cull<'_> {
             let index = tile as usize;
             let record = tiles.records[index];
             let skip = record.skip;
-            if !page.masks.is_empty() && page.masks[tiles.nodes[index] as usize] & self.camera.cull_mask == 0 {
+            let hidden = !page.masks.is_empty() && page.masks[tiles.nodes[index] as usize] & self.camera.cull_mask == 0;
+            if hidden && !above.required {
                 tile += skip;
                 continue;
             }
@@ -68,7 +69,8 @@ impl Cull<'_> {
             self.counters.tiles_visited += 1;
             let bounds = &tiles.bounds[index];
             let offset = offset_from(view.eye, bounds);
-            let mut purpose = above.purpose;
+            // What this camera does not see is kept with its siblings all the same: the parent waits for all of them.
+            let mut purpose = if hidden { Purpose::Keep } else { above.purpose };
             let mut mask = above.mask;
             if mask != 0 && purpose != Purpose::Keep {
                 match test(&view.planes, bounds, &record, offset, mask) {
