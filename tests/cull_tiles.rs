@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use glam::{DAffine3, DVec3};
 use proptest::prelude::*;
 use scenes::{content, look_at, page, quadtree, square_box};
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume, Frustum};
 use terrane::scene::{
     Node, NodeId, NodeKind, PageId, PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine, Scene, SlotState,
@@ -498,114 +498,4 @@ fn broken_tiles_do_no_harm() {
     visitor.cull(&scene, &camera, &mut stage);
     assert_eq!(stage.counters.leaves, 3);
     assert!(stage.near_m > 7.0 && stage.far_m < 13.0);
-}
-
-/// A globe of 6 x 12 tiles of 30 degrees: from 1,000 km up only what is on this side of the horizon is met.
-#[test]
-fn the_earth_hides_what_is_behind_it() {
-    use terrane::math::{Geodetic, Region, WGS84};
-    let tiles = (0..72).map(|k| {
-        let (i, j) = (f64::from(k % 12), f64::from(k / 12));
-        let step = 30f64.to_radians();
-        let (west, south) = (i * step - std::f64::consts::PI, j * step - 0.5 * std::f64::consts::PI);
-        let region =
-            Region { west, south, east: west + step, north: south + step, min_height_m: 0.0, max_height_m: 1000.0 };
-        Node::new(NodeKind::PagedLod(Box::new(PagedLod {
-            bounds: BoundingVolume::Region(region),
-            range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
-            refine: Refine::Replace,
-            content: Some(format!("{k}").into()),
-            content_transform: DAffine3::IDENTITY,
-            reader_data: None,
-            request_volume: None,
-        })))
-    });
-    let mut scene = Scene::new();
-    scene.add_root(page(Node::group(tiles.collect()), 0));
-    let eye = WGS84.ecef(&Geodetic { longitude: 0.26, latitude: 0.26, height_m: 1.0e6 });
-    // Towards the earth's centre: half of what is behind lies in the frustum's cone beyond it.
-    let straight = look_at(eye, DVec3::ZERO, DVec3::Z);
-    let wanted = |camera: &CullCamera| {
-        let mut stage = RenderStage::new();
-        CullVisitor::new().cull(&scene, camera, &mut stage);
-        let uris = stage.requests.iter().map(|r| scene.slot(r.slot).unwrap().uri.parse::<u32>().unwrap());
-        uris.collect::<BTreeSet<u32>>()
-    };
-    let through = wanted(&straight);
-    let solid = wanted(&CullCamera { horizon: Some(WGS84), ..straight });
-    assert!(solid.is_subset(&through) && solid.len() < through.len(), "{solid:?} {through:?}");
-    // The tile below the eye, and no tile of the far hemisphere.
-    assert!(solid.contains(&(3 * 12 + 6)), "{solid:?}");
-    assert!(through.contains(&(2 * 12)) && !solid.contains(&(2 * 12)), "the antipode: {through:?} {solid:?}");
-}
-
-/// A tile of a plane: a square around a place, content named by itself.
-fn flat_tile(center: DVec3, half_m: f64, geometric_error_m: f64) -> Node {
-    Node::new(NodeKind::PagedLod(Box::new(PagedLod {
-        bounds: BoundingVolume::Box(square_box(center, half_m)),
-        range_mode: RangeMode::ScreenSpaceError { geometric_error_m },
-        refine: Refine::Replace,
-        content: Some(format!("{center}").into()),
-        content_transform: DAffine3::from_translation(center),
-        reader_data: None,
-        request_volume: None,
-    })))
-}
-
-/// Culls and attaches what is asked for until nothing is.
-fn settle(scene: &mut Scene, camera: &CullCamera) -> RenderStage {
-    let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
-    for frame in 1..20 {
-        visitor.cull(scene, &CullCamera { frame, ..*camera }, &mut stage);
-        let wanted: Vec<NodeId> = stage.requests.iter().map(|r| r.slot).collect();
-        if wanted.is_empty() {
-            return stage;
-        }
-        for (i, slot) in wanted.into_iter().enumerate() {
-            assert!(scene.attach(slot, content(50.0, i as u32)).is_ok());
-        }
-    }
-    panic!("does not settle: {:?}", stage.requests);
-}
-
-#[test]
-fn a_hidden_child_does_not_hold_its_parent() {
-    let mut parent = flat_tile(DVec3::ZERO, 100.0, 50.0);
-    let mut hidden = flat_tile(DVec3::new(50.0, 0.0, 0.0), 50.0, 0.0);
-    hidden.mask = 2;
-    parent.children = vec![flat_tile(DVec3::new(-50.0, 0.0, 0.0), 50.0, 0.0), hidden];
-    let mut scene = Scene::new();
-    scene.add_root(page(parent, 0));
-    let camera = CullCamera { cull_mask: 1, ..look_at(DVec3::new(0.0, -10.0, 300.0), DVec3::ZERO, DVec3::Z) };
-    let stage = settle(&mut scene, &camera);
-    assert_eq!(stage.counters.tiles_drawn, 1);
-    // 50 m to the left: the child that is seen, not the parent in the middle.
-    let x = stage.eye_from_drawable.last().unwrap()[0][3];
-    assert!((x + 50.0).abs() < 1.0, "{x}");
-    let both = settle(&mut scene, &CullCamera { cull_mask: 3, ..camera });
-    assert_eq!(both.counters.tiles_drawn, 2);
-}
-
-#[test]
-fn small_features_spare_tiles() {
-    let mut scene = Scene::new();
-    scene.add_root(page(flat_tile(DVec3::ZERO, 1.0, 0.0), 0));
-    let far = look_at(DVec3::new(0.0, -5000.0, 0.0), DVec3::ZERO, DVec3::Z);
-    let culling = CullingMode::DEFAULT | CullingMode::SMALL_FEATURE;
-    assert_eq!(settle(&mut scene, &CullCamera { culling, ..far }).counters.tiles_drawn, 1);
-}
-
-#[test]
-fn a_tile_is_for_eyes_in_its_request_volume() {
-    let mut tile = flat_tile(DVec3::ZERO, 10.0, 0.0);
-    if let NodeKind::PagedLod(lod) = &mut tile.kind {
-        lod.request_volume = Some(BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 100.0)));
-    }
-    let mut scene = Scene::new();
-    scene.add_root(page(tile, 0));
-    let at = |distance_m: f64| look_at(DVec3::new(0.0, -distance_m, 0.0), DVec3::ZERO, DVec3::Z);
-    let outside = settle(&mut scene, &at(101.0));
-    assert_eq!((outside.counters.tiles_drawn, outside.counters.tiles_visited), (0, 0), "not even asked for");
-    assert_eq!(settle(&mut scene, &at(99.0)).counters.tiles_drawn, 1);
-    assert_eq!(settle(&mut scene, &at(101.0)).counters.tiles_drawn, 0, "nor drawn when it is there");
 }

@@ -3,51 +3,18 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod pager_support;
+
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use glam::{DAffine3, DVec3};
-use terrane::cull::{CullCamera, CullVisitor, RenderStage};
-use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
+use glam::DVec3;
+use pager_support::{PAGE_GPU_BYTES, Run};
 use terrane::io::write::{GlbMesh, write_glb};
-use terrane::io::{Limits, ReadOptions, root_uri};
-use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
-use terrane::scene::{DrawSlot, Scene};
+use terrane::pager::{CompileContext, PagerConfig};
 
-/// Bytes that the context says a page takes.
-const PAGE_GPU_BYTES: u64 = 1000;
 const WORLD_M: f64 = 4096.0;
 const LEVELS: u32 = 4;
-
-/// Compiles at once.
-#[derive(Default)]
-struct Context {
-    done: Vec<Compiled>,
-    slots_out: u64,
-}
-
-impl CompileContext for Context {
-    fn id(&self) -> u32 {
-        0
-    }
-
-    fn compile(&mut self, operation: CompileOperation) {
-        let slots = vec![DrawSlot(0); operation.drawables.len()];
-        self.slots_out += slots.len() as u64;
-        let ticket = operation.ticket;
-        self.done.push(Compiled { ticket, slots, bytes: PAGE_GPU_BYTES, errors: Vec::new() });
-    }
-
-    fn run_compiles(&mut self, _: &CompileBudget) {}
-
-    fn take_compiled(&mut self) -> Vec<Compiled> {
-        std::mem::take(&mut self.done)
-    }
-
-    fn release(&mut self, slots: Vec<DrawSlot>) {
-        self.slots_out -= slots.len() as u64;
-    }
-}
 
 /// A flat quadtree, one triangle a tile; returns the bytes of a content.
 fn write_quadtree(folder: &Path) -> u64 {
@@ -83,47 +50,6 @@ fn write_quadtree(folder: &Path) -> u64 {
     glb.len() as u64
 }
 
-struct Run {
-    scene: Scene,
-    pager: DatabasePager,
-    context: Context,
-    stage: RenderStage,
-    visitor: CullVisitor,
-    frame: u32,
-    root_bytes: u64,
-}
-
-impl Run {
-    fn new(folder: &Path, config: PagerConfig) -> Self {
-        let uri = root_uri(folder.to_str().unwrap()).unwrap();
-        let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
-        let mut scene = Scene::new();
-        scene.add_root(pager.read_root(&uri).unwrap());
-        let root_bytes = pager.stats().bytes_read;
-        let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
-        Self { scene, pager, context, stage, visitor, frame: 0, root_bytes }
-    }
-
-    /// A frame that looks straight down.
-    fn frame(&mut self, eye: DVec3) {
-        self.frame += 1;
-        let camera =
-            CullCamera { eye_from_world: DAffine3::from_translation(-eye), frame: self.frame, ..CullCamera::default() };
-        self.visitor.cull(&self.scene, &camera, &mut self.stage);
-        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
-        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, contexts);
-    }
-
-    fn frames_until(&mut self, eye: DVec3, what: &str, done: impl Fn(&Self) -> bool) {
-        let end = Instant::now() + Duration::from_secs(60);
-        while !done(self) {
-            assert!(Instant::now() < end, "{what}: {:?}", self.pager.stats());
-            self.frame(eye);
-            std::thread::yield_now();
-        }
-    }
-}
-
 fn over_the_world(u: f64, height_m: f64) -> DVec3 {
     DVec3::new(WORLD_M * u, 0.5 * WORLD_M + 0.3 * WORLD_M * (9.0 * u).sin(), height_m)
 }
@@ -139,7 +65,7 @@ fn budgets_hold_in_every_frame_and_what_is_seen_comes_first() {
         expiry_frames: 2,
         ..PagerConfig::default()
     };
-    let mut run = Run::new(folder.path(), config.clone());
+    let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
     let end = Instant::now() + Duration::from_secs(60);
     // Until the budgets were pressed on, however slow the machine reads.
     for i in 0u32.. {
@@ -162,7 +88,7 @@ fn budgets_hold_in_every_frame_and_what_is_seen_comes_first() {
     // The last view fits, so it is shown whole in spite of what was there before.
     let eye = over_the_world(0.5, 150.0);
     run.frame(eye);
-    run.frames_until(eye, "the last view does not arrive", |r| r.stage.counters.wanted_missing == 0);
+    run.until(eye, "the last view does not arrive", |r| r.stage.counters.wanted_missing == 0);
     assert!(run.stage.counters.tiles_drawn > 1);
     assert!(run.pager.errors().is_empty());
     assert!(run.context.slots_out >= run.pager.stats().resident, "what is drawn keeps its slots");
@@ -173,9 +99,9 @@ fn a_page_beyond_the_whole_budget_is_one_error() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = PagerConfig { max_bytes_gpu: PAGE_GPU_BYTES - 1, ..PagerConfig::default() };
-    let mut run = Run::new(folder.path(), config);
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let far = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
-    run.frames_until(far, "the root is not refused", |r| r.pager.stats().failed == 1);
+    run.until(far, "the root is not refused", |r| r.pager.stats().failed == 1);
     for _ in 0..20 {
         run.frame(far);
     }
@@ -191,9 +117,9 @@ fn a_stale_request_reads_nothing() {
     let content_bytes = write_quadtree(folder.path());
     // Room for the root alone: whatever else is asked for waits.
     let config = PagerConfig { max_tiles: 1, stale_frames: 3, ..PagerConfig::default() };
-    let mut run = Run::new(folder.path(), config);
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let far = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
-    run.frames_until(far, "the root does not arrive", |r| r.pager.stats().merged == 1);
+    run.until(far, "the root does not arrive", |r| r.pager.stats().merged == 1);
     for _ in 0..20 {
         run.frame(over_the_world(0.5, 150.0));
     }
@@ -212,7 +138,9 @@ fn a_stale_request_reads_nothing() {
 fn work_between_frames_loads_everything_the_last_cull_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
-    let mut run = Run::new(folder.path(), PagerConfig::default());
+    // One page a merge: what is left over must not wait for another answer.
+    let config = PagerConfig { merge_time: Duration::ZERO, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
     let eye = over_the_world(0.5, 150.0);
     run.frame(eye);
     let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];

@@ -3,19 +3,19 @@
 #![cfg(feature = "http")]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod pager_support;
+
 use std::collections::HashMap;
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use glam::{DAffine3, DVec3};
-use terrane::cull::{CullCamera, CullVisitor, RenderStage};
-use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
+use glam::DVec3;
+use pager_support::Run;
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{HttpConfig, IoError, Limits, ReadOptions, root_uri};
-use terrane::pager::{CompileContext, DatabasePager, ErrorRecord, PagerConfig};
-use terrane::scene::{DrawSlot, Scene};
+use terrane::pager::{DatabasePager, ErrorRecord, PagerConfig};
 
 /// What the server does with a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -165,36 +165,13 @@ fn set() -> HashMap<String, Vec<u8>> {
     files
 }
 
-/// Compiles at once.
-#[derive(Default)]
-struct Context(Vec<Compiled>);
-
-impl CompileContext for Context {
-    fn id(&self) -> u32 {
-        0
-    }
-
-    fn compile(&mut self, operation: CompileOperation) {
-        let slots = vec![DrawSlot(0); operation.drawables.len()];
-        self.0.push(Compiled { ticket: operation.ticket, slots, bytes: 100, errors: Vec::new() });
-    }
-
-    fn run_compiles(&mut self, _: &CompileBudget) {}
-
-    fn take_compiled(&mut self) -> Vec<Compiled> {
-        std::mem::take(&mut self.0)
-    }
-
-    fn release(&mut self, _: Vec<DrawSlot>) {}
-}
-
 /// Short waits; generous enough for a busy machine where an answer does come.
 fn impatient() -> PagerConfig {
     PagerConfig {
         http: HttpConfig {
             connect_timeout: Duration::from_secs(10),
-            first_byte_timeout: Duration::from_millis(700),
-            read_timeout: Duration::from_millis(700),
+            first_byte_timeout: Duration::from_secs(2),
+            read_timeout: Duration::from_secs(2),
             total_timeout: Duration::from_secs(20),
             max_retries: 1,
             retry_backoff: Duration::from_millis(5),
@@ -214,58 +191,18 @@ fn patient() -> PagerConfig {
     config
 }
 
-struct Run {
-    scene: Scene,
-    pager: DatabasePager,
-    context: Context,
-    stage: RenderStage,
-    visitor: CullVisitor,
-    frame: u32,
+const NEAR: DVec3 = DVec3::new(0.0, 0.0, 10.0);
+const FAR: DVec3 = DVec3::new(0.0, 0.0, 100_000.0);
+
+fn run_of(server: &Server, config: PagerConfig) -> Run {
+    Run::new(&format!("{}/set/", server.url), config)
 }
 
-const NEAR_M: f64 = 10.0;
-const FAR_M: f64 = 100_000.0;
-
-impl Run {
-    fn new(server: &Server, config: PagerConfig) -> Self {
-        let uri = root_uri(&format!("{}/set/", server.url)).unwrap();
-        let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
-        let mut scene = Scene::new();
-        scene.add_root(pager.read_root(&uri).unwrap());
-        let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
-        Self { scene, pager, context, stage, visitor, frame: 0 }
-    }
-
-    fn frame(&mut self, distance_m: f64) {
-        self.frame += 1;
-        let eye_from_world = DAffine3::from_translation(DVec3::new(0.0, 0.0, -distance_m));
-        let camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
-        self.visitor.cull(&self.scene, &camera, &mut self.stage);
-        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
-        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, contexts);
-    }
-
-    fn until(&mut self, distance_m: f64, what: &str, done: impl Fn(&Self) -> bool) {
-        let end = Instant::now() + Duration::from_secs(60);
-        while !done(self) {
-            assert!(Instant::now() < end, "{what}: {:?} {:?}", self.pager.stats(), self.pager.errors());
-            self.frame(distance_m);
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    }
-
-    fn settle(&mut self) {
-        self.frame(NEAR_M);
-        self.until(NEAR_M, "does not settle", |r| r.pager.is_idle() && r.stage.requests.is_empty());
-        self.frame(NEAR_M);
-    }
-
-    fn error_of(&self, name: &str) -> ErrorRecord {
-        let errors = self.pager.errors();
-        let found: Vec<_> = errors.iter().filter(|e| e.uri.ends_with(name)).cloned().collect();
-        assert_eq!(found.len(), 1, "one error for {name}: {errors:?}");
-        found[0].clone()
-    }
+fn error_of(run: &Run, name: &str) -> ErrorRecord {
+    let errors = run.pager.errors();
+    let found: Vec<_> = errors.iter().filter(|e| e.uri.ends_with(name)).cloned().collect();
+    assert_eq!(found.len(), 1, "one error for {name}: {errors:?}");
+    found[0].clone()
 }
 
 #[test]
@@ -274,8 +211,8 @@ fn a_set_streams_whole() {
     let bytes: u64 = files.values().map(|f| f.len() as u64).sum();
     for answer in [Answer::Whole, Answer::Slow] {
         let server = Server::start(files.clone(), move |_, _| answer);
-        let mut run = Run::new(&server, impatient());
-        run.settle();
+        let mut run = run_of(&server, impatient());
+        run.settle(NEAR);
         let stats = *run.pager.stats();
         assert_eq!((stats.merged, stats.failed), (CHILDREN as u64 + 1, 0), "{:?}", run.pager.errors());
         assert_eq!((stats.bytes_http, stats.bytes_read), (bytes, bytes), "every byte once");
@@ -295,8 +232,8 @@ fn each_fault_is_one_error_and_costs_nothing_else() {
         _ => Answer::Whole,
     };
     let server = Server::start(set(), plan);
-    let mut run = Run::new(&server, impatient());
-    run.settle();
+    let mut run = run_of(&server, impatient());
+    run.settle(NEAR);
     for (name, why) in [
         ("child0.glb", "not found"),
         ("child1.glb", "HTTP status 500"),
@@ -304,7 +241,7 @@ fn each_fault_is_one_error_and_costs_nothing_else() {
         ("child3.glb", "timed out"),
         ("child4.glb", "markup"),
     ] {
-        let error = run.error_of(name);
+        let error = error_of(&run, name);
         assert!(error.uri.starts_with("http://127.0.0.1") && !error.reason.is_empty(), "{error:?}");
         assert!(error.reason.contains(why), "{error:?}");
         assert_eq!(error.count, 1, "{error:?}");
@@ -316,7 +253,7 @@ fn each_fault_is_one_error_and_costs_nothing_else() {
     assert_eq!(["0", "1", "3"].map(|i| server.requests(&format!("/set/child{i}.glb"))), [1, 2, 2]);
     let before = server.seen.lock().unwrap().requests.len();
     for _ in 0..50 {
-        run.frame(NEAR_M);
+        run.frame(NEAR);
     }
     assert_eq!(server.seen.lock().unwrap().requests.len(), before, "failures are not hammered");
 }
@@ -330,8 +267,8 @@ fn what_passes_is_tried_again() {
                 if path == "/set/child2.glb" && nth == 0 { fault } else { Answer::Whole }
             },
         );
-        let mut run = Run::new(&server, impatient());
-        run.settle();
+        let mut run = run_of(&server, impatient());
+        run.settle(NEAR);
         assert_eq!(run.stage.counters.tiles_drawn, CHILDREN as u32, "{fault:?}: {:?}", run.pager.errors());
         assert_eq!((server.requests("/set/child2.glb"), run.pager.stats().failed), (2, 0), "{fault:?}");
     }
@@ -343,17 +280,16 @@ fn what_passes_is_tried_again() {
                 if path == "/set/child2.glb" && nth < 2 { Answer::Status(503) } else { Answer::Whole }
             },
         );
-    let mut run =
-        Run::new(&server, PagerConfig { max_tries: 3, retry_after: Duration::from_millis(20), ..impatient() });
-    run.until(NEAR_M, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
-    assert_eq!((run.error_of("child2.glb").count, server.requests("/set/child2.glb")), (1, 3));
+    let mut run = run_of(&server, PagerConfig { max_tries: 3, retry_after: Duration::from_millis(20), ..impatient() });
+    run.until(NEAR, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
+    assert_eq!((error_of(&run, "child2.glb").count, server.requests("/set/child2.glb")), (1, 3));
 }
 
 #[test]
 fn a_hung_request_blocks_nobody() {
     let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });
-    let mut run = Run::new(&server, patient());
-    run.until(NEAR_M, "the others wait", |r| r.pager.stats().merged == CHILDREN as u64);
+    let mut run = run_of(&server, patient());
+    run.until(NEAR, "the others wait", |r| r.pager.stats().merged == CHILDREN as u64);
     assert_eq!(server.requests("/set/child0.glb"), 1);
     assert_eq!(run.pager.stats().in_flight, 1);
 }
@@ -361,34 +297,33 @@ fn a_hung_request_blocks_nobody() {
 #[test]
 fn an_unwanted_request_is_aborted() {
     let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });
-    let mut run = Run::new(&server, PagerConfig { abort_frames: 5, ..patient() });
-    run.until(NEAR_M, "not asked for", |_| server.requests("/set/child0.glb") == 1);
-    run.until(FAR_M, "not aborted", |r| r.pager.stats().cancelled == 1 && server.given_up() == ["/set/child0.glb"]);
-    run.until(FAR_M, "does not rest", |r| r.pager.is_idle());
+    let mut run = run_of(&server, PagerConfig { abort_frames: 5, ..patient() });
+    run.until(NEAR, "not asked for", |_| server.requests("/set/child0.glb") == 1);
+    run.until(FAR, "not aborted", |r| r.pager.stats().cancelled == 1 && server.given_up() == ["/set/child0.glb"]);
+    run.until(FAR, "does not rest", |r| r.pager.is_idle());
     assert!(run.pager.errors().is_empty(), "nobody is told of what nobody wants: {:?}", run.pager.errors());
     // Wanted again, it is asked for again.
-    run.until(NEAR_M, "not asked for again", |_| server.requests("/set/child0.glb") == 2);
+    run.until(NEAR, "not asked for again", |_| server.requests("/set/child0.glb") == 2);
 }
 
 #[test]
 fn a_stale_request_never_reaches_the_server() {
     let server = Server::start(set(), |path, _| if path.contains("child") { Answer::Silent } else { Answer::Whole });
-    let mut run =
-        Run::new(&server, PagerConfig { http_in_flight: 1, stale_frames: 2, abort_frames: 1000, ..patient() });
-    run.until(NEAR_M, "none is under way", |r| {
+    let mut run = run_of(&server, PagerConfig { http_in_flight: 1, stale_frames: 2, abort_frames: 1000, ..patient() });
+    run.until(NEAR, "none is under way", |r| {
         r.pager.stats().merged == 1 && server.seen.lock().unwrap().requests.len() == 3
     });
     let waiting = run.pager.stats().waiting;
     assert_eq!(waiting, CHILDREN as u64 - 1);
-    run.until(FAR_M, "nothing gets stale", |r| r.pager.stats().stale == waiting);
+    run.until(FAR, "nothing gets stale", |r| r.pager.stats().stale == waiting);
     assert_eq!(server.seen.lock().unwrap().requests.len(), 3, "the set, the root and one child");
 }
 
 #[test]
 fn a_pager_ends_with_requests_under_way() {
     let server = Server::start(set(), |path, _| if path.ends_with("glb") { Answer::Silent } else { Answer::Whole });
-    let mut run = Run::new(&server, patient());
-    run.until(NEAR_M, "none is under way", |_| server.seen.lock().unwrap().requests.len() == CHILDREN + 2);
+    let mut run = run_of(&server, patient());
+    run.until(NEAR, "none is under way", |_| server.seen.lock().unwrap().requests.len() == CHILDREN + 2);
     let start = Instant::now();
     drop(run);
     assert!(start.elapsed() < Duration::from_secs(30), "does not wait for the server");

@@ -155,7 +155,12 @@ impl DatabasePager {
     pub fn work_until(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext], deadline: Instant) {
         let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
         while self.is_under_way() && !left().is_zero() {
-            let patience = if self.compiling.is_empty() { left() } else { left().min(COMPILE_POLL) };
+            let patience = match (self.ready.is_empty(), self.compiling.is_empty()) {
+                // More is ready than one merge may take.
+                (false, _) => Duration::ZERO,
+                (true, false) => left().min(COMPILE_POLL),
+                (true, true) => left(),
+            };
             if let Some(answer) = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(patience).ok()) {
                 self.answer(scene, answer, contexts);
             }
