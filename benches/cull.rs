@@ -51,7 +51,7 @@ fn tiles(criterion: &mut Criterion) {
                 }
             }
             let mut camera = look_at(DVec3::new(0.0, -22_000.0, 6_000.0), DVec3::ZERO, DVec3::Z);
-            camera.max_sse_px = 1.0;
+            camera.settings.max_sse_px = 1.0;
             let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
             visitor.cull(&scene, &camera, &mut stage);
             group.throughput(Throughput::Elements(u64::from(stage.counters.tiles_visited)));

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use glam::{DAffine3, DVec3};
 use scenes::{content, look_at, page, square_box};
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullSettings, CullVisitor, CullingMode, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{Node, NodeId, NodeKind, PagedLod, RangeMode, Refine, Scene};
 
@@ -87,13 +87,15 @@ fn a_hidden_child_does_not_hold_its_parent() {
     parent.children = vec![flat_tile(DVec3::new(-50.0, 0.0, 0.0), 50.0, 0.0), hidden];
     let mut scene = Scene::new();
     scene.add_root(page(parent, 0));
-    let camera = CullCamera { cull_mask: 1, ..look_at(DVec3::new(0.0, -10.0, 300.0), DVec3::ZERO, DVec3::Z) };
+    let mut camera = look_at(DVec3::new(0.0, -10.0, 300.0), DVec3::ZERO, DVec3::Z);
+    camera.settings.cull_mask = 1;
     let stage = settle(&mut scene, &camera);
     assert_eq!(stage.counters.tiles_drawn, 1);
     // 50 m to the left: the child that is seen, not the parent in the middle.
     let x = stage.eye_from_drawable.last().unwrap()[0][3];
     assert!((x + 50.0).abs() < 1.0, "{x}");
-    let both = settle(&mut scene, &CullCamera { cull_mask: 3, ..camera });
+    camera.settings.cull_mask = 3;
+    let both = settle(&mut scene, &camera);
     assert_eq!(both.counters.tiles_drawn, 2);
 }
 
@@ -103,7 +105,8 @@ fn small_features_spare_tiles() {
     scene.add_root(page(flat_tile(DVec3::ZERO, 1.0, 0.0), 0));
     let far = look_at(DVec3::new(0.0, -5000.0, 0.0), DVec3::ZERO, DVec3::Z);
     let culling = CullingMode::DEFAULT | CullingMode::SMALL_FEATURE;
-    assert_eq!(settle(&mut scene, &CullCamera { culling, ..far }).counters.tiles_drawn, 1);
+    let settings = CullSettings { culling, ..CullSettings::default() };
+    assert_eq!(settle(&mut scene, &CullCamera { settings, ..far }).counters.tiles_drawn, 1);
 }
 
 #[test]

@@ -275,7 +275,7 @@ proptest! {
     ) {
         let mut world = World::new(&tree);
         let mut camera = camera(eye, target);
-        camera.lod_scale = lod_scale;
+        camera.settings.lod_scale = lod_scale;
         let mut rounds = 0;
         let stage = loop {
             camera.frame += 1;
@@ -343,8 +343,8 @@ impl Wanted<'_> {
         let error_px = error_m(tile, *half_m) * f64::from(self.camera.viewport_px[1])
             / (2.0 * 30f64.to_radians().tan())
             / distance_m
-            / self.camera.lod_scale;
-        let limit_px = self.camera.max_sse_px;
+            / self.camera.settings.lod_scale;
+        let limit_px = self.camera.settings.max_sse_px;
         let always = tile.kind != Kind::Content;
         self.unsure |= !always && error_px > 0.0 && (error_px / limit_px - 1.0).abs() < 1e-3;
         let refine = !tile.children.is_empty() && (always || error_px > limit_px);

@@ -101,7 +101,7 @@ fn equal_images_meshes_and_indices_are_uploaded_once() {
         let vertices = (0..100).map(|i| MeshVertex { position: [i as f32, 0.0, z], ..MeshVertex::default() });
         let mut mesh = mesh(vertices.collect(), vec![0]);
         mesh.indices = indices.clone();
-        Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material: Material::default() }
+        Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
     };
     let one = rig.compile(vec![with_indices(0.0)]);
     let other = rig.compile(vec![with_indices(1.0)]);
@@ -156,7 +156,7 @@ fn a_drawable_that_cannot_be_made_is_an_error_of_its_own() {
     };
     let with_index = |index: u32| {
         let mesh = mesh(vec![MeshVertex::default(); 3], vec![0, 1, index]);
-        Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material: Material::default() }
+        Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
     };
     let mut tile =
         Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1.0, root_error_m: 1.0, textured: false }.tile(0, 0, 0);

@@ -123,8 +123,7 @@ fn lines_and_points_are_drawn() {
     line.topology = Topology::Lines;
     let mut points = mesh(vec![vertex(-0.498, 0.502), vertex(0.502, 0.502), vertex(0.502, -0.498)], vec![0, 1, 2]);
     points.topology = Topology::Points;
-    let drawables =
-        [line, points].map(|m| Drawable { geometry: Geometry::Mesh(Arc::new(m)), material: material.clone() }).to_vec();
+    let drawables = [line, points].map(|m| Drawable::new(Geometry::Mesh(Arc::new(m)), material.clone())).to_vec();
     let scene = rig.scene(Node::geode(drawables));
     let camera = unit_camera(256);
     let stats = rig.draw(&scene, &camera, &plain());
@@ -234,7 +233,7 @@ fn no_background_shows_between_levels() {
             let eye = terrain.world(eye_u, 0.5, 4_500.0 + 700.0 * f64::from(step));
             let up = terrain.up(eye_u, 0.5);
             let mut camera = camera([256, 256], eye, terrain.world(0.5, 0.5, 0.0), up);
-            camera.max_sse_px = 4.0;
+            camera.settings.max_sse_px = 4.0;
             let mut root = terrain.tiles_for(&camera, eye, 4);
             if !skirts {
                 without_skirts(&mut root);

@@ -51,7 +51,7 @@ fn meshes_lit_textured_masked_and_blended() {
     };
     let lit = |normals: bool, texture, alpha| {
         let material = Material { texture, alpha, double_sided: alpha != AlphaMode::Opaque, ..Material::default() };
-        Drawable { geometry: Geometry::Mesh(Arc::new(sphere(normals))), material }
+        Drawable::new(Geometry::Mesh(Arc::new(sphere(normals))), material)
     };
     let mut glass = lit(true, None, AlphaMode::Blend);
     glass.material.base_color = [0.2, 0.9, 0.4, 0.4];

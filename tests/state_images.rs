@@ -86,7 +86,7 @@ fn blending_weighs_and_adds() {
 fn depth_compares_and_writes() {
     let Some(mut rig) = rig("depth_compares_and_writes") else { return };
     let rig = &mut *rig;
-    let depth = |function, write| Attribute::Depth(Depth { function, write });
+    let depth = |function, write| Attribute::Depth(Depth { function, write, ..Depth::default() });
     // Red at 0, then green behind it with the function.
     let mut behind =
         |set: StateSet| middle(rig, vec![node(square(0.0, RED), StateSet::default()), node(square(-0.5, GREEN), set)]);

@@ -26,7 +26,7 @@ fn square() -> Drawable {
         bounds: Aabb { min: DVec3::new(-1.0, 0.0, -1.0), max: DVec3::new(1.0, 0.0, 1.0) },
     };
     let material = Material { base_color: [1.0, 0.2, 0.1, 1.0], unlit: true, ..Material::default() };
-    Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material }
+    Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)
 }
 
 fn viewer(threading: ThreadingModel, adapter: AdapterChoice) -> Option<Viewer> {

@@ -8,20 +8,30 @@
 //! CullVisitor::cull    page queue: the root pages, then the pages that tiles hang in, breadth first
 //!   nodes              flat depth-first scan of a page; subtrees wholly inside become two ranges
 //!   tiles              tile trees: REPLACE and ADD, screen-space error, requests; horizon: what the earth hides
+//!   special            cameras, billboards, lights, clip planes, queries; occluders were collected before
 //!   state_graph        find-or-insert of state sets under their parent
 //!   sort               leaves to bins, in draw order
+//! then the cameras in the graph that are drawn before or after: a stage of their own each, culled alike
 //! ```
 
 mod camera;
 mod horizon;
 mod nodes;
+mod occluders;
 mod planes;
 mod sort;
+mod special;
 mod stage;
 mod state_graph;
 mod tiles;
+mod view;
 mod visitor;
 
-pub use camera::{CullCamera, CullingMode, SMALL_FEATURE_PX};
-pub use stage::{CullCounters, PageRequest, RenderBin, RenderLeaf, RenderStage};
+pub use camera::CullCamera;
+pub use stage::{
+    ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, RenderBin, RenderLeaf, RenderStage,
+    StageTarget, StageView,
+};
 pub use visitor::CullVisitor;
+
+pub use crate::scene::{CullSettings, CullingMode, SMALL_FEATURE_PX};

@@ -4,7 +4,7 @@ use glam::{DAffine3, DVec3, Vec4};
 
 use super::stage::RenderLeaf;
 use super::visitor::{Cull, DepthRange, PageContext, Purpose};
-use crate::scene::{DrawSlot, PLAIN, UNBOUNDED, kind};
+use crate::scene::{CALLBACK, CullAction, CullInfo, CullingMode, DrawSlot, INACTIVE, PLAIN, Special, UNBOUNDED, kind};
 
 /// What holds again behind a subtree.
 #[derive(Clone, Copy, Debug)]
@@ -27,7 +27,10 @@ impl Cull<'_> {
         let base = self.node_stack.len();
         let mut above = Open { end: last, matrix, mask };
         let mut node = first;
-        let shortcut = self.shortcut;
+        let small_feature = self.view.small_feature;
+        let cull_mask = self.view.settings.cull_mask;
+        let takes_ranges = self.takes_ranges && small_feature == 0.0;
+        let has_occluders = !self.occluders.is_empty();
         loop {
             while node >= above.end {
                 if self.node_stack.len() == base {
@@ -40,7 +43,7 @@ impl Cull<'_> {
             }
             let record = page.nodes[node as usize];
             let skip = record.skip;
-            if !page.masks.is_empty() && page.masks[node as usize] & self.camera.cull_mask == 0 {
+            if !page.masks.is_empty() && page.masks[node as usize] & cull_mask == 0 {
                 if context.visit.required && record.flags & PLAIN == 0 {
                     self.keep_tiles(context, node, node + skip);
                 }
@@ -50,7 +53,11 @@ impl Cull<'_> {
             self.counters.nodes_visited += 1;
             let sphere = page.spheres[node as usize];
             let mut mask = above.mask;
-            if mask != 0 {
+            if record.flags & (CALLBACK | INACTIVE) != 0 && !self.asks_to_visit(context, node) {
+                node += skip;
+                continue;
+            }
+            if mask != 0 && record.flags & INACTIVE == 0 {
                 match context.planes.test_sphere(sphere, mask) {
                     Some(crossing) => mask = crossing,
                     None => {
@@ -63,12 +70,18 @@ impl Cull<'_> {
                 }
             }
             // Not where tiles are below: their errors decide.
-            let has_small_features = self.small_feature > 0.0 && record.flags & PLAIN != 0;
-            if !shortcut && has_small_features && self.is_small(context, sphere) {
+            if small_feature > 0.0 && record.flags & PLAIN != 0 && self.is_small(context, sphere) {
                 node += skip;
                 continue;
             }
-            if mask == 0 && skip > SMALL_SUBTREE && record.flags & PLAIN != 0 && shortcut {
+            if has_occluders && record.flags & INACTIVE == 0 && self.is_occluded(sphere) {
+                if context.visit.required && record.flags & PLAIN == 0 {
+                    self.keep_tiles(context, node, node + skip);
+                }
+                node += skip;
+                continue;
+            }
+            if mask == 0 && skip > SMALL_SUBTREE && record.flags & PLAIN != 0 && takes_ranges {
                 self.take_inside(context, node, node + skip, above.matrix);
                 node += skip;
                 continue;
@@ -114,11 +127,22 @@ impl Cull<'_> {
                     }
                     node += skip;
                 }
+                kind::SPECIAL => {
+                    if self.visit_special(context, node, mask) {
+                        node += skip;
+                        continue;
+                    }
+                    if mask != above.mask && skip > 1 {
+                        self.node_stack.push(above);
+                        above = Open { end: node + skip, matrix: above.matrix, mask };
+                    }
+                    node += 1;
+                }
                 _ => {
                     let lod = &page.lods[page.payloads[node as usize] as usize];
                     let enclosing = self.enclosing_transform(context, node);
                     let eye = page.transforms.point_in_node(enclosing, context.eye);
-                    let distance_m = eye.distance(lod.center) * self.camera.lod_scale;
+                    let distance_m = eye.distance(lod.center) * self.view.settings.lod_scale;
                     let mut child = node + 1;
                     for index in 0.. {
                         if child >= node + skip {
@@ -149,11 +173,13 @@ impl Cull<'_> {
     }
 
     /// The transform in whose frame a node lies.
-    fn enclosing_transform(&self, context: &PageContext, node: u32) -> u32 {
+    pub(super) fn enclosing_transform(&self, context: &PageContext, node: u32) -> u32 {
         let page = context.page;
         let mut at = page.parents[node as usize];
         while let Some(record) = page.nodes.get(at as usize) {
-            if record.kind == kind::TRANSFORM {
+            let is_absolute = record.kind == kind::SPECIAL
+                && matches!(page.specials.get(page.payloads[at as usize] as usize), Some(Special::AbsoluteTransform));
+            if record.kind == kind::TRANSFORM || is_absolute {
                 return record.first_transform;
             }
             at = page.parents[at as usize];
@@ -163,7 +189,7 @@ impl Cull<'_> {
 
     /// Stores the matrices of a range of transforms one behind the other and returns the first's index.
     #[inline(always)]
-    fn push_transforms(&mut self, context: &PageContext, transforms: std::ops::Range<usize>) -> u32 {
+    pub(super) fn push_transforms(&mut self, context: &PageContext, transforms: std::ops::Range<usize>) -> u32 {
         let all = &context.page.transforms;
         let matrices = &mut self.stage.eye_from_drawable;
         let first = matrices.len() as u32;
@@ -196,35 +222,92 @@ impl Cull<'_> {
     fn is_small(&self, context: &PageContext, sphere: Vec4) -> bool {
         let depth = context.depth.dot(sphere.truncate().extend(1.0));
         let scale = context.depth.truncate().length();
-        sphere.w * scale < self.small_feature * (depth - sphere.w * scale)
+        sphere.w * scale < self.view.small_feature * (depth - sphere.w * scale)
+    }
+
+    /// What a node's cull callback says; true without one.
+    #[cold]
+    fn asks_to_visit(&mut self, context: &PageContext, node: u32) -> bool {
+        let page = context.page;
+        let Ok(place) = page.callbacks.binary_search_by_key(&node, |(n, _)| *n) else { return true };
+        let sphere = page.spheres[node as usize];
+        let middle = page.origin + sphere.truncate().as_dvec3();
+        let is_bounded = (0.0..UNBOUNDED).contains(&sphere.w);
+        let info = CullInfo {
+            frame: self.camera.frame,
+            eye_in_page: context.eye,
+            distance_m: if is_bounded { middle.distance(context.eye) } else { f64::INFINITY },
+        };
+        matches!((page.callbacks[place].1.0)(&info), CullAction::Traverse)
+    }
+
+    /// True for a sphere in the shadow of an occluder.
+    #[cold]
+    fn is_occluded(&mut self, sphere: Vec4) -> bool {
+        let center = sphere.truncate().to_array();
+        let hidden =
+            (0.0..UNBOUNDED).contains(&sphere.w) && self.occluders.hide(self.page_occluders, center, |_| sphere.w);
+        self.counters.occluded += u32::from(hidden);
+        hidden
+    }
+
+    /// Depth and reach of a drawable that is seen; `None` where it is not. Widens near and far.
+    #[inline(always)]
+    pub(super) fn test_drawable(&mut self, context: &PageContext, drawable: u32, mask: u8) -> Option<(f32, f32)> {
+        let page = context.page;
+        let row = context.depth;
+        self.counters.drawables_tested += 1;
+        let four = &page.boxes[drawable as usize / 4];
+        let lane = drawable as usize % 4;
+        let center = four.center.map(|c| c[lane]);
+        let half = four.half.map(|h| h[lane]);
+        if mask != 0 && context.planes.box_is_outside(center, half, mask) {
+            return None;
+        }
+        let depth = row.x * center[0] + row.y * center[1] + row.z * center[2] + row.w;
+        let reach = row.x.abs() * half[0] + row.y.abs() * half[1] + row.z.abs() * half[2];
+        if half[0] < UNBOUNDED {
+            if depth + reach < 0.0 {
+                return None; // wholly behind the eye
+            }
+            if !self.occluders.is_empty() {
+                let along = |p: Vec4| p.x.abs() * half[0] + p.y.abs() * half[1] + p.z.abs() * half[2];
+                if self.occluders.hide(self.page_occluders, center, along) {
+                    self.counters.occluded += 1;
+                    return None;
+                }
+            }
+            if depth - reach < self.range.near {
+                self.range.near = depth - reach;
+            }
+            if depth + reach > self.range.far {
+                self.range.far = depth + reach;
+            }
+        }
+        Some((depth, reach))
+    }
+
+    /// True where a drawable's faces all look away.
+    #[cold]
+    fn looks_away(&self, context: &PageContext, drawable: u32) -> bool {
+        let page = context.page;
+        let Ok(place) = page.clusters.binary_search_by_key(&drawable, |(d, _)| *d) else { return false };
+        let cone = &page.clusters[place].1;
+        let transform = page.drawable_refs[drawable as usize].transform;
+        let to_eye = page.transforms.point_in_node(transform, context.eye) - cone.control_point;
+        let distance_m = to_eye.length();
+        distance_m > cone.radius_m && to_eye.dot(cone.normal) < cone.least_cosine * distance_m
     }
 
     /// Tests drawables of a node that crosses some plane (or not) and emits those that are seen.
     fn test_drawables(&mut self, context: &PageContext, first: u32, end: u32, mask: u8, matrix: u32) {
         let page = context.page;
-        let row = context.depth;
+        let has_clusters = !page.clusters.is_empty() && self.view.settings.culling.contains(CullingMode::CLUSTER);
         for drawable in first..end {
-            self.counters.drawables_tested += 1;
-            let four = &page.boxes[drawable as usize / 4];
-            let lane = drawable as usize % 4;
-            let center = four.center.map(|c| c[lane]);
-            let half = four.half.map(|h| h[lane]);
-            if mask != 0 && context.planes.box_is_outside(center, half, mask) {
+            if has_clusters && self.looks_away(context, drawable) {
                 continue;
             }
-            let depth = row.x * center[0] + row.y * center[1] + row.z * center[2] + row.w;
-            let reach = row.x.abs() * half[0] + row.y.abs() * half[1] + row.z.abs() * half[2];
-            if half[0] < UNBOUNDED {
-                if depth + reach < 0.0 {
-                    continue; // wholly behind the eye
-                }
-                if depth - reach < self.range.near {
-                    self.range.near = depth - reach;
-                }
-                if depth + reach > self.range.far {
-                    self.range.far = depth + reach;
-                }
-            }
+            let Some((depth, _)) = self.test_drawable(context, drawable, mask) else { continue };
             let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
             let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
             self.leaves.push(RenderLeaf { slot, state, matrix, depth });

@@ -5,37 +5,48 @@
 
 use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4, Vec4};
 
-use super::{CullCamera, CullingMode};
+use super::CullingMode;
 
 /// Bits of the planes that a bound may still cross.
-pub(super) const SIDES: u8 = 0b0_1111;
-pub(super) const NEAR: u8 = 0b1_0000;
+pub(super) const SIDES: u8 = 0b00_1111;
+pub(super) const NEAR: u8 = 0b01_0000;
+pub(super) const FAR: u8 = 0b10_0000;
 
 /// A plane that everything is inside of.
 const EVERYTHING: DVec4 = DVec4::new(0.0, 0.0, 0.0, 1.0);
 
-/// Left, right, bottom, top, near; eye space, `normal . p + d >= 0` inside.
+/// Left, right, bottom, top, near, far; eye space, `normal . p + d >= 0` inside.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EyePlanes {
-    planes: [DVec4; 5],
+    planes: [DVec4; 6],
     pub mask: u8,
 }
 
 impl EyePlanes {
-    pub fn new(camera: &CullCamera) -> Self {
-        let m: DMat4 = camera.clip_from_eye.transpose();
-        let planes =
-            [m.w_axis + m.x_axis, m.w_axis - m.x_axis, m.w_axis + m.y_axis, m.w_axis - m.y_axis, m.w_axis - m.z_axis];
+    pub fn new(clip_from_eye: &DMat4, culling: CullingMode) -> Self {
+        let m: DMat4 = clip_from_eye.transpose();
+        // Reversed-Z: depth is 0 at the far plane; an infinite one comes out without a direction.
+        let planes = [
+            m.w_axis + m.x_axis,
+            m.w_axis - m.x_axis,
+            m.w_axis + m.y_axis,
+            m.w_axis - m.y_axis,
+            m.w_axis - m.z_axis,
+            m.z_axis,
+        ];
         let planes = planes.map(|p| {
             let length = p.truncate().length();
             if length > 0.0 && (p / length).is_finite() { p / length } else { EVERYTHING }
         });
         let mut mask = 0;
-        if camera.culling.contains(CullingMode::VIEW_FRUSTUM_SIDES) {
+        if culling.contains(CullingMode::VIEW_FRUSTUM_SIDES) {
             mask |= SIDES;
         }
-        if camera.culling.contains(CullingMode::NEAR_PLANE) {
+        if culling.contains(CullingMode::NEAR_PLANE) {
             mask |= NEAR;
+        }
+        if culling.contains(CullingMode::FAR_PLANE) && planes[5] != EVERYTHING {
+            mask |= FAR;
         }
         Self { planes, mask }
     }
@@ -59,23 +70,25 @@ impl EyePlanes {
                 EVERYTHING.as_vec4()
             }
         });
-        let [a, b, c, d, near] = moved;
+        let [a, b, c, d, near, far] = moved;
         Planes {
             x: Vec4::new(a.x, b.x, c.x, d.x),
             y: Vec4::new(a.y, b.y, c.y, d.y),
             z: Vec4::new(a.z, b.z, c.z, d.z),
             w: Vec4::new(a.w, b.w, c.w, d.w),
             near,
+            far,
         }
     }
 }
 
 impl Planes {
     /// For frames in which no plane is crossed: never tested.
-    pub const UNUSED: Self = Self { x: Vec4::ZERO, y: Vec4::ZERO, z: Vec4::ZERO, w: Vec4::ONE, near: Vec4::W };
+    pub const UNUSED: Self =
+        Self { x: Vec4::ZERO, y: Vec4::ZERO, z: Vec4::ZERO, w: Vec4::ONE, near: Vec4::W, far: Vec4::W };
 }
 
-/// Four planes, component by component, and the near plane.
+/// Four planes, component by component, and the near and the far plane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Planes {
     x: Vec4,
@@ -83,6 +96,7 @@ pub(super) struct Planes {
     z: Vec4,
     w: Vec4,
     near: Vec4,
+    far: Vec4,
 }
 
 impl Planes {
@@ -97,14 +111,15 @@ impl Planes {
         if outside & mask != 0 {
             return None;
         }
-        if mask & NEAR != 0 {
-            let n = self.near;
-            let distance = n.x * sphere.x + n.y * sphere.y + n.z * sphere.z + n.w;
-            if distance < -sphere.w {
-                return None;
-            }
-            if distance > sphere.w {
-                crossing &= !NEAR;
+        for (bit, n) in [(NEAR, self.near), (FAR, self.far)] {
+            if mask & bit != 0 {
+                let distance = n.x * sphere.x + n.y * sphere.y + n.z * sphere.z + n.w;
+                if distance < -sphere.w {
+                    return None;
+                }
+                if distance > sphere.w {
+                    crossing &= !bit;
+                }
             }
         }
         Some(crossing)
@@ -119,13 +134,11 @@ impl Planes {
         if outside & mask & SIDES != 0 {
             return true;
         }
-        if mask & NEAR != 0 {
-            let n = self.near;
+        [(NEAR, self.near), (FAR, self.far)].into_iter().any(|(bit, n)| {
             let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;
             let reach = n.x.abs() * half[0] + n.y.abs() * half[1] + n.z.abs() * half[2];
-            return distance + reach < 0.0;
-        }
-        false
+            mask & bit != 0 && distance + reach < 0.0
+        })
     }
 
     /// Tests an oriented box (half axes = axes * half) as [`Self::test_sphere`] does.
@@ -142,18 +155,19 @@ impl Planes {
         if outside & mask != 0 {
             return None;
         }
-        if mask & NEAR != 0 {
-            let n = self.near;
-            let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;
-            let mut reach = 0.0;
-            for (axis, half) in axes.iter().zip(half) {
-                reach += (n.x * axis[0] + n.y * axis[1] + n.z * axis[2]).abs() * half;
-            }
-            if distance + reach < 0.0 {
-                return None;
-            }
-            if distance > reach {
-                crossing &= !NEAR;
+        for (bit, n) in [(NEAR, self.near), (FAR, self.far)] {
+            if mask & bit != 0 {
+                let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;
+                let mut reach = 0.0;
+                for (axis, half) in axes.iter().zip(half) {
+                    reach += (n.x * axis[0] + n.y * axis[1] + n.z * axis[2]).abs() * half;
+                }
+                if distance + reach < 0.0 {
+                    return None;
+                }
+                if distance > reach {
+                    crossing &= !bit;
+                }
             }
         }
         Some(crossing)

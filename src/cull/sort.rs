@@ -3,61 +3,75 @@
 //! By state: a stable counting sort. By depth: `u64` keys of depth and traversal index, so that equal depths keep
 //! their order, through `sort_unstable` when few, else a radix sort that skips the bits all keys share.
 
-use super::stage::{RenderBin, RenderLeaf, RenderStage};
-use super::state_graph::NOT_MET;
-use crate::state::SortMode;
+use std::cmp::Ordering;
 
-/// Memory of bins that a frame did not need.
+use super::stage::{RenderBin, RenderLeaf, RenderStage};
+use crate::state::{BinDetails, SortKey, SortLeaf, SortMode};
+
+/// Memory of bins and stages that a frame did not need.
 #[derive(Debug, Default)]
 pub(super) struct Spare {
     bins: Vec<RenderBin>,
+    pub stages: Vec<RenderStage>,
 }
 
 /// Scratch memory of the sorts.
 #[derive(Debug, Default)]
 pub(super) struct Sorter {
-    /// By state: bin, and what the current pass needs.
+    /// By state: its bin.
     bin_of_state: Vec<u32>,
-    /// By group: leaves, then the place of the next one.
+    /// By state or group: leaves, then the place of the next one.
     places: Vec<u32>,
-    /// By state: the group of its leaves in the current bin.
+    /// By state: its group, where groups are ordered by their nearest leaf.
     group_of_state: Vec<u32>,
     nearest: Vec<(f32, u32)>,
     keys: Vec<u64>,
     keys_scratch: Vec<u64>,
+    custom: Vec<(u64, u32)>,
     radix: Radix,
     /// Leaves by bin, where there are several bins.
     parts: Vec<Vec<RenderLeaf>>,
 }
 
+/// The order in which bins are drawn: a bin's own leaves stand between its negative bins and the others.
+fn bin_order(a: &[BinDetails], b: &[BinDetails]) -> Ordering {
+    for depth in 0..a.len().max(b.len()) {
+        let number = |path: &[BinDetails]| path.get(depth).map_or((0, false), |bin| (bin.number, true));
+        match number(a).cmp(&number(b)) {
+            Ordering::Equal => {}
+            order => return order,
+        }
+    }
+    Ordering::Equal
+}
+
 impl Sorter {
-    /// Moves the leaves (in traversal order) to the bins of the stage, each in its order. `met` holds the states
-    /// that have leaves, in the order first met.
-    pub fn fill_bins(&mut self, leaves: &mut Vec<RenderLeaf>, met: &[u32], stage: &mut RenderStage) {
+    /// Moves the leaves (in traversal order) to the bins of the stage, each in its order.
+    pub fn fill_bins(&mut self, leaves: &mut Vec<RenderLeaf>, stage: &mut RenderStage) {
         stage.spare.bins.append(&mut stage.bins);
-        for state in met {
-            let bin = stage.state_sets[*state as usize].bin;
-            if !stage.bins.iter().any(|b| b.number == bin.number) {
+        for state in &stage.state_sets {
+            if !stage.bins.iter().any(|b| bin_order(&b.path, &state.bins) == Ordering::Equal) {
                 let mut new = stage.spare.bins.pop().unwrap_or(RenderBin {
-                    number: 0,
+                    path: Vec::new(),
                     sort: SortMode::ByState,
                     leaves: Vec::new(),
                 });
-                (new.number, new.sort) = (bin.number, bin.sort);
+                new.path.clear();
+                new.path.extend_from_slice(&state.bins);
+                new.sort = state.bin().sort;
                 stage.bins.push(new);
             }
         }
-        stage.bins.sort_unstable_by_key(|b| b.number);
+        stage.bins.sort_unstable_by(|a, b| bin_order(&a.path, &b.path));
+        let states = stage.state_sets.len();
         if let [bin] = stage.bins.as_mut_slice() {
-            self.fill_bin(leaves, met, bin, stage.state_sets.len());
+            self.fill_bin(leaves, bin, states);
             return;
         }
         self.bin_of_state.clear();
-        self.bin_of_state.resize(stage.state_sets.len(), 0);
-        for state in met {
-            let number = stage.state_sets[*state as usize].bin.number;
-            let bin = stage.bins.iter().position(|b| b.number == number).unwrap_or(0);
-            self.bin_of_state[*state as usize] = bin as u32;
+        for state in &stage.state_sets {
+            let bin = stage.bins.iter().position(|b| bin_order(&b.path, &state.bins) == Ordering::Equal);
+            self.bin_of_state.push(bin.unwrap_or(0) as u32);
         }
         if self.parts.len() < stage.bins.len() {
             self.parts.resize_with(stage.bins.len(), Vec::new);
@@ -70,36 +84,48 @@ impl Sorter {
             parts[self.bin_of_state[leaf.state as usize] as usize].push(*leaf);
         }
         for (bin, part) in stage.bins.iter_mut().zip(&mut parts) {
-            self.fill_bin(part, met, bin, stage.state_sets.len());
+            self.fill_bin(part, bin, states);
         }
         self.parts = parts;
     }
 
     /// Fills one bin; `leaves` is used up.
-    fn fill_bin(&mut self, leaves: &mut Vec<RenderLeaf>, met: &[u32], bin: &mut RenderBin, states: usize) {
-        let by_depth = match bin.sort {
-            SortMode::TraversalOrder => false,
-            SortMode::ByState if met.len() > 1 => {
-                self.group_by_state(leaves, met, states, false);
+    fn fill_bin(&mut self, leaves: &mut Vec<RenderLeaf>, bin: &mut RenderBin, states: usize) {
+        match bin.sort {
+            SortMode::ByState if states > 1 => {
+                self.count_by_state(leaves, states);
                 resize(&mut bin.leaves, leaves.len());
                 for leaf in leaves.iter() {
-                    let place = &mut self.places[self.group_of_state[leaf.state as usize] as usize];
+                    let place = &mut self.places[leaf.state as usize];
                     bin.leaves[*place as usize] = *leaf;
                     *place += 1;
                 }
-                return;
             }
-            SortMode::ByState => false,
-            SortMode::ByStateThenFrontToBack | SortMode::FrontToBack | SortMode::BackToFront => true,
-        };
-        if !by_depth {
-            std::mem::swap(leaves, &mut bin.leaves);
-            return;
+            SortMode::TraversalOrder | SortMode::ByState => std::mem::swap(leaves, &mut bin.leaves),
+            SortMode::ByKey(SortKey(key)) => {
+                self.custom.clear();
+                self.custom.extend(leaves.iter().zip(0..).map(|(leaf, order)| {
+                    let RenderLeaf { state, depth, .. } = *leaf;
+                    (key(&SortLeaf { depth, state, order }), order)
+                }));
+                self.custom.sort_unstable();
+                bin.leaves.clear();
+                bin.leaves.extend(self.custom.iter().map(|(_, order)| leaves[*order as usize]));
+            }
+            SortMode::ByStateThenFrontToBack | SortMode::FrontToBack | SortMode::BackToFront => {
+                self.sort_by_depth(leaves, bin.sort, states);
+                bin.leaves.clear();
+                bin.leaves.extend(self.keys.iter().map(|key| leaves[*key as u32 as usize]));
+            }
         }
-        let flip = if bin.sort == SortMode::BackToFront { u32::MAX } else { 0 };
+    }
+
+    /// Leaves in `keys` the depth and the index of each leaf, in order.
+    fn sort_by_depth(&mut self, leaves: &[RenderLeaf], sort: SortMode, states: usize) {
+        let flip = if sort == SortMode::BackToFront { u32::MAX } else { 0 };
         let key = |index: usize, leaf: &RenderLeaf| u64::from(depth_key(leaf.depth) ^ flip) << 32 | index as u64;
-        if bin.sort == SortMode::ByStateThenFrontToBack && met.len() > 1 {
-            self.group_by_state(leaves, met, states, true);
+        if sort == SortMode::ByStateThenFrontToBack && states > 1 {
+            self.group_by_nearest(leaves, states);
             self.keys.resize(leaves.len(), 0);
             for (index, leaf) in leaves.iter().enumerate() {
                 let place = &mut self.places[self.group_of_state[leaf.state as usize] as usize];
@@ -117,46 +143,51 @@ impl Sorter {
             self.keys.extend(leaves.iter().enumerate().map(|(index, leaf)| key(index, leaf)));
             self.radix.sort(&mut self.keys, &mut self.keys_scratch);
         }
-        bin.leaves.clear();
-        bin.leaves.extend(self.keys.iter().map(|key| leaves[*key as u32 as usize]));
     }
 
-    /// Counts the leaves of each state and leaves in `places` where each state's group starts; groups in the order
-    /// first met, or by their nearest leaf.
-    fn group_by_state(&mut self, leaves: &[RenderLeaf], met: &[u32], states: usize, by_nearest: bool) {
-        let groups = met.len();
-        self.group_of_state.clear();
-        self.group_of_state.resize(states, NOT_MET);
-        if by_nearest {
-            self.nearest.clear();
-            self.nearest.resize(states, (f32::INFINITY, NOT_MET));
-            for (order, state) in met.iter().enumerate() {
-                self.nearest[*state as usize].1 = order as u32;
-            }
-            for leaf in leaves {
-                let nearest = &mut self.nearest[leaf.state as usize].0;
-                *nearest = if leaf.depth < *nearest { leaf.depth } else { *nearest };
-            }
-            // From "by state" to "by group": nearest first, then first met.
-            self.nearest.retain(|(_, order)| *order != NOT_MET);
-            self.nearest.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            for (group, (_, order)) in self.nearest.iter().enumerate() {
-                self.group_of_state[met[*order as usize] as usize] = group as u32;
-            }
-        } else {
-            for (order, state) in met.iter().enumerate() {
-                self.group_of_state[*state as usize] = order as u32;
-            }
-        }
+    /// Leaves in `places` where each state's leaves start; states in the order first met.
+    fn count_by_state(&mut self, leaves: &[RenderLeaf], states: usize) {
         self.places.clear();
-        self.places.resize(groups, 0);
+        self.places.resize(states, 0);
         for leaf in leaves {
-            self.places[self.group_of_state[leaf.state as usize] as usize] += 1;
+            self.places[leaf.state as usize] += 1;
         }
+        starts(&mut self.places);
+    }
+
+    /// Leaves in `places` where each group's leaves start; groups are states by their nearest leaf.
+    fn group_by_nearest(&mut self, leaves: &[RenderLeaf], states: usize) {
+        self.places.clear();
+        self.places.resize(states, 0);
+        self.nearest.clear();
+        self.nearest.extend((0..states as u32).map(|state| (f32::INFINITY, state)));
+        for leaf in leaves {
+            self.places[leaf.state as usize] += 1;
+            let nearest = &mut self.nearest[leaf.state as usize].0;
+            *nearest = if leaf.depth < *nearest { leaf.depth } else { *nearest };
+        }
+        self.nearest.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        self.group_of_state.clear();
+        self.group_of_state.resize(states, 0);
         let mut start = 0;
-        for place in &mut self.places {
-            start += std::mem::replace(place, start);
+        for (group, (_, state)) in self.nearest.iter_mut().enumerate() {
+            self.group_of_state[*state as usize] = group as u32;
+            // The start of the group takes the place of the state.
+            let count = self.places[*state as usize];
+            *state = start;
+            start += count;
         }
+        for (place, (_, start)) in self.places.iter_mut().zip(&self.nearest) {
+            *place = *start;
+        }
+    }
+}
+
+/// From counts to where each begins.
+fn starts(places: &mut [u32]) {
+    let mut start = 0;
+    for place in places {
+        start += std::mem::replace(place, start);
     }
 }
 
@@ -253,6 +284,20 @@ mod tests {
             expected.sort_unstable();
             radix.sort(&mut keys, &mut Vec::new());
             prop_assert_eq!(keys, expected);
+        }
+    }
+
+    #[test]
+    fn bins_nest_between_the_negative_and_the_others() {
+        let bin = |numbers: &[i32]| -> Vec<BinDetails> {
+            numbers.iter().map(|n| BinDetails { number: *n, sort: SortMode::ByState }).collect()
+        };
+        let drawn: Vec<_> =
+            [&[-2][..], &[-1, -5], &[-1], &[-1, 3], &[], &[0], &[3, -1], &[3], &[3, 0], &[3, 7], &[10]].map(bin).into();
+        for (i, a) in drawn.iter().enumerate() {
+            for (j, b) in drawn.iter().enumerate() {
+                assert_eq!(bin_order(a, b), i.cmp(&j), "{a:?} {b:?}");
+            }
         }
     }
 

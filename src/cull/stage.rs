@@ -1,9 +1,13 @@
 //! The output of cull: moved to the draw thread by value, and back for reuse.
 
+use std::sync::Arc;
+
+use glam::{DMat4, DVec4};
+
 use super::CullCamera;
 use super::sort::Spare;
-use crate::scene::{DrawSlot, NodeId};
-use crate::state::{ResolvedState, SortMode};
+use crate::scene::{CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
+use crate::state::{BinDetails, Light, ResolvedState, SortMode, TexGen};
 
 /// Something to draw; 16 bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,15 +22,22 @@ pub struct RenderLeaf {
     pub depth: f32,
 }
 
-/// Leaves with one number and order.
+/// Leaves of one bin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RenderBin {
-    /// Bins are drawn in the order of their numbers.
-    pub number: i32,
+    /// The bins it is nested in, and itself; empty for the stage's own leaves.
+    pub path: Vec<BinDetails>,
     /// The order that was asked for.
     pub sort: SortMode,
     /// Leaves in draw order.
     pub leaves: Vec<RenderLeaf>,
+}
+
+impl RenderBin {
+    /// Its number inside the bin it is nested in; 0 for the stage's own.
+    pub fn number(&self) -> i32 {
+        self.path.last().map_or(0, |b| b.number)
+    }
 }
 
 /// A page that is wanted and missing.
@@ -57,6 +68,75 @@ pub struct CullCounters {
     pub tiles_drawn: u32,
     /// Tiles that the wanted picture lacks and that can still be loaded; 0 once it is the wanted one.
     pub wanted_missing: u32,
+    /// Nodes, drawables and tiles behind occluders.
+    pub occluded: u32,
+}
+
+impl CullCounters {
+    pub(super) fn add(&mut self, other: &Self) {
+        self.nodes_visited += other.nodes_visited;
+        self.drawables_tested += other.drawables_tested;
+        self.leaves += other.leaves;
+        self.tiles_visited += other.tiles_visited;
+        self.tiles_drawn += other.tiles_drawn;
+        self.wanted_missing += other.wanted_missing;
+        self.occluded += other.occluded;
+    }
+}
+
+/// Another projection and viewport inside a stage, of a Projection node or a nested camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StageView {
+    /// Reversed-Z projection.
+    pub clip_from_eye: DMat4,
+    /// x, y, width and height; `None`: that of the stage.
+    pub viewport_px: Option<[u32; 4]>,
+}
+
+/// A light where it shines.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PositionedLight {
+    /// Its position and direction are in eye space.
+    pub light: Light,
+}
+
+/// A plane that cuts leaves whose state has it on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClipPlane {
+    /// 0 to 5.
+    pub number: u8,
+    /// In eye space: kept is what has `normal . p + d >= 0`.
+    pub plane: DVec4,
+}
+
+/// A box whose visible samples are counted after the opaque bins.
+#[derive(Clone, Debug)]
+pub struct OcclusionQuery {
+    /// Where the answer goes.
+    pub results: Arc<OcclusionResults>,
+    /// Fewer samples count as hidden.
+    pub visibility_threshold: u32,
+    /// Maps the cube from -1 to 1 onto the box; index into [`RenderStage::eye_from_drawable`].
+    pub matrix: u32,
+    /// Projection: 0 is the camera's, others are one more than their index in [`RenderStage::views`].
+    pub view: u32,
+}
+
+/// Where a stage is drawn, and how it is begun.
+#[derive(Clone, Debug, Default)]
+pub struct StageTarget {
+    /// `None`: the target of the context.
+    pub camera: Option<Arc<CameraTarget>>,
+    /// x, y, width and height in the target; `None`: all of it.
+    pub viewport_px: Option<[u32; 4]>,
+    /// Linear colour to clear with; `None` keeps what is there. Of a camera in the graph.
+    pub clear_color: Option<[f32; 4]>,
+    /// Depth is cleared to infinitely far.
+    pub clear_depth: bool,
+    /// Render order number among the stages before or after the same one.
+    pub order: i32,
+    /// Called while it is drawn.
+    pub callbacks: Option<DrawHook>,
 }
 
 /// What is drawn for a camera.
@@ -66,17 +146,37 @@ pub struct RenderStage {
     pub camera: CullCamera,
     /// Rows of 3x4 affine maps, shared by index.
     pub eye_from_drawable: Vec<[[f32; 4]; 3]>,
-    /// Indexed by [`RenderLeaf::state`].
-    pub state_sets: Vec<ResolvedState>,
-    /// Sorted by number.
+    /// States that have leaves, in the order first met; indexed by [`RenderLeaf::state`].
+    pub state_sets: Vec<Arc<ResolvedState>>,
+    /// By state: 0 is the camera's projection, others are one more than their index in `views`.
+    pub view_of_state: Vec<u32>,
+    /// Other projections, in the order met.
+    pub views: Vec<StageView>,
+    /// In draw order: bins with negative numbers, a bin's own leaves, bins from 0 on; nested ones inside theirs.
     pub bins: Vec<RenderBin>,
-    /// Missing pages, in the order met.
+    /// Missing pages, in the order met; those of all stages are in the outermost.
     pub requests: Vec<PageRequest>,
+    /// Lights in the order met.
+    pub lights: Vec<PositionedLight>,
+    /// Clip planes in the order met.
+    pub clip_planes: Vec<ClipPlane>,
+    /// Frames of generated texture coordinates by unit, in eye space.
+    pub texgens: Vec<(u8, TexGen)>,
+    /// What a ClearNode said: the colour to clear with, `None` to keep what is there.
+    pub clear_node: Option<Option<[f32; 4]>>,
+    /// Boxes to be tested for visibility.
+    pub queries: Vec<OcclusionQuery>,
+    /// Where it is drawn; the context's target for the outermost stage.
+    pub target: StageTarget,
+    /// Stages drawn before this one, in order.
+    pub pre_render: Vec<RenderStage>,
+    /// Stages drawn after this one, in order.
+    pub post_render: Vec<RenderStage>,
     /// Nearest depth of any leaf's bound, at least 0; 0 without leaves.
     pub near_m: f64,
     /// Farthest depth of any leaf's bound; 0 without leaves.
     pub far_m: f64,
-    /// What the cull did.
+    /// What the cull did; stages before and after it included.
     pub counters: CullCounters,
     pub(super) spare: Spare,
 }
@@ -85,5 +185,28 @@ impl RenderStage {
     /// A stage without memory; the first culls make it.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Empties it for another cull, keeping its memory.
+    pub(super) fn clear(&mut self, camera: &CullCamera) {
+        self.camera = *camera;
+        self.eye_from_drawable.clear();
+        self.state_sets.clear();
+        self.view_of_state.clear();
+        self.views.clear();
+        self.requests.clear();
+        self.lights.clear();
+        self.clip_planes.clear();
+        self.texgens.clear();
+        self.clear_node = None;
+        self.queries.clear();
+        self.target = StageTarget::default();
+        self.spare.stages.append(&mut self.pre_render);
+        self.spare.stages.append(&mut self.post_render);
+    }
+
+    /// Leaves of all its bins.
+    pub fn leaf_count(&self) -> usize {
+        self.bins.iter().map(|b| b.leaves.len()).sum()
     }
 }

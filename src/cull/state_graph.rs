@@ -1,99 +1,125 @@
 //! The state graph: each state set once under each parent, found or inserted by identity.
 //!
-//! Rebuilt every frame in memory that is kept. A page knows its own chains of state sets already
+//! Kept from frame to frame, with what each chain of state sets resolves to, so that a steady frame resolves nothing;
+//! forgotten as a whole when most of it is no longer met. A page knows its own chains of state sets already
 //! (`Page::paths`), so the hash is asked once per chain and page, not once per leaf.
 
 use std::sync::Arc;
 
+use super::stage::RenderStage;
 use crate::state::{ResolvedState, StateSet};
 
 /// Key of the pseudo state set of blended drawables; no `Arc` has this address.
 const BLEND_KEY: usize = 1;
+/// Keys of the pseudo state sets of other views: odd numbers from here.
+const VIEW_KEY: usize = 3;
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 struct Node {
     parent: u32,
     key: usize,
+    resolved: Arc<ResolvedState>,
+    /// Projection of the leaves below.
+    view: u32,
+    /// The stage in which it was last met, and its place there.
+    met_in: u32,
+    place: u32,
+    /// Holds the state set, so that its address is nobody else's.
+    _set: Option<Arc<StateSet>>,
 }
 
-/// Open-addressing table over the nodes; entries of older frames are told by their stamp.
-#[derive(Debug, Default)]
+/// Nodes, and an open-addressing table over them.
+#[derive(Debug)]
 pub(super) struct StateGraph {
     nodes: Vec<Node>,
-    table: Vec<(u32, u32)>,
-    stamp: u32,
-    /// States that have leaves, in the order first met.
-    met: Vec<u32>,
-    /// By state: whether it is in `met`.
-    is_met: Vec<bool>,
+    table: Vec<u32>,
+    /// Counts stages.
+    stage: u32,
+    /// Nodes met since the last [`Self::forget`].
+    met: usize,
 }
-
-/// A state without leaves.
-pub(super) const NOT_MET: u32 = u32::MAX;
 
 /// The state without any state set.
 pub(super) const ROOT: u32 = 0;
+const EMPTY: u32 = u32::MAX;
+/// Fewer nodes are never forgotten.
+const FEW: usize = 4096;
+
+impl Default for StateGraph {
+    fn default() -> Self {
+        let root = Node { parent: EMPTY, key: 0, resolved: Arc::default(), view: 0, met_in: 0, place: 0, _set: None };
+        Self { nodes: vec![root], table: vec![EMPTY; 64], stage: 0, met: 0 }
+    }
+}
 
 impl StateGraph {
-    /// Forgets the frame before and starts a new list of resolved states with the default one.
-    pub fn clear(&mut self, resolved: &mut Vec<ResolvedState>) {
-        self.nodes.clear();
-        self.nodes.push(Node { parent: u32::MAX, key: 0 });
-        resolved.clear();
-        resolved.push(ResolvedState::default());
-        self.met.clear();
-        self.is_met.clear();
-        if self.table.is_empty() || self.stamp == u32::MAX {
-            self.table.clear();
-            self.table.resize(64, (0, 0));
-            self.stamp = 0;
+    /// Starts a frame: forgets everything when eight times as much is held as the frame before met.
+    pub fn start_frame(&mut self) {
+        if self.nodes.len() > FEW + 8 * self.met {
+            let stage = self.stage;
+            *self = Self { stage, ..Self::default() };
         }
-        self.stamp += 1;
+        self.met = 0;
     }
 
-    /// States that have leaves, in the order first met.
-    pub fn met(&self) -> &[u32] {
-        &self.met
+    /// Starts a stage: no state has leaves.
+    pub fn start_stage(&mut self) {
+        self.stage = self.stage.wrapping_add(1);
     }
 
-    /// Notes that a state has leaves.
-    pub fn meet(&mut self, state: u32) {
-        if self.is_met.len() <= state as usize {
-            self.is_met.resize(self.nodes.len(), false);
+    /// The place of a state among those of the stage that have leaves.
+    pub fn meet(&mut self, state: u32, stage: &mut RenderStage) -> u32 {
+        let Some(node) = self.nodes.get_mut(state as usize) else { return 0 };
+        if node.met_in != self.stage {
+            self.met += 1;
+            (node.met_in, node.place) = (self.stage, stage.state_sets.len() as u32);
+            stage.state_sets.push(node.resolved.clone());
+            stage.view_of_state.push(node.view);
         }
-        if let Some(is_met) = self.is_met.get_mut(state as usize).filter(|m| !**m) {
-            *is_met = true;
-            self.met.push(state);
-        }
+        node.place
     }
 
     /// The state of a set under a parent.
-    pub fn find_or_insert(&mut self, parent: u32, set: &Arc<StateSet>, resolved: &mut Vec<ResolvedState>) -> u32 {
+    pub fn find_or_insert(&mut self, parent: u32, set: &Arc<StateSet>) -> u32 {
         let key = Arc::as_ptr(set) as usize;
-        self.find_or_insert_key(parent, key, resolved, |above| above.below(set))
+        self.find(parent, key).unwrap_or_else(|place| {
+            let above = &self.nodes[parent as usize];
+            let (resolved, view) = (Arc::new(above.resolved.below(set)), above.view);
+            self.insert(place, parent, key, resolved, view, Some(set.clone()))
+        })
     }
 
     /// The state of blended drawables under a parent.
-    pub fn find_or_insert_blend(&mut self, parent: u32, resolved: &mut Vec<ResolvedState>) -> u32 {
-        self.find_or_insert_key(parent, BLEND_KEY, resolved, ResolvedState::blended)
+    pub fn find_or_insert_blend(&mut self, parent: u32) -> u32 {
+        self.find(parent, BLEND_KEY).unwrap_or_else(|place| {
+            let above = &self.nodes[parent as usize];
+            let (resolved, view) = (Arc::new(above.resolved.blended()), above.view);
+            self.insert(place, parent, BLEND_KEY, resolved, view, None)
+        })
     }
 
-    fn find_or_insert_key(
+    /// The state of what has another projection under a parent.
+    pub fn find_or_insert_view(&mut self, parent: u32, view: u32) -> u32 {
+        let key = VIEW_KEY + 2 * view as usize;
+        self.find(parent, key).unwrap_or_else(|place| {
+            let resolved = self.nodes[parent as usize].resolved.clone();
+            self.insert(place, parent, key, resolved, view, None)
+        })
+    }
+
+    fn insert(
         &mut self,
+        place: usize,
         parent: u32,
         key: usize,
-        resolved: &mut Vec<ResolvedState>,
-        below: impl FnOnce(ResolvedState) -> ResolvedState,
+        resolved: Arc<ResolvedState>,
+        view: u32,
+        set: Option<Arc<StateSet>>,
     ) -> u32 {
-        let place = match self.find(parent, key) {
-            Ok(node) => return node,
-            Err(place) => place,
-        };
         let node = self.nodes.len() as u32;
-        self.nodes.push(Node { parent, key });
-        let above = resolved[parent as usize];
-        resolved.push(below(above));
-        self.table[place] = (self.stamp, node);
+        let met_in = self.stage.wrapping_sub(1);
+        self.nodes.push(Node { parent, key, resolved, view, met_in, place: 0, _set: set });
+        self.table[place] = node;
         if self.nodes.len() * 2 > self.table.len() {
             self.grow();
         }
@@ -104,11 +130,11 @@ impl StateGraph {
         let mask = self.table.len() - 1;
         let mut place = hash(parent, key) & mask;
         loop {
-            let (stamp, node) = self.table[place];
-            if stamp != self.stamp {
+            let node = self.table[place];
+            if node == EMPTY {
                 return Err(place);
             }
-            let found = self.nodes[node as usize];
+            let found = &self.nodes[node as usize];
             if found.parent == parent && found.key == key {
                 return Ok(node);
             }
@@ -119,12 +145,11 @@ impl StateGraph {
     fn grow(&mut self) {
         let size = self.table.len() * 2;
         self.table.clear();
-        self.table.resize(size, (0, 0));
-        self.stamp = 1;
+        self.table.resize(size, EMPTY);
         for node in 1..self.nodes.len() {
-            let Node { parent, key } = self.nodes[node];
+            let Node { parent, key, .. } = self.nodes[node];
             if let Err(place) = self.find(parent, key) {
-                self.table[place] = (self.stamp, node as u32);
+                self.table[place] = node as u32;
             }
         }
     }
@@ -132,49 +157,76 @@ impl StateGraph {
 
 /// Fibonacci hashing of the pair.
 fn hash(parent: u32, key: usize) -> usize {
-    let mixed = (key as u64 >> 3) ^ (u64::from(parent) << 40) ^ u64::from(parent);
+    let mixed = (key as u64 >> 1) ^ (u64::from(parent) << 40) ^ u64::from(parent);
     (mixed.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) as usize
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::{Attribute, Depth};
+    use crate::state::{Attribute, BinDetails, Depth, Mode, StateValue};
 
     #[test]
     fn finds_by_identity_under_the_parent() {
         let mut graph = StateGraph::default();
-        let mut resolved = Vec::new();
         let sets: Vec<_> = (0..300).map(|_| Arc::new(StateSet::default())).collect();
         for _ in 0..3 {
-            graph.clear(&mut resolved);
-            let first: Vec<u32> = sets.iter().map(|s| graph.find_or_insert(ROOT, s, &mut resolved)).collect();
-            let again: Vec<u32> = sets.iter().map(|s| graph.find_or_insert(ROOT, s, &mut resolved)).collect();
+            graph.start_frame();
+            graph.start_stage();
+            let first: Vec<u32> = sets.iter().map(|s| graph.find_or_insert(ROOT, s)).collect();
+            let again: Vec<u32> = sets.iter().map(|s| graph.find_or_insert(ROOT, s)).collect();
             assert_eq!(first, again);
             assert_eq!(first, (1..=300).collect::<Vec<u32>>());
-            let below = graph.find_or_insert(first[7], &sets[0], &mut resolved);
+            let below = graph.find_or_insert(first[7], &sets[0]);
             assert_eq!(below, 301);
-            assert_ne!(graph.find_or_insert_blend(ROOT, &mut resolved), below);
-            assert_eq!(resolved.len(), 303);
+            assert_ne!(graph.find_or_insert_blend(ROOT), below);
+            assert_eq!(graph.nodes.len(), 303);
+            let mut stage = RenderStage::new();
+            assert_eq!([below, 5, below, 0].map(|s| graph.meet(s, &mut stage)), [0, 1, 0, 2]);
+            assert_eq!(stage.state_sets.len(), 3);
         }
+    }
+
+    #[test]
+    fn what_is_no_longer_met_is_forgotten() {
+        let mut graph = StateGraph::default();
+        let mut stage = RenderStage::new();
+        let kept = Arc::new(StateSet::default());
+        for _ in 0..3 * FEW {
+            graph.start_frame();
+            graph.start_stage();
+            let a = graph.find_or_insert(ROOT, &kept);
+            let b = graph.find_or_insert(ROOT, &Arc::new(StateSet::default()));
+            stage.state_sets.clear();
+            assert_eq!([graph.meet(a, &mut stage), graph.meet(b, &mut stage)], [0, 1]);
+        }
+        assert!(graph.nodes.len() < 2 * FEW);
+        assert!(Arc::strong_count(&kept) <= 2);
     }
 
     #[test]
     fn inherits_and_overrides() {
         let mut graph = StateGraph::default();
-        let mut resolved = Vec::new();
-        graph.clear(&mut resolved);
+        let mut stage = RenderStage::new();
         let red = Arc::new(StateSet { color: Some([0.5, 0.0, 0.0, 1.0]), ..StateSet::default() });
         let write = Arc::new(
             StateSet { color: Some([0.5; 4]), ..StateSet::default() }.with(Attribute::Depth(Depth::default())),
         );
-        let a = graph.find_or_insert(ROOT, &red, &mut resolved);
-        let blended = graph.find_or_insert_blend(a, &mut resolved);
-        assert!(!resolved[blended as usize].writes_depth());
-        assert_eq!(resolved[blended as usize].bin, crate::state::BinDetails::TRANSPARENT);
-        let b = graph.find_or_insert(a, &write, &mut resolved);
-        let blended = graph.find_or_insert_blend(b, &mut resolved);
-        assert!(resolved[blended as usize].writes_depth());
-        assert_eq!(resolved[b as usize].color, [0.25, 0.0, 0.0, 0.5]);
+        let a = graph.find_or_insert(ROOT, &red);
+        let blended = graph.find_or_insert_blend(a);
+        let b = graph.find_or_insert(a, &write);
+        let blended_below = graph.find_or_insert_blend(b);
+        let other_view = graph.find_or_insert_view(b, 2);
+        graph.start_stage();
+        let places = [blended, blended_below, b, other_view].map(|s| graph.meet(s, &mut stage));
+        assert_eq!(places, [0, 1, 2, 3]);
+        let [blended, below, b, other] = [0, 1, 2, 3].map(|i: usize| stage.state_sets[i].clone());
+        assert!(!blended.writes_depth());
+        assert_eq!(blended.bin(), BinDetails::TRANSPARENT);
+        assert!(below.writes_depth());
+        assert_eq!(b.color, [0.25, 0.0, 0.0, 0.5]);
+        assert!(b.mode(Mode::DepthTest) && Arc::ptr_eq(&b, &other));
+        assert_eq!(stage.view_of_state, [0, 0, 0, 2]);
+        assert_ne!(StateValue::ON, StateValue::OFF);
     }
 }

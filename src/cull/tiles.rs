@@ -10,7 +10,7 @@ use super::horizon::Horizon;
 use super::planes::Planes;
 use super::stage::PageRequest;
 use super::visitor::{Cull, PageVisit, Purpose, eye_in};
-use crate::scene::{NodeId, Page, TileBounds, TileRecord, flag};
+use crate::scene::{NodeId, Page, TileBounds, TileRecord, UNBOUNDED, flag};
 
 /// What holds for the tiles up to `end`.
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +43,8 @@ impl Cull<'_> {
         let eye_from_tile = view.eye_from_tile;
         let tiles = &page.tiles;
         let frame = self.camera.frame;
+        let cull_mask = self.view.settings.cull_mask;
+        let has_occluders = !self.occluders.is_empty();
         let mut tile = tile_root.tile;
         let last = tile + tiles.records[tile as usize].skip;
         let mut above = TileFrame { end: last, mask, purpose, required: visit.required, shown_px2: visit.shown_px2 };
@@ -57,7 +59,7 @@ impl Cull<'_> {
             let index = tile as usize;
             let record = tiles.records[index];
             let skip = record.skip;
-            let hidden = !page.masks.is_empty() && page.masks[tiles.nodes[index] as usize] & self.camera.cull_mask == 0;
+            let hidden = !page.masks.is_empty() && page.masks[tiles.nodes[index] as usize] & cull_mask == 0;
             if hidden && !above.required {
                 tile += skip;
                 continue;
@@ -82,9 +84,10 @@ impl Cull<'_> {
                     }
                 }
             }
-            if let (Some(horizon), true) = (&view.horizon, purpose != Purpose::Keep)
-                && horizon.hides(offset, bounds.radius_m)
-            {
+            let is_behind = purpose != Purpose::Keep
+                && (view.horizon.as_ref().is_some_and(|h| h.hides(offset, bounds.radius_m))
+                    || (has_occluders && self.hides_tile(bounds, &record, offset)));
+            if is_behind {
                 if !above.required {
                     tile += skip;
                     continue;
@@ -95,7 +98,7 @@ impl Cull<'_> {
             let (range2, distance2) = self.range_and_distance(page, tile, &record, bounds, offset, view.eye);
             let ready = record.not_ready_children == 0;
             let missing = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
-            let px2 = self.max_sse_px * self.max_sse_px;
+            let px2 = self.view.max_sse_px * self.view.max_sse_px;
             let own_px2 = || px2 * range2 / distance2;
             // Never as large as what is shown above it: coarse comes first whatever the bounds are.
             let below_px2 = || own_px2().min(above.shown_px2 * 0.998);
@@ -160,14 +163,32 @@ impl Cull<'_> {
             _ => {
                 let eye_from_tile = visit.eye_from_page * page.transforms.page_from_node(transform);
                 let eye = eye_in(&eye_from_tile);
-                let planes = self.eye_planes.in_frame(&eye_from_tile, eye);
-                let horizon = self.camera.horizon.as_ref().and_then(|body| {
-                    let world_from_eye = self.camera.eye_from_world.inverse();
+                let planes = self.view.planes.in_frame(&eye_from_tile, eye);
+                if !self.occluders.is_empty() {
+                    self.occluders.in_frame(&eye_from_tile, eye, self.tile_occluders);
+                }
+                let horizon = self.view.horizon.as_ref().and_then(|body| {
+                    let world_from_eye = self.view.eye_from_world.inverse();
                     Horizon::new(body, &(world_from_eye * eye_from_tile), world_from_eye.translation)
                 });
                 *self.tile_view.insert(TileView { transform, eye_from_tile, planes, eye, horizon })
             }
         }
+    }
+
+    /// True for a tile in the shadow of an occluder.
+    #[cold]
+    fn hides_tile(&mut self, bounds: &TileBounds, record: &TileRecord, offset: [f32; 3]) -> bool {
+        let reach = |p: glam::Vec4| {
+            if record.has(flag::SPHERE) {
+                return bounds.radius_m;
+            }
+            let along = |axis: &[f32; 3]| (p.x * axis[0] + p.y * axis[1] + p.z * axis[2]).abs();
+            bounds.axes.iter().zip(bounds.half_m).map(|(axis, half)| along(axis) * half).sum()
+        };
+        let hidden = bounds.radius_m < UNBOUNDED && self.occluders.hide(self.tile_occluders, offset, reach);
+        self.counters.occluded += u32::from(hidden);
+        hidden
     }
 
     /// Squared distance at which the tile wants its children, and squared distance now; metres of the tile frame.
@@ -183,11 +204,11 @@ impl Cull<'_> {
     ) -> (f32, f32) {
         let (range, distance2) = if record.has(flag::DISTANCE) {
             let distance = page.tiles.distance_center(tile).distance(eye) as f32;
-            (bounds.metric_m * self.range_per_metre, distance * distance)
+            (bounds.metric_m * self.view.range_per_metre, distance * distance)
         } else if record.has(flag::SPHERE) {
             let [x, y, z] = offset;
             let outside = ((x * x + y * y + z * z).sqrt() - bounds.radius_m).max(0.0);
-            (bounds.metric_m * self.range_per_error, outside * outside)
+            (bounds.metric_m * self.view.range_per_error, outside * outside)
         } else {
             let mut distance2 = 0.0;
             for (axis, half) in bounds.axes.iter().zip(bounds.half_m) {
@@ -195,7 +216,7 @@ impl Cull<'_> {
                 let outside = (along.abs() - half).max(0.0);
                 distance2 += outside * outside;
             }
-            (bounds.metric_m * self.range_per_error, distance2)
+            (bounds.metric_m * self.view.range_per_error, distance2)
         };
         (range * range, distance2.max(1.0e-14))
     }
@@ -220,6 +241,7 @@ impl Cull<'_> {
             return; // plain content: nothing in it to ask for
         }
         let state = self.chain_state(page, tiles.state_paths[index]);
+        let view = self.view.index;
         let content = &tiles.content_transforms[tiles.content_transform_of[index] as usize];
         self.queue.push(PageVisit {
             place: record.resident,
@@ -228,6 +250,7 @@ impl Cull<'_> {
             purpose,
             required,
             state,
+            view,
             shown_px2,
         });
     }

@@ -2,13 +2,16 @@
 
 use glam::{DAffine3, DVec3, Vec4};
 
-use super::planes::{EyePlanes, Planes, depth_row};
+use super::CullCamera;
+use super::occluders::{FrameOccluders, Occluders};
+use super::planes::{Planes, depth_row};
 use super::sort::Sorter;
-use super::stage::{CullCounters, RenderLeaf, RenderStage};
+use super::special::MOST_NESTED;
+use super::stage::{CullCounters, RenderLeaf, RenderStage, StageTarget};
 use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{TileFrame, TileView};
-use super::{CullCamera, CullingMode, SMALL_FEATURE_PX};
-use crate::scene::{BLEND, NONE, Page, Scene};
+use super::view::{View, clamp};
+use crate::scene::{BLEND, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene, VIEW};
 
 /// Why a page or tile is visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,8 +35,10 @@ pub(super) struct PageVisit {
     pub purpose: Purpose,
     /// The page's top tiles must be kept ready even where culled.
     pub required: bool,
-    /// State under which the page hangs.
+    /// State under which the page hangs, in the state graph.
     pub state: u32,
+    /// Place of the view in the stage's.
+    pub view: u32,
     /// Squared error in pixels of what is shown while the page's top tiles are missing.
     pub shown_px2: f32,
 }
@@ -45,7 +50,28 @@ pub(super) struct DepthRange {
     pub far: f32,
 }
 
+impl DepthRange {
+    pub const EMPTY: Self = Self { near: f32::INFINITY, far: f32::NEG_INFINITY };
+}
+
+/// A camera of the graph that has a stage of its own, culled once the stage it was met in is done.
+#[derive(Debug)]
+pub(super) struct DeferredCamera {
+    /// The page, seen from the camera.
+    pub visit: PageVisit,
+    /// The camera's node in it.
+    pub node: u32,
+    /// State at the node, in the state graph, and its path.
+    pub state: u32,
+    pub path: u32,
+    pub view: View,
+    pub is_pre: bool,
+    pub target: StageTarget,
+    pub clamp_projection: Option<ClampProjection>,
+}
+
 /// What is constant during the visit of a page.
+#[derive(Clone, Copy)]
 pub(super) struct PageContext<'a> {
     pub page: &'a Page,
     /// Linear part of `eye_from_page` as rows.
@@ -65,21 +91,27 @@ pub struct CullVisitor {
     pub(super) queue: Vec<PageVisit>,
     pub(super) node_stack: Vec<super::nodes::Open>,
     pub(super) tile_stack: Vec<TileFrame>,
-    /// State of each chain of the current page that has leaves, or `NONE`.
+    /// Place in the stage of each chain of the current page that has leaves, or `NONE`.
     pub(super) memo: Vec<u32>,
-    /// State of each chain that others start from, or `NONE`.
+    /// State of each chain that others start from, in the state graph, or `NONE`.
     pub(super) chains: Vec<u32>,
     pub(super) graph: StateGraph,
     pub(super) leaves: Vec<RenderLeaf>,
+    views: Vec<View>,
+    deferred: Vec<DeferredCamera>,
+    occluders: Occluders,
+    page_occluders: FrameOccluders,
+    tile_occluders: FrameOccluders,
     sorter: Sorter,
     visits_all: bool,
+    /// Changes near and far of the outermost stage when its settings have them computed.
+    pub clamp_projection: Option<ClampProjection>,
 }
 
 /// A cull under way.
 pub(super) struct Cull<'a> {
     pub scene: &'a Scene,
     pub camera: &'a CullCamera,
-    pub eye_planes: EyePlanes,
     pub stage: &'a mut RenderStage,
     pub queue: &'a mut Vec<PageVisit>,
     pub node_stack: &'a mut Vec<super::nodes::Open>,
@@ -88,20 +120,27 @@ pub(super) struct Cull<'a> {
     pub chains: &'a mut Vec<u32>,
     pub graph: &'a mut StateGraph,
     pub leaves: &'a mut Vec<RenderLeaf>,
+    /// The stage's views; the current one is a copy.
+    pub views: &'a mut Vec<View>,
+    pub view: View,
+    pub deferred: &'a mut Vec<DeferredCamera>,
+    pub occluders: &'a Occluders,
+    pub page_occluders: &'a mut FrameOccluders,
+    pub tile_occluders: &'a mut FrameOccluders,
     pub range: DepthRange,
     /// The last linear part of the current page that was multiplied, and the product as rows.
     pub linear_rows: (u32, [[f32; 4]; 3]),
     /// The last frame with tile trees of the current page.
     pub tile_view: Option<TileView>,
     pub counters: CullCounters,
-    /// Pixels at 1 m of distance per metre, over the error limit and the LOD scale: error times it = range.
-    pub range_per_error: f32,
-    pub range_per_metre: f32,
-    pub max_sse_px: f32,
-    /// Subtrees wholly inside are taken as ranges.
-    pub shortcut: bool,
-    /// Radius over depth below which a bound is too small; 0 when off.
-    pub small_feature: f32,
+    /// Subtrees are taken as ranges where they are wholly inside, unless small features or occluders are looked for.
+    pub takes_ranges: bool,
+}
+
+/// Where a stage begins.
+enum Start {
+    Roots,
+    Camera(DeferredCamera),
 }
 
 impl CullVisitor {
@@ -117,32 +156,54 @@ impl CullVisitor {
         Self { visits_all: true, ..Self::default() }
     }
 
-    /// Culls a scene for a camera: clears and refills the stage. Allocates nothing once the visitor and the stage
-    /// have seen as much before.
+    /// Culls a scene for a camera: clears and refills the stage, and makes the stages of the cameras met. Allocates
+    /// nothing once the visitor and the stage have seen as much before.
     pub fn cull(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
         self.traverse(scene, camera, stage);
         self.sort(stage);
+        if !self.deferred.is_empty() {
+            self.cull_deferred(scene, camera, stage, 0, 0);
+        }
     }
 
-    /// The first half of [`Self::cull`]: everything but the bins. For benches that time the two apart.
+    /// The first half of [`Self::cull`]: everything but the bins, and the cameras in the graph. For benches that time
+    /// the two apart.
     #[doc(hidden)]
     pub fn traverse(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
-        stage.camera = *camera;
-        stage.eye_from_drawable.clear();
-        stage.requests.clear();
-        self.graph.clear(&mut stage.state_sets);
+        self.graph.start_frame();
+        self.deferred.clear();
+        let clamp = self.clamp_projection;
+        self.traverse_stage(scene, camera, View::new(camera), Start::Roots, clamp, stage);
+    }
+
+    /// The second half of [`Self::cull`].
+    #[doc(hidden)]
+    pub fn sort(&mut self, stage: &mut RenderStage) {
+        self.sorter.fill_bins(&mut self.leaves, stage);
+    }
+
+    fn traverse_stage(
+        &mut self,
+        scene: &Scene,
+        camera: &CullCamera,
+        view: View,
+        start: Start,
+        clamp_projection: Option<ClampProjection>,
+        stage: &mut RenderStage,
+    ) {
+        stage.clear(camera);
+        self.graph.start_stage();
         self.leaves.clear();
         self.queue.clear();
-        let limit = camera.max_sse_px * camera.lod_scale;
-        let small = if camera.culling.contains(CullingMode::SMALL_FEATURE) {
-            0.5 * SMALL_FEATURE_PX / camera.px_per_radian()
-        } else {
-            0.0
-        };
+        self.views.clear();
+        self.views.push(view);
+        self.occluders.clear();
+        if view.settings.culling.contains(CullingMode::SHADOW_OCCLUSION) {
+            self.occluders.collect(scene, &view);
+        }
         let mut cull = Cull {
             scene,
             camera,
-            eye_planes: EyePlanes::new(camera),
             stage,
             queue: &mut self.queue,
             node_stack: &mut self.node_stack,
@@ -151,38 +212,74 @@ impl CullVisitor {
             chains: &mut self.chains,
             graph: &mut self.graph,
             leaves: &mut self.leaves,
-            range: DepthRange { near: f32::INFINITY, far: f32::NEG_INFINITY },
+            views: &mut self.views,
+            view,
+            deferred: &mut self.deferred,
+            occluders: &self.occluders,
+            page_occluders: &mut self.page_occluders,
+            tile_occluders: &mut self.tile_occluders,
+            range: DepthRange::EMPTY,
             linear_rows: (NONE, [[0.0; 4]; 3]),
             tile_view: None,
             counters: CullCounters::default(),
-            range_per_error: (camera.px_per_radian() / limit) as f32,
-            range_per_metre: (1.0 / camera.lod_scale) as f32,
-            max_sse_px: camera.max_sse_px as f32,
-            shortcut: !self.visits_all && small == 0.0,
-            small_feature: small as f32,
+            takes_ranges: !self.visits_all && self.occluders.is_empty(),
         };
-        cull.run();
+        cull.run(start, clamp_projection);
     }
 
-    /// The second half of [`Self::cull`].
-    #[doc(hidden)]
-    pub fn sort(&mut self, stage: &mut RenderStage) {
-        self.sorter.fill_bins(&mut self.leaves, self.graph.met(), stage);
+    /// Culls the cameras that were met from `first` on, and those met in their stages. What is drawn before comes
+    /// out in `pre_render`, what is drawn after in `post_render`, each in the order of its numbers.
+    fn cull_deferred(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage, first: usize, depth: u32) {
+        while self.deferred.len() > first {
+            let met = self.deferred.remove(first);
+            let mut below = stage.spare.stages.pop().unwrap_or_default();
+            let (view, target, is_pre) = (met.view, met.target.clone(), met.is_pre);
+            let clamp_projection = met.clamp_projection;
+            let camera = CullCamera {
+                eye_from_world: view.eye_from_world,
+                clip_from_eye: view.clip_from_eye,
+                viewport_px: view.viewport_px,
+                settings: view.settings,
+                horizon: view.horizon,
+                ..*camera
+            };
+            let view = View { index: 0, ..View::new(&camera) };
+            let others = self.deferred.len();
+            self.traverse_stage(scene, &camera, view, Start::Camera(met), clamp_projection, &mut below);
+            self.sort(&mut below);
+            below.target = target;
+            if depth < MOST_NESTED {
+                self.cull_deferred(scene, &camera, &mut below, others, depth + 1);
+            } else {
+                self.deferred.truncate(others);
+            }
+            stage.requests.append(&mut below.requests);
+            stage.counters.add(&below.counters);
+            let list = if is_pre { &mut stage.pre_render } else { &mut stage.post_render };
+            let place = list.partition_point(|s| s.target.order <= below.target.order);
+            list.insert(place, below);
+        }
     }
 }
 
-impl Cull<'_> {
-    fn run(&mut self) {
-        for root in self.scene.roots() {
-            self.queue.push(PageVisit {
-                place: root.slot,
-                eye_from_page: self.camera.eye_from_world,
-                mask: self.eye_planes.mask,
-                purpose: Purpose::Draw,
-                required: false,
-                state: ROOT,
-                shown_px2: f32::MAX,
-            });
+impl<'a> Cull<'a> {
+    fn run(&mut self, start: Start, clamp_projection: Option<ClampProjection>) {
+        match start {
+            Start::Roots => {
+                for root in self.scene.roots() {
+                    self.queue.push(PageVisit {
+                        place: root.slot,
+                        eye_from_page: self.view.eye_from_world,
+                        mask: self.view.planes.mask,
+                        purpose: Purpose::Draw,
+                        required: false,
+                        state: ROOT,
+                        view: 0,
+                        shown_px2: f32::MAX,
+                    });
+                }
+            }
+            Start::Camera(met) => self.visit_camera(&met),
         }
         let mut next = 0;
         while let Some(visit) = self.queue.get(next).copied() {
@@ -195,42 +292,90 @@ impl Cull<'_> {
         let DepthRange { near, far } = self.range;
         let (near, far) = if near <= far { (near.max(0.0), far.max(0.0)) } else { (0.0, 0.0) };
         (self.stage.near_m, self.stage.far_m) = (f64::from(near), f64::from(far));
+        let view = &self.views[0];
+        if view.settings.compute_near_far != ComputeNearFar::Off && far > 0.0 {
+            self.stage.camera.clip_from_eye = match clamp_projection {
+                Some(callback) => {
+                    let (near_m, far_m) = callback(self.stage.near_m, self.stage.far_m);
+                    clamp(&view.clip_from_eye, near_m, far_m, 0.0)
+                }
+                None => view.clamped(self.stage.near_m, self.stage.far_m),
+            };
+        }
     }
 
-    fn visit_page(&mut self, visit: PageVisit) {
-        let scene = self.scene;
-        let Some(page) = scene.page_at(visit.place) else { return };
+    /// Forgets what was known of the page before.
+    fn open_page(&mut self, page: &Page, state: u32) {
         self.tile_view = None;
         self.memo.clear();
         self.memo.resize(page.paths.len(), NONE);
         self.chains.clear();
         self.chains.resize(page.paths.len(), NONE);
         if let Some(root) = self.chains.first_mut() {
-            *root = visit.state;
+            *root = state;
         }
+        self.linear_rows.0 = NONE;
+    }
+
+    fn visit_page(&mut self, visit: PageVisit) {
+        let scene = self.scene;
+        let Some(page) = scene.page_at(visit.place) else { return };
+        if visit.view != self.view.index {
+            self.view = self.views[visit.view as usize];
+        }
+        self.open_page(page, visit.state);
         if visit.purpose != Purpose::Draw {
             for root in 0..page.tiles.roots.len() {
                 self.scan_tiles(page, &visit, root, visit.mask, visit.purpose);
             }
             return;
         }
-        self.linear_rows.0 = NONE;
-        let context = PageContext {
+        let context = self.page_context(page, visit);
+        let matrix = if page.uses_page_frame { self.push_matrix(&visit.eye_from_page) } else { 0 };
+        let last = page.node_count() as u32;
+        self.scan_nodes(&context, 0, last, visit.mask, matrix);
+    }
+
+    /// Scans what is below a camera that has this stage.
+    fn visit_camera(&mut self, met: &DeferredCamera) {
+        let scene = self.scene;
+        let Some(page) = scene.page_at(met.visit.place) else { return };
+        self.open_page(page, met.visit.state);
+        if let Some(state) = self.chains.get_mut(met.path as usize) {
+            *state = self.graph.find_or_insert_view(met.state, 0);
+        }
+        let visit = PageVisit { mask: self.view.planes.mask, view: 0, required: false, ..met.visit };
+        let context = self.page_context(page, visit);
+        let transform = self.enclosing_transform(&context, met.node);
+        let map = visit.eye_from_page * page.transforms.page_from_node(transform);
+        let matrix = self.push_matrix(&map);
+        let end = met.node + page.nodes[met.node as usize].skip;
+        self.scan_nodes(&context, met.node + 1, end, visit.mask, matrix);
+    }
+
+    /// What a page's scan needs to know.
+    pub(super) fn page_context<'p>(&mut self, page: &'p Page, visit: PageVisit) -> PageContext<'p> {
+        self.frame_occluders(&visit.eye_from_page, page.origin);
+        PageContext {
             page,
             eye_rows: [0, 1, 2].map(|row| visit.eye_from_page.matrix3.row(row)),
-            eye: if page.lods.is_empty() { DVec3::ZERO } else { eye_in(&visit.eye_from_page) },
+            eye: if page.needs_eye() { eye_in(&visit.eye_from_page) } else { DVec3::ZERO },
             planes: if visit.mask == 0 {
                 Planes::UNUSED
             } else {
-                self.eye_planes.in_frame(&visit.eye_from_page, page.origin)
+                self.view.planes.in_frame(&visit.eye_from_page, page.origin)
             },
             depth: depth_row(&visit.eye_from_page, page.origin),
             slots: page.draw_slots_of(self.camera.context),
             visit,
-        };
-        let matrix = if page.uses_page_frame { self.push_matrix(&visit.eye_from_page) } else { 0 };
-        let last = page.node_count() as u32;
-        self.scan_nodes(&context, 0, last, visit.mask, matrix);
+        }
+    }
+
+    /// Moves the occluders into the frame of a page.
+    pub(super) fn frame_occluders(&mut self, eye_from_page: &DAffine3, origin: DVec3) {
+        if !self.occluders.is_empty() {
+            self.occluders.in_frame(eye_from_page, origin, self.page_occluders);
+        }
     }
 
     /// Stores a matrix and returns its index.
@@ -240,7 +385,7 @@ impl Cull<'_> {
         index
     }
 
-    /// The state of the leaves of one of the page's chains.
+    /// The place in the stage of the state of the leaves of one of the page's chains.
     #[inline(always)]
     pub(super) fn state_of(&mut self, page: &Page, path: u32) -> u32 {
         match self.memo.get(path as usize) {
@@ -252,7 +397,7 @@ impl Cull<'_> {
     #[cold]
     fn meet_state(&mut self, page: &Page, path: u32) -> u32 {
         let state = self.chain_state(page, path);
-        self.graph.meet(state);
+        let state = self.graph.meet(state, self.stage);
         if let Some(known) = self.memo.get_mut(path as usize) {
             *known = state;
         }
@@ -274,10 +419,10 @@ impl Cull<'_> {
             };
             let Some(next) = above else { return state };
             let set = page.paths[next as usize].set;
-            let resolved = &mut self.stage.state_sets;
             let below = match page.state_sets.get(set as usize) {
-                _ if set == BLEND => self.graph.find_or_insert_blend(state, resolved),
-                Some(set) => self.graph.find_or_insert(state, set, resolved),
+                _ if set == BLEND => self.graph.find_or_insert_blend(state),
+                _ if set == VIEW => self.graph.find_or_insert_view(state, self.view.index),
+                Some(set) => self.graph.find_or_insert(state, set),
                 None => state,
             };
             self.chains[next as usize] = below;

@@ -214,7 +214,7 @@ mod tests {
             let vertices = vec![MeshVertex { position: [0.0, 0.0, z as f32], ..MeshVertex::default() }; 3];
             let bounds = Aabb { min: glam::DVec3::new(-1.0, -1.0, z), max: glam::DVec3::new(1.0, 1.0, z) };
             let mesh = Mesh { vertices, indices: [0, 1, 2].into(), topology: Topology::Triangles, bounds };
-            Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material: Material::default() }
+            Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
         };
         let nodes = (0..200).map(|i| Node::geode(vec![drawable(-5.0 - f64::from(i))])).collect();
         let mut page = Page::from_node(Node::group(nodes)).unwrap();

@@ -112,7 +112,7 @@ impl FrameUniform {
         let fog = environment.fog;
         let density = if fog.enabled && fog.density_per_m.is_finite() { f64::from(fog.density_per_m) } else { 0.0 };
         let p = &camera.clip_from_eye;
-        let sse_scale = camera.px_per_radian() / (camera.max_sse_px * camera.lod_scale).max(1e-9);
+        let sse_scale = camera.px_per_radian() / (camera.settings.max_sse_px * camera.settings.lod_scale).max(1e-9);
         Self {
             clip_from_eye: p.as_mat4(),
             sun_direction: vec4(sun, sse_scale),

@@ -147,10 +147,10 @@ impl PipelineKey {
     /// Source, destination and equation, where blending is on.
     pub fn blend(self) -> Option<(BlendFactor, BlendFactor, BlendEquation)> {
         use BlendFactor::{
-            DstAlpha, DstColor, One, OneMinusDstAlpha, OneMinusDstColor, OneMinusSrcAlpha, OneMinusSrcColor, SrcAlpha,
-            SrcAlphaSaturate, SrcColor, Zero,
+            ConstantColor, DstAlpha, DstColor, One, OneMinusConstantColor, OneMinusDstAlpha, OneMinusDstColor,
+            OneMinusSrcAlpha, OneMinusSrcColor, SrcAlpha, SrcAlphaSaturate, SrcColor, Zero,
         };
-        const FACTORS: [BlendFactor; 11] = [
+        const FACTORS: [BlendFactor; 13] = [
             Zero,
             One,
             SrcColor,
@@ -162,6 +162,8 @@ impl PipelineKey {
             DstAlpha,
             OneMinusDstAlpha,
             SrcAlphaSaturate,
+            ConstantColor,
+            OneMinusConstantColor,
         ];
         const EQUATIONS: [BlendEquation; 5] = [
             BlendEquation::Add,
@@ -170,7 +172,7 @@ impl PipelineKey {
             BlendEquation::Min,
             BlendEquation::Max,
         ];
-        let factor = |shift| FACTORS[self.field(shift, 4).min(10)];
+        let factor = |shift| FACTORS[self.field(shift, 4).min(12)];
         (self.0 & BLEND != 0).then(|| (factor(17), factor(21), EQUATIONS[self.field(25, 3).min(4)]))
     }
 
@@ -219,7 +221,7 @@ mod tests {
                 destination: BlendFactor::SrcAlphaSaturate,
             }))
             .with(Attribute::BlendEquation(BlendEquation::Max))
-            .with(Attribute::Depth(Depth { function: CompareFunction::NotEqual, write: false }))
+            .with(Attribute::Depth(Depth { function: CompareFunction::NotEqual, write: false, ..Depth::default() }))
             .with(Attribute::CullFace(CullFace::Front))
             .with(Attribute::FrontFace(FrontFace::Clockwise))
             .with(Attribute::PolygonMode(PolygonMode::Point))

@@ -292,6 +292,8 @@ fn factor(factor: BlendFactor) -> wgpu::BlendFactor {
         BlendFactor::DstAlpha => wgpu::BlendFactor::DstAlpha,
         BlendFactor::OneMinusDstAlpha => wgpu::BlendFactor::OneMinusDstAlpha,
         BlendFactor::SrcAlphaSaturate => wgpu::BlendFactor::SrcAlphaSaturated,
+        BlendFactor::ConstantColor => wgpu::BlendFactor::Constant,
+        BlendFactor::OneMinusConstantColor => wgpu::BlendFactor::OneMinusConstant,
     }
 }
 

@@ -317,7 +317,7 @@ impl<'a> Reader<'a> {
             unlit: material.unlit(),
         };
         let mesh = Mesh { vertices, indices, topology, bounds };
-        Ok(Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material })
+        Ok(Drawable::new(Geometry::Mesh(Arc::new(mesh)), material))
     }
 
     fn attribute(

@@ -284,7 +284,7 @@ fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> N
         texture,
         bounds: Aabb { min, max },
     };
-    let drawable = Drawable { geometry: Geometry::Height(Arc::new(tile)), material: Material::default() };
+    let drawable = Drawable::new(Geometry::Height(Arc::new(tile)), Material::default());
     Node::transform(world_from_tile, vec![Node::geode(vec![drawable])])
 }
 

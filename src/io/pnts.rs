@@ -98,7 +98,7 @@ pub(crate) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoE
     let indices: Arc<[u32]> = (0..count as u32).collect();
     let mesh = Mesh { vertices, indices, topology: Topology::Points, bounds };
     let material = Material { unlit: normals.is_none(), ..Material::default() };
-    let geode = Node::geode(vec![Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material }]);
+    let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
     Ok(Node::transform(DAffine3::from_translation(origin), vec![geode]))
 }
 

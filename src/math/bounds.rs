@@ -89,6 +89,18 @@ impl Aabb {
         0.5 * (self.min + self.max)
     }
 
+    /// The eight corners.
+    pub fn corners(&self) -> [DVec3; 8] {
+        [0, 1, 2, 3, 4, 5, 6, 7].map(|i: u32| {
+            let pick = |bit: u32, min: f64, max: f64| if i >> bit & 1 == 0 { min } else { max };
+            DVec3::new(
+                pick(0, self.min.x, self.max.x),
+                pick(1, self.min.y, self.max.y),
+                pick(2, self.min.z, self.max.z),
+            )
+        })
+    }
+
     /// Half the extent along each axis.
     pub fn half_size(&self) -> DVec3 {
         0.5 * (self.max - self.min)

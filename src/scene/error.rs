@@ -5,12 +5,6 @@ use super::{NodeId, PageId};
 /// Why a scene operation was refused. Nothing was changed when one is returned.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SceneError {
-    /// The node kind cannot be culled yet.
-    #[error("a node of kind {kind} cannot be culled yet")]
-    Unsupported {
-        /// The kind's name.
-        kind: &'static str,
-    },
     /// Only tiles and proxies may hang below a tile or proxy.
     #[error("a {kind} hangs below a tile; only PagedLod and ProxyNode may")]
     TileChild {

@@ -7,12 +7,16 @@ use glam::{DAffine3, DVec3, Vec4};
 
 use super::error::SceneError;
 use super::geometry::{AlphaMode, Drawable};
+use super::kinds::Billboard;
 use super::node::{Node, NodeKind};
-use super::page::{BLEND, Boxes4, DrawableRef, LodRecord, NONE, NodeRecord, PLAIN, Page, StatePath, kind};
+use super::page::{
+    BLEND, Boxes4, CALLBACK, DrawableRef, INACTIVE, LodRecord, NONE, NodeRecord, PLAIN, Page, Special, StatePath, VIEW,
+    kind,
+};
 use super::tiles::{TileRoot, Tiles};
 use super::transforms::Transforms;
 use crate::math::{Aabb, BoundingSphere};
-use crate::state::StateSet;
+use crate::state::{Mode, StateSet, StateValue};
 
 /// Deepest graph a page takes; deeper input is refused, so that no walk can exhaust a stack.
 pub const MAX_DEPTH: usize = 512;
@@ -33,8 +37,7 @@ struct Flattener {
 }
 
 impl Page {
-    /// Flattens a tree of nodes. Refuses node kinds that cannot be culled yet, what is not a tile below a tile,
-    /// and graphs deeper than [`MAX_DEPTH`].
+    /// Flattens a tree of nodes. Refuses what is not a tile below a tile, and graphs deeper than [`MAX_DEPTH`].
     pub fn from_node(root: Node) -> Result<Page, SceneError> {
         let mut flattener = Flattener::new();
         let mut open = Vec::new();
@@ -63,6 +66,10 @@ impl Flattener {
                 payloads: Vec::new(),
                 switches: Vec::new(),
                 lods: Vec::new(),
+                specials: Vec::new(),
+                callbacks: Vec::new(),
+                occluders: Vec::new(),
+                clusters: Vec::new(),
                 transforms: Transforms::new(),
                 boxes: Vec::new(),
                 local_boxes: Vec::new(),
@@ -115,13 +122,13 @@ impl Flattener {
 
     fn add(&mut self, node: Node, above: Option<(u32, u32, u32, u32)>) -> Result<Open, SceneError> {
         let (parent, mut transform, above_path, mut tile) = above.unwrap_or((NONE, 0, 0, NONE));
-        let Node { kind: node_kind, state_set, mask, children, name: _ } = node;
+        let Node { kind: node_kind, state_set, mask, culling_active, cull_callback, children, name: _ } = node;
         let children = children.into_iter();
         let index = u32::try_from(self.page.nodes.len()).ok().filter(|i| *i < NONE - 1).ok_or(SceneError::TooLarge)?;
         let first_drawable =
             u32::try_from(self.page.drawable_refs.len()).ok().filter(|i| *i < NONE / 2).ok_or(SceneError::TooLarge)?;
         let first_transform = self.page.transforms.len() as u32;
-        let path = match state_set {
+        let mut path = match state_set {
             Some(set) => self.path_below(above_path, set),
             None => above_path,
         };
@@ -130,6 +137,11 @@ impl Flattener {
             return Err(SceneError::TileChild { kind: kind_name(&node_kind) });
         }
         let mut payload = NONE;
+        let mut flags = if culling_active { 0 } else { INACTIVE };
+        if let Some(callback) = cull_callback {
+            flags |= CALLBACK;
+            self.page.callbacks.push((index, callback));
+        }
         let code = match node_kind {
             NodeKind::Group => kind::GROUP,
             NodeKind::Transform(parent_from_child) => {
@@ -167,12 +179,74 @@ impl Flattener {
                 tile = payload;
                 kind::TILE
             }
-            other => {
-                discard(children);
-                return Err(SceneError::Unsupported { kind: kind_name(&other) });
+            NodeKind::Billboard(billboard) => {
+                let Billboard { mode, drawables } = *billboard;
+                let mut positions = Vec::with_capacity(drawables.len());
+                for (position, drawable) in drawables {
+                    let reach = drawable.bounds().corners().map(|c| c.length()).into_iter().fold(0.0, f64::max);
+                    // Wherever it turns to.
+                    let around = Aabb { min: position - reach, max: position + reach };
+                    self.add_drawable_in(drawable, around, transform, path);
+                    positions.push(position);
+                }
+                payload = self.special(Special::Billboard { mode, positions });
+                kind::SPECIAL
+            }
+            NodeKind::LightSource(light) => {
+                payload = self.special(Special::LightSource(*light));
+                // It shines wherever its own bound is.
+                flags |= INACTIVE;
+                kind::SPECIAL
+            }
+            NodeKind::ClipNode(clip) => {
+                let mut set = StateSet::default();
+                for (number, _) in &clip.planes {
+                    set.set_mode(Mode::ClipPlane(*number), StateValue::ON);
+                }
+                path = self.path_below(path, Arc::new(set));
+                payload = self.special(Special::ClipNode(*clip));
+                kind::SPECIAL
+            }
+            NodeKind::TexGenNode(texgen) => {
+                payload = self.special(Special::TexGenNode(*texgen));
+                flags |= INACTIVE;
+                kind::SPECIAL
+            }
+            NodeKind::ClearNode(clear) => {
+                payload = self.special(Special::ClearNode(clear));
+                flags |= INACTIVE;
+                kind::SPECIAL
+            }
+            NodeKind::Camera(camera) => {
+                path = self.view_path(path);
+                flags |= INACTIVE;
+                payload = self.special(Special::Camera { camera, path });
+                kind::SPECIAL
+            }
+            NodeKind::Projection(clip_from_eye) => {
+                path = self.view_path(path);
+                flags |= INACTIVE;
+                payload = self.special(Special::Projection { clip_from_eye, path });
+                kind::SPECIAL
+            }
+            NodeKind::AbsoluteTransform(eye_from_child) => {
+                let map = if eye_from_child.is_finite() { eye_from_child } else { DAffine3::IDENTITY };
+                transform = self.page.transforms.push(transform, map);
+                flags |= INACTIVE;
+                payload = self.special(Special::AbsoluteTransform);
+                kind::SPECIAL
+            }
+            NodeKind::OccluderNode(occluder) => {
+                self.page.occluders.push((index, transform, *occluder));
+                payload = self.special(Special::Occluder);
+                kind::SPECIAL
+            }
+            NodeKind::OcclusionQueryNode(query) => {
+                payload = self.special(Special::OcclusionQuery(*query));
+                kind::SPECIAL
             }
         };
-        self.page.nodes.push(NodeRecord { skip: 1, first_drawable, first_transform, kind: code, flags: 0 });
+        self.page.nodes.push(NodeRecord { skip: 1, first_drawable, first_transform, kind: code, flags });
         self.page.parents.push(parent);
         self.page.masks.push(mask);
         self.page.payloads.push(payload);
@@ -186,11 +260,31 @@ impl Flattener {
         }
     }
 
+    fn special(&mut self, special: Special) -> u32 {
+        self.page.specials.push(special);
+        self.page.specials.len() as u32 - 1
+    }
+
+    /// A path of its own for what has another view.
+    fn view_path(&mut self, parent: u32) -> u32 {
+        self.page.paths.push(StatePath { parent, set: VIEW });
+        self.page.paths.len() as u32 - 1
+    }
+
     fn add_drawable(&mut self, drawable: Drawable, transform: u32, path: u32) {
+        let bounds = drawable.bounds();
+        self.add_drawable_in(drawable, bounds, transform, path);
+    }
+
+    /// Adds a drawable with a box in the frame of its transform.
+    fn add_drawable_in(&mut self, drawable: Drawable, bounds: Aabb, transform: u32, path: u32) {
         let blends = matches!(drawable.material.alpha, AlphaMode::Blend);
         let state_path = if blends { self.path_to(path, BLEND) } else { path };
         self.page.uses_page_frame |= transform == 0;
-        self.page.local_boxes.push(drawable.bounds());
+        self.page.local_boxes.push(bounds);
+        if let Some(cone) = drawable.cluster {
+            self.page.clusters.push((self.page.drawable_refs.len() as u32, cone));
+        }
         self.page.drawable_refs.push(DrawableRef { state_path, transform });
         self.page.payload_bytes += drawable.size_bytes();
         self.page.drawables.push(drawable);
@@ -225,8 +319,17 @@ impl Flattener {
         });
         let mut plain = vec![true; count];
         for node in (0..count).rev() {
-            plain[node] &= matches!(page.nodes[node].kind, kind::GROUP | kind::TRANSFORM | kind::GEODE)
-                && page.masks[node] == u32::MAX;
+            let record = &page.nodes[node];
+            let own = record.first_drawable..page.nodes[node + 1].first_drawable;
+            let clustered = page.clusters.partition_point(|(d, _)| *d < own.start);
+            let has_cluster = page.clusters.get(clustered).is_some_and(|(d, _)| *d < own.end);
+            plain[node] &= matches!(record.kind, kind::GROUP | kind::TRANSFORM | kind::GEODE)
+                && page.masks[node] == u32::MAX
+                && record.flags == 0
+                && !has_cluster;
+            if record.flags & INACTIVE != 0 && page.parents[node] != NONE {
+                page.nodes[page.parents[node] as usize].flags |= INACTIVE;
+            }
             if plain[node] {
                 page.nodes[node].flags |= PLAIN;
             } else if page.parents[node] != NONE {
@@ -282,6 +385,7 @@ fn kind_name(kind: &NodeKind) -> &'static str {
     match kind {
         NodeKind::Group => "Group",
         NodeKind::Transform(_) => "Transform",
+        NodeKind::AbsoluteTransform(_) => "AbsoluteTransform",
         NodeKind::Projection(_) => "Projection",
         NodeKind::Switch(_) => "Switch",
         NodeKind::Lod { .. } => "Lod",
@@ -289,12 +393,12 @@ fn kind_name(kind: &NodeKind) -> &'static str {
         NodeKind::ProxyNode(_) => "ProxyNode",
         NodeKind::Geode(_) => "Geode",
         NodeKind::Billboard(_) => "Billboard",
-        NodeKind::LightSource => "LightSource",
-        NodeKind::ClipNode => "ClipNode",
-        NodeKind::TexGenNode => "TexGenNode",
-        NodeKind::ClearNode => "ClearNode",
-        NodeKind::Camera => "Camera",
-        NodeKind::OccluderNode => "OccluderNode",
-        NodeKind::OcclusionQueryNode => "OcclusionQueryNode",
+        NodeKind::LightSource(_) => "LightSource",
+        NodeKind::ClipNode(_) => "ClipNode",
+        NodeKind::TexGenNode(_) => "TexGenNode",
+        NodeKind::ClearNode(_) => "ClearNode",
+        NodeKind::Camera(_) => "Camera",
+        NodeKind::OccluderNode(_) => "OccluderNode",
+        NodeKind::OcclusionQueryNode(_) => "OcclusionQueryNode",
     }
 }

@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use super::kinds::NormalCone;
 use crate::math::Aabb;
 
 /// One vertex of a [`Mesh`], as the GPU reads it (28 bytes).
@@ -44,6 +45,42 @@ pub struct Mesh {
     pub topology: Topology,
     /// Box around the positions.
     pub bounds: Aabb,
+}
+
+impl Mesh {
+    /// The directions in which the triangles look; `None` without triangles, or where they look apart by 90 degrees
+    /// or more from their mean.
+    pub fn normal_cone(&self) -> Option<NormalCone> {
+        if self.topology != Topology::Triangles {
+            return None;
+        }
+        let corner = |i: u32| self.vertices.get(i as usize).map(|v| glam::DVec3::from_array(v.position.map(f64::from)));
+        let faces = || {
+            self.indices.chunks_exact(3).filter_map(|t| {
+                let (a, b, c) = (corner(t[0])?, corner(t[1])?, corner(t[2])?);
+                Some(([a, b, c], (b - a).cross(c - a)))
+            })
+        };
+        let mean = faces().fold(glam::DVec3::ZERO, |sum, (_, n)| sum + n).try_normalize()?;
+        let unit = || faces().filter_map(|(corners, n)| Some((corners, n.try_normalize()?)));
+        let widest = unit().map(|(_, n)| n.dot(mean)).fold(1.0, f64::min);
+        if widest <= 1e-3 {
+            return None;
+        }
+        let control_point = self.bounds.center();
+        let distance = |p: glam::DVec3| p.distance(control_point);
+        let radius_m = unit().flat_map(|(corners, _)| corners).map(distance).fold(0.0, f64::max);
+        // A face looks away from directions more than 90 degrees from its normal; seen from outside of `radius`, a
+        // corner's direction to the eye differs from the middle's by less than that of a sphere twice as far.
+        let half_angle = widest.min(1.0).acos();
+        let from_middle = 0.5f64.asin();
+        Some(NormalCone {
+            control_point,
+            normal: mean,
+            least_cosine: (std::f64::consts::FRAC_PI_2 + half_angle + from_middle).min(std::f64::consts::PI).cos(),
+            radius_m: 2.0 * radius_m,
+        })
+    }
 }
 
 /// An RGBA8 sRGB image with its mip levels, level 0 first, each half the size of the one before (at least 1).
@@ -153,9 +190,24 @@ pub struct Drawable {
     pub geometry: Geometry,
     /// Surface (height tiles carry their own texture; the factor still applies).
     pub material: Material,
+    /// Where its faces look, for [`CullingMode::CLUSTER`](super::CullingMode::CLUSTER).
+    pub cluster: Option<NormalCone>,
 }
 
 impl Drawable {
+    /// A shape with a surface.
+    pub fn new(geometry: Geometry, material: Material) -> Self {
+        Self { geometry, material, cluster: None }
+    }
+
+    /// The same with the cone of its triangles' normals, unless they look too far apart for one.
+    pub fn with_cluster_culling(mut self) -> Self {
+        if let (Geometry::Mesh(mesh), false) = (&self.geometry, self.material.double_sided) {
+            self.cluster = mesh.normal_cone();
+        }
+        self
+    }
+
     /// Box around the drawable in its own frame.
     pub fn bounds(&self) -> Aabb {
         match &self.geometry {

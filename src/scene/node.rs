@@ -5,6 +5,10 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 
 use super::geometry::Drawable;
+use super::kinds::{
+    Billboard, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, OcclusionQueryNode,
+    TexGenNode,
+};
 use crate::math::{BoundingSphere, BoundingVolume};
 use crate::state::StateSet;
 
@@ -19,6 +23,10 @@ pub struct Node {
     pub state_set: Option<Arc<StateSet>>,
     /// Drawn only where `mask & camera.cull_mask != 0`.
     pub mask: u32,
+    /// False: never culled by its bound, nor is what is above it; OSG's `setCullingActive`.
+    pub culling_active: bool,
+    /// Asked each time cull is about to visit it.
+    pub cull_callback: Option<CullCallback>,
     /// Children in order.
     pub children: Vec<Node>,
 }
@@ -30,8 +38,10 @@ pub enum NodeKind {
     Group,
     /// Parent-from-child affine map, metres in f64.
     Transform(DAffine3),
-    /// Replaces the projection below (64 floats' worth: column-major clip-from-view).
+    /// Replaces the projection below: reversed-Z clip from eye.
     Projection(glam::DMat4),
+    /// A transform whose children are in the eye's frame, whatever is above: what it holds moves with the eye.
+    AbsoluteTransform(DAffine3),
     /// Children shown by index; one flag a child.
     Switch(Vec<bool>),
     /// Child i is shown while the distance to `center` times the LOD scale is in `ranges_m[i]`.
@@ -48,21 +58,21 @@ pub enum NodeKind {
     /// Drawables.
     Geode(Vec<Drawable>),
     /// Drawables that turn towards the eye.
-    Billboard(Vec<Drawable>),
+    Billboard(Box<Billboard>),
     /// A light.
-    LightSource,
+    LightSource(Box<LightSource>),
     /// Clip planes for the children.
-    ClipNode,
-    /// Texture coordinate generation.
-    TexGenNode,
-    /// Clears the target.
-    ClearNode,
+    ClipNode(Box<ClipNode>),
+    /// The frame of generated texture coordinates.
+    TexGenNode(Box<TexGenNode>),
+    /// Clears the target otherwise.
+    ClearNode(ClearNode),
     /// A camera inside the graph.
-    Camera,
+    Camera(Box<CameraNode>),
     /// A convex occluder.
-    OccluderNode,
+    OccluderNode(Box<ConvexPlanarOccluder>),
     /// Hardware occlusion query.
-    OcclusionQueryNode,
+    OcclusionQueryNode(Box<OcclusionQueryNode>),
 }
 
 /// How a tile's children relate to it; 3D Tiles' `refine`.
@@ -142,7 +152,15 @@ pub enum ProxyLoading {
 impl Node {
     /// A node of a kind, without children, name or state, visible to every camera.
     pub fn new(kind: NodeKind) -> Self {
-        Self { name: String::new(), kind, state_set: None, mask: u32::MAX, children: Vec::new() }
+        Self {
+            name: String::new(),
+            kind,
+            state_set: None,
+            mask: u32::MAX,
+            culling_active: true,
+            cull_callback: None,
+            children: Vec::new(),
+        }
     }
 
     /// A group of children.
@@ -153,6 +171,11 @@ impl Node {
     /// A transform over children.
     pub fn transform(parent_from_child: DAffine3, children: Vec<Node>) -> Self {
         Self { children, ..Self::new(NodeKind::Transform(parent_from_child)) }
+    }
+
+    /// A camera over children.
+    pub fn camera(camera: CameraNode, children: Vec<Node>) -> Self {
+        Self { children, ..Self::new(NodeKind::Camera(Box::new(camera))) }
     }
 
     /// Drawables without children.

@@ -5,10 +5,14 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3, Vec4};
+use glam::{DAffine3, DMat4, DVec3, DVec4, Vec4};
 
 use super::error::SceneError;
 use super::geometry::Drawable;
+use super::kinds::{
+    BillboardMode, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, NormalCone,
+    OcclusionQueryNode, ReferenceFrame, TexGenNode,
+};
 use super::tiles::Tiles;
 use super::transforms::Transforms;
 use crate::math::{Aabb, BoundingSphere};
@@ -38,6 +42,44 @@ pub(crate) mod kind {
     pub const LOD: u8 = 4;
     /// PagedLod or ProxyNode: the subtree is walked by the tile walk.
     pub const TILE: u8 = 5;
+    /// What `Page::specials` holds.
+    pub const SPECIAL: u8 = 6;
+}
+
+/// Set where a cull callback is asked.
+pub(crate) const CALLBACK: u8 = 2;
+/// Set where the bound culls nothing: the node's own wish, or that of one below it.
+pub(crate) const INACTIVE: u8 = 4;
+
+/// Of a path: the leaves below have the view of the camera or projection node that is being scanned.
+pub(crate) const VIEW: u32 = u32::MAX - 1;
+
+/// What the rarer kinds of nodes hold.
+#[derive(Debug)]
+pub(crate) enum Special {
+    Billboard {
+        mode: BillboardMode,
+        positions: Vec<DVec3>,
+    },
+    LightSource(LightSource),
+    ClipNode(ClipNode),
+    TexGenNode(TexGenNode),
+    ClearNode(ClearNode),
+    /// With the path of its children.
+    Camera {
+        camera: Box<CameraNode>,
+        path: u32,
+    },
+    /// With the path of its children.
+    Projection {
+        clip_from_eye: DMat4,
+        path: u32,
+    },
+    /// With the index of its transform.
+    AbsoluteTransform,
+    /// In `Page::occluders` too.
+    Occluder,
+    OcclusionQuery(OcclusionQueryNode),
 }
 
 /// Set in [`NodeRecord::flags`] where the subtree has only groups, transforms and geodes that every camera sees:
@@ -103,6 +145,14 @@ pub struct Page {
     pub(crate) payloads: Vec<u32>,
     pub(crate) switches: Vec<Box<[bool]>>,
     pub(crate) lods: Vec<LodRecord>,
+    /// By payload of nodes of kind [`kind::SPECIAL`].
+    pub(crate) specials: Vec<Special>,
+    /// Cull callbacks by node, in order.
+    pub(crate) callbacks: Vec<(u32, CullCallback)>,
+    /// Occluders with their nodes and enclosing transforms.
+    pub(crate) occluders: Vec<(u32, u32, ConvexPlanarOccluder)>,
+    /// Normal cones by drawable, in order.
+    pub(crate) clusters: Vec<(u32, NormalCone)>,
     pub(crate) transforms: Transforms,
     pub(crate) boxes: Vec<Boxes4>,
     /// Boxes in the frames of their transforms, from which `boxes` are fitted again.
@@ -276,7 +326,8 @@ impl Page {
         let end = node + record.skip as usize;
         let mut child = node + 1;
         while child < end {
-            let s = self.spheres[child].as_dvec4();
+            let apart = self.is_apart(child);
+            let s = if apart { DVec4::NEG_ONE } else { self.spheres[child].as_dvec4() };
             if s.w >= f64::from(UNBOUNDED) {
                 unbounded = true;
             } else if s.w >= 0.0 {
@@ -299,12 +350,56 @@ impl Page {
         let mut child = node + 1;
         while child < end {
             let s = self.spheres[child].as_dvec4();
-            if s.w >= 0.0 {
+            if s.w >= 0.0 && !self.is_apart(child) {
                 radius_m = radius_m.max(s.truncate().distance(center) + s.w);
             }
             child += self.nodes[child].skip as usize;
         }
         stored_sphere(center, radius_m)
+    }
+
+    /// Cull must know where the eye is in the page's frame.
+    pub(crate) fn needs_eye(&self) -> bool {
+        !self.lods.is_empty() || !self.callbacks.is_empty() || !self.clusters.is_empty()
+    }
+
+    /// A node and those above it, each with the one below it that the way came from.
+    pub(crate) fn path_to_root(&self, node: u32) -> impl Iterator<Item = (u32, Option<u32>)> + '_ {
+        let mut at = (node, None);
+        std::iter::from_fn(move || {
+            let this = at;
+            let parent = *self.parents.get(this.0 as usize)?;
+            at = (parent, Some(this.0));
+            Some(this)
+        })
+    }
+
+    /// Whether a node, if it is a Switch, shows one of its children.
+    pub(crate) fn switch_shows(&self, node: u32, child: u32) -> bool {
+        let record = &self.nodes[node as usize];
+        if record.kind != kind::SWITCH {
+            return true;
+        }
+        let shown = &self.switches[self.payloads[node as usize] as usize];
+        let mut at = node + 1;
+        let mut index = 0;
+        while at < child {
+            at += self.nodes[at as usize].skip;
+            index += 1;
+        }
+        shown.get(index).copied().unwrap_or(false)
+    }
+
+    /// True for nodes whose children are not in the frame of what is above.
+    fn is_apart(&self, node: usize) -> bool {
+        if self.nodes[node].kind != kind::SPECIAL {
+            return false;
+        }
+        match self.specials.get(self.payloads[node] as usize) {
+            Some(Special::Camera { camera, .. }) => camera.frame == ReferenceFrame::Absolute,
+            Some(Special::AbsoluteTransform) => true,
+            _ => false,
+        }
     }
 
     fn tile_sphere(&self, node: usize) -> Vec4 {

@@ -1,6 +1,10 @@
 //! Modes and attributes: what a state set can say about how things are drawn, in OpenGL's and OSG's terms.
 
 use std::ops::{BitAnd, BitOr};
+use std::sync::Arc;
+
+use super::program::Program;
+use super::texture::TextureBinding;
 
 /// How a mode or an attribute is given; OSG's `StateAttribute::OverrideValue`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -38,6 +42,13 @@ impl BitAnd for StateValue {
     }
 }
 
+/// Texture units of a state set.
+pub const TEXTURE_UNITS: usize = 4;
+/// Lights of a render stage.
+pub const LIGHTS: usize = 8;
+/// Clip planes of a render stage.
+pub const CLIP_PLANES: usize = 6;
+
 /// What is switched on and off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Mode {
@@ -49,11 +60,57 @@ pub enum Mode {
     DepthTest,
     /// [`PolygonOffset`]; off.
     PolygonOffset,
+    /// Light; on, and off for drawables with an unlit material.
+    Lighting,
+    /// Haze, or the [`Fog`] that is given; on.
+    Fog,
+    /// [`AlphaFunc`]; off.
+    AlphaTest,
+    /// [`Stencil`]; off.
+    StencilTest,
+    /// [`Scissor`]; off.
+    ScissorTest,
+    /// Coverage of multisampled targets from alpha; off.
+    AlphaToCoverage,
+    /// A light by its number, 0 to 7. Light 0 is on: the sun and the sky of the
+    /// [`Environment`](crate::draw::Environment), until a LightSource with that number takes its place.
+    Light(u8),
+    /// A clip plane by its number, 0 to 5; off.
+    ClipPlane(u8),
+    /// A texture unit, 0 to 3; off.
+    Texture(u8),
+    /// [`TexGen`] of a texture unit; off.
+    TexGen(u8),
 }
 
 impl Mode {
-    /// All of them, in the order of their discriminants.
-    pub const ALL: [Self; 4] = [Self::Blend, Self::CullFace, Self::DepthTest, Self::PolygonOffset];
+    /// How many there are.
+    pub const COUNT: usize = 10 + LIGHTS + CLIP_PLANES + 2 * TEXTURE_UNITS;
+    /// Those that are on by default, as bits of [`Self::index`].
+    pub(crate) const ON_BY_DEFAULT: u64 = 1 << 1 | 1 << 2 | 1 << 4 | 1 << 5 | 1 << 10;
+
+    /// A number of its own below [`Self::COUNT`]; numbers beyond the last light, plane or unit count as the last.
+    pub fn index(self) -> usize {
+        let at = |first: usize, number: u8, count: usize| first + usize::from(number).min(count - 1);
+        let planes = 10 + LIGHTS;
+        let units = planes + CLIP_PLANES;
+        match self {
+            Self::Blend => 0,
+            Self::CullFace => 1,
+            Self::DepthTest => 2,
+            Self::PolygonOffset => 3,
+            Self::Lighting => 4,
+            Self::Fog => 5,
+            Self::AlphaTest => 6,
+            Self::StencilTest => 7,
+            Self::ScissorTest => 8,
+            Self::AlphaToCoverage => 9,
+            Self::Light(number) => at(10, number, LIGHTS),
+            Self::ClipPlane(number) => at(planes, number, CLIP_PLANES),
+            Self::Texture(unit) => at(units, unit, TEXTURE_UNITS),
+            Self::TexGen(unit) => at(units + TEXTURE_UNITS, unit, TEXTURE_UNITS),
+        }
+    }
 }
 
 /// A factor of [`BlendFunc`].
@@ -72,6 +129,9 @@ pub enum BlendFactor {
     DstAlpha,
     OneMinusDstAlpha,
     SrcAlphaSaturate,
+    /// The [`Attribute::BlendColor`].
+    ConstantColor,
+    OneMinusConstantColor,
 }
 
 /// How source and destination are weighed.
@@ -118,17 +178,19 @@ pub enum CompareFunction {
 
 /// Depth test and depth writes. `Less` passes what is nearer to the eye, as in OpenGL; that depths are stored
 /// reversed does not show here.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Depth {
     /// Compares what is drawn with what is there.
     pub function: CompareFunction,
     /// Whether what passes is written.
     pub write: bool,
+    /// Depths of the near plane and of infinity, 0 to 1: `[0, 0.1]` is before everything that has `[0.1, 1]`.
+    pub range: [f32; 2],
 }
 
 impl Default for Depth {
     fn default() -> Self {
-        Self { function: CompareFunction::Less, write: true }
+        Self { function: CompareFunction::Less, write: true, range: [0.0, 1.0] }
     }
 }
 
@@ -181,29 +243,287 @@ impl Default for ColorMask {
     }
 }
 
+/// Drops fragments by their alpha where [`Mode::AlphaTest`] is on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AlphaFunc {
+    /// Compares alpha with the reference; what passes is drawn.
+    pub function: CompareFunction,
+    /// 0 to 1.
+    pub reference: f32,
+}
+
+impl Default for AlphaFunc {
+    fn default() -> Self {
+        Self { function: CompareFunction::Always, reference: 1.0 }
+    }
+}
+
+/// What happens to a stencil value.
+#[allow(missing_docs, reason = "OpenGL's names")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum StencilOperation {
+    #[default]
+    Keep,
+    Zero,
+    Replace,
+    Invert,
+    Increment,
+    Decrement,
+    IncrementWrap,
+    DecrementWrap,
+}
+
+/// Stencil test of front or back faces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct StencilFace {
+    /// Compares the reference with what is there.
+    pub function: CompareFunction,
+    /// Where the stencil test fails.
+    pub fail: StencilOperation,
+    /// Where the depth test fails.
+    pub depth_fail: StencilOperation,
+    /// Where both pass.
+    pub pass: StencilOperation,
+}
+
+impl Default for StencilFace {
+    fn default() -> Self {
+        Self {
+            function: CompareFunction::Always,
+            fail: StencilOperation::Keep,
+            depth_fail: StencilOperation::Keep,
+            pass: StencilOperation::Keep,
+        }
+    }
+}
+
+/// Stencil test and write, 8 bits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Stencil {
+    /// Of front faces.
+    pub front: StencilFace,
+    /// Of back faces.
+    pub back: StencilFace,
+    /// What is compared and what [`StencilOperation::Replace`] writes.
+    pub reference: u8,
+    /// Bits that are compared.
+    pub read_mask: u8,
+    /// Bits that are written.
+    pub write_mask: u8,
+}
+
+impl Stencil {
+    /// The same for both sides, with all bits.
+    pub fn both(face: StencilFace, reference: u8) -> Self {
+        Self { front: face, back: face, reference, read_mask: 0xff, write_mask: 0xff }
+    }
+}
+
+impl Default for Stencil {
+    fn default() -> Self {
+        Self::both(StencilFace::default(), 0)
+    }
+}
+
+/// The part of the target that is drawn to where [`Mode::ScissorTest`] is on; pixels, origin upper left.
+#[allow(missing_docs, reason = "self-explaining")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Scissor {
+    pub x: u32,
+    pub y: u32,
+    pub width: u32,
+    pub height: u32,
+}
+
+/// Where the picture lies in the target; pixels, origin upper left.
+#[allow(missing_docs, reason = "self-explaining")]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Viewport {
+    pub x: f32,
+    pub y: f32,
+    pub width: f32,
+    pub height: f32,
+}
+
+/// Reflection of light in OpenGL's terms, linear colours. With one, textures and vertex colours are factors of
+/// `diffuse` and `ambient`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceMaterial {
+    /// Of ambient light.
+    pub ambient: [f32; 3],
+    /// Of light from a direction; w is alpha.
+    pub diffuse: [f32; 4],
+    /// Of mirrored light.
+    pub specular: [f32; 3],
+    /// Shines by itself.
+    pub emission: [f32; 3],
+    /// Exponent of the highlight.
+    pub shininess: f32,
+}
+
+impl Default for SurfaceMaterial {
+    /// White and dull.
+    fn default() -> Self {
+        Self { ambient: [1.0; 3], diffuse: [1.0; 4], specular: [0.0; 3], emission: [0.0; 3], shininess: 0.0 }
+    }
+}
+
+/// Light that comes from everywhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightModel {
+    /// Linear colour.
+    pub ambient: [f32; 3],
+}
+
+impl Default for LightModel {
+    fn default() -> Self {
+        Self { ambient: [0.0; 3] }
+    }
+}
+
+/// A light in OpenGL's terms, linear colours.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// 0 to 7, see [`Mode::Light`].
+    pub number: u8,
+    /// x, y, z and 1 for a place, or the direction towards the light and 0.
+    pub position: [f64; 4],
+    /// Where a spot shines to.
+    pub direction: [f64; 3],
+    /// Reaches every surface.
+    pub ambient: [f32; 3],
+    /// Reaches surfaces that face it.
+    pub diffuse: [f32; 3],
+    /// Mirrored.
+    pub specular: [f32; 3],
+    /// Divided by `c + l * d + q * d * d` at `d` metres.
+    pub attenuation: [f32; 3],
+    /// Half angle of a spot's cone in radians; pi shines all around.
+    pub spot_cutoff: f32,
+    /// How the spot falls off towards its rim.
+    pub spot_exponent: f32,
+}
+
+impl Default for Light {
+    /// A white light from above the eye's back.
+    fn default() -> Self {
+        Self {
+            number: 0,
+            position: [0.0, 0.0, 1.0, 0.0],
+            direction: [0.0, 0.0, -1.0],
+            ambient: [0.0; 3],
+            diffuse: [1.0; 3],
+            specular: [1.0; 3],
+            attenuation: [1.0, 0.0, 0.0],
+            spot_cutoff: std::f32::consts::PI,
+            spot_exponent: 0.0,
+        }
+    }
+}
+
+/// How fog thickens with the distance `d` in front of the eye.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FogMode {
+    /// From none at `start_m` to all at `end_m`.
+    Linear {
+        /// Metres.
+        start_m: f32,
+        /// Metres.
+        end_m: f32,
+    },
+    /// `1 - exp(-density d)`.
+    Exp {
+        /// Per metre.
+        density_per_m: f32,
+    },
+    /// `1 - exp(-(density d)^2)`.
+    Exp2 {
+        /// Per metre.
+        density_per_m: f32,
+    },
+}
+
+/// Fog instead of the environment's haze.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fog {
+    /// How it thickens.
+    pub mode: FogMode,
+    /// Linear colour.
+    pub color: [f32; 3],
+}
+
+/// Where texture coordinates come from; OpenGL's `glTexGen`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TexGen {
+    /// Distances from planes of the drawable's frame.
+    ObjectLinear([[f32; 4]; 2]),
+    /// Distances from planes of the eye's frame, or of a TexGenNode's.
+    EyeLinear([[f32; 4]; 2]),
+    /// The point of a photographed mirror ball that reflects the same.
+    SphereMap,
+    /// The normal in the eye's frame.
+    NormalMap,
+    /// The mirrored view direction in the eye's frame.
+    ReflectionMap,
+}
+
 /// One attribute of a state set.
 #[allow(missing_docs, reason = "each is the type of its name")]
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Attribute {
     BlendFunc(BlendFunc),
     BlendEquation(BlendEquation),
+    /// Linear, for [`BlendFactor::ConstantColor`].
+    BlendColor([f32; 4]),
     Depth(Depth),
     CullFace(CullFace),
     FrontFace(FrontFace),
     PolygonMode(PolygonMode),
     PolygonOffset(PolygonOffset),
     ColorMask(ColorMask),
+    AlphaFunc(AlphaFunc),
+    Stencil(Stencil),
+    Scissor(Scissor),
+    Viewport(Viewport),
+    SurfaceMaterial(SurfaceMaterial),
+    LightModel(LightModel),
+    Fog(Fog),
+    /// Of a unit.
+    TexGen(u8, TexGen),
+    /// At a unit.
+    Texture(u8, TextureBinding),
+    Program(Arc<Program>),
 }
 
 impl Attribute {
     /// The mode that [`super::StateSet::set_attribute_and_modes`] switches with the attribute.
     pub fn mode(&self) -> Option<Mode> {
         match self {
-            Self::BlendFunc(_) | Self::BlendEquation(_) => Some(Mode::Blend),
+            Self::BlendFunc(_) | Self::BlendEquation(_) | Self::BlendColor(_) => Some(Mode::Blend),
             Self::Depth(_) => Some(Mode::DepthTest),
             Self::CullFace(_) => Some(Mode::CullFace),
             Self::PolygonOffset(_) => Some(Mode::PolygonOffset),
-            Self::FrontFace(_) | Self::PolygonMode(_) | Self::ColorMask(_) => None,
+            Self::AlphaFunc(_) => Some(Mode::AlphaTest),
+            Self::Stencil(_) => Some(Mode::StencilTest),
+            Self::Scissor(_) => Some(Mode::ScissorTest),
+            Self::Fog(_) => Some(Mode::Fog),
+            Self::TexGen(unit, _) => Some(Mode::TexGen(*unit)),
+            Self::Texture(unit, _) => Some(Mode::Texture(*unit)),
+            Self::FrontFace(_)
+            | Self::PolygonMode(_)
+            | Self::ColorMask(_)
+            | Self::Viewport(_)
+            | Self::SurfaceMaterial(_)
+            | Self::LightModel(_)
+            | Self::Program(_) => None,
+        }
+    }
+
+    /// Two attributes of which a state set holds only one.
+    pub(super) fn is_same_kind(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::TexGen(a, _), Self::TexGen(b, _)) | (Self::Texture(a, _), Self::Texture(b, _)) => a == b,
+            _ => std::mem::discriminant(self) == std::mem::discriminant(other),
         }
     }
 }

@@ -5,25 +5,50 @@
 //! of what comes out. Knows no wgpu.
 
 mod attributes;
+mod program;
 mod resolved;
+mod texture;
 
 pub use attributes::{
-    Attribute, BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, Depth, FrontFace, Mode,
-    PolygonMode, PolygonOffset, StateValue,
+    AlphaFunc, Attribute, BlendEquation, BlendFactor, BlendFunc, CLIP_PLANES, ColorMask, CompareFunction, CullFace,
+    Depth, Fog, FogMode, FrontFace, LIGHTS, Light, LightModel, Mode, PolygonMode, PolygonOffset, Scissor, StateValue,
+    Stencil, StencilFace, StencilOperation, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
 };
+pub use program::{Program, Uniform, UniformValue};
 pub use resolved::ResolvedState;
+pub use texture::{FilterMode, Sampler, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode};
 
 /// State for a node and below.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StateSet {
     /// Bin the leaves go to; `None` inherits.
     pub bin: Option<BinDetails>,
+    /// With [`StateValue::OVERRIDE`] bins given below do not count, unless they are [`StateValue::PROTECTED`].
+    pub bin_value: StateValue,
+    /// The bin is a bin inside that of the state sets above, and not one of the stage.
+    pub nest_bins: bool,
     /// Linear colour factor multiplied into every drawable below; `None` inherits.
     pub color: Option<[f32; 4]>,
     /// What is switched, see [`Self::set_mode`].
     pub modes: Vec<(Mode, StateValue)>,
     /// What is given, see [`Self::set_attribute`].
     pub attributes: Vec<(Attribute, StateValue)>,
+    /// Values for programs, see [`Self::set_uniform`].
+    pub uniforms: Vec<(Uniform, StateValue)>,
+}
+
+impl Default for StateSet {
+    fn default() -> Self {
+        Self {
+            bin: None,
+            bin_value: StateValue::ON,
+            nest_bins: true,
+            color: None,
+            modes: Vec::new(),
+            attributes: Vec::new(),
+            uniforms: Vec::new(),
+        }
+    }
 }
 
 impl StateSet {
@@ -36,8 +61,7 @@ impl StateSet {
 
     /// Gives an attribute without switching its mode; a second of its type replaces the first.
     pub fn set_attribute(&mut self, attribute: Attribute, value: StateValue) -> &mut Self {
-        let kind = std::mem::discriminant(&attribute);
-        self.attributes.retain(|(a, _)| std::mem::discriminant(a) != kind);
+        self.attributes.retain(|(a, _)| !a.is_same_kind(&attribute));
         self.attributes.push((attribute, value));
         self
     }
@@ -48,6 +72,19 @@ impl StateSet {
             self.set_mode(mode, value);
         }
         self.set_attribute(attribute, value)
+    }
+
+    /// Gives a uniform; a second of its name replaces the first.
+    pub fn set_uniform(&mut self, name: &str, value: UniformValue, how: StateValue) -> &mut Self {
+        self.uniforms.retain(|(u, _)| &*u.name != name);
+        self.uniforms.push((Uniform { name: name.into(), value }, how));
+        self
+    }
+
+    /// The same set with a uniform, for building.
+    pub fn with_uniform(mut self, name: &str, value: UniformValue) -> Self {
+        self.set_uniform(name, value, StateValue::ON);
+        self
     }
 
     /// The same set with a mode switched, for building.
@@ -86,6 +123,37 @@ pub enum SortMode {
     BackToFront,
     /// As traversed.
     TraversalOrder,
+    /// By a key that the application computes; equal keys as traversed.
+    ByKey(SortKey),
+}
+
+/// What a [`SortKey`] may know of a leaf.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SortLeaf {
+    /// Metres in front of the eye, of the bound's centre.
+    pub depth: f32,
+    /// Number of its state in the order first met.
+    pub state: u32,
+    /// Its place in traversal order.
+    pub order: u32,
+}
+
+/// A sort callback: smaller keys are drawn first.
+#[derive(Clone, Copy, Debug)]
+pub struct SortKey(pub fn(&SortLeaf) -> u64);
+
+impl PartialEq for SortKey {
+    fn eq(&self, other: &Self) -> bool {
+        std::ptr::fn_addr_eq(self.0, other.0)
+    }
+}
+
+impl Eq for SortKey {}
+
+impl std::hash::Hash for SortKey {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        (self.0 as usize).hash(state);
+    }
 }
 
 impl BinDetails {

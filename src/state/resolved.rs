@@ -1,10 +1,13 @@
 //! What a chain of state sets comes to.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use super::attributes::{
-    Attribute, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, FrontFace, Mode, PolygonMode, PolygonOffset,
-    StateValue,
+    AlphaFunc, Attribute, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, Fog, FrontFace, LightModel, Mode,
+    PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
 };
-use super::{BinDetails, StateSet};
+use super::{BinDetails, Program, StateSet, TextureBinding, Uniform};
 
 /// A value as the chain above left it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -17,117 +20,220 @@ struct Stated<T> {
 }
 
 impl<T> Stated<T> {
-    const fn new(value: T) -> Self {
-        Self { value, given: false, overrides: false }
-    }
-
     /// What a state set further down says; as `State::pushMode` and `State::pushAttribute` of OSG decide.
     fn state(&mut self, value: T, how: StateValue) {
-        let counts = !self.overrides || how.contains(StateValue::PROTECTED);
-        if counts && !how.contains(StateValue::INHERIT) {
+        if counts(self.overrides, how) {
             *self = Self { value, given: true, overrides: how.contains(StateValue::OVERRIDE) };
         }
     }
+}
+
+/// Whether what is said below something that overrides (or not) counts.
+fn counts(overridden: bool, how: StateValue) -> bool {
+    (!overridden || how.contains(StateValue::PROTECTED)) && !how.contains(StateValue::INHERIT)
+}
+
+/// All modes, a bit each by [`Mode::index`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Modes {
+    on: u64,
+    overrides: u64,
+}
+
+const _: () = assert!(Mode::COUNT <= 64);
+
+impl Modes {
+    fn state(&mut self, mode: Mode, how: StateValue) {
+        let bit = 1 << mode.index();
+        if counts(self.overrides & bit != 0, how) {
+            let put = |bits: u64, set: bool| if set { bits | bit } else { bits & !bit };
+            self.on = put(self.on, how.contains(StateValue::ON));
+            self.overrides = put(self.overrides, how.contains(StateValue::OVERRIDE));
+        }
+    }
+
+    fn is_on(&self, mode: Mode) -> bool {
+        self.on >> mode.index() & 1 == 1
+    }
 
     /// What a drawable itself says, where nothing above overrides it.
-    fn by_drawable(&self, value: T) -> T
-    where
-        T: Copy,
-    {
-        if self.overrides { self.value } else { value }
+    fn by_drawable(&self, mode: Mode, value: bool) -> bool {
+        if self.overrides >> mode.index() & 1 == 1 { self.is_on(mode) } else { value }
     }
 }
 
-/// Inherited state sets, resolved. Cull makes one for each state that has leaves.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Inherited state sets, resolved once for each chain and kept by cull from frame to frame.
+#[derive(Clone, Debug)]
 pub struct ResolvedState {
+    /// Unlike that of any other chain in the process; draw keeps what it derives under it.
+    pub id: u64,
     /// Linear colour factor: the product of all.
     pub color: [f32; 4],
-    /// The bin the leaves are in.
-    pub bin: BinDetails,
-    /// Some state set asked for `bin`.
-    bin_given: bool,
+    /// The bin the leaves are in, from the outermost to the innermost; the stage's own without any.
+    pub bins: Vec<BinDetails>,
+    bins_overridden: bool,
     /// The drawables' materials blend.
     blended_material: bool,
-    modes: [Stated<bool>; Mode::ALL.len()],
+    modes: Modes,
     blend_func: Stated<BlendFunc>,
     blend_equation: Stated<BlendEquation>,
+    blend_color: Stated<[f32; 4]>,
     depth: Stated<Depth>,
     cull_face: Stated<CullFace>,
     front_face: Stated<FrontFace>,
     polygon_mode: Stated<PolygonMode>,
     polygon_offset: Stated<PolygonOffset>,
     color_mask: Stated<ColorMask>,
+    alpha_func: Stated<AlphaFunc>,
+    stencil: Stated<Stencil>,
+    scissor: Stated<Scissor>,
+    viewport: Stated<Option<Viewport>>,
+    material: Stated<Option<SurfaceMaterial>>,
+    light_model: Stated<LightModel>,
+    fog: Stated<Option<Fog>>,
+    texgens: [Stated<Option<TexGen>>; TEXTURE_UNITS],
+    textures: [Stated<Option<TextureBinding>>; TEXTURE_UNITS],
+    program: Stated<Option<Arc<Program>>>,
+    uniforms: Vec<(Uniform, bool)>,
+}
+
+fn next_id() -> u64 {
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
 impl Default for ResolvedState {
     fn default() -> Self {
         Self {
+            id: next_id(),
             color: [1.0; 4],
-            bin: BinDetails::OPAQUE,
-            bin_given: false,
+            bins: Vec::new(),
+            bins_overridden: false,
             blended_material: false,
-            modes: [Stated::new(false), Stated::new(true), Stated::new(true), Stated::new(false)],
-            blend_func: Stated::new(BlendFunc::ALPHA),
+            modes: Modes { on: Mode::ON_BY_DEFAULT, overrides: 0 },
+            blend_func: Stated { value: BlendFunc::ALPHA, given: false, overrides: false },
             blend_equation: Stated::default(),
+            blend_color: Stated::default(),
             depth: Stated::default(),
             cull_face: Stated::default(),
             front_face: Stated::default(),
             polygon_mode: Stated::default(),
             polygon_offset: Stated::default(),
             color_mask: Stated::default(),
+            alpha_func: Stated::default(),
+            stencil: Stated::default(),
+            scissor: Stated::default(),
+            viewport: Stated::default(),
+            material: Stated::default(),
+            light_model: Stated::default(),
+            fog: Stated::default(),
+            texgens: Default::default(),
+            textures: Default::default(),
+            program: Stated::default(),
+            uniforms: Vec::new(),
         }
     }
 }
 
 impl ResolvedState {
     /// The state below a state set.
-    pub fn below(mut self, set: &StateSet) -> Self {
+    pub fn below(&self, set: &StateSet) -> Self {
+        let mut below = Self { id: next_id(), ..self.clone() };
         if let Some(color) = set.color {
-            for (mine, factor) in self.color.iter_mut().zip(color) {
+            for (mine, factor) in below.color.iter_mut().zip(color) {
                 *mine *= factor;
             }
         }
-        if let Some(bin) = set.bin {
-            (self.bin, self.bin_given) = (bin, true);
+        if let Some(bin) = set.bin
+            && counts(self.bins_overridden, set.bin_value)
+        {
+            if !set.nest_bins {
+                below.bins.clear();
+            }
+            below.bins.push(bin);
         }
+        below.bins_overridden |= set.bin_value.contains(StateValue::OVERRIDE);
         for (mode, how) in &set.modes {
-            self.modes[*mode as usize].state(how.contains(StateValue::ON), *how);
+            below.modes.state(*mode, *how);
         }
         for (attribute, how) in &set.attributes {
-            match *attribute {
-                Attribute::BlendFunc(v) => self.blend_func.state(v, *how),
-                Attribute::BlendEquation(v) => self.blend_equation.state(v, *how),
-                Attribute::Depth(v) => self.depth.state(v, *how),
-                Attribute::CullFace(v) => self.cull_face.state(v, *how),
-                Attribute::FrontFace(v) => self.front_face.state(v, *how),
-                Attribute::PolygonMode(v) => self.polygon_mode.state(v, *how),
-                Attribute::PolygonOffset(v) => self.polygon_offset.state(v, *how),
-                Attribute::ColorMask(v) => self.color_mask.state(v, *how),
+            below.give(attribute, *how);
+        }
+        for (uniform, how) in &set.uniforms {
+            match below.uniforms.iter_mut().find(|(u, _)| u.name == uniform.name) {
+                Some((held, overrides)) if counts(*overrides, *how) => {
+                    (*held, *overrides) = (uniform.clone(), how.contains(StateValue::OVERRIDE));
+                }
+                Some(_) => {}
+                None if counts(false, *how) => {
+                    below.uniforms.push((uniform.clone(), how.contains(StateValue::OVERRIDE)));
+                }
+                None => {}
             }
         }
-        self
+        below
+    }
+
+    fn give(&mut self, attribute: &Attribute, how: StateValue) {
+        match attribute {
+            Attribute::BlendFunc(v) => self.blend_func.state(*v, how),
+            Attribute::BlendEquation(v) => self.blend_equation.state(*v, how),
+            Attribute::BlendColor(v) => self.blend_color.state(*v, how),
+            Attribute::Depth(v) => self.depth.state(*v, how),
+            Attribute::CullFace(v) => self.cull_face.state(*v, how),
+            Attribute::FrontFace(v) => self.front_face.state(*v, how),
+            Attribute::PolygonMode(v) => self.polygon_mode.state(*v, how),
+            Attribute::PolygonOffset(v) => self.polygon_offset.state(*v, how),
+            Attribute::ColorMask(v) => self.color_mask.state(*v, how),
+            Attribute::AlphaFunc(v) => self.alpha_func.state(*v, how),
+            Attribute::Stencil(v) => self.stencil.state(*v, how),
+            Attribute::Scissor(v) => self.scissor.state(*v, how),
+            Attribute::Viewport(v) => self.viewport.state(Some(*v), how),
+            Attribute::SurfaceMaterial(v) => self.material.state(Some(*v), how),
+            Attribute::LightModel(v) => self.light_model.state(*v, how),
+            Attribute::Fog(v) => self.fog.state(Some(*v), how),
+            Attribute::TexGen(unit, v) => {
+                if let Some(texgen) = self.texgens.get_mut(usize::from(*unit)) {
+                    texgen.state(Some(*v), how);
+                }
+            }
+            Attribute::Texture(unit, v) => {
+                if let Some(texture) = self.textures.get_mut(usize::from(*unit)) {
+                    texture.state(Some(v.clone()), how);
+                }
+            }
+            Attribute::Program(v) => self.program.state(Some(v.clone()), how),
+        }
     }
 
     /// The state of drawables whose material blends: they write no depth and go to the transparent bin, unless a
     /// state set says otherwise.
-    pub fn blended(mut self) -> Self {
-        self.blended_material = true;
-        if !self.bin_given {
-            self.bin = BinDetails::TRANSPARENT;
+    pub fn blended(&self) -> Self {
+        let mut blended = Self { id: next_id(), blended_material: true, ..self.clone() };
+        if blended.bins.is_empty() {
+            blended.bins.push(BinDetails::TRANSPARENT);
         }
-        self
+        blended
+    }
+
+    /// The innermost bin.
+    pub fn bin(&self) -> BinDetails {
+        self.bins.last().copied().unwrap_or(BinDetails::OPAQUE)
     }
 
     /// Whether a mode is on, before the drawable's own material.
     pub fn mode(&self, mode: Mode) -> bool {
-        self.modes[mode as usize].value
+        self.modes.is_on(mode)
     }
 
     /// Blending is on: by a state set, or by the material.
     pub fn blends(&self) -> bool {
-        let mode = &self.modes[Mode::Blend as usize];
-        if self.blended_material { mode.by_drawable(true) } else { mode.value }
+        if self.blended_material { self.modes.by_drawable(Mode::Blend, true) } else { self.mode(Mode::Blend) }
+    }
+
+    /// Light falls on a drawable whose material is lit or not.
+    pub fn is_lit(&self, unlit: bool) -> bool {
+        if unlit { self.modes.by_drawable(Mode::Lighting, false) } else { self.mode(Mode::Lighting) }
     }
 
     /// How blending weighs.
@@ -138,6 +244,11 @@ impl ResolvedState {
     /// How blending adds.
     pub fn blend_equation(&self) -> BlendEquation {
         self.blend_equation.value
+    }
+
+    /// The constant of blending, linear.
+    pub fn blend_color(&self) -> [f32; 4] {
+        self.blend_color.value
     }
 
     /// Depth test and write; `None` where the depth test is off.
@@ -154,8 +265,7 @@ impl ResolvedState {
 
     /// The faces that are culled, of a drawable whose material is double-sided or not.
     pub fn culled_face(&self, double_sided: bool) -> Option<CullFace> {
-        let mode = &self.modes[Mode::CullFace as usize];
-        let on = if double_sided { mode.by_drawable(false) } else { mode.value };
+        let on = if double_sided { self.modes.by_drawable(Mode::CullFace, false) } else { self.mode(Mode::CullFace) };
         on.then_some(self.cull_face.value)
     }
 
@@ -177,6 +287,68 @@ impl ResolvedState {
     /// What is written.
     pub fn color_mask(&self) -> ColorMask {
         self.color_mask.value
+    }
+
+    /// The alpha test, where it is on.
+    pub fn alpha_func(&self) -> Option<AlphaFunc> {
+        self.mode(Mode::AlphaTest).then_some(self.alpha_func.value)
+    }
+
+    /// The stencil test, where it is on.
+    pub fn stencil(&self) -> Option<Stencil> {
+        self.mode(Mode::StencilTest).then_some(self.stencil.value)
+    }
+
+    /// The scissor, where it is on.
+    pub fn scissor(&self) -> Option<Scissor> {
+        self.mode(Mode::ScissorTest).then_some(self.scissor.value)
+    }
+
+    /// The viewport, where one is given.
+    pub fn viewport(&self) -> Option<Viewport> {
+        self.viewport.value
+    }
+
+    /// The reflection that stands for that of the drawables, where one is given.
+    pub fn material(&self) -> Option<SurfaceMaterial> {
+        self.material.value
+    }
+
+    /// Light from everywhere.
+    pub fn light_model(&self) -> LightModel {
+        self.light_model.value
+    }
+
+    /// The fog that stands for the environment's haze, where one is given.
+    pub fn fog(&self) -> Option<Fog> {
+        self.fog.value
+    }
+
+    /// Texture coordinates of a unit, where they are generated.
+    pub fn texgen(&self, unit: usize) -> Option<TexGen> {
+        let on = self.mode(Mode::TexGen(unit as u8));
+        self.texgens.get(unit).and_then(|t| t.value).filter(|_| on)
+    }
+
+    /// The texture of a unit, where it is on.
+    pub fn texture(&self, unit: usize) -> Option<&TextureBinding> {
+        let on = self.mode(Mode::Texture(unit as u8));
+        self.textures.get(unit).and_then(|t| t.value.as_ref()).filter(|_| on)
+    }
+
+    /// The program that shades.
+    pub fn program(&self) -> Option<&Arc<Program>> {
+        self.program.value.as_ref()
+    }
+
+    /// A uniform by its name.
+    pub fn uniform(&self, name: &str) -> Option<&Uniform> {
+        self.uniforms.iter().map(|(u, _)| u).find(|u| &*u.name == name)
+    }
+
+    /// All uniforms.
+    pub fn uniforms(&self) -> impl Iterator<Item = &Uniform> {
+        self.uniforms.iter().map(|(u, _)| u)
     }
 }
 

@@ -6,7 +6,7 @@
 
 use glam::{DAffine3, DMat3, DMat4, DVec3};
 
-use crate::cull::{CullCamera, CullingMode};
+use crate::cull::{CullCamera, CullSettings};
 
 /// An angle of view and the side of the picture it spans.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,12 +24,8 @@ pub struct Camera {
     pub world_from_eye: DAffine3,
     /// The angle of view.
     pub field_of_view: FieldOfView,
-    /// Distances are multiplied by this before they are compared: above 1 draws coarser.
-    pub lod_scale: f64,
-    /// A tile whose error projects to more pixels than this is refined.
-    pub max_sse_px: f64,
-    /// Nodes are drawn where `mask & cull_mask != 0`.
-    pub cull_mask: u32,
+    /// What is culled and how.
+    pub settings: CullSettings,
     /// The near plane never comes closer to the eye than this, in metres.
     pub min_near_m: f64,
 }
@@ -39,9 +35,7 @@ impl Default for Camera {
         Self {
             world_from_eye: DAffine3::IDENTITY,
             field_of_view: FieldOfView::LongerSide(60f64.to_radians()),
-            lod_scale: 1.0,
-            max_sse_px: 16.0,
-            cull_mask: u32::MAX,
+            settings: CullSettings::default(),
             min_near_m: 0.01,
         }
     }
@@ -96,10 +90,7 @@ impl Camera {
             eye_from_world: self.world_from_eye.inverse(),
             clip_from_eye: self.clip_from_eye(size_px, self.min_near_m),
             viewport_px: size_px,
-            lod_scale: self.lod_scale,
-            max_sse_px: self.max_sse_px,
-            cull_mask: self.cull_mask,
-            culling: CullingMode::default(),
+            settings: self.settings,
             horizon: None,
             frame,
             context,

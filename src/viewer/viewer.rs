@@ -13,7 +13,7 @@ use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, 
 use super::manipulator::{CameraManipulator, Event};
 use super::stats::{FrameStats, StatsHistory};
 use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
-use crate::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
+use crate::cull::{CullCamera, CullSettings, CullVisitor, PageRequest, RenderStage};
 use crate::draw::Environment;
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::io::ReadOptions;
@@ -148,7 +148,10 @@ impl Viewer {
         let mut context = ContextHandle::new(CONTEXT, context, config.threading)?;
         context.finish_compiles = config.pager.blocking;
         Ok(Self {
-            camera: Camera { max_sse_px: config.max_sse_px, ..Camera::default() },
+            camera: Camera {
+                settings: CullSettings { max_sse_px: config.max_sse_px, ..CullSettings::default() },
+                ..Camera::default()
+            },
             environment: Environment::default(),
             compile_budget: config.compile_budget,
             #[cfg(feature = "window")]

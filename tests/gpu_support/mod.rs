@@ -158,7 +158,7 @@ pub fn quad(center: [f32; 3], half: [f32; 2], color: [f32; 4]) -> Drawable {
     };
     let vertices = vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
     let material = Material { base_color: color, unlit: true, ..Material::default() };
-    Drawable { geometry: Geometry::Mesh(Arc::new(mesh(vertices, vec![0, 1, 2, 0, 2, 3]))), material }
+    Drawable::new(Geometry::Mesh(Arc::new(mesh(vertices, vec![0, 1, 2, 0, 2, 3]))), material)
 }
 
 pub fn mesh(vertices: Vec<MeshVertex>, indices: Vec<u32>) -> Mesh {
@@ -291,7 +291,7 @@ impl Terrain {
             texture: self.textured.then(|| Arc::new(self.image(u0, v0, size))),
             bounds: Aabb { min: DVec3::splat(-extent_m), max: DVec3::splat(extent_m) },
         };
-        let drawable = Drawable { geometry: Geometry::Height(Arc::new(tile)), material: Material::default() };
+        let drawable = Drawable::new(Geometry::Height(Arc::new(tile)), Material::default());
         let world_from_tile = DAffine3 {
             matrix3: DMat3::from_cols(DVec3::new(-sin, cos, 0.0), DVec3::new(cos, sin, 0.0), DVec3::Z),
             translation: DVec3::new(p0 * cos, p0 * sin, z0),
@@ -315,7 +315,7 @@ impl Terrain {
         let mut nodes = Vec::new();
         let mut stack = vec![(0u32, 0u32, 0u32)];
         while let Some((level, x, y)) = stack.pop() {
-            let range = self.error_m(level) * camera.px_per_radian() / camera.max_sse_px;
+            let range = self.error_m(level) * camera.px_per_radian() / camera.settings.max_sse_px;
             if level < most_level && self.distance_m(level, x, y, eye) < range {
                 stack.extend([(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (level + 1, 2 * x + dx, 2 * y + dy)));
             } else {

@@ -15,7 +15,7 @@ use terrane::state::StateSet;
 /// A drawable without vertices: cull reads only its bound.
 pub fn drawable(bounds: Aabb) -> Drawable {
     let mesh = Mesh { vertices: Vec::new(), indices: Arc::new([]), topology: Topology::Triangles, bounds };
-    Drawable { geometry: Geometry::Mesh(Arc::new(mesh)), material: Material::default() }
+    Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
 }
 
 /// A page whose drawables are compiled for context 0 to the slots `first..`.
@@ -86,7 +86,9 @@ impl Grid {
         } else {
             (DVec3::new(0.0, 0.0, height), DVec3::Y)
         };
-        CullCamera { culling: CullingMode::VIEW_FRUSTUM_SIDES, ..look_at(center + offset, center, up) }
+        let mut camera = look_at(center + offset, center, up);
+        camera.settings.culling = CullingMode::VIEW_FRUSTUM_SIDES;
+        camera
     }
 }
 

@@ -184,7 +184,7 @@ impl Flight {
     /// Takes the set and places the first camera.
     fn open(&mut self, viewer: &mut Viewer, root: LoadedRoot) -> Result<()> {
         viewer.set_root(root)?;
-        viewer.camera.max_sse_px = match self.args.sse {
+        viewer.camera.settings.max_sse_px = match self.args.sse {
             Some(limit) => limit.0,
             None if viewer.is_height_set() => HEIGHT_SSE_PX,
             None => FOREIGN_SSE_PX,

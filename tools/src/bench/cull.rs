@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullSettings, CullVisitor, CullingMode, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
     DrawSlot, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, NodeKind, Page, Scene, Topology,
@@ -106,7 +106,7 @@ impl Grid {
         let eye_from_world = glam::dcamera::rh::view::look_at_mat4(center + offset, center, up);
         CullCamera {
             eye_from_world: DAffine3::from_mat4(eye_from_world),
-            culling: CullingMode::VIEW_FRUSTUM_SIDES,
+            settings: CullSettings { culling: CullingMode::VIEW_FRUSTUM_SIDES, ..CullSettings::default() },
             ..CullCamera::default()
         }
     }
@@ -117,15 +117,15 @@ fn triangle(center: DVec3) -> Drawable {
     let vertex = |p: DVec3| MeshVertex { position: p.as_vec3().to_array(), ..MeshVertex::default() };
     let points = corners.map(|c| center + c);
     let bounds = Aabb::from_points(points.map(|p| p.as_vec3().as_dvec3()));
-    Drawable {
-        geometry: Geometry::Mesh(Arc::new(Mesh {
+    Drawable::new(
+        Geometry::Mesh(Arc::new(Mesh {
             vertices: points.map(vertex).to_vec(),
             indices: Arc::new([0, 1, 2]),
             topology: Topology::Triangles,
             bounds,
         })),
-        material: Material::default(),
-    }
+        Material::default(),
+    )
 }
 
 fn measure(cells: u32, state_sets: u32, view: View, name: &str, sort: SortMode, time: Duration) -> serde_json::Value {

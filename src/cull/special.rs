@@ -1,0 +1,292 @@
+//! The rarer node kinds during the node scan: other views, billboards, positioned state, occlusion queries.
+
+use glam::{DAffine3, DMat3, DQuat, DVec3, DVec4};
+
+use super::stage::{ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView};
+use super::view::{View, clamp};
+use super::visitor::{Cull, DeferredCamera, DepthRange, PageContext};
+use crate::scene::{
+    BillboardMode, CameraNode, ComputeNearFar, DrawSlot, NONE, OcclusionQueryNode, ReferenceFrame, RenderOrder,
+    Special, UNBOUNDED,
+};
+use crate::state::TexGen;
+
+/// Cameras inside cameras are followed so deep.
+pub(super) const MOST_NESTED: u32 = 8;
+
+impl Cull<'_> {
+    /// Visits a node of a rarer kind. False: its children are scanned like those of a group.
+    pub(super) fn visit_special(&mut self, context: &PageContext, node: u32, mask: u8) -> bool {
+        let page = context.page;
+        let Some(special) = page.specials.get(page.payloads[node as usize] as usize) else { return false };
+        match special {
+            Special::Billboard { mode, positions } => {
+                self.billboard(context, node, *mode, positions, mask);
+                false
+            }
+            Special::LightSource(source) => {
+                let eye_from_node = self.eye_from_node(context, node, source.frame);
+                let mut light = source.light;
+                let [x, y, z, w] = light.position;
+                let position = if w == 0.0 {
+                    eye_from_node.transform_vector3(DVec3::new(x, y, z))
+                } else {
+                    eye_from_node.transform_point3(DVec3::new(x, y, z) / w)
+                };
+                light.position = position.extend(if w == 0.0 { 0.0 } else { 1.0 }).to_array();
+                light.direction = eye_from_node.transform_vector3(DVec3::from_array(light.direction)).to_array();
+                self.stage.lights.push(PositionedLight { light });
+                false
+            }
+            Special::ClipNode(clip) => {
+                let eye_from_node = self.eye_from_node(context, node, clip.frame);
+                for (number, plane) in &clip.planes {
+                    let plane = plane_in_eye(&eye_from_node, *plane);
+                    self.stage.clip_planes.push(ClipPlane { number: *number, plane });
+                }
+                false
+            }
+            Special::TexGenNode(node_texgen) => {
+                let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
+                let texgen = match node_texgen.texgen {
+                    TexGen::EyeLinear(planes) => TexGen::EyeLinear(planes.map(|p| {
+                        let plane = DVec4::from_array(p.map(f64::from));
+                        plane_in_eye(&eye_from_node, plane).as_vec4().to_array()
+                    })),
+                    other => other,
+                };
+                self.stage.texgens.push((node_texgen.unit, texgen));
+                false
+            }
+            Special::ClearNode(clear) => {
+                self.stage.clear_node = Some(clear.color);
+                false
+            }
+            Special::Occluder => false,
+            Special::OcclusionQuery(query) => self.occlusion_query(context, node, query),
+            Special::Camera { camera, path } => {
+                self.camera_node(context, node, camera, *path, mask);
+                true
+            }
+            Special::Projection { clip_from_eye, path } => {
+                let mut view = self.view;
+                view.clip_from_eye = *clip_from_eye;
+                self.in_view(context, node, view, None, context.visit.eye_from_page, *path);
+                true
+            }
+            Special::AbsoluteTransform => {
+                let above = page.transforms.page_from_node(self.enclosing_transform(context, node));
+                if let Some(eye_from_page) = finite(above.inverse()) {
+                    let own = page.nodes[node as usize].first_transform as usize;
+                    self.in_frame(context, node, eye_from_page, Some(own));
+                }
+                true
+            }
+        }
+    }
+
+    fn eye_from_node(&self, context: &PageContext, node: u32, frame: ReferenceFrame) -> DAffine3 {
+        match frame {
+            ReferenceFrame::Absolute => DAffine3::IDENTITY,
+            ReferenceFrame::Relative => {
+                let enclosing = self.enclosing_transform(context, node);
+                context.visit.eye_from_page * context.page.transforms.page_from_node(enclosing)
+            }
+        }
+    }
+
+    /// Scans the children of a node as if the page lay elsewhere. `own` is the node's transform, if it is one.
+    fn in_frame(&mut self, context: &PageContext, node: u32, eye_from_page: DAffine3, own: Option<usize>) {
+        let page = context.page;
+        let mut visit = context.visit;
+        visit.eye_from_page = eye_from_page;
+        visit.mask = self.view.planes.mask;
+        let below = self.page_context(page, visit);
+        let tile_view = self.tile_view.take();
+        self.linear_rows.0 = NONE;
+        let transform = own.unwrap_or_else(|| self.enclosing_transform(context, node) as usize);
+        let matrix = self.push_transforms(&below, transform..transform + 1);
+        let end = node + page.nodes[node as usize].skip;
+        self.scan_nodes(&below, node + 1, end, visit.mask, matrix);
+        self.linear_rows.0 = NONE;
+        self.tile_view = tile_view;
+        // The planes of occluders are those of the page again.
+        self.frame_occluders(&context.visit.eye_from_page, page.origin);
+    }
+
+    /// Scans the children of a node under another view of the same stage.
+    fn in_view(
+        &mut self,
+        context: &PageContext,
+        node: u32,
+        mut view: View,
+        clamp_projection: Option<crate::scene::ClampProjection>,
+        eye_from_page: DAffine3,
+        path: u32,
+    ) {
+        let clip_from_eye = view.clip_from_eye;
+        self.stage.views.push(StageView { clip_from_eye, viewport_px: view.viewport_rect });
+        let index = self.stage.views.len();
+        view.index = index as u32;
+        view.derive();
+        self.views.push(view);
+        let above = std::mem::replace(&mut self.view, view);
+        let range = std::mem::replace(&mut self.range, DepthRange::EMPTY);
+        // Known before anything below it is met.
+        self.chain_state(context.page, path);
+        let mut below = *context;
+        below.visit.view = view.index;
+        self.in_frame(&below, node, eye_from_page, None);
+        let DepthRange { near, far } = std::mem::replace(&mut self.range, range);
+        if near <= far {
+            let (near_m, far_m) = (f64::from(near.max(0.0)), f64::from(far.max(0.0)));
+            let clamped = match clamp_projection {
+                Some(callback) if view.settings.compute_near_far != ComputeNearFar::Off => {
+                    let (near_m, far_m) = callback(near_m, far_m);
+                    clamp(&view.clip_from_eye, near_m, far_m, 0.0)
+                }
+                _ => view.clamped(near_m, far_m),
+            };
+            self.stage.views[index - 1].clip_from_eye = clamped;
+        }
+        self.view = above;
+    }
+
+    fn camera_node(&mut self, context: &PageContext, node: u32, camera: &CameraNode, path: u32, mask: u8) {
+        let page = context.page;
+        let above = page.transforms.page_from_node(self.enclosing_transform(context, node));
+        let Some(node_from_page) = finite(above.inverse()) else { return };
+        let mut view = self.view;
+        view.settings = camera.settings.inheriting(&self.view.settings, camera.inherit);
+        let eye_from_node = match camera.frame {
+            ReferenceFrame::Absolute => camera.view,
+            ReferenceFrame::Relative => context.visit.eye_from_page * above * camera.view,
+        };
+        // What is below an absolute camera is in the world's frame.
+        view.eye_from_world = match camera.frame {
+            ReferenceFrame::Absolute => camera.view,
+            ReferenceFrame::Relative => {
+                let eye_from_above = context.visit.eye_from_page * above;
+                eye_from_above * camera.view * eye_from_above.inverse() * self.view.eye_from_world
+            }
+        };
+        let Some(eye_from_page) = finite(eye_from_node * node_from_page) else { return };
+        if camera.frame == ReferenceFrame::Absolute {
+            view.horizon = None;
+        }
+        if let Some(clip_from_eye) = camera.projection {
+            view.clip_from_eye = clip_from_eye;
+        }
+        if let Some(rect) = camera.viewport_px {
+            (view.viewport_px, view.viewport_rect) = ([rect[2], rect[3]], Some(rect));
+        }
+        let order = match camera.order {
+            RenderOrder::Nested => {
+                self.in_view(context, node, view, camera.clamp_projection, eye_from_page, path);
+                return;
+            }
+            RenderOrder::PreRender(order) | RenderOrder::PostRender(order) => order,
+        };
+        if let (None, Some(target)) = (camera.viewport_px, &camera.target)
+            && let Some(first) = target.colors.first().or(target.depth.as_ref())
+        {
+            let [width, height, _] = first.texture.level_size(first.level);
+            view.viewport_px = [width, height];
+        }
+        let mut visit = context.visit;
+        (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
+        let state = self.chain_state(page, path);
+        self.deferred.push(DeferredCamera {
+            visit,
+            node,
+            state,
+            path,
+            view,
+            is_pre: matches!(camera.order, RenderOrder::PreRender(_)),
+            target: StageTarget {
+                camera: camera.target.clone(),
+                viewport_px: camera.viewport_px,
+                clear_color: camera.clear_color,
+                clear_depth: camera.clear_depth,
+                order,
+                callbacks: camera.callbacks.clone(),
+            },
+            clamp_projection: camera.clamp_projection,
+        });
+    }
+
+    fn billboard(&mut self, context: &PageContext, node: u32, mode: BillboardMode, positions: &[DVec3], mask: u8) {
+        let page = context.page;
+        let first = page.nodes[node as usize].first_drawable;
+        let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
+        let Some(node_from_eye) = finite(eye_from_node.inverse()) else { return };
+        let linear = eye_from_node.matrix3;
+        let scale = DVec3::new(linear.x_axis.length(), linear.y_axis.length(), linear.z_axis.length());
+        for (drawable, position) in (first..).zip(positions) {
+            let Some((depth, _)) = self.test_drawable(context, drawable, mask) else { continue };
+            let to_eye = (node_from_eye.translation - *position).normalize_or(DVec3::NEG_Y);
+            let matrix3 = match mode {
+                // Right, away from the eye, up.
+                BillboardMode::PointRotEye => {
+                    DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y) * DMat3::from_diagonal(scale)
+                }
+                BillboardMode::PointRotWorld => {
+                    linear * DMat3::from_quat(DQuat::from_rotation_arc(DVec3::NEG_Y, to_eye))
+                }
+                BillboardMode::AxialRot { axis } => {
+                    let axis = axis.normalize_or(DVec3::Z);
+                    let across = to_eye - axis * axis.dot(to_eye);
+                    let front = across.try_normalize().unwrap_or_else(|| axis.any_orthonormal_vector());
+                    linear * DMat3::from_cols((-front).cross(axis), -front, axis)
+                }
+            };
+            let map = DAffine3 { matrix3, translation: eye_from_node.transform_point3(*position) };
+            let matrix = self.push_matrix(&map);
+            let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
+            let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
+            self.leaves.push(RenderLeaf { slot, state, matrix, depth });
+        }
+    }
+
+    /// True when the children are skipped.
+    fn occlusion_query(&mut self, context: &PageContext, node: u32, query: &OcclusionQueryNode) -> bool {
+        let page = context.page;
+        let sphere = page.spheres[node as usize];
+        if sphere.w >= UNBOUNDED || sphere.w < 0.0 {
+            return false;
+        }
+        let results = &query.results;
+        let center = page.origin + sphere.truncate().as_dvec3();
+        let box_from_unit =
+            DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(f64::from(sphere.w))), translation: center };
+        let eye_from_unit = context.visit.eye_from_page * box_from_unit;
+        let eye = eye_from_unit.inverse().translation;
+        // From inside (or nearly) the box's faces are not seen, which says nothing about what is in it.
+        if !(eye.abs().max_element() > 1.5) {
+            results.answered(u64::MAX, query.visibility_threshold);
+            return false;
+        }
+        if results.is_due(self.camera.frame, query.query_frames) {
+            let matrix = self.push_matrix(&eye_from_unit);
+            self.stage.queries.push(OcclusionQuery {
+                results: results.clone(),
+                visibility_threshold: query.visibility_threshold,
+                matrix,
+                view: self.view.index,
+            });
+        }
+        results.failures() >= query.failures_to_hide.max(1)
+    }
+}
+
+fn finite(map: DAffine3) -> Option<DAffine3> {
+    map.is_finite().then_some(map)
+}
+
+/// A plane `normal . p + d` of a node's frame in eye space.
+fn plane_in_eye(eye_from_node: &DAffine3, plane: DVec4) -> DVec4 {
+    let node_from_eye = eye_from_node.inverse();
+    let normal = node_from_eye.matrix3.transpose() * plane.truncate();
+    let moved = normal.extend(plane.truncate().dot(node_from_eye.translation) + plane.w);
+    if moved.is_finite() { moved } else { DVec4::new(0.0, 0.0, 0.0, 1.0) }
+}

@@ -1,0 +1,129 @@
+//! A view during cull: where the eye is, what it sees, and what follows from both. A stage has one; Projection nodes
+//! and nested cameras add others for what is below them.
+
+use glam::{DAffine3, DMat4};
+
+use super::camera::px_per_radian;
+use super::planes::EyePlanes;
+use super::{CullCamera, CullingMode};
+use crate::math::Ellipsoid;
+use crate::scene::{ComputeNearFar, CullSettings};
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct View {
+    pub eye_from_world: DAffine3,
+    pub clip_from_eye: DMat4,
+    pub viewport_px: [u32; 2],
+    /// Where a camera in the graph says that it is in the target.
+    pub viewport_rect: Option<[u32; 4]>,
+    pub settings: CullSettings,
+    pub horizon: Option<Ellipsoid>,
+    pub planes: EyePlanes,
+    /// Index of the projection: 0 is the stage's.
+    pub index: u32,
+    /// Pixels at 1 m of distance per metre, over the error limit and the LOD scale: error times it = range.
+    pub range_per_error: f32,
+    pub range_per_metre: f32,
+    pub max_sse_px: f32,
+    /// Radius over depth below which a bound is too small; 0 when off.
+    pub small_feature: f32,
+}
+
+impl View {
+    pub fn new(camera: &CullCamera) -> Self {
+        let mut view = Self {
+            eye_from_world: camera.eye_from_world,
+            clip_from_eye: camera.clip_from_eye,
+            viewport_px: camera.viewport_px,
+            viewport_rect: None,
+            settings: camera.settings,
+            horizon: camera.horizon,
+            planes: EyePlanes::new(&camera.clip_from_eye, camera.settings.culling),
+            index: 0,
+            range_per_error: 0.0,
+            range_per_metre: 0.0,
+            max_sse_px: 0.0,
+            small_feature: 0.0,
+        };
+        view.derive();
+        view
+    }
+
+    /// Computes what follows from projection, viewport and settings.
+    pub fn derive(&mut self) {
+        let CullSettings { culling, lod_scale, max_sse_px, small_feature_px, .. } = self.settings;
+        let px = px_per_radian(&self.clip_from_eye, self.viewport_px);
+        self.planes = EyePlanes::new(&self.clip_from_eye, culling);
+        self.range_per_error = (px / (max_sse_px * lod_scale)) as f32;
+        self.range_per_metre = (1.0 / lod_scale) as f32;
+        self.max_sse_px = max_sse_px as f32;
+        let small = culling.contains(CullingMode::SMALL_FEATURE);
+        self.small_feature = if small { (0.5 * small_feature_px / px) as f32 } else { 0.0 };
+    }
+
+    /// The same view with a projection clamped to depths, if the settings ask for it.
+    pub fn clamped(&self, near_m: f64, far_m: f64) -> DMat4 {
+        match self.settings.compute_near_far {
+            ComputeNearFar::Off => self.clip_from_eye,
+            ComputeNearFar::BoundingVolumes => clamp(&self.clip_from_eye, near_m, far_m, self.settings.near_far_ratio),
+        }
+    }
+}
+
+/// A reversed-Z projection with other depths: near (not nearer than a share of far) and, where it has one, far.
+pub(super) fn clamp(clip_from_eye: &DMat4, near_m: f64, far_m: f64, ratio: f64) -> DMat4 {
+    let mut m = *clip_from_eye;
+    let near_m = near_m.max(far_m * ratio);
+    if !(near_m.is_finite() && far_m.is_finite() && near_m > 0.0 && far_m >= near_m) {
+        return m;
+    }
+    // A little room, so that what defined the range is not cut by rounding.
+    let (near_m, far_m) = (near_m * 0.98, (far_m * 1.02).max(near_m * 1.001));
+    let is_perspective = m.z_axis.w != 0.0;
+    let is_infinite = m.z_axis.z == 0.0 && is_perspective;
+    // Depth is (a * z + b) / w with w = -z (perspective) or 1 (orthographic): 1 at -near, 0 at -far.
+    let (a, b) = if is_infinite {
+        (0.0, near_m)
+    } else if is_perspective {
+        (near_m / (far_m - near_m), near_m * far_m / (far_m - near_m))
+    } else {
+        (1.0 / (far_m - near_m), far_m / (far_m - near_m))
+    };
+    (m.z_axis.z, m.w_axis.z) = (a, b);
+    m
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec4;
+    use glam::dcamera::rh::proj::directx as proj;
+
+    fn depth(m: &DMat4, distance_m: f64) -> f64 {
+        let clip = *m * DVec4::new(0.0, 0.0, -distance_m, 1.0);
+        clip.z / clip.w
+    }
+
+    #[test]
+    fn near_and_far_become_one_and_zero() {
+        let (near, far) = (5.0 * 0.98, 80.0 * 1.02);
+        let infinite = clamp(&proj::perspective_infinite_reverse(1.0, 1.0, 0.1), 5.0, 80.0, 1e-4);
+        assert!((depth(&infinite, near) - 1.0).abs() < 1e-12 && depth(&infinite, 1e12) < 1e-10);
+        // A reversed projection: near and far change places.
+        for finite in [proj::perspective(1.0, 1.0, 500.0, 0.1), proj::orthographic(-1.0, 1.0, -1.0, 1.0, 500.0, 0.1)] {
+            assert!((depth(&finite, 0.1) - 1.0).abs() < 1e-12);
+            let fitted = clamp(&finite, 5.0, 80.0, 1e-4);
+            assert!((depth(&fitted, near) - 1.0).abs() < 1e-9, "{fitted}");
+            assert!(depth(&fitted, far).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn nonsense_changes_nothing() {
+        let given = proj::perspective_infinite_reverse(1.0, 1.0, 0.1);
+        for (near, far) in [(f64::NAN, 1.0), (1.0, f64::NAN), (0.0, 0.0), (5.0, 1.0), (f64::INFINITY, f64::INFINITY)] {
+            assert_eq!(clamp(&given, near, far, 0.0), given, "{near} {far}");
+        }
+        assert!((depth(&clamp(&given, 1e-9, 100.0, 0.01), 0.98) - 1.0).abs() < 1e-12, "a share of far at least");
+    }
+}

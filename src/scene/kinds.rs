@@ -1,0 +1,344 @@
+//! What the rarer node kinds hold: cameras, billboards, lights, clip planes, occluders, queries. Plain values.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use glam::{DAffine3, DMat4, DVec3, DVec4};
+
+use super::cull_settings::{CullSettings, Inherit};
+use super::geometry::Drawable;
+use crate::state::{Light, TexGen, TextureObject};
+
+/// Whether what a node holds is given in the frame it hangs in or in the eye's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ReferenceFrame {
+    /// In the frame of the nodes above.
+    #[default]
+    Relative,
+    /// In the eye's frame: what is above does not move it, and its bound does not cull it.
+    Absolute,
+}
+
+/// How a [`Billboard`] turns.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum BillboardMode {
+    /// Parallel to the screen, its z axis up in the picture.
+    #[default]
+    PointRotEye,
+    /// Its normal towards the eye, turned the shortest way.
+    PointRotWorld,
+    /// Turned about `axis` (unit, in the node's frame) only, its normal as near to the eye as that allows.
+    AxialRot {
+        /// Axis in the node's frame.
+        axis: DVec3,
+    },
+}
+
+/// Drawables that turn towards the eye. Each has its pivot at its own origin, looks along -y and has z up.
+#[derive(Clone, Debug)]
+pub struct Billboard {
+    /// How they turn.
+    pub mode: BillboardMode,
+    /// Position in the node's frame and shape of each.
+    pub drawables: Vec<(DVec3, Drawable)>,
+}
+
+/// A light at a place of the graph. It shines on everything of the render stage for which
+/// [`Mode::Light`](crate::state::Mode::Light) of its number is on.
+#[derive(Clone, Debug)]
+pub struct LightSource {
+    /// The light; its position and direction are in the node's frame.
+    pub light: Light,
+    /// Frame of the position.
+    pub frame: ReferenceFrame,
+}
+
+/// Planes that cut what is drawn where [`Mode::ClipPlane`](crate::state::Mode::ClipPlane) of their number is on; it is
+/// on for the node's children.
+#[derive(Clone, Debug)]
+pub struct ClipNode {
+    /// Number (0 to 5) and plane: a point `p` of the node's frame is kept where `normal . p + d >= 0`.
+    pub planes: Vec<(u8, DVec4)>,
+    /// Frame of the planes.
+    pub frame: ReferenceFrame,
+}
+
+/// Where a [`TexGen`] of eye-linear planes has its frame: the planes are fixed to the node instead of the eye.
+#[derive(Clone, Debug)]
+pub struct TexGenNode {
+    /// Texture unit.
+    pub unit: u8,
+    /// The generator, for everything of the render stage that has the unit's eye-linear generation on.
+    pub texgen: TexGen,
+}
+
+/// Clears the target of the render stage it hangs in otherwise than its camera says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClearNode {
+    /// Linear colour to clear with; `None` keeps what is in the target.
+    pub color: Option<[f32; 4]>,
+}
+
+/// When a camera in the graph is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RenderOrder {
+    /// Before the stage it hangs in; lower numbers first.
+    PreRender(i32),
+    /// Inside it: another view and projection for the nodes below.
+    Nested,
+    /// After it; lower numbers first.
+    PostRender(i32),
+}
+
+/// What a camera in the graph draws into.
+#[derive(Clone, Debug, Default)]
+pub struct CameraTarget {
+    /// Colour attachments by location; none means the target of the stage above.
+    pub colors: Vec<Attachment>,
+    /// Depth, to be sampled later; without one a depth buffer of the camera's own is used.
+    pub depth: Option<Attachment>,
+    /// Samples a pixel, 1 or 4; resolved into the colour attachments.
+    pub samples: u32,
+    /// Where the first colour attachment is copied to after each draw, without waiting for it.
+    pub read_back: Option<Arc<PictureSink>>,
+}
+
+/// A part of a texture to draw into.
+#[derive(Clone, Debug)]
+pub struct Attachment {
+    /// Made with [`TextureObject::target`].
+    pub texture: Arc<TextureObject>,
+    /// Mip level.
+    pub level: u32,
+    /// Array layer, cube face or depth slice.
+    pub layer: u32,
+}
+
+impl Attachment {
+    /// Level 0, layer 0 of a texture.
+    pub fn new(texture: Arc<TextureObject>) -> Self {
+        Self { texture, level: 0, layer: 0 }
+    }
+}
+
+/// Receives pictures from the draw thread, some frames after they were drawn.
+#[derive(Debug, Default)]
+pub struct PictureSink {
+    /// Written by the draw thread, taken by anybody; the newest replaces an older one.
+    latest: std::sync::Mutex<Option<Picture>>,
+}
+
+/// A picture read back: RGBA8, rows top to bottom.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Width and height.
+    pub size_px: [u32; 2],
+    /// Frame it shows.
+    pub frame: u32,
+    /// Four bytes a pixel.
+    pub rgba: Vec<u8>,
+}
+
+impl PictureSink {
+    /// The newest picture that has not been taken.
+    pub fn take(&self) -> Option<Picture> {
+        self.latest.lock().map_or(None, |mut latest| latest.take())
+    }
+
+    /// Puts a picture there for whoever takes it.
+    pub fn put(&self, picture: Picture) {
+        if let Ok(mut latest) = self.latest.lock() {
+            *latest = Some(picture);
+        }
+    }
+}
+
+/// Sets near and far anew: called with what cull found (metres in front of the eye), returns what to use.
+pub type ClampProjection = fn(near_m: f64, far_m: f64) -> (f64, f64);
+
+/// A camera in the graph.
+#[derive(Clone, Debug)]
+pub struct CameraNode {
+    /// When it is drawn.
+    pub order: RenderOrder,
+    /// Eye from the node's frame (relative) or from the world (absolute).
+    pub view: DAffine3,
+    /// Absolute: `view` replaces everything above. Relative: it comes below it.
+    pub frame: ReferenceFrame,
+    /// Reversed-Z projection; `None` keeps the one above.
+    pub projection: Option<DMat4>,
+    /// x, y, width, height in pixels of the target, origin upper left; `None`: all of it.
+    pub viewport_px: Option<[u32; 4]>,
+    /// Linear colour to clear with; `None` keeps what is there. Nested cameras clear nothing.
+    pub clear_color: Option<[f32; 4]>,
+    /// Clear depth before drawing (to infinitely far).
+    pub clear_depth: bool,
+    /// What it draws into.
+    pub target: Option<Arc<CameraTarget>>,
+    /// What it culls.
+    pub settings: CullSettings,
+    /// Which of the settings come from above.
+    pub inherit: Inherit,
+    /// Changes near and far when they are computed.
+    pub clamp_projection: Option<ClampProjection>,
+    /// What is called while it is drawn.
+    pub callbacks: Option<DrawHook>,
+}
+
+impl CameraNode {
+    /// A camera of an order, with everything from above but its view: the identity, relative.
+    pub fn new(order: RenderOrder) -> Self {
+        Self {
+            order,
+            view: DAffine3::IDENTITY,
+            frame: ReferenceFrame::Relative,
+            projection: None,
+            viewport_px: None,
+            clear_color: Some([0.0, 0.0, 0.0, 1.0]),
+            clear_depth: true,
+            target: None,
+            settings: CullSettings::default(),
+            inherit: Inherit::ALL,
+            clamp_projection: None,
+            callbacks: None,
+        }
+    }
+
+    /// A camera drawn before the stage it hangs in, into a texture of a size.
+    pub fn to_texture(texture: Arc<TextureObject>, view: DAffine3, projection: DMat4) -> Self {
+        let colors = vec![Attachment::new(texture)];
+        Self {
+            view,
+            frame: ReferenceFrame::Absolute,
+            projection: Some(projection),
+            target: Some(Arc::new(CameraTarget { colors, samples: 1, ..CameraTarget::default() })),
+            ..Self::new(RenderOrder::PreRender(0))
+        }
+    }
+}
+
+/// Something for the draw phase that the scene only carries: made by and given back to `draw`.
+#[derive(Clone)]
+pub struct DrawHook(pub Arc<dyn std::any::Any + Send + Sync>);
+
+impl std::fmt::Debug for DrawHook {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("DrawHook")
+    }
+}
+
+/// A convex planar polygon that hides what is behind it; OSG's `ConvexPlanarOccluder`.
+#[derive(Clone, Debug, Default)]
+pub struct ConvexPlanarOccluder {
+    /// Corners in the node's frame, either way round.
+    pub corners: Vec<DVec3>,
+    /// Convex holes in it: what may be seen through one is not hidden.
+    pub holes: Vec<Vec<DVec3>>,
+}
+
+/// Asks the adapter how many samples of its box are seen, and skips its children while none are.
+#[derive(Clone, Debug)]
+pub struct OcclusionQueryNode {
+    /// Hidden when fewer samples pass.
+    pub visibility_threshold: u32,
+    /// Frames between two queries of the same node.
+    pub query_frames: u32,
+    /// Queries in a row that must fail before it is hidden; one that passes shows it again.
+    pub failures_to_hide: u32,
+    /// What the queries found.
+    pub results: Arc<OcclusionResults>,
+}
+
+impl Default for OcclusionQueryNode {
+    fn default() -> Self {
+        Self { visibility_threshold: 1, query_frames: 2, failures_to_hide: 2, results: Arc::default() }
+    }
+}
+
+/// Results of an [`OcclusionQueryNode`].
+#[derive(Debug, Default)]
+pub struct OcclusionResults {
+    /// Failed queries in a row; written by the draw thread, read by cull.
+    failures: AtomicU32,
+    /// Samples of the last query; written by the draw thread.
+    samples: AtomicU32,
+    /// Frame of the last query; written by cull.
+    queried: AtomicU32,
+}
+
+impl OcclusionResults {
+    /// Samples that passed in the last query that has arrived.
+    pub fn samples(&self) -> u32 {
+        self.samples.load(Ordering::Relaxed)
+    }
+
+    /// Failed queries in a row.
+    pub fn failures(&self) -> u32 {
+        self.failures.load(Ordering::Relaxed)
+    }
+
+    /// True once every so many frames; notes the frame.
+    pub(crate) fn is_due(&self, frame: u32, every: u32) -> bool {
+        let last = self.queried.load(Ordering::Relaxed);
+        let due = last == 0 || frame.wrapping_sub(last) >= every.max(1);
+        if due {
+            self.queried.store(frame.max(1), Ordering::Relaxed);
+        }
+        due
+    }
+
+    /// A query's answer, from the draw thread.
+    pub(crate) fn answered(&self, samples: u64, threshold: u32) {
+        self.samples.store(u32::try_from(samples).unwrap_or(u32::MAX), Ordering::Relaxed);
+        if samples >= u64::from(threshold) {
+            self.failures.store(0, Ordering::Relaxed);
+        } else {
+            self.failures.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// What a cull callback decides about its node.
+#[derive(Clone, Debug, Default)]
+pub enum CullAction {
+    /// As if there were no callback.
+    #[default]
+    Traverse,
+    /// The node and all below it are not drawn.
+    Skip,
+}
+
+/// What a cull callback is told.
+#[derive(Clone, Copy, Debug)]
+pub struct CullInfo {
+    /// The frame.
+    pub frame: u32,
+    /// Place of the eye in the page's frame.
+    pub eye_in_page: DVec3,
+    /// Distance of the eye from the middle of the node's bound, metres of the page's frame; infinite without a bound.
+    pub distance_m: f64,
+}
+
+/// Asked by cull each time a node is about to be visited, on the thread that culls; must not block.
+#[derive(Clone)]
+pub struct CullCallback(pub Arc<dyn Fn(&CullInfo) -> CullAction + Send + Sync>);
+
+impl std::fmt::Debug for CullCallback {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("CullCallback")
+    }
+}
+
+/// The directions in which a drawable's faces look: it is culled from where none can be seen; OSG's
+/// `ClusterCullingCallback`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NormalCone {
+    /// Middle, in the drawable's frame.
+    pub control_point: DVec3,
+    /// Mean direction of the faces, unit.
+    pub normal: DVec3,
+    /// Culled where the cosine between `normal` and the direction to the eye is smaller.
+    pub least_cosine: f64,
+    /// Nearer eyes see it always, metres.
+    pub radius_m: f64,
+}

@@ -1,0 +1,113 @@
+//! Programs and uniforms: shading of the application's own.
+
+use std::sync::Arc;
+
+/// WGSL that replaces the shading of meshes.
+///
+/// It stands behind what `src/draw/shaders/frame.wgsl` and `mesh_vertex.wgsl` declare: `frame`, `leaves`,
+/// `MeshVertex`, `point_in_eye`. It has a vertex entry point `vs_main(vertex: MeshVertex, @builtin(instance_index)
+/// instance: u32)` and a fragment entry point `fs_main`. It may declare
+/// ```text
+/// struct Uniforms { tint: vec4<f32>, osg_SimulationTime: f32, ... }
+/// @group(2) @binding(0) var<uniform> uniforms: Uniforms;              members are filled by name
+/// @group(2) @binding(1 + 2 * unit) var picture: texture_2d<f32>;      textures of units 0 to 3, of any kind
+/// @group(2) @binding(2 + 2 * unit) var picture_sampler: sampler;
+/// override FANCY: bool = false;                                       set by defines
+/// ```
+/// The members `osg_FrameNumber` (u32), `osg_FrameTime`, `osg_DeltaFrameTime`, `osg_SimulationTime` (f32, seconds),
+/// `osg_ViewMatrix` and `osg_ViewMatrixInverse` (mat4x4) are filled without being given.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Program {
+    /// For people, and for errors.
+    pub name: String,
+    /// The source.
+    pub wgsl: String,
+    /// Values of `override`s; those that the source does not declare are ignored.
+    pub defines: Vec<(String, f64)>,
+}
+
+impl Program {
+    /// A program without defines.
+    pub fn new(name: &str, wgsl: &str) -> Arc<Self> {
+        Arc::new(Self { name: name.into(), wgsl: wgsl.into(), defines: Vec::new() })
+    }
+}
+
+/// The value of a uniform; vectors and matrices (by columns) of f32, i32 and u32.
+#[allow(missing_docs, reason = "WGSL's types")]
+#[derive(Clone, Debug, PartialEq)]
+pub enum UniformValue {
+    Float(f32),
+    Vec2([f32; 2]),
+    Vec3([f32; 3]),
+    Vec4([f32; 4]),
+    Int(i32),
+    IVec2([i32; 2]),
+    IVec3([i32; 3]),
+    IVec4([i32; 4]),
+    Uint(u32),
+    UVec2([u32; 2]),
+    UVec3([u32; 3]),
+    UVec4([u32; 4]),
+    Mat2([[f32; 2]; 2]),
+    Mat3([[f32; 3]; 3]),
+    Mat4([[f32; 4]; 4]),
+    /// For `array<vec4<f32>, N>`.
+    Vec4Array(Arc<[[f32; 4]]>),
+}
+
+impl UniformValue {
+    /// Its bytes as WGSL lays the type out in a uniform, by columns of a matrix or elements of an array: the bytes of
+    /// a column and the distance to the next.
+    pub(crate) fn columns(&self) -> (&[u8], usize, usize) {
+        match self {
+            Self::Float(v) => (bytemuck::bytes_of(v), 4, 4),
+            Self::Int(v) => (bytemuck::bytes_of(v), 4, 4),
+            Self::Uint(v) => (bytemuck::bytes_of(v), 4, 4),
+            Self::Vec2(v) => (bytemuck::cast_slice(v), 8, 8),
+            Self::IVec2(v) => (bytemuck::cast_slice(v), 8, 8),
+            Self::UVec2(v) => (bytemuck::cast_slice(v), 8, 8),
+            Self::Vec3(v) => (bytemuck::cast_slice(v), 12, 12),
+            Self::IVec3(v) => (bytemuck::cast_slice(v), 12, 12),
+            Self::UVec3(v) => (bytemuck::cast_slice(v), 12, 12),
+            Self::Vec4(v) => (bytemuck::cast_slice(v), 16, 16),
+            Self::IVec4(v) => (bytemuck::cast_slice(v), 16, 16),
+            Self::UVec4(v) => (bytemuck::cast_slice(v), 16, 16),
+            Self::Mat2(v) => (bytemuck::cast_slice(v), 8, 8),
+            Self::Mat3(v) => (bytemuck::cast_slice(v), 12, 16),
+            Self::Mat4(v) => (bytemuck::cast_slice(v), 16, 16),
+            Self::Vec4Array(v) => (bytemuck::cast_slice(v), 16, 16),
+        }
+    }
+
+    /// WGSL's name of the type.
+    pub(crate) fn type_name(&self) -> &'static str {
+        match self {
+            Self::Float(_) => "f32",
+            Self::Int(_) => "i32",
+            Self::Uint(_) => "u32",
+            Self::Vec2(_) => "vec2<f32>",
+            Self::Vec3(_) => "vec3<f32>",
+            Self::Vec4(_) => "vec4<f32>",
+            Self::IVec2(_) => "vec2<i32>",
+            Self::IVec3(_) => "vec3<i32>",
+            Self::IVec4(_) => "vec4<i32>",
+            Self::UVec2(_) => "vec2<u32>",
+            Self::UVec3(_) => "vec3<u32>",
+            Self::UVec4(_) => "vec4<u32>",
+            Self::Mat2(_) => "mat2x2<f32>",
+            Self::Mat3(_) => "mat3x3<f32>",
+            Self::Mat4(_) => "mat4x4<f32>",
+            Self::Vec4Array(_) => "array<vec4<f32>>",
+        }
+    }
+}
+
+/// A named value for [`Program`]s.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Uniform {
+    /// Name of the member it fills.
+    pub name: Arc<str>,
+    /// Its value.
+    pub value: UniformValue,
+}
