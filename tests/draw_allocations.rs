@@ -101,7 +101,12 @@ fn allocations(work: impl FnOnce()) -> (Vec<String>, usize) {
 
 #[test]
 fn a_steady_frame_allocates_nothing_of_its_own() {
-    let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, validation: false };
+    let traits = ContextTraits {
+        size_px: [64, 64],
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        ..ContextTraits::default()
+    };
     let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
     let renderer = Renderer::new(&mut ctx);
     let mut rig = Rig::new(ctx, renderer);

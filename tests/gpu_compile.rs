@@ -190,7 +190,12 @@ fn a_drawable_that_cannot_be_made_is_an_error_of_its_own() {
 
 #[test]
 fn the_noop_backend_compiles_and_draws() {
-    let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, validation: false };
+    let traits = ContextTraits {
+        size_px: [64, 64],
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        ..ContextTraits::default()
+    };
     let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
     let mut renderer = terrane::draw::Renderer::new(&mut ctx);
     ctx.compile(CompileOperation { ticket: 1, drawables: vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])] });

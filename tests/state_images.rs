@@ -10,7 +10,8 @@ use gpu_support::{MAGENTA, Rig, count, plain, quad, rig, unit_camera};
 use terrane::scene::{Drawable, Node};
 use terrane::state::{
     Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, Depth,
-    FrontFace, Mode, PolygonMode, PolygonOffset, SortMode, StateSet, StateValue,
+    FrontFace, Mode, PolygonMode, PolygonOffset, Scissor, SortMode, StateSet, StateValue, Stencil, StencilFace,
+    StencilOperation, Viewport,
 };
 
 const SIDE: u32 = 64;
@@ -231,6 +232,117 @@ fn states_differ_only_where_they_do() {
     let scene = rig.scene(Node::group(nodes.collect()));
     let stats = rig.draw(&scene, &unit_camera(SIDE), &plain());
     rig.release(scene);
-    // Pipeline twice; textures, vertices and indices once.
-    assert_eq!((stats.leaves, stats.draw_calls, stats.state_changes), (11, 2, 5), "{stats:?}");
+    // Pipeline twice; frame, textures, vertices and indices once.
+    assert_eq!((stats.leaves, stats.draw_calls, stats.state_changes), (11, 2, 6), "{stats:?}");
+}
+
+#[test]
+fn the_constant_of_blending_weighs() {
+    let Some(mut rig) = rig("the_constant_of_blending_weighs") else { return };
+    let rig = &mut *rig;
+    let set = later()
+        .with(func(BlendFactor::ConstantColor, BlendFactor::OneMinusConstantColor))
+        .with(Attribute::BlendColor([1.0, 0.0, 0.0, 1.0]));
+    // Red of what is drawn, green and blue of what is there.
+    assert_eq!(over(rig, CYAN, YELLOW, set), WHITE);
+    let none = later().with(func(BlendFactor::ConstantColor, BlendFactor::OneMinusConstantColor));
+    assert_eq!(over(rig, CYAN, YELLOW, none), CYAN, "zero without a word");
+}
+
+#[test]
+fn depth_ranges_are_layers() {
+    let Some(mut rig) = rig("depth_ranges_are_layers") else { return };
+    let rig = &mut *rig;
+    let ranged = |range| Attribute::Depth(Depth { range, ..Depth::default() });
+    // Green lies behind, in a nearer range.
+    let nodes = |near, far| {
+        vec![
+            node(square(0.0, RED), StateSet::default().with(ranged(far))),
+            node(square(-0.5, GREEN), later().with(ranged(near))),
+        ]
+    };
+    assert_eq!(middle(rig, nodes([0.0, 0.1], [0.1, 1.0])), GREEN);
+    assert_eq!(middle(rig, nodes([0.0, 1.0], [0.0, 1.0])), RED);
+    assert_eq!(middle(rig, nodes([f32::NAN, 2.0], [0.0, 1.0])), RED, "nonsense is the whole range");
+}
+
+#[test]
+fn scissors_and_viewports_bound_what_is_drawn() {
+    let Some(mut rig) = rig("scissors_and_viewports_bound_what_is_drawn") else { return };
+    let rig = &mut *rig;
+    let red = |picture: &image::RgbaImage| {
+        let mut box_px = [u32::MAX, u32::MAX, 0, 0];
+        for (x, y, _) in picture.enumerate_pixels().filter(|(.., p)| p.0[..3] == RED) {
+            box_px = [box_px[0].min(x), box_px[1].min(y), box_px[2].max(x + 1), box_px[3].max(y + 1)];
+        }
+        (box_px, count(picture, RED))
+    };
+    let scissor = |x, y, width, height| StateSet::default().with(Attribute::Scissor(Scissor { x, y, width, height }));
+    let picture = draw(rig, vec![node(square(0.0, RED), scissor(20, 18, 9, 5))]);
+    assert_eq!(red(&picture), ([20, 18, 29, 23], 45));
+    // Beyond the target is cut; empty draws nothing; off does nothing.
+    assert_eq!(red(&draw(rig, vec![node(square(0.0, RED), scissor(40, 40, 999, 999))])), ([40, 40, 48, 48], 64));
+    assert_eq!(red(&draw(rig, vec![node(square(0.0, RED), scissor(999, 0, 5, 5))])).1, 0);
+    let mut off = scissor(20, 18, 9, 5);
+    off.set_mode(Mode::ScissorTest, StateValue::OFF);
+    assert_eq!(red(&draw(rig, vec![node(square(0.0, RED), off)])).1, 32 * 32);
+    // The whole picture in the upper left quarter: the square is there, half as large.
+    let quarter = Viewport { x: 0.0, y: 0.0, width: 32.0, height: 32.0 };
+    let picture = draw(rig, vec![node(square(0.0, RED), StateSet::default().with(Attribute::Viewport(quarter)))]);
+    assert_eq!(red(&picture), ([8, 8, 24, 24], 256));
+    let nonsense = Viewport { x: f32::NAN, y: -9.0, width: 1e9, height: f32::INFINITY };
+    let set = StateSet::default().with(Attribute::Viewport(nonsense));
+    draw(rig, vec![node(square(0.0, RED), set)]);
+}
+
+#[test]
+fn stencils_mark_and_test() {
+    let Some(mut rig) = rig("stencils_mark_and_test") else { return };
+    let rig = &mut *rig;
+    if !rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8) {
+        eprintln!("stencils_mark_and_test: skipped: no stencil beside float depth");
+        return;
+    }
+    let face = |function, pass| StencilFace { function, pass, ..StencilFace::default() };
+    let stencil = |set: StateSet, s: Stencil| set.with(Attribute::Stencil(s));
+    let mark = Stencil::both(face(CompareFunction::Always, StencilOperation::Replace), 3);
+    let bin = |number| StateSet { bin: Some(BinDetails { number, sort: SortMode::ByState }), ..StateSet::default() };
+    // A small mark without color, then a square that is drawn where the mark is (or is not).
+    let mut drawn = |test: Stencil, mark: Stencil| {
+        let mut invisible = stencil(bin(1), mark).with(Attribute::ColorMask(ColorMask([false; 3])));
+        invisible.set_attribute(Attribute::Depth(Depth { write: false, ..Depth::default() }), StateValue::ON);
+        let small = quad([0.0, 0.0, 0.1], [0.25, 0.25], [1.0; 4]);
+        let picture = draw(rig, vec![node(small, invisible), node(square(0.0, RED), stencil(bin(2), test))]);
+        count(&picture, RED)
+    };
+    let test = |function, reference| Stencil::both(face(function, StencilOperation::Keep), reference);
+    assert_eq!(drawn(test(CompareFunction::Equal, 3), mark), 16 * 16);
+    assert_eq!(drawn(test(CompareFunction::NotEqual, 3), mark), 32 * 32 - 16 * 16);
+    assert_eq!(drawn(test(CompareFunction::Equal, 4), mark), 0);
+    assert_eq!(drawn(test(CompareFunction::Less, 2), mark), 16 * 16, "2 < 3 where it is marked");
+    // Masks: only bit 0 is compared, or written.
+    let masked = Stencil { read_mask: 1, ..test(CompareFunction::Equal, 1) };
+    assert_eq!(drawn(masked, mark), 16 * 16);
+    assert_eq!(drawn(test(CompareFunction::Equal, 2), Stencil { write_mask: 2, ..mark }), 16 * 16);
+    // Incremented from 0, inverted, and only back faces marked (there are none).
+    let does = |pass| Stencil::both(face(CompareFunction::Always, pass), 0);
+    assert_eq!(drawn(test(CompareFunction::Equal, 1), does(StencilOperation::Increment)), 16 * 16);
+    assert_eq!(drawn(test(CompareFunction::Equal, 255), does(StencilOperation::Invert)), 16 * 16);
+    assert_eq!(drawn(test(CompareFunction::Equal, 255), does(StencilOperation::DecrementWrap)), 16 * 16);
+    assert_eq!(drawn(test(CompareFunction::Equal, 0), does(StencilOperation::Decrement)), 32 * 32, "stays at 0");
+    let back_only = Stencil { front: StencilFace::default(), ..mark };
+    assert_eq!(drawn(test(CompareFunction::Equal, 3), back_only), 0);
+    // The depth test fails: behind what is there.
+    let depth_fail =
+        StencilFace { depth_fail: StencilOperation::Replace, ..face(CompareFunction::Always, StencilOperation::Keep) };
+    let behind = stencil(bin(1), Stencil::both(depth_fail, 3));
+    let nodes = vec![
+        node(square(0.0, RED), StateSet::default()),
+        node(quad([0.0, 0.0, -0.5], [0.25, 0.25], [1.0; 4]), behind),
+        node(square(0.2, GREEN), stencil(bin(2), test(CompareFunction::Equal, 3))),
+    ];
+    let green = count(&draw(rig, nodes), GREEN);
+    assert!((200..260).contains(&green), "{green}");
+    // Pictures without stencils are drawn as ever.
+    assert_eq!(middle(rig, vec![node(square(0.0, RED), StateSet::default())]), RED);
 }

@@ -262,7 +262,8 @@ impl Cull<'_> {
         let eye_from_unit = context.visit.eye_from_page * box_from_unit;
         let eye = eye_from_unit.inverse().translation;
         // From inside (or nearly) the box's faces are not seen, which says nothing about what is in it.
-        if !(eye.abs().max_element() > 1.5) {
+        let is_outside = eye.abs().max_element() > 1.5;
+        if !is_outside {
             results.answered(u64::MAX, query.visibility_threshold);
             return false;
         }

@@ -201,8 +201,11 @@ impl RenderStage {
         self.clear_node = None;
         self.queries.clear();
         self.target = StageTarget::default();
-        self.spare.stages.append(&mut self.pre_render);
-        self.spare.stages.append(&mut self.post_render);
+        for mut stage in self.pre_render.drain(..).chain(self.post_render.drain(..)) {
+            // Memory is kept, what it holds is not.
+            stage.clear(camera);
+            self.spare.stages.push(stage);
+        }
     }
 
     /// Leaves of all its bins.

@@ -1,10 +1,11 @@
 //! The state graph: each state set once under each parent, found or inserted by identity.
 //!
-//! Kept from frame to frame, with what each chain of state sets resolves to, so that a steady frame resolves nothing;
-//! forgotten as a whole when most of it is no longer met. A page knows its own chains of state sets already
+//! Kept from frame to frame, with what each chain of state sets resolves to, so that a steady frame resolves nothing.
+//! Holds no state set alive: what is gone is noticed within some frames; and when most of it is no longer met, all of
+//! it is forgotten. A page knows its own chains of state sets already
 //! (`Page::paths`), so the hash is asked once per chain and page, not once per leaf.
 
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 use super::stage::RenderStage;
 use crate::state::{ResolvedState, StateSet};
@@ -24,8 +25,8 @@ struct Node {
     /// The stage in which it was last met, and its place there.
     met_in: u32,
     place: u32,
-    /// Holds the state set, so that its address is nobody else's.
-    _set: Option<Arc<StateSet>>,
+    /// Keeps the state set's address from being another's, not the state set.
+    set: Option<Weak<StateSet>>,
 }
 
 /// Nodes, and an open-addressing table over them.
@@ -35,8 +36,10 @@ pub(super) struct StateGraph {
     table: Vec<u32>,
     /// Counts stages.
     stage: u32,
-    /// Nodes met since the last [`Self::forget`].
+    /// Nodes met in the frame before.
     met: usize,
+    /// Frames until state sets that are gone are looked for.
+    until_sweep: u32,
 }
 
 /// The state without any state set.
@@ -44,11 +47,15 @@ pub(super) const ROOT: u32 = 0;
 const EMPTY: u32 = u32::MAX;
 /// Fewer nodes are never forgotten.
 const FEW: usize = 4096;
+/// Frames between two looks for state sets that are gone.
+const SWEEP_FRAMES: u32 = 16;
+/// Key of nodes whose state set, or one above, is gone; matches nothing.
+const GONE: usize = usize::MAX;
 
 impl Default for StateGraph {
     fn default() -> Self {
-        let root = Node { parent: EMPTY, key: 0, resolved: Arc::default(), view: 0, met_in: 0, place: 0, _set: None };
-        Self { nodes: vec![root], table: vec![EMPTY; 64], stage: 0, met: 0 }
+        let root = Node { parent: EMPTY, key: 0, resolved: Arc::default(), view: 0, met_in: 0, place: 0, set: None };
+        Self { nodes: vec![root], table: vec![EMPTY; 64], stage: 0, met: 0, until_sweep: SWEEP_FRAMES }
     }
 }
 
@@ -60,6 +67,24 @@ impl StateGraph {
             *self = Self { stage, ..Self::default() };
         }
         self.met = 0;
+        self.until_sweep -= 1;
+        if self.until_sweep == 0 {
+            self.until_sweep = SWEEP_FRAMES;
+            self.sweep();
+        }
+    }
+
+    /// Lets go of what state sets that are gone came to, and what is below them. Parents come before their children.
+    fn sweep(&mut self) {
+        for node in 1..self.nodes.len() {
+            let parent = self.nodes[node].parent as usize;
+            let is_gone = |n: &Node| n.set.as_ref().is_some_and(|s| s.strong_count() == 0);
+            if self.nodes[node].key != GONE && (self.nodes[parent].key == GONE || is_gone(&self.nodes[node])) {
+                let root = self.nodes[0].resolved.clone();
+                let node = &mut self.nodes[node];
+                (node.key, node.set, node.resolved) = (GONE, None, root);
+            }
+        }
     }
 
     /// Starts a stage: no state has leaves.
@@ -85,7 +110,7 @@ impl StateGraph {
         self.find(parent, key).unwrap_or_else(|place| {
             let above = &self.nodes[parent as usize];
             let (resolved, view) = (Arc::new(above.resolved.below(set)), above.view);
-            self.insert(place, parent, key, resolved, view, Some(set.clone()))
+            self.insert(place, parent, key, resolved, view, Some(Arc::downgrade(set)))
         })
     }
 
@@ -114,11 +139,11 @@ impl StateGraph {
         key: usize,
         resolved: Arc<ResolvedState>,
         view: u32,
-        set: Option<Arc<StateSet>>,
+        set: Option<Weak<StateSet>>,
     ) -> u32 {
         let node = self.nodes.len() as u32;
         let met_in = self.stage.wrapping_sub(1);
-        self.nodes.push(Node { parent, key, resolved, view, met_in, place: 0, _set: set });
+        self.nodes.push(Node { parent, key, resolved, view, met_in, place: 0, set });
         self.table[place] = node;
         if self.nodes.len() * 2 > self.table.len() {
             self.grow();
@@ -148,6 +173,9 @@ impl StateGraph {
         self.table.resize(size, EMPTY);
         for node in 1..self.nodes.len() {
             let Node { parent, key, .. } = self.nodes[node];
+            if key == GONE {
+                continue;
+            }
             if let Err(place) = self.find(parent, key) {
                 self.table[place] = node as u32;
             }
@@ -201,7 +229,27 @@ mod tests {
             assert_eq!([graph.meet(a, &mut stage), graph.meet(b, &mut stage)], [0, 1]);
         }
         assert!(graph.nodes.len() < 2 * FEW);
-        assert!(Arc::strong_count(&kept) <= 2);
+        assert_eq!(Arc::strong_count(&kept), 1);
+    }
+
+    #[test]
+    fn what_is_gone_is_let_go_with_all_below_it() {
+        let mut graph = StateGraph::default();
+        let mut stage = RenderStage::new();
+        let (above, below) = (Arc::new(StateSet::default()), Arc::new(StateSet::default()));
+        graph.start_stage();
+        let parent = graph.find_or_insert(ROOT, &above);
+        let child = graph.find_or_insert(parent, &below);
+        graph.meet(child, &mut stage);
+        let held = Arc::downgrade(&stage.state_sets[0]);
+        stage.state_sets.clear();
+        drop(above);
+        for _ in 0..=SWEEP_FRAMES {
+            graph.start_frame();
+        }
+        assert!(held.upgrade().is_none());
+        let another = Arc::new(StateSet::default());
+        assert_eq!([graph.find_or_insert(ROOT, &another), graph.find_or_insert(ROOT, &below)], [3, 4]);
     }
 
     #[test]

@@ -137,12 +137,6 @@ pub(super) struct Cull<'a> {
     pub takes_ranges: bool,
 }
 
-/// Where a stage begins.
-enum Start {
-    Roots,
-    Camera(DeferredCamera),
-}
-
 impl CullVisitor {
     /// A visitor without memory; the first culls make it.
     pub fn new() -> Self {
@@ -173,7 +167,7 @@ impl CullVisitor {
         self.graph.start_frame();
         self.deferred.clear();
         let clamp = self.clamp_projection;
-        self.traverse_stage(scene, camera, View::new(camera), Start::Roots, clamp, stage);
+        self.traverse_stage(scene, camera, View::new(camera), None, clamp, stage);
     }
 
     /// The second half of [`Self::cull`].
@@ -187,7 +181,7 @@ impl CullVisitor {
         scene: &Scene,
         camera: &CullCamera,
         view: View,
-        start: Start,
+        met: Option<&DeferredCamera>,
         clamp_projection: Option<ClampProjection>,
         stage: &mut RenderStage,
     ) {
@@ -224,7 +218,7 @@ impl CullVisitor {
             counters: CullCounters::default(),
             takes_ranges: !self.visits_all && self.occluders.is_empty(),
         };
-        cull.run(start, clamp_projection);
+        cull.run(met, clamp_projection);
     }
 
     /// Culls the cameras that were met from `first` on, and those met in their stages. What is drawn before comes
@@ -245,7 +239,7 @@ impl CullVisitor {
             };
             let view = View { index: 0, ..View::new(&camera) };
             let others = self.deferred.len();
-            self.traverse_stage(scene, &camera, view, Start::Camera(met), clamp_projection, &mut below);
+            self.traverse_stage(scene, &camera, view, Some(&met), clamp_projection, &mut below);
             self.sort(&mut below);
             below.target = target;
             if depth < MOST_NESTED {
@@ -263,9 +257,9 @@ impl CullVisitor {
 }
 
 impl<'a> Cull<'a> {
-    fn run(&mut self, start: Start, clamp_projection: Option<ClampProjection>) {
-        match start {
-            Start::Roots => {
+    fn run(&mut self, met: Option<&DeferredCamera>, clamp_projection: Option<ClampProjection>) {
+        match met {
+            None => {
                 for root in self.scene.roots() {
                     self.queue.push(PageVisit {
                         place: root.slot,
@@ -279,7 +273,7 @@ impl<'a> Cull<'a> {
                     });
                 }
             }
-            Start::Camera(met) => self.visit_camera(&met),
+            Some(met) => self.visit_camera(met),
         }
         let mut next = 0;
         while let Some(visit) = self.queue.get(next).copied() {

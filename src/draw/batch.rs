@@ -1,33 +1,37 @@
 //! From leaves to runs: which leaves are one instanced draw, in which order.
 //!
-//! Draw thread. Reuses its memory; allocates nothing once as large a stage was drawn before.
+//! Draw thread. Leaves are counted into runs and then written to their places in one storage buffer, so that nothing
+//! but runs is ever sorted. Reuses its memory; allocates nothing once as large a stage was drawn before.
+
+use std::collections::HashMap;
 
 use super::frame::{FLAG_UNLIT, LeafUniform};
 use super::key::{PipelineKey, StateKey};
+use super::lookup::Lookup;
 use super::pipelines::Pipelines;
 use crate::cull::{RenderLeaf, RenderStage};
-use crate::gpu::{DrawableEntry, GraphicsContext, Shape};
+use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
 use crate::scene::AlphaMode;
-use crate::state::{ResolvedState, SortMode};
+use crate::state::SortMode;
 
-/// Everything that must be equal for two leaves to be one draw; sorted so that dear changes are rare.
+/// What has to be bound for a run: leaves with one bucket differ in geometry alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct RunKey {
+pub(super) struct Bucket {
     pub(super) pipeline: PipelineKey,
+    /// Index of the dynamic state and the uniforms.
+    pub(super) statics: u32,
+    pub(super) is_height: bool,
     /// Block of group 1.
     pub(super) block: u32,
     pub(super) vertex_chunk: u32,
+    /// Chunk of meshes, side of height tiles.
     pub(super) index_chunk: u32,
-    /// Mesh, or side of a height tile.
-    pub(super) geometry: u32,
 }
 
 /// An instanced draw.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Run {
-    pub(super) key: RunKey,
-    /// Index of the pipeline, once it was made.
-    pub(super) pipeline: u32,
+    pub(super) bucket: u32,
     pub(super) base_vertex: i32,
     pub(super) first_index: u32,
     pub(super) index_count: u32,
@@ -36,211 +40,264 @@ pub(super) struct Run {
     pub(super) leaf_count: u32,
 }
 
-struct Item {
-    key: RunKey,
-    /// Keeps the order of equal keys.
-    sequence: u32,
-    base_vertex: i32,
-    first_index: u32,
-    index_count: u32,
-    leaf: LeafUniform,
+/// What a state of the stage comes to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StateEntry {
+    pub(super) key: StateKey,
+    pub(super) statics: u32,
+    /// Equal for states that draw alike.
+    class: u32,
+    color: [f32; 4],
+    /// Flags of leaves with a lit and with an unlit material.
+    flags: [u32; 2],
 }
 
-/// The draws of a stage.
-#[derive(Default)]
-pub(super) struct Batch {
-    items: Vec<Item>,
-    /// By state of the stage.
-    state_keys: Vec<StateKey>,
-    pub(super) leaves: Vec<LeafUniform>,
-    pub(super) runs: Vec<Run>,
-    /// Index of the run before which the sky belongs.
-    pub(super) sky_before: usize,
-}
-
-fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
-    let [a, b, c] = rows.map(|r| glam::Vec3::new(r[0], r[1], r[2]));
-    a.dot(b.cross(c)) < 0.0
-}
-
-fn item(
-    ctx: &GraphicsContext,
-    entry: &DrawableEntry,
-    rows: &[[f32; 4]; 3],
-    state: &ResolvedState,
-    state_key: &StateKey,
-) -> Option<Item> {
-    let mut leaf = LeafUniform {
-        eye_from_drawable: *rows,
-        color: [0, 1, 2, 3].map(|i| entry.base_color[i] * state.color[i]),
-        layer: 0,
-        flags: if entry.unlit { FLAG_UNLIT } else { 0 },
-        alpha_cutoff: if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff } else { 0.0 },
-        side: 0,
-    };
-    match &entry.shape {
-        Shape::Height(place) => {
-            leaf.layer = place.layer;
-            leaf.side = place.side;
-            let key = RunKey {
-                pipeline: PipelineKey::height(state_key, is_mirrored(rows)),
-                block: place.block,
-                vertex_chunk: 0,
-                index_chunk: 0,
-                geometry: place.side,
-            };
-            let index_count = ctx.pools().heights.grid(place.side)?.index_count;
-            Some(Item { key, sequence: 0, base_vertex: 0, first_index: 0, index_count, leaf })
-        }
-        Shape::Mesh { place, topology, texture } => {
-            leaf.layer = texture.layer;
-            let pipeline = PipelineKey::mesh(state_key, *topology, entry.alpha, entry.double_sided, is_mirrored(rows));
-            let key = RunKey {
-                pipeline,
-                block: texture.block,
-                vertex_chunk: place.vertex_chunk,
-                index_chunk: place.index_chunk,
-                geometry: place.mesh,
-            };
-            Some(Item {
-                key,
-                sequence: 0,
-                base_vertex: place.base_vertex,
-                first_index: place.first_index,
-                index_count: place.index_count,
-                leaf,
-            })
-        }
+impl StateEntry {
+    pub(super) fn new(key: StateKey, statics: u32, color: [f32; 4], is_lit: [bool; 2]) -> Self {
+        Self { key, statics, class: 0, color, flags: is_lit.map(|lit| if lit { 0 } else { FLAG_UNLIT }) }
     }
 }
 
+/// The draws of a frame's stages, one behind the other.
+#[derive(Default)]
+pub(super) struct Batch {
+    pub(super) leaves: Vec<LeafUniform>,
+    pub(super) runs: Vec<Run>,
+    /// Of all stages, each with the index of its pipeline.
+    pub(super) buckets: Vec<(Bucket, u32)>,
+    /// By state of the current stage.
+    pub(super) states: Vec<StateEntry>,
+    class_of: HashMap<(StateKey, u32), u32>,
+    /// From state class and bind class to bucket.
+    bucket_of: Lookup,
+    /// From bucket and geometry to run of the current group.
+    run_of: Lookup,
+    group_runs: Vec<Run>,
+    /// By leaf of the current group.
+    run_of_leaf: Vec<u32>,
+    order: Vec<u32>,
+}
+
+const NO_RUN: u32 = u32::MAX;
+
+fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
+    let [a, b, c] = rows;
+    let minor = |i: usize, j: usize| b[i] * c[j] - b[j] * c[i];
+    a[0] * minor(1, 2) - a[1] * minor(0, 2) + a[2] * minor(0, 1) < 0.0
+}
+
 impl Batch {
-    /// Fills the batch from a stage; at most `most_leaves`, the rest is dropped (and the count returned).
+    pub(super) fn start_frame(&mut self) {
+        self.leaves.clear();
+        self.runs.clear();
+        self.buckets.clear();
+    }
+
+    /// Appends the runs of a stage, whose states are in [`Self::states`]. Returns how many leaves were more than the
+    /// buffer takes, and before which run the first one comes that writes no depth.
     pub(super) fn build(
         &mut self,
         ctx: &GraphicsContext,
         pipelines: &mut Pipelines,
         stage: &RenderStage,
         most_leaves: usize,
-    ) -> usize {
-        self.leaves.clear();
-        self.runs.clear();
-        self.state_keys.clear();
-        self.state_keys.extend(stage.state_sets.iter().map(|state| pipelines.state_key(state)));
+    ) -> (usize, usize) {
+        self.class_of.clear();
+        for state in &mut self.states {
+            let next = self.class_of.len() as u32;
+            state.class = *self.class_of.entry((state.key, state.statics)).or_insert(next);
+        }
+        self.bucket_of.clear();
+        let first_run = self.runs.len();
         let mut dropped = 0;
         for bin in &stage.bins {
             let mut rest = &bin.leaves[..];
-            while let Some(first) = rest.first() {
-                let (group, after) = rest.split_at(regroupable(bin.sort, &self.state_keys, rest, first));
+            while !rest.is_empty() {
+                let room = most_leaves.saturating_sub(self.leaves.len());
+                let (group, after) = rest.split_at(regroupable(bin.sort, &self.states, rest));
                 rest = after;
-                self.gather(ctx, stage, group);
+                dropped += group.len().saturating_sub(room);
+                let group = &group[..group.len().min(room)];
                 if bin.sort == SortMode::ByState {
-                    self.items.sort_unstable_by_key(|i| (i.key, i.sequence));
+                    self.regroup(ctx, pipelines, stage, group);
+                } else {
+                    self.in_order(ctx, pipelines, stage, group);
                 }
-                dropped += self.append(most_leaves);
             }
         }
-        let is_see_through = |r: &Run| !r.key.pipeline.writes_depth();
-        self.sky_before = self.runs.iter().position(is_see_through).unwrap_or(self.runs.len());
-        dropped
+        let buckets = &self.buckets;
+        let is_see_through = |r: &Run| !buckets[r.bucket as usize].0.pipeline.writes_depth();
+        let see_through = self.runs[first_run..].iter().position(is_see_through);
+        (dropped, see_through.map_or(self.runs.len(), |at| first_run + at))
     }
 
-    fn gather(&mut self, ctx: &GraphicsContext, stage: &RenderStage, leaves: &[RenderLeaf]) {
-        self.items.clear();
+    /// Leaves that may change places: those with one bucket and geometry become one run, runs are sorted by bucket.
+    fn regroup(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        stage: &RenderStage,
+        leaves: &[RenderLeaf],
+    ) {
+        self.group_runs.clear();
+        self.run_of_leaf.clear();
+        self.run_of.clear();
+        let mut last = (u64::MAX, NO_RUN);
         for leaf in leaves {
-            let Some(entry) = ctx.drawable(leaf.slot) else { continue };
-            let (Some(rows), Some(state), Some(state_key)) = (
-                stage.eye_from_drawable.get(leaf.matrix as usize),
-                stage.state_sets.get(leaf.state as usize),
-                self.state_keys.get(leaf.state as usize),
-            ) else {
+            let Some((entry, rows)) = drawable(ctx, stage, leaf) else {
+                self.run_of_leaf.push(NO_RUN);
                 continue;
             };
-            if let Some(mut item) = item(ctx, entry, rows, state, state_key) {
-                item.sequence = self.items.len() as u32;
-                self.items.push(item);
+            let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
+            let key = u64::from(bucket) << 32 | u64::from(geometry(entry));
+            if key != last.0 {
+                let next = self.group_runs.len() as u32;
+                let run = self.run_of.get_or_insert(key, next);
+                if run == next {
+                    self.group_runs.push(new_run(ctx, bucket, entry));
+                }
+                last = (key, run);
+            }
+            self.group_runs[last.1 as usize].leaf_count += 1;
+            self.run_of_leaf.push(last.1);
+        }
+        self.order.clear();
+        self.order.extend(0..self.group_runs.len() as u32);
+        let (runs, buckets) = (&self.group_runs, &self.buckets);
+        let of = |run: u32| runs[run as usize].bucket;
+        if self.order.windows(2).any(|w| of(w[0]) != of(w[1])) {
+            self.order
+                .sort_unstable_by(|a, b| buckets[of(*a) as usize].0.cmp(&buckets[of(*b) as usize].0).then(a.cmp(b)));
+        }
+        let mut place = self.leaves.len() as u32;
+        for run in &self.order {
+            let run = &mut self.group_runs[*run as usize];
+            run.first_leaf = place;
+            place += run.leaf_count;
+            self.runs.push(*run);
+        }
+        self.leaves.resize(place as usize, LeafUniform::EMPTY);
+        for (leaf, run) in leaves.iter().zip(&self.run_of_leaf) {
+            let Some(run) = self.group_runs.get_mut(*run as usize) else { continue };
+            if let Some((entry, rows)) = drawable(ctx, stage, leaf) {
+                self.leaves[run.first_leaf as usize] = uniform(entry, rows, &self.states[leaf.state as usize]);
+                run.first_leaf += 1;
             }
         }
     }
 
-    fn append(&mut self, most_leaves: usize) -> usize {
-        let room = most_leaves.saturating_sub(self.leaves.len());
-        for item in self.items.iter().take(room) {
-            let first_leaf = self.leaves.len() as u32;
-            self.leaves.push(item.leaf);
-            match self.runs.last_mut() {
-                Some(run) if run.key == item.key => run.leaf_count += 1,
-                _ => self.runs.push(Run {
-                    key: item.key,
-                    pipeline: 0,
-                    base_vertex: item.base_vertex,
-                    first_index: item.first_index,
-                    index_count: item.index_count,
-                    first_leaf,
-                    leaf_count: 1,
-                }),
+    /// Leaves that stay in their order: only neighbours become one run.
+    fn in_order(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        stage: &RenderStage,
+        leaves: &[RenderLeaf],
+    ) {
+        let mut last = u64::MAX;
+        for leaf in leaves {
+            let Some((entry, rows)) = drawable(ctx, stage, leaf) else { continue };
+            let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
+            let key = u64::from(bucket) << 32 | u64::from(geometry(entry));
+            if key != last {
+                let first_leaf = self.leaves.len() as u32;
+                self.runs.push(Run { first_leaf, ..new_run(ctx, bucket, entry) });
+                last = key;
             }
+            if let Some(run) = self.runs.last_mut() {
+                run.leaf_count += 1;
+            }
+            self.leaves.push(uniform(entry, rows, &self.states[leaf.state as usize]));
         }
-        self.items.len().saturating_sub(room)
+    }
+
+    /// The bucket of a leaf; made, with its pipeline, when it is the first.
+    #[inline]
+    fn bucket(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        leaf: &RenderLeaf,
+        entry: &DrawableEntry,
+        rows: &[[f32; 4]; 3],
+    ) -> u32 {
+        let state = &self.states[leaf.state as usize];
+        let mirrored = is_mirrored(rows);
+        let key = u64::from(state.class) << 32 | u64::from(entry.class) << 1 | u64::from(mirrored);
+        let next = self.buckets.len() as u32;
+        let bucket = self.bucket_of.get_or_insert(key, next);
+        if bucket == next {
+            let class = ctx.bind_classes()[entry.class as usize];
+            let BindClass { topology, is_masked, double_sided, block, vertex_chunk, index_chunk } = class;
+            let pipeline = match topology {
+                None => PipelineKey::height(&state.key, mirrored),
+                Some(topology) => PipelineKey::mesh(&state.key, topology, is_masked, double_sided, mirrored),
+            };
+            let is_height = topology.is_none();
+            let new = Bucket { pipeline, statics: state.statics, is_height, block, vertex_chunk, index_chunk };
+            let index = pipelines.ensure(ctx, pipeline);
+            self.buckets.push((new, index));
+        }
+        bucket
+    }
+}
+
+#[inline]
+fn drawable<'a>(
+    ctx: &'a GraphicsContext,
+    stage: &'a RenderStage,
+    leaf: &RenderLeaf,
+) -> Option<(&'a DrawableEntry, &'a [[f32; 4]; 3])> {
+    Some((ctx.drawable(leaf.slot)?, stage.eye_from_drawable.get(leaf.matrix as usize)?))
+}
+
+/// Equal for leaves that draw the same vertices.
+#[inline]
+fn geometry(entry: &DrawableEntry) -> u32 {
+    match &entry.shape {
+        Shape::Height(place) => place.side,
+        Shape::Mesh { place, .. } => place.mesh,
+    }
+}
+
+fn new_run(ctx: &GraphicsContext, bucket: u32, entry: &DrawableEntry) -> Run {
+    let (base_vertex, first_index, index_count) = match &entry.shape {
+        Shape::Height(place) => (0, 0, ctx.pools().heights.grid(place.side).map_or(0, |g| g.index_count)),
+        Shape::Mesh { place, .. } => (place.base_vertex, place.first_index, place.index_count),
+    };
+    Run { bucket, base_vertex, first_index, index_count, first_leaf: 0, leaf_count: 0 }
+}
+
+#[inline]
+fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry) -> LeafUniform {
+    let (layer, side) = match &entry.shape {
+        Shape::Height(place) => (place.layer, place.side),
+        Shape::Mesh { texture, .. } => (texture.layer, 0),
+    };
+    LeafUniform {
+        eye_from_drawable: *rows,
+        color: [0, 1, 2, 3].map(|i| entry.base_color[i] * state.color[i]),
+        layer,
+        flags: state.flags[usize::from(entry.unlit)],
+        alpha_cutoff: if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff } else { 0.0 },
+        side,
     }
 }
 
 /// How many of the next leaves may change places with each other. In a bin sorted by state, leaves of which the
 /// nearer hides the farther may, whatever their state; others may inside one state. Other bins keep cull's order.
-fn regroupable(sort: SortMode, states: &[StateKey], leaves: &[RenderLeaf], first: &RenderLeaf) -> usize {
-    if sort != SortMode::ByState {
-        return leaves.len();
-    }
-    let is_free = |l: &RenderLeaf| states.get(l.state as usize).is_none_or(|s| s.order_is_free);
-    let fits = |l: &RenderLeaf| if is_free(first) { is_free(l) } else { l.state == first.state };
-    leaves.iter().position(|l| !fits(l)).unwrap_or(leaves.len())
-}
-
-#[cfg(test)]
-mod tests {
-    use std::sync::Arc;
-
-    use super::*;
-    use crate::cull::{CullCamera, CullVisitor};
-    use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
-    use crate::math::Aabb;
-    use crate::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Page, Scene, Topology};
-
-    #[test]
-    fn a_steady_batch_keeps_its_memory() {
-        let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, validation: false };
-        let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
-        let drawable = |z: f64| {
-            let vertices = vec![MeshVertex { position: [0.0, 0.0, z as f32], ..MeshVertex::default() }; 3];
-            let bounds = Aabb { min: glam::DVec3::new(-1.0, -1.0, z), max: glam::DVec3::new(1.0, 1.0, z) };
-            let mesh = Mesh { vertices, indices: [0, 1, 2].into(), topology: Topology::Triangles, bounds };
-            Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
-        };
-        let nodes = (0..200).map(|i| Node::geode(vec![drawable(-5.0 - f64::from(i))])).collect();
-        let mut page = Page::from_node(Node::group(nodes)).unwrap();
-        ctx.compile(CompileOperation { ticket: 0, drawables: page.take_drawables() });
-        ctx.run_compiles(&CompileBudget::UNLIMITED);
-        page.set_draw_slots(0, ctx.take_compiled().remove(0).slots);
-        let mut scene = Scene::new();
-        scene.add_root(page);
-        let mut stage = RenderStage::new();
-        CullVisitor::new().cull(&scene, &CullCamera::default(), &mut stage);
-
-        let mut batch = Batch::default();
-        let mut pipelines = Pipelines::new(ctx.device());
-        let memory = |b: &Batch| {
-            let places = (b.items.as_ptr() as usize, b.leaves.as_ptr() as usize, b.runs.as_ptr() as usize);
-            (places, b.items.capacity(), b.leaves.capacity(), b.runs.capacity())
-        };
-        assert_eq!(batch.build(&ctx, &mut pipelines, &stage, usize::MAX), 0);
-        assert_eq!(batch.leaves.len(), 200);
-        let warm = memory(&batch);
-        for _ in 0..10 {
-            batch.build(&ctx, &mut pipelines, &stage, usize::MAX);
-            assert_eq!(memory(&batch), warm);
+fn regroupable(sort: SortMode, states: &[StateEntry], leaves: &[RenderLeaf]) -> usize {
+    let Some(first) = leaves.first().filter(|_| sort == SortMode::ByState) else { return leaves.len() };
+    let is_free = |state: u32| states.get(state as usize).is_none_or(|s| s.key.order_is_free);
+    let first_is_free = is_free(first.state);
+    let mut fits = first.state;
+    for (place, leaf) in leaves.iter().enumerate() {
+        if leaf.state != fits {
+            if !first_is_free || !is_free(leaf.state) {
+                return place;
+            }
+            fits = leaf.state;
         }
-        // What does not fit into the adapter's buffer is dropped and counted.
-        assert_eq!(batch.build(&ctx, &mut pipelines, &stage, 150), 50);
-        assert_eq!(batch.leaves.len(), 150);
     }
+    leaves.len()
 }

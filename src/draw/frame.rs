@@ -1,6 +1,6 @@
 //! Mirrors of the shaders' structs, and how a frame's uniform is filled. A test compares them with naga's layout.
 
-use glam::{DVec3, Mat4, Vec3};
+use glam::{DMat4, DVec3, Mat4, Vec3};
 
 use super::environment::{Environment, Sky};
 use crate::cull::RenderStage;
@@ -54,6 +54,11 @@ pub(super) struct LeafUniform {
     pub(super) side: u32,
 }
 
+impl LeafUniform {
+    pub(super) const EMPTY: Self =
+        Self { eye_from_drawable: [[0.0; 4]; 3], color: [0.0; 4], layer: 0, flags: 0, alpha_cutoff: 0.0, side: 0 };
+}
+
 /// Not lit.
 pub(super) const FLAG_UNLIT: u32 = 1;
 
@@ -84,7 +89,8 @@ pub(super) fn clear_color(environment: &Environment, frame: &FrameUniform) -> wg
 }
 
 impl FrameUniform {
-    pub(super) fn new(stage: &RenderStage, environment: &Environment) -> Self {
+    /// For one of the stage's projections.
+    pub(super) fn new(stage: &RenderStage, clip_from_eye: &DMat4, environment: &Environment) -> Self {
         let camera = &stage.camera;
         let world_from_eye = camera.eye_from_world.inverse();
         let eye = world_from_eye.translation;
@@ -111,7 +117,7 @@ impl FrameUniform {
         let space = [0.002, 0.002, 0.004];
         let fog = environment.fog;
         let density = if fog.enabled && fog.density_per_m.is_finite() { f64::from(fog.density_per_m) } else { 0.0 };
-        let p = &camera.clip_from_eye;
+        let p = clip_from_eye;
         let sse_scale = camera.px_per_radian() / (camera.settings.max_sse_px * camera.settings.lod_scale).max(1e-9);
         Self {
             clip_from_eye: p.as_mat4(),

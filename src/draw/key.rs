@@ -2,13 +2,14 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16 blend   17-20 source   21-24 destination   25-27 equation   28-35 offset
+//! 11-12 polygon mode   13-15 color mask   16 blend   17-20 source   21-24 destination   25-27 equation   28-33 offset
+//! 34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program
 //! ```
 
-use crate::scene::{AlphaMode, Topology};
+use crate::scene::Topology;
 use crate::state::{
-    BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, FrontFace, PolygonMode, PolygonOffset,
-    ResolvedState,
+    BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, FrontFace, Mode, PolygonMode,
+    PolygonOffset, ResolvedState, Stencil,
 };
 
 /// Key of a pipeline.
@@ -35,10 +36,31 @@ pub(super) enum Kind {
 const CLOCKWISE: u64 = 1 << 10;
 const BLEND: u64 = 1 << 16;
 /// What triangles alone have: culled faces, polygon mode, offset.
-const OF_TRIANGLES: u64 = 3 << 4 | 3 << 11 | 0xff << 28;
+const OF_TRIANGLES: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
+const FIXED: u64 = 1 << 40;
+const ALPHA_TO_COVERAGE: u64 = 1 << 41;
+const PROGRAM: u64 = 0x3ff << 48;
+
+/// Who shades.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Shading {
+    /// Sun, sky and haze: the shaders of height tiles and meshes.
+    Plain,
+    /// Lights, materials, fog, textures of units.
+    FixedFunction,
+    /// One of the application's, by its place among them; height tiles stay plain.
+    Program(u16),
+    /// What cannot be shaded as it should, so that it is seen; height tiles are plain.
+    Fallback,
+}
+
+/// Most programs at once.
+pub(super) const MOST_PROGRAMS: usize = 1022;
+/// Most different targets.
+pub(super) const MOST_TARGETS: usize = 64;
 
 /// The pipeline part of a resolved state, made once a frame for each.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct StateKey {
     common: u64,
     /// Culled faces of single-sided and of double-sided drawables.
@@ -49,8 +71,9 @@ pub(super) struct StateKey {
 }
 
 impl StateKey {
-    /// `offset` is the index of the state's polygon offset in [`Offsets`].
-    pub fn new(state: &ResolvedState, offset: u8) -> Self {
+    /// `offset` and `stencil` are the indices of the state's polygon offset and stencil in [`Offsets`] and
+    /// [`Stencils`], `target` is that of what is drawn into.
+    pub fn new(state: &ResolvedState, offset: u8, stencil: u8, shading: Shading, target: u8) -> Self {
         let depth = state.depth();
         let (compare, write) = depth.map_or((CompareFunction::Always, false), |d| (d.function, d.write));
         let culled = |double_sided| match state.culled_face(double_sided) {
@@ -65,7 +88,18 @@ impl StateKey {
             | (compare as u64) << 7
             | (state.polygon_mode() as u64) << 11
             | (0..3).map(|i| u64::from(mask[i]) << (13 + i)).sum::<u64>()
-            | u64::from(offset) << 28;
+            | u64::from(offset & 63) << 28
+            | u64::from(stencil & 63) << 34
+            | u64::from(target & 63) << 42;
+        match shading {
+            Shading::Plain => {}
+            Shading::FixedFunction => common |= FIXED,
+            Shading::Program(place) => common |= (u64::from(place) + 1) << 48 & PROGRAM,
+            Shading::Fallback => common |= PROGRAM,
+        }
+        if state.mode(Mode::AlphaToCoverage) {
+            common |= ALPHA_TO_COVERAGE;
+        }
         if state.front_face() == FrontFace::Clockwise {
             common |= CLOCKWISE;
         }
@@ -75,7 +109,8 @@ impl StateKey {
                 BLEND | (source as u64) << 17 | (destination as u64) << 21 | (state.blend_equation() as u64) << 25;
         }
         let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
-        Self { common, culled: [culled(false), culled(true)], blends, order_is_free: write && nearer_wins && !blends }
+        let order_is_free = write && nearer_wins && !blends && stencil == 0;
+        Self { common, culled: [culled(false), culled(true)], blends, order_is_free }
     }
 }
 
@@ -85,19 +120,19 @@ impl PipelineKey {
     pub fn height(state: &StateKey, mirrored: bool) -> Self {
         let alpha = if state.blends { 2 << 2 } else { 0 };
         let front = if mirrored { 0 } else { CLOCKWISE };
-        Self((state.common | state.culled[1] | alpha) ^ front)
+        Self(((state.common & !PROGRAM) | state.culled[1] | alpha) ^ front)
     }
 
     /// Meshes, lines and points.
-    pub fn mesh(state: &StateKey, topology: Topology, alpha: AlphaMode, double_sided: bool, mirrored: bool) -> Self {
+    pub fn mesh(state: &StateKey, topology: Topology, is_masked: bool, double_sided: bool, mirrored: bool) -> Self {
         let kind = match topology {
             Topology::Triangles => 1,
             Topology::Lines => 2,
             Topology::Points => 3,
         };
-        let alpha = match alpha {
+        let alpha = match () {
             _ if state.blends => 2 << 2,
-            AlphaMode::Mask(_) if kind == 1 => 1 << 2,
+            _ if is_masked && kind == 1 => 1 << 2,
             _ => 0,
         };
         let common = if kind == 1 {
@@ -177,7 +212,34 @@ impl PipelineKey {
     }
 
     pub fn offset(self) -> u8 {
-        self.field(28, 8) as u8
+        self.field(28, 6) as u8
+    }
+
+    pub fn stencil(self) -> u8 {
+        self.field(34, 6) as u8
+    }
+
+    pub fn target(self) -> usize {
+        self.field(42, 6)
+    }
+
+    pub fn has_alpha_to_coverage(self) -> bool {
+        self.0 & ALPHA_TO_COVERAGE != 0
+    }
+
+    pub fn shading(self) -> Shading {
+        match self.field(48, 10) {
+            0 if self.0 & FIXED != 0 => Shading::FixedFunction,
+            0 => Shading::Plain,
+            0x3ff => Shading::Fallback,
+            place => Shading::Program(place as u16 - 1),
+        }
+    }
+
+    /// The same, shaded so that a fault is seen.
+    pub fn fallback(self) -> Self {
+        let plain = self.0 & !(PROGRAM | FIXED);
+        Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM })
     }
 
     fn field(self, shift: u32, bits: u32) -> usize {
@@ -190,12 +252,12 @@ impl PipelineKey {
 pub(super) struct Offsets(Vec<PolygonOffset>);
 
 impl Offsets {
-    /// The index of an offset. Beyond 255 different ones the last is used for all further.
+    /// The index of an offset. Beyond 63 different ones the last is used for all further.
     pub fn index_of(&mut self, offset: Option<PolygonOffset>) -> u8 {
         let usable = offset.filter(|o| o.factor.is_finite() && o.units.is_finite());
         let Some(offset) = usable.filter(|o| *o != PolygonOffset::default()) else { return 0 };
         let place = self.0.iter().position(|o| *o == offset).unwrap_or_else(|| {
-            if self.0.len() < 255 {
+            if self.0.len() < 63 {
                 self.0.push(offset);
             }
             self.0.len() - 1
@@ -208,10 +270,32 @@ impl Offsets {
     }
 }
 
+/// The stencil states met so far, references apart; 0 is none.
+#[derive(Debug, Default)]
+pub(super) struct Stencils(Vec<Stencil>);
+
+impl Stencils {
+    /// The index of a stencil state. Beyond 63 different ones the last is used for all further.
+    pub fn index_of(&mut self, stencil: Option<Stencil>) -> u8 {
+        let Some(stencil) = stencil.map(|s| Stencil { reference: 0, ..s }) else { return 0 };
+        let place = self.0.iter().position(|s| *s == stencil).unwrap_or_else(|| {
+            if self.0.len() < 63 {
+                self.0.push(stencil);
+            }
+            self.0.len() - 1
+        });
+        place as u8 + 1
+    }
+
+    pub fn get(&self, index: u8) -> Option<Stencil> {
+        usize::from(index).checked_sub(1).and_then(|i| self.0.get(i)).copied()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::{Attribute, Depth, Mode, StateSet, StateValue};
+    use crate::state::{Attribute, Depth, StateSet, StateValue};
 
     #[test]
     fn what_is_packed_comes_out() {
@@ -226,17 +310,20 @@ mod tests {
             .with(Attribute::FrontFace(FrontFace::Clockwise))
             .with(Attribute::PolygonMode(PolygonMode::Point))
             .with(Attribute::ColorMask(ColorMask([true, false, true])));
-        let state = StateKey::new(&ResolvedState::default().below(&set), 200);
-        let key = PipelineKey::mesh(&state, Topology::Triangles, AlphaMode::Opaque, false, false);
+        let state = StateKey::new(&ResolvedState::default().below(&set), 50, 60, Shading::Program(1000), 33);
+        let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false);
         assert_eq!((key.kind(), key.alpha(), key.culled()), (Kind::Triangles, Alpha::Blended, 2));
         assert_eq!((key.writes_depth(), key.depth_compare()), (false, CompareFunction::NotEqual));
         assert_eq!((key.is_clockwise(), key.polygon_mode(), key.color_mask()), (true, PolygonMode::Point, 0b101));
         let blend = (BlendFactor::OneMinusDstColor, BlendFactor::SrcAlphaSaturate, BlendEquation::Max);
-        assert_eq!((key.blend(), key.offset()), (Some(blend), 200));
+        assert_eq!((key.blend(), key.offset()), (Some(blend), 50));
+        assert_eq!((key.stencil(), key.target(), key.shading()), (60, 33, Shading::Program(1000)));
+        assert_eq!(key.fallback().shading(), Shading::Fallback);
+        assert_eq!(PipelineKey::height(&state, false).shading(), Shading::Plain);
         assert!(!state.order_is_free);
-        let mirrored = PipelineKey::mesh(&state, Topology::Triangles, AlphaMode::Opaque, true, true);
+        let mirrored = PipelineKey::mesh(&state, Topology::Triangles, false, true, true);
         assert_eq!((mirrored.is_clockwise(), mirrored.culled()), (false, 0));
-        let line = PipelineKey::mesh(&state, Topology::Lines, AlphaMode::Mask(0.5), false, true);
+        let line = PipelineKey::mesh(&state, Topology::Lines, true, false, true);
         assert_eq!(
             (line.kind(), line.culled(), line.offset(), line.polygon_mode()),
             (Kind::Lines, 0, 0, PolygonMode::Fill)
@@ -245,13 +332,13 @@ mod tests {
 
     #[test]
     fn the_defaults_are_plain() {
-        let state = StateKey::new(&ResolvedState::default(), 0);
+        let state = StateKey::new(&ResolvedState::default(), 0, 0, Shading::Plain, 0);
         assert!(state.order_is_free);
         let key = PipelineKey::height(&state, true);
         assert_eq!((key.kind(), key.culled(), key.blend(), key.color_mask()), (Kind::Height, 0, None, 7));
         assert_eq!((key.depth_compare(), key.writes_depth()), (CompareFunction::Less, true));
         let off = StateSet::default().with_mode(Mode::DepthTest, StateValue::OFF);
-        let state = StateKey::new(&ResolvedState::default().below(&off), 0);
+        let state = StateKey::new(&ResolvedState::default().below(&off), 0, 0, Shading::FixedFunction, 0);
         let key = PipelineKey::height(&state, false);
         assert_eq!(
             (key.depth_compare(), key.writes_depth(), key.is_clockwise()),
@@ -272,6 +359,6 @@ mod tests {
         for i in 0..300 {
             offsets.index_of(Some(PolygonOffset { factor: 0.0, units: i as f32 + 1.0 }));
         }
-        assert_eq!(offsets.0.len(), 255);
+        assert_eq!(offsets.0.len(), 63);
     }
 }

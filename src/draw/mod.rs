@@ -4,18 +4,28 @@
 //! overlap the next frame's update, since a stage holds no reference into the scene.
 //!
 //! ```text
-//! RenderStage -> leaves with their keys (pipeline, block, geometry), regrouped inside bins sorted by state
-//!             -> one storage buffer of per-leaf data, one uniform of per-frame data
-//!             -> runs of equal keys: one instanced draw each, state set only where it changes
-//!             -> sky behind everything opaque, before the first pipeline that writes no depth
+//! RenderStage -> its states: pipeline keys, viewports and references, uniforms, textures
+//!             -> its leaves, regrouped inside bins sorted by state: one storage buffer of per-leaf data,
+//!                runs of equal geometry (one instanced draw each) in buckets of equal bindings
+//!             -> a pass: state set only where it changes; runs of a bucket by one indirect call
 //! ```
+//! Stages of cameras that are drawn before or after are passes before or after, into textures or the same target.
 
+mod answers;
 mod batch;
+mod callbacks;
 mod environment;
+mod fixed;
 mod frame;
+mod groups;
 mod key;
+mod lookup;
 mod pipelines;
+mod plan;
+mod programs;
 mod renderer;
+mod state;
 
+pub use callbacks::{CameraCallbacks, RenderInfo};
 pub use environment::{Environment, Fog, Sky};
-pub use renderer::{DrawStats, Renderer};
+pub use renderer::{DrawStats, FrameTimes, Renderer};

@@ -2,27 +2,74 @@
 
 use std::collections::HashMap;
 
-use super::key::{Alpha, Kind, Offsets, PipelineKey, StateKey};
-use crate::gpu::{DEPTH_FORMAT, GraphicsContext};
+use super::key::{Alpha, Kind, MOST_TARGETS, Offsets, PipelineKey, Shading, StateKey, Stencils};
+use super::programs::Programs;
+use crate::gpu::{GraphicsContext, compare_function};
 use crate::scene::MeshVertex;
-use crate::state::{BlendEquation, BlendFactor, CompareFunction, PolygonMode, PolygonOffset, ResolvedState};
+use crate::state::{
+    BlendEquation, BlendFactor, CompareFunction, PolygonMode, PolygonOffset, ResolvedState, StencilFace,
+    StencilOperation, TEXTURE_UNITS,
+};
 
 const HEIGHT_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/height.wgsl"));
-const MESH_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/mesh.wgsl"));
+const MESH_WGSL: &str = concat!(
+    include_str!("shaders/frame.wgsl"),
+    include_str!("shaders/mesh_vertex.wgsl"),
+    include_str!("shaders/mesh.wgsl")
+);
+const FIXED_HEIGHT_WGSL: &str = concat!(
+    include_str!("shaders/frame.wgsl"),
+    include_str!("shaders/height.wgsl"),
+    include_str!("shaders/fixed.wgsl"),
+    include_str!("shaders/fixed_height.wgsl")
+);
+const FIXED_MESH_WGSL: &str = concat!(
+    include_str!("shaders/frame.wgsl"),
+    include_str!("shaders/mesh_vertex.wgsl"),
+    include_str!("shaders/mesh.wgsl"),
+    include_str!("shaders/fixed.wgsl"),
+    include_str!("shaders/fixed_mesh.wgsl")
+);
 const SKY_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/sky.wgsl"));
+const QUERY_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/query.wgsl"));
+/// What stands before the source of a program.
+pub(super) const PROGRAM_PRELUDE: &str =
+    concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/mesh_vertex.wgsl"));
+
+/// Most colour attachments of a target.
+pub(super) const MOST_COLORS: usize = 4;
+
+/// What pipelines must know of what is drawn into.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct TargetKey {
+    pub(super) colors: [Option<wgpu::TextureFormat>; MOST_COLORS],
+    pub(super) depth: wgpu::TextureFormat,
+    pub(super) samples: u32,
+    /// Textures keep alpha; pictures stay opaque.
+    pub(super) writes_alpha: bool,
+}
 
 /// Pipelines of a renderer, by key.
 pub(super) struct Pipelines {
     pub(super) frame_layout: wgpu::BindGroupLayout,
+    /// Group 2 of the fixed function.
+    pub(super) fixed_layout: wgpu::BindGroupLayout,
+    pub(super) programs: Programs,
     pipelines: Vec<wgpu::RenderPipeline>,
     /// Only looked up, never walked.
     index_of: HashMap<PipelineKey, u32>,
     offsets: Offsets,
-    sky: Option<wgpu::RenderPipeline>,
-    height_shader: Option<wgpu::ShaderModule>,
-    mesh_shader: Option<wgpu::ShaderModule>,
+    stencils: Stencils,
+    targets: Vec<TargetKey>,
+    /// By target.
+    skies: Vec<Option<wgpu::RenderPipeline>>,
+    queries: Vec<Option<wgpu::RenderPipeline>>,
+    /// Modules by the address of their source.
+    modules: Vec<(&'static str, wgpu::ShaderModule)>,
     features: wgpu::Features,
     created: u32,
+    /// What could not be made, once each.
+    pub(super) errors: Vec<String>,
 }
 
 /// The parts in which pipelines differ.
@@ -32,6 +79,8 @@ struct Variant<'a> {
     vertex: &'a str,
     fragment: &'a str,
     block_layout: Option<&'a wgpu::BindGroupLayout>,
+    state_layout: Option<&'a wgpu::BindGroupLayout>,
+    constants: &'a [(&'a str, f64)],
     buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
     topology: wgpu::PrimitiveTopology,
     culled: Option<wgpu::Face>,
@@ -39,44 +88,69 @@ struct Variant<'a> {
     polygon_mode: wgpu::PolygonMode,
     depth_write: bool,
     depth_compare: wgpu::CompareFunction,
+    stencil: wgpu::StencilState,
     bias: wgpu::DepthBiasState,
     blend: Option<wgpu::BlendState>,
     write_mask: wgpu::ColorWrites,
-}
-
-fn shader(device: &wgpu::Device, label: &str, source: &'static str) -> wgpu::ShaderModule {
-    device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some(label),
-        source: wgpu::ShaderSource::Wgsl(source.into()),
-    })
+    /// Bits of the attachments that the fragment shader writes.
+    outputs: u32,
+    alpha_to_coverage: bool,
+    target: TargetKey,
 }
 
 impl Pipelines {
     pub(super) fn new(device: &wgpu::Device) -> Self {
-        let entry = |binding, visibility, ty| wgpu::BindGroupLayoutEntry {
+        let buffer = |binding, visibility, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
             binding,
             visibility,
-            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
+            ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
             count: None,
         };
         let both = wgpu::ShaderStages::VERTEX_FRAGMENT;
+        let uniform = wgpu::BufferBindingType::Uniform;
         let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("frame"),
             entries: &[
-                entry(0, both, wgpu::BufferBindingType::Uniform),
-                entry(1, both, wgpu::BufferBindingType::Storage { read_only: true }),
+                buffer(0, both, uniform, true),
+                buffer(1, both, wgpu::BufferBindingType::Storage { read_only: true }, false),
+                buffer(2, both, uniform, true),
             ],
+        });
+        let mut fixed = vec![buffer(0, both, uniform, true)];
+        let planes = [wgpu::TextureViewDimension::D2; TEXTURE_UNITS];
+        let others =
+            [wgpu::TextureViewDimension::Cube, wgpu::TextureViewDimension::D3, wgpu::TextureViewDimension::D2Array];
+        for (unit, view_dimension) in (0u32..).zip(planes.into_iter().chain(others)) {
+            let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+                binding,
+                visibility: wgpu::ShaderStages::FRAGMENT,
+                ty,
+                count: None,
+            };
+            let sample_type = wgpu::TextureSampleType::Float { filterable: true };
+            let texture = wgpu::BindingType::Texture { sample_type, view_dimension, multisampled: false };
+            fixed.push(entry(1 + 2 * unit, texture));
+            fixed.push(entry(2 + 2 * unit, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)));
+        }
+        let fixed_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("fixed function"),
+            entries: &fixed,
         });
         Self {
             frame_layout,
+            fixed_layout,
+            programs: Programs::default(),
             pipelines: Vec::new(),
             index_of: HashMap::new(),
             offsets: Offsets::default(),
-            sky: None,
-            height_shader: None,
-            mesh_shader: None,
+            stencils: Stencils::default(),
+            targets: Vec::new(),
+            skies: Vec::new(),
+            queries: Vec::new(),
+            modules: Vec::new(),
             features: device.features(),
             created: 0,
+            errors: Vec::new(),
         }
     }
 
@@ -91,42 +165,101 @@ impl Pipelines {
     }
 
     /// The pipeline part of a state.
-    pub(super) fn state_key(&mut self, state: &ResolvedState) -> StateKey {
-        StateKey::new(state, self.offsets.index_of(state.polygon_offset()))
+    pub(super) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u8) -> StateKey {
+        let offset = self.offsets.index_of(state.polygon_offset());
+        let stencil = self.stencils.index_of(state.stencil());
+        StateKey::new(state, offset, stencil, shading, target)
     }
 
-    pub(super) fn sky(&self) -> Option<&wgpu::RenderPipeline> {
-        self.sky.as_ref()
+    /// The index of a target; `None` when there are too many different ones.
+    pub(super) fn target(&mut self, key: &TargetKey) -> Option<u8> {
+        let place = match self.targets.iter().position(|t| t == key) {
+            Some(place) => place,
+            None if self.targets.len() < MOST_TARGETS => {
+                self.targets.push(*key);
+                self.skies.push(None);
+                self.queries.push(None);
+                self.targets.len() - 1
+            }
+            None => return None,
+        };
+        Some(place as u8)
     }
 
-    /// Makes the sky's pipeline unless it is there.
-    pub(super) fn ensure_sky(&mut self, ctx: &GraphicsContext) {
-        if self.sky.is_some() {
-            return;
+    pub(super) fn sky(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
+        self.skies.get(usize::from(target))?.as_ref()
+    }
+
+    pub(super) fn query(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
+        self.queries.get(usize::from(target))?.as_ref()
+    }
+
+    fn module(&mut self, ctx: &GraphicsContext, label: &str, source: &'static str) -> wgpu::ShaderModule {
+        if let Some((_, module)) = self.modules.iter().find(|(s, _)| std::ptr::eq(*s, source)) {
+            return module.clone();
         }
-        let module = shader(ctx.device(), "sky", SKY_WGSL);
-        self.sky = Some(self.create(
-            ctx,
-            &Variant {
-                label: "sky",
-                shader: &module,
-                vertex: "vs_sky",
-                fragment: "fs_sky",
-                block_layout: None,
-                buffers: &[],
-                topology: wgpu::PrimitiveTopology::TriangleList,
-                culled: None,
-                front_face: wgpu::FrontFace::Ccw,
-                polygon_mode: wgpu::PolygonMode::Fill,
-                depth_write: false,
-                // Only where nothing was drawn: the depth is still the cleared 0.
-                depth_compare: wgpu::CompareFunction::GreaterEqual,
-                bias: wgpu::DepthBiasState::default(),
-                blend: None,
-                write_mask: wgpu::ColorWrites::COLOR,
-            },
-        ));
-        self.created += 1;
+        let module = ctx.device().create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(label),
+            source: wgpu::ShaderSource::Wgsl(source.into()),
+        });
+        self.modules.push((source, module.clone()));
+        module
+    }
+
+    /// A pipeline without vertices or block.
+    fn bare<'a>(
+        label: &'a str,
+        shader: &'a wgpu::ShaderModule,
+        [vertex, fragment]: [&'a str; 2],
+        target: TargetKey,
+    ) -> Variant<'a> {
+        Variant {
+            label,
+            shader,
+            vertex,
+            fragment,
+            block_layout: None,
+            state_layout: None,
+            constants: &[],
+            buffers: &[],
+            topology: wgpu::PrimitiveTopology::TriangleList,
+            culled: None,
+            front_face: wgpu::FrontFace::Ccw,
+            polygon_mode: wgpu::PolygonMode::Fill,
+            depth_write: false,
+            // Equal: where nothing was drawn, the depth is still the cleared 0.
+            depth_compare: wgpu::CompareFunction::GreaterEqual,
+            stencil: wgpu::StencilState::default(),
+            bias: wgpu::DepthBiasState::default(),
+            blend: None,
+            write_mask: wgpu::ColorWrites::COLOR,
+            outputs: 1,
+            alpha_to_coverage: false,
+            target,
+        }
+    }
+
+    /// Makes the sky's pipeline for a target unless it is there.
+    pub(super) fn ensure_sky(&mut self, ctx: &GraphicsContext, target: u8) {
+        let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
+        if self.sky(target).is_none() {
+            let module = self.module(ctx, "sky", SKY_WGSL);
+            let variant = Self::bare("sky", &module, ["vs_sky", "fs_sky"], key);
+            self.skies[usize::from(target)] = self.create(ctx, &variant);
+            self.created += 1;
+        }
+    }
+
+    /// Makes the pipeline of occlusion queries for a target unless it is there.
+    pub(super) fn ensure_query(&mut self, ctx: &GraphicsContext, target: u8) {
+        let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
+        if self.query(target).is_none() {
+            let module = self.module(ctx, "query", QUERY_WGSL);
+            let mut variant = Self::bare("query", &module, ["vs_query", "fs_query"], key);
+            variant.write_mask = wgpu::ColorWrites::empty();
+            self.queries[usize::from(target)] = self.create(ctx, &variant);
+            self.created += 1;
+        }
     }
 
     /// The index of a key's pipeline; makes it unless it is there.
@@ -134,29 +267,69 @@ impl Pipelines {
         if let Some(index) = self.index_of.get(&key) {
             return *index;
         }
-        let pipeline = self.make(ctx, key);
-        let index = self.pipelines.len() as u32;
-        self.pipelines.push(pipeline);
-        self.index_of.insert(key, index);
+        let made = self.make(ctx, key);
         self.created += 1;
+        let index = match made {
+            Some(pipeline) => {
+                self.pipelines.push(pipeline);
+                self.pipelines.len() as u32 - 1
+            }
+            // Drawn otherwise, so that the fault is seen; nothing at all where that cannot be made either.
+            None if key.fallback() != key => self.ensure(ctx, key.fallback()),
+            None => u32::MAX,
+        };
+        self.index_of.insert(key, index);
         index
     }
 
-    fn make(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> wgpu::RenderPipeline {
+    fn make(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> Option<wgpu::RenderPipeline> {
         let is_height = key.kind() == Kind::Height;
-        let (module, vertex) = if is_height {
-            (self.height_shader.get_or_insert_with(|| shader(ctx.device(), "height", HEIGHT_WGSL)), "vs_height")
-        } else {
-            (self.mesh_shader.get_or_insert_with(|| shader(ctx.device(), "mesh", MESH_WGSL)), "vs_mesh")
-        };
-        let module = module.clone();
-        let fragment = match (key.kind(), key.alpha()) {
-            (Kind::Height, _) => "fs_height",
-            (Kind::Lines | Kind::Points, _) => "fs_thin",
-            (Kind::Triangles, Alpha::Masked) => "fs_mesh_masked",
-            (Kind::Triangles, Alpha::Blended) => "fs_mesh_blended",
-            (Kind::Triangles, Alpha::Opaque) => "fs_mesh",
-        };
+        let is_thin = matches!(key.kind(), Kind::Lines | Kind::Points);
+        let target = self.targets.get(key.target()).copied()?;
+        let layouts = ctx.layouts();
+        let fixed_layout = self.fixed_layout.clone();
+        let (module, vertex, fragment, state_layout, constants, outputs);
+        match key.shading() {
+            Shading::Program(place) => {
+                let program = self.programs.get(place)?;
+                (module, vertex, fragment) = (program.module.clone(), "vs_main", "fs_main");
+                (state_layout, outputs) = (Some(program.layout.clone()), program.outputs);
+                constants = program.constants.clone();
+            }
+            Shading::FixedFunction => {
+                (module, vertex, fragment) = match key.kind() {
+                    Kind::Height => {
+                        (self.module(ctx, "fixed height", FIXED_HEIGHT_WGSL), "vs_fixed_height", "fs_fixed_height")
+                    }
+                    Kind::Triangles => {
+                        (self.module(ctx, "fixed mesh", FIXED_MESH_WGSL), "vs_fixed_mesh", "fs_fixed_mesh")
+                    }
+                    _ => (self.module(ctx, "fixed mesh", FIXED_MESH_WGSL), "vs_fixed_mesh", "fs_fixed_thin"),
+                };
+                (state_layout, outputs, constants) = (Some(fixed_layout), 1, Vec::new());
+            }
+            Shading::Fallback => {
+                (module, vertex, fragment) = (self.module(ctx, "mesh", MESH_WGSL), "vs_mesh", "fs_fallback");
+                (state_layout, outputs, constants) = (None, 1, Vec::new());
+            }
+            Shading::Plain => {
+                let has_alpha = key.has_alpha_to_coverage();
+                (module, vertex) = if is_height {
+                    (self.module(ctx, "height", HEIGHT_WGSL), "vs_height")
+                } else {
+                    (self.module(ctx, "mesh", MESH_WGSL), "vs_mesh")
+                };
+                fragment = match (key.kind(), key.alpha()) {
+                    (Kind::Height, _) => "fs_height",
+                    _ if is_thin => "fs_thin",
+                    (_, Alpha::Masked) => "fs_mesh_masked",
+                    (_, Alpha::Opaque) if !has_alpha => "fs_mesh",
+                    _ => "fs_mesh_blended",
+                };
+                (state_layout, outputs, constants) = (None, 1, Vec::new());
+            }
+        }
+        let constants: Vec<(&str, f64)> = constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let topology = match key.kind() {
             Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
             Kind::Lines => wgpu::PrimitiveTopology::LineList,
@@ -167,13 +340,20 @@ impl Pipelines {
             step_mode: wgpu::VertexStepMode::Vertex,
             attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x2, 2 => Snorm8x4, 3 => Unorm8x4],
         })];
-        let layouts = ctx.layouts();
+        let mut write_mask = wgpu::ColorWrites::from_bits_truncate(key.color_mask() as u32);
+        write_mask.set(wgpu::ColorWrites::ALPHA, target.writes_alpha);
+        let mut label = format!("{fragment} of target {}", key.target());
+        if let Shading::Program(place) = key.shading() {
+            label = format!("program {place}, {label}");
+        }
         let variant = Variant {
-            label: fragment,
+            label: &label,
             shader: &module,
             vertex,
             fragment,
             block_layout: Some(if is_height { &layouts.height_block } else { &layouts.texture_block }),
+            state_layout: state_layout.as_ref(),
+            constants: &constants,
             buffers: if is_height { &[] } else { &vertices },
             topology,
             culled: match key.culled() {
@@ -186,6 +366,7 @@ impl Pipelines {
             polygon_mode: self.polygon_mode(key.polygon_mode()),
             depth_write: key.writes_depth(),
             depth_compare: if key.culled() == 3 { wgpu::CompareFunction::Never } else { reversed(key.depth_compare()) },
+            stencil: self.stencil_state(key.stencil(), target.depth),
             bias: bias(self.offsets.get(key.offset())),
             blend: key.blend().map(|(source, destination, equation)| {
                 let component = wgpu::BlendComponent {
@@ -195,7 +376,10 @@ impl Pipelines {
                 };
                 wgpu::BlendState { color: component, alpha: component }
             }),
-            write_mask: wgpu::ColorWrites::from_bits_truncate(key.color_mask() as u32),
+            write_mask,
+            outputs,
+            alpha_to_coverage: key.has_alpha_to_coverage() && target.samples > 1,
+            target,
         };
         self.create(ctx, &variant)
     }
@@ -211,21 +395,49 @@ impl Pipelines {
         }
     }
 
-    fn create(&self, ctx: &GraphicsContext, variant: &Variant<'_>) -> wgpu::RenderPipeline {
+    /// Nothing where the target has no stencil.
+    fn stencil_state(&self, index: u8, depth: wgpu::TextureFormat) -> wgpu::StencilState {
+        match self.stencils.get(index).filter(|_| depth.has_stencil_aspect()) {
+            None => wgpu::StencilState::default(),
+            Some(stencil) => wgpu::StencilState {
+                front: stencil_face(&stencil.front),
+                back: stencil_face(&stencil.back),
+                read_mask: u32::from(stencil.read_mask),
+                write_mask: u32::from(stencil.write_mask),
+            },
+        }
+    }
+
+    /// `None`, and an error kept, where the device refuses.
+    fn create(&mut self, ctx: &GraphicsContext, variant: &Variant<'_>) -> Option<wgpu::RenderPipeline> {
         let device = ctx.device();
-        let layouts = [Some(&self.frame_layout), variant.block_layout];
+        let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let layouts = [Some(&self.frame_layout), variant.block_layout, variant.state_layout];
+        let used = layouts.iter().take_while(|l| l.is_some()).count();
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some(variant.label),
-            bind_group_layouts: if variant.block_layout.is_some() { &layouts } else { &layouts[..1] },
+            bind_group_layouts: &layouts[..used],
             immediate_size: 0,
         });
-        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        let target = &variant.target;
+        let colors = target.colors.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
+        let mut states = [const { None }; MOST_COLORS];
+        for (location, (state, format)) in states.iter_mut().zip(target.colors).enumerate() {
+            let is_written = variant.outputs >> location & 1 == 1;
+            *state = format.map(|format| wgpu::ColorTargetState {
+                format,
+                blend: variant.blend.filter(|_| is_written),
+                write_mask: if is_written { variant.write_mask } else { wgpu::ColorWrites::empty() },
+            });
+        }
+        let options = wgpu::PipelineCompilationOptions { constants: variant.constants, ..Default::default() };
+        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
             label: Some(variant.label),
             layout: Some(&layout),
             vertex: wgpu::VertexState {
                 module: variant.shader,
                 entry_point: Some(variant.vertex),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                compilation_options: options.clone(),
                 buffers: variant.buffers,
             },
             primitive: wgpu::PrimitiveState {
@@ -236,27 +448,54 @@ impl Pipelines {
                 ..Default::default()
             },
             depth_stencil: Some(wgpu::DepthStencilState {
-                format: DEPTH_FORMAT,
+                format: target.depth,
                 depth_write_enabled: Some(variant.depth_write),
                 depth_compare: Some(variant.depth_compare),
-                stencil: wgpu::StencilState::default(),
+                stencil: variant.stencil.clone(),
                 bias: variant.bias,
             }),
-            multisample: wgpu::MultisampleState::default(),
-            fragment: Some(wgpu::FragmentState {
+            multisample: wgpu::MultisampleState {
+                count: target.samples,
+                alpha_to_coverage_enabled: variant.alpha_to_coverage,
+                ..Default::default()
+            },
+            fragment: (colors > 0).then(|| wgpu::FragmentState {
                 module: variant.shader,
                 entry_point: Some(variant.fragment),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                targets: &[Some(wgpu::ColorTargetState {
-                    format: ctx.color_format(),
-                    blend: variant.blend,
-                    // Never alpha: pictures stay opaque.
-                    write_mask: variant.write_mask,
-                })],
+                compilation_options: options,
+                targets: &states[..colors],
             }),
             multiview_mask: None,
             cache: None,
-        })
+        });
+        match pollster::block_on(scope.pop()) {
+            None => Some(pipeline),
+            Some(error) => {
+                let error = format!("pipeline {}: {error}", variant.label);
+                log::error!("{error}");
+                self.errors.push(error);
+                None
+            }
+        }
+    }
+}
+
+fn stencil_face(face: &StencilFace) -> wgpu::StencilFaceState {
+    let operation = |operation| match operation {
+        StencilOperation::Keep => wgpu::StencilOperation::Keep,
+        StencilOperation::Zero => wgpu::StencilOperation::Zero,
+        StencilOperation::Replace => wgpu::StencilOperation::Replace,
+        StencilOperation::Invert => wgpu::StencilOperation::Invert,
+        StencilOperation::Increment => wgpu::StencilOperation::IncrementClamp,
+        StencilOperation::Decrement => wgpu::StencilOperation::DecrementClamp,
+        StencilOperation::IncrementWrap => wgpu::StencilOperation::IncrementWrap,
+        StencilOperation::DecrementWrap => wgpu::StencilOperation::DecrementWrap,
+    };
+    wgpu::StencilFaceState {
+        compare: compare_function(face.function),
+        fail_op: operation(face.fail),
+        depth_fail_op: operation(face.depth_fail),
+        pass_op: operation(face.pass),
     }
 }
 
@@ -309,6 +548,7 @@ fn operation(equation: BlendEquation) -> wgpu::BlendOperation {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fixed::{FixedUniform, StageLight, StageUniform};
     use super::super::frame::{FrameUniform, LeafUniform};
     use super::*;
 
@@ -338,7 +578,16 @@ mod tests {
 
     #[test]
     fn shaders_are_valid_and_their_structs_are_mirrored() {
-        for (name, source) in [("height", HEIGHT_WGSL), ("mesh", MESH_WGSL), ("sky", SKY_WGSL)] {
+        let all = [
+            ("height", HEIGHT_WGSL),
+            ("mesh", MESH_WGSL),
+            ("fixed height", FIXED_HEIGHT_WGSL),
+            ("fixed mesh", FIXED_MESH_WGSL),
+            ("sky", SKY_WGSL),
+            ("query", QUERY_WGSL),
+            ("program", PROGRAM_PRELUDE),
+        ];
+        for (name, source) in all {
             let module = parse(name, source);
             let (span, fields) = members(&module, "Frame");
             assert_eq!(span as usize, size_of::<FrameUniform>(), "{name}");
@@ -352,6 +601,21 @@ mod tests {
             let rows = std::mem::offset_of!(LeafUniform, eye_from_drawable) as u32;
             assert_eq!(fields[..3].iter().map(|f| f.1).collect::<Vec<_>>(), [rows, rows + 16, rows + 32]);
             assert_eq!(fields[3..], offsets!(LeafUniform: color, layer, flags, alpha_cutoff, side));
+            let (span, fields) = members(&module, "Stage");
+            assert_eq!(span as usize, size_of::<StageUniform>(), "{name}");
+            assert_eq!(fields, offsets!(StageUniform: lights, clip_planes));
+            let (span, fields) = members(&module, "StageLight");
+            assert_eq!(span as usize, size_of::<StageLight>(), "{name}");
+            assert_eq!(fields, offsets!(StageLight: position, direction, ambient, diffuse, specular, attenuation));
+            if name.starts_with("fixed") {
+                let (span, fields) = members(&module, "Fixed");
+                assert_eq!(span as usize, size_of::<FixedUniform>(), "{name}");
+                assert_eq!(
+                    fields,
+                    offsets!(FixedUniform: ambient, diffuse, specular, emission, fog_color, fog, model_ambient, flags,
+                        units, texgens, bias, planes)
+                );
+            }
         }
     }
 

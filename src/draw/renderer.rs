@@ -1,31 +1,50 @@
-//! The renderer: executes a stage on a context.
+//! The renderer: executes a stage, and those before and after it, on a context.
 //!
-//! Draw thread only. Owns the pipelines, the per-frame buffers and the frame timer.
+//! Draw thread only. First everything is prepared (runs, uniforms, pipelines, targets), uploaded at once, then all
+//! passes are recorded into one encoder:
+//!
+//! ```text
+//! record(stage)   initial callback, stages before, pass, copies to be read back, stages after, final callback
+//!         pass    clear, pre callback, opaque runs, occlusion queries, sky, what writes no depth, post callback
+//! ```
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
+use std::sync::Arc;
 use std::time::Duration;
 
-use super::batch::{Batch, Run};
+use super::answers::{PictureReads, Queries};
+use super::batch::{Batch, StateEntry};
+use super::callbacks::{CameraCallbacks, RenderInfo};
 use super::environment::{Environment, Sky};
+use super::fixed::{FixedUniform, StageUniform, replaces_sun};
 use super::frame::{FrameUniform, LeafUniform, clear_color};
-use super::key::Kind;
+use super::groups::Groups;
+use super::key::Shading;
 use super::pipelines::Pipelines;
+use super::plan::{PassTarget, StagePlan, Targets};
+use super::programs::Builtins;
+use super::state::{Dynamics, INDIRECT_BYTES, Sources, State, Statics};
 use crate::cull::RenderStage;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
+use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, Viewport};
 
 /// Frames the processor may be ahead of the adapter.
 const FRAMES_IN_FLIGHT: usize = 2;
 /// A frame that takes longer than this has hung.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(60);
+/// Errors kept until somebody asks.
+const MOST_ERRORS: usize = 64;
+/// Statics compared with a new one, newest first.
+const STATICS_COMPARED: usize = 16;
 
 /// What a draw did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DrawStats {
     /// Leaves drawn.
     pub leaves: u32,
-    /// Draw calls, the sky's among them.
+    /// Draw calls, the sky's among them; several runs drawn by one indirect call count once.
     pub draw_calls: u32,
-    /// Pipelines, bind groups and buffers set.
+    /// Pipelines, bind groups, buffers, viewports, scissors and references set.
     pub state_changes: u32,
     /// Those not set because they were set already.
     pub state_changes_skipped: u32,
@@ -33,36 +52,61 @@ pub struct DrawStats {
     pub triangles: u64,
     /// Points submitted.
     pub points: u64,
+    /// Passes: the stages that were drawn.
+    pub passes: u32,
     /// Pipelines made in this draw; each takes long at its first use.
     pub pipelines_created: u32,
-    /// Time of the pass on the adapter, of the latest frame whose timestamps have arrived; `None` without timestamps.
+    /// Time of all passes on the adapter, of the latest frame whose timestamps have arrived; `None` without
+    /// timestamps. [`Renderer::pass_ms`] has them one by one.
     pub gpu_ms: Option<f64>,
     /// The window showed nothing, so nothing was drawn.
     pub skipped: bool,
 }
 
+impl DrawStats {
+    fn add(&mut self, other: &Self) {
+        self.draw_calls += other.draw_calls;
+        self.state_changes += other.state_changes;
+        self.state_changes_skipped += other.state_changes_skipped;
+        self.triangles += other.triangles;
+        self.points += other.points;
+        self.passes += 1;
+    }
+}
+
+/// Times of the frame for programs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrameTimes {
+    /// Seconds since the first frame.
+    pub reference_time_s: f64,
+    /// Seconds since the frame before.
+    pub delta_s: f64,
+    /// Seconds in the application's time.
+    pub simulation_time_s: f64,
+}
+
 /// Executes render stages on one [`GraphicsContext`].
 pub struct Renderer {
     pipelines: Pipelines,
-    frame_buffer: wgpu::Buffer,
+    groups: Groups,
+    targets: Targets,
     leaf_buffer: wgpu::Buffer,
     frame_bind_group: wgpu::BindGroup,
+    indirect: Option<wgpu::Buffer>,
+    indirect_bytes: Vec<u8>,
     most_leaves: usize,
     batch: Batch,
+    statics: Vec<Statics>,
+    plans: Vec<StagePlan>,
     timer: Option<FrameTimer>,
+    queries: Option<Queries>,
+    pictures: PictureReads,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
-}
-
-/// Sets state only where it changes, and counts both.
-struct State<'p, 'e> {
-    pass: &'p mut wgpu::RenderPass<'e>,
-    pipeline: Option<u32>,
-    /// Block, and whether it is one of height tiles.
-    block: Option<(bool, u32)>,
-    vertex_chunk: Option<u32>,
-    /// Chunk of meshes, or the grid of a side.
-    indices: Option<(bool, u32)>,
-    stats: DrawStats,
+    /// Times that programs see; set by the caller before each draw.
+    pub times: FrameTimes,
+    errors: Vec<String>,
+    /// What was said already.
+    said: HashSet<String>,
 }
 
 fn leaf_buffer(device: &wgpu::Device, leaves: usize) -> wgpu::Buffer {
@@ -77,15 +121,20 @@ fn leaf_buffer(device: &wgpu::Device, leaves: usize) -> wgpu::Buffer {
 fn frame_bind_group(
     device: &wgpu::Device,
     layout: &wgpu::BindGroupLayout,
-    frame: &wgpu::Buffer,
+    uniforms: &wgpu::Buffer,
     leaves: &wgpu::Buffer,
 ) -> wgpu::BindGroup {
+    let uniform = |size: usize| {
+        let size = wgpu::BufferSize::new(size as u64);
+        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: uniforms, offset: 0, size })
+    };
     device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("frame"),
         layout,
         entries: &[
-            wgpu::BindGroupEntry { binding: 0, resource: frame.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 0, resource: uniform(size_of::<FrameUniform>()) },
             wgpu::BindGroupEntry { binding: 1, resource: leaves.as_entire_binding() },
+            wgpu::BindGroupEntry { binding: 2, resource: uniform(size_of::<StageUniform>()) },
         ],
     })
 }
@@ -93,32 +142,58 @@ fn frame_bind_group(
 impl Renderer {
     /// A renderer for a context; makes no pipeline yet.
     pub fn new(ctx: &mut GraphicsContext) -> Self {
+        let groups = Groups::new(ctx);
         let device = ctx.device();
         let pipelines = Pipelines::new(device);
-        let frame_buffer = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("frame"),
-            size: size_of::<FrameUniform>() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
         let leaf_buffer = leaf_buffer(device, 256);
         let limits = device.limits();
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let has_indirect = device.features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE);
         Self {
-            frame_bind_group: frame_bind_group(device, &pipelines.frame_layout, &frame_buffer, &leaf_buffer),
+            frame_bind_group: frame_bind_group(device, &pipelines.frame_layout, groups.buffer(), &leaf_buffer),
             pipelines,
-            frame_buffer,
+            groups,
+            targets: Targets::new(device),
             leaf_buffer,
+            indirect: has_indirect.then(|| indirect_buffer(device, 64)),
+            indirect_bytes: Vec::new(),
             most_leaves: usize::try_from(most_bytes / size_of::<LeafUniform>() as u64).unwrap_or(usize::MAX),
             batch: Batch::default(),
+            statics: Vec::new(),
+            plans: Vec::new(),
             timer: FrameTimer::new(device, ctx.queue()),
+            queries: None,
+            pictures: PictureReads::default(),
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
+            times: FrameTimes::default(),
+            errors: Vec::new(),
+            said: HashSet::new(),
         }
     }
 
-    /// Draws a stage into the context's target: clears it, executes the bins in order, puts the sky behind what
-    /// is opaque. The picture can then be drawn over ([`GraphicsContext::color_view`]), read back, or presented.
-    /// Waits while the adapter is two frames behind.
+    /// What could not be drawn as it should since the last call, each said (and logged) once: programs that do not
+    /// compile, textures that do not fit, targets that cannot be drawn into.
+    pub fn take_errors(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.errors)
+    }
+
+    fn complain(&mut self, error: String) {
+        if !error.is_empty() && self.said.len() < 16 * MOST_ERRORS && self.said.insert(error.clone()) {
+            log::error!("{error}");
+            if self.errors.len() < MOST_ERRORS {
+                self.errors.push(error);
+            }
+        }
+    }
+
+    /// Milliseconds on the adapter by pass, in the order drawn, of the latest frame that is known.
+    pub fn pass_ms(&mut self) -> &[f64] {
+        self.timer.as_mut().map_or(&[], FrameTimer::latest_ms)
+    }
+
+    /// Draws a stage into the context's target, and the stages before and after it into theirs: clears, executes the
+    /// bins in order, puts the sky behind what is opaque. The picture can then be drawn over
+    /// ([`GraphicsContext::color_view`]), read back, or presented. Waits while the adapter is two frames behind.
     pub fn draw(
         &mut self,
         ctx: &mut GraphicsContext,
@@ -130,109 +205,398 @@ impl Renderer {
         }
         ctx.submitted();
         let ctx = &*ctx;
-        let dropped = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
-        if dropped > 0 {
-            log::warn!("{dropped} leaves are more than the adapter's largest buffer holds, and not drawn");
-        }
         let created_before = self.pipelines.created();
-        let mut last = None;
-        for run in &mut self.batch.runs {
-            let index = match last {
-                Some((key, index)) if key == run.key.pipeline => index,
-                _ => self.pipelines.ensure(ctx, run.key.pipeline),
-            };
-            run.pipeline = index;
-            last = Some((run.key.pipeline, index));
-        }
-        if environment.sky == Sky::Gradient {
-            self.pipelines.ensure_sky(ctx);
-        }
-        let frame = FrameUniform::new(stage, environment);
-        self.upload(ctx, &frame);
-        let mut stats = self.record(ctx, environment, &frame)?;
+        self.prepare(ctx, stage, environment);
+        self.upload(ctx);
+        let mut stats = self.record(ctx, stage);
         stats.leaves = self.batch.leaves.len() as u32;
         stats.pipelines_created = self.pipelines.created() - created_before;
         self.throttle(ctx)?;
-        stats.gpu_ms = self.timer.as_mut().and_then(FrameTimer::latest_ms);
+        if let Some(timer) = &mut self.timer {
+            let passes = timer.latest_ms();
+            stats.gpu_ms = (!passes.is_empty()).then(|| passes.iter().sum());
+        }
+        if let Some(queries) = &mut self.queries {
+            queries.deliver();
+        }
+        self.pictures.deliver();
         Ok(stats)
     }
 
-    fn upload(&mut self, ctx: &GraphicsContext, frame: &FrameUniform) {
-        let device = ctx.device();
-        let bytes: &[u8] = bytemuck::cast_slice(&self.batch.leaves);
-        if bytes.len() as u64 > self.leaf_buffer.size() {
-            let leaves = self.batch.leaves.len().next_power_of_two().min(self.most_leaves);
-            self.leaf_buffer = leaf_buffer(device, leaves);
-            self.frame_bind_group =
-                frame_bind_group(device, &self.pipelines.frame_layout, &self.frame_buffer, &self.leaf_buffer);
+    fn prepare(&mut self, ctx: &GraphicsContext, stage: &RenderStage, environment: &Environment) {
+        self.batch.start_frame();
+        self.groups.start_frame();
+        self.statics.clear();
+        self.plans.clear();
+        if let Some(timer) = &mut self.timer {
+            timer.start_frame();
         }
-        ctx.queue().write_buffer(&self.frame_buffer, 0, bytemuck::bytes_of(frame));
-        if !bytes.is_empty() {
-            ctx.queue().write_buffer(&self.leaf_buffer, 0, bytes);
+        if let Some(queries) = &mut self.queries {
+            queries.start_frame();
+        }
+        if let Some(problem) = self.targets.start_frame(stage) {
+            self.complain(problem);
+        }
+        let dropped = self.prepare_all(ctx, stage, environment, true);
+        if dropped > 0 {
+            self.complain(format!("{dropped} leaves are more than the adapter's largest buffer holds, and not drawn"));
+        }
+        for error in std::mem::take(&mut self.pipelines.errors) {
+            self.complain(error);
         }
     }
 
-    fn record(
+    /// Prepares a stage and those around it, in the order drawn; how many leaves there was no room for.
+    fn prepare_all(
         &mut self,
         ctx: &GraphicsContext,
+        stage: &RenderStage,
         environment: &Environment,
-        frame: &FrameUniform,
-    ) -> Result<DrawStats, GpuError> {
-        let view = ctx.color_view().ok_or_else(|| GpuError::Surface { reason: "no image to draw into".into() })?;
-        let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("scene"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations {
-                    load: wgpu::LoadOp::Clear(clear_color(environment, frame)),
-                    store: wgpu::StoreOp::Store,
-                },
-            })],
-            depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
-                view: ctx.depth_view(),
-                // Reversed-Z: infinitely far is 0.
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Discard }),
-                stencil_ops: None,
-            }),
-            timestamp_writes: self.timer.as_mut().and_then(FrameTimer::begin),
-            occlusion_query_set: None,
-            multiview_mask: None,
-        });
-        pass.set_bind_group(0, &self.frame_bind_group, &[]);
-        let mut state = State {
-            pass: &mut pass,
-            pipeline: None,
-            block: None,
-            vertex_chunk: None,
-            indices: None,
-            stats: DrawStats::default(),
+        is_outermost: bool,
+    ) -> usize {
+        let mut dropped = 0;
+        for before in &stage.pre_render {
+            dropped += self.prepare_all(ctx, before, environment, false);
+        }
+        dropped += self.prepare_stage(ctx, stage, environment, is_outermost);
+        for after in &stage.post_render {
+            dropped += self.prepare_all(ctx, after, environment, false);
+        }
+        dropped
+    }
+
+    fn prepare_stage(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        environment: &Environment,
+        is_outermost: bool,
+    ) -> usize {
+        let found = self.targets.of(ctx, &mut self.groups.textures, &mut self.pipelines, &stage.target, is_outermost);
+        let target = match found {
+            Ok(target) => target,
+            Err(problem) => {
+                self.complain(problem);
+                self.plans.push(StagePlan::default());
+                return 0;
+            }
         };
-        let (opaque, see_through) = self.batch.runs.split_at(self.batch.sky_before);
-        for run in opaque {
-            state.draw(ctx, &self.pipelines, run);
+        let uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment);
+        let clear = clear_color(environment, &uniform);
+        let first_frame = self.groups.push(&uniform);
+        let positioned = self.groups.push(&StageUniform::new(stage));
+        let mut frames = [first_frame; MOST_VIEWS];
+        for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
+            *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment));
         }
-        if environment.sky == Sky::Gradient
-            && let Some(sky) = self.pipelines.sky()
-        {
-            state.draw_sky(sky);
+        let base = Statics {
+            dynamics: target.dynamics(stage.target.viewport_px),
+            frame: [first_frame, positioned],
+            group: None,
+        };
+        let first_statics = self.statics.len() as u32;
+        self.statics.push(base);
+        let has_own_light = replaces_sun(stage);
+        let mut states = std::mem::take(&mut self.batch.states);
+        states.clear();
+        for (state, view) in stage.state_sets.iter().zip(&stage.view_of_state) {
+            let (shading, group) = self.shading(ctx, stage, state, has_own_light, &target);
+            let mut statics = Statics { group, ..base };
+            statics.frame[0] = frames.get(*view as usize).copied().unwrap_or(first_frame);
+            let viewport = stage.views.get((*view as usize).wrapping_sub(1)).and_then(|v| v.viewport_px);
+            apply_state(&mut statics.dynamics, state, viewport, target.size_px);
+            let recent = self.statics.len().saturating_sub(STATICS_COMPARED).max(first_statics as usize);
+            let known = self.statics[recent..].iter().rposition(|s| *s == statics).map(|at| recent + at);
+            let index = known.unwrap_or_else(|| {
+                self.statics.push(statics);
+                self.statics.len() - 1
+            });
+            let key = self.pipelines.state_key(state, shading, target.index);
+            states.push(StateEntry::new(key, index as u32, state.color, [state.is_lit(false), state.is_lit(true)]));
         }
-        for run in see_through {
-            state.draw(ctx, &self.pipelines, run);
+        self.batch.states = states;
+        let first_run = self.batch.runs.len();
+        let (dropped, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
+        let runs = first_run..self.batch.runs.len();
+        let queries = self.prepare_queries(ctx, stage, &target, &frames, base);
+        let has_sky = is_outermost && stage.clear_node.is_none() && environment.sky == Sky::Gradient;
+        if has_sky {
+            self.pipelines.ensure_sky(ctx, target.index);
         }
-        let stats = state.stats;
-        drop(pass);
+        self.plans.push(StagePlan {
+            target: Some(target),
+            runs,
+            see_through,
+            statics: first_statics,
+            queries,
+            has_sky,
+            background: clear,
+        });
+        dropped
+    }
+
+    /// Who shades the leaves of a state, and with what.
+    fn shading(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        state: &Arc<ResolvedState>,
+        has_own_light: bool,
+        target: &PassTarget,
+    ) -> (Shading, Option<(u32, Option<u32>)>) {
+        let mut wrong: Vec<String> = Vec::new();
+        let shading = match state.program() {
+            Some(program) => match self.pipelines.programs.ensure(ctx.device(), program) {
+                Ok(Some(place)) => Shading::Program(place),
+                Ok(None) => Shading::Fallback,
+                Err(problem) => {
+                    wrong.push(problem);
+                    Shading::Fallback
+                }
+            },
+            None if has_own_light || state.is_fixed_function() => Shading::FixedFunction,
+            None => Shading::Plain,
+        };
+        let group = match shading {
+            Shading::Plain | Shading::Fallback => None,
+            Shading::FixedFunction => Some(self.groups.push(&FixedUniform::new(state, stage))),
+            Shading::Program(place) => {
+                let program = self.pipelines.programs.get(place);
+                let size = program.map_or(0, |p| p.uniform_bytes);
+                (size > 0).then(|| {
+                    let at = self.groups.reserve(size);
+                    let builtins = builtins(stage, &self.times);
+                    let bytes = &mut self.groups.bytes[at as usize..][..size];
+                    if let Some(Err(problem)) = program.map(|p| p.fill(state, &builtins, bytes)) {
+                        wrong.push(problem);
+                    }
+                    at
+                })
+            }
+        };
+        let group = match shading {
+            Shading::Plain | Shading::Fallback => None,
+            _ => {
+                let attached = |binding: &crate::state::TextureBinding| target.draws_into(stage, &binding.texture);
+                let found =
+                    self.groups.group(ctx, &self.pipelines, shading, state, attached, |problem| wrong.push(problem));
+                Some((found, group))
+            }
+        };
+        for problem in wrong {
+            let name = if state.name.is_empty() { "a state set" } else { state.name.as_str() };
+            self.complain(format!("{name}: {problem}"));
+        }
+        (shading, group)
+    }
+
+    /// Leaves for the boxes of a stage's occlusion queries: their first leaf and first query, and how many.
+    fn prepare_queries(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        target: &PassTarget,
+        frames: &[u32],
+        base: Statics,
+    ) -> Vec<(u32, u32, u32)> {
+        if stage.queries.is_empty() {
+            return Vec::new();
+        }
+        let queries = self.queries.get_or_insert_with(|| {
+            let mut queries = Queries::new(ctx.device());
+            queries.start_frame();
+            queries
+        });
+        self.pipelines.ensure_query(ctx, target.index);
+        let mut asked = Vec::new();
+        for query in &stage.queries {
+            let Some(rows) = stage.eye_from_drawable.get(query.matrix as usize) else { continue };
+            if self.batch.leaves.len() >= self.most_leaves {
+                break;
+            }
+            let Some(index) = queries.ask(query) else { break };
+            let frame = [frames.get(query.view as usize).copied().unwrap_or(frames[0]), base.frame[1]];
+            let statics = Statics { frame, ..base };
+            let place = match self.statics.iter().rposition(|s| *s == statics) {
+                Some(place) => place,
+                None => {
+                    self.statics.push(statics);
+                    self.statics.len() - 1
+                }
+            };
+            asked.push((self.batch.leaves.len() as u32, index, place as u32));
+            self.batch.leaves.push(LeafUniform { eye_from_drawable: *rows, ..LeafUniform::EMPTY });
+        }
+        asked
+    }
+
+    fn upload(&mut self, ctx: &GraphicsContext) {
+        let device = ctx.device();
+        let bytes: &[u8] = bytemuck::cast_slice(&self.batch.leaves);
+        let mut is_new = self.groups.finish(ctx, &self.pipelines);
+        if bytes.len() as u64 > self.leaf_buffer.size() {
+            let leaves = self.batch.leaves.len().next_power_of_two().min(self.most_leaves);
+            self.leaf_buffer = leaf_buffer(device, leaves);
+            is_new = true;
+        }
+        if is_new {
+            self.frame_bind_group =
+                frame_bind_group(device, &self.pipelines.frame_layout, self.groups.buffer(), &self.leaf_buffer);
+        }
+        if !bytes.is_empty() {
+            ctx.queue().write_buffer(&self.leaf_buffer, 0, bytes);
+        }
+        if let Some(indirect) = &mut self.indirect {
+            self.indirect_bytes.clear();
+            for run in &self.batch.runs {
+                let arguments = wgpu::util::DrawIndexedIndirectArgs {
+                    index_count: run.index_count,
+                    instance_count: run.leaf_count,
+                    first_index: run.first_index,
+                    base_vertex: run.base_vertex,
+                    first_instance: run.first_leaf,
+                };
+                self.indirect_bytes.extend_from_slice(arguments.as_bytes());
+            }
+            if self.indirect_bytes.len() as u64 > indirect.size() {
+                *indirect = indirect_buffer(device, self.batch.runs.len().next_power_of_two());
+            }
+            if !self.indirect_bytes.is_empty() {
+                ctx.queue().write_buffer(indirect, 0, &self.indirect_bytes);
+            }
+        }
+    }
+
+    fn record(&mut self, ctx: &GraphicsContext, stage: &RenderStage) -> DrawStats {
+        let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
+        let mut stats = DrawStats::default();
+        let mut next = 0;
+        let plans = std::mem::take(&mut self.plans);
+        self.record_all(ctx, &mut encoder, stage, &plans, &mut next, &mut stats);
+        self.plans = plans;
         if let Some(timer) = &self.timer {
             timer.resolve(&mut encoder);
+        }
+        if let Some(queries) = &self.queries {
+            queries.resolve(&mut encoder);
         }
         let submission = ctx.queue().submit([encoder.finish()]);
         if let Some(timer) = &mut self.timer {
             timer.submitted();
         }
+        if let Some(queries) = &mut self.queries {
+            queries.submitted();
+        }
+        self.pictures.submitted();
         self.in_flight.push_back(submission);
-        Ok(stats)
+        stats
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "the walk over the stages carries what every pass needs")]
+    fn record_all(
+        &mut self,
+        ctx: &GraphicsContext,
+        encoder: &mut wgpu::CommandEncoder,
+        stage: &RenderStage,
+        plans: &[StagePlan],
+        next: &mut usize,
+        stats: &mut DrawStats,
+    ) {
+        let callbacks = CameraCallbacks::of(&stage.target.callbacks);
+        let info = RenderInfo { device: ctx.device(), queue: ctx.queue(), stage };
+        if let Some(initial) = callbacks.and_then(|c| c.initial.as_ref()) {
+            initial(&info, encoder);
+        }
+        for before in &stage.pre_render {
+            self.record_all(ctx, encoder, before, plans, next, stats);
+        }
+        if let Some(plan) = plans.get(*next)
+            && let Some(target) = &plan.target
+        {
+            let of_pass = self.record_pass(ctx, encoder, stage, plan, target, callbacks, &info);
+            stats.add(&of_pass);
+            self.copy_picture(ctx, encoder, stage);
+        }
+        *next += 1;
+        for after in &stage.post_render {
+            self.record_all(ctx, encoder, after, plans, next, stats);
+        }
+        if let Some(final_draw) = callbacks.and_then(|c| c.final_draw.as_ref()) {
+            final_draw(&info, encoder);
+        }
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "see record_all")]
+    fn record_pass(
+        &mut self,
+        ctx: &GraphicsContext,
+        encoder: &mut wgpu::CommandEncoder,
+        stage: &RenderStage,
+        plan: &StagePlan,
+        target: &PassTarget,
+        callbacks: Option<&CameraCallbacks>,
+        info: &RenderInfo<'_>,
+    ) -> DrawStats {
+        let colors = target.color_attachments(stage, plan.background);
+        let count = target.color_count();
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("stage"),
+            color_attachments: &colors[..count],
+            depth_stencil_attachment: Some(target.depth_attachment(stage)),
+            timestamp_writes: self.timer.as_mut().and_then(FrameTimer::pass),
+            occlusion_query_set: if plan.queries.is_empty() { None } else { self.queries.as_ref().map(|q| &q.set) },
+            multiview_mask: None,
+        });
+        let from = Sources {
+            ctx,
+            pipelines: &self.pipelines,
+            groups: &self.groups,
+            batch: &self.batch,
+            statics: &self.statics,
+            frame_group: &self.frame_bind_group,
+            indirect: self.indirect.as_ref(),
+        };
+        let mut state = State::new(&mut pass, target.dynamics(None));
+        if let Some(pre_draw) = callbacks.and_then(|c| c.pre_draw.as_ref()) {
+            pre_draw(info, state.pass);
+            state.forget();
+        }
+        state.draw_runs(&from, plan.runs.start..plan.see_through);
+        if let (false, Some(pipeline)) = (plan.queries.is_empty(), self.pipelines.query(target.index)) {
+            for (leaf, query, statics) in &plan.queries {
+                state.apply(&from, *statics);
+                state.pass.begin_occlusion_query(*query);
+                state.draw_bare(pipeline, 36, *leaf..leaf + 1);
+                state.pass.end_occlusion_query();
+            }
+        }
+        if let (true, Some(sky)) = (plan.has_sky, self.pipelines.sky(target.index)) {
+            state.apply(&from, plan.statics);
+            state.draw_bare(sky, 3, 0..1);
+        }
+        state.draw_runs(&from, plan.see_through..plan.runs.end);
+        if let Some(post_draw) = callbacks.and_then(|c| c.post_draw.as_ref()) {
+            post_draw(info, state.pass);
+        }
+        state.stats
+    }
+
+    /// Copies what a camera has drawn to whoever wants it.
+    fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
+        let Some(camera) = &stage.target.camera else { return };
+        let (Some(sink), Some(first)) = (&camera.read_back, camera.colors.first()) else { return };
+        let frame = stage.camera.frame;
+        let is_bytes = first.texture.format.texel_bytes() == 4;
+        match self.groups.textures.texture(&first.texture).filter(|_| is_bytes) {
+            Some(texture) => {
+                let place = [first.level, first.layer];
+                self.pictures.copy(ctx.device(), encoder, texture, place, sink, frame);
+            }
+            None => {
+                let format = first.texture.format;
+                self.complain(format!("texture {:?} ({format:?}) cannot be read back", first.texture.name));
+            }
+        }
     }
 
     /// Lets callbacks run, and waits while too many frames are under way.
@@ -253,65 +617,63 @@ impl Renderer {
     }
 }
 
-impl State<'_, '_> {
-    /// True when the value has to be set.
-    fn changes<T: PartialEq>(stats: &mut DrawStats, current: &mut Option<T>, wanted: T) -> bool {
-        if current.as_ref() == Some(&wanted) {
-            stats.state_changes_skipped += 1;
-            return false;
-        }
-        *current = Some(wanted);
-        stats.state_changes += 1;
-        true
-    }
+/// Projections of a stage that can be told apart; those beyond have the stage's own.
+const MOST_VIEWS: usize = 64;
 
-    fn draw(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines, run: &Run) {
-        let key = &run.key;
-        let is_height = key.pipeline.kind() == Kind::Height;
-        let pools = ctx.pools();
-        // All looked up first: a run that lacks something changes nothing.
-        let (block, vertices, indices, format) = if is_height {
-            let grid = pools.heights.grid(key.geometry).map(|g| &g.indices);
-            (pools.heights.bind_group(key.block), None, grid, wgpu::IndexFormat::Uint32)
-        } else {
-            let vertices = pools.meshes.vertex_buffer(key.vertex_chunk);
-            let indices = pools.meshes.index_buffer(key.index_chunk);
-            (pools.textures.bind_group(key.block), vertices, indices, wgpu::IndexFormat::Uint32)
-        };
-        let (Some(pipeline), Some(block), Some(indices)) = (pipelines.pipeline(run.pipeline), block, indices) else {
-            return;
-        };
-        if Self::changes(&mut self.stats, &mut self.pipeline, run.pipeline) {
-            self.pass.set_pipeline(pipeline);
-        }
-        if Self::changes(&mut self.stats, &mut self.block, (is_height, key.block)) {
-            self.pass.set_bind_group(1, block, &[]);
-        }
-        if let Some(vertices) = vertices
-            && Self::changes(&mut self.stats, &mut self.vertex_chunk, key.vertex_chunk)
-        {
-            self.pass.set_vertex_buffer(0, vertices.slice(..));
-        }
-        let index_key = (is_height, if is_height { key.geometry } else { key.index_chunk });
-        if Self::changes(&mut self.stats, &mut self.indices, index_key) {
-            self.pass.set_index_buffer(indices.slice(..), format);
-        }
-        let index_range = run.first_index..run.first_index + run.index_count;
-        self.pass.draw_indexed(index_range, run.base_vertex, run.first_leaf..run.first_leaf + run.leaf_count);
-        self.stats.draw_calls += 1;
-        let primitives = u64::from(run.index_count) * u64::from(run.leaf_count);
-        if key.pipeline.kind() == Kind::Points {
-            self.stats.points += primitives;
-        } else if key.pipeline.kind() != Kind::Lines {
-            self.stats.triangles += primitives / 3;
-        }
-    }
+fn indirect_buffer(device: &wgpu::Device, runs: usize) -> wgpu::Buffer {
+    device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("runs"),
+        size: runs as u64 * INDIRECT_BYTES,
+        usage: wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
 
-    fn draw_sky(&mut self, sky: &wgpu::RenderPipeline) {
-        self.pass.set_pipeline(sky);
-        self.pipeline = None;
-        self.stats.state_changes += 1;
-        self.pass.draw(0..3, 0..1);
-        self.stats.draw_calls += 1;
+fn builtins(stage: &RenderStage, times: &FrameTimes) -> Builtins {
+    let view = glam::DMat4::from(stage.camera.eye_from_world);
+    Builtins {
+        frame: stage.camera.frame,
+        frame_time_s: times.reference_time_s as f32,
+        delta_frame_time_s: times.delta_s as f32,
+        simulation_time_s: times.simulation_time_s as f32,
+        view: view.as_mat4(),
+        view_inverse: view.inverse().as_mat4(),
     }
+}
+
+/// Puts a state's viewport, depth range, scissor and constants over those of its stage.
+fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32; 4]>, size_px: [u32; 2]) {
+    let [width, height] = size_px;
+    if let Some(rect) = view {
+        let [x, y, w, h] = rect.map(|v| v as f32);
+        dynamics.viewport[..4].copy_from_slice(&clamped([x, y, w, h], size_px));
+    }
+    if let Some(Viewport { x, y, width, height }) = state.viewport() {
+        dynamics.viewport[..4].copy_from_slice(&clamped([x, y, width, height], size_px));
+    }
+    if let Some(depth) = state.depth() {
+        // Stored reversed: the near plane has 1.
+        let unit = |v: f32| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 };
+        let [near, far] = depth.range.map(unit);
+        let (near, far) = if near < far { (near, far) } else { (0.0, 1.0) };
+        (dynamics.viewport[4], dynamics.viewport[5]) = (1.0 - far, 1.0 - near);
+    }
+    if let Some(Scissor { x, y, width: w, height: h }) = state.scissor() {
+        let (x, y) = (x.min(width), y.min(height));
+        dynamics.scissor = [x, y, w.min(width - x), h.min(height - y)];
+    }
+    dynamics.stencil_reference = state.stencil().map_or(0, |s| u32::from(s.reference));
+    let is_constant = |f| matches!(f, BlendFactor::ConstantColor | BlendFactor::OneMinusConstantColor);
+    let BlendFunc { source, destination } = state.blend_func();
+    if state.blends() && (is_constant(source) || is_constant(destination)) {
+        dynamics.blend_color = Some(state.blend_color());
+    }
+}
+
+/// A viewport that wgpu takes: finite, not empty, inside the target.
+pub(super) fn clamped(rect: [f32; 4], size_px: [u32; 2]) -> [f32; 4] {
+    let size = size_px.map(|s| s as f32);
+    let [x, y, width, height] = rect.map(|v| if v.is_finite() { v } else { 0.0 });
+    let (x, y) = (x.clamp(0.0, size[0] - 1.0), y.clamp(0.0, size[1] - 1.0));
+    [x, y, width.clamp(1.0, size[0] - x), height.clamp(1.0, size[1] - y)]
 }

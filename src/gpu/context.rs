@@ -8,7 +8,7 @@ use super::compile::{CompileBudget, CompileOperation, CompileQueue, CompileStats
 use super::drawable::{DrawableTable, Pools};
 use super::layouts::Layouts;
 use super::target::{Acquired, Target};
-use super::{DrawableEntry, GpuError};
+use super::{BindClass, DrawableEntry, GpuError};
 use crate::scene::DrawSlot;
 
 /// Which adapter to draw with.
@@ -30,13 +30,15 @@ pub struct ContextTraits {
     pub size_px: [u32; 2],
     /// Adapter.
     pub adapter: AdapterChoice,
+    /// Samples a pixel of the target, 1 or 4.
+    pub samples: u32,
     /// Have the driver's validation layers check every call; ten times slower, never time with it.
     pub validation: bool,
 }
 
 impl Default for ContextTraits {
     fn default() -> Self {
-        Self { size_px: [1280, 720], adapter: AdapterChoice::Any, validation: false }
+        Self { size_px: [1280, 720], adapter: AdapterChoice::Any, samples: 1, validation: false }
     }
 }
 
@@ -55,6 +57,7 @@ pub struct GraphicsContext {
     /// Written by wgpu's error callback on the draw thread, emptied by [`Self::take_device_errors`].
     errors: Arc<Mutex<Vec<String>>>,
     bytes_peak: u64,
+    samples: u32,
 }
 
 struct Opened {
@@ -108,8 +111,12 @@ fn open(
         return Err(GpuError::NoAdapter { reason });
     };
     let info = adapter.get_info();
-    let wanted =
-        wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::POLYGON_MODE_LINE | wgpu::Features::POLYGON_MODE_POINT;
+    let wanted = wgpu::Features::TIMESTAMP_QUERY
+        | wgpu::Features::POLYGON_MODE_LINE
+        | wgpu::Features::POLYGON_MODE_POINT
+        | wgpu::Features::DEPTH32FLOAT_STENCIL8
+        | wgpu::Features::FLOAT32_FILTERABLE
+        | wgpu::Features::INDIRECT_FIRST_INSTANCE;
     let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
         label: Some("terrane"),
         required_features: adapter.features() & wanted,
@@ -146,7 +153,7 @@ impl GraphicsContext {
     pub fn new_offscreen(traits: &ContextTraits) -> Result<Self, GpuError> {
         let opened = open(&instance(traits), traits, None)?;
         let target = Target::offscreen(&opened.device, traits.size_px)?;
-        Ok(Self::assemble(opened, target))
+        Ok(Self::assemble(opened, target, traits))
     }
 
     /// A context that draws into a window (an `Arc<winit::window::Window>`, say), presenting with Fifo.
@@ -158,10 +165,10 @@ impl GraphicsContext {
         let surface = instance.create_surface(target).map_err(|e| GpuError::Surface { reason: e.to_string() })?;
         let opened = open(&instance, traits, Some(&surface))?;
         let target = Target::window(&opened.adapter, &opened.device, surface, traits.size_px)?;
-        Ok(Self::assemble(opened, target))
+        Ok(Self::assemble(opened, target, traits))
     }
 
-    fn assemble(opened: Opened, target: Target) -> Self {
+    fn assemble(opened: Opened, target: Target, traits: &ContextTraits) -> Self {
         let Opened { adapter, device, queue, lost, errors } = opened;
         let pools = Pools::new(&device, Layouts::new(&device));
         Self {
@@ -173,6 +180,8 @@ impl GraphicsContext {
             lost,
             errors,
             bytes_peak: 0,
+            // WebGPU promises 1 and 4.
+            samples: if traits.samples > 1 { 4 } else { 1 },
             device,
             queue,
         }
@@ -196,6 +205,11 @@ impl GraphicsContext {
     /// Width and height of the target in pixels.
     pub fn size_px(&self) -> [u32; 2] {
         self.target.size_px()
+    }
+
+    /// Samples a pixel of the target.
+    pub fn samples(&self) -> u32 {
+        self.samples
     }
 
     /// Format of the colour target.
@@ -286,16 +300,17 @@ impl GraphicsContext {
         self.drawables.entry(slot)
     }
 
+    /// By [`DrawableEntry::class`].
+    pub(crate) fn bind_classes(&self) -> &[BindClass] {
+        self.drawables.classes()
+    }
+
     pub(crate) fn pools(&self) -> &Pools {
         &self.pools
     }
 
     pub(crate) fn layouts(&self) -> &Layouts {
         self.pools.layouts()
-    }
-
-    pub(crate) fn depth_view(&self) -> &wgpu::TextureView {
-        self.target.depth_view()
     }
 
     pub(crate) fn color_texture(&self) -> Option<&wgpu::Texture> {

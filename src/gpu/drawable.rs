@@ -1,5 +1,7 @@
 //! The table from [`DrawSlot`] to what a draw needs. Draw thread only.
 
+use std::collections::HashMap;
+
 use super::height_pool::{HeightPool, TilePlace};
 use super::layouts::Layouts;
 use super::mesh_pool::{MeshPlace, MeshPool};
@@ -13,10 +15,25 @@ pub(crate) enum Shape {
     Mesh { place: MeshPlace, topology: Topology, texture: TextureLayer },
 }
 
+/// What of a drawable decides what has to be bound to draw it, its state apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct BindClass {
+    /// `None` for height tiles.
+    pub(crate) topology: Option<Topology>,
+    pub(crate) is_masked: bool,
+    pub(crate) double_sided: bool,
+    pub(crate) block: u32,
+    pub(crate) vertex_chunk: u32,
+    /// Chunk of meshes, side of height tiles.
+    pub(crate) index_chunk: u32,
+}
+
 /// Everything a draw reads of a drawable.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DrawableEntry {
     pub(crate) shape: Shape,
+    /// Index of its [`BindClass`] in the table.
+    pub(crate) class: u32,
     pub(crate) base_color: [f32; 4],
     pub(crate) alpha: AlphaMode,
     pub(crate) double_sided: bool,
@@ -27,6 +44,7 @@ impl DrawableEntry {
     pub(super) fn new(shape: Shape, material: &Material) -> Self {
         Self {
             shape,
+            class: 0,
             base_color: material.base_color,
             alpha: material.alpha,
             double_sided: material.double_sided,
@@ -35,15 +53,46 @@ impl DrawableEntry {
     }
 }
 
+impl DrawableEntry {
+    fn bind_class(&self) -> BindClass {
+        match &self.shape {
+            Shape::Height(place) => BindClass {
+                topology: None,
+                is_masked: false,
+                double_sided: true,
+                block: place.block,
+                vertex_chunk: 0,
+                index_chunk: place.side,
+            },
+            Shape::Mesh { place, topology, texture } => BindClass {
+                topology: Some(*topology),
+                is_masked: matches!(self.alpha, AlphaMode::Mask(_)),
+                double_sided: self.double_sided,
+                block: texture.block,
+                vertex_chunk: place.vertex_chunk,
+                index_chunk: place.index_chunk,
+            },
+        }
+    }
+}
+
 /// Drawables by slot; slots are reused, last freed first.
 #[derive(Default)]
 pub(super) struct DrawableTable {
+    classes: Vec<BindClass>,
+    /// Only looked up.
+    class_of: HashMap<BindClass, u32>,
     entries: Vec<Option<DrawableEntry>>,
     free: Vec<u32>,
 }
 
 impl DrawableTable {
-    pub(super) fn insert(&mut self, entry: DrawableEntry) -> DrawSlot {
+    pub(super) fn insert(&mut self, mut entry: DrawableEntry) -> DrawSlot {
+        let class = entry.bind_class();
+        entry.class = *self.class_of.entry(class).or_insert_with(|| {
+            self.classes.push(class);
+            self.classes.len() as u32 - 1
+        });
         match self.free.pop() {
             Some(index) => {
                 self.entries[index as usize] = Some(entry);
@@ -54,6 +103,10 @@ impl DrawableTable {
                 DrawSlot(self.entries.len() as u32 - 1)
             }
         }
+    }
+
+    pub(super) fn classes(&self) -> &[BindClass] {
+        &self.classes
     }
 
     pub(super) fn entry(&self, slot: DrawSlot) -> Option<&DrawableEntry> {

@@ -20,17 +20,21 @@ mod layouts;
 mod mesh_pool;
 mod read_back;
 mod slots;
+mod state_textures;
 mod target;
 mod texture_pool;
 mod timer;
+mod transients;
 
 pub use compile::{CompileBudget, CompileOperation, CompileStats, Compiled};
 pub use context::{AdapterChoice, ContextTraits, GraphicsContext};
 pub use error::GpuError;
 pub use target::Acquired;
 
-pub(crate) use drawable::{DrawableEntry, Shape};
+pub(crate) use drawable::{BindClass, DrawableEntry, Shape};
 #[cfg(test)]
 pub(crate) use height_pool::{HEADER_VECTORS as TABLE_HEADER_VECTORS, MORPH_LEVELS};
+pub(crate) use state_textures::{StateTextures, White, compare_function, texture_format, view_dimension};
 pub(crate) use target::DEPTH_FORMAT;
 pub(crate) use timer::FrameTimer;
+pub(crate) use transients::Transients;

@@ -26,10 +26,9 @@ struct Frame {
     view: wgpu::TextureView,
 }
 
-/// Colour and depth of a context.
+/// Colour of a context; depth is the renderer's.
 pub(super) struct Target {
     color: Color,
-    depth_view: wgpu::TextureView,
     size_px: [u32; 2],
 }
 
@@ -44,20 +43,6 @@ fn check_size(device: &wgpu::Device, size_px: [u32; 2]) -> Result<(), GpuError> 
         return Err(GpuError::TargetSize { width, height, limit });
     }
     Ok(())
-}
-
-fn depth_view(device: &wgpu::Device, size_px: [u32; 2]) -> wgpu::TextureView {
-    let texture = device.create_texture(&wgpu::TextureDescriptor {
-        label: Some("depth"),
-        size: extent(size_px),
-        mip_level_count: 1,
-        sample_count: 1,
-        dimension: wgpu::TextureDimension::D2,
-        format: DEPTH_FORMAT,
-        usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
-        view_formats: &[],
-    });
-    texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
 fn offscreen_color(device: &wgpu::Device, size_px: [u32; 2]) -> Color {
@@ -80,7 +65,7 @@ fn offscreen_color(device: &wgpu::Device, size_px: [u32; 2]) -> Color {
 impl Target {
     pub(super) fn offscreen(device: &wgpu::Device, size_px: [u32; 2]) -> Result<Self, GpuError> {
         check_size(device, size_px)?;
-        Ok(Self { color: offscreen_color(device, size_px), depth_view: depth_view(device, size_px), size_px })
+        Ok(Self { color: offscreen_color(device, size_px), size_px })
     }
 
     pub(super) fn window(
@@ -114,7 +99,7 @@ impl Target {
         };
         surface.configure(device, &config);
         let color = Color::Window { surface, config, frame: None };
-        Ok(Self { color, depth_view: depth_view(device, size_px), size_px })
+        Ok(Self { color, size_px })
     }
 
     pub(super) fn size_px(&self) -> [u32; 2] {
@@ -141,7 +126,6 @@ impl Target {
                 surface.configure(device, config);
             }
         }
-        self.depth_view = depth_view(device, size_px);
         self.size_px = size_px;
         Ok(())
     }
@@ -192,10 +176,6 @@ impl Target {
             Color::Offscreen { texture, .. } => Some(texture),
             Color::Window { frame, .. } => frame.as_ref().map(|f| &f.image.texture),
         }
-    }
-
-    pub(super) fn depth_view(&self) -> &wgpu::TextureView {
-        &self.depth_view
     }
 
     pub(super) fn present(&mut self, queue: &wgpu::Queue) {

@@ -64,6 +64,14 @@ pub enum SceneError {
         /// The handle given.
         node: NodeId,
     },
+    /// The node is not a Switch, or has no such child.
+    #[error("node {} is not a Switch with a child {child}", node.index)]
+    NotASwitch {
+        /// The handle given.
+        node: NodeId,
+        /// The child given.
+        child: usize,
+    },
     /// A transform with NaN or infinite entries.
     #[error("the transform is not finite")]
     NotFinite,

@@ -1,5 +1,7 @@
 //! The scene: a table of pages.
 
+use std::sync::Arc;
+
 use glam::DAffine3;
 
 use super::error::SceneError;
@@ -7,6 +9,7 @@ use super::page::{NONE, Page};
 use super::tiles::flag;
 use super::{NodeId, PageId};
 use crate::math::BoundingSphere;
+use crate::state::StateSet;
 
 /// A place in the page table.
 #[derive(Debug)]
@@ -162,6 +165,27 @@ impl Scene {
         match page.set_transform(node.index, parent_from_child)? {
             true => Ok(()),
             false => Err(SceneError::NotATransform { node }),
+        }
+    }
+
+    /// Shows or hides a child of a Switch.
+    pub fn set_switch(&mut self, node: NodeId, child: usize, shown: bool) -> Result<(), SceneError> {
+        let page = self.page_mut(node.page).ok_or(SceneError::StaleNode { node })?;
+        let flag = page.switch_mut(node.index).and_then(|s| s.get_mut(child));
+        *flag.ok_or(SceneError::NotASwitch { node, child })? = shown;
+        Ok(())
+    }
+
+    /// Puts another state set in the place of one of a page's, wherever in the page it hangs: how state changes
+    /// while it may still be drawn. False when the page has no such set.
+    pub fn replace_state_set(&mut self, page: PageId, old: &Arc<StateSet>, new: Arc<StateSet>) -> bool {
+        let sets = self.page_mut(page).map(|p| &mut p.state_sets);
+        match sets.and_then(|sets| sets.iter_mut().find(|set| Arc::ptr_eq(set, old))) {
+            Some(set) => {
+                *set = new;
+                true
+            }
+            None => false,
         }
     }
 

@@ -374,6 +374,14 @@ impl Page {
         })
     }
 
+    /// The flags of a Switch.
+    pub(crate) fn switch_mut(&mut self, node: u32) -> Option<&mut [bool]> {
+        let record = self.nodes.get(node as usize).filter(|r| r.kind == kind::SWITCH)?;
+        debug_assert!(record.skip > 0);
+        let payload = *self.payloads.get(node as usize)?;
+        self.switches.get_mut(payload as usize).map(|s| &mut s[..])
+    }
+
     /// Whether a node, if it is a Switch, shows one of its children.
     pub(crate) fn switch_shows(&self, node: u32, child: u32) -> bool {
         let record = &self.nodes[node as usize];

@@ -89,6 +89,11 @@ impl Mode {
     /// Those that are on by default, as bits of [`Self::index`].
     pub(crate) const ON_BY_DEFAULT: u64 = 1 << 1 | 1 << 2 | 1 << 4 | 1 << 5 | 1 << 10;
 
+    /// Those that need the fixed function when they are not as by default: fog, alpha test, lights, clip planes,
+    /// texture units.
+    pub(crate) const OF_FIXED_FUNCTION: u64 =
+        1 << 5 | 1 << 6 | ((1 << (LIGHTS + CLIP_PLANES + TEXTURE_UNITS)) - 1) << 10;
+
     /// A number of its own below [`Self::COUNT`]; numbers beyond the last light, plane or unit count as the last.
     pub fn index(self) -> usize {
         let at = |first: usize, number: u8, count: usize| first + usize::from(number).min(count - 1);

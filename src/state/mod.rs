@@ -21,6 +21,8 @@ pub use texture::{FilterMode, Sampler, TextureBinding, TextureDimension, Texture
 /// State for a node and below.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateSet {
+    /// For people, and for errors; may be empty.
+    pub name: String,
     /// Bin the leaves go to; `None` inherits.
     pub bin: Option<BinDetails>,
     /// With [`StateValue::OVERRIDE`] bins given below do not count, unless they are [`StateValue::PROTECTED`].
@@ -40,6 +42,7 @@ pub struct StateSet {
 impl Default for StateSet {
     fn default() -> Self {
         Self {
+            name: String::new(),
             bin: None,
             bin_value: StateValue::ON,
             nest_bins: true,

@@ -67,6 +67,8 @@ impl Modes {
 pub struct ResolvedState {
     /// Unlike that of any other chain in the process; draw keeps what it derives under it.
     pub id: u64,
+    /// Name of the last state set that has one.
+    pub name: String,
     /// Linear colour factor: the product of all.
     pub color: [f32; 4],
     /// The bin the leaves are in, from the outermost to the innermost; the stage's own without any.
@@ -106,6 +108,7 @@ impl Default for ResolvedState {
     fn default() -> Self {
         Self {
             id: next_id(),
+            name: String::new(),
             color: [1.0; 4],
             bins: Vec::new(),
             bins_overridden: false,
@@ -139,6 +142,9 @@ impl ResolvedState {
     /// The state below a state set.
     pub fn below(&self, set: &StateSet) -> Self {
         let mut below = Self { id: next_id(), ..self.clone() };
+        if !set.name.is_empty() {
+            below.name.clone_from(&set.name);
+        }
         if let Some(color) = set.color {
             for (mine, factor) in below.color.iter_mut().zip(color) {
                 *mine *= factor;
@@ -267,6 +273,21 @@ impl ResolvedState {
     pub fn culled_face(&self, double_sided: bool) -> Option<CullFace> {
         let on = if double_sided { self.modes.by_drawable(Mode::CullFace, false) } else { self.mode(Mode::CullFace) };
         on.then_some(self.cull_face.value)
+    }
+
+    /// Whether the shading is that of the fixed function: other lights than the environment's, fog, materials, clip
+    /// planes, alpha test, textures of units.
+    pub(crate) fn is_fixed_function(&self) -> bool {
+        let of_modes = self.modes.on ^ Mode::ON_BY_DEFAULT;
+        of_modes & Mode::OF_FIXED_FUNCTION != 0
+            || self.material.value.is_some()
+            || self.fog.value.is_some()
+            || self.light_model.given
+    }
+
+    /// Bits of the lights (or clip planes) that are on, by number.
+    pub(crate) fn mode_bits(&self, first: Mode, count: usize) -> u32 {
+        (self.modes.on >> first.index()) as u32 & ((1 << count) - 1)
     }
 
     /// Which faces are front faces.

@@ -29,6 +29,8 @@ pub struct ViewerConfig {
     pub threading: ThreadingModel,
     /// Which adapter draws.
     pub adapter: AdapterChoice,
+    /// Samples a pixel, 1 or 4.
+    pub samples: u32,
     /// The GPU driver checks every call: for tests, never for timing.
     pub validation: bool,
     /// The pager; with `blocking` each frame waits until everything it wants is there.
@@ -47,6 +49,7 @@ impl Default for ViewerConfig {
             size_px: [1280, 720],
             threading: ThreadingModel::default(),
             adapter: AdapterChoice::Any,
+            samples: 1,
             validation: cfg!(debug_assertions),
             pager: PagerConfig::default(),
             max_sse_px: 16.0,
@@ -587,5 +590,10 @@ impl Viewer {
 }
 
 fn traits(config: &ViewerConfig) -> ContextTraits {
-    ContextTraits { size_px: config.size_px, adapter: config.adapter, validation: config.validation }
+    ContextTraits {
+        size_px: config.size_px,
+        adapter: config.adapter,
+        samples: config.samples,
+        validation: config.validation,
+    }
 }

@@ -43,7 +43,8 @@ pub fn rig(test: &str) -> Option<MutexGuard<'static, Rig>> {
 }
 
 pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
-    let traits = ContextTraits { size_px, adapter: AdapterChoice::Software, validation: false };
+    let traits =
+        ContextTraits { size_px, adapter: AdapterChoice::Software, validation: false, ..ContextTraits::default() };
     match GraphicsContext::new_offscreen(&traits) {
         Ok(mut ctx) => {
             let renderer = Renderer::new(&mut ctx);

@@ -23,10 +23,26 @@ struct Leaf {
     side: u32,
 }
 
+// What is positioned in a stage, in eye space.
+struct StageLight {
+    position: vec4<f32>,     // w: 1 for a place, 0 for a direction
+    direction: vec4<f32>,    // of a spot; w: cosine of its half angle
+    ambient: vec4<f32>,      // w: exponent of the spot
+    diffuse: vec4<f32>,      // w: 1 where there is such a light
+    specular: vec4<f32>,
+    attenuation: vec4<f32>,  // constant, linear, quadratic
+}
+
+struct Stage {
+    lights: array<StageLight, 8>,
+    clip_planes: array<vec4<f32>, 6>,
+}
+
 const FLAG_UNLIT: u32 = 1u;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
+@group(0) @binding(2) var<uniform> stage: Stage;
 
 fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
     let p = vec4<f32>(point, 1.0);

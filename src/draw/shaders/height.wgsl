@@ -60,8 +60,16 @@ fn range_error(table: u32, n: u32) -> f32 {
     return tables[table + 1u + n / 4u][n % 4u];
 }
 
-@vertex
-fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> HeightFragment {
+// A vertex of a tile in eye space.
+struct HeightPoint {
+    in_eye: vec3<f32>,
+    normal: vec3<f32>,
+    up: vec3<f32>,
+    uv: vec2<f32>,
+    in_tile: vec3<f32>,
+}
+
+fn height_point(index: u32, instance: u32) -> HeightPoint {
     let leaf = leaves[instance];
     let side = leaf.side;
     let layer = leaf.layer;
@@ -135,18 +143,29 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
     let normal = up - slope.x * east - slope.y * north;
     position -= drop * up;
 
-    let in_eye = point_in_eye(leaf, position);
+    return HeightPoint(
+        point_in_eye(leaf, position),
+        normalize(direction_in_eye(leaf, normal)),
+        normalize(direction_in_eye(leaf, up)),
+        vec2<f32>(grid.x, f32(cells) - grid.y) / f32(cells),
+        position,
+    );
+}
+
+@vertex
+fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> HeightFragment {
+    let leaf = leaves[instance];
+    let point = height_point(index, instance);
     var out: HeightFragment;
-    out.position = frame.clip_from_eye * vec4<f32>(in_eye, 1.0);
-    out.uv = vec2<f32>(grid.x, f32(cells) - grid.y) / f32(cells);
+    out.position = frame.clip_from_eye * vec4<f32>(point.in_eye, 1.0);
+    out.uv = point.uv;
+    out.light = vec3<f32>(1.0);
     if (leaf.flags & FLAG_UNLIT) == 0u {
-        out.light = light(normalize(direction_in_eye(leaf, normal)), normalize(direction_in_eye(leaf, up)));
-    } else {
-        out.light = vec3<f32>(1.0);
+        out.light = light(point.normal, point.up);
     }
     out.light *= leaf.color.rgb;
-    out.haze = haze(in_eye);
-    out.layer = layer;
+    out.haze = haze(point.in_eye);
+    out.layer = leaf.layer;
     return out;
 }
 

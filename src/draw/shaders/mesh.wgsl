@@ -1,15 +1,5 @@
 // Meshes, lines and points.
 
-@group(1) @binding(0) var color_layers: texture_2d_array<f32>;
-@group(1) @binding(1) var color_sampler: sampler;
-
-struct MeshVertex {
-    @location(0) position: vec3<f32>,
-    @location(1) uv: vec2<f32>,
-    @location(2) normal: vec4<f32>,
-    @location(3) color: vec4<f32>,
-}
-
 struct MeshFragment {
     @builtin(position) position: vec4<f32>,
     @location(0) in_eye: vec3<f32>,
@@ -38,19 +28,20 @@ fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MeshFr
     );
 }
 
+fn surface_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) -> vec3<f32> {
+    if dot(smooth_normal, smooth_normal) <= 1e-12 {
+        return facet;
+    }
+    let normal = normalize(smooth_normal);
+    // Only pipelines that draw both sides see back faces. A mirroring transform swaps the sides, so the facet
+    // decides: a smooth normal must lie on the side that is seen.
+    return select(normal, -normal, dot(normal, facet) < 0.0 && !is_front);
+}
+
 fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) -> vec3<f32> {
     var color = base.rgb;
     if (in.flags & FLAG_UNLIT) == 0u {
-        var normal = facet;
-        if dot(in.normal, in.normal) > 1e-12 {
-            normal = normalize(in.normal);
-            // Only pipelines that draw both sides see back faces. A mirroring transform swaps the sides, so the
-            // facet decides: a smooth normal must lie on the side that is seen.
-            if dot(normal, facet) < 0.0 && !is_front {
-                normal = -normal;
-            }
-        }
-        color *= light(normal, frame.up.xyz);
+        color *= light(surface_normal(in.normal, is_front, facet), frame.up.xyz);
     }
     return mix(color, frame.horizon_color.rgb, haze(in.in_eye));
 }
@@ -95,4 +86,10 @@ fn fs_mesh_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @
 fn fs_thin(in: MeshFragment) -> @location(0) vec4<f32> {
     let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
     return vec4<f32>(shade(in, true, frame.up.xyz, base), base.a);
+}
+
+// What cannot be drawn as it should is drawn like this.
+@fragment
+fn fs_fallback(in: MeshFragment) -> @location(0) vec4<f32> {
+    return vec4<f32>(1.0, 0.0, 1.0, 1.0);
 }

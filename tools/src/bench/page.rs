@@ -328,7 +328,7 @@ pub fn run(options: Options) -> Result<()> {
         None => format!("{}/", folder.to_str().context("the cache folder's path is not UTF-8")?),
     };
     scene.add_root(Page::from_node(ROOT.node(&base, options.content))?);
-    let traits = |adapter| ContextTraits { size_px: [64, 64], adapter, validation: false };
+    let traits = |adapter| ContextTraits { size_px: [64, 64], adapter, ..ContextTraits::default() };
     let mut graphics = GraphicsContext::new_offscreen(&traits(AdapterChoice::Software))
         .or_else(|_| GraphicsContext::new_offscreen(&traits(AdapterChoice::Noop)))?;
     let read = ReadOptions::for_root(&format!("{base}{}", ROOT.file("glb")), Limits::default());

@@ -1,0 +1,221 @@
+//! What comes back from the adapter some frames later: samples of occlusion queries, pictures of cameras. Draw thread;
+//! nothing waits for it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+use crate::cull::OcclusionQuery;
+use crate::scene::{OcclusionResults, Picture, PictureSink};
+
+const IDLE: u8 = 0;
+const IN_FLIGHT: u8 = 1;
+const READY: u8 = 2;
+const FAILED: u8 = 3;
+
+/// Queries of a frame that are asked; those beyond wait for another.
+pub(super) const MOST_QUERIES: u32 = 1024;
+/// Frames whose answers may be outstanding.
+const RING: usize = 4;
+/// Pictures that may be outstanding.
+const MOST_PICTURES: usize = 8;
+
+fn map(buffer: &wgpu::Buffer, state: &Arc<AtomicU8>) {
+    state.store(IN_FLIGHT, Ordering::Release);
+    let state = state.clone();
+    buffer.map_async(wgpu::MapMode::Read, .., move |result| {
+        state.store(if result.is_ok() { READY } else { FAILED }, Ordering::Release);
+    });
+}
+
+struct QuerySlot {
+    buffer: wgpu::Buffer,
+    asked: Vec<(Arc<OcclusionResults>, u32)>,
+    state: Arc<AtomicU8>,
+}
+
+/// Occlusion queries of a renderer; made when the first one comes.
+pub(super) struct Queries {
+    pub(super) set: wgpu::QuerySet,
+    resolve: wgpu::Buffer,
+    slots: Vec<QuerySlot>,
+    current: Option<usize>,
+}
+
+impl Queries {
+    pub(super) fn new(device: &wgpu::Device) -> Self {
+        let buffer = |label, usage| {
+            let size = 8 * u64::from(MOST_QUERIES);
+            device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
+        };
+        Self {
+            set: device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("occlusion"),
+                ty: wgpu::QueryType::Occlusion,
+                count: MOST_QUERIES,
+            }),
+            resolve: buffer("occlusion", wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC),
+            slots: (0..RING)
+                .map(|_| QuerySlot {
+                    buffer: buffer("occlusion answers", wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ),
+                    asked: Vec::new(),
+                    state: Arc::new(AtomicU8::new(IDLE)),
+                })
+                .collect(),
+            current: None,
+        }
+    }
+
+    pub(super) fn start_frame(&mut self) {
+        self.current = self.slots.iter().position(|s| s.state.load(Ordering::Acquire) == IDLE);
+        if let Some(slot) = self.current.and_then(|i| self.slots.get_mut(i)) {
+            slot.asked.clear();
+        }
+    }
+
+    /// The index of a query; `None` when it has to wait for another frame.
+    pub(super) fn ask(&mut self, query: &OcclusionQuery) -> Option<u32> {
+        let slot = self.slots.get_mut(self.current?)?;
+        let index = u32::try_from(slot.asked.len()).ok().filter(|i| *i < MOST_QUERIES)?;
+        slot.asked.push((query.results.clone(), query.visibility_threshold));
+        Some(index)
+    }
+
+    pub(super) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
+        if let Some(slot) = self.current.and_then(|i| self.slots.get(i)).filter(|s| !s.asked.is_empty()) {
+            let count = slot.asked.len() as u32;
+            encoder.resolve_query_set(&self.set, 0..count, &self.resolve, 0);
+            encoder.copy_buffer_to_buffer(&self.resolve, 0, &slot.buffer, 0, 8 * u64::from(count));
+        }
+    }
+
+    pub(super) fn submitted(&mut self) {
+        if let Some(slot) = self.current.take().and_then(|i| self.slots.get(i)).filter(|s| !s.asked.is_empty()) {
+            map(&slot.buffer, &slot.state);
+        }
+    }
+
+    /// Passes on what has arrived.
+    pub(super) fn deliver(&mut self) {
+        for slot in &mut self.slots {
+            match slot.state.load(Ordering::Acquire) {
+                READY => {
+                    if let Ok(view) = slot.buffer.get_mapped_range(..) {
+                        for ((results, threshold), samples) in slot.asked.iter().zip(view.chunks_exact(8)) {
+                            results.answered(bytemuck::pod_read_unaligned(samples), *threshold);
+                        }
+                    }
+                    slot.buffer.unmap();
+                    slot.asked.clear();
+                    slot.state.store(IDLE, Ordering::Release);
+                }
+                FAILED => slot.state.store(IDLE, Ordering::Release),
+                _ => {}
+            }
+        }
+    }
+}
+
+struct PictureSlot {
+    buffer: wgpu::Buffer,
+    sink: Arc<PictureSink>,
+    size_px: [u32; 2],
+    frame: u32,
+    is_new: bool,
+    state: Arc<AtomicU8>,
+}
+
+/// Pictures under way from cameras to whoever wants them.
+#[derive(Default)]
+pub(super) struct PictureReads {
+    slots: Vec<PictureSlot>,
+}
+
+impl PictureReads {
+    /// Copies a texture (of four bytes a texel) to where it can be read; false while too many are under way.
+    pub(super) fn copy(
+        &mut self,
+        device: &wgpu::Device,
+        encoder: &mut wgpu::CommandEncoder,
+        texture: &wgpu::Texture,
+        [level, layer]: [u32; 2],
+        sink: &Arc<PictureSink>,
+        frame: u32,
+    ) -> bool {
+        let size_px = [texture.width(), texture.height()].map(|side| (side >> level).max(1));
+        let row_bytes = (size_px[0] * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let size = u64::from(row_bytes) * u64::from(size_px[1]);
+        let is_idle = |s: &PictureSlot| !s.is_new && s.state.load(Ordering::Acquire) == IDLE;
+        let fitting = self.slots.iter().position(|s| is_idle(s) && s.buffer.size() == size);
+        let place = match fitting.or_else(|| self.slots.iter().position(is_idle)) {
+            Some(place) => place,
+            None if self.slots.len() >= MOST_PICTURES => return false,
+            None => self.slots.len(),
+        };
+        if fitting.is_none() {
+            let slot = PictureSlot {
+                buffer: device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some("picture"),
+                    size,
+                    usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                    mapped_at_creation: false,
+                }),
+                sink: sink.clone(),
+                size_px,
+                frame,
+                is_new: true,
+                state: Arc::new(AtomicU8::new(IDLE)),
+            };
+            if place < self.slots.len() {
+                self.slots[place] = slot;
+            } else {
+                self.slots.push(slot);
+            }
+        }
+        let slot = &mut self.slots[place];
+        (slot.sink, slot.size_px, slot.frame, slot.is_new) = (sink.clone(), size_px, frame, true);
+        encoder.copy_texture_to_buffer(
+            wgpu::TexelCopyTextureInfo {
+                mip_level: level,
+                origin: wgpu::Origin3d { x: 0, y: 0, z: layer },
+                ..texture.as_image_copy()
+            },
+            wgpu::TexelCopyBufferInfo {
+                buffer: &slot.buffer,
+                layout: wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(row_bytes), rows_per_image: None },
+            },
+            wgpu::Extent3d { width: size_px[0], height: size_px[1], depth_or_array_layers: 1 },
+        );
+        true
+    }
+
+    pub(super) fn submitted(&mut self) {
+        for slot in self.slots.iter_mut().filter(|s| s.is_new) {
+            slot.is_new = false;
+            map(&slot.buffer, &slot.state);
+        }
+    }
+
+    /// Hands over what has arrived.
+    pub(super) fn deliver(&mut self) {
+        for slot in &self.slots {
+            match slot.state.load(Ordering::Acquire) {
+                READY => {
+                    if let Ok(view) = slot.buffer.get_mapped_range(..) {
+                        let [width, height] = slot.size_px;
+                        let row_bytes = width as usize * 4;
+                        let mut rgba = Vec::with_capacity(row_bytes * height as usize);
+                        let padded = row_bytes.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
+                        for row in view.chunks_exact(padded) {
+                            rgba.extend_from_slice(&row[..row_bytes]);
+                        }
+                        slot.sink.put(Picture { size_px: slot.size_px, frame: slot.frame, rgba });
+                    }
+                    slot.buffer.unmap();
+                    slot.state.store(IDLE, Ordering::Release);
+                }
+                FAILED => slot.state.store(IDLE, Ordering::Release),
+                _ => {}
+            }
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! The fixed function: lights, material, fog, clip planes, alpha test and texture units as uniforms of
+//! shaders/fixed.wgsl. Mirrors of its structs; a test compares them with naga's layout.
+
+use crate::cull::RenderStage;
+use crate::state::{
+    CLIP_PLANES, CompareFunction, FogMode, LIGHTS, Mode, ResolvedState, TEXTURE_UNITS, TexGen, TextureDimension,
+};
+
+/// A light; `StageLight` in frame.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
+pub(super) struct StageLight {
+    /// Eye space; w 1 for a place, 0 for a direction.
+    pub(super) position: [f32; 4],
+    /// Where a spot shines; w: cosine of its half angle.
+    pub(super) direction: [f32; 4],
+    /// w: exponent of the spot.
+    pub(super) ambient: [f32; 4],
+    /// w: 1 where there is such a light.
+    pub(super) diffuse: [f32; 4],
+    pub(super) specular: [f32; 4],
+    pub(super) attenuation: [f32; 4],
+}
+
+/// What is positioned in a stage; `Stage` in frame.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+pub(super) struct StageUniform {
+    pub(super) lights: [StageLight; LIGHTS],
+    pub(super) clip_planes: [[f32; 4]; CLIP_PLANES],
+}
+
+impl StageUniform {
+    pub(super) fn new(stage: &RenderStage) -> Self {
+        let mut uniform = Self {
+            lights: [StageLight::default(); LIGHTS],
+            // Planes that nothing is cut by.
+            clip_planes: [[0.0, 0.0, 0.0, 1.0]; CLIP_PLANES],
+        };
+        for positioned in &stage.lights {
+            let light = &positioned.light;
+            let Some(slot) = uniform.lights.get_mut(usize::from(light.number)) else { continue };
+            let [x, y, z] = light.direction;
+            let direction = glam::DVec3::new(x, y, z).normalize_or(glam::DVec3::NEG_Z).as_vec3();
+            let rgb = |c: [f32; 3], w: f32| [c[0], c[1], c[2], w];
+            let position = light.position.map(|p| p as f32);
+            if !position.iter().all(|p| p.is_finite()) {
+                continue;
+            }
+            let is_spot = light.spot_cutoff < std::f32::consts::FRAC_PI_2;
+            *slot = StageLight {
+                position,
+                direction: direction.extend(if is_spot { light.spot_cutoff.cos() } else { -1.0 }).to_array(),
+                ambient: rgb(light.ambient, light.spot_exponent),
+                diffuse: rgb(light.diffuse, 1.0),
+                specular: rgb(light.specular, 0.0),
+                attenuation: rgb(light.attenuation, 0.0),
+            };
+        }
+        for clip in &stage.clip_planes {
+            if let Some(plane) = uniform.clip_planes.get_mut(usize::from(clip.number)) {
+                *plane = clip.plane.as_vec4().to_array();
+            }
+        }
+        uniform
+    }
+}
+
+/// True when a LightSource has taken the place of the environment's sun.
+pub(super) fn replaces_sun(stage: &RenderStage) -> bool {
+    stage.lights.iter().any(|l| l.light.number == 0)
+}
+
+/// Per state; `Fixed` in fixed.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+pub(super) struct FixedUniform {
+    /// w: 1 where the state gives a material.
+    pub(super) ambient: [f32; 4],
+    pub(super) diffuse: [f32; 4],
+    /// w: shininess.
+    pub(super) specular: [f32; 4],
+    /// w: reference of the alpha test.
+    pub(super) emission: [f32; 4],
+    /// w: 0 none, 1 the environment's haze, 2 linear, 3 exp, 4 exp2.
+    pub(super) fog_color: [f32; 4],
+    /// Linear: end and 1 / (end - start); else the density.
+    pub(super) fog: [f32; 4],
+    pub(super) model_ambient: [f32; 4],
+    /// Bits of lights, bits of clip planes, alpha test (7 passes all), 1 where the sun is replaced.
+    pub(super) flags: [u32; 4],
+    /// By unit: 0 off, 1 plane, 2 cube, 3 volume, 4 layers.
+    pub(super) units: [u32; 4],
+    /// By unit: 0 the mesh's, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection.
+    pub(super) texgens: [u32; 4],
+    /// Added to the mip level by unit.
+    pub(super) bias: [f32; 4],
+    /// Planes of s and t by unit.
+    pub(super) planes: [[f32; 4]; 2 * TEXTURE_UNITS],
+}
+
+const _: () = assert!(TEXTURE_UNITS == 4);
+
+impl FixedUniform {
+    pub(super) fn new(state: &ResolvedState, stage: &RenderStage) -> Self {
+        let rgb = |c: [f32; 3], w: f32| [c[0], c[1], c[2], w];
+        let material = state.material();
+        let given = material.unwrap_or_default();
+        let alpha = state.alpha_func();
+        let (fog_color, fog) = match state.fog() {
+            _ if !state.mode(Mode::Fog) => ([0.0; 4], [0.0; 4]),
+            None => ([0.0, 0.0, 0.0, 1.0], [0.0; 4]),
+            Some(fog) => match fog.mode {
+                FogMode::Linear { start_m, end_m } => {
+                    let span = end_m - start_m;
+                    let scale = if span.abs() > 1e-6 { 1.0 / span } else { 1e6 };
+                    (rgb(fog.color, 2.0), [end_m, scale, 0.0, 0.0])
+                }
+                FogMode::Exp { density_per_m } => (rgb(fog.color, 3.0), [density_per_m, 0.0, 0.0, 0.0]),
+                FogMode::Exp2 { density_per_m } => (rgb(fog.color, 4.0), [density_per_m, 0.0, 0.0, 0.0]),
+            },
+        };
+        let mut uniform = Self {
+            ambient: rgb(given.ambient, if material.is_some() { 1.0 } else { 0.0 }),
+            diffuse: given.diffuse,
+            specular: rgb(given.specular, given.shininess),
+            emission: rgb(given.emission, alpha.map_or(0.0, |a| a.reference)),
+            fog_color,
+            fog,
+            model_ambient: rgb(state.light_model().ambient, 0.0),
+            flags: [
+                state.mode_bits(Mode::Light(0), LIGHTS),
+                state.mode_bits(Mode::ClipPlane(0), CLIP_PLANES),
+                alpha.map_or(CompareFunction::Always, |a| a.function) as u32,
+                u32::from(replaces_sun(stage)),
+            ],
+            units: [0; 4],
+            texgens: [0; 4],
+            bias: [0.0; 4],
+            planes: [[0.0; 4]; 2 * TEXTURE_UNITS],
+        };
+        for unit in 0..TEXTURE_UNITS {
+            let Some(binding) = state.texture(unit) else { continue };
+            uniform.units[unit] = match binding.texture.dimension {
+                TextureDimension::D1 | TextureDimension::D2 => 1,
+                TextureDimension::Cube => 2,
+                TextureDimension::D3 => 3,
+                TextureDimension::D2Array => 4,
+            };
+            uniform.bias[unit] = binding.sampler.mip_bias;
+            let Some(texgen) = state.texgen(unit) else { continue };
+            let of_node = stage.texgens.iter().rev().find(|(u, _)| usize::from(*u) == unit).map(|(_, t)| *t);
+            let (kind, planes) = match (texgen, of_node) {
+                (TexGen::ObjectLinear(planes), _) => (1, planes),
+                (TexGen::EyeLinear(_), Some(TexGen::EyeLinear(planes))) | (TexGen::EyeLinear(planes), _) => (2, planes),
+                (TexGen::SphereMap, _) => (3, [[0.0; 4]; 2]),
+                (TexGen::NormalMap, _) => (4, [[0.0; 4]; 2]),
+                (TexGen::ReflectionMap, _) => (5, [[0.0; 4]; 2]),
+            };
+            uniform.texgens[unit] = kind;
+            uniform.planes[2 * unit..2 * unit + 2].copy_from_slice(&planes);
+        }
+        uniform
+    }
+}

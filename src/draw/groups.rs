@@ -1,0 +1,262 @@
+//! The frame's uniforms in one buffer, and group 2 of the pipelines: uniforms and textures of states. Draw thread.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use super::key::Shading;
+use super::pipelines::Pipelines;
+use crate::gpu::{GraphicsContext, StateTextures, White, view_dimension};
+use crate::state::{ResolvedState, Sampler, TEXTURE_UNITS, TextureBinding, TextureDimension};
+
+/// Which bind group a state needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct GroupKey {
+    /// 0 is the fixed function, others a program's place plus 1.
+    shading: u16,
+    /// Serial number of the texture and place of the sampler; 0, 0 without.
+    units: [(u32, u32); TEXTURE_UNITS],
+}
+
+struct Group {
+    key: GroupKey,
+    /// Made in [`Groups::finish`].
+    bind_group: Option<wgpu::BindGroup>,
+}
+
+/// Uniforms and bind groups of a renderer.
+pub(super) struct Groups {
+    pub(super) textures: StateTextures,
+    white: White,
+    white_sampler: u32,
+    buffer: wgpu::Buffer,
+    pub(super) bytes: Vec<u8>,
+    align: usize,
+    groups: Vec<Group>,
+    /// Only looked up.
+    group_of: HashMap<GroupKey, u32>,
+    /// Groups of this frame that have to be made, with a state that says how.
+    pending: Vec<(u32, Arc<ResolvedState>)>,
+}
+
+fn buffer(device: &wgpu::Device, size: usize) -> wgpu::Buffer {
+    device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("uniforms"),
+        size: size as u64,
+        usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
+impl Groups {
+    pub(super) fn new(ctx: &GraphicsContext) -> Self {
+        let device = ctx.device();
+        let mut textures = StateTextures::new(device);
+        let white_sampler = textures.ensure_sampler(device, &Sampler::default());
+        Self {
+            textures,
+            white: White::new(device, ctx.queue()),
+            white_sampler,
+            buffer: buffer(device, 64 << 10),
+            bytes: Vec::new(),
+            align: device.limits().min_uniform_buffer_offset_alignment.max(16) as usize,
+            groups: Vec::new(),
+            group_of: HashMap::new(),
+            pending: Vec::new(),
+        }
+    }
+
+    pub(super) fn start_frame(&mut self) {
+        self.bytes.clear();
+        self.pending.clear();
+        if self.textures.prune() {
+            self.forget_groups();
+        }
+    }
+
+    fn forget_groups(&mut self) {
+        self.groups.clear();
+        self.group_of.clear();
+    }
+
+    /// Appends a uniform and returns where.
+    pub(super) fn push<T: bytemuck::Pod>(&mut self, uniform: &T) -> u32 {
+        let at = self.reserve(size_of::<T>());
+        self.bytes[at as usize..][..size_of::<T>()].copy_from_slice(bytemuck::bytes_of(uniform));
+        at
+    }
+
+    /// Room for a uniform, zeroed.
+    pub(super) fn reserve(&mut self, size: usize) -> u32 {
+        let at = self.bytes.len().next_multiple_of(self.align);
+        self.bytes.resize(at + size, 0);
+        at as u32
+    }
+
+    /// The group that a state needs under a shading; what is wrong with its textures, which are then white.
+    pub(super) fn group(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &Pipelines,
+        shading: Shading,
+        state: &Arc<ResolvedState>,
+        attached: impl Fn(&TextureBinding) -> bool,
+        mut wrong: impl FnMut(String),
+    ) -> u32 {
+        let program = match shading {
+            Shading::Program(place) => pipelines.programs.get(place),
+            _ => None,
+        };
+        let mut units = [(0, 0); TEXTURE_UNITS];
+        for (unit, slot) in units.iter_mut().enumerate() {
+            let Some(binding) = state.texture(unit) else { continue };
+            let texture = &binding.texture;
+            let fits = match program {
+                Some(program) => program.units[unit].is_none_or(|u| {
+                    u.dimension == view_dimension(texture.dimension)
+                        && u.is_depth == (texture.format == crate::state::TextureFormat::Depth32)
+                        && (u.is_depth || self.textures.is_filterable(texture.format))
+                }),
+                None => self.textures.is_filterable(texture.format) && binding.sampler.compare.is_none(),
+            };
+            if attached(binding) {
+                wrong(format!("texture {:?} is read while it is drawn into", texture.name));
+                continue;
+            }
+            if !fits {
+                wrong(format!("texture {:?} ({:?}) does not fit unit {unit}", texture.name, texture.format));
+                continue;
+            }
+            match self.textures.ensure(ctx.device(), ctx.queue(), texture) {
+                Ok(Some(serial)) => {
+                    *slot = (serial, self.textures.ensure_sampler(ctx.device(), &binding.sampler) + 1);
+                }
+                Ok(None) => {}
+                Err(problem) => wrong(problem),
+            }
+        }
+        let shading = if let Shading::Program(place) = shading { place + 1 } else { 0 };
+        let key = GroupKey { shading, units };
+        let next = self.groups.len() as u32;
+        let group = *self.group_of.entry(key).or_insert(next);
+        if group == next {
+            self.groups.push(Group { key, bind_group: None });
+        }
+        // Again each frame: all groups are made anew when the buffer grows.
+        if !self.pending.iter().any(|(g, _)| *g == group) {
+            self.pending.push((group, state.clone()));
+        }
+        group
+    }
+
+    /// Uploads the uniforms and makes the groups that are not there; true when the buffer is another one.
+    pub(super) fn finish(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines) -> bool {
+        // Bindings are of fixed sizes: the last one must lie inside too.
+        let needed = self.bytes.len().next_multiple_of(4);
+        self.bytes.resize(needed, 0);
+        let grows = needed as u64 > self.buffer.size();
+        if grows {
+            self.buffer = buffer(ctx.device(), needed.next_power_of_two());
+            for group in &mut self.groups {
+                group.bind_group = None;
+            }
+        }
+        ctx.queue().write_buffer(&self.buffer, 0, &self.bytes);
+        let pending = std::mem::take(&mut self.pending);
+        for (group, state) in &pending {
+            if self.groups[*group as usize].bind_group.is_none() {
+                let made = self.make(ctx, pipelines, &self.groups[*group as usize].key, state);
+                self.groups[*group as usize].bind_group = made;
+            }
+        }
+        self.pending = pending;
+        self.pending.clear();
+        grows
+    }
+
+    fn make(
+        &self,
+        ctx: &GraphicsContext,
+        pipelines: &Pipelines,
+        key: &GroupKey,
+        state: &ResolvedState,
+    ) -> Option<wgpu::BindGroup> {
+        let view = |unit: usize| {
+            let (serial, sampler) = key.units[unit];
+            let binding = state.texture(unit).filter(|_| serial != 0)?;
+            Some((self.textures.view(&binding.texture)?, self.textures.sampler(sampler - 1)?, binding))
+        };
+        let white_sampler = self.textures.sampler(self.white_sampler)?;
+        let mut entries = Vec::new();
+        let (layout, uniform_bytes) = match key.shading.checked_sub(1) {
+            None => {
+                for unit in 0..TEXTURE_UNITS {
+                    let is_plane =
+                        |b: &TextureBinding| matches!(b.texture.dimension, TextureDimension::D1 | TextureDimension::D2);
+                    let found = view(unit).filter(|(.., b)| is_plane(b));
+                    let (view, sampler) = found.map_or((&self.white.plane, white_sampler), |(v, s, _)| (v, s));
+                    push(&mut entries, unit, view, Some(sampler));
+                }
+                let others = [
+                    (TextureDimension::Cube, &self.white.cube),
+                    (TextureDimension::D3, &self.white.volume),
+                    (TextureDimension::D2Array, &self.white.layers),
+                ];
+                for (place, (dimension, white)) in (TEXTURE_UNITS..).zip(others) {
+                    let found = (0..TEXTURE_UNITS).filter_map(view).find(|(.., b)| b.texture.dimension == dimension);
+                    let (view, sampler) = found.map_or((white, white_sampler), |(v, s, _)| (v, s));
+                    push(&mut entries, place, view, Some(sampler));
+                }
+                (&pipelines.fixed_layout, size_of::<super::fixed::FixedUniform>())
+            }
+            Some(place) => {
+                let program = pipelines.programs.get(place)?;
+                for (unit, layout) in program.units.iter().enumerate() {
+                    let Some(layout) = layout else { continue };
+                    let white = match layout.dimension {
+                        wgpu::TextureViewDimension::Cube => &self.white.cube,
+                        wgpu::TextureViewDimension::D3 => &self.white.volume,
+                        wgpu::TextureViewDimension::D2Array => &self.white.layers,
+                        _ => &self.white.plane,
+                    };
+                    let (view, sampler) = view(unit).map_or((white, white_sampler), |(v, s, _)| (v, s));
+                    push(&mut entries, unit, view, layout.has_sampler().then_some(sampler));
+                }
+                (&program.layout, program.uniform_bytes)
+            }
+        };
+        if uniform_bytes > 0 {
+            let size = wgpu::BufferSize::new(uniform_bytes as u64);
+            entries.push(wgpu::BindGroupEntry {
+                binding: 0,
+                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset: 0, size }),
+            });
+        }
+        Some(ctx.device().create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("state"),
+            layout,
+            entries: &entries,
+        }))
+    }
+
+    pub(super) fn bind_group(&self, group: u32) -> Option<&wgpu::BindGroup> {
+        self.groups.get(group as usize)?.bind_group.as_ref()
+    }
+
+    pub(super) fn buffer(&self) -> &wgpu::Buffer {
+        &self.buffer
+    }
+}
+
+fn push<'a>(
+    entries: &mut Vec<wgpu::BindGroupEntry<'a>>,
+    unit: usize,
+    view: &'a wgpu::TextureView,
+    sampler: Option<&'a wgpu::Sampler>,
+) {
+    let binding = 1 + 2 * unit as u32;
+    entries.push(wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) });
+    if let Some(sampler) = sampler {
+        let resource = wgpu::BindingResource::Sampler(sampler);
+        entries.push(wgpu::BindGroupEntry { binding: binding + 1, resource });
+    }
+}

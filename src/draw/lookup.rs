@@ -1,0 +1,77 @@
+//! A small table from u64 to u32 that is emptied in no time. Draw thread.
+
+/// Open addressing; entries of before the last [`Self::clear`] are told by their stamp.
+#[derive(Default)]
+pub(super) struct Lookup {
+    table: Vec<(u32, u32, u64)>,
+    stamp: u32,
+    len: usize,
+}
+
+impl Lookup {
+    pub(super) fn clear(&mut self) {
+        if self.table.is_empty() || self.stamp == u32::MAX {
+            self.table.clear();
+            self.table.resize(64, (0, 0, 0));
+            self.stamp = 0;
+        }
+        self.stamp += 1;
+        self.len = 0;
+    }
+
+    /// The value of a key; the given one from now on when it had none.
+    #[inline]
+    pub(super) fn get_or_insert(&mut self, key: u64, value: u32) -> u32 {
+        let mask = self.table.len() - 1;
+        let mut place = (key.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) as usize & mask;
+        loop {
+            let (stamp, found, of) = self.table[place];
+            if stamp != self.stamp {
+                self.table[place] = (self.stamp, value, key);
+                self.len += 1;
+                if self.len * 2 > self.table.len() {
+                    self.grow();
+                }
+                return value;
+            }
+            if of == key {
+                return found;
+            }
+            place = (place + 1) & mask;
+        }
+    }
+
+    #[cold]
+    fn grow(&mut self) {
+        let size = self.table.len() * 2;
+        let old = std::mem::replace(&mut self.table, vec![(0, 0, 0); size]);
+        let stamp = std::mem::replace(&mut self.stamp, 1);
+        self.len = 0;
+        for (s, value, key) in old {
+            if s == stamp {
+                self.get_or_insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn is_a_map(rounds in prop::collection::vec(prop::collection::vec(0u64..400, 0..500), 1..5)) {
+            let mut lookup = Lookup::default();
+            for keys in rounds {
+                lookup.clear();
+                let mut map = std::collections::HashMap::new();
+                for (i, key) in keys.iter().enumerate() {
+                    let key = key.wrapping_mul(0x1_0000_0001);
+                    prop_assert_eq!(lookup.get_or_insert(key, i as u32), *map.entry(key).or_insert(i as u32));
+                }
+            }
+        }
+    }
+}

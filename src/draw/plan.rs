@@ -1,0 +1,291 @@
+//! What the passes of a frame draw into: the target of the context, or textures of cameras. Draw thread.
+
+use std::sync::Arc;
+
+use super::pipelines::{MOST_COLORS, Pipelines, TargetKey};
+use super::renderer::clamped;
+use super::state::Dynamics;
+use crate::cull::{RenderStage, StageTarget};
+use crate::gpu::{GraphicsContext, StateTextures, Transients, texture_format};
+use crate::scene::{Attachment, CameraTarget};
+use crate::state::{TextureFormat, TextureObject};
+
+/// What a stage comes to.
+#[derive(Default)]
+pub(super) struct StagePlan {
+    /// `None`: cannot be drawn.
+    pub(super) target: Option<PassTarget>,
+    pub(super) runs: std::ops::Range<usize>,
+    /// First run that writes no depth.
+    pub(super) see_through: usize,
+    /// Index of the statics without any state set.
+    pub(super) statics: u32,
+    /// Leaf, query and statics of boxes to be tested.
+    pub(super) queries: Vec<(u32, u32, u32)>,
+    pub(super) has_sky: bool,
+    pub(super) background: wgpu::Color,
+}
+
+/// Where a pass draws.
+#[derive(Clone)]
+pub(super) struct PassTarget {
+    colors: [Option<wgpu::TextureView>; MOST_COLORS],
+    /// Where multisampled colours are resolved to.
+    resolves: [Option<wgpu::TextureView>; MOST_COLORS],
+    depth: wgpu::TextureView,
+    has_stencil: bool,
+    /// Its depth is sampled later, or later stages go on with it.
+    keeps_depth: bool,
+    pub(super) size_px: [u32; 2],
+    /// In [`Pipelines`].
+    pub(super) index: u8,
+    is_outermost: bool,
+}
+
+/// Targets of a renderer.
+pub(super) struct Targets {
+    transients: Transients,
+    can_stencil: bool,
+    /// Some state uses the stencil in this frame.
+    has_stencil: bool,
+    /// Stages that follow the outermost one in its own target.
+    has_followers: bool,
+    /// Addresses of the targets met in this frame: each has a depth buffer of its own.
+    owners: Vec<usize>,
+}
+
+impl Targets {
+    pub(super) fn new(device: &wgpu::Device) -> Self {
+        Self {
+            transients: Transients::default(),
+            can_stencil: device.features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8),
+            has_stencil: false,
+            has_followers: false,
+            owners: Vec::new(),
+        }
+    }
+
+    /// Looks what the frame's stages need; says what the adapter lacks.
+    pub(super) fn start_frame(&mut self, stage: &RenderStage) -> Option<String> {
+        self.transients.start_frame();
+        self.owners.clear();
+        let needs_stencil = any(stage, &|s| s.state_sets.iter().any(|state| state.stencil().is_some()));
+        self.has_stencil = needs_stencil && self.can_stencil;
+        self.has_followers = stage.post_render.iter().any(|after| any(after, &|s| s.target.camera.is_none()));
+        (needs_stencil && !self.can_stencil)
+            .then(|| "the adapter has no stencil beside float depth; stencil tests pass everywhere".into())
+    }
+
+    fn depth_format(&self) -> wgpu::TextureFormat {
+        if self.has_stencil { wgpu::TextureFormat::Depth32FloatStencil8 } else { crate::gpu::DEPTH_FORMAT }
+    }
+
+    /// Where a stage draws; why it cannot.
+    pub(super) fn of(
+        &mut self,
+        ctx: &GraphicsContext,
+        textures: &mut StateTextures,
+        pipelines: &mut Pipelines,
+        target: &StageTarget,
+        is_outermost: bool,
+    ) -> Result<PassTarget, String> {
+        match &target.camera {
+            Some(camera) if !camera.colors.is_empty() || camera.depth.is_some() => {
+                self.of_camera(ctx, textures, pipelines, camera)
+            }
+            _ => self.of_context(ctx, pipelines, is_outermost),
+        }
+    }
+
+    fn of_context(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        is_outermost: bool,
+    ) -> Result<PassTarget, String> {
+        let view = ctx.color_view().ok_or("the window has no image to draw into")?.clone();
+        let (size_px, samples, depth) = (ctx.size_px(), ctx.samples(), self.depth_format());
+        let format = ctx.color_format();
+        let mut key = TargetKey { colors: [None; MOST_COLORS], depth, samples, writes_alpha: false };
+        key.colors[0] = Some(format);
+        let mut colors = [const { None }; MOST_COLORS];
+        let mut resolves = [const { None }; MOST_COLORS];
+        if samples > 1 {
+            colors[0] = Some(self.transients.view(ctx.device(), size_px, format, samples, 0));
+            resolves[0] = Some(view);
+        } else {
+            colors[0] = Some(view);
+        }
+        Ok(PassTarget {
+            colors,
+            resolves,
+            depth: self.transients.view(ctx.device(), size_px, depth, samples, 0),
+            has_stencil: self.has_stencil,
+            keeps_depth: self.has_followers,
+            size_px,
+            index: pipelines.target(&key).ok_or("more different targets than there can be")?,
+            is_outermost,
+        })
+    }
+
+    fn of_camera(
+        &mut self,
+        ctx: &GraphicsContext,
+        textures: &mut StateTextures,
+        pipelines: &mut Pipelines,
+        camera: &Arc<CameraTarget>,
+    ) -> Result<PassTarget, String> {
+        let device = ctx.device();
+        let samples = if camera.samples > 1 { 4 } else { 1 };
+        let address = Arc::as_ptr(camera) as usize;
+        let owner = self.owners.iter().position(|o| *o == address).unwrap_or_else(|| {
+            self.owners.push(address);
+            self.owners.len() - 1
+        }) as u32
+            + 1;
+        if camera.colors.len() > MOST_COLORS {
+            return Err(format!("a camera has {} colour attachments; {MOST_COLORS} are possible", camera.colors.len()));
+        }
+        let mut size_px = None;
+        let mut check = |attachment: &Attachment| -> Result<(), String> {
+            let [width, height, _] = attachment.texture.level_size(attachment.level);
+            let name = &attachment.texture.name;
+            if *size_px.get_or_insert([width, height]) != [width, height] {
+                return Err(format!("texture {name:?} has another size than the camera's other attachments"));
+            }
+            Ok(())
+        };
+        for attachment in camera.colors.iter().chain(&camera.depth) {
+            check(attachment)?;
+        }
+        let size_px = size_px.ok_or("a camera without attachments")?;
+        let mut view = |attachment: &Attachment| -> Result<wgpu::TextureView, String> {
+            let texture = &attachment.texture;
+            let name = &texture.name;
+            if !texture.texels.is_empty() {
+                return Err(format!("texture {name:?} has contents and is no target to draw into"));
+            }
+            // What was wrong with it has been said.
+            textures.ensure(device, ctx.queue(), texture)?.ok_or_else(String::new)?;
+            let (level, layer) = (attachment.level, attachment.layer);
+            textures
+                .attachment(texture, level, layer)
+                .ok_or_else(|| format!("texture {name:?} has no level {level} of layer {layer} to draw into"))
+        };
+        let mut key =
+            TargetKey { colors: [None; MOST_COLORS], depth: self.depth_format(), samples, writes_alpha: true };
+        let mut colors = [const { None }; MOST_COLORS];
+        let mut resolves = [const { None }; MOST_COLORS];
+        for (location, attachment) in camera.colors.iter().enumerate() {
+            let format = attachment.texture.format;
+            if format == TextureFormat::Depth32 {
+                return Err(format!("texture {:?} holds depth and is attached as colour", attachment.texture.name));
+            }
+            let format = texture_format(format);
+            key.colors[location] = Some(format);
+            let into = view(attachment)?;
+            if samples > 1 {
+                let place = owner * MOST_COLORS as u32 + location as u32;
+                colors[location] = Some(self.transients.view(device, size_px, format, samples, place));
+                resolves[location] = Some(into);
+            } else {
+                colors[location] = Some(into);
+            }
+        }
+        let depth = match &camera.depth {
+            Some(attachment) if attachment.texture.format != TextureFormat::Depth32 => {
+                return Err(format!("texture {:?} holds colour and is attached as depth", attachment.texture.name));
+            }
+            Some(attachment) if samples > 1 => {
+                let name = &attachment.texture.name;
+                return Err(format!("texture {name:?}: depth of several samples cannot be kept in a texture"));
+            }
+            Some(attachment) => {
+                key.depth = wgpu::TextureFormat::Depth32Float;
+                view(attachment)?
+            }
+            None => self.transients.view(device, size_px, key.depth, samples, owner),
+        };
+        Ok(PassTarget {
+            colors,
+            resolves,
+            depth,
+            has_stencil: key.depth.has_stencil_aspect(),
+            keeps_depth: true,
+            size_px,
+            index: pipelines.target(&key).ok_or("more different targets than there can be")?,
+            is_outermost: false,
+        })
+    }
+}
+
+/// True when something holds for a stage or one around it.
+fn any(stage: &RenderStage, holds: &impl Fn(&RenderStage) -> bool) -> bool {
+    holds(stage) || stage.pre_render.iter().chain(&stage.post_render).any(|s| any(s, holds))
+}
+
+impl PassTarget {
+    /// What holds without any state set.
+    pub(super) fn dynamics(&self, viewport_px: Option<[u32; 4]>) -> Dynamics {
+        let [width, height] = self.size_px;
+        let rect = viewport_px.unwrap_or([0, 0, width, height]).map(|v| v as f32);
+        let [x, y, w, h] = clamped(rect, self.size_px);
+        Dynamics {
+            viewport: [x, y, w, h, 0.0, 1.0],
+            scissor: [0, 0, width, height],
+            stencil_reference: 0,
+            blend_color: None,
+        }
+    }
+
+    /// True for textures that the stage itself draws into.
+    pub(super) fn draws_into(&self, stage: &RenderStage, texture: &Arc<TextureObject>) -> bool {
+        let attachments = stage.target.camera.iter().flat_map(|c| c.colors.iter().chain(&c.depth));
+        attachments.into_iter().any(|a| Arc::ptr_eq(&a.texture, texture))
+    }
+
+    pub(super) fn color_count(&self) -> usize {
+        self.colors.iter().rposition(Option::is_some).map_or(0, |last| last + 1)
+    }
+
+    pub(super) fn color_attachments<'a>(
+        &'a self,
+        stage: &RenderStage,
+        background: wgpu::Color,
+    ) -> [Option<wgpu::RenderPassColorAttachment<'a>>; MOST_COLORS] {
+        let clear = match stage.clear_node {
+            Some(said) => said.map(color),
+            None if self.is_outermost => Some(background),
+            None => stage.target.clear_color.map(color),
+        };
+        let load = clear.map_or(wgpu::LoadOp::Load, wgpu::LoadOp::Clear);
+        let mut attachments = [const { None }; MOST_COLORS];
+        for ((attachment, view), resolve) in attachments.iter_mut().zip(&self.colors).zip(&self.resolves) {
+            *attachment = view.as_ref().map(|view| wgpu::RenderPassColorAttachment {
+                view,
+                depth_slice: None,
+                resolve_target: resolve.as_ref(),
+                ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
+            });
+        }
+        attachments
+    }
+
+    pub(super) fn depth_attachment(&self, stage: &RenderStage) -> wgpu::RenderPassDepthStencilAttachment<'_> {
+        let clears = self.is_outermost || stage.target.clear_depth;
+        let store = if self.keeps_depth { wgpu::StoreOp::Store } else { wgpu::StoreOp::Discard };
+        // Reversed-Z: infinitely far is 0.
+        let load = if clears { wgpu::LoadOp::Clear(0.0) } else { wgpu::LoadOp::Load };
+        let stencil_load = if clears { wgpu::LoadOp::Clear(0) } else { wgpu::LoadOp::Load };
+        wgpu::RenderPassDepthStencilAttachment {
+            view: &self.depth,
+            depth_ops: Some(wgpu::Operations { load, store }),
+            stencil_ops: self.has_stencil.then_some(wgpu::Operations { load: stencil_load, store }),
+        }
+    }
+}
+
+fn color([r, g, b, a]: [f32; 4]) -> wgpu::Color {
+    let [r, g, b, a] = [r, g, b, a].map(f64::from);
+    wgpu::Color { r, g, b, a }
+}

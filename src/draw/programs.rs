@@ -1,0 +1,295 @@
+//! Programs of the application: parsed and checked here, so that what is wrong is one error and not a lost device;
+//! their uniforms filled by name. Draw thread.
+
+use std::sync::Arc;
+
+use super::key::MOST_PROGRAMS;
+use super::pipelines::PROGRAM_PRELUDE;
+use crate::state::{Program, ResolvedState, TEXTURE_UNITS};
+
+/// Group of what a program declares itself.
+const GROUP: u32 = 2;
+
+/// A member of a program's uniforms.
+#[derive(Debug)]
+struct Member {
+    name: String,
+    offset: usize,
+    /// WGSL's name of its type, arrays without their length.
+    type_name: String,
+    size: usize,
+}
+
+/// A texture a program declares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct UnitLayout {
+    pub(super) dimension: wgpu::TextureViewDimension,
+    pub(super) is_depth: bool,
+    pub(super) is_filtered: bool,
+    has_sampler: bool,
+    compares: bool,
+}
+
+/// A program that can be used.
+#[derive(Debug)]
+pub(super) struct Compiled {
+    pub(super) module: wgpu::ShaderModule,
+    pub(super) layout: wgpu::BindGroupLayout,
+    members: Vec<Member>,
+    pub(super) uniform_bytes: usize,
+    pub(super) units: [Option<UnitLayout>; TEXTURE_UNITS],
+    /// Values of overrides.
+    pub(super) constants: Vec<(String, f64)>,
+    /// Bits of the locations that the fragment shader writes.
+    pub(super) outputs: u32,
+}
+
+struct Entry {
+    program: Arc<Program>,
+    compiled: Option<Compiled>,
+}
+
+/// Programs met so far, by identity.
+#[derive(Default)]
+pub(super) struct Programs {
+    entries: Vec<Entry>,
+}
+
+/// Times and matrices that uniforms named `osg_…` get.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Builtins {
+    pub frame: u32,
+    pub frame_time_s: f32,
+    pub delta_frame_time_s: f32,
+    pub simulation_time_s: f32,
+    pub view: glam::Mat4,
+    pub view_inverse: glam::Mat4,
+}
+
+impl Programs {
+    /// The place of a program that can be used; compiles it when first met. What is wrong with it only then.
+    pub(super) fn ensure(&mut self, device: &wgpu::Device, program: &Arc<Program>) -> Result<Option<u16>, String> {
+        if let Some(place) = self.entries.iter().position(|e| Arc::ptr_eq(&e.program, program)) {
+            return Ok(self.entries[place].compiled.is_some().then_some(place as u16));
+        }
+        if self.entries.len() >= MOST_PROGRAMS {
+            return Ok(None);
+        }
+        let compiled = compile(device, program);
+        let place = self.entries.len() as u16;
+        let (compiled, result) = match compiled {
+            Ok(compiled) => (Some(compiled), Ok(Some(place))),
+            Err(reason) => (None, Err(format!("program {:?}: {reason}", program.name))),
+        };
+        self.entries.push(Entry { program: program.clone(), compiled });
+        result
+    }
+
+    pub(super) fn get(&self, place: u16) -> Option<&Compiled> {
+        self.entries.get(usize::from(place))?.compiled.as_ref()
+    }
+}
+
+fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String> {
+    let source = format!("{PROGRAM_PRELUDE}\n{}", program.wgsl);
+    let module = naga::front::wgsl::parse_str(&source).map_err(|e| lines_of(&e.emit_to_string(&source)))?;
+    naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
+        .validate(&module)
+        .map_err(|e| lines_of(&e.emit_to_string(&source)))?;
+    let fragment = module
+        .entry_points
+        .iter()
+        .find(|e| e.name == "fs_main" && e.stage == naga::ShaderStage::Fragment)
+        .ok_or("no fragment entry point fs_main")?;
+    if !module.entry_points.iter().any(|e| e.name == "vs_main" && e.stage == naga::ShaderStage::Vertex) {
+        return Err("no vertex entry point vs_main".into());
+    }
+    let mut layouter = naga::proc::Layouter::default();
+    layouter.update(module.to_ctx()).map_err(|e| e.to_string())?;
+    let mut members = Vec::new();
+    let mut uniform_bytes = 0;
+    let mut units = [None; TEXTURE_UNITS];
+    for (_, variable) in module.global_variables.iter() {
+        let Some(binding) = variable.binding.as_ref().filter(|b| b.group >= GROUP) else { continue };
+        let inner = &module.types[variable.ty].inner;
+        match (binding.group, binding.binding, inner) {
+            (GROUP, 0, naga::TypeInner::Struct { members: of_struct, span }) => {
+                uniform_bytes = *span as usize;
+                members.extend(of_struct.iter().map(|m| Member {
+                    name: m.name.clone().unwrap_or_default(),
+                    offset: m.offset as usize,
+                    type_name: type_name(&module, m.ty),
+                    size: layouter[m.ty].size as usize,
+                }));
+            }
+            (GROUP, b, naga::TypeInner::Image { dim, arrayed, class })
+                if b % 2 == 1 && b < 2 * TEXTURE_UNITS as u32 =>
+            {
+                let (is_depth, is_filtered) = match class {
+                    naga::ImageClass::Sampled { kind: naga::ScalarKind::Float, multi: false } => (false, true),
+                    naga::ImageClass::Depth { multi: false } => (true, false),
+                    _ => return Err(format!("binding {b} is no texture that can be sampled")),
+                };
+                let dimension = match (dim, arrayed) {
+                    (naga::ImageDimension::D2, false) => wgpu::TextureViewDimension::D2,
+                    (naga::ImageDimension::D2, true) => wgpu::TextureViewDimension::D2Array,
+                    (naga::ImageDimension::D3, _) => wgpu::TextureViewDimension::D3,
+                    (naga::ImageDimension::Cube, false) => wgpu::TextureViewDimension::Cube,
+                    _ => return Err(format!("binding {b}: one-dimensional textures are texture_2d, of height 1")),
+                };
+                let unit: &mut Option<UnitLayout> = &mut units[(b / 2) as usize];
+                let (has_sampler, compares) = unit.map_or((false, false), |u| (u.has_sampler, u.compares));
+                *unit = Some(UnitLayout { dimension, is_depth, is_filtered, has_sampler, compares });
+            }
+            (GROUP, b, naga::TypeInner::Sampler { comparison })
+                if b % 2 == 0 && (2..=2 * TEXTURE_UNITS as u32).contains(&b) =>
+            {
+                let unit = &mut units[(b / 2 - 1) as usize];
+                let before = unit.unwrap_or(UnitLayout {
+                    dimension: wgpu::TextureViewDimension::D2,
+                    is_depth: false,
+                    is_filtered: true,
+                    has_sampler: true,
+                    compares: *comparison,
+                });
+                *unit = Some(UnitLayout { has_sampler: true, compares: *comparison, ..before });
+            }
+            (group, binding, _) => {
+                return Err(format!("group {group} binding {binding} is none of uniforms, textures and samplers"));
+            }
+        }
+    }
+    let constants = module
+        .overrides
+        .iter()
+        .filter_map(|(_, o)| o.name.as_ref())
+        .filter_map(|name| program.defines.iter().find(|(n, _)| n == name).cloned())
+        .collect();
+    let entries = bindings(uniform_bytes, &units);
+    let layout = device
+        .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(&program.name), entries: &entries });
+    let outputs = fragment.function.result.as_ref().map_or(0, |r| written(&module, r));
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(&program.name),
+        source: wgpu::ShaderSource::Wgsl(source.into()),
+    });
+    Ok(Compiled { module, layout, members, uniform_bytes, units, constants, outputs })
+}
+
+/// Errors of naga point into the source over several lines.
+fn lines_of(text: &str) -> String {
+    text.trim().lines().map(str::trim).filter(|l| !l.is_empty()).take(4).collect::<Vec<_>>().join(" ")
+}
+
+fn bindings(uniform_bytes: usize, units: &[Option<UnitLayout>; TEXTURE_UNITS]) -> Vec<wgpu::BindGroupLayoutEntry> {
+    let both = wgpu::ShaderStages::VERTEX_FRAGMENT;
+    let entry = |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: both, ty, count: None };
+    let mut entries = Vec::new();
+    if uniform_bytes > 0 {
+        let ty = wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: true,
+            min_binding_size: None,
+        };
+        entries.push(entry(0, ty));
+    }
+    for (unit, layout) in (0u32..).zip(units) {
+        let Some(layout) = layout else { continue };
+        let sample_type = if layout.is_depth {
+            wgpu::TextureSampleType::Depth
+        } else {
+            wgpu::TextureSampleType::Float { filterable: layout.is_filtered }
+        };
+        let ty = wgpu::BindingType::Texture { sample_type, view_dimension: layout.dimension, multisampled: false };
+        entries.push(entry(1 + 2 * unit, ty));
+        if layout.has_sampler {
+            let kind = match (layout.compares, layout.is_depth) {
+                (true, _) => wgpu::SamplerBindingType::Comparison,
+                (false, true) => wgpu::SamplerBindingType::NonFiltering,
+                (false, false) => wgpu::SamplerBindingType::Filtering,
+            };
+            entries.push(entry(2 + 2 * unit, wgpu::BindingType::Sampler(kind)));
+        }
+    }
+    entries
+}
+
+impl UnitLayout {
+    pub(super) fn has_sampler(&self) -> bool {
+        self.has_sampler
+    }
+}
+
+fn scalar_name(scalar: naga::Scalar) -> &'static str {
+    match scalar.kind {
+        naga::ScalarKind::Float => "f32",
+        naga::ScalarKind::Sint => "i32",
+        naga::ScalarKind::Uint => "u32",
+        _ => "?",
+    }
+}
+
+fn type_name(module: &naga::Module, ty: naga::Handle<naga::Type>) -> String {
+    match &module.types[ty].inner {
+        naga::TypeInner::Scalar(scalar) => scalar_name(*scalar).into(),
+        naga::TypeInner::Vector { size, scalar } => format!("vec{}<{}>", *size as u8, scalar_name(*scalar)),
+        naga::TypeInner::Matrix { columns, rows, scalar } => {
+            format!("mat{}x{}<{}>", *columns as u8, *rows as u8, scalar_name(*scalar))
+        }
+        naga::TypeInner::Array { base, .. } => format!("array<{}>", type_name(module, *base)),
+        _ => "?".into(),
+    }
+}
+
+fn written(module: &naga::Module, result: &naga::FunctionResult) -> u32 {
+    let bit = |binding: &Option<naga::Binding>| match binding {
+        Some(naga::Binding::Location { location, .. }) => 1 << (*location).min(31),
+        _ => 0,
+    };
+    match &module.types[result.ty].inner {
+        naga::TypeInner::Struct { members, .. } => members.iter().map(|m| bit(&m.binding)).fold(0, |a, b| a | b),
+        _ => bit(&result.binding),
+    }
+}
+
+impl Compiled {
+    /// Appends the uniforms of a state; what does not fit stays zero and is named the first time (by the caller).
+    pub(super) fn fill(&self, state: &ResolvedState, builtins: &Builtins, bytes: &mut [u8]) -> Result<(), String> {
+        let mut misfit = None;
+        for member in &self.members {
+            let Some(place) = bytes.get_mut(member.offset..member.offset + member.size) else { continue };
+            match state.uniform(&member.name) {
+                Some(uniform) if uniform.value.type_name() == member.type_name => {
+                    let (values, column, stride) = uniform.value.columns();
+                    for (value, place) in values.chunks(column).zip(place.chunks_mut(stride)) {
+                        let count = value.len().min(place.len());
+                        place[..count].copy_from_slice(&value[..count]);
+                    }
+                }
+                Some(uniform) => {
+                    let (given, wanted) = (uniform.value.type_name(), &member.type_name);
+                    misfit.get_or_insert_with(|| format!("uniform {} is {given} instead of {wanted}", member.name));
+                }
+                None => builtins.fill(&member.name, place),
+            }
+        }
+        misfit.map_or(Ok(()), Err)
+    }
+}
+
+impl Builtins {
+    fn fill(&self, name: &str, place: &mut [u8]) {
+        let value: &[u8] = match name {
+            "osg_FrameNumber" => bytemuck::bytes_of(&self.frame),
+            "osg_FrameTime" => bytemuck::bytes_of(&self.frame_time_s),
+            "osg_DeltaFrameTime" => bytemuck::bytes_of(&self.delta_frame_time_s),
+            "osg_SimulationTime" => bytemuck::bytes_of(&self.simulation_time_s),
+            "osg_ViewMatrix" => bytemuck::bytes_of(&self.view),
+            "osg_ViewMatrixInverse" => bytemuck::bytes_of(&self.view_inverse),
+            _ => return,
+        };
+        if place.len() == value.len() {
+            place.copy_from_slice(value);
+        }
+    }
+}

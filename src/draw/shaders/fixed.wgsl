@@ -1,0 +1,180 @@
+// The fixed function: lights, material, fog, clip planes, alpha test and texture units, in OpenGL's terms.
+
+struct Fixed {
+    ambient: vec4<f32>,        // of the material; w: 1 where there is one
+    diffuse: vec4<f32>,
+    specular: vec4<f32>,       // w: shininess
+    emission: vec4<f32>,       // w: reference of the alpha test
+    fog_color: vec4<f32>,      // w: 0 none, 1 the environment's haze, 2 linear, 3 exp, 4 exp2
+    fog: vec4<f32>,            // linear: end and 1 / (end - start); else the density
+    model_ambient: vec4<f32>,
+    flags: vec4<u32>,          // lights, clip planes, alpha test, 1 where the sun is replaced
+    units: vec4<u32>,          // 0 off, 1 plane, 2 cube, 3 volume, 4 layers
+    texgens: vec4<u32>,        // 0 the mesh's, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection
+    bias: vec4<f32>,           // added to the mip level
+    planes: array<vec4<f32>, 8>,  // of s and t, by unit
+}
+
+@group(2) @binding(0) var<uniform> fixed_state: Fixed;
+@group(2) @binding(1) var plane_0: texture_2d<f32>;
+@group(2) @binding(2) var plane_0_sampler: sampler;
+@group(2) @binding(3) var plane_1: texture_2d<f32>;
+@group(2) @binding(4) var plane_1_sampler: sampler;
+@group(2) @binding(5) var plane_2: texture_2d<f32>;
+@group(2) @binding(6) var plane_2_sampler: sampler;
+@group(2) @binding(7) var plane_3: texture_2d<f32>;
+@group(2) @binding(8) var plane_3_sampler: sampler;
+@group(2) @binding(9) var cube_map: texture_cube<f32>;
+@group(2) @binding(10) var cube_map_sampler: sampler;
+@group(2) @binding(11) var volume: texture_3d<f32>;
+@group(2) @binding(12) var volume_sampler: sampler;
+@group(2) @binding(13) var layers: texture_2d_array<f32>;
+@group(2) @binding(14) var layers_sampler: sampler;
+
+// A point to be shaded; all but `object` and `uv` in eye space.
+struct Surface {
+    in_eye: vec3<f32>,
+    normal: vec3<f32>,
+    up: vec3<f32>,
+    object: vec3<f32>,
+    uv: vec2<f32>,
+    base: vec4<f32>,
+    is_lit: bool,
+    alpha_cutoff: f32,
+}
+
+fn unit_coordinates(unit: u32, s: Surface) -> vec3<f32> {
+    let mirrored = reflect(normalize(s.in_eye), s.normal);
+    let plane_s = fixed_state.planes[2u * unit];
+    let plane_t = fixed_state.planes[2u * unit + 1u];
+    switch fixed_state.texgens[unit] {
+        case 1u: {
+            let p = vec4<f32>(s.object, 1.0);
+            return vec3<f32>(dot(plane_s, p), dot(plane_t, p), 0.0);
+        }
+        case 2u: {
+            let p = vec4<f32>(s.in_eye, 1.0);
+            return vec3<f32>(dot(plane_s, p), dot(plane_t, p), 0.0);
+        }
+        case 3u: {
+            let m = 2.0 * length(mirrored + vec3<f32>(0.0, 0.0, 1.0));
+            return vec3<f32>(mirrored.xy / max(m, 1e-6) + 0.5, 0.0);
+        }
+        case 4u: { return s.normal; }
+        case 5u: { return mirrored; }
+        default: { return vec3<f32>(s.uv, 0.0); }
+    }
+}
+
+fn unit_color(unit: u32, s: Surface) -> vec4<f32> {
+    let c = unit_coordinates(unit, s);
+    let bias = fixed_state.bias[unit];
+    switch fixed_state.units[unit] {
+        case 1u: {
+            switch unit {
+                case 0u: { return textureSampleBias(plane_0, plane_0_sampler, c.xy, bias); }
+                case 1u: { return textureSampleBias(plane_1, plane_1_sampler, c.xy, bias); }
+                case 2u: { return textureSampleBias(plane_2, plane_2_sampler, c.xy, bias); }
+                default: { return textureSampleBias(plane_3, plane_3_sampler, c.xy, bias); }
+            }
+        }
+        case 2u: { return textureSampleBias(cube_map, cube_map_sampler, c, bias); }
+        case 3u: { return textureSampleBias(volume, volume_sampler, c, bias); }
+        case 4u: { return textureSampleBias(layers, layers_sampler, c.xy, i32(round(c.z)), bias); }
+        default: { return vec4<f32>(1.0); }
+    }
+}
+
+fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {
+    let ambient = base.rgb * fixed_state.ambient.rgb;
+    let diffuse = base.rgb * fixed_state.diffuse.rgb;
+    var color = fixed_state.emission.rgb + fixed_state.model_ambient.rgb * ambient;
+    if (fixed_state.flags.x & 1u) != 0u && fixed_state.flags.w == 0u {
+        color += diffuse * light(s.normal, s.up);
+    }
+    let to_eye = normalize(-s.in_eye);
+    for (var i = 0u; i < 8u; i++) {
+        let l = stage.lights[i];
+        if (fixed_state.flags.x >> i & 1u) == 0u || l.diffuse.w < 0.5 {
+            continue;
+        }
+        var to_light = l.position.xyz;
+        var strength = 1.0;
+        if l.position.w > 0.5 {
+            to_light -= s.in_eye;
+            let d = length(to_light);
+            strength = 1.0 / max(l.attenuation.x + d * (l.attenuation.y + d * l.attenuation.z), 1e-6);
+        }
+        to_light = normalize(to_light);
+        if l.direction.w > -1.0 {
+            let cosine = dot(-to_light, l.direction.xyz);
+            strength *= select(0.0, pow(max(cosine, 0.0), l.ambient.w), cosine >= l.direction.w);
+        }
+        let facing = max(dot(s.normal, to_light), 0.0);
+        var reflected = l.ambient.rgb * ambient + facing * l.diffuse.rgb * diffuse;
+        if facing > 0.0 && fixed_state.specular.w > 0.0 {
+            let half_way = normalize(to_light + to_eye);
+            let shine = pow(max(dot(s.normal, half_way), 0.0), fixed_state.specular.w);
+            reflected += shine * l.specular.rgb * fixed_state.specular.rgb;
+        }
+        color += strength * reflected;
+    }
+    return color;
+}
+
+fn fogged(s: Surface, color: vec3<f32>) -> vec3<f32> {
+    let distance = -s.in_eye.z;
+    var share = 0.0;
+    switch u32(fixed_state.fog_color.w) {
+        case 1u: { return mix(color, frame.horizon_color.rgb, haze(s.in_eye)); }
+        case 2u: { share = 1.0 - (fixed_state.fog.x - distance) * fixed_state.fog.y; }
+        case 3u: { share = 1.0 - exp(-fixed_state.fog.x * distance); }
+        case 4u: {
+            let thickness = fixed_state.fog.x * distance;
+            share = 1.0 - exp(-thickness * thickness);
+        }
+        default: {}
+    }
+    return mix(color, fixed_state.fog_color.rgb, clamp(share, 0.0, 1.0));
+}
+
+fn passes_alpha_test(alpha: f32) -> bool {
+    let reference = fixed_state.emission.w;
+    switch fixed_state.flags.z {
+        case 0u: { return false; }
+        case 1u: { return alpha < reference; }
+        case 2u: { return alpha == reference; }
+        case 3u: { return alpha <= reference; }
+        case 4u: { return alpha > reference; }
+        case 5u: { return alpha != reference; }
+        case 6u: { return alpha >= reference; }
+        default: { return true; }
+    }
+}
+
+fn is_clipped(in_eye: vec3<f32>) -> bool {
+    for (var i = 0u; i < 6u; i++) {
+        let plane = stage.clip_planes[i];
+        if (fixed_state.flags.y >> i & 1u) != 0u && dot(plane.xyz, in_eye) + plane.w < 0.0 {
+            return true;
+        }
+    }
+    return false;
+}
+
+fn fixed_color(s: Surface) -> vec4<f32> {
+    // All samples are taken before anything is dropped: the mip levels need the neighbours.
+    var base = s.base;
+    for (var unit = 0u; unit < 4u; unit++) {
+        base *= unit_color(unit, s);
+    }
+    base.a *= fixed_state.diffuse.a;
+    var color = base.rgb;
+    if s.is_lit {
+        color = lit(s, base);
+    }
+    if is_clipped(s.in_eye) || base.a < s.alpha_cutoff || !passes_alpha_test(base.a) {
+        discard;
+    }
+    return vec4<f32>(fogged(s, color), base.a);
+}

@@ -1,0 +1,38 @@
+// Height tiles under the fixed function.
+
+struct FixedHeightFragment {
+    @builtin(position) position: vec4<f32>,
+    @location(0) in_eye: vec3<f32>,
+    @location(1) normal: vec3<f32>,
+    @location(2) up: vec3<f32>,
+    @location(3) uv: vec2<f32>,
+    @location(4) in_tile: vec3<f32>,
+    @location(5) @interpolate(flat) layer: u32,
+    @location(6) @interpolate(flat) flags: u32,
+    @location(7) @interpolate(flat) color: vec4<f32>,
+}
+
+@vertex
+fn vs_fixed_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> FixedHeightFragment {
+    let leaf = leaves[instance];
+    let point = height_point(index, instance);
+    return FixedHeightFragment(
+        frame.clip_from_eye * vec4<f32>(point.in_eye, 1.0),
+        point.in_eye,
+        point.normal,
+        point.up,
+        point.uv,
+        point.in_tile,
+        leaf.layer,
+        leaf.flags,
+        leaf.color,
+    );
+}
+
+@fragment
+fn fs_fixed_height(in: FixedHeightFragment) -> @location(0) vec4<f32> {
+    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
+    let is_lit = (in.flags & FLAG_UNLIT) == 0u;
+    let normal = normalize(in.normal);
+    return fixed_color(Surface(in.in_eye, normal, normalize(in.up), in.in_tile, in.uv, base, is_lit, 0.0));
+}

@@ -1,0 +1,408 @@
+//! The fixed function's pixels: lights, materials, fog, clip planes, alpha test, texture units and their coordinates.
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod gpu_support;
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3, DVec4};
+use gpu_support::{MAGENTA, Rig, Terrain, camera, count, plain, quad, rig, unit_camera};
+use image::RgbaImage;
+use terrane::scene::{ClipNode, Drawable, LightSource, Node, NodeKind, ReferenceFrame, TexGenNode};
+use terrane::state::{
+    AlphaFunc, Attribute, CompareFunction, FilterMode, Fog, FogMode, Light, LightModel, Mode, Sampler, StateSet,
+    StateValue, SurfaceMaterial, TexGen, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode,
+};
+
+const SIDE: u32 = 64;
+const RED: [u8; 3] = [255, 0, 0];
+const GREEN: [u8; 3] = [0, 255, 0];
+const BLUE: [u8; 3] = [0, 0, 255];
+
+/// A square over the middle half, facing the eye, lit.
+fn square(color: [f32; 4]) -> Drawable {
+    let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], color);
+    drawable.material.unlit = false;
+    drawable
+}
+
+fn node(drawable: Drawable, set: StateSet) -> Node {
+    Node::geode(vec![drawable]).with_state_set(Arc::new(set))
+}
+
+fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
+    let scene = rig.scene(Node::group(nodes));
+    let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+    rig.release(scene);
+    let errors = rig.renderer.take_errors();
+    assert!(errors.is_empty(), "{errors:?}");
+    picture
+}
+
+fn middle(rig: &mut Rig, nodes: Vec<Node>) -> [u8; 3] {
+    let [r, g, b, _] = draw(rig, nodes).get_pixel(SIDE / 2, SIDE / 2).0;
+    [r, g, b]
+}
+
+/// sRGB of a linear value.
+fn srgb(linear: f32) -> u8 {
+    let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
+    (s * 255.0).round() as u8
+}
+
+fn assert_near(got: [u8; 3], linear: [f32; 3], what: &str) {
+    let want = linear.map(srgb);
+    assert!(got.iter().zip(want).all(|(g, w)| g.abs_diff(w) <= 2), "{what}: {got:?} instead of {want:?}");
+}
+
+/// No sun: only light 1, and what a test adds.
+fn only_light_1() -> StateSet {
+    StateSet::default().with_mode(Mode::Light(0), StateValue::OFF).with_mode(Mode::Light(1), StateValue::ON)
+}
+
+fn light(light: Light) -> Node {
+    let light = Light { number: 1, ..light };
+    Node::new(NodeKind::LightSource(Box::new(LightSource { light, frame: ReferenceFrame::Relative })))
+}
+
+const WHITE: [f32; 4] = [1.0; 4];
+
+#[test]
+fn lights_shine_from_their_side() {
+    let Some(mut rig) = rig("lights_shine_from_their_side") else { return };
+    let rig = &mut *rig;
+    let mut lit = |l: Light| middle(rig, vec![light(l), node(square(WHITE), only_light_1())]);
+    let toward = |x: f64, z: f64| Light { position: [x, 0.0, z, 0.0], ..Light::default() };
+    assert_near(lit(toward(0.0, 1.0)), [1.0; 3], "straight");
+    assert_near(lit(toward(3f64.sqrt(), 1.0)), [0.5; 3], "60 degrees aside");
+    assert_near(lit(toward(0.0, -1.0)), [0.0; 3], "from behind");
+    assert_near(lit(Light { ambient: [0.25; 3], ..toward(0.0, -1.0) }), [0.25; 3], "ambient");
+    let lamp = Light { position: [0.0, 0.0, 2.0, 1.0], attenuation: [0.0, 1.0, 0.0], ..Light::default() };
+    assert_near(lit(lamp), [0.5; 3], "2 m away, falling off linearly");
+    let quadratic = Light { attenuation: [0.0, 0.0, 1.0], ..lamp };
+    assert_near(lit(quadratic), [0.25; 3], "and with the square");
+    let spot = |direction, exponent| Light {
+        position: [0.0, 0.0, 2.0, 1.0],
+        direction,
+        spot_cutoff: 0.3,
+        spot_exponent: exponent,
+        ..Light::default()
+    };
+    assert_near(lit(spot([0.0, 0.0, -1.0], 0.0)), [1.0; 3], "in the cone");
+    assert_near(lit(spot([0.5, 0.0, -1.0], 0.0)), [0.0; 3], "beside the cone");
+    let cosine = 1.0 / (1.0f32 + 0.04).sqrt();
+    assert_near(lit(spot([0.2, 0.0, -1.0], 8.0)), [cosine.powi(8); 3], "falling off to the rim");
+    assert_near(lit(Light { position: [f64::NAN, 0.0, 0.0, 0.0], ..Light::default() }), [0.0; 3], "no light at all");
+}
+
+#[test]
+fn lights_move_with_what_they_hang_in_and_can_be_switched() {
+    let Some(mut rig) = rig("lights_move_with_what_they_hang_in_and_can_be_switched") else { return };
+    let rig = &mut *rig;
+    let from_x = Light { position: [1.0, 0.0, 0.0, 0.0], ..Light::default() };
+    let turned = Node::transform(DAffine3::from_rotation_y(-std::f64::consts::FRAC_PI_2), vec![light(from_x)]);
+    assert_near(middle(rig, vec![turned, node(square(WHITE), only_light_1())]), [1.0; 3], "turned to z");
+    // Without lighting a surface has its own colour; unlit materials give way to an override only.
+    let unlit = quad([0.0; 3], [0.5; 2], WHITE);
+    let off = only_light_1().with_mode(Mode::Lighting, StateValue::OFF);
+    assert_eq!(middle(rig, vec![node(square([0.0, 1.0, 0.0, 1.0]), off)]), GREEN);
+    assert_eq!(middle(rig, vec![node(unlit.clone(), only_light_1())]), [255; 3]);
+    let forced = only_light_1().with_mode(Mode::Lighting, StateValue::ON | StateValue::OVERRIDE);
+    assert_eq!(middle(rig, vec![node(unlit, forced)]), [0; 3]);
+    // A light 0 in the graph is instead of the sun, for everybody.
+    let blue = Light { number: 0, position: [0.0, 0.0, 1.0, 0.0], diffuse: [0.0, 0.0, 1.0], ..Light::default() };
+    let source = LightSource { light: blue, frame: ReferenceFrame::Relative };
+    let nodes = vec![Node::new(NodeKind::LightSource(Box::new(source))), Node::geode(vec![square(WHITE)])];
+    assert_eq!(middle(rig, nodes), BLUE);
+}
+
+#[test]
+fn materials_reflect() {
+    let Some(mut rig) = rig("materials_reflect") else { return };
+    let rig = &mut *rig;
+    let front = Light { position: [0.0, 0.0, 1.0, 0.0], ambient: [0.5; 3], ..Light::default() };
+    let mut with = |material: SurfaceMaterial, model: [f32; 3]| {
+        let set = only_light_1()
+            .with(Attribute::SurfaceMaterial(material))
+            .with(Attribute::LightModel(LightModel { ambient: model }));
+        middle(rig, vec![light(Light { diffuse: [0.5; 3], ..front }), node(square(WHITE), set)])
+    };
+    let dark = SurfaceMaterial { ambient: [0.0; 3], diffuse: [0.0, 0.0, 0.0, 1.0], ..SurfaceMaterial::default() };
+    assert_near(with(SurfaceMaterial { ambient: [0.0, 0.5, 0.0], ..dark }, [0.0; 3]), [0.0, 0.25, 0.0], "ambient");
+    assert_near(with(SurfaceMaterial { ambient: [0.5; 3], ..dark }, [1.0; 3]), [0.75; 3], "light from everywhere");
+    assert_near(with(SurfaceMaterial { diffuse: [1.0, 0.0, 0.0, 1.0], ..dark }, [0.0; 3]), [0.5, 0.0, 0.0], "diffuse");
+    assert_near(with(SurfaceMaterial { emission: [0.1, 0.0, 0.3], ..dark }, [0.0; 3]), [0.1, 0.0, 0.3], "emission");
+    let shiny = SurfaceMaterial { specular: [0.5, 0.25, 0.0], shininess: 20.0, ..dark };
+    // Seen along the normal: the highlight itself (the middle pixel's ray is off by a fraction of a degree).
+    assert_near(with(shiny, [0.0; 3]), [0.5, 0.25, 0.0], "specular");
+}
+
+#[test]
+fn fog_thickens_with_distance() {
+    let Some(mut rig) = rig("fog_thickens_with_distance") else { return };
+    let rig = &mut *rig;
+    // The square is 10 m before the eye.
+    let mut with = |mode: FogMode, on: StateValue| {
+        let mut set = StateSet::default().with_mode(Mode::Lighting, StateValue::OFF);
+        set.set_attribute_and_modes(Attribute::Fog(Fog { mode, color: [0.0, 0.0, 1.0] }), on);
+        middle(rig, vec![node(square([1.0, 0.0, 0.0, 1.0]), set)])
+    };
+    let on = StateValue::ON;
+    let linear = |start_m, end_m| FogMode::Linear { start_m, end_m };
+    assert_near(with(linear(5.0, 15.0), on), [0.5, 0.0, 0.5], "half way");
+    assert_eq!(with(linear(11.0, 20.0), on), RED);
+    assert_eq!(with(linear(1.0, 9.0), on), BLUE);
+    let e = (-1.0f32).exp();
+    assert_near(with(FogMode::Exp { density_per_m: 0.1 }, on), [e, 0.0, 1.0 - e], "exp");
+    let e = (-4.0f32).exp();
+    assert_near(with(FogMode::Exp2 { density_per_m: 0.2 }, on), [e, 0.0, 1.0 - e], "exp2");
+    assert_eq!(with(linear(1.0, 9.0), StateValue::OFF), RED, "off");
+}
+
+#[test]
+fn clip_planes_cut_their_children() {
+    let Some(mut rig) = rig("clip_planes_cut_their_children") else { return };
+    let rig = &mut *rig;
+    let clip = |planes: Vec<(u8, DVec4)>, children| Node {
+        children,
+        ..Node::new(NodeKind::ClipNode(Box::new(ClipNode { planes, frame: ReferenceFrame::Relative })))
+    };
+    let red = || Node::geode(vec![quad([0.0; 3], [0.5; 2], [1.0, 0.0, 0.0, 1.0])]);
+    // x >= 0, and y <= 0.25.
+    let planes = || vec![(0, DVec4::new(1.0, 0.0, 0.0, 0.0)), (3, DVec4::new(0.0, -1.0, 0.0, 0.25))];
+    let picture = draw(rig, vec![clip(planes(), vec![red()])]);
+    assert_eq!(count(&picture, RED), 16 * 24);
+    assert_eq!(
+        (picture.get_pixel(40, 32).0[..3].to_vec(), picture.get_pixel(20, 32).0[..3].to_vec()),
+        (RED.to_vec(), MAGENTA.to_vec())
+    );
+    let beside = draw(rig, vec![clip(planes(), vec![]), red()]);
+    assert_eq!(count(&beside, RED), 32 * 32, "what is not below it is whole");
+    let moved = Node::transform(DAffine3::from_translation(DVec3::new(0.25, 0.0, 0.0)), vec![clip(planes(), vec![])]);
+    let all = StateSet::default().with_mode(Mode::ClipPlane(0), StateValue::ON);
+    let picture = draw(rig, vec![moved, red().with_state_set(Arc::new(all))]);
+    assert_eq!(count(&picture, RED), 8 * 32, "on by a state set, for a plane elsewhere in the graph");
+}
+
+#[test]
+fn alpha_decides_what_is_drawn() {
+    let Some(mut rig) = rig("alpha_decides_what_is_drawn") else { return };
+    let rig = &mut *rig;
+    let mut passes = |function, alpha: f32| {
+        let set = StateSet::default()
+            .with_mode(Mode::Lighting, StateValue::OFF)
+            .with(Attribute::AlphaFunc(AlphaFunc { function, reference: 0.5 }));
+        middle(rig, vec![node(square([1.0, 0.0, 0.0, alpha]), set)]) == RED
+    };
+    use CompareFunction::{Always, Equal, Greater, GreaterOrEqual, Less, LessOrEqual, Never, NotEqual};
+    for (function, below, equal, above) in [
+        (Never, false, false, false),
+        (Less, true, false, false),
+        (Equal, false, true, false),
+        (LessOrEqual, true, true, false),
+        (Greater, false, false, true),
+        (NotEqual, true, false, true),
+        (GreaterOrEqual, false, true, true),
+        (Always, true, true, true),
+    ] {
+        let got = [0.25, 0.5, 0.75].map(|alpha| passes(function, alpha));
+        assert_eq!(got, [below, equal, above], "{function:?}");
+    }
+}
+
+/// Texels in four quarters: red, green, blue, white; rows from the top.
+fn quarters() -> Arc<TextureObject> {
+    let texels = [[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [255; 4]].concat();
+    TextureObject::image("quarters", [2, 2], texels)
+}
+
+fn nearest(texture: Arc<TextureObject>) -> TextureBinding {
+    let sampler = Sampler { min_filter: FilterMode::Nearest, mag_filter: FilterMode::Nearest, ..Sampler::default() };
+    TextureBinding { texture, sampler }
+}
+
+fn unlit() -> StateSet {
+    StateSet::default().with_mode(Mode::Lighting, StateValue::OFF)
+}
+
+fn pixel(picture: &RgbaImage, x: u32, y: u32) -> [u8; 3] {
+    let [r, g, b, _] = picture.get_pixel(x, y).0;
+    [r, g, b]
+}
+
+#[test]
+fn units_multiply_planes_rows_cubes_volumes_and_layers() {
+    let Some(mut rig) = rig("units_multiply_planes_rows_cubes_volumes_and_layers") else { return };
+    let rig = &mut *rig;
+    let white = || square(WHITE);
+    let picture = draw(rig, vec![node(white(), unlit().with(Attribute::Texture(0, nearest(quarters()))))]);
+    let corners = [(20, 20), (44, 20), (20, 44), (44, 44)].map(|(x, y)| pixel(&picture, x, y));
+    assert_eq!(corners, [RED, GREEN, BLUE, [255; 3]]);
+    // Two units: yellow times the quarters.
+    let yellow = TextureObject::image("yellow", [1, 1], vec![255, 255, 0, 255]);
+    let set = unlit().with(Attribute::Texture(0, nearest(quarters()))).with(Attribute::Texture(3, nearest(yellow)));
+    let picture = draw(rig, vec![node(white(), set)]);
+    assert_eq!([(20, 44), (44, 44)].map(|(x, y)| pixel(&picture, x, y)), [[0; 3], [255, 255, 0]]);
+    // Off.
+    let mut off = unlit().with(Attribute::Texture(0, nearest(quarters())));
+    off.set_mode(Mode::Texture(0), StateValue::OFF);
+    assert_eq!(middle(rig, vec![node(square([0.0, 1.0, 0.0, 1.0]), off)]), GREEN);
+
+    let object = |dimension, size: [u32; 3], texels: Vec<u8>| {
+        Arc::new(TextureObject {
+            name: format!("{dimension:?}"),
+            dimension,
+            size,
+            format: TextureFormat::Rgba8,
+            levels: 1,
+            texels: vec![texels],
+        })
+    };
+    let row = object(TextureDimension::D1, [2, 1, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
+    let picture = draw(rig, vec![node(white(), unlit().with(Attribute::Texture(1, nearest(row))))]);
+    assert_eq!([(20, 40), (44, 20)].map(|(x, y)| pixel(&picture, x, y)), [RED, GREEN]);
+    // A cube by the normal, which looks to +z: its fifth face.
+    let face = |i: u8| if i == 4 { [0, 255, 0, 255] } else { [255, 0, 0, 255] };
+    let cube = object(TextureDimension::Cube, [1, 1, 6], (0..6).flat_map(face).collect());
+    let set = unlit().with(Attribute::Texture(0, nearest(cube))).with(Attribute::TexGen(0, TexGen::NormalMap));
+    assert_eq!(middle(rig, vec![node(white(), set)]), GREEN);
+    // A volume's first slice, and the first of two layers: generated coordinates have r = 0.
+    for dimension in [TextureDimension::D3, TextureDimension::D2Array] {
+        let two = object(dimension, [1, 1, 2], [[0, 0, 255, 255], [255, 0, 0, 255]].concat());
+        let set = unlit().with(Attribute::Texture(2, nearest(two)));
+        assert_eq!(middle(rig, vec![node(white(), set)]), BLUE, "{dimension:?}");
+    }
+}
+
+#[test]
+fn samplers_wrap_filter_and_bias() {
+    let Some(mut rig) = rig("samplers_wrap_filter_and_bias") else { return };
+    let rig = &mut *rig;
+    // s and t run over three copies: x + 1.5 copies of 0.5 m each.
+    let planes = [[2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.25]];
+    let two = TextureObject::image("two", [2, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
+    let mut rows = |wrap| {
+        let sampler = Sampler {
+            wrap: [wrap; 3],
+            min_filter: FilterMode::Nearest,
+            mag_filter: FilterMode::Nearest,
+            ..Sampler::default()
+        };
+        let set = unlit()
+            .with(Attribute::Texture(0, TextureBinding { texture: two.clone(), sampler }))
+            .with(Attribute::TexGen(0, TexGen::ObjectLinear(planes)));
+        let picture = draw(rig, vec![node(square(WHITE), set)]);
+        // s = -0.75, -0.25, 0.25, 0.75
+        [20, 28, 36, 44].map(|x| pixel(&picture, x, 32))
+    };
+    assert_eq!(rows(WrapMode::ClampToEdge), [RED, RED, RED, GREEN]);
+    assert_eq!(rows(WrapMode::Repeat), [RED, GREEN, RED, GREEN]);
+    assert_eq!(rows(WrapMode::Mirror), [GREEN, RED, RED, GREEN]);
+    // Levels: 0 is red, 1 green; the picture magnifies, so that a bias of 1 takes level 1.
+    let levels = Arc::new(TextureObject {
+        levels: 2,
+        texels: vec![[255, 0, 0, 255].repeat(64 * 64), [0, 255, 0, 255].repeat(32 * 32)],
+        size: [64, 64, 1],
+        ..(*two).clone()
+    });
+    let mut biased = |mip_bias| {
+        let sampler = Sampler { mip_bias, mip_filter: FilterMode::Nearest, max_anisotropy: 4, ..Sampler::default() };
+        let binding = TextureBinding { texture: levels.clone(), sampler };
+        middle(rig, vec![node(square(WHITE), unlit().with(Attribute::Texture(0, binding)))])
+    };
+    assert_eq!([biased(-2.0), biased(2.0)], [RED, GREEN]);
+}
+
+#[test]
+fn coordinates_come_from_planes_and_mirrors() {
+    let Some(mut rig) = rig("coordinates_come_from_planes_and_mirrors") else { return };
+    let rig = &mut *rig;
+    let planes = [[0.5, 0.0, 0.0, 0.5], [0.0, -0.5, 0.0, 0.5]];
+    let with = |texgen| unlit().with(Attribute::Texture(1, nearest(quarters()))).with(Attribute::TexGen(1, texgen));
+    let aside = |n: Node| Node::transform(DAffine3::from_translation(DVec3::new(0.3, 0.0, 0.0)), vec![n]);
+    // In the object's frame the middle of the texture moves along; in the eye's it stays.
+    let edge = |picture: &RgbaImage| (0..SIDE).find(|x| pixel(picture, *x, 20) == GREEN);
+    let object = draw(rig, vec![aside(node(square(WHITE), with(TexGen::ObjectLinear(planes))))]);
+    let eye = draw(rig, vec![aside(node(square(WHITE), with(TexGen::EyeLinear(planes))))]);
+    assert_eq!(edge(&eye), Some(32));
+    assert!(edge(&object).unwrap().abs_diff(32 + 10) <= 1, "{:?}", edge(&object));
+    // A TexGenNode fixes the eye's planes to itself.
+    let texgen = TexGenNode { unit: 1, texgen: TexGen::EyeLinear(planes) };
+    let nodes = vec![
+        aside(Node::new(NodeKind::TexGenNode(Box::new(texgen)))),
+        node(square(WHITE), with(TexGen::EyeLinear([[0.0; 4]; 2]))),
+    ];
+    assert!(edge(&draw(rig, nodes)).unwrap().abs_diff(32 + 10) <= 1);
+    // A mirror that faces the eye shows what is behind the eye: the middle of a sphere map.
+    let dot = |rgb: [u8; 3], x: usize, y: usize| {
+        let mut texels = [0u8, 0, 0, 255].repeat(64);
+        let at = (y * 8 + x) * 4;
+        texels[at..at + 3].copy_from_slice(&rgb);
+        TextureObject::image("dot", [8, 8], texels)
+    };
+    let map =
+        unlit().with(Attribute::Texture(0, nearest(dot(RED, 4, 4)))).with(Attribute::TexGen(0, TexGen::SphereMap));
+    let picture = draw(rig, vec![node(square(WHITE), map)]);
+    assert!(count(&picture, RED) > 0);
+    // Reflected straight back: +z again, the fifth face of a cube.
+    let face = |i: u8| if i == 4 { [0, 255, 0, 255] } else { [255, 0, 0, 255] };
+    let cube = Arc::new(TextureObject {
+        name: "cube".into(),
+        dimension: TextureDimension::Cube,
+        size: [1, 1, 6],
+        format: TextureFormat::Rgba8,
+        levels: 1,
+        texels: vec![(0..6).flat_map(face).collect()],
+    });
+    let set = unlit().with(Attribute::Texture(0, nearest(cube))).with(Attribute::TexGen(0, TexGen::ReflectionMap));
+    assert_eq!(middle(rig, vec![node(square(WHITE), set)]), GREEN);
+}
+
+#[test]
+fn wrong_textures_are_white_and_one_error() {
+    let Some(mut rig) = rig("wrong_textures_are_white_and_one_error") else { return };
+    let rig = &mut *rig;
+    let short = TextureObject::image("short", [4, 4], vec![0; 12]);
+    let set = StateSet { name: "broken".into(), ..unlit().with(Attribute::Texture(0, nearest(short))) };
+    let scene = rig.scene(node(square([0.0, 1.0, 0.0, 1.0]), set));
+    for frame in 0..3 {
+        let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+        assert_eq!(pixel(&picture, 32, 32), GREEN);
+        let errors = rig.renderer.take_errors();
+        assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
+        assert!(errors.iter().all(|e| e.contains("broken") && e.contains("\"short\"") && e.contains("12 bytes")));
+    }
+    rig.release(scene);
+}
+
+#[test]
+fn height_tiles_have_lights_and_fog_too() {
+    let Some(mut rig) = rig("height_tiles_have_lights_and_fog_too") else { return };
+    let rig = &mut *rig;
+    let terrain =
+        Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: true };
+    let view = camera([256, 256], terrain.world(0.5, 0.1, 9_000.0), terrain.world(0.5, 0.6, 0.0), terrain.up(0.5, 0.5));
+    let mut with = |set: StateSet| {
+        let scene = rig.scene(Node::group(vec![terrain.tile(0, 0, 0)]).with_state_set(Arc::new(set)));
+        let picture = rig.picture(&scene, &view, &plain());
+        rig.release(scene);
+        assert!(rig.renderer.take_errors().is_empty());
+        picture
+    };
+    let ground = |p: &RgbaImage| p.pixels().filter(|p| p.0[..3] != MAGENTA).count();
+    let mean = |p: &RgbaImage, channel: usize| {
+        let sum: u64 = p.pixels().filter(|p| p.0[..3] != MAGENTA).map(|p| u64::from(p.0[channel])).sum();
+        sum as f64 / ground(p) as f64
+    };
+    let sunny = with(StateSet::default());
+    // The same through the fixed function: white light, no change.
+    let same = with(StateSet::default().with(Attribute::SurfaceMaterial(SurfaceMaterial::default())));
+    assert_eq!(ground(&sunny), ground(&same));
+    let differing = sunny.pixels().zip(same.pixels()).filter(|(a, b)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 24));
+    assert!(differing.count() * 50 < ground(&sunny), "lit by the pixel instead of the vertex");
+    let dark = with(StateSet::default().with_mode(Mode::Light(0), StateValue::OFF));
+    assert!(mean(&dark, 1) < 1.0);
+    let fog = Fog { mode: FogMode::Linear { start_m: 5_000.0, end_m: 30_000.0 }, color: [0.0, 0.0, 1.0] };
+    let foggy = with(StateSet::default().with(Attribute::Fog(fog)));
+    assert!(mean(&foggy, 2) > mean(&sunny, 2) + 20.0);
+}

@@ -1,0 +1,638 @@
+//! What cameras in the graph draw: into textures and over the picture, in their order; targets of every kind;
+//! callbacks, queries, programs.
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod gpu_support;
+
+use std::sync::{Arc, Mutex};
+
+use glam::dcamera::rh::proj::directx as proj;
+use glam::{DAffine3, DVec3};
+use gpu_support::{MAGENTA, Rig, count, new_rig, plain, quad, rig, unit_camera};
+use image::RgbaImage;
+use terrane::cull::CullCamera;
+use terrane::draw::{CameraCallbacks, Renderer};
+use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
+use terrane::scene::{
+    Attachment, CameraNode, CameraTarget, ClearNode, Drawable, Node, NodeKind, OcclusionQueryNode, PictureSink,
+    ReferenceFrame, RenderOrder, Scene,
+};
+use terrane::state::{
+    Attribute, CompareFunction, Mode, Program, Sampler, StateSet, StateValue, TextureBinding, TextureDimension,
+    TextureFormat, TextureObject, UniformValue,
+};
+
+const SIDE: u32 = 64;
+const RED: [u8; 3] = [255, 0, 0];
+const GREEN: [u8; 3] = [0, 255, 0];
+const BLUE: [u8; 3] = [0, 0, 255];
+const BLACK: [u8; 3] = [0, 0, 0];
+
+fn square(z: f32, color: [u8; 3]) -> Drawable {
+    let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
+    quad([0.0, 0.0, z], [0.5, 0.5], [r, g, b, 1.0])
+}
+
+fn red() -> Node {
+    Node::geode(vec![square(0.0, RED)])
+}
+
+/// Looks at -1 to 1 from z = 10, as the tests' own camera does.
+fn view() -> (DAffine3, glam::DMat4) {
+    let camera = unit_camera(SIDE);
+    (camera.eye_from_world, camera.clip_from_eye)
+}
+
+fn to_texture(texture: &Arc<TextureObject>) -> CameraNode {
+    let (view, projection) = view();
+    CameraNode::to_texture(texture.clone(), view, projection)
+}
+
+fn target(name: &str) -> Arc<TextureObject> {
+    TextureObject::target(name, [SIDE, SIDE], TextureFormat::Rgba8Srgb)
+}
+
+/// A square that shows a texture.
+fn screen(texture: &Arc<TextureObject>) -> Node {
+    let set = StateSet::default()
+        .with_mode(Mode::Lighting, StateValue::OFF)
+        .with(Attribute::Texture(0, TextureBinding::new(texture.clone())));
+    Node::geode(vec![square(0.0, [255; 3])]).with_state_set(Arc::new(set))
+}
+
+fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
+    let scene = rig.scene(Node::group(nodes));
+    let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+    rig.release(scene);
+    picture
+}
+
+fn pixel(picture: &RgbaImage, x: u32, y: u32) -> [u8; 3] {
+    let [r, g, b, _] = picture.get_pixel(x, y).0;
+    [r, g, b]
+}
+
+fn no_errors(rig: &mut Rig) {
+    let errors = rig.renderer.take_errors();
+    assert!(errors.is_empty(), "{errors:?}");
+}
+
+#[test]
+fn a_camera_draws_into_a_texture_that_is_seen_in_the_same_frame() {
+    let Some(mut rig) = rig("a_camera_draws_into_a_texture_that_is_seen_in_the_same_frame") else { return };
+    let rig = &mut *rig;
+    let texture = target("mirror");
+    let mut camera = to_texture(&texture);
+    camera.clear_color = Some([0.0, 0.0, 1.0, 1.0]);
+    // The camera hangs behind what shows it: the order of passes decides, not that of nodes.
+    let picture = draw(rig, vec![screen(&texture), Node::camera(camera, vec![red()])]);
+    // A picture of half the size in the middle: red in its middle half, blue around.
+    assert_eq!([(32, 32), (20, 32), (32, 45), (4, 4)].map(|(x, y)| pixel(&picture, x, y)), [RED, BLUE, BLUE, MAGENTA]);
+    assert_eq!(count(&picture, RED), 16 * 16);
+    no_errors(rig);
+}
+
+#[test]
+fn textures_keep_what_was_drawn_and_are_freed_with_their_owner() {
+    let Some(mut rig) = rig("textures_keep_what_was_drawn_and_are_freed_with_their_owner") else { return };
+    let rig = &mut *rig;
+    let texture = target("kept");
+    draw(rig, vec![Node::camera(to_texture(&texture), vec![red()])]);
+    let picture = draw(rig, vec![screen(&texture)]);
+    assert_eq!(pixel(&picture, 32, 32), RED, "from the frame before");
+    // Drawn over without a clear.
+    let mut over = to_texture(&texture);
+    over.clear_color = None;
+    let small = Node::geode(vec![quad([0.0; 3], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]);
+    let picture = draw(rig, vec![Node::camera(over, vec![small]), screen(&texture)]);
+    assert_eq!((pixel(&picture, 32, 32), count(&picture, RED)), (GREEN, 16 * 16 - 8 * 8));
+    let held = Arc::downgrade(&texture);
+    drop(texture);
+    for _ in 0..20 {
+        draw(rig, vec![red()]);
+    }
+    assert!(held.upgrade().is_none());
+    no_errors(rig);
+}
+
+#[test]
+fn cameras_after_draw_over_the_picture_in_their_order() {
+    let Some(mut rig) = rig("cameras_after_draw_over_the_picture_in_their_order") else { return };
+    let rig = &mut *rig;
+    let hud = |number, x: f32, color: [u8; 3]| {
+        let (view, _) = view();
+        let camera = CameraNode {
+            frame: ReferenceFrame::Absolute,
+            view,
+            projection: Some(proj::orthographic(-1.0, 1.0, -1.0, 1.0, 100.0, 0.1)),
+            clear_color: None,
+            ..CameraNode::new(RenderOrder::PostRender(number))
+        };
+        let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
+        // Far behind the scene's square, and yet over it: depth is cleared.
+        Node::camera(camera, vec![Node::geode(vec![quad([x, 0.0, -50.0], [0.5, 0.25], [r, g, b, 1.0])])])
+    };
+    let picture = draw(rig, vec![hud(2, -0.25, BLUE), hud(1, 0.25, GREEN), red()]);
+    let at = |x| pixel(&picture, x, 32);
+    assert_eq!([at(10), at(32), at(44), at(54)], [BLUE, BLUE, GREEN, GREEN]);
+    assert_eq!(pixel(&picture, 32, 20), RED, "above them");
+    // Without a clear of depth the far one is hidden.
+    let (view, projection) = view();
+    let camera = CameraNode {
+        frame: ReferenceFrame::Absolute,
+        view,
+        projection: Some(projection),
+        clear_color: None,
+        clear_depth: false,
+        ..CameraNode::new(RenderOrder::PostRender(0))
+    };
+    let picture = draw(rig, vec![Node::camera(camera, vec![Node::geode(vec![square(-1.0, GREEN)])]), red()]);
+    assert_eq!(count(&picture, RED), 32 * 32);
+    no_errors(rig);
+}
+
+#[test]
+fn stages_come_in_the_order_of_their_numbers() {
+    let Some(mut rig) = rig("stages_come_in_the_order_of_their_numbers") else { return };
+    let rig = &mut *rig;
+    let (a, b) = (target("a"), target("b"));
+    let to = |texture: &Arc<TextureObject>, number| CameraNode {
+        order: RenderOrder::PreRender(number),
+        ..to_texture(texture)
+    };
+    // b shows a: it must come after it, though it is met before.
+    let nodes = || vec![Node::camera(to(&b, 5), vec![screen(&a)]), Node::camera(to(&a, 1), vec![red()]), screen(&b)];
+    let picture = draw(rig, nodes());
+    assert_eq!((pixel(&picture, 32, 32), count(&picture, RED)), (RED, 8 * 8));
+    // A camera inside a camera comes before it.
+    let inner = Node::camera(to(&a, 9), vec![Node::geode(vec![square(0.0, GREEN)])]);
+    let outer = Node::camera(to(&b, 0), vec![inner, screen(&a)]);
+    let picture = draw(rig, vec![outer, screen(&b)]);
+    assert_eq!((pixel(&picture, 32, 32), count(&picture, GREEN)), (GREEN, 8 * 8));
+    no_errors(rig);
+}
+
+#[test]
+fn layers_faces_and_levels_are_targets() {
+    let Some(mut rig) = rig("layers_faces_and_levels_are_targets") else { return };
+    let rig = &mut *rig;
+    let object = |dimension, size: [u32; 3], levels| {
+        Arc::new(TextureObject { dimension, size, levels, ..(*target("parts")).clone() })
+    };
+    let onto = |texture: &Arc<TextureObject>, level, layer, color: [u8; 3]| {
+        let colors = vec![Attachment { texture: texture.clone(), level, layer }];
+        let target = CameraTarget { colors, samples: 1, ..CameraTarget::default() };
+        let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
+        let camera = CameraNode {
+            target: Some(Arc::new(target)),
+            clear_color: Some([r, g, b, 1.0]),
+            ..CameraNode::new(RenderOrder::PreRender(0))
+        };
+        Node::camera(camera, vec![])
+    };
+    let show = |texture: &Arc<TextureObject>, wgsl_type: &str, sample: &str| {
+        let wgsl = format!(
+            "@group(2) @binding(1) var parts: {wgsl_type};
+             @group(2) @binding(2) var parts_sampler: sampler;
+             struct Out {{ @builtin(position) position: vec4<f32> }}
+             @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> Out {{
+                 return Out(frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0));
+             }}
+             @fragment fn fs_main() -> @location(0) vec4<f32> {{ return {sample}; }}"
+        );
+        let set = StateSet::default()
+            .with(Attribute::Program(Program::new("parts", &wgsl)))
+            .with(Attribute::Texture(0, TextureBinding::new(texture.clone())));
+        Node::geode(vec![square(0.0, [255; 3])]).with_state_set(Arc::new(set))
+    };
+    let layers = object(TextureDimension::D2Array, [8, 8, 3], 1);
+    let nodes = vec![
+        onto(&layers, 0, 0, RED),
+        onto(&layers, 0, 2, GREEN),
+        onto(&layers, 0, 1, BLUE),
+        show(&layers, "texture_2d_array<f32>", "textureSampleLevel(parts, parts_sampler, vec2(0.5), 2, 0.0)"),
+    ];
+    assert_eq!(pixel(&draw(rig, nodes), 32, 32), GREEN);
+    let cube = object(TextureDimension::Cube, [8, 8, 6], 1);
+    let mut nodes: Vec<Node> = (0..6).map(|face| onto(&cube, 0, face, if face == 3 { GREEN } else { RED })).collect();
+    nodes.push(show(&cube, "texture_cube<f32>", "textureSampleLevel(parts, parts_sampler, vec3(0.0, -1.0, 0.0), 0.0)"));
+    assert_eq!(pixel(&draw(rig, nodes), 32, 32), GREEN, "-y is the fourth face");
+    let levels = object(TextureDimension::D2, [8, 8, 1], 4);
+    let nodes = vec![
+        onto(&levels, 0, 0, RED),
+        onto(&levels, 1, 0, BLUE),
+        onto(&levels, 2, 0, GREEN),
+        onto(&levels, 3, 0, RED),
+        show(&levels, "texture_2d<f32>", "textureSampleLevel(parts, parts_sampler, vec2(0.5), 2.0)"),
+    ];
+    assert_eq!(pixel(&draw(rig, nodes), 32, 32), GREEN);
+    no_errors(rig);
+}
+
+#[test]
+fn programs_write_several_attachments_and_read_depth() {
+    let Some(mut rig) = rig("programs_write_several_attachments_and_read_depth") else { return };
+    let rig = &mut *rig;
+    let (first, second) = (target("first"), TextureObject::target("second", [SIDE; 2], TextureFormat::Rgba16Float));
+    let depth = TextureObject::target("depth", [SIDE; 2], TextureFormat::Depth32);
+    let colors = vec![Attachment::new(first.clone()), Attachment::new(second.clone())];
+    let of = CameraTarget { colors, depth: Some(Attachment::new(depth.clone())), samples: 1, read_back: None };
+    let (eye_from_world, projection) = view();
+    let camera =
+        CameraNode { target: Some(Arc::new(of)), ..CameraNode::to_texture(first.clone(), eye_from_world, projection) };
+    let vertex = "struct V { @builtin(position) position: vec4<f32>, @location(0) uv: vec2<f32> }
+        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> V {
+            return V(frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0), vertex.uv);
+        }";
+    let both = Program::new(
+        "both",
+        &format!(
+            "{vertex}
+            struct Out {{ @location(0) a: vec4<f32>, @location(1) b: vec4<f32> }}
+            @fragment fn fs_main(in: V) -> Out {{ return Out(vec4(1.0, 0.0, 0.0, 1.0), vec4(0.0, 0.0, 1.0, 1.0)); }}"
+        ),
+    );
+    let source = StateSet::default().with(Attribute::Program(both));
+    let drawn = Node::geode(vec![square(0.0, GREEN)]).with_state_set(Arc::new(source));
+    let root = || Node::camera(camera.clone(), vec![drawn.clone()]);
+    let picture = draw(rig, vec![root(), screen(&first)]);
+    assert_eq!((pixel(&picture, 32, 32), pixel(&picture, 20, 20)), (RED, BLACK));
+    assert_eq!(pixel(&draw(rig, vec![root(), screen(&second)]), 32, 32), BLUE);
+    // The depth of the square at 10 m with a near plane of 0.1 m, reversed: 0.01; compared with 0.005.
+    let compare = Program::new(
+        "compare",
+        &format!(
+            "@group(2) @binding(3) var shadow: texture_depth_2d;
+            @group(2) @binding(4) var shadow_sampler: sampler_comparison;
+            {vertex}
+            @fragment fn fs_main(in: V) -> @location(0) vec4<f32> {{
+                return vec4<f32>(0.0, textureSampleCompareLevel(shadow, shadow_sampler, in.uv, 0.005), 0.0, 1.0);
+            }}"
+        ),
+    );
+    let sampler = Sampler { compare: Some(CompareFunction::Less), ..Sampler::default() };
+    let set = StateSet::default()
+        .with(Attribute::Program(compare))
+        .with(Attribute::Texture(1, TextureBinding { texture: depth, sampler }));
+    let shown = Node::geode(vec![square(0.0, [255; 3])]).with_state_set(Arc::new(set));
+    let picture = draw(rig, vec![root(), shown]);
+    assert_eq!((pixel(&picture, 32, 32), pixel(&picture, 20, 20)), (GREEN, BLACK));
+    no_errors(rig);
+}
+
+#[test]
+fn several_samples_smooth_edges() {
+    let Some(mut rig) = rig("several_samples_smooth_edges") else { return };
+    let rig = &mut *rig;
+    let slanted = || Node::transform(DAffine3::from_rotation_z(0.3), vec![Node::geode(vec![square(0.0, [255; 3])])]);
+    let mut shades = |samples| {
+        let texture = target("smooth");
+        let mut camera = to_texture(&texture);
+        let colors = vec![Attachment::new(texture.clone())];
+        camera.target = Some(Arc::new(CameraTarget { colors, samples, ..CameraTarget::default() }));
+        let sink = Arc::new(PictureSink::default());
+        let picture = read(rig, camera, vec![slanted()], &sink);
+        let grey = picture.iter().filter(|p| p[0] != 0 && p[0] != 255).count();
+        no_errors(rig);
+        grey
+    };
+    assert_eq!(shades(1), 0);
+    assert!(shades(4) > 60);
+}
+
+/// What a camera draws, read back without waiting.
+fn read(rig: &mut Rig, mut camera: CameraNode, children: Vec<Node>, sink: &Arc<PictureSink>) -> Vec<[u8; 4]> {
+    let before = camera.target.as_deref().unwrap().clone();
+    camera.target = Some(Arc::new(CameraTarget { read_back: Some(sink.clone()), ..before }));
+    let scene = rig.scene(Node::camera(camera, children));
+    let picture = drawn_until(rig, &scene, sink);
+    rig.release(scene);
+    picture.chunks_exact(4).map(|p| [p[0], p[1], p[2], p[3]]).collect()
+}
+
+fn drawn_until(rig: &mut Rig, scene: &Scene, sink: &Arc<PictureSink>) -> Vec<u8> {
+    for frame in 1..200 {
+        let camera = CullCamera { frame, ..unit_camera(SIDE) };
+        rig.draw(scene, &camera, &plain());
+        if let Some(picture) = sink.take() {
+            assert!(picture.frame >= 1 && picture.frame <= frame);
+            assert_eq!(picture.size_px, [SIDE, SIDE]);
+            return picture.rgba;
+        }
+    }
+    panic!("no picture came");
+}
+
+#[test]
+fn pictures_come_back_without_waiting() {
+    let Some(mut rig) = rig("pictures_come_back_without_waiting") else { return };
+    let rig = &mut *rig;
+    let sink = Arc::new(PictureSink::default());
+    let mut camera = to_texture(&target("read"));
+    camera.clear_color = Some([0.0, 0.0, 1.0, 0.5]);
+    let pixels = read(rig, camera, vec![red()], &sink);
+    assert_eq!(pixels.len(), (SIDE * SIDE) as usize);
+    assert_eq!(pixels.iter().filter(|p| **p == [255, 0, 0, 255]).count(), 32 * 32);
+    assert_eq!(pixels[0], [0, 0, 255, 128], "textures keep alpha");
+    no_errors(rig);
+}
+
+#[test]
+fn wrong_targets_are_one_error_and_the_rest_is_drawn() {
+    let Some(mut rig) = rig("wrong_targets_are_one_error_and_the_rest_is_drawn") else { return };
+    let rig = &mut *rig;
+    let depth = TextureObject::target("depths", [SIDE; 2], TextureFormat::Depth32);
+    let image = TextureObject::image("image", [1, 1], vec![255; 4]);
+    let small = TextureObject::target("small", [8; 2], TextureFormat::Rgba8Srgb);
+    let attached = |colors: &[&Arc<TextureObject>], depth: Option<&Arc<TextureObject>>| CameraTarget {
+        colors: colors.iter().map(|t| Attachment::new((*t).clone())).collect(),
+        depth: depth.map(|t| Attachment::new(t.clone())),
+        samples: 1,
+        read_back: None,
+    };
+    let fine = target("fine");
+    let missing = CameraTarget {
+        colors: vec![Attachment { texture: fine.clone(), level: 3, layer: 0 }],
+        samples: 1,
+        ..CameraTarget::default()
+    };
+    let mut huge = (*target("huge")).clone();
+    huge.size = [1 << 20, 4, 1];
+    for (target, says) in [
+        (attached(&[&depth], None), "\"depths\" holds depth"),
+        (attached(&[&image], None), "\"image\" has contents"),
+        (attached(&[&fine, &small], None), "\"small\" has another size"),
+        (attached(&[&fine], Some(&fine)), "\"fine\" holds colour"),
+        (attached(&[&Arc::new(huge)], None), "\"huge\""),
+        (missing, "\"fine\" has no level 3"),
+    ] {
+        let camera = CameraNode { target: Some(Arc::new(target)), ..CameraNode::new(RenderOrder::PreRender(0)) };
+        let scene = rig.scene(Node::group(vec![Node::camera(camera, vec![red()]), red()]));
+        for frame in 0..3 {
+            let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+            assert_eq!(count(&picture, RED), 32 * 32);
+            let errors = rig.renderer.take_errors();
+            assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
+            assert!(errors.iter().all(|e| e.contains(says)), "{errors:?} instead of {says}");
+        }
+        rig.release(scene);
+    }
+    // A stage that reads what it draws into.
+    let camera = to_texture(&fine);
+    let picture = draw(rig, vec![Node::camera(camera, vec![screen(&fine)]), red()]);
+    assert_eq!(count(&picture, RED), 32 * 32);
+    let errors = rig.renderer.take_errors();
+    assert!(matches!(&errors[..], [e] if e.contains("read while it is drawn into")), "{errors:?}");
+}
+
+#[test]
+fn clear_nodes_decide_what_is_behind() {
+    let Some(mut rig) = rig("clear_nodes_decide_what_is_behind") else { return };
+    let rig = &mut *rig;
+    let clear = |color| Node::new(NodeKind::ClearNode(ClearNode { color }));
+    let picture = draw(rig, vec![clear(Some([0.0, 0.0, 1.0, 1.0])), red()]);
+    assert_eq!((count(&picture, BLUE), count(&picture, MAGENTA)), (3 * 32 * 32, 0));
+    let small = Node::geode(vec![quad([0.0; 3], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]);
+    let picture = draw(rig, vec![clear(None), small]);
+    assert_eq!((count(&picture, BLUE), count(&picture, GREEN)), (3 * 32 * 32, 16 * 16), "over the frame before");
+}
+
+#[test]
+fn nested_cameras_draw_into_their_part() {
+    let Some(mut rig) = rig("nested_cameras_draw_into_their_part") else { return };
+    let rig = &mut *rig;
+    let (view, projection) = view();
+    let nested = CameraNode {
+        frame: ReferenceFrame::Absolute,
+        view,
+        projection: Some(projection),
+        viewport_px: Some([0, 32, 32, 32]),
+        ..CameraNode::new(RenderOrder::Nested)
+    };
+    let green = Node::geode(vec![square(0.5, GREEN)]);
+    let picture = draw(rig, vec![Node::camera(nested, vec![green]), red()]);
+    assert_eq!([(16, 48), (32, 32), (2, 34), (40, 40)].map(|(x, y)| pixel(&picture, x, y)), [GREEN, RED, MAGENTA, RED]);
+    // Another projection for some nodes of the same picture: half as wide an angle, twice as large.
+    let mut wide = Node::new(NodeKind::Projection(proj::perspective_infinite_reverse(2.0 * (0.2f64).atan(), 1.0, 0.1)));
+    wide.children = vec![Node::geode(vec![square(0.5, GREEN)])];
+    let picture = draw(rig, vec![wide, red()]);
+    assert!(count(&picture, GREEN).abs_diff(17 * 17) <= 60, "{}", count(&picture, GREEN));
+    no_errors(rig);
+}
+
+#[test]
+fn callbacks_come_at_their_moments() {
+    let Some(mut rig) = rig("callbacks_come_at_their_moments") else { return };
+    let rig = &mut *rig;
+    let said: Arc<Mutex<Vec<String>>> = Arc::default();
+    let callbacks = |name: &'static str| {
+        let log = |moment: &'static str| {
+            let said = said.clone();
+            move |leaves: usize| said.lock().unwrap().push(format!("{name} {moment} {leaves}"))
+        };
+        let (initial, pre, post, last) = (log("initial"), log("pre"), log("post"), log("final"));
+        CameraCallbacks {
+            initial: Some(Box::new(move |info, _| initial(info.stage.leaf_count()))),
+            pre_draw: Some(Box::new(move |info, pass| {
+                // May leave the pass's state as it likes.
+                pass.set_viewport(0.0, 0.0, 1.0, 1.0, 0.0, 0.1);
+                pass.set_scissor_rect(0, 0, 1, 1);
+                pre(info.stage.leaf_count());
+            })),
+            post_draw: Some(Box::new(move |info, _| post(info.stage.leaf_count()))),
+            final_draw: Some(Box::new(move |info, _| last(info.stage.leaf_count()))),
+        }
+        .hook()
+    };
+    let (a, b) = (target("a"), target("b"));
+    let inner = CameraNode { callbacks: Some(callbacks("inner")), ..to_texture(&a) };
+    let outer = CameraNode { callbacks: Some(callbacks("outer")), ..to_texture(&b) };
+    let both = Node::group(vec![red(), red()]);
+    let outer = Node::camera(outer, vec![Node::camera(inner, vec![red()]), both, screen(&a)]);
+    let picture = draw(rig, vec![outer, screen(&b)]);
+    assert_eq!(pixel(&picture, 32, 32), RED);
+    let expected = [
+        "outer initial 3",
+        "inner initial 1",
+        "inner pre 1",
+        "inner post 1",
+        "inner final 1",
+        "outer pre 3",
+        "outer post 3",
+        "outer final 3",
+    ];
+    assert_eq!(*said.lock().unwrap(), expected);
+    no_errors(rig);
+}
+
+#[test]
+fn queries_hide_what_is_not_seen_and_show_it_again() {
+    let Some(mut rig) = rig("queries_hide_what_is_not_seen_and_show_it_again") else { return };
+    let rig = &mut *rig;
+    let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 2, ..OcclusionQueryNode::default() };
+    let results = query.results.clone();
+    let mut hidden = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+    hidden.children = vec![Node::geode(vec![quad([0.0, 0.0, -3.0], [0.2; 2], [0.0, 1.0, 0.0, 1.0])])];
+    let wall = Node {
+        children: vec![Node::geode(vec![quad([0.0; 3], [0.9; 2], [1.0, 0.0, 0.0, 1.0])])],
+        ..Node::new(NodeKind::Switch(vec![true]))
+    };
+    let mut scene = rig.scene(Node::group(vec![hidden, wall]));
+    let root = scene.roots()[0];
+    let leaves = |rig: &mut Rig, scene: &Scene, frame| {
+        rig.draw(scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+        rig.stage.leaf_count()
+    };
+    assert_eq!(leaves(rig, &scene, 1), 2, "drawn until the adapter has answered");
+    let mut frame = 1;
+    while leaves(rig, &scene, frame) == 2 {
+        frame += 1;
+        assert!(frame < 200, "never hidden: {} failures", results.failures());
+    }
+    assert!(results.failures() >= 2 && results.samples() == 0);
+    // The wall goes: what is behind it comes back.
+    scene.set_switch(terrane::scene::NodeId { page: root, index: 3 }, 0, false).unwrap();
+    while leaves(rig, &scene, frame) == 0 {
+        frame += 1;
+        assert!(frame < 400, "never shown again");
+    }
+    assert!(results.samples() > 0 && results.failures() == 0);
+    rig.release(scene);
+    no_errors(rig);
+}
+
+#[test]
+fn programs_have_uniforms_and_defines() {
+    let Some(mut rig) = rig("programs_have_uniforms_and_defines") else { return };
+    let rig = &mut *rig;
+    let wgsl = "
+        struct Uniforms {
+            tint: vec3<f32>, factor: f32, turned: mat3x3<f32>, count: u32, osg_FrameNumber: u32,
+            osg_SimulationTime: f32, table: array<vec4<f32>, 3>, osg_ViewMatrixInverse: mat4x4<f32>,
+        }
+        @group(2) @binding(0) var<uniform> uniforms: Uniforms;
+        override FANCY: bool = false;
+        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
+            return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0);
+        }
+        @fragment fn fs_main() -> @location(0) vec4<f32> {
+            var color = uniforms.tint * uniforms.factor;
+            if FANCY { color = uniforms.turned * color; }
+            if uniforms.count != 7u || uniforms.osg_FrameNumber != 5u || uniforms.osg_SimulationTime != 2.5 {
+                color = vec3<f32>(1.0, 1.0, 0.0);
+            }
+            if uniforms.table[2].y != 4.0 || uniforms.osg_ViewMatrixInverse[3].z != 10.0 {
+                color = vec3<f32>(0.0, 1.0, 1.0);
+            }
+            return vec4<f32>(color, 1.0);
+        }";
+    rig.renderer.times = terrane::draw::FrameTimes { simulation_time_s: 2.5, ..Default::default() };
+    let set = |fancy: bool, tint: UniformValue| {
+        let defines = if fancy { vec![("FANCY".to_string(), 1.0), ("UNKNOWN".into(), 3.0)] } else { vec![] };
+        let program = Arc::new(Program { name: "tinted".into(), wgsl: wgsl.into(), defines });
+        StateSet::default()
+            .with(Attribute::Program(program))
+            .with_uniform("tint", tint)
+            .with_uniform("factor", UniformValue::Float(0.5))
+            // Red becomes blue.
+            .with_uniform("turned", UniformValue::Mat3([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
+            .with_uniform("count", UniformValue::Uint(7))
+            .with_uniform("table", UniformValue::Vec4Array([[0.0; 4], [1.0; 4], [0.0, 4.0, 0.0, 0.0]].into()))
+    };
+    let mut middle = |set: StateSet| {
+        let scene = rig.scene(Node::geode(vec![square(0.0, [255; 3])]).with_state_set(Arc::new(set)));
+        let picture = rig.picture(&scene, &CullCamera { frame: 5, ..unit_camera(SIDE) }, &plain());
+        rig.release(scene);
+        (pixel(&picture, 32, 32), rig.renderer.take_errors())
+    };
+    let red = UniformValue::Vec3([2.0, 0.0, 0.0]);
+    assert_eq!(middle(set(false, red.clone())), (RED, vec![]));
+    assert_eq!(middle(set(true, red)), (BLUE, vec![]));
+    let (color, errors) = middle(set(false, UniformValue::Vec2([1.0, 0.0])));
+    assert_eq!(color, BLACK);
+    assert!(
+        matches!(&errors[..], [e] if e.contains("tint") && e.contains("vec2<f32> instead of vec3<f32>")),
+        "{errors:?}"
+    );
+}
+
+#[test]
+fn broken_programs_are_seen_and_said_once() {
+    let Some(mut rig) = rig("broken_programs_are_seen_and_said_once") else { return };
+    let rig = &mut *rig;
+    let vertex =
+        "@vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
+            return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0); }";
+    for (name, wgsl, says) in [
+        ("syntax", "this is no WGSL".to_string(), "expected"),
+        ("types", format!("{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return 1; }}"), "types"),
+        ("half", vertex.to_string(), "no fragment entry point"),
+        (
+            "other",
+            format!(
+                "{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return vec4(1.0); }}
+            @group(3) @binding(0) var t: texture_2d<f32>;"
+            ),
+            "group 3",
+        ),
+    ] {
+        let set = StateSet { name: format!("set of {name}"), ..StateSet::default() }
+            .with(Attribute::Program(Program::new(name, &wgsl)));
+        let broken = Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+        let scene = rig.scene(Node::group(vec![
+            broken,
+            Node::geode(vec![quad([0.5, 0.0, 0.0], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]),
+        ]));
+        let black = terrane::draw::Environment { sky: terrane::draw::Sky::Background([0; 3]), ..plain() };
+        for frame in 0..3 {
+            let picture = rig.picture(&scene, &unit_camera(SIDE), &black);
+            assert_eq!((pixel(&picture, 16, 32), pixel(&picture, 48, 32)), (MAGENTA, GREEN), "{name}");
+            let errors = rig.renderer.take_errors();
+            assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
+            for e in errors {
+                assert!(e.contains(&format!("set of {name}")) && e.contains(says), "{e:?} instead of {says}");
+            }
+        }
+        rig.release(scene);
+    }
+}
+
+#[test]
+fn a_context_has_several_samples() {
+    if new_rig([8, 8]).is_none() {
+        eprintln!("a_context_has_several_samples: skipped: no adapter");
+        return;
+    }
+    let traits =
+        ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Software, samples: 4, ..ContextTraits::default() };
+    let mut ctx = match GraphicsContext::new_offscreen(&traits) {
+        Ok(ctx) => ctx,
+        Err(GpuError::NoAdapter { .. }) => return,
+        Err(e) => panic!("{e}"),
+    };
+    let renderer = Renderer::new(&mut ctx);
+    let mut rig = Rig::new(ctx, renderer);
+    let slanted = Node::transform(DAffine3::from_rotation_z(0.3), vec![Node::geode(vec![square(0.0, [255; 3])])]);
+    let (view, projection) = view();
+    let hud = CameraNode {
+        frame: ReferenceFrame::Absolute,
+        view,
+        projection: Some(projection),
+        clear_color: None,
+        ..CameraNode::new(RenderOrder::PostRender(0))
+    };
+    let small = Node::geode(vec![quad([0.0; 3], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]);
+    // Alpha 0.5 covers half of the samples: half of the background shows.
+    let half = StateSet::default().with_mode(Mode::AlphaToCoverage, StateValue::ON);
+    let covered =
+        Node::geode(vec![quad([0.0, -0.8, 0.0], [0.1; 2], [0.0, 1.0, 0.0, 0.5])]).with_state_set(Arc::new(half));
+    let picture = draw(&mut rig, vec![slanted, Node::camera(hud, vec![small]), covered]);
+    let is_mixed = |p: &&image::Rgba<u8>| p.0[1] != 0 && p.0[1] != 255;
+    assert!(picture.pixels().filter(is_mixed).count() > 60, "smooth edges");
+    assert_eq!(pixel(&picture, 32, 32), GREEN, "over the resolved picture");
+    let [r, g, b] = pixel(&picture, 32, 57);
+    assert!((170..210).contains(&g) && r == b && (170..210).contains(&r), "{r} {g} {b}");
+    let errors = rig.renderer.take_errors();
+    assert!(errors.is_empty(), "{errors:?}");
+    let _ = DVec3::ZERO;
+}
