@@ -526,7 +526,7 @@ fn programs_have_uniforms_and_defines() {
             }
             return vec4<f32>(color, 1.0);
         }";
-    rig.renderer.times = terrane::draw::FrameTimes { simulation_time_s: 2.5, ..Default::default() };
+    rig.renderer.clock = terrane::draw::FrameClock { simulation_time_s: 2.5, ..Default::default() };
     let set = |fancy: bool, tint: UniformValue| {
         let defines = if fancy { vec![("FANCY".to_string(), 1.0), ("UNKNOWN".into(), 3.0)] } else { vec![] };
         let program = Arc::new(Program { name: "tinted".into(), wgsl: wgsl.into(), defines });

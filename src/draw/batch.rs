@@ -15,17 +15,26 @@ use crate::scene::AlphaMode;
 use crate::state::SortMode;
 
 /// What has to be bound for a run: leaves with one bucket differ in geometry alone.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Bucket {
     pub(super) pipeline: PipelineKey,
-    /// Index of the dynamic state and the uniforms.
-    pub(super) statics: u32,
     pub(super) is_height: bool,
     /// Block of group 1.
     pub(super) block: u32,
     pub(super) vertex_chunk: u32,
     /// Chunk of meshes, side of height tiles.
     pub(super) index_chunk: u32,
+    /// Index of the dynamic state and the uniforms. Last: mostly one call, where other buffers are two.
+    pub(super) statics: u32,
+}
+
+impl Bucket {
+    /// Sorts so that dear changes are rare.
+    fn order(&self) -> (u64, u64, u32) {
+        // The largest pools have thousands of blocks and chunks; beyond, the order is only less good.
+        let binds = u64::from(self.block) << 40 | u64::from(self.vertex_chunk & 0xf_ffff) << 20;
+        (self.pipeline.order(), binds | u64::from(self.index_chunk & 0xf_ffff), self.statics)
+    }
 }
 
 /// An instanced draw.
@@ -61,7 +70,9 @@ impl StateEntry {
 /// The draws of a frame's stages, one behind the other.
 #[derive(Default)]
 pub(super) struct Batch {
-    pub(super) leaves: Vec<LeafUniform>,
+    /// Longer than what is used of it, so that nothing is written twice.
+    leaves: Vec<LeafUniform>,
+    leaf_count: usize,
     pub(super) runs: Vec<Run>,
     /// Of all stages, each with the index of its pipeline.
     pub(super) buckets: Vec<(Bucket, u32)>,
@@ -76,6 +87,10 @@ pub(super) struct Batch {
     /// By leaf of the current group.
     run_of_leaf: Vec<u32>,
     order: Vec<u32>,
+    /// First bucket of the current stage.
+    first_bucket: usize,
+    ranked: Vec<((u64, u64, u32), u32)>,
+    places: Vec<u32>,
 }
 
 const NO_RUN: u32 = u32::MAX;
@@ -88,9 +103,28 @@ fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
 
 impl Batch {
     pub(super) fn start_frame(&mut self) {
-        self.leaves.clear();
+        self.leaf_count = 0;
         self.runs.clear();
         self.buckets.clear();
+    }
+
+    /// The leaves so far.
+    pub(super) fn leaves(&self) -> &[LeafUniform] {
+        &self.leaves[..self.leaf_count]
+    }
+
+    /// Appends a leaf that belongs to no run.
+    pub(super) fn push_leaf(&mut self, leaf: LeafUniform) {
+        let place = self.leaf_count;
+        self.make_room(place + 1);
+        self.leaves[place] = leaf;
+    }
+
+    fn make_room(&mut self, count: usize) {
+        self.leaf_count = count;
+        if self.leaves.len() < count {
+            self.leaves.resize(count.next_power_of_two(), LeafUniform::EMPTY);
+        }
     }
 
     /// Appends the runs of a stage, whose states are in [`Self::states`]. Returns how many leaves were more than the
@@ -108,12 +142,13 @@ impl Batch {
             state.class = *self.class_of.entry((state.key, state.statics)).or_insert(next);
         }
         self.bucket_of.clear();
+        self.first_bucket = self.buckets.len();
         let first_run = self.runs.len();
         let mut dropped = 0;
         for bin in &stage.bins {
             let mut rest = &bin.leaves[..];
             while !rest.is_empty() {
-                let room = most_leaves.saturating_sub(self.leaves.len());
+                let room = most_leaves.saturating_sub(self.leaf_count);
                 let (group, after) = rest.split_at(regroupable(bin.sort, &self.states, rest));
                 rest = after;
                 dropped += group.len().saturating_sub(room);
@@ -161,28 +196,49 @@ impl Batch {
             self.group_runs[last.1 as usize].leaf_count += 1;
             self.run_of_leaf.push(last.1);
         }
-        self.order.clear();
-        self.order.extend(0..self.group_runs.len() as u32);
-        let (runs, buckets) = (&self.group_runs, &self.buckets);
-        let of = |run: u32| runs[run as usize].bucket;
-        if self.order.windows(2).any(|w| of(w[0]) != of(w[1])) {
-            self.order
-                .sort_unstable_by(|a, b| buckets[of(*a) as usize].0.cmp(&buckets[of(*b) as usize].0).then(a.cmp(b)));
-        }
-        let mut place = self.leaves.len() as u32;
+        self.order_runs();
+        let mut place = self.leaf_count as u32;
         for run in &self.order {
             let run = &mut self.group_runs[*run as usize];
             run.first_leaf = place;
             place += run.leaf_count;
             self.runs.push(*run);
         }
-        self.leaves.resize(place as usize, LeafUniform::EMPTY);
+        self.make_room(place as usize);
         for (leaf, run) in leaves.iter().zip(&self.run_of_leaf) {
             let Some(run) = self.group_runs.get_mut(*run as usize) else { continue };
             if let Some((entry, rows)) = drawable(ctx, stage, leaf) {
                 self.leaves[run.first_leaf as usize] = uniform(entry, rows, &self.states[leaf.state as usize]);
                 run.first_leaf += 1;
             }
+        }
+    }
+
+    /// Leaves in `order` the runs of the group by the order of their buckets; those of one bucket as first met.
+    fn order_runs(&mut self) {
+        self.order.clear();
+        self.order.extend(0..self.group_runs.len() as u32);
+        if self.group_runs.windows(2).all(|w| w[0].bucket == w[1].bucket) {
+            return;
+        }
+        // Buckets are few: they are sorted, runs only counted.
+        let first = self.first_bucket;
+        self.ranked.clear();
+        self.ranked.extend(self.buckets[first..].iter().zip(0..).map(|((bucket, _), place)| (bucket.order(), place)));
+        self.ranked.sort_unstable();
+        self.places.clear();
+        self.places.resize(self.ranked.len(), 0);
+        for run in &self.group_runs {
+            self.places[run.bucket as usize - first] += 1;
+        }
+        let mut place = 0;
+        for (_, bucket) in &self.ranked {
+            place += std::mem::replace(&mut self.places[*bucket as usize], place);
+        }
+        for (index, run) in (0..).zip(&self.group_runs) {
+            let place = &mut self.places[run.bucket as usize - first];
+            self.order[*place as usize] = index;
+            *place += 1;
         }
     }
 
@@ -200,14 +256,14 @@ impl Batch {
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(geometry(entry));
             if key != last {
-                let first_leaf = self.leaves.len() as u32;
+                let first_leaf = self.leaf_count as u32;
                 self.runs.push(Run { first_leaf, ..new_run(ctx, bucket, entry) });
                 last = key;
             }
             if let Some(run) = self.runs.last_mut() {
                 run.leaf_count += 1;
             }
-            self.leaves.push(uniform(entry, rows, &self.states[leaf.state as usize]));
+            self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize]));
         }
     }
 

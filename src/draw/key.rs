@@ -236,6 +236,11 @@ impl PipelineKey {
         }
     }
 
+    /// A number in the order of the keys.
+    pub fn order(self) -> u64 {
+        self.0
+    }
+
     /// The same, shaded so that a fault is seen.
     pub fn fallback(self) -> Self {
         let plain = self.0 & !(PROGRAM | FIXED);

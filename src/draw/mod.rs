@@ -28,4 +28,4 @@ mod state;
 
 pub use callbacks::{CameraCallbacks, RenderInfo};
 pub use environment::{Environment, Fog, Sky};
-pub use renderer::{DrawStats, FrameTimes, Renderer};
+pub use renderer::{DrawStats, FrameClock, Renderer};

@@ -76,7 +76,7 @@ impl DrawStats {
 
 /// Times of the frame for programs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FrameTimes {
+pub struct FrameClock {
     /// Seconds since the first frame.
     pub reference_time_s: f64,
     /// Seconds since the frame before.
@@ -103,7 +103,7 @@ pub struct Renderer {
     pictures: PictureReads,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
     /// Times that programs see; set by the caller before each draw.
-    pub times: FrameTimes,
+    pub clock: FrameClock,
     errors: Vec<String>,
     /// What was said already.
     said: HashSet<String>,
@@ -165,7 +165,7 @@ impl Renderer {
             queries: None,
             pictures: PictureReads::default(),
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
-            times: FrameTimes::default(),
+            clock: FrameClock::default(),
             errors: Vec::new(),
             said: HashSet::new(),
         }
@@ -209,7 +209,7 @@ impl Renderer {
         self.prepare(ctx, stage, environment);
         self.upload(ctx);
         let mut stats = self.record(ctx, stage);
-        stats.leaves = self.batch.leaves.len() as u32;
+        stats.leaves = self.batch.leaves().len() as u32;
         stats.pipelines_created = self.pipelines.created() - created_before;
         self.throttle(ctx)?;
         if let Some(timer) = &mut self.timer {
@@ -365,7 +365,7 @@ impl Renderer {
                 let size = program.map_or(0, |p| p.uniform_bytes);
                 (size > 0).then(|| {
                     let at = self.groups.reserve(size);
-                    let builtins = builtins(stage, &self.times);
+                    let builtins = builtins(stage, &self.clock);
                     let bytes = &mut self.groups.bytes[at as usize..][..size];
                     if let Some(Err(problem)) = program.map(|p| p.fill(state, &builtins, bytes)) {
                         wrong.push(problem);
@@ -411,7 +411,7 @@ impl Renderer {
         let mut asked = Vec::new();
         for query in &stage.queries {
             let Some(rows) = stage.eye_from_drawable.get(query.matrix as usize) else { continue };
-            if self.batch.leaves.len() >= self.most_leaves {
+            if self.batch.leaves().len() >= self.most_leaves {
                 break;
             }
             let Some(index) = queries.ask(query) else { break };
@@ -424,18 +424,18 @@ impl Renderer {
                     self.statics.len() - 1
                 }
             };
-            asked.push((self.batch.leaves.len() as u32, index, place as u32));
-            self.batch.leaves.push(LeafUniform { eye_from_drawable: *rows, ..LeafUniform::EMPTY });
+            asked.push((self.batch.leaves().len() as u32, index, place as u32));
+            self.batch.push_leaf(LeafUniform { eye_from_drawable: *rows, ..LeafUniform::EMPTY });
         }
         asked
     }
 
     fn upload(&mut self, ctx: &GraphicsContext) {
         let device = ctx.device();
-        let bytes: &[u8] = bytemuck::cast_slice(&self.batch.leaves);
+        let bytes: &[u8] = bytemuck::cast_slice(self.batch.leaves());
         let mut is_new = self.groups.finish(ctx, &self.pipelines);
         if bytes.len() as u64 > self.leaf_buffer.size() {
-            let leaves = self.batch.leaves.len().next_power_of_two().min(self.most_leaves);
+            let leaves = self.batch.leaves().len().next_power_of_two().min(self.most_leaves);
             self.leaf_buffer = leaf_buffer(device, leaves);
             is_new = true;
         }
@@ -629,13 +629,13 @@ fn indirect_buffer(device: &wgpu::Device, runs: usize) -> wgpu::Buffer {
     })
 }
 
-fn builtins(stage: &RenderStage, times: &FrameTimes) -> Builtins {
+fn builtins(stage: &RenderStage, clock: &FrameClock) -> Builtins {
     let view = glam::DMat4::from(stage.camera.eye_from_world);
     Builtins {
         frame: stage.camera.frame,
-        frame_time_s: times.reference_time_s as f32,
-        delta_frame_time_s: times.delta_s as f32,
-        simulation_time_s: times.simulation_time_s as f32,
+        frame_time_s: clock.reference_time_s as f32,
+        delta_frame_time_s: clock.delta_s as f32,
+        simulation_time_s: clock.simulation_time_s as f32,
         view: view.as_mat4(),
         view_inverse: view.inverse().as_mat4(),
     }

@@ -14,7 +14,7 @@ use crate::scene::{Mesh, MeshVertex};
 /// Bytes a buffer aims at.
 const CHUNK_BYTES: u64 = 8 << 20;
 /// Most places in a buffer.
-const CHUNK_PLACES: u32 = 64;
+const CHUNK_PLACES: u32 = 4096;
 
 /// Part of a buffer of an [`Arena`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

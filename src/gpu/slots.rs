@@ -27,11 +27,11 @@ impl SlotAllocator {
     }
 }
 
-/// Number of places in the next block of a pool: a quarter of the full count first, doubling, so that a small
-/// scene does not pay for a large block; never beyond `target_bytes` a block, at least one place.
+/// Number of places in the next block of a pool: 16 at first, doubling, so that a small scene does not pay for a
+/// large block; never beyond `full` places or `target_bytes` a block, at least one place.
 pub(super) fn block_capacity(blocks_so_far: usize, slot_bytes: u64, target_bytes: u64, full: u32) -> u32 {
     let by_bytes = (target_bytes / slot_bytes.max(1)).clamp(1, u64::from(full)) as u32;
-    let grown = (full / 4).max(1) << blocks_so_far.min(2);
+    let grown = 16 << blocks_so_far.min(16);
     by_bytes.min(grown).max(1)
 }
 
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn blocks_grow_within_their_bytes() {
-        assert_eq!([0, 1, 2, 3].map(|n| block_capacity(n, 1000, 1 << 30, 64)), [16, 32, 64, 64]);
+        assert_eq!([0, 1, 2, 3, 99].map(|n| block_capacity(n, 1000, 1 << 30, 128)), [16, 32, 64, 128, 128]);
         assert_eq!(block_capacity(3, 1 << 20, 8 << 20, 64), 8);
         assert_eq!(block_capacity(0, 1 << 40, 8 << 20, 64), 1);
     }

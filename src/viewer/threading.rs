@@ -18,7 +18,7 @@ use image::RgbaImage;
 
 use super::ViewerError;
 use crate::cull::RenderStage;
-use crate::draw::{DrawStats, Environment, Renderer};
+use crate::draw::{DrawStats, Environment, FrameClock, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
 use crate::pager::CompileContext;
 use crate::scene::{DrawSlot, Drawable};
@@ -72,6 +72,8 @@ pub struct FrameJob {
     pub stage: RenderStage,
     /// Sun, sky and fog.
     pub environment: Environment,
+    /// Times that programs see.
+    pub clock: FrameClock,
     /// How much may be uploaded before the frame is drawn.
     pub budget: CompileBudget,
     /// Read the picture back afterwards.
@@ -197,7 +199,10 @@ impl DrawSide {
         let compiled = Instant::now();
         let stats = match self.failed.take() {
             Some(error) => Err(error),
-            None => self.renderer.draw(&mut self.context, &job.stage, &job.environment),
+            None => {
+                self.renderer.clock = job.clock;
+                self.renderer.draw(&mut self.context, &job.stage, &job.environment)
+            }
         };
         #[cfg(feature = "window")]
         if let Some(mut paint) = job.overlay {

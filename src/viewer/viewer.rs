@@ -14,7 +14,7 @@ use super::manipulator::{CameraManipulator, Event};
 use super::stats::{FrameStats, StatsHistory};
 use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
 use crate::cull::{CullCamera, CullSettings, CullVisitor, PageRequest, RenderStage};
-use crate::draw::Environment;
+use crate::draw::{Environment, FrameClock};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::io::ReadOptions;
 use crate::pager::{CompileContext, DatabasePager, PagerConfig};
@@ -109,6 +109,8 @@ pub struct Viewer {
     first_frame: Option<Instant>,
     last_frame: Option<Instant>,
     stamp: FrameStamp,
+    /// Seconds between the last two frames.
+    delta_s: f64,
     pub(super) history: StatsHistory,
     pub(super) threading: ThreadingModel,
     pub(super) gpu_bytes_peak: u64,
@@ -177,6 +179,7 @@ impl Viewer {
             first_frame: None,
             last_frame: None,
             stamp: FrameStamp::default(),
+            delta_s: 0.0,
             history: StatsHistory::new(config.history_frames),
             threading: config.threading,
             gpu_bytes_peak: 0,
@@ -443,6 +446,7 @@ impl Viewer {
         let first = *self.first_frame.get_or_insert(now);
         let dt_s = self.last_frame.map_or(0.0, |last| (now - last).as_secs_f64());
         self.last_frame = Some(now);
+        self.delta_s = dt_s;
         self.stamp = FrameStamp {
             frame: self.stamp.frame + 1,
             reference_time_s: (now - first).as_secs_f64(),
@@ -519,6 +523,11 @@ impl Viewer {
         FrameJob {
             stage,
             environment: self.environment,
+            clock: FrameClock {
+                reference_time_s: self.stamp.reference_time_s,
+                delta_s: self.delta_s,
+                simulation_time_s: self.stamp.simulation_time_s,
+            },
             budget: self.compile_budget,
             read_back: std::mem::take(&mut self.picture_wanted),
             present: true,

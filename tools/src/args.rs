@@ -152,6 +152,18 @@ pub enum Bench {
         #[arg(long, default_value_t = 1.0)]
         secs: f64,
     },
+    /// Render stages to the adapter that does nothing: the processor's time per leaf
+    Submit {
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
+    /// Whole frames of 64 x 64 pixels with the software driver
+    Frame {
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
     /// Files to merged pages
     Page {
         /// Frames of the flight

@@ -38,21 +38,22 @@ const SORTS: [(&str, SortMode); 3] = [
     ("back_to_front", SortMode::BackToFront),
 ];
 
+/// Where the camera looks from.
 #[derive(Clone, Copy)]
-enum View {
+pub enum View {
     Tenth,
     All,
     Tilted,
 }
 
 /// The grid, `gx` cells by `gy`.
-struct Grid {
+pub struct Grid {
     gx: u32,
     gy: u32,
 }
 
 impl Grid {
-    fn new(cells: u32) -> Self {
+    pub fn new(cells: u32) -> Self {
         let mut gx = f64::from(cells).sqrt() as u32;
         while !cells.is_multiple_of(gx) {
             gx -= 1;
@@ -60,7 +61,7 @@ impl Grid {
         Self { gx, gy: cells / gx }
     }
 
-    fn build(&self, sets: &[Arc<StateSet>]) -> Node {
+    pub fn build(&self, sets: &[Arc<StateSet>]) -> Node {
         self.rect([0, 0, self.gx, self.gy], 0, DVec3::ZERO, sets)
     }
 
@@ -91,7 +92,7 @@ impl Grid {
         node
     }
 
-    fn camera(&self, view: View) -> CullCamera {
+    pub fn camera(&self, view: View) -> CullCamera {
         let (gx, gy) = (f64::from(self.gx), f64::from(self.gy));
         let side = match view {
             View::Tenth => (0.1 * gx * gy).sqrt(),
@@ -112,7 +113,7 @@ impl Grid {
     }
 }
 
-fn triangle(center: DVec3) -> Drawable {
+pub fn triangle(center: DVec3) -> Drawable {
     let corners = [DVec3::new(-0.25, -0.25, 0.0), DVec3::new(0.25, -0.25, 0.1), DVec3::new(0.0, 0.25, 0.0)];
     let vertex = |p: DVec3| MeshVertex { position: p.as_vec3().to_array(), ..MeshVertex::default() };
     let points = corners.map(|c| center + c);

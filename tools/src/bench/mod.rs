@@ -1,7 +1,9 @@
 //! `terrane bench`: one layer at a time, JSON lines on stdout with the peer programs' field names.
 
 pub mod cull;
+pub mod frame;
 pub mod page;
+pub mod submit;
 
 use anyhow::Result;
 
@@ -13,6 +15,8 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             cull::run(*secs);
             Ok(())
         }
+        Bench::Submit { secs } => submit::run(*secs),
+        Bench::Frame { secs } => frame::run(*secs),
         Bench::Page { frames, pace, draw, tiles, content, url } => page::run(page::Options {
             frames: *frames,
             pace_hz: *pace,

@@ -1,0 +1,102 @@
+//! The whole frame on the scene of the `osg_frame` peer: 64 x 64 pixels, the software driver. One JSON object per
+//! line with the peer's field names.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use serde_json::json;
+use terrane::draw::{Fog, Sky};
+use terrane::gpu::AdapterChoice;
+use terrane::scene::Page;
+use terrane::state::StateSet;
+use terrane::viewer::{FieldOfView, ThreadingModel, Viewer, ViewerConfig};
+
+use super::cull::{Grid, View};
+use super::percentile;
+
+/// Measures every case for about `seconds` each and prints a line for it.
+pub fn run(seconds: f64) -> Result<()> {
+    let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
+    for cells in [1_000, 10_000, 100_000] {
+        for state_sets in [1, 64] {
+            for view in [View::All, View::Tenth] {
+                for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+                    println!("{}", measure(cells, state_sets, view, threading, time)?);
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn measure(
+    cells: u32,
+    state_sets: u32,
+    view: View,
+    threading: ThreadingModel,
+    time: Duration,
+) -> Result<serde_json::Value> {
+    let config = ViewerConfig {
+        size_px: [64, 64],
+        threading,
+        adapter: AdapterChoice::Software,
+        validation: false,
+        ..ViewerConfig::default()
+    };
+    let mut viewer = Viewer::new_offscreen(&config)?;
+    let grid = Grid::new(cells);
+    // As the peer's: materials that differ in their colour.
+    let sets: Vec<_> = (0..state_sets)
+        .map(|i| {
+            let color = [f64::from(i % 8) as f32 / 8.0, f64::from(i / 8) as f32 / 8.0, 0.5, 1.0];
+            Arc::new(StateSet { color: Some(color), ..StateSet::default() })
+        })
+        .collect();
+    viewer.add_root(Page::from_node(grid.build(&sets))?)?;
+    viewer.environment.sky = Sky::Background([51, 51, 102]);
+    viewer.environment.fog = Fog { enabled: false, density_per_m: 0.0 };
+    let camera = grid.camera(view);
+    viewer.camera.world_from_eye = camera.eye_from_world.inverse();
+    viewer.camera.field_of_view = FieldOfView::Vertical(std::f64::consts::FRAC_PI_3);
+    // Until everything is uploaded and the driver has compiled its shaders.
+    let expected = if matches!(view, View::All) { cells } else { 1 };
+    let patience = Instant::now() + Duration::from_secs(120);
+    let mut settled = 0;
+    while settled < 20 && Instant::now() < patience {
+        viewer.frame()?;
+        let last = viewer.stats().iter().last();
+        settled = if last.is_some_and(|f| f.drawn && f.leaves >= expected) { settled + 1 } else { 0 };
+        if settled == 0 {
+            viewer.finish()?;
+            let drawn = viewer.stats().iter().last().is_some_and(|f| f.leaves >= expected);
+            settled = u32::from(drawn);
+        }
+    }
+    let first = viewer.frame_stamp().frame + 1;
+    let mut times = Vec::new();
+    let end = Instant::now() + time;
+    while Instant::now() < end || times.len() < 20 {
+        let start = Instant::now();
+        viewer.frame()?;
+        times.push(start.elapsed().as_secs_f64());
+    }
+    viewer.finish()?;
+    let of = |value: fn(&terrane::viewer::FrameStats) -> f64| {
+        let frames = viewer.stats().iter().filter(|f| f.frame >= first && f.drawn);
+        percentile(&mut frames.map(value).collect::<Vec<_>>(), 0.5)
+    };
+    let leaves = of(|f| f64::from(f.leaves));
+    let round = |ms: f64| (ms * 1e3).round() / 1e3;
+    let mean = times.iter().sum::<f64>() / times.len() as f64;
+    Ok(json!({
+        "bench": "terrane_frame", "n": cells, "statesets": state_sets,
+        "view": match view { View::Tenth => "tenth", View::All => "all", View::Tilted => "tilted" },
+        "geometry": "pooled", "threading": threading.to_string(), "frames": times.len(), "leaves": leaves,
+        "adapter": viewer.adapter_name(),
+        "frame_mean_ms": round(mean * 1e3), "frame_p50_ms": round(percentile(&mut times, 0.5) * 1e3),
+        "frame_p95_ms": round(percentile(&mut times, 0.95) * 1e3),
+        "frame_max_ms": round(percentile(&mut times, 1.0) * 1e3),
+        "cull_p50_ms": round(of(|f| f.cull_ms)), "draw_p50_ms": round(of(|f| f.draw_ms)),
+    }))
+}
