@@ -60,6 +60,21 @@ fn paged_lod() {
 }
 
 #[test]
+fn render_to_texture() {
+    run("render_to_texture", &[], 100);
+}
+
+#[test]
+fn transparency_and_bins() {
+    run("transparency_and_bins", &[], 100);
+}
+
+#[test]
+fn occluders() {
+    run("occluders", &[], 100);
+}
+
+#[test]
 fn proxy_node() {
     // Nine houses of at least three flat faces each, before a sky.
     run("proxy_node", &[], 40);

@@ -23,6 +23,7 @@ mod sort;
 mod special;
 mod stage;
 mod state_graph;
+mod stereo;
 mod tiles;
 mod view;
 mod visitor;
@@ -32,6 +33,7 @@ pub use stage::{
     ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, RenderBin, RenderLeaf, RenderStage,
     StageTarget, StageView,
 };
+pub use stereo::{Stereo, StereoMode};
 pub use visitor::CullVisitor;
 
 pub use crate::scene::{CullSettings, CullingMode, SMALL_FEATURE_PX};

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use glam::{DMat4, DVec4};
 
-use super::CullCamera;
 use super::sort::Spare;
+use super::{CullCamera, StereoMode};
 use crate::scene::{CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
 use crate::state::{BinDetails, Light, ResolvedState, SortMode, TexGen};
 
@@ -172,6 +172,8 @@ pub struct RenderStage {
     pub pre_render: Vec<RenderStage>,
     /// Stages drawn after this one, in order.
     pub post_render: Vec<RenderStage>,
+    /// The first two stages of `pre_render` are the eyes' pictures, to be put together like this; there are no bins.
+    pub stereo: Option<StereoMode>,
     /// Nearest depth of any leaf's bound, at least 0; 0 without leaves.
     pub near_m: f64,
     /// Farthest depth of any leaf's bound; 0 without leaves.
@@ -199,6 +201,7 @@ impl RenderStage {
         self.clip_planes.clear();
         self.texgens.clear();
         self.clear_node = None;
+        self.stereo = None;
         self.queries.clear();
         self.target = StageTarget::default();
         for mut stage in self.pre_render.drain(..).chain(self.post_render.drain(..)) {

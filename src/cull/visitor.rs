@@ -1,8 +1,9 @@
 //! The cull traversal: a queue of pages, each scanned flat.
 
+use std::sync::Arc;
+
 use glam::{DAffine3, DVec3, Vec4};
 
-use super::CullCamera;
 use super::occluders::{FrameOccluders, Occluders};
 use super::planes::{Planes, depth_row};
 use super::sort::Sorter;
@@ -11,7 +12,8 @@ use super::stage::{CullCounters, RenderLeaf, RenderStage, StageTarget};
 use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{TileFrame, TileView};
 use super::view::{View, clamp};
-use crate::scene::{BLEND, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene, VIEW};
+use super::{CullCamera, Stereo};
+use crate::scene::{BLEND, CameraTarget, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene, VIEW};
 
 /// Why a page or tile is visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -157,6 +159,32 @@ impl CullVisitor {
         self.sort(stage);
         if !self.deferred.is_empty() {
             self.cull_deferred(scene, camera, stage, 0, 0);
+        }
+    }
+
+    /// Culls a scene for the two eyes of a camera, each into a stage of its own with a target.
+    pub fn cull_stereo(
+        &mut self,
+        scene: &Scene,
+        camera: &CullCamera,
+        stereo: &Stereo,
+        targets: &[Arc<CameraTarget>; 2],
+        stage: &mut RenderStage,
+    ) {
+        stage.clear(camera);
+        stage.bins.clear();
+        stage.stereo = Some(stereo.mode);
+        stage.counters = CullCounters::default();
+        (stage.near_m, stage.far_m) = (f64::INFINITY, 0.0);
+        for (eye, target) in stereo.eyes(camera).iter().zip(targets) {
+            let mut of_eye = stage.spare.stages.pop().unwrap_or_default();
+            self.cull(scene, eye, &mut of_eye);
+            of_eye.target.camera = Some(target.clone());
+            stage.requests.append(&mut of_eye.requests);
+            stage.counters.add(&of_eye.counters);
+            stage.near_m = stage.near_m.min(of_eye.near_m);
+            stage.far_m = stage.far_m.max(of_eye.far_m);
+            stage.pre_render.push(of_eye);
         }
     }
 

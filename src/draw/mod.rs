@@ -14,6 +14,7 @@
 mod answers;
 mod batch;
 mod callbacks;
+mod composite;
 mod environment;
 mod fixed;
 mod frame;

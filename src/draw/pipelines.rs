@@ -186,6 +186,10 @@ impl Pipelines {
         Some(place as u8)
     }
 
+    pub(super) fn target_key(&self, target: u8) -> Option<&TargetKey> {
+        self.targets.get(usize::from(target))
+    }
+
     pub(super) fn sky(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
         self.skies.get(usize::from(target))?.as_ref()
     }

@@ -23,6 +23,8 @@ pub(super) struct StagePlan {
     /// Leaf, query and statics of boxes to be tested.
     pub(super) queries: Vec<(u32, u32, u32)>,
     pub(super) has_sky: bool,
+    /// The textures of two eyes to be put together.
+    pub(super) eyes: Option<[Arc<TextureObject>; 2]>,
     pub(super) background: wgpu::Color,
 }
 
@@ -91,7 +93,7 @@ impl Targets {
     ) -> Result<PassTarget, String> {
         match &target.camera {
             Some(camera) if !camera.colors.is_empty() || camera.depth.is_some() => {
-                self.of_camera(ctx, textures, pipelines, camera)
+                self.of_camera(ctx, textures, pipelines, camera, is_outermost)
             }
             _ => self.of_context(ctx, pipelines, is_outermost),
         }
@@ -134,6 +136,7 @@ impl Targets {
         textures: &mut StateTextures,
         pipelines: &mut Pipelines,
         camera: &Arc<CameraTarget>,
+        is_outermost: bool,
     ) -> Result<PassTarget, String> {
         let device = ctx.device();
         let samples = if camera.samples > 1 { 4 } else { 1 };
@@ -214,7 +217,7 @@ impl Targets {
             keeps_depth: true,
             size_px,
             index: pipelines.target(&key).ok_or("more different targets than there can be")?,
-            is_outermost: false,
+            is_outermost,
         })
     }
 }

@@ -15,6 +15,7 @@ use std::time::Duration;
 use super::answers::{PictureReads, Queries};
 use super::batch::{Batch, StateEntry};
 use super::callbacks::{CameraCallbacks, RenderInfo};
+use super::composite::Composite;
 use super::environment::{Environment, Sky};
 use super::fixed::{FixedUniform, StageUniform, replaces_sun};
 use super::frame::{FrameUniform, LeafUniform, clear_color};
@@ -26,7 +27,7 @@ use super::programs::Builtins;
 use super::state::{Dynamics, INDIRECT_BYTES, Sources, State, Statics};
 use crate::cull::RenderStage;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
-use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, Viewport};
+use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, TextureObject, Viewport};
 
 /// Frames the processor may be ahead of the adapter.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -101,6 +102,8 @@ pub struct Renderer {
     timer: Option<FrameTimer>,
     queries: Option<Queries>,
     pictures: PictureReads,
+    /// Made when there first are two eyes.
+    composite: Option<Composite>,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
     /// Times that programs see; set by the caller before each draw.
     pub clock: FrameClock,
@@ -164,6 +167,7 @@ impl Renderer {
             timer: FrameTimer::new(device, ctx.queue()),
             queries: None,
             pictures: PictureReads::default(),
+            composite: None,
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
             clock: FrameClock::default(),
             errors: Vec::new(),
@@ -256,7 +260,8 @@ impl Renderer {
     ) -> usize {
         let mut dropped = 0;
         for before in &stage.pre_render {
-            dropped += self.prepare_all(ctx, before, environment, false);
+            // An eye's picture is a whole one, with its sky.
+            dropped += self.prepare_all(ctx, before, environment, stage.stereo.is_some());
         }
         dropped += self.prepare_stage(ctx, stage, environment, is_outermost);
         for after in &stage.post_render {
@@ -319,11 +324,14 @@ impl Renderer {
         let (dropped, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
         let runs = first_run..self.batch.runs.len();
         let queries = self.prepare_queries(ctx, stage, &target, &frames, base);
-        let has_sky = is_outermost && stage.clear_node.is_none() && environment.sky == Sky::Gradient;
+        let has_sky =
+            is_outermost && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Gradient;
         if has_sky {
             self.pipelines.ensure_sky(ctx, target.index);
         }
+        let eyes = self.prepare_eyes(ctx, stage, &target);
         self.plans.push(StagePlan {
+            eyes,
             target: Some(target),
             runs,
             see_through,
@@ -388,6 +396,21 @@ impl Renderer {
             self.complain(format!("{name}: {problem}"));
         }
         (shading, group)
+    }
+
+    /// The textures of the eyes that a stage puts together.
+    fn prepare_eyes(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        target: &PassTarget,
+    ) -> Option<[Arc<TextureObject>; 2]> {
+        let mode = stage.stereo?;
+        let key = *self.pipelines.target_key(target.index)?;
+        let composite = self.composite.get_or_insert_with(|| Composite::new(ctx.device()));
+        composite.prepare(ctx.device(), ctx.queue(), &key, mode);
+        let eye = |of: &RenderStage| Some(of.target.camera.as_ref()?.colors.first()?.texture.clone());
+        Some([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?])
     }
 
     /// Leaves for the boxes of a stage's occlusion queries: their first leaf and first query, and how many.
@@ -575,6 +598,15 @@ impl Renderer {
             state.draw_bare(sky, 3, 0..1);
         }
         state.draw_runs(&from, plan.see_through..plan.runs.end);
+        if let (Some([left, right]), Some(composite), Some(key)) =
+            (&plan.eyes, &self.composite, self.pipelines.target_key(target.index))
+            && let (Some(left), Some(right)) = (self.groups.textures.view(left), self.groups.textures.view(right))
+        {
+            composite.draw(ctx.device(), state.pass, key, [left, right]);
+            state.stats.draw_calls += 1;
+            state.stats.state_changes += 2;
+            state.forget();
+        }
         if let Some(post_draw) = callbacks.and_then(|c| c.post_draw.as_ref()) {
             post_draw(info, state.pass);
         }

@@ -67,6 +67,7 @@ impl Flattener {
                 switches: Vec::new(),
                 lods: Vec::new(),
                 specials: Vec::new(),
+                names: Vec::new(),
                 callbacks: Vec::new(),
                 occluders: Vec::new(),
                 clusters: Vec::new(),
@@ -122,7 +123,7 @@ impl Flattener {
 
     fn add(&mut self, node: Node, above: Option<(u32, u32, u32, u32)>) -> Result<Open, SceneError> {
         let (parent, mut transform, above_path, mut tile) = above.unwrap_or((NONE, 0, 0, NONE));
-        let Node { kind: node_kind, state_set, mask, culling_active, cull_callback, children, name: _ } = node;
+        let Node { kind: node_kind, state_set, mask, culling_active, cull_callback, children, name } = node;
         let children = children.into_iter();
         let index = u32::try_from(self.page.nodes.len()).ok().filter(|i| *i < NONE - 1).ok_or(SceneError::TooLarge)?;
         let first_drawable =
@@ -135,6 +136,9 @@ impl Flattener {
         if tile != NONE && !matches!(node_kind, NodeKind::PagedLod(_) | NodeKind::ProxyNode(_)) {
             discard(children);
             return Err(SceneError::TileChild { kind: kind_name(&node_kind) });
+        }
+        if !name.is_empty() {
+            self.page.names.push((name.into_boxed_str(), index));
         }
         let mut payload = NONE;
         let mut flags = if culling_active { 0 } else { INACTIVE };

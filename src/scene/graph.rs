@@ -168,6 +168,12 @@ impl Scene {
         }
     }
 
+    /// The nodes of a page that have a name, in depth-first order.
+    pub fn nodes_named(&self, page: PageId, name: &str) -> impl Iterator<Item = NodeId> {
+        let names = self.page(page).map_or(&[][..], |p| &p.names);
+        names.iter().filter(move |(n, _)| **n == *name).map(move |(_, index)| NodeId { page, index: *index })
+    }
+
     /// Shows or hides a child of a Switch.
     pub fn set_switch(&mut self, node: NodeId, child: usize, shown: bool) -> Result<(), SceneError> {
         let page = self.page_mut(node.page).ok_or(SceneError::StaleNode { node })?;

@@ -12,6 +12,7 @@ mod id;
 mod kinds;
 mod node;
 mod page;
+mod shapes;
 mod slots;
 mod tiles;
 mod transforms;

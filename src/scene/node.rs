@@ -183,6 +183,12 @@ impl Node {
         Self::new(NodeKind::Geode(drawables))
     }
 
+    /// The same node with a name, by which [`Scene::nodes_named`](super::Scene::nodes_named) finds it.
+    pub fn named(mut self, name: &str) -> Self {
+        self.name = name.into();
+        self
+    }
+
     /// The same node with a state set.
     pub fn with_state_set(mut self, state_set: Arc<StateSet>) -> Self {
         self.state_set = Some(state_set);

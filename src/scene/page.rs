@@ -145,6 +145,8 @@ pub struct Page {
     pub(crate) payloads: Vec<u32>,
     pub(crate) switches: Vec<Box<[bool]>>,
     pub(crate) lods: Vec<LodRecord>,
+    /// Of nodes that have one, in order.
+    pub(crate) names: Vec<(Box<str>, u32)>,
     /// By payload of nodes of kind [`kind::SPECIAL`].
     pub(crate) specials: Vec<Special>,
     /// Cull callbacks by node, in order.

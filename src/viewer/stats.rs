@@ -40,6 +40,8 @@ pub struct FrameStats {
     pub tiles_drawn: u32,
     /// Tiles visited by cull.
     pub tiles_visited: u32,
+    /// Nodes, drawables and tiles behind occluders.
+    pub occluded: u32,
     /// Tiles wanted but not drawn at the wanted level.
     pub wanted_missing: u32,
     /// False until the draw thread has answered.

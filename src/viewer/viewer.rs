@@ -13,12 +13,13 @@ use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, 
 use super::manipulator::{CameraManipulator, Event};
 use super::stats::{FrameStats, StatsHistory};
 use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
-use crate::cull::{CullCamera, CullSettings, CullVisitor, PageRequest, RenderStage};
+use crate::cull::{CullCamera, CullSettings, CullVisitor, PageRequest, RenderStage, Stereo};
 use crate::draw::{Environment, FrameClock};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::io::ReadOptions;
 use crate::pager::{CompileContext, DatabasePager, PagerConfig};
-use crate::scene::{Page, PageId, Scene};
+use crate::scene::{Attachment, CameraTarget, Page, PageId, Scene};
+use crate::state::{TextureFormat, TextureObject};
 
 /// How a viewer is made.
 #[derive(Clone, Debug)]
@@ -94,6 +95,9 @@ pub struct Viewer {
     pub(super) pager: Option<DatabasePager>,
     pager_config: PagerConfig,
     cull: CullVisitor,
+    stereo: Option<Stereo>,
+    /// What the eyes' pictures are drawn into; made anew when their size changes.
+    eyes: Option<[Arc<CameraTarget>; 2]>,
     pub(super) context: ContextHandle,
     pub(super) size_px: [u32; 2],
     pub(super) free_stages: Vec<RenderStage>,
@@ -165,6 +169,8 @@ impl Viewer {
             pager: None,
             pager_config: config.pager.clone(),
             cull: CullVisitor::default(),
+            stereo: None,
+            eyes: None,
             context,
             size_px: config.size_px,
             free_stages: (0..=STAGES_IN_FLIGHT).map(|_| RenderStage::default()).collect(),
@@ -336,6 +342,12 @@ impl Viewer {
         self.events.push(event);
     }
 
+    /// Draws for two eyes from now on, or for one.
+    pub fn set_stereo(&mut self, stereo: Option<Stereo>) {
+        self.stereo = stereo;
+        self.eyes = None;
+    }
+
     /// Adds something to do in each update phase.
     pub fn on_update(&mut self, callback: UpdateCallback) {
         self.update_callbacks.push(callback);
@@ -344,6 +356,7 @@ impl Viewer {
     /// The picture's new size in pixels.
     pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
         self.size_px = size_px.map(|side| side.max(1));
+        self.eyes = None;
         self.context.resize(self.size_px)
     }
 
@@ -407,6 +420,7 @@ impl Viewer {
         let counters = &stage.counters;
         stats.tiles_drawn = counters.tiles_drawn;
         stats.tiles_visited = counters.tiles_visited;
+        stats.occluded = counters.occluded;
         stats.wanted_missing = counters.wanted_missing;
         self.note_convergence(start);
         self.history.push(stats);
@@ -499,9 +513,23 @@ impl Viewer {
     pub(super) fn cull_into(&mut self, stage: &mut RenderStage) {
         let horizon = self.bounds.as_ref().and_then(SetBounds::body);
         let camera = CullCamera { horizon, ..self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT) };
-        self.cull.cull(&self.scene, &camera, stage);
-        // The near plane of this very frame, from what cull has just found.
-        stage.camera.clip_from_eye = self.camera.clip_from_eye(self.size_px, self.camera.near_for(stage.near_m));
+        match &self.stereo {
+            None => {
+                self.cull.cull(&self.scene, &camera, stage);
+                // The near plane of this very frame, from what cull has just found.
+                stage.camera.clip_from_eye =
+                    self.camera.clip_from_eye(self.size_px, self.camera.near_for(stage.near_m));
+            }
+            Some(stereo) => {
+                let targets = &*self.eyes.get_or_insert_with(|| eye_targets(stereo.eye_size_px(self.size_px)));
+                self.cull.cull_stereo(&self.scene, &camera, stereo, targets, stage);
+                let near_m = self.camera.near_for(stage.near_m);
+                let camera = CullCamera { clip_from_eye: self.camera.clip_from_eye(self.size_px, near_m), ..camera };
+                for (eye, of_eye) in stereo.eyes(&camera).iter().zip(&mut stage.pre_render) {
+                    of_eye.camera.clip_from_eye = eye.clip_from_eye;
+                }
+            }
+        }
         // The stage goes to the draw thread; its requests stay for the next update.
         std::mem::swap(&mut self.requests, &mut stage.requests);
         self.wanted_missing = stage.counters.wanted_missing;
@@ -596,6 +624,14 @@ impl Viewer {
         }
         Ok(())
     }
+}
+
+/// A texture for each eye.
+fn eye_targets(size_px: [u32; 2]) -> [Arc<CameraTarget>; 2] {
+    ["left eye", "right eye"].map(|name| {
+        let texture = TextureObject::target(name, size_px, TextureFormat::Rgba8Srgb);
+        Arc::new(CameraTarget { colors: vec![Attachment::new(texture)], samples: 1, ..CameraTarget::default() })
+    })
 }
 
 fn traits(config: &ViewerConfig) -> ContextTraits {

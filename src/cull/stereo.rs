@@ -1,0 +1,172 @@
+//! Two eyes from one camera: the modes of OSG's display settings, and each eye's view and projection.
+
+use glam::{DAffine3, DMat4, DVec3};
+
+use super::CullCamera;
+
+/// How the pictures of two eyes are put together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum StereoMode {
+    /// Red of the left eye, green and blue of the right one.
+    Anaglyphic,
+    /// Left eye in the left half, right eye in the right half.
+    HorizontalSplit,
+    /// Left eye in the upper half, right eye in the lower half.
+    VerticalSplit,
+    /// The left eye's picture alone.
+    LeftEye,
+    /// The right eye's picture alone.
+    RightEye,
+    /// Rows take turns; the uppermost is the left eye's.
+    HorizontalInterlace,
+    /// Columns take turns; the leftmost is the left eye's.
+    VerticalInterlace,
+    /// Pixels take turns; the one at the upper left is the left eye's.
+    Checkerboard,
+}
+
+impl StereoMode {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Anaglyphic,
+        Self::HorizontalSplit,
+        Self::VerticalSplit,
+        Self::LeftEye,
+        Self::RightEye,
+        Self::HorizontalInterlace,
+        Self::VerticalInterlace,
+        Self::Checkerboard,
+    ];
+
+    /// The name in OSG's environment variable `OSG_STEREO_MODE`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Anaglyphic => "ANAGLYPHIC",
+            Self::HorizontalSplit => "HORIZONTAL_SPLIT",
+            Self::VerticalSplit => "VERTICAL_SPLIT",
+            Self::LeftEye => "LEFT_EYE",
+            Self::RightEye => "RIGHT_EYE",
+            Self::HorizontalInterlace => "HORIZONTAL_INTERLACE",
+            Self::VerticalInterlace => "VERTICAL_INTERLACE",
+            Self::Checkerboard => "CHECKERBOARD",
+        }
+    }
+}
+
+impl std::str::FromStr for StereoMode {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let upper = text.trim().to_ascii_uppercase().replace('-', "_");
+        if upper == "QUAD_BUFFER" {
+            return Err("QUAD_BUFFER stereo needs windows with two back buffers, which wgpu does not have".into());
+        }
+        let names = || Self::ALL.map(Self::name).join(", ");
+        Self::ALL.into_iter().find(|m| m.name() == upper).ok_or_else(|| format!("`{text}` is none of {}", names()))
+    }
+}
+
+/// Eyes before a screen; OSG's display settings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stereo {
+    /// How the pictures are put together.
+    pub mode: StereoMode,
+    /// Between the eyes, metres before the screen.
+    pub eye_separation_m: f64,
+    /// From the eyes to the screen, metres.
+    pub screen_distance_m: f64,
+    /// Distance in the world at which things seem to lie in the screen's plane, metres: the world is scaled by it
+    /// over `screen_distance_m`.
+    pub fusion_distance_m: f64,
+    /// The eyes change places.
+    pub swaps_eyes: bool,
+    /// Split modes keep the proportions of things instead of filling each half with the whole width or height.
+    pub keeps_aspect: bool,
+}
+
+impl Stereo {
+    /// A mode with OSG's distances: eyes 5 cm apart, 50 cm before the screen, the world in its own size.
+    pub fn new(mode: StereoMode) -> Self {
+        Self {
+            mode,
+            eye_separation_m: 0.05,
+            screen_distance_m: 0.5,
+            fusion_distance_m: 0.5,
+            swaps_eyes: false,
+            keeps_aspect: false,
+        }
+    }
+
+    /// Size of one eye's picture.
+    pub fn eye_size_px(&self, size_px: [u32; 2]) -> [u32; 2] {
+        let [width, height] = size_px;
+        match self.mode {
+            StereoMode::HorizontalSplit => [(width / 2).max(1), height],
+            StereoMode::VerticalSplit => [width, (height / 2).max(1)],
+            _ => size_px,
+        }
+    }
+
+    /// The left and the right eye of a camera. Each looks in the camera's direction; its projection is sheared so
+    /// that both pictures agree at the fusion distance (as OSG's `computeLeftEyeProjection`).
+    pub fn eyes(&self, camera: &CullCamera) -> [CullCamera; 2] {
+        let scale = self.fusion_distance_m / self.screen_distance_m;
+        let scale = if scale.is_finite() && scale > 0.0 { scale } else { 1.0 };
+        let half = 0.5 * self.eye_separation_m * if self.swaps_eyes { -1.0 } else { 1.0 };
+        let half = if half.is_finite() { half } else { 0.0 };
+        let eye_px = self.eye_size_px(camera.viewport_px);
+        let eye = |side: f64, mask: u32| {
+            let offset = side * half;
+            let mut eye = *camera;
+            eye.viewport_px = eye_px;
+            eye.settings.cull_mask &= mask;
+            // The left eye is moved to the left: the world to the right.
+            eye.eye_from_world = DAffine3::from_translation(DVec3::new(offset * scale, 0.0, 0.0)) * eye.eye_from_world;
+            let mut shear = DMat4::IDENTITY;
+            shear.z_axis.x = offset / self.screen_distance_m.max(1e-6);
+            eye.clip_from_eye = camera.clip_from_eye * shear;
+            if self.keeps_aspect {
+                let [w, h] = camera.viewport_px.map(f64::from);
+                let [ew, eh] = eye_px.map(f64::from);
+                // The same height of the world in a narrower picture, the same width in a lower one.
+                let squeeze = (w / h) / (ew / eh);
+                let (x, y) = if squeeze > 1.0 { (squeeze, 1.0) } else { (1.0, 1.0 / squeeze) };
+                eye.clip_from_eye = DMat4::from_scale(DVec3::new(x, y, 1.0)) * eye.clip_from_eye;
+            }
+            eye
+        };
+        let settings = camera.settings;
+        [eye(1.0, settings.cull_mask_left), eye(-1.0, settings.cull_mask_right)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn eyes_agree_at_the_fusion_distance() {
+        let camera = CullCamera::default();
+        let stereo = Stereo { fusion_distance_m: 20.0, ..Stereo::new(StereoMode::Anaglyphic) };
+        let x = |eye: &CullCamera, depth_m: f64| {
+            let clip =
+                eye.clip_from_eye * eye.eye_from_world.transform_point3(DVec3::new(0.0, 0.0, -depth_m)).extend(1.0);
+            clip.x / clip.w
+        };
+        let [left, right] = stereo.eyes(&camera);
+        assert!((x(&left, 20.0) - x(&right, 20.0)).abs() < 1e-12);
+        assert!(x(&left, 10.0) > x(&right, 10.0), "nearer things cross over");
+        assert!(x(&left, 40.0) < x(&right, 40.0));
+        let [swapped, _] = Stereo { swaps_eyes: true, ..stereo }.eyes(&camera);
+        assert!((x(&swapped, 10.0) - x(&right, 10.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn names_round_trip_and_quad_buffers_are_refused() {
+        for mode in StereoMode::ALL {
+            assert_eq!(mode.name().to_lowercase().parse(), Ok(mode));
+        }
+        assert!("quad_buffer".parse::<StereoMode>().unwrap_err().contains("two back buffers"));
+        assert!("sideways".parse::<StereoMode>().unwrap_err().contains("ANAGLYPHIC"));
+    }
+}

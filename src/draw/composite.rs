@@ -1,0 +1,145 @@
+//! Puts the pictures of two eyes together. Draw thread.
+
+use super::pipelines::TargetKey;
+use crate::cull::StereoMode;
+
+const COMPOSITE_WGSL: &str = include_str!("shaders/composite.wgsl");
+
+/// Pipelines that draw two textures over a whole target.
+pub(super) struct Composite {
+    module: wgpu::ShaderModule,
+    layout: wgpu::BindGroupLayout,
+    uniforms: wgpu::Buffer,
+    pipelines: Vec<(TargetKey, wgpu::RenderPipeline)>,
+}
+
+/// The number of a mode in composite.wgsl.
+fn code(mode: StereoMode) -> u32 {
+    match mode {
+        StereoMode::Anaglyphic => 0,
+        StereoMode::HorizontalSplit => 1,
+        StereoMode::VerticalSplit => 2,
+        StereoMode::LeftEye => 3,
+        StereoMode::RightEye => 4,
+        StereoMode::HorizontalInterlace => 5,
+        StereoMode::VerticalInterlace => 6,
+        StereoMode::Checkerboard => 7,
+    }
+}
+
+impl Composite {
+    pub(super) fn new(device: &wgpu::Device) -> Self {
+        let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::FRAGMENT,
+            ty,
+            count: None,
+        };
+        let texture = wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable: true },
+            view_dimension: wgpu::TextureViewDimension::D2,
+            multisampled: false,
+        };
+        let uniform = wgpu::BindingType::Buffer {
+            ty: wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: false,
+            min_binding_size: None,
+        };
+        Self {
+            module: device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("composite"),
+                source: wgpu::ShaderSource::Wgsl(COMPOSITE_WGSL.into()),
+            }),
+            layout: device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some("composite"),
+                entries: &[entry(0, texture), entry(1, texture), entry(2, uniform)],
+            }),
+            uniforms: device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("composite"),
+                size: 16,
+                usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            }),
+            pipelines: Vec::new(),
+        }
+    }
+
+    /// Makes the pipeline for a target unless it is there, and says what to do.
+    pub(super) fn prepare(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, target: &TargetKey, mode: StereoMode) {
+        queue.write_buffer(&self.uniforms, 0, bytemuck::cast_slice(&[code(mode), 0, 0, 0]));
+        if self.pipelines.iter().any(|(key, _)| key == target) {
+            return;
+        }
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("composite"),
+            bind_group_layouts: &[Some(&self.layout)],
+            immediate_size: 0,
+        });
+        let states = target.colors.map(|format| {
+            format.map(|format| wgpu::ColorTargetState { format, blend: None, write_mask: wgpu::ColorWrites::COLOR })
+        });
+        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some("composite"),
+            layout: Some(&layout),
+            vertex: wgpu::VertexState {
+                module: &self.module,
+                entry_point: Some("vs_composite"),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                buffers: &[],
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: Some(wgpu::DepthStencilState {
+                format: target.depth,
+                depth_write_enabled: Some(false),
+                depth_compare: Some(wgpu::CompareFunction::Always),
+                stencil: wgpu::StencilState::default(),
+                bias: wgpu::DepthBiasState::default(),
+            }),
+            multisample: wgpu::MultisampleState { count: target.samples, ..Default::default() },
+            fragment: Some(wgpu::FragmentState {
+                module: &self.module,
+                entry_point: Some("fs_composite"),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                targets: &states[..1],
+            }),
+            multiview_mask: None,
+            cache: None,
+        });
+        self.pipelines.push((*target, pipeline));
+    }
+
+    /// Draws the eyes' pictures over the pass's target.
+    pub(super) fn draw(
+        &self,
+        device: &wgpu::Device,
+        pass: &mut wgpu::RenderPass<'_>,
+        target: &TargetKey,
+        [left, right]: [&wgpu::TextureView; 2],
+    ) {
+        let Some((_, pipeline)) = self.pipelines.iter().find(|(key, _)| key == target) else { return };
+        let view = |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
+        let eyes = device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("composite"),
+            layout: &self.layout,
+            entries: &[
+                view(0, left),
+                view(1, right),
+                wgpu::BindGroupEntry { binding: 2, resource: self.uniforms.as_entire_binding() },
+            ],
+        });
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, &eyes, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_shader_is_valid() {
+        let module = naga::front::wgsl::parse_str(super::COMPOSITE_WGSL).unwrap();
+        naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
+            .validate(&module)
+            .unwrap();
+    }
+}

@@ -1,0 +1,43 @@
+// The pictures of two eyes in one.
+
+@group(0) @binding(0) var left: texture_2d<f32>;
+@group(0) @binding(1) var right: texture_2d<f32>;
+@group(0) @binding(2) var<uniform> mode: vec4<u32>;
+
+@vertex
+fn vs_composite(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
+    return vec4<f32>(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0, 0.0, 1.0);
+}
+
+@fragment
+fn fs_composite(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
+    let pixel = vec2<i32>(position.xy);
+    let size = vec2<i32>(textureDimensions(left));
+    let inside = min(pixel, size - 1);
+    var is_right = false;
+    var at = inside;
+    switch mode.x {
+        case 0u: {
+            let r = textureLoad(left, inside, 0).r;
+            return vec4<f32>(r, textureLoad(right, inside, 0).gb, 1.0);
+        }
+        // The halves; an odd column or row in the middle is the right eye's first.
+        case 1u: {
+            is_right = pixel.x >= size.x;
+            at = vec2<i32>(min(select(pixel.x, pixel.x - size.x, is_right), size.x - 1), inside.y);
+        }
+        case 2u: {
+            is_right = pixel.y >= size.y;
+            at = vec2<i32>(inside.x, min(select(pixel.y, pixel.y - size.y, is_right), size.y - 1));
+        }
+        case 3u: {}
+        case 4u: { is_right = true; }
+        case 5u: { is_right = (pixel.y & 1) == 1; }
+        case 6u: { is_right = (pixel.x & 1) == 1; }
+        default: { is_right = ((pixel.x + pixel.y) & 1) == 1; }
+    }
+    if is_right {
+        return vec4<f32>(textureLoad(right, at, 0).rgb, 1.0);
+    }
+    return vec4<f32>(textureLoad(left, at, 0).rgb, 1.0);
+}
