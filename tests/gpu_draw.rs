@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 use gpu_support::{MAGENTA, Terrain, camera, count, mesh, plain, quad, rig, unit_camera, with_mips};
 use terrane::draw::{Environment, Fog, Sky};
-use terrane::scene::{AlphaMode, Drawable, Geometry, Material, MeshVertex, Node, Texture, Topology};
+use terrane::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Texture, Topology};
 use terrane::state::StateSet;
 
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
@@ -153,9 +153,36 @@ fn equal_meshes_are_one_draw_and_states_are_set_once() {
     let stats = rig.draw(&scene, &unit_camera(256), &plain());
     assert_eq!(stats.leaves, 100);
     assert_eq!(stats.triangles, 200);
-    assert_eq!(stats.draw_calls, 2, "a draw a mesh");
-    assert_eq!(stats.state_changes, 5, "frame, pipeline, textures, vertices and indices once");
+    assert_eq!(stats.draw_calls, 1, "small meshes fetch their vertices themselves");
+    assert_eq!(stats.state_changes, 4, "frame, pipeline, textures and meshes once");
     assert_eq!(stats.state_changes_skipped, 0, "both meshes are bound alike");
+    rig.release(scene);
+}
+
+#[test]
+fn large_meshes_are_instanced_or_drawn_by_one_indirect_call() {
+    let Some(mut rig) = rig("large_meshes_are_instanced_or_drawn_by_one_indirect_call") else { return };
+    let ball = |i: u32| {
+        let material = Material { base_color: [1.0, 0.0, 0.0, 1.0], unlit: true, ..Material::default() };
+        let center = DVec3::new(f64::from(i % 4) * 0.5 - 0.75, f64::from(i / 4) * 0.5 - 0.75, 0.0);
+        Drawable::new(Mesh::sphere(center, 0.2, 12).into(), material)
+    };
+    // One mesh a hundred times at one place.
+    let one = ball(5);
+    let scene = rig.scene(Node::group((0..100).map(|_| Node::geode(vec![one.clone()])).collect()));
+    let stats = rig.draw(&scene, &unit_camera(256), &plain());
+    assert_eq!((stats.leaves, stats.draw_calls, stats.state_changes), (100, 1, 5));
+    rig.release(scene);
+    // Sixteen meshes, each seen where it belongs.
+    let scene = rig.scene(Node::group((0..16).map(|i| Node::geode(vec![ball(i)])).collect()));
+    let picture = rig.picture(&scene, &unit_camera(256), &plain());
+    for i in 0..16 {
+        let at = |k: u32| 32 + 64 * k;
+        assert_eq!(picture.get_pixel(at(i % 4), at(i / 4)).0[..3], [255, 0, 0], "ball {i}");
+    }
+    let stats = rig.draw(&scene, &unit_camera(256), &plain());
+    let is_one_call = rig.ctx.device().features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE);
+    assert_eq!((stats.leaves, stats.draw_calls), (16, if is_one_call { 1 } else { 16 }));
     rig.release(scene);
 }
 

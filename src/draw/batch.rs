@@ -5,13 +5,13 @@
 
 use std::collections::HashMap;
 
-use super::frame::{FLAG_UNLIT, LeafUniform};
+use super::frame::{FLAG_UNLIT, INDEX_COUNT_SHIFT, LeafUniform};
 use super::key::{PipelineKey, StateKey};
 use super::lookup::Lookup;
 use super::pipelines::Pipelines;
 use crate::cull::{RenderLeaf, RenderStage};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
-use crate::scene::AlphaMode;
+use crate::scene::{AlphaMode, Topology};
 use crate::state::SortMode;
 
 /// What has to be bound for a run: leaves with one bucket differ in geometry alone.
@@ -26,6 +26,8 @@ pub(super) struct Bucket {
     pub(super) index_chunk: u32,
     /// Index of the dynamic state and the uniforms. Last: mostly one call, where other buffers are two.
     pub(super) statics: u32,
+    /// Vertices of each mesh where one call draws many small ones; 0 elsewhere.
+    pub(super) stride: u32,
 }
 
 impl Bucket {
@@ -47,6 +49,8 @@ pub(super) struct Run {
     /// Range of instances, which is that of leaves in the buffer.
     pub(super) first_leaf: u32,
     pub(super) leaf_count: u32,
+    /// Indices of all its leaves.
+    pub(super) all_indices: u64,
 }
 
 /// What a state of the stage comes to.
@@ -81,6 +85,8 @@ pub(super) struct Batch {
     class_of: HashMap<(StateKey, u32), u32>,
     /// From state class and bind class to bucket.
     bucket_of: Lookup,
+    /// The key looked up last, and what was found.
+    last_bucket: (u64, u32),
     /// From bucket and geometry to run of the current group.
     run_of: Lookup,
     group_runs: Vec<Run>,
@@ -91,6 +97,26 @@ pub(super) struct Batch {
     first_bucket: usize,
     ranked: Vec<((u64, u64, u32), u32)>,
     places: Vec<u32>,
+}
+
+/// Meshes with more indices are drawn one by one (or several by an indirect call).
+const MOST_PULLED: u32 = 48;
+
+/// How many vertices of a small mesh one call has for each: 0 for meshes that are not small, in strides of 3, 6, 12, 24
+/// and 48, so that meshes of like sizes share a call.
+#[inline]
+fn stride_code(entry: &DrawableEntry, state: &StateEntry) -> u32 {
+    match &entry.shape {
+        Shape::Mesh { place, topology: Topology::Triangles, .. }
+            if state.key.can_pull
+                && place.index_count <= MOST_PULLED
+                && place.index_count >= 3
+                && !matches!(entry.alpha, AlphaMode::Mask(_)) =>
+        {
+            1 + (place.index_count.div_ceil(3).next_power_of_two()).trailing_zeros()
+        }
+        _ => 0,
+    }
 }
 
 const NO_RUN: u32 = u32::MAX;
@@ -143,6 +169,7 @@ impl Batch {
         }
         self.bucket_of.clear();
         self.first_bucket = self.buckets.len();
+        self.last_bucket = (u64::MAX, 0);
         let first_run = self.runs.len();
         let mut dropped = 0;
         for bin in &stage.bins {
@@ -184,7 +211,7 @@ impl Batch {
                 continue;
             };
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
-            let key = u64::from(bucket) << 32 | u64::from(geometry(entry));
+            let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last.0 {
                 let next = self.group_runs.len() as u32;
                 let run = self.run_of.get_or_insert(key, next);
@@ -193,7 +220,7 @@ impl Batch {
                 }
                 last = (key, run);
             }
-            self.group_runs[last.1 as usize].leaf_count += 1;
+            self.group_runs[last.1 as usize].add(entry);
             self.run_of_leaf.push(last.1);
         }
         self.order_runs();
@@ -208,7 +235,8 @@ impl Batch {
         for (leaf, run) in leaves.iter().zip(&self.run_of_leaf) {
             let Some(run) = self.group_runs.get_mut(*run as usize) else { continue };
             if let Some((entry, rows)) = drawable(ctx, stage, leaf) {
-                self.leaves[run.first_leaf as usize] = uniform(entry, rows, &self.states[leaf.state as usize]);
+                let stride = self.buckets[run.bucket as usize].0.stride;
+                self.leaves[run.first_leaf as usize] = uniform(entry, rows, &self.states[leaf.state as usize], stride);
                 run.first_leaf += 1;
             }
         }
@@ -254,16 +282,29 @@ impl Batch {
         for leaf in leaves {
             let Some((entry, rows)) = drawable(ctx, stage, leaf) else { continue };
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
-            let key = u64::from(bucket) << 32 | u64::from(geometry(entry));
+            let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last {
                 let first_leaf = self.leaf_count as u32;
                 self.runs.push(Run { first_leaf, ..new_run(ctx, bucket, entry) });
                 last = key;
             }
             if let Some(run) = self.runs.last_mut() {
-                run.leaf_count += 1;
+                run.add(entry);
             }
-            self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize]));
+            let stride = self.buckets[bucket as usize].0.stride;
+            self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize], stride));
+        }
+    }
+
+    /// Equal for leaves of a bucket that one run draws.
+    #[inline]
+    fn geometry(&self, bucket: u32, entry: &DrawableEntry) -> u32 {
+        match &entry.shape {
+            Shape::Height(place) => place.side,
+            Shape::Mesh { place, .. } => match self.buckets[bucket as usize].0.stride {
+                0 => place.mesh,
+                _ => 0,
+            },
         }
     }
 
@@ -279,9 +320,15 @@ impl Batch {
     ) -> u32 {
         let state = &self.states[leaf.state as usize];
         let mirrored = is_mirrored(rows);
-        let key = u64::from(state.class) << 32 | u64::from(entry.class) << 1 | u64::from(mirrored);
+        let code = stride_code(entry, state);
+        let key =
+            u64::from(state.class) << 44 | u64::from(entry.class) << 8 | u64::from(code) << 1 | u64::from(mirrored);
+        if key == self.last_bucket.0 {
+            return self.last_bucket.1;
+        }
         let next = self.buckets.len() as u32;
         let bucket = self.bucket_of.get_or_insert(key, next);
+        self.last_bucket = (key, bucket);
         if bucket == next {
             let class = ctx.bind_classes()[entry.class as usize];
             let BindClass { topology, is_masked, double_sided, block, vertex_chunk, index_chunk } = class;
@@ -290,7 +337,10 @@ impl Batch {
                 Some(topology) => PipelineKey::mesh(&state.key, topology, is_masked, double_sided, mirrored),
             };
             let is_height = topology.is_none();
-            let new = Bucket { pipeline, statics: state.statics, is_height, block, vertex_chunk, index_chunk };
+            let stride = if code == 0 { 0 } else { 3 << (code - 1) };
+            let pipeline = if stride > 0 { pipeline.pulled() } else { pipeline };
+            let statics = state.statics;
+            let new = Bucket { pipeline, statics, is_height, block, vertex_chunk, index_chunk, stride };
             let index = pipelines.ensure(ctx, pipeline);
             self.buckets.push((new, index));
         }
@@ -307,35 +357,44 @@ fn drawable<'a>(
     Some((ctx.drawable(leaf.slot)?, stage.eye_from_drawable.get(leaf.matrix as usize)?))
 }
 
-/// Equal for leaves that draw the same vertices.
-#[inline]
-fn geometry(entry: &DrawableEntry) -> u32 {
-    match &entry.shape {
-        Shape::Height(place) => place.side,
-        Shape::Mesh { place, .. } => place.mesh,
-    }
-}
-
 fn new_run(ctx: &GraphicsContext, bucket: u32, entry: &DrawableEntry) -> Run {
     let (base_vertex, first_index, index_count) = match &entry.shape {
         Shape::Height(place) => (0, 0, ctx.pools().heights.grid(place.side).map_or(0, |g| g.index_count)),
         Shape::Mesh { place, .. } => (place.base_vertex, place.first_index, place.index_count),
     };
-    Run { bucket, base_vertex, first_index, index_count, first_leaf: 0, leaf_count: 0 }
+    Run { bucket, base_vertex, first_index, index_count, first_leaf: 0, leaf_count: 0, all_indices: 0 }
+}
+
+impl Run {
+    #[inline]
+    fn add(&mut self, entry: &DrawableEntry) {
+        self.leaf_count += 1;
+        self.all_indices += match &entry.shape {
+            Shape::Height(_) => u64::from(self.index_count),
+            Shape::Mesh { place, .. } => u64::from(place.index_count),
+        };
+    }
 }
 
 #[inline]
-fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry) -> LeafUniform {
+fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stride: u32) -> LeafUniform {
+    let mut flags = state.flags[usize::from(entry.unlit)];
+    let mut alpha_cutoff = if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff.to_bits() } else { 0 };
     let (layer, side) = match &entry.shape {
         Shape::Height(place) => (place.layer, place.side),
+        Shape::Mesh { texture, place, .. } if stride > 0 => {
+            flags |= place.index_count << INDEX_COUNT_SHIFT;
+            alpha_cutoff = place.base_vertex as u32;
+            (texture.layer, place.first_index)
+        }
         Shape::Mesh { texture, .. } => (texture.layer, 0),
     };
     LeafUniform {
         eye_from_drawable: *rows,
         color: [0, 1, 2, 3].map(|i| entry.base_color[i] * state.color[i]),
         layer,
-        flags: state.flags[usize::from(entry.unlit)],
-        alpha_cutoff: if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff } else { 0.0 },
+        flags,
+        alpha_cutoff,
         side,
     }
 }

@@ -48,16 +48,19 @@ pub(super) struct LeafUniform {
     pub(super) layer: u32,
     /// `FLAG_*`.
     pub(super) flags: u32,
-    /// Fragments below it are dropped where the pipeline masks.
-    pub(super) alpha_cutoff: f32,
-    /// Vertices along a side of a height tile.
+    /// Bits of the alpha below which fragments are dropped where the pipeline masks; first vertex of pulled meshes.
+    pub(super) alpha_cutoff: u32,
+    /// Vertices along a side of a height tile; first index of pulled meshes.
     pub(super) side: u32,
 }
 
 impl LeafUniform {
     pub(super) const EMPTY: Self =
-        Self { eye_from_drawable: [[0.0; 4]; 3], color: [0.0; 4], layer: 0, flags: 0, alpha_cutoff: 0.0, side: 0 };
+        Self { eye_from_drawable: [[0.0; 4]; 3], color: [0.0; 4], layer: 0, flags: 0, alpha_cutoff: 0, side: 0 };
 }
+
+/// Where the number of indices of pulled meshes begins in the flags.
+pub(super) const INDEX_COUNT_SHIFT: u32 = 8;
 
 /// Not lit.
 pub(super) const FLAG_UNLIT: u32 = 1;

@@ -3,7 +3,7 @@
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
 //! 11-12 polygon mode   13-15 color mask   16 blend   17-20 source   21-24 destination   25-27 equation   28-33 offset
-//! 34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program
+//! 34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled
 //! ```
 
 use crate::scene::Topology;
@@ -40,6 +40,7 @@ const OF_TRIANGLES: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
 const FIXED: u64 = 1 << 40;
 const ALPHA_TO_COVERAGE: u64 = 1 << 41;
 const PROGRAM: u64 = 0x3ff << 48;
+const PULLED: u64 = 1 << 58;
 
 /// Who shades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +67,8 @@ pub(super) struct StateKey {
     /// Culled faces of single-sided and of double-sided drawables.
     culled: [u64; 2],
     blends: bool,
+    /// Meshes may fetch their vertices themselves.
+    pub can_pull: bool,
     /// Leaves may change places: nearer ones hide farther ones in any order.
     pub order_is_free: bool,
 }
@@ -110,7 +113,8 @@ impl StateKey {
         }
         let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
         let order_is_free = write && nearer_wins && !blends && stencil == 0;
-        Self { common, culled: [culled(false), culled(true)], blends, order_is_free }
+        let can_pull = !matches!(shading, Shading::Program(_));
+        Self { common, culled: [culled(false), culled(true)], blends, can_pull, order_is_free }
     }
 }
 
@@ -234,6 +238,15 @@ impl PipelineKey {
             0x3ff => Shading::Fallback,
             place => Shading::Program(place as u16 - 1),
         }
+    }
+
+    /// The same for meshes that fetch their vertices themselves. Not for programs, which are given theirs.
+    pub fn pulled(self) -> Self {
+        Self(self.0 | PULLED)
+    }
+
+    pub fn is_pulled(self) -> bool {
+        self.0 & PULLED != 0
     }
 
     /// A number in the order of the keys.

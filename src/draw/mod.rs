@@ -24,6 +24,7 @@ mod lookup;
 mod pipelines;
 mod plan;
 mod programs;
+mod pulls;
 mod renderer;
 mod state;
 

@@ -15,6 +15,7 @@ const HEIGHT_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_st
 const MESH_WGSL: &str = concat!(
     include_str!("shaders/frame.wgsl"),
     include_str!("shaders/mesh_vertex.wgsl"),
+    include_str!("shaders/mesh_pull.wgsl"),
     include_str!("shaders/mesh.wgsl")
 );
 const FIXED_HEIGHT_WGSL: &str = concat!(
@@ -26,6 +27,7 @@ const FIXED_HEIGHT_WGSL: &str = concat!(
 const FIXED_MESH_WGSL: &str = concat!(
     include_str!("shaders/frame.wgsl"),
     include_str!("shaders/mesh_vertex.wgsl"),
+    include_str!("shaders/mesh_pull.wgsl"),
     include_str!("shaders/mesh.wgsl"),
     include_str!("shaders/fixed.wgsl"),
     include_str!("shaders/fixed_mesh.wgsl")
@@ -54,6 +56,8 @@ pub(super) struct Pipelines {
     pub(super) frame_layout: wgpu::BindGroupLayout,
     /// Group 2 of the fixed function.
     pub(super) fixed_layout: wgpu::BindGroupLayout,
+    /// Group 3 of pulled meshes: vertices and indices.
+    pub(super) pull_layout: wgpu::BindGroupLayout,
     pub(super) programs: Programs,
     pipelines: Vec<wgpu::RenderPipeline>,
     /// Only looked up, never walked.
@@ -80,6 +84,7 @@ struct Variant<'a> {
     fragment: &'a str,
     block_layout: Option<&'a wgpu::BindGroupLayout>,
     state_layout: Option<&'a wgpu::BindGroupLayout>,
+    pull_layout: Option<&'a wgpu::BindGroupLayout>,
     constants: &'a [(&'a str, f64)],
     buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
     topology: wgpu::PrimitiveTopology,
@@ -136,9 +141,18 @@ impl Pipelines {
             label: Some("fixed function"),
             entries: &fixed,
         });
+        let storage = wgpu::BufferBindingType::Storage { read_only: true };
+        let pull_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("pulled meshes"),
+            entries: &[
+                buffer(0, wgpu::ShaderStages::VERTEX, storage, false),
+                buffer(1, wgpu::ShaderStages::VERTEX, storage, false),
+            ],
+        });
         Self {
             frame_layout,
             fixed_layout,
+            pull_layout,
             programs: Programs::default(),
             pipelines: Vec::new(),
             index_of: HashMap::new(),
@@ -224,6 +238,7 @@ impl Pipelines {
             fragment,
             block_layout: None,
             state_layout: None,
+            pull_layout: None,
             constants: &[],
             buffers: &[],
             topology: wgpu::PrimitiveTopology::TriangleList,
@@ -292,6 +307,7 @@ impl Pipelines {
         let target = self.targets.get(key.target()).copied()?;
         let layouts = ctx.layouts();
         let fixed_layout = self.fixed_layout.clone();
+        let pull_layout = key.is_pulled().then(|| self.pull_layout.clone());
         let (module, vertex, fragment, state_layout, constants, outputs);
         match key.shading() {
             Shading::Program(place) => {
@@ -306,14 +322,16 @@ impl Pipelines {
                         (self.module(ctx, "fixed height", FIXED_HEIGHT_WGSL), "vs_fixed_height", "fs_fixed_height")
                     }
                     Kind::Triangles => {
-                        (self.module(ctx, "fixed mesh", FIXED_MESH_WGSL), "vs_fixed_mesh", "fs_fixed_mesh")
+                        let vertex = if key.is_pulled() { "vs_fixed_mesh_pulled" } else { "vs_fixed_mesh" };
+                        (self.module(ctx, "fixed mesh", FIXED_MESH_WGSL), vertex, "fs_fixed_mesh")
                     }
                     _ => (self.module(ctx, "fixed mesh", FIXED_MESH_WGSL), "vs_fixed_mesh", "fs_fixed_thin"),
                 };
                 (state_layout, outputs, constants) = (Some(fixed_layout), 1, Vec::new());
             }
             Shading::Fallback => {
-                (module, vertex, fragment) = (self.module(ctx, "mesh", MESH_WGSL), "vs_mesh", "fs_fallback");
+                let vertex_of_mesh = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
+                (module, vertex, fragment) = (self.module(ctx, "mesh", MESH_WGSL), vertex_of_mesh, "fs_fallback");
                 (state_layout, outputs, constants) = (None, 1, Vec::new());
             }
             Shading::Plain => {
@@ -321,7 +339,8 @@ impl Pipelines {
                 (module, vertex) = if is_height {
                     (self.module(ctx, "height", HEIGHT_WGSL), "vs_height")
                 } else {
-                    (self.module(ctx, "mesh", MESH_WGSL), "vs_mesh")
+                    let vertex = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
+                    (self.module(ctx, "mesh", MESH_WGSL), vertex)
                 };
                 fragment = match (key.kind(), key.alpha()) {
                     (Kind::Height, _) => "fs_height",
@@ -357,8 +376,9 @@ impl Pipelines {
             fragment,
             block_layout: Some(if is_height { &layouts.height_block } else { &layouts.texture_block }),
             state_layout: state_layout.as_ref(),
+            pull_layout: pull_layout.as_ref(),
             constants: &constants,
-            buffers: if is_height { &[] } else { &vertices },
+            buffers: if is_height || key.is_pulled() { &[] } else { &vertices },
             topology,
             culled: match key.culled() {
                 1 => Some(wgpu::Face::Back),
@@ -416,8 +436,8 @@ impl Pipelines {
     fn create(&mut self, ctx: &GraphicsContext, variant: &Variant<'_>) -> Option<wgpu::RenderPipeline> {
         let device = ctx.device();
         let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let layouts = [Some(&self.frame_layout), variant.block_layout, variant.state_layout];
-        let used = layouts.iter().take_while(|l| l.is_some()).count();
+        let layouts = [Some(&self.frame_layout), variant.block_layout, variant.state_layout, variant.pull_layout];
+        let used = layouts.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some(variant.label),
             bind_group_layouts: &layouts[..used],
@@ -629,5 +649,8 @@ mod tests {
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
         assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {}u;", super::super::frame::FLAG_UNLIT)));
+        let shift = super::super::frame::INDEX_COUNT_SHIFT;
+        assert!(MESH_WGSL.contains(&format!("const INDEX_COUNT_SHIFT: u32 = {shift}u;")));
+        assert_eq!(size_of::<MeshVertex>(), 7 * 4);
     }
 }

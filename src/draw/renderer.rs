@@ -24,6 +24,7 @@ use super::key::Shading;
 use super::pipelines::Pipelines;
 use super::plan::{PassTarget, StagePlan, Targets};
 use super::programs::Builtins;
+use super::pulls::Pulls;
 use super::state::{Dynamics, INDIRECT_BYTES, Sources, State, Statics};
 use crate::cull::RenderStage;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
@@ -36,7 +37,7 @@ const FRAME_TIMEOUT: Duration = Duration::from_secs(60);
 /// Errors kept until somebody asks.
 const MOST_ERRORS: usize = 64;
 /// Statics compared with a new one, newest first.
-const STATICS_COMPARED: usize = 16;
+const STATICS_COMPARED: usize = 4;
 
 /// What a draw did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -97,6 +98,7 @@ pub struct Renderer {
     indirect_bytes: Vec<u8>,
     most_leaves: usize,
     batch: Batch,
+    pulls: Pulls,
     statics: Vec<Statics>,
     plans: Vec<StagePlan>,
     timer: Option<FrameTimer>,
@@ -162,6 +164,7 @@ impl Renderer {
             indirect_bytes: Vec::new(),
             most_leaves: usize::try_from(most_bytes / size_of::<LeafUniform>() as u64).unwrap_or(usize::MAX),
             batch: Batch::default(),
+            pulls: Pulls::default(),
             statics: Vec::new(),
             plans: Vec::new(),
             timer: FrameTimer::new(device, ctx.queue()),
@@ -232,6 +235,7 @@ impl Renderer {
         self.groups.start_frame();
         self.statics.clear();
         self.plans.clear();
+        self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
             timer.start_frame();
         }
@@ -242,6 +246,9 @@ impl Renderer {
             self.complain(problem);
         }
         let dropped = self.prepare_all(ctx, stage, environment, true);
+        for (bucket, _) in self.batch.buckets.iter().filter(|(b, _)| b.stride > 0) {
+            self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
+        }
         if dropped > 0 {
             self.complain(format!("{dropped} leaves are more than the adapter's largest buffer holds, and not drawn"));
         }
@@ -577,6 +584,7 @@ impl Renderer {
             batch: &self.batch,
             statics: &self.statics,
             frame_group: &self.frame_bind_group,
+            pulls: &self.pulls,
             indirect: self.indirect.as_ref(),
         };
         let mut state = State::new(&mut pass, target.dynamics(None));
@@ -708,4 +716,109 @@ pub(super) fn clamped(rect: [f32; 4], size_px: [u32; 2]) -> [f32; 4] {
     let [x, y, width, height] = rect.map(|v| if v.is_finite() { v } else { 0.0 });
     let (x, y) = (x.clamp(0.0, size[0] - 1.0), y.clamp(0.0, size[1] - 1.0));
     [x, y, width.clamp(1.0, size[0] - x), height.clamp(1.0, size[1] - y)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cull::{CullCamera, CullVisitor};
+    use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
+    use crate::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page, Scene};
+    use crate::state::{Attribute, BinDetails, CullFace, SortMode, StateSet, SurfaceMaterial};
+    use glam::{DAffine3, DVec3};
+
+    /// How often a thing changes along the runs; the first time counts.
+    fn changes<T: PartialEq>(things: impl Iterator<Item = T>) -> u32 {
+        let mut last = None;
+        let mut count = 0;
+        for thing in things {
+            if last.as_ref() != Some(&thing) {
+                count += 1;
+                last = Some(thing);
+            }
+        }
+        count
+    }
+
+    #[test]
+    fn state_is_set_as_seldom_as_the_order_allows() {
+        let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut renderer = Renderer::new(&mut ctx);
+        // Small and large meshes, some blended, under state sets that differ in all sorts of things.
+        let mut seed = 12345u32;
+        let mut random = |below: u32| {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 16) % below
+        };
+        let sets: Vec<_> = (0..24)
+            .map(|i| {
+                let mut set = StateSet::default();
+                if random(2) == 0 {
+                    set = set.with(Attribute::CullFace(CullFace::Front));
+                }
+                if random(3) == 0 {
+                    let material = SurfaceMaterial { shininess: i as f32, ..SurfaceMaterial::default() };
+                    set = set.with(Attribute::SurfaceMaterial(material));
+                }
+                if random(3) == 0 {
+                    set = set.with(Attribute::Scissor(Scissor { x: i, y: 0, width: 9, height: 9 }));
+                }
+                if random(3) == 0 {
+                    let sort = [SortMode::ByState, SortMode::BackToFront, SortMode::FrontToBack][random(3) as usize];
+                    set.bin = Some(BinDetails { number: random(3) as i32 - 1, sort });
+                }
+                Arc::new(set)
+            })
+            .collect();
+        let nodes = (0..600)
+            .map(|_| {
+                let mesh = Mesh::sphere(DVec3::ZERO, 0.1, 3 + 4 * random(6));
+                let alpha = if random(5) == 0 { AlphaMode::Blend } else { AlphaMode::Opaque };
+                let material = Material { alpha, double_sided: random(2) == 0, ..Material::default() };
+                let place =
+                    DVec3::new(f64::from(random(9)) - 4.0, f64::from(random(9)) - 4.0, -12.0 - f64::from(random(40)));
+                let geode = Node::geode(vec![Drawable::new(mesh.into(), material)]);
+                let geode = geode.with_state_set(sets[random(24) as usize].clone());
+                Node::transform(DAffine3::from_translation(place), vec![geode])
+            })
+            .collect();
+        let mut page = Page::from_node(Node::group(nodes)).unwrap();
+        ctx.compile(CompileOperation { ticket: 0, drawables: page.take_drawables() });
+        ctx.run_compiles(&CompileBudget::UNLIMITED);
+        page.set_draw_slots(0, ctx.take_compiled().remove(0).slots);
+        let mut scene = Scene::new();
+        scene.add_root(page);
+        let mut stage = RenderStage::new();
+        CullVisitor::new().cull(&scene, &CullCamera::default(), &mut stage);
+        let environment = Environment { sky: Sky::Background([0; 3]), ..Environment::default() };
+        renderer.draw(&mut ctx, &stage, &environment).unwrap();
+        let stats = renderer.draw(&mut ctx, &stage, &environment).unwrap();
+        assert!(renderer.take_errors().is_empty());
+        assert_eq!(stats.leaves as usize, stage.leaf_count());
+
+        let batch = &renderer.batch;
+        let buckets = || batch.runs.iter().map(|r| batch.buckets[r.bucket as usize]);
+        let statics = || buckets().map(|(b, _)| renderer.statics[b.statics as usize]);
+        let direct = || buckets().filter(|(b, _)| b.stride == 0);
+        let initial = std::iter::once([0u32, 0, 64, 64]);
+        let scissors = changes(initial.chain(statics().map(|s| s.dynamics.scissor))) - 1;
+        let least = changes(buckets().map(|(_, pipeline)| pipeline))
+            + changes(buckets().map(|(b, _)| (b.is_height, b.block)))
+            + changes(direct().map(|(b, _)| b.vertex_chunk))
+            + changes(direct().map(|(b, _)| b.index_chunk))
+            + changes(buckets().filter(|(b, _)| b.stride > 0).map(|(b, _)| (b.vertex_chunk, b.index_chunk)))
+            + changes(statics().map(|s| s.frame))
+            + changes(statics().filter_map(|s| s.group))
+            + scissors;
+        assert!(least > 40, "a scene that says something: {least}");
+        assert_eq!(stats.state_changes, least);
+
+        // What does not fit into the adapter's buffer is dropped and said.
+        renderer.most_leaves = 150;
+        let stats = renderer.draw(&mut ctx, &stage, &environment).unwrap();
+        assert_eq!(stats.leaves, 150);
+        let errors = renderer.take_errors();
+        assert!(matches!(&errors[..], [e] if e.starts_with("450 leaves")), "{errors:?}");
+    }
 }

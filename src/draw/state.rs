@@ -1,10 +1,11 @@
 //! The state of a pass, set lazily: from run to run only what differs. Counts what is set and what is not.
 
 use super::DrawStats;
-use super::batch::{Batch, Run};
+use super::batch::{Batch, Bucket, Run};
 use super::groups::Groups;
 use super::key::Kind;
 use super::pipelines::Pipelines;
+use super::pulls::Pulls;
 use crate::gpu::GraphicsContext;
 
 /// What is set on the pass besides pipelines and what they bind.
@@ -41,6 +42,8 @@ pub(super) struct State<'p, 'e> {
     vertex_chunk: Option<u32>,
     /// Chunk of meshes, or the grid of a side.
     indices: Option<(bool, u32)>,
+    /// Chunks of group 3.
+    pulled: Option<(u32, u32)>,
     pub(super) stats: DrawStats,
 }
 
@@ -52,6 +55,7 @@ pub(super) struct Sources<'a> {
     pub(super) batch: &'a Batch,
     pub(super) statics: &'a [Statics],
     pub(super) frame_group: &'a wgpu::BindGroup,
+    pub(super) pulls: &'a Pulls,
     /// Arguments of all runs, where several may be drawn by one call.
     pub(super) indirect: Option<&'a wgpu::Buffer>,
 }
@@ -85,6 +89,7 @@ impl<'p, 'e> State<'p, 'e> {
             block: None,
             vertex_chunk: None,
             indices: None,
+            pulled: None,
             stats: DrawStats::default(),
         }
     }
@@ -99,6 +104,7 @@ impl<'p, 'e> State<'p, 'e> {
         self.block = None;
         self.vertex_chunk = None;
         self.indices = None;
+        self.pulled = None;
     }
 
     /// Sets viewport, scissor, references and uniforms.
@@ -153,6 +159,14 @@ impl<'p, 'e> State<'p, 'e> {
             if self.bind(from, bucket) {
                 let (bucket, _) = &from.batch.buckets[bucket as usize];
                 match from.indirect {
+                    _ if bucket.stride > 0 => {
+                        for run in &all[at..at + same] {
+                            let vertices =
+                                run.first_leaf * bucket.stride..(run.first_leaf + run.leaf_count) * bucket.stride;
+                            self.pass.draw(vertices, bucket.stride..bucket.stride + 1);
+                            self.stats.draw_calls += 1;
+                        }
+                    }
                     Some(indirect) if same >= LEAST_MULTI_DRAW => {
                         self.pass.multi_draw_indexed_indirect(indirect, at as u64 * INDIRECT_BYTES, same as u32);
                         self.stats.draw_calls += 1;
@@ -178,7 +192,7 @@ impl<'p, 'e> State<'p, 'e> {
     }
 
     fn count(&mut self, kind: Kind, run: &Run) {
-        let indices = u64::from(run.index_count) * u64::from(run.leaf_count);
+        let indices = run.all_indices;
         match kind {
             Kind::Points => self.stats.points += indices,
             Kind::Lines => {}
@@ -190,6 +204,9 @@ impl<'p, 'e> State<'p, 'e> {
     fn bind(&mut self, from: &Sources<'_>, bucket: u32) -> bool {
         let (bucket, pipeline_index) = &from.batch.buckets[bucket as usize];
         let pools = from.ctx.pools();
+        if bucket.stride > 0 {
+            return self.bind_pulled(from, bucket, *pipeline_index);
+        }
         let (block, vertices, indices) = if bucket.is_height {
             let grid = pools.heights.grid(bucket.index_chunk).map(|g| &g.indices);
             (pools.heights.bind_group(bucket.block), None, grid)
@@ -213,6 +230,25 @@ impl<'p, 'e> State<'p, 'e> {
         }
         if changes(&mut self.stats, &mut self.indices, (bucket.is_height, bucket.index_chunk)) {
             self.pass.set_index_buffer(indices.slice(..), wgpu::IndexFormat::Uint32);
+        }
+        true
+    }
+
+    /// As [`Self::bind`], for meshes that fetch their vertices themselves.
+    fn bind_pulled(&mut self, from: &Sources<'_>, bucket: &Bucket, pipeline_index: u32) -> bool {
+        let chunks = (bucket.vertex_chunk, bucket.index_chunk);
+        let block = from.ctx.pools().textures.bind_group(bucket.block);
+        let pipeline = from.pipelines.pipeline(pipeline_index);
+        let (Some(pipeline), Some(block), Some(pull)) = (pipeline, block, from.pulls.get(chunks)) else { return false };
+        self.apply(from, bucket.statics);
+        if changes(&mut self.stats, &mut self.pipeline, pipeline_index) {
+            self.pass.set_pipeline(pipeline);
+        }
+        if changes(&mut self.stats, &mut self.block, (false, bucket.block)) {
+            self.pass.set_bind_group(1, block, &[]);
+        }
+        if changes(&mut self.stats, &mut self.pulled, chunks) {
+            self.pass.set_bind_group(3, pull, &[]);
         }
         true
     }

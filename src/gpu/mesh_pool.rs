@@ -70,7 +70,7 @@ impl Arena {
         let buffer = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(self.label),
             size: class_bytes * u64::from(capacity),
-            usage: self.usage | wgpu::BufferUsages::COPY_DST,
+            usage: self.usage | wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
         let mut slots = SlotAllocator::new(capacity);

@@ -37,7 +37,7 @@ pub(super) fn block_capacity(blocks_so_far: usize, slot_bytes: u64, target_bytes
 
 /// Rounds a length up to its size class: four classes an octave, so at most a quarter is wasted.
 pub(super) fn size_class(length: u32) -> u32 {
-    let length = length.max(64);
+    let length = length.max(4);
     let octave = 31 - length.leading_zeros();
     let step = 1u32 << (octave - 2);
     length.div_ceil(step).saturating_mul(step)

@@ -2,42 +2,41 @@
 
 struct FixedMeshFragment {
     @builtin(position) position: vec4<f32>,
-    @location(0) in_eye: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @location(2) uv: vec2<f32>,
-    @location(3) color: vec4<f32>,
-    @location(4) @interpolate(flat) layer: u32,
-    @location(5) @interpolate(flat) flags: u32,
-    @location(6) @interpolate(flat) alpha_cutoff: f32,
-    @location(7) object: vec3<f32>,
+    @location(0) in_eye_u: vec4<f32>,
+    @location(1) normal_v: vec4<f32>,
+    @location(2) color: vec4<f32>,
+    @location(3) @interpolate(flat) leaf: vec3<u32>,
+    @location(4) object: vec3<f32>,
+}
+
+fn fixed_mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> FixedMeshFragment {
+    let f = mesh_fragment(vertex, leaf, alpha_cutoff);
+    return FixedMeshFragment(f.position, f.in_eye_u, f.normal_v, f.color, f.leaf, vertex.position);
 }
 
 @vertex
 fn vs_fixed_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> FixedMeshFragment {
     let leaf = leaves[instance];
-    let in_eye = point_in_eye(leaf, vertex.position);
-    return FixedMeshFragment(
-        frame.clip_from_eye * vec4<f32>(in_eye, 1.0),
-        in_eye,
-        direction_in_eye(leaf, vertex.normal.xyz),
-        vertex.uv,
-        vertex.color * leaf.color,
-        leaf.layer,
-        leaf.flags,
-        leaf.alpha_cutoff,
-        vertex.position,
-    );
+    return fixed_mesh_fragment(vertex, leaf, leaf.alpha_cutoff);
+}
+
+@vertex
+fn vs_fixed_mesh_pulled(@builtin(vertex_index) index: u32, @builtin(instance_index) stride: u32) -> FixedMeshFragment {
+    let leaf = leaves[index / stride];
+    return fixed_mesh_fragment(pulled_vertex(leaf, index % stride), leaf, 0u);
 }
 
 fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>) -> Surface {
-    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
-    let is_lit = (in.flags & FLAG_UNLIT) == 0u;
-    return Surface(in.in_eye, normal, frame.up.xyz, in.object, in.uv, base, is_lit, in.alpha_cutoff);
+    let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
+    let base = textureSample(color_layers, color_sampler, uv, in.leaf.x) * in.color;
+    let is_lit = (in.leaf.y & FLAG_UNLIT) == 0u;
+    let cutoff = bitcast<f32>(in.leaf.z);
+    return Surface(in.in_eye_u.xyz, normal, frame.up.xyz, in.object, uv, base, is_lit, cutoff);
 }
 
 @fragment
 fn fs_fixed_mesh(in: FixedMeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
-    let normal = surface_normal(in.normal, is_front, facet_normal(in.in_eye));
+    let normal = surface_normal(in.normal_v.xyz, is_front, facet_normal(in.in_eye_u.xyz));
     return fixed_color(mesh_surface(in, normal));
 }
 

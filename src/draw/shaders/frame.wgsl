@@ -19,8 +19,8 @@ struct Leaf {
     color: vec4<f32>,  // linear factor
     layer: u32,
     flags: u32,
-    alpha_cutoff: f32,
-    side: u32,
+    alpha_cutoff: u32,  // bits of an f32; first vertex of pulled meshes
+    side: u32,          // of height tiles; first index of pulled meshes
 }
 
 // What is positioned in a stage, in eye space.
@@ -39,6 +39,7 @@ struct Stage {
 }
 
 const FLAG_UNLIT: u32 = 1u;
+const INDEX_COUNT_SHIFT: u32 = 8u;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> leaves: array<Leaf>;

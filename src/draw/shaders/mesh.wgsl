@@ -1,31 +1,43 @@
 // Meshes, lines and points.
 
+// Packed: each location costs software adapters, for every triangle.
 struct MeshFragment {
     @builtin(position) position: vec4<f32>,
-    @location(0) in_eye: vec3<f32>,
-    @location(1) normal: vec3<f32>,
-    @location(2) uv: vec2<f32>,
-    @location(3) color: vec4<f32>,
-    // By value, not by leaf: a load from a buffer for each pixel is dear on software adapters.
-    @location(4) @interpolate(flat) layer: u32,
-    @location(5) @interpolate(flat) flags: u32,
-    @location(6) @interpolate(flat) alpha_cutoff: f32,
+    @location(0) in_eye_u: vec4<f32>,
+    @location(1) normal_v: vec4<f32>,
+    @location(2) color: vec4<f32>,
+    // Layer, flags and bits of the alpha cutoff. By value, not by leaf: a load from a buffer for each pixel is dear.
+    @location(3) @interpolate(flat) leaf: vec3<u32>,
+}
+
+fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragment {
+    let in_eye = point_in_eye(leaf, vertex.position);
+    return MeshFragment(
+        frame.clip_from_eye * vec4<f32>(in_eye, 1.0),
+        vec4<f32>(in_eye, vertex.uv.x),
+        vec4<f32>(direction_in_eye(leaf, vertex.normal.xyz), vertex.uv.y),
+        vertex.color * leaf.color,
+        vec3<u32>(leaf.layer, leaf.flags, alpha_cutoff),
+    );
+}
+
+fn base_color(in: MeshFragment) -> vec4<f32> {
+    let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
+    return textureSample(color_layers, color_sampler, uv, in.leaf.x) * in.color;
 }
 
 @vertex
 fn vs_mesh(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MeshFragment {
     let leaf = leaves[instance];
-    let in_eye = point_in_eye(leaf, vertex.position);
-    return MeshFragment(
-        frame.clip_from_eye * vec4<f32>(in_eye, 1.0),
-        in_eye,
-        direction_in_eye(leaf, vertex.normal.xyz),
-        vertex.uv,
-        vertex.color * leaf.color,
-        leaf.layer,
-        leaf.flags,
-        leaf.alpha_cutoff,
-    );
+    return mesh_fragment(vertex, leaf, leaf.alpha_cutoff);
+}
+
+// Small meshes are drawn by one call: each has `stride` vertices of it, and fetches them itself. The instance's index
+// is the stride.
+@vertex
+fn vs_mesh_pulled(@builtin(vertex_index) index: u32, @builtin(instance_index) stride: u32) -> MeshFragment {
+    let leaf = leaves[index / stride];
+    return mesh_fragment(pulled_vertex(leaf, index % stride), leaf, 0u);
 }
 
 fn surface_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) -> vec3<f32> {
@@ -40,10 +52,10 @@ fn surface_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) ->
 
 fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) -> vec3<f32> {
     var color = base.rgb;
-    if (in.flags & FLAG_UNLIT) == 0u {
-        color *= light(surface_normal(in.normal, is_front, facet), frame.up.xyz);
+    if (in.leaf.y & FLAG_UNLIT) == 0u {
+        color *= light(surface_normal(in.normal_v.xyz, is_front, facet), frame.up.xyz);
     }
-    return mix(color, frame.horizon_color.rgb, haze(in.in_eye));
+    return mix(color, frame.horizon_color.rgb, haze(in.in_eye_u.xyz));
 }
 
 // The facet's normal, towards the eye.
@@ -59,16 +71,16 @@ fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
 
 @fragment
 fn fs_mesh(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
-    let facet = facet_normal(in.in_eye);
-    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
+    let facet = facet_normal(in.in_eye_u.xyz);
+    let base = base_color(in);
     return vec4<f32>(shade(in, is_front, facet, base), 1.0);
 }
 
 @fragment
 fn fs_mesh_masked(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
-    let facet = facet_normal(in.in_eye);
-    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
-    if base.a < in.alpha_cutoff {
+    let facet = facet_normal(in.in_eye_u.xyz);
+    let base = base_color(in);
+    if base.a < bitcast<f32>(in.leaf.z) {
         discard;
     }
     return vec4<f32>(shade(in, is_front, facet, base), 1.0);
@@ -76,15 +88,15 @@ fn fs_mesh_masked(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @l
 
 @fragment
 fn fs_mesh_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
-    let facet = facet_normal(in.in_eye);
-    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
+    let facet = facet_normal(in.in_eye_u.xyz);
+    let base = base_color(in);
     return vec4<f32>(shade(in, is_front, facet, base), base.a);
 }
 
 // Lines and points have no facets: without a normal they face up.
 @fragment
 fn fs_thin(in: MeshFragment) -> @location(0) vec4<f32> {
-    let base = textureSample(color_layers, color_sampler, in.uv, in.layer) * in.color;
+    let base = base_color(in);
     return vec4<f32>(shade(in, true, frame.up.xyz, base), base.a);
 }
 

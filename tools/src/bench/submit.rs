@@ -11,7 +11,7 @@ use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::draw::{Environment, Renderer};
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
 use terrane::math::Aabb;
-use terrane::scene::{Drawable, Geometry, HeightTile, Material, Node, Page, Scene};
+use terrane::scene::{Drawable, Geometry, HeightTile, Material, Mesh, Node, Page, Scene};
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 
 use super::cull::triangle;
@@ -24,13 +24,15 @@ enum Content {
     Height,
     /// Meshes, each with vertices of its own, under so many state sets.
     Mesh(u32),
+    /// Meshes so small that one call draws many of them.
+    Small(u32),
 }
 
 /// Measures every case for about `seconds` each and prints a line for it.
 pub fn run(seconds: f64) -> Result<()> {
     let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
     for leaves in [1_000, 10_000] {
-        for content in [Content::Height, Content::Mesh(1), Content::Mesh(64)] {
+        for content in [Content::Height, Content::Mesh(1), Content::Mesh(64), Content::Small(1), Content::Small(64)] {
             println!("{}", measure(content, leaves, time)?);
         }
     }
@@ -62,7 +64,7 @@ fn measure(content: Content, leaves: u32, time: Duration) -> Result<serde_json::
     let mut renderer = Renderer::new(&mut ctx);
     let sets = match content {
         Content::Height => 1,
-        Content::Mesh(sets) => sets,
+        Content::Mesh(sets) | Content::Small(sets) => sets,
     };
     // More than one set differs in what is bound: a material each.
     let sets: Vec<_> = (0..sets)
@@ -76,7 +78,11 @@ fn measure(content: Content, leaves: u32, time: Duration) -> Result<serde_json::
     let nodes = (0..leaves)
         .map(|i| {
             let place = DVec3::new(f64::from(i) % side, (f64::from(i) / side).floor(), 0.0);
-            let drawable = if content == Content::Height { height_tile() } else { triangle(DVec3::ZERO) };
+            let drawable = match content {
+                Content::Height => height_tile(),
+                Content::Mesh(_) => Drawable::new(Mesh::sphere(DVec3::ZERO, 0.4, 8).into(), Material::default()),
+                Content::Small(_) => triangle(DVec3::ZERO),
+            };
             let geode = Node::geode(vec![drawable]).with_state_set(sets[i as usize % sets.len()].clone());
             Node::transform(DAffine3::from_translation(place), vec![geode])
         })
@@ -110,7 +116,12 @@ fn measure(content: Content, leaves: u32, time: Duration) -> Result<serde_json::
     let round = |v: f64| (v * 10.0).round() / 10.0;
     Ok(json!({
         "bench": "terrane_submit", "n": leaves,
-        "content": if content == Content::Height { "height" } else { "mesh" }, "statesets": sets.len(),
+        "content": match content {
+            Content::Height => "height",
+            Content::Mesh(_) => "mesh",
+            Content::Small(_) => "small mesh",
+        },
+        "statesets": sets.len(),
         "leaves": drawn.leaves, "draw_calls": drawn.draw_calls, "state_changes": drawn.state_changes,
         "iters": total.len(), "total_us": round(median * 1e6),
         "ns_per_leaf": round(median * 1e9 / f64::from(drawn.leaves.max(1))),

@@ -1,0 +1,16 @@
+// Vertices of meshes fetched by the shader: 7 words each, as MeshVertex in src/scene/geometry.rs.
+
+@group(3) @binding(0) var<storage, read> pulled_vertices: array<u32>;
+@group(3) @binding(1) var<storage, read> pulled_indices: array<u32>;
+
+// Beyond the mesh's last index: that index again, a triangle without an area.
+fn pulled_vertex(leaf: Leaf, k: u32) -> MeshVertex {
+    let count = leaf.flags >> INDEX_COUNT_SHIFT;
+    let at = 7u * (leaf.alpha_cutoff + pulled_indices[leaf.side + min(k, count - 1u)]);
+    return MeshVertex(
+        bitcast<vec3<f32>>(vec3<u32>(pulled_vertices[at], pulled_vertices[at + 1u], pulled_vertices[at + 2u])),
+        bitcast<vec2<f32>>(vec2<u32>(pulled_vertices[at + 3u], pulled_vertices[at + 4u])),
+        unpack4x8snorm(pulled_vertices[at + 5u]),
+        unpack4x8unorm(pulled_vertices[at + 6u]),
+    );
+}
