@@ -53,11 +53,16 @@ impl Cull<'_> {
             self.counters.nodes_visited += 1;
             let sphere = page.spheres[node as usize];
             let mut mask = above.mask;
-            if record.flags & (CALLBACK | INACTIVE) != 0 && !self.asks_to_visit(context, node) {
-                node += skip;
-                continue;
+            // One test for the many nodes that are nothing special.
+            let mut is_active = true;
+            if record.flags & (CALLBACK | INACTIVE) != 0 {
+                if !self.asks_to_visit(context, node) {
+                    node += skip;
+                    continue;
+                }
+                is_active = record.flags & INACTIVE == 0;
             }
-            if mask != 0 && record.flags & INACTIVE == 0 {
+            if mask != 0 && is_active {
                 match context.planes.test_sphere(sphere, mask) {
                     Some(crossing) => mask = crossing,
                     None => {
@@ -74,7 +79,7 @@ impl Cull<'_> {
                 node += skip;
                 continue;
             }
-            if has_occluders && record.flags & INACTIVE == 0 && self.is_occluded(sphere) {
+            if has_occluders && is_active && self.is_occluded(sphere) {
                 if context.visit.required && record.flags & PLAIN == 0 {
                     self.keep_tiles(context, node, node + skip);
                 }

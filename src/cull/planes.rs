@@ -23,6 +23,9 @@ pub(super) struct EyePlanes {
 }
 
 impl EyePlanes {
+    /// Everything is inside.
+    pub const NONE: Self = Self { planes: [EVERYTHING; 6], mask: 0 };
+
     pub fn new(clip_from_eye: &DMat4, culling: CullingMode) -> Self {
         let m: DMat4 = clip_from_eye.transpose();
         // Reversed-Z: depth is 0 at the far plane; an infinite one comes out without a direction.
@@ -111,14 +114,16 @@ impl Planes {
         if outside & mask != 0 {
             return None;
         }
-        for (bit, n) in [(NEAR, self.near), (FAR, self.far)] {
-            if mask & bit != 0 {
-                let distance = n.x * sphere.x + n.y * sphere.y + n.z * sphere.z + n.w;
-                if distance < -sphere.w {
-                    return None;
-                }
-                if distance > sphere.w {
-                    crossing &= !bit;
+        if mask & (NEAR | FAR) != 0 {
+            for (bit, n) in [(NEAR, self.near), (FAR, self.far)] {
+                if mask & bit != 0 {
+                    let distance = n.x * sphere.x + n.y * sphere.y + n.z * sphere.z + n.w;
+                    if distance < -sphere.w {
+                        return None;
+                    }
+                    if distance > sphere.w {
+                        crossing &= !bit;
+                    }
                 }
             }
         }
@@ -133,6 +138,9 @@ impl Planes {
         let outside = (distance + reach).cmplt(Vec4::ZERO).bitmask() as u8;
         if outside & mask & SIDES != 0 {
             return true;
+        }
+        if mask & (NEAR | FAR) == 0 {
+            return false;
         }
         [(NEAR, self.near), (FAR, self.far)].into_iter().any(|(bit, n)| {
             let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;

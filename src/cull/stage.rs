@@ -193,7 +193,7 @@ impl RenderStage {
     pub(super) fn clear(&mut self, camera: &CullCamera) {
         self.camera = *camera;
         self.eye_from_drawable.clear();
-        self.state_sets.clear();
+        // `state_sets` is overwritten and cut to the length of this one.
         self.view_of_state.clear();
         self.views.clear();
         self.requests.clear();
@@ -207,6 +207,7 @@ impl RenderStage {
         for mut stage in self.pre_render.drain(..).chain(self.post_render.drain(..)) {
             // Memory is kept, what it holds is not.
             stage.clear(camera);
+            stage.state_sets.clear();
             self.spare.stages.push(stage);
         }
     }

@@ -97,9 +97,15 @@ impl StateGraph {
         let Some(node) = self.nodes.get_mut(state as usize) else { return 0 };
         if node.met_in != self.stage {
             self.met += 1;
-            (node.met_in, node.place) = (self.stage, stage.state_sets.len() as u32);
-            stage.state_sets.push(node.resolved.clone());
+            let place = stage.view_of_state.len();
+            (node.met_in, node.place) = (self.stage, place as u32);
             stage.view_of_state.push(node.view);
+            // Mostly the same as in the frame before: then nothing is counted up and down.
+            match stage.state_sets.get_mut(place) {
+                Some(held) if Arc::ptr_eq(held, &node.resolved) => {}
+                Some(held) => *held = node.resolved.clone(),
+                None => stage.state_sets.push(node.resolved.clone()),
+            }
         }
         node.place
     }
@@ -226,6 +232,7 @@ mod tests {
             let a = graph.find_or_insert(ROOT, &kept);
             let b = graph.find_or_insert(ROOT, &Arc::new(StateSet::default()));
             stage.state_sets.clear();
+            stage.view_of_state.clear();
             assert_eq!([graph.meet(a, &mut stage), graph.meet(b, &mut stage)], [0, 1]);
         }
         assert!(graph.nodes.len() < 2 * FEW);

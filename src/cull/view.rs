@@ -38,7 +38,7 @@ impl View {
             viewport_rect: None,
             settings: camera.settings,
             horizon: camera.horizon,
-            planes: EyePlanes::new(&camera.clip_from_eye, camera.settings.culling),
+            planes: EyePlanes::NONE,
             index: 0,
             range_per_error: 0.0,
             range_per_metre: 0.0,

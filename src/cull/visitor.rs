@@ -173,6 +173,7 @@ impl CullVisitor {
     ) {
         stage.clear(camera);
         stage.bins.clear();
+        stage.state_sets.clear();
         stage.stereo = Some(stereo.mode);
         stage.counters = CullCounters::default();
         (stage.near_m, stage.far_m) = (f64::INFINITY, 0.0);
@@ -308,6 +309,7 @@ impl<'a> Cull<'a> {
             next += 1;
             self.visit_page(visit);
         }
+        self.stage.state_sets.truncate(self.stage.view_of_state.len());
         super::tiles::finish_requests(&mut self.stage.requests);
         self.counters.leaves = self.leaves.len() as u32;
         self.stage.counters = self.counters;
