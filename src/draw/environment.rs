@@ -34,6 +34,9 @@ pub struct Environment {
     pub fog: Fog,
     /// Background.
     pub sky: Sky,
+    /// Lit colours are multiplied by it and their highlights rolled off (Khronos PBR Neutral); `None` cuts them at
+    /// white. What is not lit keeps its colours.
+    pub exposure: Option<f32>,
     /// Unit vector away from the ground at the eye, in the world: z for a local scene, the ellipsoid's normal on
     /// a globe.
     pub up_in_world: DVec3,
@@ -48,6 +51,7 @@ impl Default for Environment {
             ambient_color: [0.18, 0.22, 0.30],
             fog: Fog { enabled: true, density_per_m: 1.2e-5 },
             sky: Sky::Gradient,
+            exposure: Some(1.0),
             up_in_world: DVec3::Z,
         }
     }

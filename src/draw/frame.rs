@@ -32,7 +32,8 @@ pub(super) struct FrameUniform {
     pub(super) zenith_color: [f32; 4],
     /// Eye-space ray of a pixel from its clip position: x and y scale, x and y offset.
     pub(super) ray: [f32; 4],
-    /// Sine of the dip of the horizon, share of air at the eye, sine over which the sky's haze thins to 1/e.
+    /// Sine of the dip of the horizon, share of air at the eye, sine over which the sky's haze thins to 1/e; w: exposure,
+    /// 0 without tone mapping.
     pub(super) horizon: [f32; 4],
 }
 
@@ -136,7 +137,7 @@ impl FrameUniform {
                 (p.z_axis.x / p.x_axis.x) as f32,
                 (p.z_axis.y / p.y_axis.y) as f32,
             ],
-            horizon: [dip_sine as f32, air as f32, band as f32, 0.0],
+            horizon: [dip_sine as f32, air as f32, band as f32, environment.exposure.unwrap_or(0.0).max(0.0)],
         }
     }
 }

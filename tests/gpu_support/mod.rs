@@ -115,11 +115,12 @@ impl Rig {
     }
 }
 
-/// No haze, a magenta background, z up.
+/// No haze, no tone mapping, a magenta background, z up.
 pub fn plain() -> Environment {
     Environment {
         sky: Sky::Background(MAGENTA),
         fog: Fog { enabled: false, density_per_m: 0.0 },
+        exposure: None,
         ..Environment::default()
     }
 }

@@ -171,7 +171,7 @@ fn fixed_color(s: Surface) -> vec4<f32> {
     base.a *= fixed_state.diffuse.a;
     var color = base.rgb;
     if s.is_lit {
-        color = lit(s, base);
+        color = tone_mapped(lit(s, base));
     }
     if is_clipped(s.in_eye) || base.a < s.alpha_cutoff || !passes_alpha_test(base.a) {
         discard;

@@ -9,7 +9,8 @@ struct Frame {
     horizon_color: vec4<f32>,  // linear; w: 1 / height over which air thins to 1/e
     zenith_color: vec4<f32>,   // linear; w: 1 / radius of the ground, 0 when flat
     ray: vec4<f32>,            // eye ray from clip position: scale xy, offset zw
-    horizon: vec4<f32>,        // sine of the horizon's dip, share of air at the eye, sine over which the sky's haze thins
+    horizon: vec4<f32>,        // sine of the horizon's dip, share of air at the eye, sine over which the sky's haze thins;
+                               // w: exposure, 0 without tone mapping
 }
 
 struct Leaf {
@@ -70,6 +71,26 @@ fn light(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
     let ground = frame.ambient_color.rgb * vec3<f32>(0.45, 0.40, 0.34);
     let ambient = mix(ground, frame.ambient_color.rgb, 0.5 + 0.5 * dot(normal, up));
     return frame.sun_color.rgb * sun * day + ambient * (0.15 + 0.85 * day);
+}
+
+// Lit colours for a display: times the exposure, highlights rolled off towards white, what is below 0.76 as it is.
+// Khronos PBR Neutral (https://github.com/KhronosGroup/ToneMapping) without its offset, which takes back a reflection
+// at normal incidence that there is not here.
+fn tone_mapped(lit_color: vec3<f32>) -> vec3<f32> {
+    if frame.horizon.w <= 0.0 {
+        return lit_color;
+    }
+    let start = 0.8 - 0.04;
+    var color = lit_color * frame.horizon.w;
+    let peak = max(color.r, max(color.g, color.b));
+    if peak < start {
+        return color;
+    }
+    let room = 1.0 - start;
+    let new_peak = 1.0 - room * room / (peak + room - start);
+    color *= new_peak / peak;
+    let share = 1.0 - 1.0 / (0.15 * (peak - new_peak) + 1.0);
+    return mix(color, vec3<f32>(new_peak), share);
 }
 
 // Share of a point's colour that haze takes, from the mean density of air along the way to it.

@@ -172,5 +172,5 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
 @fragment
 fn fs_height(in: HeightFragment) -> @location(0) vec4<f32> {
     let base = textureSample(color_layers, color_sampler, in.uv, in.layer);
-    return vec4<f32>(mix(base.rgb * in.light, frame.horizon_color.rgb, in.haze), 1.0);
+    return vec4<f32>(mix(tone_mapped(base.rgb * in.light), frame.horizon_color.rgb, in.haze), 1.0);
 }

@@ -53,7 +53,7 @@ fn surface_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) ->
 fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) -> vec3<f32> {
     var color = base.rgb;
     if (in.leaf.y & FLAG_UNLIT) == 0u {
-        color *= light(surface_normal(in.normal_v.xyz, is_front, facet), frame.up.xyz);
+        color = tone_mapped(color * light(surface_normal(in.normal_v.xyz, is_front, facet), frame.up.xyz));
     }
     return mix(color, frame.horizon_color.rgb, haze(in.in_eye_u.xyz));
 }

@@ -24,6 +24,7 @@ fn fs_sky(in: SkyVertex) -> @location(0) vec4<f32> {
     color *= mix(1.0, mix(0.15, 0.55, air), smoothstep(0.0, -1.2 * frame.horizon.z, above));
     let toward_sun = max(dot(ray, frame.sun_direction.xyz), 0.0);
     let glow = 0.25 * pow(toward_sun, 24.0) * max(air, 0.1) + 4.0 * pow(toward_sun, 3000.0);
-    color += frame.sun_color.rgb * glow * smoothstep(-0.02, 0.02, above);
-    return vec4<f32>(color, 1.0);
+    // The sky's own colours are those of a picture already; the sun's are light.
+    let sun = frame.sun_color.rgb * glow * smoothstep(-0.02, 0.02, above);
+    return vec4<f32>(color + tone_mapped(color + sun) - tone_mapped(color), 1.0);
 }
