@@ -1,7 +1,7 @@
 //! Puts the pictures of two eyes together. Draw thread.
 
-use super::pipelines::TargetKey;
 use crate::cull::StereoMode;
+use crate::draw::pipelines::TargetKey;
 
 const COMPOSITE_WGSL: &str = include_str!("shaders/composite.wgsl");
 

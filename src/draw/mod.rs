@@ -16,17 +16,11 @@ mod batch;
 mod callbacks;
 mod composite;
 mod environment;
-mod fixed;
-mod frame;
-mod groups;
-mod key;
-mod lookup;
 mod pipelines;
 mod plan;
-mod programs;
-mod pulls;
 mod renderer;
 mod state;
+mod uniforms;
 
 pub use callbacks::{CameraCallbacks, RenderInfo};
 pub use environment::{Environment, Fog, Sky};

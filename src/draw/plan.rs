@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use super::pipelines::{MOST_COLORS, Pipelines, TargetKey};
-use super::renderer::clamped;
-use super::state::Dynamics;
 use crate::cull::{RenderStage, StageTarget};
+use crate::draw::pipelines::{MOST_COLORS, Pipelines, TargetKey};
+use crate::draw::renderer::prepare::clamped;
+use crate::draw::state::Dynamics;
 use crate::gpu::{GraphicsContext, StateTextures, Transients, texture_format};
 use crate::scene::{Attachment, CameraTarget};
 use crate::state::{TextureFormat, TextureObject};

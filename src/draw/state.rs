@@ -1,11 +1,11 @@
 //! The state of a pass, set lazily: from run to run only what differs. Counts what is set and what is not.
 
 use super::DrawStats;
-use super::batch::{Batch, Bucket, Run};
-use super::groups::Groups;
-use super::key::Kind;
-use super::pipelines::Pipelines;
-use super::pulls::Pulls;
+use crate::draw::batch::{Batch, Bucket, Run};
+use crate::draw::pipelines::Pipelines;
+use crate::draw::pipelines::key::Kind;
+use crate::draw::uniforms::groups::Groups;
+use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::GraphicsContext;
 
 /// What is set on the pass besides pipelines and what they bind.

@@ -136,7 +136,7 @@ pub struct Settled {
 /// One thing that failed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ReportError {
-    /// What could not be had.
+    /// What could not be had; `draw` for what could not be drawn as it should.
     pub uri: String,
     /// Why.
     pub reason: String,
@@ -247,6 +247,8 @@ impl Viewer {
                 .map(|e| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count })
                 .collect();
         }
+        let of_draw = |reason: &String| ReportError { uri: "draw".into(), reason: reason.clone(), count: 1 };
+        report.errors.extend(self.draw_errors.iter().map(of_draw));
         Ok(report)
     }
 }

@@ -101,6 +101,8 @@ pub struct FrameDone {
     pub image: Option<Result<RgbaImage, GpuError>>,
     /// Most bytes that the pools held so far.
     pub gpu_bytes_peak: u64,
+    /// What could not be drawn as it should, each once.
+    pub errors: Vec<String>,
 }
 
 /// What the thread that owns the context does, in the order sent.
@@ -228,6 +230,7 @@ impl DrawSide {
             read_back_ms: if image.is_some() { millis(read_back) } else { 0.0 },
             image,
             gpu_bytes_peak: self.context.bytes_peak(),
+            errors: self.renderer.take_errors(),
         }
     }
 

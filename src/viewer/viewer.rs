@@ -95,6 +95,7 @@ pub struct Viewer {
     pub(super) pager: Option<DatabasePager>,
     pager_config: PagerConfig,
     cull: CullVisitor,
+    samples: u32,
     stereo: Option<Stereo>,
     /// What the eyes' pictures are drawn into; made anew when their size changes.
     eyes: Option<[Arc<CameraTarget>; 2]>,
@@ -118,6 +119,8 @@ pub struct Viewer {
     pub(super) history: StatsHistory,
     pub(super) threading: ThreadingModel,
     pub(super) gpu_bytes_peak: u64,
+    /// What could not be drawn as it should, each once.
+    pub(super) draw_errors: Vec<String>,
     picture_wanted: bool,
     pictures: Vec<(u32, RgbaImage)>,
     /// Reading back in the frame being measured, milliseconds.
@@ -169,6 +172,7 @@ impl Viewer {
             pager: None,
             pager_config: config.pager.clone(),
             cull: CullVisitor::default(),
+            samples: config.samples,
             stereo: None,
             eyes: None,
             context,
@@ -189,6 +193,7 @@ impl Viewer {
             history: StatsHistory::new(config.history_frames),
             threading: config.threading,
             gpu_bytes_peak: 0,
+            draw_errors: Vec::new(),
             picture_wanted: false,
             pictures: Vec::new(),
             read_back_ms: 0.0,
@@ -521,7 +526,8 @@ impl Viewer {
                     self.camera.clip_from_eye(self.size_px, self.camera.near_for(stage.near_m));
             }
             Some(stereo) => {
-                let targets = &*self.eyes.get_or_insert_with(|| eye_targets(stereo.eye_size_px(self.size_px)));
+                let samples = self.samples;
+                let targets = &*self.eyes.get_or_insert_with(|| eye_targets(stereo.eye_size_px(self.size_px), samples));
                 self.cull.cull_stereo(&self.scene, &camera, stereo, targets, stage);
                 let near_m = self.camera.near_for(stage.near_m);
                 let camera = CullCamera { clip_from_eye: self.camera.clip_from_eye(self.size_px, near_m), ..camera };
@@ -606,6 +612,7 @@ impl Viewer {
             self.read_back_ms += done.read_back_ms;
         }
         self.free_stages.push(done.stage);
+        self.draw_errors.extend(done.errors);
         let drawn = done.stats?;
         if let Some(stats) = self.history.frame_mut(frame) {
             stats.draw_ms = done.draw_ms;
@@ -627,10 +634,10 @@ impl Viewer {
 }
 
 /// A texture for each eye.
-fn eye_targets(size_px: [u32; 2]) -> [Arc<CameraTarget>; 2] {
+fn eye_targets(size_px: [u32; 2], samples: u32) -> [Arc<CameraTarget>; 2] {
     ["left eye", "right eye"].map(|name| {
         let texture = TextureObject::target(name, size_px, TextureFormat::Rgba8Srgb);
-        Arc::new(CameraTarget { colors: vec![Attachment::new(texture)], samples: 1, ..CameraTarget::default() })
+        Arc::new(CameraTarget { colors: vec![Attachment::new(texture)], samples, ..CameraTarget::default() })
     })
 }
 

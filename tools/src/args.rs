@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
+use terrane::cull::StereoMode;
 use terrane::viewer::{ThreadingModel, ViewFrom};
 
 /// Streams terrain that is larger than memory, and draws it without a hitch.
@@ -80,6 +81,13 @@ pub struct FlyArgs {
     /// Plain background instead of sky and haze
     #[arg(long, value_name = "RRGGBB")]
     pub background: Option<Rgb>,
+    /// Draw for two eyes: ANAGLYPHIC, HORIZONTAL_SPLIT, VERTICAL_SPLIT, LEFT_EYE, RIGHT_EYE, HORIZONTAL_INTERLACE,
+    /// VERTICAL_INTERLACE or CHECKERBOARD; things as far as the middle of the set seem to lie in the screen
+    #[arg(long, value_name = "MODE")]
+    pub stereo: Option<StereoMode>,
+    /// Samples a pixel, 1 or 4: smooth edges
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=4))]
+    pub samples: u32,
     /// Show the stats overlay from the start (window only)
     #[arg(long)]
     pub stats: bool,

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use image::RgbaImage;
+use terrane::cull::Stereo;
 use terrane::draw::Sky;
 use terrane::viewer::{
     AnimationPath, Camera, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerConfig,
@@ -49,8 +50,13 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
     // A second handler in one process (tests) is no reason not to fly.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
 
-    let mut config =
-        ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
+    let mut config = ViewerConfig {
+        size_px: args.size.0,
+        threading: args.threading,
+        samples: args.samples.max(1),
+        validation: false,
+        ..ViewerConfig::default()
+    };
     config.pager.blocking = args.blocking;
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     let root = LoadedRoot::read(&source, &config.pager)?;
@@ -204,6 +210,10 @@ impl Flight {
             (view, _) => bounds.first_camera(&view.map_or(ViewFrom::default(), |v| v.0)),
         };
         viewer.camera.world_from_eye = first;
+        if let Some(mode) = self.args.stereo {
+            let fusion_distance_m = first.translation.distance(bounds.sphere.center);
+            viewer.set_stereo(Some(Stereo { fusion_distance_m, ..Stereo::new(mode) }));
+        }
         if self.path.is_none() {
             self.path = Some(bounds.default_path(&first));
         }

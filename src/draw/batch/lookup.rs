@@ -2,14 +2,14 @@
 
 /// Open addressing; entries of before the last [`Self::clear`] are told by their stamp.
 #[derive(Default)]
-pub(super) struct Lookup {
+pub(in crate::draw) struct Lookup {
     table: Vec<(u32, u32, u64)>,
     stamp: u32,
     len: usize,
 }
 
 impl Lookup {
-    pub(super) fn clear(&mut self) {
+    pub(in crate::draw) fn clear(&mut self) {
         if self.table.is_empty() || self.stamp == u32::MAX {
             self.table.clear();
             self.table.resize(64, (0, 0, 0));
@@ -21,7 +21,7 @@ impl Lookup {
 
     /// The value of a key; the given one from now on when it had none.
     #[inline]
-    pub(super) fn get_or_insert(&mut self, key: u64, value: u32) -> u32 {
+    pub(in crate::draw) fn get_or_insert(&mut self, key: u64, value: u32) -> u32 {
         let mask = self.table.len() - 1;
         let mut place = (key.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) as usize & mask;
         loop {

@@ -17,20 +17,25 @@ struct Pull {
 
 /// Bind groups by vertex and index chunk.
 #[derive(Default)]
-pub(super) struct Pulls {
+pub(in crate::draw) struct Pulls {
     groups: HashMap<(u32, u32), Pull>,
     frame: u32,
 }
 
 impl Pulls {
-    pub(super) fn start_frame(&mut self) {
+    pub(in crate::draw) fn start_frame(&mut self) {
         self.frame = self.frame.wrapping_add(1);
         let frame = self.frame;
         self.groups.retain(|_, pull| frame.wrapping_sub(pull.used) <= KEPT_FRAMES);
     }
 
     /// Makes the group of two chunks unless it is there.
-    pub(super) fn ensure(&mut self, ctx: &GraphicsContext, layout: &wgpu::BindGroupLayout, chunks: (u32, u32)) {
+    pub(in crate::draw) fn ensure(
+        &mut self,
+        ctx: &GraphicsContext,
+        layout: &wgpu::BindGroupLayout,
+        chunks: (u32, u32),
+    ) {
         let meshes = &ctx.pools().meshes;
         let (Some(vertices), Some(indices)) = (meshes.vertex_buffer(chunks.0), meshes.index_buffer(chunks.1)) else {
             return;
@@ -54,7 +59,7 @@ impl Pulls {
         self.groups.insert(chunks, Pull { vertices, indices, bind_group, used: self.frame });
     }
 
-    pub(super) fn get(&self, chunks: (u32, u32)) -> Option<&wgpu::BindGroup> {
+    pub(in crate::draw) fn get(&self, chunks: (u32, u32)) -> Option<&wgpu::BindGroup> {
         self.groups.get(&chunks).map(|pull| &pull.bind_group)
     }
 }

@@ -9,29 +9,29 @@ use crate::state::{
 /// A light; `StageLight` in frame.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct StageLight {
+pub(in crate::draw) struct StageLight {
     /// Eye space; w 1 for a place, 0 for a direction.
-    pub(super) position: [f32; 4],
+    pub(in crate::draw) position: [f32; 4],
     /// Where a spot shines; w: cosine of its half angle.
-    pub(super) direction: [f32; 4],
+    pub(in crate::draw) direction: [f32; 4],
     /// w: exponent of the spot.
-    pub(super) ambient: [f32; 4],
+    pub(in crate::draw) ambient: [f32; 4],
     /// w: 1 where there is such a light.
-    pub(super) diffuse: [f32; 4],
-    pub(super) specular: [f32; 4],
-    pub(super) attenuation: [f32; 4],
+    pub(in crate::draw) diffuse: [f32; 4],
+    pub(in crate::draw) specular: [f32; 4],
+    pub(in crate::draw) attenuation: [f32; 4],
 }
 
 /// What is positioned in a stage; `Stage` in frame.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct StageUniform {
-    pub(super) lights: [StageLight; LIGHTS],
-    pub(super) clip_planes: [[f32; 4]; CLIP_PLANES],
+pub(in crate::draw) struct StageUniform {
+    pub(in crate::draw) lights: [StageLight; LIGHTS],
+    pub(in crate::draw) clip_planes: [[f32; 4]; CLIP_PLANES],
 }
 
 impl StageUniform {
-    pub(super) fn new(stage: &RenderStage) -> Self {
+    pub(in crate::draw) fn new(stage: &RenderStage) -> Self {
         let mut uniform = Self {
             lights: [StageLight::default(); LIGHTS],
             // Planes that nothing is cut by.
@@ -67,42 +67,42 @@ impl StageUniform {
 }
 
 /// True when a LightSource has taken the place of the environment's sun.
-pub(super) fn replaces_sun(stage: &RenderStage) -> bool {
+pub(in crate::draw) fn replaces_sun(stage: &RenderStage) -> bool {
     stage.lights.iter().any(|l| l.light.number == 0)
 }
 
 /// Per state; `Fixed` in fixed.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct FixedUniform {
+pub(in crate::draw) struct FixedUniform {
     /// w: 1 where the state gives a material.
-    pub(super) ambient: [f32; 4],
-    pub(super) diffuse: [f32; 4],
+    pub(in crate::draw) ambient: [f32; 4],
+    pub(in crate::draw) diffuse: [f32; 4],
     /// w: shininess.
-    pub(super) specular: [f32; 4],
+    pub(in crate::draw) specular: [f32; 4],
     /// w: reference of the alpha test.
-    pub(super) emission: [f32; 4],
+    pub(in crate::draw) emission: [f32; 4],
     /// w: 0 none, 1 the environment's haze, 2 linear, 3 exp, 4 exp2.
-    pub(super) fog_color: [f32; 4],
+    pub(in crate::draw) fog_color: [f32; 4],
     /// Linear: end and 1 / (end - start); else the density.
-    pub(super) fog: [f32; 4],
-    pub(super) model_ambient: [f32; 4],
+    pub(in crate::draw) fog: [f32; 4],
+    pub(in crate::draw) model_ambient: [f32; 4],
     /// Bits of lights, bits of clip planes, alpha test (7 passes all), 1 where the sun is replaced.
-    pub(super) flags: [u32; 4],
+    pub(in crate::draw) flags: [u32; 4],
     /// By unit: 0 off, 1 plane, 2 cube, 3 volume, 4 layers.
-    pub(super) units: [u32; 4],
+    pub(in crate::draw) units: [u32; 4],
     /// By unit: 0 the mesh's, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection.
-    pub(super) texgens: [u32; 4],
+    pub(in crate::draw) texgens: [u32; 4],
     /// Added to the mip level by unit.
-    pub(super) bias: [f32; 4],
+    pub(in crate::draw) bias: [f32; 4],
     /// Planes of s and t by unit.
-    pub(super) planes: [[f32; 4]; 2 * TEXTURE_UNITS],
+    pub(in crate::draw) planes: [[f32; 4]; 2 * TEXTURE_UNITS],
 }
 
 const _: () = assert!(TEXTURE_UNITS == 4);
 
 impl FixedUniform {
-    pub(super) fn new(state: &ResolvedState, stage: &RenderStage) -> Self {
+    pub(in crate::draw) fn new(state: &ResolvedState, stage: &RenderStage) -> Self {
         let rgb = |c: [f32; 3], w: f32| [c[0], c[1], c[2], w];
         let material = state.material();
         let given = material.unwrap_or_default();

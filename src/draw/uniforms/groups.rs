@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::key::Shading;
-use super::pipelines::Pipelines;
+use crate::draw::pipelines::Pipelines;
+use crate::draw::pipelines::key::Shading;
 use crate::gpu::{GraphicsContext, StateTextures, White, view_dimension};
 use crate::state::{ResolvedState, Sampler, TEXTURE_UNITS, TextureBinding, TextureDimension};
 
@@ -24,12 +24,12 @@ struct Group {
 }
 
 /// Uniforms and bind groups of a renderer.
-pub(super) struct Groups {
-    pub(super) textures: StateTextures,
+pub(in crate::draw) struct Groups {
+    pub(in crate::draw) textures: StateTextures,
     white: White,
     white_sampler: u32,
     buffer: wgpu::Buffer,
-    pub(super) bytes: Vec<u8>,
+    pub(in crate::draw) bytes: Vec<u8>,
     align: usize,
     groups: Vec<Group>,
     /// Only looked up.
@@ -48,7 +48,7 @@ fn buffer(device: &wgpu::Device, size: usize) -> wgpu::Buffer {
 }
 
 impl Groups {
-    pub(super) fn new(ctx: &GraphicsContext) -> Self {
+    pub(in crate::draw) fn new(ctx: &GraphicsContext) -> Self {
         let device = ctx.device();
         let mut textures = StateTextures::new(device);
         let white_sampler = textures.ensure_sampler(device, &Sampler::default());
@@ -65,7 +65,7 @@ impl Groups {
         }
     }
 
-    pub(super) fn start_frame(&mut self) {
+    pub(in crate::draw) fn start_frame(&mut self) {
         self.bytes.clear();
         self.pending.clear();
         if self.textures.prune() {
@@ -79,21 +79,21 @@ impl Groups {
     }
 
     /// Appends a uniform and returns where.
-    pub(super) fn push<T: bytemuck::Pod>(&mut self, uniform: &T) -> u32 {
+    pub(in crate::draw) fn push<T: bytemuck::Pod>(&mut self, uniform: &T) -> u32 {
         let at = self.reserve(size_of::<T>());
         self.bytes[at as usize..][..size_of::<T>()].copy_from_slice(bytemuck::bytes_of(uniform));
         at
     }
 
     /// Room for a uniform, zeroed.
-    pub(super) fn reserve(&mut self, size: usize) -> u32 {
+    pub(in crate::draw) fn reserve(&mut self, size: usize) -> u32 {
         let at = self.bytes.len().next_multiple_of(self.align);
         self.bytes.resize(at + size, 0);
         at as u32
     }
 
     /// The group that a state needs under a shading; what is wrong with its textures, which are then white.
-    pub(super) fn group(
+    pub(in crate::draw) fn group(
         &mut self,
         ctx: &GraphicsContext,
         pipelines: &Pipelines,
@@ -149,7 +149,7 @@ impl Groups {
     }
 
     /// Uploads the uniforms and makes the groups that are not there; true when the buffer is another one.
-    pub(super) fn finish(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines) -> bool {
+    pub(in crate::draw) fn finish(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines) -> bool {
         // Bindings are of fixed sizes: the last one must lie inside too.
         let needed = self.bytes.len().next_multiple_of(4);
         self.bytes.resize(needed, 0);
@@ -206,7 +206,7 @@ impl Groups {
                     let (view, sampler) = found.map_or((white, white_sampler), |(v, s, _)| (v, s));
                     push(&mut entries, place, view, Some(sampler));
                 }
-                (&pipelines.fixed_layout, size_of::<super::fixed::FixedUniform>())
+                (&pipelines.fixed_layout, size_of::<crate::draw::uniforms::fixed::FixedUniform>())
             }
             Some(place) => {
                 let program = pipelines.programs.get(place)?;
@@ -238,11 +238,11 @@ impl Groups {
         }))
     }
 
-    pub(super) fn bind_group(&self, group: u32) -> Option<&wgpu::BindGroup> {
+    pub(in crate::draw) fn bind_group(&self, group: u32) -> Option<&wgpu::BindGroup> {
         self.groups.get(group as usize)?.bind_group.as_ref()
     }
 
-    pub(super) fn buffer(&self) -> &wgpu::Buffer {
+    pub(in crate::draw) fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer
     }
 }

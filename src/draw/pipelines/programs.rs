@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
-use super::key::MOST_PROGRAMS;
-use super::pipelines::PROGRAM_PRELUDE;
+use crate::draw::pipelines::PROGRAM_PRELUDE;
+use crate::draw::pipelines::key::MOST_PROGRAMS;
 use crate::state::{Program, ResolvedState, TEXTURE_UNITS};
 
 /// Group of what a program declares itself.
@@ -22,26 +22,26 @@ struct Member {
 
 /// A texture a program declares.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct UnitLayout {
-    pub(super) dimension: wgpu::TextureViewDimension,
-    pub(super) is_depth: bool,
-    pub(super) is_filtered: bool,
+pub(in crate::draw) struct UnitLayout {
+    pub(in crate::draw) dimension: wgpu::TextureViewDimension,
+    pub(in crate::draw) is_depth: bool,
+    pub(in crate::draw) is_filtered: bool,
     has_sampler: bool,
     compares: bool,
 }
 
 /// A program that can be used.
 #[derive(Debug)]
-pub(super) struct Compiled {
-    pub(super) module: wgpu::ShaderModule,
-    pub(super) layout: wgpu::BindGroupLayout,
+pub(in crate::draw) struct Compiled {
+    pub(in crate::draw) module: wgpu::ShaderModule,
+    pub(in crate::draw) layout: wgpu::BindGroupLayout,
     members: Vec<Member>,
-    pub(super) uniform_bytes: usize,
-    pub(super) units: [Option<UnitLayout>; TEXTURE_UNITS],
+    pub(in crate::draw) uniform_bytes: usize,
+    pub(in crate::draw) units: [Option<UnitLayout>; TEXTURE_UNITS],
     /// Values of overrides.
-    pub(super) constants: Vec<(String, f64)>,
+    pub(in crate::draw) constants: Vec<(String, f64)>,
     /// Bits of the locations that the fragment shader writes.
-    pub(super) outputs: u32,
+    pub(in crate::draw) outputs: u32,
 }
 
 struct Entry {
@@ -51,13 +51,13 @@ struct Entry {
 
 /// Programs met so far, by identity.
 #[derive(Default)]
-pub(super) struct Programs {
+pub(in crate::draw) struct Programs {
     entries: Vec<Entry>,
 }
 
 /// Times and matrices that uniforms named `osg_…` get.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Builtins {
+pub(in crate::draw) struct Builtins {
     pub frame: u32,
     pub frame_time_s: f32,
     pub delta_frame_time_s: f32,
@@ -68,7 +68,11 @@ pub(super) struct Builtins {
 
 impl Programs {
     /// The place of a program that can be used; compiles it when first met. What is wrong with it only then.
-    pub(super) fn ensure(&mut self, device: &wgpu::Device, program: &Arc<Program>) -> Result<Option<u16>, String> {
+    pub(in crate::draw) fn ensure(
+        &mut self,
+        device: &wgpu::Device,
+        program: &Arc<Program>,
+    ) -> Result<Option<u16>, String> {
         if let Some(place) = self.entries.iter().position(|e| Arc::ptr_eq(&e.program, program)) {
             return Ok(self.entries[place].compiled.is_some().then_some(place as u16));
         }
@@ -85,7 +89,7 @@ impl Programs {
         result
     }
 
-    pub(super) fn get(&self, place: u16) -> Option<&Compiled> {
+    pub(in crate::draw) fn get(&self, place: u16) -> Option<&Compiled> {
         self.entries.get(usize::from(place))?.compiled.as_ref()
     }
 }
@@ -215,7 +219,7 @@ fn bindings(uniform_bytes: usize, units: &[Option<UnitLayout>; TEXTURE_UNITS]) -
 }
 
 impl UnitLayout {
-    pub(super) fn has_sampler(&self) -> bool {
+    pub(in crate::draw) fn has_sampler(&self) -> bool {
         self.has_sampler
     }
 }
@@ -254,7 +258,12 @@ fn written(module: &naga::Module, result: &naga::FunctionResult) -> u32 {
 
 impl Compiled {
     /// Appends the uniforms of a state; what does not fit stays zero and is named the first time (by the caller).
-    pub(super) fn fill(&self, state: &ResolvedState, builtins: &Builtins, bytes: &mut [u8]) -> Result<(), String> {
+    pub(in crate::draw) fn fill(
+        &self,
+        state: &ResolvedState,
+        builtins: &Builtins,
+        bytes: &mut [u8],
+    ) -> Result<(), String> {
         let mut misfit = None;
         for member in &self.members {
             let Some(place) = bytes.get_mut(member.offset..member.offset + member.size) else { continue };

@@ -2,8 +2,8 @@
 
 use glam::{DMat4, DVec3, Mat4, Vec3};
 
-use super::environment::{Environment, Sky};
 use crate::cull::RenderStage;
+use crate::draw::environment::{Environment, Sky};
 use crate::math::WGS84;
 
 /// Share of a level's range at which its vertices start to morph into the coarser level.
@@ -16,55 +16,55 @@ const LOCAL_WORLD_RADIUS_M: f64 = 6_200_000.0;
 /// Per frame; `Frame` in frame.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct FrameUniform {
-    pub(super) clip_from_eye: Mat4,
+pub(in crate::draw) struct FrameUniform {
+    pub(in crate::draw) clip_from_eye: Mat4,
     /// Eye-space direction to the sun; w: metres of range per metre of error.
-    pub(super) sun_direction: [f32; 4],
+    pub(in crate::draw) sun_direction: [f32; 4],
     /// Linear; w: share of a range where morphing starts.
-    pub(super) sun_color: [f32; 4],
+    pub(in crate::draw) sun_color: [f32; 4],
     /// Linear; w: fog density per metre at height 0, 0 when off.
-    pub(super) ambient_color: [f32; 4],
+    pub(in crate::draw) ambient_color: [f32; 4],
     /// Eye-space up at the eye; w: height of the eye in metres.
-    pub(super) up: [f32; 4],
+    pub(in crate::draw) up: [f32; 4],
     /// Linear colour of the sky at the horizon; w: 1 / air scale height.
-    pub(super) horizon_color: [f32; 4],
+    pub(in crate::draw) horizon_color: [f32; 4],
     /// Linear colour of the sky at the zenith; w: curvature of the ground, 1 / radius (0 when flat).
-    pub(super) zenith_color: [f32; 4],
+    pub(in crate::draw) zenith_color: [f32; 4],
     /// Eye-space ray of a pixel from its clip position: x and y scale, x and y offset.
-    pub(super) ray: [f32; 4],
+    pub(in crate::draw) ray: [f32; 4],
     /// Sine of the dip of the horizon, share of air at the eye, sine over which the sky's haze thins to 1/e; w: exposure,
     /// 0 without tone mapping.
-    pub(super) horizon: [f32; 4],
+    pub(in crate::draw) horizon: [f32; 4],
 }
 
 /// Per leaf; `Leaf` in frame.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct LeafUniform {
+pub(in crate::draw) struct LeafUniform {
     /// Rows of the 3x4 map from the drawable's frame to the eye.
-    pub(super) eye_from_drawable: [[f32; 4]; 3],
+    pub(in crate::draw) eye_from_drawable: [[f32; 4]; 3],
     /// Linear factor.
-    pub(super) color: [f32; 4],
+    pub(in crate::draw) color: [f32; 4],
     /// Layer in the block's texture arrays.
-    pub(super) layer: u32,
+    pub(in crate::draw) layer: u32,
     /// `FLAG_*`.
-    pub(super) flags: u32,
+    pub(in crate::draw) flags: u32,
     /// Bits of the alpha below which fragments are dropped where the pipeline masks; first vertex of pulled meshes.
-    pub(super) alpha_cutoff: u32,
+    pub(in crate::draw) alpha_cutoff: u32,
     /// Vertices along a side of a height tile; first index of pulled meshes.
-    pub(super) side: u32,
+    pub(in crate::draw) side: u32,
 }
 
 impl LeafUniform {
-    pub(super) const EMPTY: Self =
+    pub(in crate::draw) const EMPTY: Self =
         Self { eye_from_drawable: [[0.0; 4]; 3], color: [0.0; 4], layer: 0, flags: 0, alpha_cutoff: 0, side: 0 };
 }
 
 /// Where the number of indices of pulled meshes begins in the flags.
-pub(super) const INDEX_COUNT_SHIFT: u32 = 8;
+pub(in crate::draw) const INDEX_COUNT_SHIFT: u32 = 8;
 
 /// Not lit.
-pub(super) const FLAG_UNLIT: u32 = 1;
+pub(in crate::draw) const FLAG_UNLIT: u32 = 1;
 
 fn mix(a: [f64; 3], b: [f64; 3], t: f64) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + (b[i] - a[i]) * t)
@@ -84,7 +84,7 @@ fn linear_from_srgb(byte: u8) -> f64 {
 }
 
 /// The colour targets are cleared with: the background's, or that of the horizon under a sky.
-pub(super) fn clear_color(environment: &Environment, frame: &FrameUniform) -> wgpu::Color {
+pub(in crate::draw) fn clear_color(environment: &Environment, frame: &FrameUniform) -> wgpu::Color {
     let [r, g, b] = match environment.sky {
         Sky::Background(rgb) => rgb.map(linear_from_srgb),
         Sky::Gradient => [0, 1, 2].map(|i| f64::from(frame.horizon_color[i])),
@@ -94,7 +94,7 @@ pub(super) fn clear_color(environment: &Environment, frame: &FrameUniform) -> wg
 
 impl FrameUniform {
     /// For one of the stage's projections.
-    pub(super) fn new(stage: &RenderStage, clip_from_eye: &DMat4, environment: &Environment) -> Self {
+    pub(in crate::draw) fn new(stage: &RenderStage, clip_from_eye: &DMat4, environment: &Environment) -> Self {
         let camera = &stage.camera;
         let world_from_eye = camera.eye_from_world.inverse();
         let eye = world_from_eye.translation;

@@ -3,31 +3,33 @@
 //! Draw thread. Leaves are counted into runs and then written to their places in one storage buffer, so that nothing
 //! but runs is ever sorted. Reuses its memory; allocates nothing once as large a stage was drawn before.
 
+mod lookup;
+
 use std::collections::HashMap;
 
-use super::frame::{FLAG_UNLIT, INDEX_COUNT_SHIFT, LeafUniform};
-use super::key::{PipelineKey, StateKey};
-use super::lookup::Lookup;
-use super::pipelines::Pipelines;
 use crate::cull::{RenderLeaf, RenderStage};
+use crate::draw::batch::lookup::Lookup;
+use crate::draw::pipelines::Pipelines;
+use crate::draw::pipelines::key::{PipelineKey, StateKey};
+use crate::draw::uniforms::frame::{FLAG_UNLIT, INDEX_COUNT_SHIFT, LeafUniform};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
 use crate::scene::{AlphaMode, Topology};
 use crate::state::SortMode;
 
 /// What has to be bound for a run: leaves with one bucket differ in geometry alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Bucket {
-    pub(super) pipeline: PipelineKey,
-    pub(super) is_height: bool,
+pub(in crate::draw) struct Bucket {
+    pub(in crate::draw) pipeline: PipelineKey,
+    pub(in crate::draw) is_height: bool,
     /// Block of group 1.
-    pub(super) block: u32,
-    pub(super) vertex_chunk: u32,
+    pub(in crate::draw) block: u32,
+    pub(in crate::draw) vertex_chunk: u32,
     /// Chunk of meshes, side of height tiles.
-    pub(super) index_chunk: u32,
+    pub(in crate::draw) index_chunk: u32,
     /// Index of the dynamic state and the uniforms. Last: mostly one call, where other buffers are two.
-    pub(super) statics: u32,
+    pub(in crate::draw) statics: u32,
     /// Vertices of each mesh where one call draws many small ones; 0 elsewhere.
-    pub(super) stride: u32,
+    pub(in crate::draw) stride: u32,
 }
 
 impl Bucket {
@@ -41,23 +43,23 @@ impl Bucket {
 
 /// An instanced draw.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Run {
-    pub(super) bucket: u32,
-    pub(super) base_vertex: i32,
-    pub(super) first_index: u32,
-    pub(super) index_count: u32,
+pub(in crate::draw) struct Run {
+    pub(in crate::draw) bucket: u32,
+    pub(in crate::draw) base_vertex: i32,
+    pub(in crate::draw) first_index: u32,
+    pub(in crate::draw) index_count: u32,
     /// Range of instances, which is that of leaves in the buffer.
-    pub(super) first_leaf: u32,
-    pub(super) leaf_count: u32,
+    pub(in crate::draw) first_leaf: u32,
+    pub(in crate::draw) leaf_count: u32,
     /// Indices of all its leaves.
-    pub(super) all_indices: u64,
+    pub(in crate::draw) all_indices: u64,
 }
 
 /// What a state of the stage comes to.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct StateEntry {
-    pub(super) key: StateKey,
-    pub(super) statics: u32,
+pub(in crate::draw) struct StateEntry {
+    pub(in crate::draw) key: StateKey,
+    pub(in crate::draw) statics: u32,
     /// Equal for states that draw alike.
     class: u32,
     color: [f32; 4],
@@ -66,22 +68,22 @@ pub(super) struct StateEntry {
 }
 
 impl StateEntry {
-    pub(super) fn new(key: StateKey, statics: u32, color: [f32; 4], is_lit: [bool; 2]) -> Self {
+    pub(in crate::draw) fn new(key: StateKey, statics: u32, color: [f32; 4], is_lit: [bool; 2]) -> Self {
         Self { key, statics, class: 0, color, flags: is_lit.map(|lit| if lit { 0 } else { FLAG_UNLIT }) }
     }
 }
 
 /// The draws of a frame's stages, one behind the other.
 #[derive(Default)]
-pub(super) struct Batch {
+pub(in crate::draw) struct Batch {
     /// Longer than what is used of it, so that nothing is written twice.
     leaves: Vec<LeafUniform>,
     leaf_count: usize,
-    pub(super) runs: Vec<Run>,
+    pub(in crate::draw) runs: Vec<Run>,
     /// Of all stages, each with the index of its pipeline.
-    pub(super) buckets: Vec<(Bucket, u32)>,
+    pub(in crate::draw) buckets: Vec<(Bucket, u32)>,
     /// By state of the current stage.
-    pub(super) states: Vec<StateEntry>,
+    pub(in crate::draw) states: Vec<StateEntry>,
     class_of: HashMap<(StateKey, u32), u32>,
     /// From state class and bind class to bucket.
     bucket_of: Lookup,
@@ -128,19 +130,19 @@ fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
 }
 
 impl Batch {
-    pub(super) fn start_frame(&mut self) {
+    pub(in crate::draw) fn start_frame(&mut self) {
         self.leaf_count = 0;
         self.runs.clear();
         self.buckets.clear();
     }
 
     /// The leaves so far.
-    pub(super) fn leaves(&self) -> &[LeafUniform] {
+    pub(in crate::draw) fn leaves(&self) -> &[LeafUniform] {
         &self.leaves[..self.leaf_count]
     }
 
     /// Appends a leaf that belongs to no run.
-    pub(super) fn push_leaf(&mut self, leaf: LeafUniform) {
+    pub(in crate::draw) fn push_leaf(&mut self, leaf: LeafUniform) {
         let place = self.leaf_count;
         self.make_room(place + 1);
         self.leaves[place] = leaf;
@@ -155,7 +157,7 @@ impl Batch {
 
     /// Appends the runs of a stage, whose states are in [`Self::states`]. Returns how many leaves were more than the
     /// buffer takes, and before which run the first one comes that writes no depth.
-    pub(super) fn build(
+    pub(in crate::draw) fn build(
         &mut self,
         ctx: &GraphicsContext,
         pipelines: &mut Pipelines,

@@ -1,64 +1,67 @@
 //! Pipelines, made when first needed: a software adapter takes a third of a second for each at its first draw.
 
+pub(in crate::draw) mod convert;
+pub(in crate::draw) mod key;
+pub(in crate::draw) mod programs;
+
 use std::collections::HashMap;
 
-use super::key::{Alpha, Kind, MOST_TARGETS, Offsets, PipelineKey, Shading, StateKey, Stencils};
-use super::programs::Programs;
-use crate::gpu::{GraphicsContext, compare_function};
-use crate::scene::MeshVertex;
-use crate::state::{
-    BlendEquation, BlendFactor, CompareFunction, PolygonMode, PolygonOffset, ResolvedState, StencilFace,
-    StencilOperation, TEXTURE_UNITS,
-};
+use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Offsets, PipelineKey, Shading, StateKey, Stencils};
+use crate::draw::pipelines::programs::Programs;
+use convert::{bias, factor, operation, reversed, stencil_face};
 
-const HEIGHT_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/height.wgsl"));
+use crate::gpu::GraphicsContext;
+use crate::scene::MeshVertex;
+use crate::state::{PolygonMode, ResolvedState, TEXTURE_UNITS};
+
+const HEIGHT_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/height.wgsl"));
 const MESH_WGSL: &str = concat!(
-    include_str!("shaders/frame.wgsl"),
-    include_str!("shaders/mesh_vertex.wgsl"),
-    include_str!("shaders/mesh_pull.wgsl"),
-    include_str!("shaders/mesh.wgsl")
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/mesh_vertex.wgsl"),
+    include_str!("../shaders/mesh_pull.wgsl"),
+    include_str!("../shaders/mesh.wgsl")
 );
 const FIXED_HEIGHT_WGSL: &str = concat!(
-    include_str!("shaders/frame.wgsl"),
-    include_str!("shaders/height.wgsl"),
-    include_str!("shaders/fixed.wgsl"),
-    include_str!("shaders/fixed_height.wgsl")
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/height.wgsl"),
+    include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_height.wgsl")
 );
 const FIXED_MESH_WGSL: &str = concat!(
-    include_str!("shaders/frame.wgsl"),
-    include_str!("shaders/mesh_vertex.wgsl"),
-    include_str!("shaders/mesh_pull.wgsl"),
-    include_str!("shaders/mesh.wgsl"),
-    include_str!("shaders/fixed.wgsl"),
-    include_str!("shaders/fixed_mesh.wgsl")
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/mesh_vertex.wgsl"),
+    include_str!("../shaders/mesh_pull.wgsl"),
+    include_str!("../shaders/mesh.wgsl"),
+    include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_mesh.wgsl")
 );
-const SKY_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/sky.wgsl"));
-const QUERY_WGSL: &str = concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/query.wgsl"));
+const SKY_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/sky.wgsl"));
+const QUERY_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/query.wgsl"));
 /// What stands before the source of a program.
-pub(super) const PROGRAM_PRELUDE: &str =
-    concat!(include_str!("shaders/frame.wgsl"), include_str!("shaders/mesh_vertex.wgsl"));
+pub(in crate::draw) const PROGRAM_PRELUDE: &str =
+    concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/mesh_vertex.wgsl"));
 
 /// Most colour attachments of a target.
-pub(super) const MOST_COLORS: usize = 4;
+pub(in crate::draw) const MOST_COLORS: usize = 4;
 
 /// What pipelines must know of what is drawn into.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct TargetKey {
-    pub(super) colors: [Option<wgpu::TextureFormat>; MOST_COLORS],
-    pub(super) depth: wgpu::TextureFormat,
-    pub(super) samples: u32,
+pub(in crate::draw) struct TargetKey {
+    pub(in crate::draw) colors: [Option<wgpu::TextureFormat>; MOST_COLORS],
+    pub(in crate::draw) depth: wgpu::TextureFormat,
+    pub(in crate::draw) samples: u32,
     /// Textures keep alpha; pictures stay opaque.
-    pub(super) writes_alpha: bool,
+    pub(in crate::draw) writes_alpha: bool,
 }
 
 /// Pipelines of a renderer, by key.
-pub(super) struct Pipelines {
-    pub(super) frame_layout: wgpu::BindGroupLayout,
+pub(in crate::draw) struct Pipelines {
+    pub(in crate::draw) frame_layout: wgpu::BindGroupLayout,
     /// Group 2 of the fixed function.
-    pub(super) fixed_layout: wgpu::BindGroupLayout,
+    pub(in crate::draw) fixed_layout: wgpu::BindGroupLayout,
     /// Group 3 of pulled meshes: vertices and indices.
-    pub(super) pull_layout: wgpu::BindGroupLayout,
-    pub(super) programs: Programs,
+    pub(in crate::draw) pull_layout: wgpu::BindGroupLayout,
+    pub(in crate::draw) programs: Programs,
     pipelines: Vec<wgpu::RenderPipeline>,
     /// Only looked up, never walked.
     index_of: HashMap<PipelineKey, u32>,
@@ -73,7 +76,7 @@ pub(super) struct Pipelines {
     features: wgpu::Features,
     created: u32,
     /// What could not be made, once each.
-    pub(super) errors: Vec<String>,
+    pub(in crate::draw) errors: Vec<String>,
 }
 
 /// The parts in which pipelines differ.
@@ -104,7 +107,7 @@ struct Variant<'a> {
 }
 
 impl Pipelines {
-    pub(super) fn new(device: &wgpu::Device) -> Self {
+    pub(in crate::draw) fn new(device: &wgpu::Device) -> Self {
         let buffer = |binding, visibility, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
             binding,
             visibility,
@@ -169,24 +172,24 @@ impl Pipelines {
     }
 
     /// Pipelines made so far.
-    pub(super) fn created(&self) -> u32 {
+    pub(in crate::draw) fn created(&self) -> u32 {
         self.created
     }
 
     /// A pipeline by the index that [`Self::ensure`] gave.
-    pub(super) fn pipeline(&self, index: u32) -> Option<&wgpu::RenderPipeline> {
+    pub(in crate::draw) fn pipeline(&self, index: u32) -> Option<&wgpu::RenderPipeline> {
         self.pipelines.get(index as usize)
     }
 
     /// The pipeline part of a state.
-    pub(super) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u8) -> StateKey {
+    pub(in crate::draw) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u8) -> StateKey {
         let offset = self.offsets.index_of(state.polygon_offset());
         let stencil = self.stencils.index_of(state.stencil());
         StateKey::new(state, offset, stencil, shading, target)
     }
 
     /// The index of a target; `None` when there are too many different ones.
-    pub(super) fn target(&mut self, key: &TargetKey) -> Option<u8> {
+    pub(in crate::draw) fn target(&mut self, key: &TargetKey) -> Option<u8> {
         let place = match self.targets.iter().position(|t| t == key) {
             Some(place) => place,
             None if self.targets.len() < MOST_TARGETS => {
@@ -200,15 +203,15 @@ impl Pipelines {
         Some(place as u8)
     }
 
-    pub(super) fn target_key(&self, target: u8) -> Option<&TargetKey> {
+    pub(in crate::draw) fn target_key(&self, target: u8) -> Option<&TargetKey> {
         self.targets.get(usize::from(target))
     }
 
-    pub(super) fn sky(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
+    pub(in crate::draw) fn sky(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
         self.skies.get(usize::from(target))?.as_ref()
     }
 
-    pub(super) fn query(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
+    pub(in crate::draw) fn query(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
         self.queries.get(usize::from(target))?.as_ref()
     }
 
@@ -259,7 +262,7 @@ impl Pipelines {
     }
 
     /// Makes the sky's pipeline for a target unless it is there.
-    pub(super) fn ensure_sky(&mut self, ctx: &GraphicsContext, target: u8) {
+    pub(in crate::draw) fn ensure_sky(&mut self, ctx: &GraphicsContext, target: u8) {
         let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
         if self.sky(target).is_none() {
             let module = self.module(ctx, "sky", SKY_WGSL);
@@ -270,7 +273,7 @@ impl Pipelines {
     }
 
     /// Makes the pipeline of occlusion queries for a target unless it is there.
-    pub(super) fn ensure_query(&mut self, ctx: &GraphicsContext, target: u8) {
+    pub(in crate::draw) fn ensure_query(&mut self, ctx: &GraphicsContext, target: u8) {
         let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
         if self.query(target).is_none() {
             let module = self.module(ctx, "query", QUERY_WGSL);
@@ -282,7 +285,7 @@ impl Pipelines {
     }
 
     /// The index of a key's pipeline; makes it unless it is there.
-    pub(super) fn ensure(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> u32 {
+    pub(in crate::draw) fn ensure(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> u32 {
         if let Some(index) = self.index_of.get(&key) {
             return *index;
         }
@@ -504,77 +507,11 @@ impl Pipelines {
     }
 }
 
-fn stencil_face(face: &StencilFace) -> wgpu::StencilFaceState {
-    let operation = |operation| match operation {
-        StencilOperation::Keep => wgpu::StencilOperation::Keep,
-        StencilOperation::Zero => wgpu::StencilOperation::Zero,
-        StencilOperation::Replace => wgpu::StencilOperation::Replace,
-        StencilOperation::Invert => wgpu::StencilOperation::Invert,
-        StencilOperation::Increment => wgpu::StencilOperation::IncrementClamp,
-        StencilOperation::Decrement => wgpu::StencilOperation::DecrementClamp,
-        StencilOperation::IncrementWrap => wgpu::StencilOperation::IncrementWrap,
-        StencilOperation::DecrementWrap => wgpu::StencilOperation::DecrementWrap,
-    };
-    wgpu::StencilFaceState {
-        compare: compare_function(face.function),
-        fail_op: operation(face.fail),
-        depth_fail_op: operation(face.depth_fail),
-        pass_op: operation(face.pass),
-    }
-}
-
-/// Depths are stored reversed: nearer is greater.
-fn reversed(function: CompareFunction) -> wgpu::CompareFunction {
-    match function {
-        CompareFunction::Never => wgpu::CompareFunction::Never,
-        CompareFunction::Less => wgpu::CompareFunction::Greater,
-        CompareFunction::Equal => wgpu::CompareFunction::Equal,
-        CompareFunction::LessOrEqual => wgpu::CompareFunction::GreaterEqual,
-        CompareFunction::Greater => wgpu::CompareFunction::Less,
-        CompareFunction::NotEqual => wgpu::CompareFunction::NotEqual,
-        CompareFunction::GreaterOrEqual => wgpu::CompareFunction::LessEqual,
-        CompareFunction::Always => wgpu::CompareFunction::Always,
-    }
-}
-
-/// Away from the eye is less, reversed.
-fn bias(offset: PolygonOffset) -> wgpu::DepthBiasState {
-    wgpu::DepthBiasState { constant: -(offset.units as i32), slope_scale: -offset.factor, clamp: 0.0 }
-}
-
-fn factor(factor: BlendFactor) -> wgpu::BlendFactor {
-    match factor {
-        BlendFactor::Zero => wgpu::BlendFactor::Zero,
-        BlendFactor::One => wgpu::BlendFactor::One,
-        BlendFactor::SrcColor => wgpu::BlendFactor::Src,
-        BlendFactor::OneMinusSrcColor => wgpu::BlendFactor::OneMinusSrc,
-        BlendFactor::SrcAlpha => wgpu::BlendFactor::SrcAlpha,
-        BlendFactor::OneMinusSrcAlpha => wgpu::BlendFactor::OneMinusSrcAlpha,
-        BlendFactor::DstColor => wgpu::BlendFactor::Dst,
-        BlendFactor::OneMinusDstColor => wgpu::BlendFactor::OneMinusDst,
-        BlendFactor::DstAlpha => wgpu::BlendFactor::DstAlpha,
-        BlendFactor::OneMinusDstAlpha => wgpu::BlendFactor::OneMinusDstAlpha,
-        BlendFactor::SrcAlphaSaturate => wgpu::BlendFactor::SrcAlphaSaturated,
-        BlendFactor::ConstantColor => wgpu::BlendFactor::Constant,
-        BlendFactor::OneMinusConstantColor => wgpu::BlendFactor::OneMinusConstant,
-    }
-}
-
-fn operation(equation: BlendEquation) -> wgpu::BlendOperation {
-    match equation {
-        BlendEquation::Add => wgpu::BlendOperation::Add,
-        BlendEquation::Subtract => wgpu::BlendOperation::Subtract,
-        BlendEquation::ReverseSubtract => wgpu::BlendOperation::ReverseSubtract,
-        BlendEquation::Min => wgpu::BlendOperation::Min,
-        BlendEquation::Max => wgpu::BlendOperation::Max,
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::fixed::{FixedUniform, StageLight, StageUniform};
-    use super::super::frame::{FrameUniform, LeafUniform};
     use super::*;
+    use crate::draw::uniforms::fixed::{FixedUniform, StageLight, StageUniform};
+    use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 
     fn parse(name: &str, source: &str) -> naga::Module {
         let module =
@@ -648,8 +585,8 @@ mod tests {
         let header = crate::gpu::TABLE_HEADER_VECTORS;
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
-        assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {}u;", super::super::frame::FLAG_UNLIT)));
-        let shift = super::super::frame::INDEX_COUNT_SHIFT;
+        assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {}u;", crate::draw::uniforms::frame::FLAG_UNLIT)));
+        let shift = crate::draw::uniforms::frame::INDEX_COUNT_SHIFT;
         assert!(MESH_WGSL.contains(&format!("const INDEX_COUNT_SHIFT: u32 = {shift}u;")));
         assert_eq!(size_of::<MeshVertex>(), 7 * 4);
     }

@@ -14,11 +14,11 @@ use crate::state::{
 
 /// Key of a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(super) struct PipelineKey(u64);
+pub(in crate::draw) struct PipelineKey(u64);
 
 /// What the fragment shader does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Alpha {
+pub(in crate::draw) enum Alpha {
     Opaque,
     Masked,
     Blended,
@@ -26,7 +26,7 @@ pub(super) enum Alpha {
 
 /// What the vertices are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(in crate::draw) enum Kind {
     Height,
     Triangles,
     Lines,
@@ -44,7 +44,7 @@ const PULLED: u64 = 1 << 58;
 
 /// Who shades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Shading {
+pub(in crate::draw) enum Shading {
     /// Sun, sky and haze: the shaders of height tiles and meshes.
     Plain,
     /// Lights, materials, fog, textures of units.
@@ -56,13 +56,13 @@ pub(super) enum Shading {
 }
 
 /// Most programs at once.
-pub(super) const MOST_PROGRAMS: usize = 1022;
+pub(in crate::draw) const MOST_PROGRAMS: usize = 1022;
 /// Most different targets.
-pub(super) const MOST_TARGETS: usize = 64;
+pub(in crate::draw) const MOST_TARGETS: usize = 64;
 
 /// The pipeline part of a resolved state, made once a frame for each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct StateKey {
+pub(in crate::draw) struct StateKey {
     common: u64,
     /// Culled faces of single-sided and of double-sided drawables.
     culled: [u64; 2],
@@ -267,7 +267,7 @@ impl PipelineKey {
 
 /// The polygon offsets met so far; 0 is none.
 #[derive(Debug, Default)]
-pub(super) struct Offsets(Vec<PolygonOffset>);
+pub(in crate::draw) struct Offsets(Vec<PolygonOffset>);
 
 impl Offsets {
     /// The index of an offset. Beyond 63 different ones the last is used for all further.
@@ -290,7 +290,7 @@ impl Offsets {
 
 /// The stencil states met so far, references apart; 0 is none.
 #[derive(Debug, Default)]
-pub(super) struct Stencils(Vec<Stencil>);
+pub(in crate::draw) struct Stencils(Vec<Stencil>);
 
 impl Stencils {
     /// The index of a stencil state. Beyond 63 different ones the last is used for all further.

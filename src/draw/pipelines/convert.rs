@@ -1,0 +1,70 @@
+//! From the words of state sets to wgpu's.
+
+use crate::gpu::compare_function;
+use crate::state::{BlendEquation, BlendFactor, CompareFunction, PolygonOffset, StencilFace, StencilOperation};
+
+pub(super) fn stencil_face(face: &StencilFace) -> wgpu::StencilFaceState {
+    let operation = |operation| match operation {
+        StencilOperation::Keep => wgpu::StencilOperation::Keep,
+        StencilOperation::Zero => wgpu::StencilOperation::Zero,
+        StencilOperation::Replace => wgpu::StencilOperation::Replace,
+        StencilOperation::Invert => wgpu::StencilOperation::Invert,
+        StencilOperation::Increment => wgpu::StencilOperation::IncrementClamp,
+        StencilOperation::Decrement => wgpu::StencilOperation::DecrementClamp,
+        StencilOperation::IncrementWrap => wgpu::StencilOperation::IncrementWrap,
+        StencilOperation::DecrementWrap => wgpu::StencilOperation::DecrementWrap,
+    };
+    wgpu::StencilFaceState {
+        compare: compare_function(face.function),
+        fail_op: operation(face.fail),
+        depth_fail_op: operation(face.depth_fail),
+        pass_op: operation(face.pass),
+    }
+}
+
+/// Depths are stored reversed: nearer is greater.
+pub(super) fn reversed(function: CompareFunction) -> wgpu::CompareFunction {
+    match function {
+        CompareFunction::Never => wgpu::CompareFunction::Never,
+        CompareFunction::Less => wgpu::CompareFunction::Greater,
+        CompareFunction::Equal => wgpu::CompareFunction::Equal,
+        CompareFunction::LessOrEqual => wgpu::CompareFunction::GreaterEqual,
+        CompareFunction::Greater => wgpu::CompareFunction::Less,
+        CompareFunction::NotEqual => wgpu::CompareFunction::NotEqual,
+        CompareFunction::GreaterOrEqual => wgpu::CompareFunction::LessEqual,
+        CompareFunction::Always => wgpu::CompareFunction::Always,
+    }
+}
+
+/// Away from the eye is less, reversed.
+pub(super) fn bias(offset: PolygonOffset) -> wgpu::DepthBiasState {
+    wgpu::DepthBiasState { constant: -(offset.units as i32), slope_scale: -offset.factor, clamp: 0.0 }
+}
+
+pub(super) fn factor(factor: BlendFactor) -> wgpu::BlendFactor {
+    match factor {
+        BlendFactor::Zero => wgpu::BlendFactor::Zero,
+        BlendFactor::One => wgpu::BlendFactor::One,
+        BlendFactor::SrcColor => wgpu::BlendFactor::Src,
+        BlendFactor::OneMinusSrcColor => wgpu::BlendFactor::OneMinusSrc,
+        BlendFactor::SrcAlpha => wgpu::BlendFactor::SrcAlpha,
+        BlendFactor::OneMinusSrcAlpha => wgpu::BlendFactor::OneMinusSrcAlpha,
+        BlendFactor::DstColor => wgpu::BlendFactor::Dst,
+        BlendFactor::OneMinusDstColor => wgpu::BlendFactor::OneMinusDst,
+        BlendFactor::DstAlpha => wgpu::BlendFactor::DstAlpha,
+        BlendFactor::OneMinusDstAlpha => wgpu::BlendFactor::OneMinusDstAlpha,
+        BlendFactor::SrcAlphaSaturate => wgpu::BlendFactor::SrcAlphaSaturated,
+        BlendFactor::ConstantColor => wgpu::BlendFactor::Constant,
+        BlendFactor::OneMinusConstantColor => wgpu::BlendFactor::OneMinusConstant,
+    }
+}
+
+pub(super) fn operation(equation: BlendEquation) -> wgpu::BlendOperation {
+    match equation {
+        BlendEquation::Add => wgpu::BlendOperation::Add,
+        BlendEquation::Subtract => wgpu::BlendOperation::Subtract,
+        BlendEquation::ReverseSubtract => wgpu::BlendOperation::ReverseSubtract,
+        BlendEquation::Min => wgpu::BlendOperation::Min,
+        BlendEquation::Max => wgpu::BlendOperation::Max,
+    }
+}

@@ -1,0 +1,305 @@
+//! The first half of a draw: what the stages come to. Nothing is recorded yet; nothing waits for the adapter.
+
+use std::sync::Arc;
+
+use super::{FrameClock, Renderer};
+use crate::cull::RenderStage;
+use crate::draw::answers::Queries;
+use crate::draw::batch::StateEntry;
+use crate::draw::composite::Composite;
+use crate::draw::environment::{Environment, Sky};
+use crate::draw::pipelines::key::Shading;
+use crate::draw::pipelines::programs::Builtins;
+use crate::draw::plan::{PassTarget, StagePlan};
+use crate::draw::state::{Dynamics, Statics};
+use crate::draw::uniforms::fixed::{FixedUniform, StageUniform, replaces_sun};
+use crate::draw::uniforms::frame::{FrameUniform, LeafUniform, clear_color};
+use crate::gpu::GraphicsContext;
+use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, TextureObject, Viewport};
+
+impl Renderer {
+    pub(super) fn prepare(&mut self, ctx: &GraphicsContext, stage: &RenderStage, environment: &Environment) {
+        self.batch.start_frame();
+        self.groups.start_frame();
+        self.statics.clear();
+        self.plans.clear();
+        self.pulls.start_frame();
+        if let Some(timer) = &mut self.timer {
+            timer.start_frame();
+        }
+        if let Some(queries) = &mut self.queries {
+            queries.start_frame();
+        }
+        if let Some(problem) = self.targets.start_frame(stage) {
+            self.complain(problem);
+        }
+        let dropped = self.prepare_all(ctx, stage, environment, true);
+        for (bucket, _) in self.batch.buckets.iter().filter(|(b, _)| b.stride > 0) {
+            self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
+        }
+        if dropped > 0 {
+            self.complain(format!("{dropped} leaves are more than the adapter's largest buffer holds, and not drawn"));
+        }
+        for error in std::mem::take(&mut self.pipelines.errors) {
+            self.complain(error);
+        }
+    }
+
+    /// Prepares a stage and those around it, in the order drawn; how many leaves there was no room for.
+    fn prepare_all(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        environment: &Environment,
+        is_outermost: bool,
+    ) -> usize {
+        let mut dropped = 0;
+        for before in &stage.pre_render {
+            // An eye's picture is a whole one, with its sky.
+            dropped += self.prepare_all(ctx, before, environment, stage.stereo.is_some());
+        }
+        dropped += self.prepare_stage(ctx, stage, environment, is_outermost);
+        for after in &stage.post_render {
+            dropped += self.prepare_all(ctx, after, environment, false);
+        }
+        dropped
+    }
+
+    fn prepare_stage(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        environment: &Environment,
+        is_outermost: bool,
+    ) -> usize {
+        let found = self.targets.of(ctx, &mut self.groups.textures, &mut self.pipelines, &stage.target, is_outermost);
+        let target = match found {
+            Ok(target) => target,
+            Err(problem) => {
+                self.complain(problem);
+                self.plans.push(StagePlan::default());
+                return 0;
+            }
+        };
+        let uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment);
+        let clear = clear_color(environment, &uniform);
+        let first_frame = self.groups.push(&uniform);
+        let positioned = self.groups.push(&StageUniform::new(stage));
+        let mut frames = [first_frame; MOST_VIEWS];
+        for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
+            *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment));
+        }
+        let base = Statics {
+            dynamics: target.dynamics(stage.target.viewport_px),
+            frame: [first_frame, positioned],
+            group: None,
+        };
+        let first_statics = self.statics.len() as u32;
+        self.statics.push(base);
+        let has_own_light = replaces_sun(stage);
+        let mut states = std::mem::take(&mut self.batch.states);
+        states.clear();
+        for (state, view) in stage.state_sets.iter().zip(&stage.view_of_state) {
+            let (shading, group) = self.shading(ctx, stage, state, has_own_light, &target);
+            let mut statics = Statics { group, ..base };
+            statics.frame[0] = frames.get(*view as usize).copied().unwrap_or(first_frame);
+            let viewport = stage.views.get((*view as usize).wrapping_sub(1)).and_then(|v| v.viewport_px);
+            apply_state(&mut statics.dynamics, state, viewport, target.size_px);
+            let recent = self.statics.len().saturating_sub(STATICS_COMPARED).max(first_statics as usize);
+            let known = self.statics[recent..].iter().rposition(|s| *s == statics).map(|at| recent + at);
+            let index = known.unwrap_or_else(|| {
+                self.statics.push(statics);
+                self.statics.len() - 1
+            });
+            let key = self.pipelines.state_key(state, shading, target.index);
+            states.push(StateEntry::new(key, index as u32, state.color, [state.is_lit(false), state.is_lit(true)]));
+        }
+        self.batch.states = states;
+        let first_run = self.batch.runs.len();
+        let (dropped, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
+        let runs = first_run..self.batch.runs.len();
+        let queries = self.prepare_queries(ctx, stage, &target, &frames, base);
+        let has_sky =
+            is_outermost && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Gradient;
+        if has_sky {
+            self.pipelines.ensure_sky(ctx, target.index);
+        }
+        let eyes = self.prepare_eyes(ctx, stage, &target);
+        self.plans.push(StagePlan {
+            eyes,
+            target: Some(target),
+            runs,
+            see_through,
+            statics: first_statics,
+            queries,
+            has_sky,
+            background: clear,
+        });
+        dropped
+    }
+
+    /// Who shades the leaves of a state, and with what.
+    fn shading(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        state: &Arc<ResolvedState>,
+        has_own_light: bool,
+        target: &PassTarget,
+    ) -> (Shading, Option<(u32, Option<u32>)>) {
+        let mut wrong: Vec<String> = Vec::new();
+        let shading = match state.program() {
+            Some(program) => match self.pipelines.programs.ensure(ctx.device(), program) {
+                Ok(Some(place)) => Shading::Program(place),
+                Ok(None) => Shading::Fallback,
+                Err(problem) => {
+                    wrong.push(problem);
+                    Shading::Fallback
+                }
+            },
+            None if has_own_light || state.is_fixed_function() => Shading::FixedFunction,
+            None => Shading::Plain,
+        };
+        let group = match shading {
+            Shading::Plain | Shading::Fallback => None,
+            Shading::FixedFunction => Some(self.groups.push(&FixedUniform::new(state, stage))),
+            Shading::Program(place) => {
+                let program = self.pipelines.programs.get(place);
+                let size = program.map_or(0, |p| p.uniform_bytes);
+                (size > 0).then(|| {
+                    let at = self.groups.reserve(size);
+                    let builtins = builtins(stage, &self.clock);
+                    let bytes = &mut self.groups.bytes[at as usize..][..size];
+                    if let Some(Err(problem)) = program.map(|p| p.fill(state, &builtins, bytes)) {
+                        wrong.push(problem);
+                    }
+                    at
+                })
+            }
+        };
+        let group = match shading {
+            Shading::Plain | Shading::Fallback => None,
+            _ => {
+                let attached = |binding: &crate::state::TextureBinding| target.draws_into(stage, &binding.texture);
+                let found =
+                    self.groups.group(ctx, &self.pipelines, shading, state, attached, |problem| wrong.push(problem));
+                Some((found, group))
+            }
+        };
+        for problem in wrong {
+            let name = if state.name.is_empty() { "a state set" } else { state.name.as_str() };
+            self.complain(format!("{name}: {problem}"));
+        }
+        (shading, group)
+    }
+
+    /// The textures of the eyes that a stage puts together.
+    fn prepare_eyes(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        target: &PassTarget,
+    ) -> Option<[Arc<TextureObject>; 2]> {
+        let mode = stage.stereo?;
+        let key = *self.pipelines.target_key(target.index)?;
+        let composite = self.composite.get_or_insert_with(|| Composite::new(ctx.device()));
+        composite.prepare(ctx.device(), ctx.queue(), &key, mode);
+        let eye = |of: &RenderStage| Some(of.target.camera.as_ref()?.colors.first()?.texture.clone());
+        Some([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?])
+    }
+
+    /// Leaves for the boxes of a stage's occlusion queries: their first leaf and first query, and how many.
+    fn prepare_queries(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        target: &PassTarget,
+        frames: &[u32],
+        base: Statics,
+    ) -> Vec<(u32, u32, u32)> {
+        if stage.queries.is_empty() {
+            return Vec::new();
+        }
+        let queries = self.queries.get_or_insert_with(|| {
+            let mut queries = Queries::new(ctx.device());
+            queries.start_frame();
+            queries
+        });
+        self.pipelines.ensure_query(ctx, target.index);
+        let mut asked = Vec::new();
+        for query in &stage.queries {
+            let Some(rows) = stage.eye_from_drawable.get(query.matrix as usize) else { continue };
+            if self.batch.leaves().len() >= self.most_leaves {
+                break;
+            }
+            let Some(index) = queries.ask(query) else { break };
+            let frame = [frames.get(query.view as usize).copied().unwrap_or(frames[0]), base.frame[1]];
+            let statics = Statics { frame, ..base };
+            let place = match self.statics.iter().rposition(|s| *s == statics) {
+                Some(place) => place,
+                None => {
+                    self.statics.push(statics);
+                    self.statics.len() - 1
+                }
+            };
+            asked.push((self.batch.leaves().len() as u32, index, place as u32));
+            self.batch.push_leaf(LeafUniform { eye_from_drawable: *rows, ..LeafUniform::EMPTY });
+        }
+        asked
+    }
+}
+
+/// Statics compared with a new one, newest first.
+const STATICS_COMPARED: usize = 4;
+
+/// Projections of a stage that can be told apart; those beyond have the stage's own.
+const MOST_VIEWS: usize = 64;
+
+fn builtins(stage: &RenderStage, clock: &FrameClock) -> Builtins {
+    let view = glam::DMat4::from(stage.camera.eye_from_world);
+    Builtins {
+        frame: stage.camera.frame,
+        frame_time_s: clock.reference_time_s as f32,
+        delta_frame_time_s: clock.delta_s as f32,
+        simulation_time_s: clock.simulation_time_s as f32,
+        view: view.as_mat4(),
+        view_inverse: view.inverse().as_mat4(),
+    }
+}
+
+/// Puts a state's viewport, depth range, scissor and constants over those of its stage.
+fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32; 4]>, size_px: [u32; 2]) {
+    let [width, height] = size_px;
+    if let Some(rect) = view {
+        let [x, y, w, h] = rect.map(|v| v as f32);
+        dynamics.viewport[..4].copy_from_slice(&clamped([x, y, w, h], size_px));
+    }
+    if let Some(Viewport { x, y, width, height }) = state.viewport() {
+        dynamics.viewport[..4].copy_from_slice(&clamped([x, y, width, height], size_px));
+    }
+    if let Some(depth) = state.depth() {
+        // Stored reversed: the near plane has 1.
+        let unit = |v: f32| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 };
+        let [near, far] = depth.range.map(unit);
+        let (near, far) = if near < far { (near, far) } else { (0.0, 1.0) };
+        (dynamics.viewport[4], dynamics.viewport[5]) = (1.0 - far, 1.0 - near);
+    }
+    if let Some(Scissor { x, y, width: w, height: h }) = state.scissor() {
+        let (x, y) = (x.min(width), y.min(height));
+        dynamics.scissor = [x, y, w.min(width - x), h.min(height - y)];
+    }
+    dynamics.stencil_reference = state.stencil().map_or(0, |s| u32::from(s.reference));
+    let is_constant = |f| matches!(f, BlendFactor::ConstantColor | BlendFactor::OneMinusConstantColor);
+    let BlendFunc { source, destination } = state.blend_func();
+    if state.blends() && (is_constant(source) || is_constant(destination)) {
+        dynamics.blend_color = Some(state.blend_color());
+    }
+}
+
+/// A viewport that wgpu takes: finite, not empty, inside the target.
+pub(in crate::draw) fn clamped(rect: [f32; 4], size_px: [u32; 2]) -> [f32; 4] {
+    let size = size_px.map(|s| s as f32);
+    let [x, y, width, height] = rect.map(|v| if v.is_finite() { v } else { 0.0 });
+    let (x, y) = (x.clamp(0.0, size[0] - 1.0), y.clamp(0.0, size[1] - 1.0));
+    [x, y, width.clamp(1.0, size[0] - x), height.clamp(1.0, size[1] - y)]
+}
