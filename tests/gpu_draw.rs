@@ -187,6 +187,34 @@ fn large_meshes_are_instanced_or_drawn_by_one_indirect_call() {
 }
 
 #[test]
+fn one_frame_reaches_from_a_decimetre_to_forty_thousand_kilometres() {
+    let Some(mut rig) = rig("one_frame_reaches_from_a_decimetre_to_forty_thousand_kilometres") else { return };
+    // Squares behind each other, each a strip lower than the one before; painted from near to far and back.
+    let at = |distance: f64, row: f64, color| {
+        let half = [0.4 * distance as f32, 0.04 * distance as f32];
+        let square = quad([0.0, (distance * (0.3 - 0.1 * row)) as f32, 0.0], half, color);
+        Node::transform(DAffine3::from_translation(DVec3::new(0.0, 0.0, -distance)), vec![Node::geode(vec![square])])
+    };
+    let distances = [0.12, 1.0, 50.0, 4.0e4, 4.0e7];
+    let rows: Vec<Node> = distances.iter().enumerate().map(|(i, d)| at(*d, i as f64, RED)).collect();
+    // A thousandth farther, over all rows: must be hidden by the red ones at each distance.
+    let behind = distances.iter().enumerate().map(|(i, d)| at(d * 1.001, i as f64, GREEN));
+    for nodes in [rows.iter().cloned().chain(behind.clone()).collect::<Vec<_>>(), behind.chain(rows.clone()).collect()]
+    {
+        let scene = rig.scene(Node::group(nodes));
+        let view = camera([256, 256], DVec3::ZERO, DVec3::NEG_Z, DVec3::Y);
+        let picture = rig.picture(&scene, &view, &plain());
+        rig.release(scene);
+        for row in 0..5 {
+            // 1 radian over 256 pixels: tan(0.5) is 128 pixels.
+            let y = 128.0 - (0.3 - 0.1 * f64::from(row)) / 0.5f64.tan() * 128.0;
+            assert_eq!(picture.get_pixel(128, y as u32).0[..3], [255, 0, 0], "row {row}");
+        }
+        assert!(count(&picture, [0, 255, 0]) < 250, "{}", count(&picture, [0, 255, 0]));
+    }
+}
+
+#[test]
 fn height_tiles_of_a_block_are_one_draw() {
     let Some(mut rig) = rig("height_tiles_of_a_block_are_one_draw") else { return };
     let terrain = terrain(false);

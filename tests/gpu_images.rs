@@ -93,3 +93,37 @@ fn sphere(normals: bool) -> terrane::scene::Mesh {
     }
     gpu_support::mesh(vertices, indices)
 }
+
+/// A label in the scene and a line of text over it, by a camera that is drawn after.
+#[cfg(feature = "text")]
+#[test]
+fn text_in_the_scene_and_over_it() {
+    use terrane::scene::{CameraNode, Font, Mesh, NodeKind, ReferenceFrame, RenderOrder};
+    let Some(mut rig) = rig("text_in_the_scene_and_over_it") else { return };
+    let font = Font::default();
+    let label = Drawable::text(&font, "Mount Terrane\n2,917 m", 0.16, [1.0, 0.9, 0.3, 1.0]);
+    let label = Node::transform(
+        DAffine3::from_rotation_translation(glam::DQuat::from_rotation_y(0.5), DVec3::new(-0.4, 0.1, 0.0)),
+        vec![Node::geode(vec![label])],
+    );
+    let hud = CameraNode {
+        frame: ReferenceFrame::Absolute,
+        projection: Some(glam::dcamera::rh::proj::directx::orthographic(0.0, 256.0, 0.0, 256.0, 1.0, -1.0)),
+        clear_color: None,
+        ..CameraNode::new(RenderOrder::PostRender(0))
+    };
+    let line = Drawable::text(&font, "60 frames a second", 24.0, [1.0; 4]);
+    let line = Node::transform(DAffine3::from_translation(DVec3::new(8.0, 8.0, 0.0)), vec![Node::geode(vec![line])]);
+    let back = Drawable::new(
+        Mesh::rectangle(DVec3::new(-0.9, -0.9, -0.9), 1.8 * DVec3::X, 1.8 * DVec3::Y).into(),
+        Material { base_color: [0.02, 0.05, 0.2, 1.0], unlit: true, ..Material::default() },
+    );
+    let scene = rig.scene(Node::group(vec![
+        Node::geode(vec![back]),
+        label,
+        Node { children: vec![line], ..Node::new(NodeKind::Camera(Box::new(hud))) },
+    ]));
+    let picture = rig.picture(&scene, &gpu_support::unit_camera(256), &gpu_support::plain());
+    rig.release(scene);
+    assert_picture("text", &picture);
+}

@@ -14,6 +14,8 @@ mod node;
 mod page;
 mod shapes;
 mod slots;
+#[cfg(feature = "text")]
+mod text;
 mod tiles;
 mod transforms;
 
@@ -31,6 +33,8 @@ pub use kinds::{
 pub use node::{Node, NodeKind, PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine};
 pub use page::{DrawSlot, Page};
 pub use slots::{SlotInfo, SlotState};
+#[cfg(feature = "text")]
+pub use text::Font;
 
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use tiles::{TileBounds, TileRecord, flag};
