@@ -31,26 +31,30 @@ impl Cull<'_> {
         let cull_mask = self.view.settings.cull_mask;
         let takes_ranges = self.takes_ranges && small_feature == 0.0;
         let has_occluders = !self.occluders.is_empty();
+        let has_masks = !page.masks.is_empty();
+        // Counted here: a counter behind `self` is a load and a store for each node.
+        let mut visited = 0;
         loop {
             while node >= above.end {
-                if self.node_stack.len() == base {
-                    return;
-                }
-                match self.node_stack.pop() {
+                let ours = self.node_stack.len() > base;
+                match self.node_stack.pop_if(|_| ours) {
                     Some(open) => above = open,
-                    None => return,
+                    None => {
+                        self.counters.nodes_visited += visited;
+                        return;
+                    }
                 }
             }
             let record = page.nodes[node as usize];
             let skip = record.skip;
-            if !page.masks.is_empty() && page.masks[node as usize] & cull_mask == 0 {
+            if has_masks && page.masks[node as usize] & cull_mask == 0 {
                 if context.visit.required && record.flags & PLAIN == 0 {
                     self.keep_tiles(context, node, node + skip);
                 }
                 node += skip;
                 continue;
             }
-            self.counters.nodes_visited += 1;
+            visited += 1;
             let sphere = page.spheres[node as usize];
             let mut mask = above.mask;
             // One test for the many nodes that are nothing special.
