@@ -127,3 +127,31 @@ fn text_in_the_scene_and_over_it() {
     rig.release(scene);
     assert_picture("text", &picture);
 }
+
+#[test]
+fn a_sea_fills_the_valleys_up_to_the_horizon() {
+    use terrane::draw::Water;
+    let Some(mut rig) = rig("a_sea_fills_the_valleys_up_to_the_horizon") else { return };
+    let terrain = alps();
+    let (eye, up) = (terrain.world(0.5, 0.05, 2_500.0), terrain.up(0.5, 0.05));
+    let target = terrain.world(0.5, 0.55, 0.0);
+    let view = camera([320, 180], eye, target, up);
+    let scene = {
+        let nodes = terrain.tiles_for(&view, eye, 2);
+        rig.scene(nodes)
+    };
+    let north = (target - eye).normalize();
+    let mut picture = |water| {
+        let environment = Environment { water, ..environment(up, north) };
+        rig.picture(&scene, &view, &environment)
+    };
+    let dry = picture(None);
+    let wet = picture(Some(Water::at(1_500.0)));
+    let deep = picture(Some(Water::at(90_000.0)));
+    assert_picture("water", &wet);
+    let changed =
+        |a: &image::RgbaImage, b: &image::RgbaImage| a.pixels().zip(b.pixels()).filter(|(a, b)| a != b).count();
+    assert!((2_000..50_000).contains(&changed(&dry, &wet)), "{}", changed(&dry, &wet));
+    assert_eq!(changed(&dry, &deep), 0, "from below it is not seen");
+    rig.release(scene);
+}

@@ -21,6 +21,22 @@ pub struct Fog {
     pub density_per_m: f32,
 }
 
+/// A calm sea.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Water {
+    /// Height above the ellipsoid, or along `up` in a local scene, metres.
+    pub height_m: f32,
+    /// Linear colour where it is deep.
+    pub color: [f32; 3],
+}
+
+impl Water {
+    /// Water at a height.
+    pub fn at(height_m: f32) -> Self {
+        Self { height_m, color: [0.012, 0.05, 0.075] }
+    }
+}
+
 /// Light and background of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Environment {
@@ -34,6 +50,8 @@ pub struct Environment {
     pub fog: Fog,
     /// Background.
     pub sky: Sky,
+    /// A sea around the ground, drawn after what is opaque; seen from above it only.
+    pub water: Option<Water>,
     /// Lit colours are multiplied by it and their highlights rolled off (Khronos PBR Neutral); `None` cuts them at
     /// white. What is not lit keeps its colours.
     pub exposure: Option<f32>,
@@ -51,6 +69,7 @@ impl Default for Environment {
             ambient_color: [0.18, 0.22, 0.30],
             fog: Fog { enabled: true, density_per_m: 1.2e-5 },
             sky: Sky::Gradient,
+            water: None,
             exposure: Some(1.0),
             up_in_world: DVec3::Z,
         }

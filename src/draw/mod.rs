@@ -23,5 +23,5 @@ mod state;
 mod uniforms;
 
 pub use callbacks::{CameraCallbacks, RenderInfo};
-pub use environment::{Environment, Fog, Sky};
+pub use environment::{Environment, Fog, Sky, Water};
 pub use renderer::{DrawStats, FrameClock, Renderer};

@@ -23,6 +23,7 @@ pub(super) struct StagePlan {
     /// Leaf, query and statics of boxes to be tested.
     pub(super) queries: Vec<(u32, u32, u32)>,
     pub(super) has_sky: bool,
+    pub(super) has_water: bool,
     /// The textures of two eyes to be put together.
     pub(super) eyes: Option<[Arc<TextureObject>; 2]>,
     pub(super) background: wgpu::Color,

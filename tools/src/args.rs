@@ -81,6 +81,9 @@ pub struct FlyArgs {
     /// Plain background instead of sky and haze
     #[arg(long, value_name = "RRGGBB")]
     pub background: Option<Rgb>,
+    /// A sea at this height above the ellipsoid, metres
+    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    pub water: Option<f32>,
     /// Draw for two eyes: ANAGLYPHIC, HORIZONTAL_SPLIT, VERTICAL_SPLIT, LEFT_EYE, RIGHT_EYE, HORIZONTAL_INTERLACE,
     /// VERTICAL_INTERLACE or CHECKERBOARD; things as far as the middle of the set seem to lie in the screen
     #[arg(long, value_name = "MODE")]

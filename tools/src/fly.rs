@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, anyhow, bail};
 use image::RgbaImage;
 use terrane::cull::Stereo;
-use terrane::draw::Sky;
+use terrane::draw::{Sky, Water};
 use terrane::viewer::{
     AnimationPath, Camera, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerConfig,
     ViewerError, WindowOptions, has_display, run_window,
@@ -210,6 +210,7 @@ impl Flight {
             (view, _) => bounds.first_camera(&view.map_or(ViewFrom::default(), |v| v.0)),
         };
         viewer.camera.world_from_eye = first;
+        viewer.environment.water = self.args.water.filter(|h| h.is_finite()).map(Water::at);
         if let Some(mode) = self.args.stereo {
             let fusion_distance_m = first.translation.distance(bounds.sphere.center);
             viewer.set_stereo(Some(Stereo { fusion_distance_m, ..Stereo::new(mode) }));

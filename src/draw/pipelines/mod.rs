@@ -36,6 +36,11 @@ const FIXED_MESH_WGSL: &str = concat!(
     include_str!("../shaders/fixed_mesh.wgsl")
 );
 const SKY_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/sky.wgsl"));
+const WATER_WGSL: &str = concat!(
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/sky.wgsl"),
+    include_str!("../shaders/water.wgsl")
+);
 const QUERY_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/query.wgsl"));
 /// What stands before the source of a program.
 pub(in crate::draw) const PROGRAM_PRELUDE: &str =
@@ -70,6 +75,7 @@ pub(in crate::draw) struct Pipelines {
     targets: Vec<TargetKey>,
     /// By target.
     skies: Vec<Option<wgpu::RenderPipeline>>,
+    waters: Vec<Option<wgpu::RenderPipeline>>,
     queries: Vec<Option<wgpu::RenderPipeline>>,
     /// Modules by the address of their source.
     modules: Vec<(&'static str, wgpu::ShaderModule)>,
@@ -163,6 +169,7 @@ impl Pipelines {
             stencils: Stencils::default(),
             targets: Vec::new(),
             skies: Vec::new(),
+            waters: Vec::new(),
             queries: Vec::new(),
             modules: Vec::new(),
             features: device.features(),
@@ -195,6 +202,7 @@ impl Pipelines {
             None if self.targets.len() < MOST_TARGETS => {
                 self.targets.push(*key);
                 self.skies.push(None);
+                self.waters.push(None);
                 self.queries.push(None);
                 self.targets.len() - 1
             }
@@ -213,6 +221,10 @@ impl Pipelines {
 
     pub(in crate::draw) fn query(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
         self.queries.get(usize::from(target))?.as_ref()
+    }
+
+    pub(in crate::draw) fn water(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
+        self.waters.get(usize::from(target))?.as_ref()
     }
 
     fn module(&mut self, ctx: &GraphicsContext, label: &str, source: &'static str) -> wgpu::ShaderModule {
@@ -268,6 +280,18 @@ impl Pipelines {
             let module = self.module(ctx, "sky", SKY_WGSL);
             let variant = Self::bare("sky", &module, ["vs_sky", "fs_sky"], key);
             self.skies[usize::from(target)] = self.create(ctx, &variant);
+            self.created += 1;
+        }
+    }
+
+    /// Makes the water's pipeline for a target unless it is there.
+    pub(in crate::draw) fn ensure_water(&mut self, ctx: &GraphicsContext, target: u8) {
+        let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
+        if self.water(target).is_none() {
+            let module = self.module(ctx, "water", WATER_WGSL);
+            let mut variant = Self::bare("water", &module, ["vs_sky", "fs_water"], key);
+            (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING));
+            self.waters[usize::from(target)] = self.create(ctx, &variant);
             self.created += 1;
         }
     }
@@ -545,6 +569,7 @@ mod tests {
             ("fixed height", FIXED_HEIGHT_WGSL),
             ("fixed mesh", FIXED_MESH_WGSL),
             ("sky", SKY_WGSL),
+            ("water", WATER_WGSL),
             ("query", QUERY_WGSL),
             ("program", PROGRAM_PRELUDE),
         ];
@@ -555,7 +580,7 @@ mod tests {
             assert_eq!(
                 fields,
                 offsets!(FrameUniform: clip_from_eye, sun_direction, sun_color, ambient_color, up, horizon_color,
-                    zenith_color, ray, horizon)
+                    zenith_color, ray, horizon, water)
             );
             let (span, fields) = members(&module, "Leaf");
             assert_eq!(span as usize, size_of::<LeafUniform>(), "{name}");

@@ -371,6 +371,10 @@ impl Renderer {
             state.apply(&from, plan.statics);
             state.draw_bare(sky, 3, 0..1);
         }
+        if let (true, Some(water)) = (plan.has_water, self.pipelines.water(target.index)) {
+            state.apply(&from, plan.statics);
+            state.draw_bare(water, 3, 0..1);
+        }
         state.draw_runs(&from, plan.see_through..plan.runs.end);
         if let (Some([left, right]), Some(composite), Some(key)) =
             (&plan.eyes, &self.composite, self.pipelines.target_key(target.index))

@@ -124,6 +124,10 @@ impl Renderer {
         if has_sky {
             self.pipelines.ensure_sky(ctx, target.index);
         }
+        let has_water = is_outermost && stage.stereo.is_none() && environment.water.is_some();
+        if has_water {
+            self.pipelines.ensure_water(ctx, target.index);
+        }
         let eyes = self.prepare_eyes(ctx, stage, &target);
         self.plans.push(StagePlan {
             eyes,
@@ -133,6 +137,7 @@ impl Renderer {
             statics: first_statics,
             queries,
             has_sky,
+            has_water,
             background: clear,
         });
         dropped

@@ -11,6 +11,7 @@ struct Frame {
     ray: vec4<f32>,            // eye ray from clip position: scale xy, offset zw
     horizon: vec4<f32>,        // sine of the horizon's dip, share of air at the eye, sine over which the sky's haze thins;
                                // w: exposure, 0 without tone mapping
+    water: vec4<f32>,          // linear colour of deep water; w: its height, metres
 }
 
 struct Leaf {

@@ -35,6 +35,8 @@ pub(in crate::draw) struct FrameUniform {
     /// Sine of the dip of the horizon, share of air at the eye, sine over which the sky's haze thins to 1/e; w: exposure,
     /// 0 without tone mapping.
     pub(in crate::draw) horizon: [f32; 4],
+    /// Linear colour of deep water; w: its height in metres.
+    pub(in crate::draw) water: [f32; 4],
 }
 
 /// Per leaf; `Leaf` in frame.wgsl.
@@ -138,6 +140,7 @@ impl FrameUniform {
                 (p.z_axis.y / p.y_axis.y) as f32,
             ],
             horizon: [dip_sine as f32, air as f32, band as f32, environment.exposure.unwrap_or(0.0).max(0.0)],
+            water: environment.water.map_or([0.0; 4], |w| with_w(w.color, w.height_m)),
         }
     }
 }

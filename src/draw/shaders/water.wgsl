@@ -1,0 +1,48 @@
+// A water surface at one height, around the whole ground: where each pixel's ray meets it.
+
+struct WaterFragment {
+    @location(0) color: vec4<f32>,
+    @builtin(frag_depth) depth: f32,
+}
+
+@fragment
+fn fs_water(in: SkyVertex) -> WaterFragment {
+    let ray = normalize(vec3<f32>(in.ray, -1.0));
+    let down = -dot(ray, frame.up.xyz);
+    let above = frame.up.w - frame.water.w;
+    var distance = above / down;
+    var normal = frame.up.xyz;
+    if frame.zenith_color.w > 0.0 {
+        // The sphere through the water below the eye, in differences from it: t^2 - 2 b t + c = 0.
+        let radius = 1.0 / frame.zenith_color.w;
+        let b = down * (radius + frame.up.w);
+        let c = above * (2.0 * radius + frame.up.w + frame.water.w);
+        let inside = b * b - c;
+        if inside < 0.0 {
+            discard;
+        }
+        distance = c / (b + sqrt(inside));
+        normal = normalize(ray * distance + frame.up.xyz * (radius + frame.up.w));
+    }
+    // Not above the horizon, and not from below.
+    if !(down > 0.0 && distance > 0.0 && above > 0.0) {
+        discard;
+    }
+    let point = ray * distance;
+    let clip = frame.clip_from_eye * vec4<f32>(point, 1.0);
+
+    let facing = max(-dot(ray, normal), 0.0);
+    let fresnel = 0.02 + 0.98 * pow(1.0 - facing, 5.0);
+    let mirrored = reflect(ray, normal);
+    let half_way = normalize(frame.sun_direction.xyz - ray);
+    // Waves too small to be seen spread the sun's image: a lobe of their slopes.
+    let glitter = 6.0 * pow(max(dot(normal, half_way), 0.0), 400.0) * step(0.0, dot(normal, frame.sun_direction.xyz));
+    let deep = frame.water.rgb * light(normal, normal);
+    let reflected = sky_color(mirrored) + frame.sun_color.rgb * glitter;
+    let color = tone_mapped(mix(deep, reflected, fresnel));
+    let opacity = mix(0.88, 1.0, fresnel);
+    return WaterFragment(
+        vec4<f32>(mix(color, frame.horizon_color.rgb, haze(point)), opacity),
+        clamp(clip.z / clip.w, 0.0, 1.0),
+    );
+}
