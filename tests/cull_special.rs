@@ -178,6 +178,28 @@ fn cameras_before_and_after_have_stages_of_their_own() {
 }
 
 #[test]
+fn stages_inherit_lights_where_they_shine() {
+    let lamp = |number, z| {
+        let light = Light { number, position: [0.0, 0.0, z, 1.0], ..Light::default() };
+        Node::new(NodeKind::LightSource(Box::new(LightSource { light, frame: ReferenceFrame::Relative })))
+    };
+    let mut other = CameraNode::new(RenderOrder::PreRender(0));
+    other.frame = ReferenceFrame::Absolute;
+    other.view = look_at(DVec3::new(50.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z).eye_from_world;
+    let below = Node::camera(other, vec![cube(DVec3::ZERO), lamp(2, 9.0)]);
+    // Met after the camera, and all the same.
+    let stage = cull(Node::group(vec![below, lamp(1, 4.0), lamp(2, 5.0)]), &camera());
+    let of = |stage: &RenderStage| {
+        let mut lights: Vec<_> =
+            stage.lights.iter().map(|l| (l.light.number, l.light.position.map(f64::round))).collect();
+        lights.sort_by_key(|l| l.0);
+        lights
+    };
+    assert_eq!(of(&stage), [(1, [0.0, 4.0, -10.0, 1.0]), (2, [0.0, 5.0, -10.0, 1.0])]);
+    assert_eq!(of(&stage.pre_render[0]), [(1, [0.0, 4.0, -50.0, 1.0]), (2, [0.0, 9.0, -50.0, 1.0])]);
+}
+
+#[test]
 fn cameras_inside_themselves_end() {
     let mut node = cube(DVec3::ZERO);
     for _ in 0..40 {

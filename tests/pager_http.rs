@@ -295,6 +295,29 @@ fn a_hung_request_blocks_nobody() {
 }
 
 #[test]
+fn a_hung_server_blocks_no_other() {
+    let hung = Server::start(HashMap::new(), |_, _| Answer::Silent);
+    let mut files = set();
+    // Twenty more children on a server that never answers; four requests at a time at each.
+    let json = String::from_utf8(files["/set/tileset.json"].clone()).unwrap();
+    let elsewhere: String = (0..20)
+        .map(|i| {
+            format!(
+                r#"{{"boundingVolume":{{"sphere":[0,0,0,2]}},"geometricError":0,"content":{{"uri":"{}/x{i}.glb"}}}},"#,
+                hung.url
+            )
+        })
+        .collect();
+    let json = json.replacen(r#""children":[{"#, &format!(r#""children":[{elsewhere}{{"#), 1);
+    files.insert("/set/tileset.json".to_owned(), json.into_bytes());
+    let server = Server::start(files, |_, _| Answer::Whole);
+    let mut run = run_of(&server, PagerConfig { http_in_flight: 4, ..patient() });
+    run.until(NEAR, "the others wait", |r| r.pager.stats().merged == CHILDREN as u64 + 1);
+    assert_eq!(hung.seen.lock().unwrap().requests.len(), 4, "no more than it may have");
+    assert_eq!(run.pager.stats().in_flight, 4);
+}
+
+#[test]
 fn an_unwanted_request_is_aborted() {
     let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });
     let mut run = run_of(&server, PagerConfig { abort_frames: 5, ..patient() });

@@ -2,7 +2,9 @@
 
 use glam::{DAffine3, DMat3, DQuat, DVec3, DVec4};
 
-use super::stage::{ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView};
+use super::stage::{
+    ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView, moved, plane_moved,
+};
 use super::view::{View, clamp};
 use super::visitor::{Cull, DeferredCamera, DepthRange, PageContext};
 use crate::scene::{
@@ -26,22 +28,14 @@ impl Cull<'_> {
             }
             Special::LightSource(source) => {
                 let eye_from_node = self.eye_from_node(context, node, source.frame);
-                let mut light = source.light;
-                let [x, y, z, w] = light.position;
-                let position = if w == 0.0 {
-                    eye_from_node.transform_vector3(DVec3::new(x, y, z))
-                } else {
-                    eye_from_node.transform_point3(DVec3::new(x, y, z) / w)
-                };
-                light.position = position.extend(if w == 0.0 { 0.0 } else { 1.0 }).to_array();
-                light.direction = eye_from_node.transform_vector3(DVec3::from_array(light.direction)).to_array();
+                let light = moved(&eye_from_node, &source.light);
                 self.stage.lights.push(PositionedLight { light });
                 false
             }
             Special::ClipNode(clip) => {
                 let eye_from_node = self.eye_from_node(context, node, clip.frame);
                 for (number, plane) in &clip.planes {
-                    let plane = plane_in_eye(&eye_from_node, *plane);
+                    let plane = plane_moved(&eye_from_node, *plane);
                     self.stage.clip_planes.push(ClipPlane { number: *number, plane });
                 }
                 false
@@ -51,7 +45,7 @@ impl Cull<'_> {
                 let texgen = match node_texgen.texgen {
                     TexGen::EyeLinear(planes) => TexGen::EyeLinear(planes.map(|p| {
                         let plane = DVec4::from_array(p.map(f64::from));
-                        plane_in_eye(&eye_from_node, plane).as_vec4().to_array()
+                        plane_moved(&eye_from_node, plane).as_vec4().to_array()
                     })),
                     other => other,
                 };
@@ -282,12 +276,4 @@ impl Cull<'_> {
 
 fn finite(map: DAffine3) -> Option<DAffine3> {
     map.is_finite().then_some(map)
-}
-
-/// A plane `normal . p + d` of a node's frame in eye space.
-fn plane_in_eye(eye_from_node: &DAffine3, plane: DVec4) -> DVec4 {
-    let node_from_eye = eye_from_node.inverse();
-    let normal = node_from_eye.matrix3.transpose() * plane.truncate();
-    let moved = normal.extend(plane.truncate().dot(node_from_eye.translation) + plane.w);
-    if moved.is_finite() { moved } else { DVec4::new(0.0, 0.0, 0.0, 1.0) }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::{DMat4, DVec4};
+use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::sort::Spare;
 use super::{CullCamera, StereoMode};
@@ -98,6 +98,29 @@ pub struct StageView {
 pub struct PositionedLight {
     /// Its position and direction are in eye space.
     pub light: Light,
+}
+
+/// A light in another frame; places get w = 1.
+pub(super) fn moved(to_from: &DAffine3, light: &Light) -> Light {
+    let [x, y, z, w] = light.position;
+    let (position, w) = if w == 0.0 {
+        (to_from.transform_vector3(DVec3::new(x, y, z)), 0.0)
+    } else {
+        (to_from.transform_point3(DVec3::new(x, y, z) / w), 1.0)
+    };
+    Light {
+        position: position.extend(w).to_array(),
+        direction: to_from.transform_vector3(DVec3::from_array(light.direction)).to_array(),
+        ..*light
+    }
+}
+
+/// A plane `normal . p + d` in another frame; one that cuts nothing where that cannot be said.
+pub(super) fn plane_moved(to_from: &DAffine3, plane: DVec4) -> DVec4 {
+    let from_to = to_from.inverse();
+    let normal = from_to.matrix3.transpose() * plane.truncate();
+    let moved = normal.extend(plane.truncate().dot(from_to.translation) + plane.w);
+    if moved.is_finite() { moved } else { DVec4::new(0.0, 0.0, 0.0, 1.0) }
 }
 
 /// A plane that cuts leaves whose state has it on.
@@ -209,6 +232,25 @@ impl RenderStage {
             stage.clear(camera);
             stage.state_sets.clear();
             self.spare.stages.push(stage);
+        }
+    }
+
+    /// Takes lights and clip planes of the stage it was met in that it has not itself, moved to its own eye.
+    pub(super) fn inherit_positioned(&mut self, above: &Self) {
+        let below_from_above = self.camera.eye_from_world * above.camera.eye_from_world.inverse();
+        if !below_from_above.is_finite() {
+            return;
+        }
+        for positioned in &above.lights {
+            if self.lights.iter().all(|own| own.light.number != positioned.light.number) {
+                self.lights.push(PositionedLight { light: moved(&below_from_above, &positioned.light) });
+            }
+        }
+        for clip in &above.clip_planes {
+            if self.clip_planes.iter().all(|own| own.number != clip.number) {
+                let plane = plane_moved(&below_from_above, clip.plane);
+                self.clip_planes.push(ClipPlane { plane, ..*clip });
+            }
         }
     }
 

@@ -271,6 +271,7 @@ impl CullVisitor {
             self.traverse_stage(scene, &camera, view, Some(&met), clamp_projection, &mut below);
             self.sort(&mut below);
             below.target = target;
+            below.inherit_positioned(stage);
             if depth < MOST_NESTED {
                 self.cull_deferred(scene, &camera, &mut below, others, depth + 1);
             } else {

@@ -26,7 +26,7 @@ pub trait CompileContext {
 pub struct PagerConfig {
     /// Threads that read local files. Two keep a disk busy while one waits.
     pub file_threads: usize,
-    /// Contents asked of servers at once; one with imagery of its own is two requests.
+    /// Contents asked of one server at once (of all together four times as many); one with imagery of its own is two requests.
     pub http_in_flight: usize,
     /// Threads that decode; the default leaves one core to the frame.
     pub decode_threads: usize,

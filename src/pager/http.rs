@@ -1,4 +1,5 @@
-//! The HTTP thread: one tokio runtime on one thread, many requests in flight, aborted when nobody wants them.
+//! The HTTP thread: one tokio runtime on one thread, many requests in flight, aborted when nobody wants them. Each server
+//! has its own limit, so that one that hangs takes no other's places.
 
 use std::collections::HashMap;
 
@@ -6,6 +7,7 @@ use crossbeam_channel::Sender;
 use tokio::task::{AbortHandle, JoinSet};
 
 use super::list::{Answer, Job, Loaded, RequestList};
+use super::threads::SERVERS_AT_ONCE;
 use super::threads::read_bytes;
 use crate::io::{self, HttpClient, IoError, Limits};
 
@@ -23,7 +25,7 @@ pub(super) fn run(
         let mut tasks: JoinSet<Loaded> = JoinSet::new();
         let mut running: HashMap<u64, (AbortHandle, Job)> = HashMap::new();
         loop {
-            let (jobs, aborts, closed) = take(list, in_flight - running.len().min(in_flight));
+            let (jobs, aborts, closed) = take(list, &running, in_flight);
             if closed {
                 return;
             }
@@ -66,17 +68,40 @@ pub(super) fn run(
     });
 }
 
-/// Up to `room` jobs, the tickets to abort, and whether to stop.
-fn take(list: &RequestList, room: usize) -> (Vec<Job>, Vec<u64>, bool) {
+/// Jobs to start, `in_flight` at most at each server; the tickets to abort, and whether to stop.
+fn take(
+    list: &RequestList,
+    running: &HashMap<u64, (AbortHandle, Job)>,
+    in_flight: usize,
+) -> (Vec<Job>, Vec<u64>, bool) {
+    let most = SERVERS_AT_ONCE * in_flight;
+    let mut at_server: HashMap<&str, usize> = HashMap::new();
+    for (_, job) in running.values() {
+        *at_server.entry(server(&job.uri)).or_default() += 1;
+    }
     let mut waiting = list.lock();
-    let mut jobs = Vec::new();
-    while jobs.len() < room && waiting.outstanding < waiting.allowed {
-        let Some(job) = waiting.http.pop() else { break };
-        waiting.outstanding += 1;
-        waiting.taken.push(job.ticket);
-        jobs.push(job);
+    let mut jobs: Vec<Job> = Vec::new();
+    // The most urgent are last.
+    let mut next = waiting.http.len();
+    while next > 0 && running.len() + jobs.len() < most && waiting.outstanding < waiting.allowed {
+        next -= 1;
+        let of = server(&waiting.http[next].uri);
+        let started = jobs.iter().filter(|j| server(&j.uri) == of).count();
+        if at_server.get(of).copied().unwrap_or(0) + started < in_flight {
+            let job = waiting.http.remove(next);
+            waiting.outstanding += 1;
+            waiting.taken.push(job.ticket);
+            jobs.push(job);
+        }
     }
     (jobs, std::mem::take(&mut waiting.abort), waiting.closed)
+}
+
+/// Scheme, name and port of an address.
+fn server(uri: &str) -> &str {
+    let start = uri.find("://").map_or(0, |at| at + 3);
+    let end = uri[start..].find(['/', '?', '#']).map_or(uri.len(), |at| start + at);
+    &uri[..end]
 }
 
 /// The content and its companions at the same time: what a tile needs is known before its bytes.
@@ -92,4 +117,17 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> Loaded {
     let (bytes, companions) = tokio::join!(client.get(&job.uri, limits), companions);
     let bytes_read = read_bytes(&bytes, &companions);
     Loaded { job, bytes, companions, bytes_read, bytes_http: bytes_read }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::server;
+
+    #[test]
+    fn servers_are_told_by_scheme_name_and_port() {
+        assert_eq!(server("https://a.example:8080/tiles/x.glb?token=/"), "https://a.example:8080");
+        assert_eq!(server("http://a.example"), "http://a.example");
+        assert_eq!(server("http://a.example?x#y"), "http://a.example");
+        assert_eq!(server("odd"), "odd");
+    }
 }

@@ -13,6 +13,9 @@ use crate::scene::Page;
 /// Pages that the reaper may have before it; more are dropped where they are.
 const REAPER_QUEUE: usize = 256;
 
+/// Servers that may each have as many requests as one may.
+pub(super) const SERVERS_AT_ONCE: usize = 4;
+
 /// All threads of a pager; dropping it stops and joins them.
 pub(super) struct Threads {
     pub list: Arc<RequestList>,
@@ -24,7 +27,9 @@ pub(super) struct Threads {
 
 impl Threads {
     pub fn start(config: &PagerConfig, options: &ReadOptions) -> Result<Self, PagerError> {
-        let capacity = config.http_in_flight.max(1) + 4 * config.file_threads.max(1) + 2 * config.decode_threads.max(1);
+        let capacity = SERVERS_AT_ONCE * config.http_in_flight.max(1)
+            + 4 * config.file_threads.max(1)
+            + 2 * config.decode_threads.max(1);
         let list = Arc::new(RequestList::new(capacity));
         let (loaded_sender, loaded) = bounded::<Loaded>(capacity);
         let (answer_sender, answers) = bounded::<Answer>(capacity);

@@ -89,6 +89,8 @@ pub(in crate::draw) struct Batch {
     bucket_of: Lookup,
     /// The key looked up last, and what was found.
     last_bucket: (u64, u32),
+    /// The pipeline looked up last in this frame.
+    last_pipeline: Option<(PipelineKey, u32)>,
     /// From bucket and geometry to run of the current group.
     run_of: Lookup,
     group_runs: Vec<Run>,
@@ -132,6 +134,7 @@ fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
 impl Batch {
     pub(in crate::draw) fn start_frame(&mut self) {
         self.leaf_count = 0;
+        self.last_pipeline = None;
         self.runs.clear();
         self.buckets.clear();
     }
@@ -343,7 +346,11 @@ impl Batch {
             let pipeline = if stride > 0 { pipeline.pulled() } else { pipeline };
             let statics = state.statics;
             let new = Bucket { pipeline, statics, is_height, block, vertex_chunk, index_chunk, stride };
-            let index = pipelines.ensure(ctx, pipeline);
+            let index = match self.last_pipeline {
+                Some((known, index)) if known == pipeline => index,
+                _ => pipelines.ensure(ctx, pipeline),
+            };
+            self.last_pipeline = Some((pipeline, index));
             self.buckets.push((new, index));
         }
         bucket

@@ -3,7 +3,7 @@
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
 //! 11-12 polygon mode   13-15 color mask   16 blend   17-20 source   21-24 destination   25-27 equation   28-33 offset
-//! 34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled
+//! 34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units
 //! ```
 
 use crate::scene::Topology;
@@ -41,14 +41,17 @@ const FIXED: u64 = 1 << 40;
 const ALPHA_TO_COVERAGE: u64 = 1 << 41;
 const PROGRAM: u64 = 0x3ff << 48;
 const PULLED: u64 = 1 << 58;
+const TEXTURED: u64 = 1 << 59;
 
 /// Who shades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::draw) enum Shading {
     /// Sun, sky and haze: the shaders of height tiles and meshes.
     Plain,
-    /// Lights, materials, fog, textures of units.
+    /// Lights, materials, fog.
     FixedFunction,
+    /// The same with textures of units.
+    FixedTextured,
     /// One of the application's, by its place among them; height tiles stay plain.
     Program(u16),
     /// What cannot be shaded as it should, so that it is seen; height tiles are plain.
@@ -97,6 +100,7 @@ impl StateKey {
         match shading {
             Shading::Plain => {}
             Shading::FixedFunction => common |= FIXED,
+            Shading::FixedTextured => common |= FIXED | TEXTURED,
             Shading::Program(place) => common |= (u64::from(place) + 1) << 48 & PROGRAM,
             Shading::Fallback => common |= PROGRAM,
         }
@@ -233,6 +237,7 @@ impl PipelineKey {
 
     pub fn shading(self) -> Shading {
         match self.field(48, 10) {
+            0 if self.0 & TEXTURED != 0 => Shading::FixedTextured,
             0 if self.0 & FIXED != 0 => Shading::FixedFunction,
             0 => Shading::Plain,
             0x3ff => Shading::Fallback,
@@ -256,7 +261,7 @@ impl PipelineKey {
 
     /// The same, shaded so that a fault is seen.
     pub fn fallback(self) -> Self {
-        let plain = self.0 & !(PROGRAM | FIXED);
+        let plain = self.0 & !(PROGRAM | FIXED | TEXTURED);
         Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM })
     }
 

@@ -25,6 +25,14 @@ const FIXED_HEIGHT_WGSL: &str = concat!(
     include_str!("../shaders/frame.wgsl"),
     include_str!("../shaders/height.wgsl"),
     include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_no_units.wgsl"),
+    include_str!("../shaders/fixed_height.wgsl")
+);
+const TEXTURED_HEIGHT_WGSL: &str = concat!(
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/height.wgsl"),
+    include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_units.wgsl"),
     include_str!("../shaders/fixed_height.wgsl")
 );
 const FIXED_MESH_WGSL: &str = concat!(
@@ -33,6 +41,16 @@ const FIXED_MESH_WGSL: &str = concat!(
     include_str!("../shaders/mesh_pull.wgsl"),
     include_str!("../shaders/mesh.wgsl"),
     include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_no_units.wgsl"),
+    include_str!("../shaders/fixed_mesh.wgsl")
+);
+const TEXTURED_MESH_WGSL: &str = concat!(
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/mesh_vertex.wgsl"),
+    include_str!("../shaders/mesh_pull.wgsl"),
+    include_str!("../shaders/mesh.wgsl"),
+    include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_units.wgsl"),
     include_str!("../shaders/fixed_mesh.wgsl")
 );
 const SKY_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/sky.wgsl"));
@@ -62,8 +80,9 @@ pub(in crate::draw) struct TargetKey {
 /// Pipelines of a renderer, by key.
 pub(in crate::draw) struct Pipelines {
     pub(in crate::draw) frame_layout: wgpu::BindGroupLayout,
-    /// Group 2 of the fixed function.
+    /// Group 2 of the fixed function without and with texture units.
     pub(in crate::draw) fixed_layout: wgpu::BindGroupLayout,
+    pub(in crate::draw) textured_layout: wgpu::BindGroupLayout,
     /// Group 3 of pulled meshes: vertices and indices.
     pub(in crate::draw) pull_layout: wgpu::BindGroupLayout,
     pub(in crate::draw) programs: Programs,
@@ -130,7 +149,8 @@ impl Pipelines {
                 buffer(2, both, uniform, true),
             ],
         });
-        let mut fixed = vec![buffer(0, both, uniform, true)];
+        let bare = [buffer(0, both, uniform, true)];
+        let mut fixed = bare.to_vec();
         let planes = [wgpu::TextureViewDimension::D2; TEXTURE_UNITS];
         let others =
             [wgpu::TextureViewDimension::Cube, wgpu::TextureViewDimension::D3, wgpu::TextureViewDimension::D2Array];
@@ -146,9 +166,13 @@ impl Pipelines {
             fixed.push(entry(1 + 2 * unit, texture));
             fixed.push(entry(2 + 2 * unit, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)));
         }
+        let textured_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("fixed function with textures"),
+            entries: &fixed,
+        });
         let fixed_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("fixed function"),
-            entries: &fixed,
+            entries: &bare,
         });
         let storage = wgpu::BufferBindingType::Storage { read_only: true };
         let pull_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
@@ -161,6 +185,7 @@ impl Pipelines {
         Self {
             frame_layout,
             fixed_layout,
+            textured_layout,
             pull_layout,
             programs: Programs::default(),
             pipelines: Vec::new(),
@@ -333,7 +358,7 @@ impl Pipelines {
         let is_thin = matches!(key.kind(), Kind::Lines | Kind::Points);
         let target = self.targets.get(key.target()).copied()?;
         let layouts = ctx.layouts();
-        let fixed_layout = self.fixed_layout.clone();
+        let (fixed_layout, textured_layout) = (self.fixed_layout.clone(), self.textured_layout.clone());
         let pull_layout = key.is_pulled().then(|| self.pull_layout.clone());
         let (module, vertex, fragment, state_layout, constants, outputs);
         match key.shading() {
@@ -343,18 +368,20 @@ impl Pipelines {
                 (state_layout, outputs) = (Some(program.layout.clone()), program.outputs);
                 constants = program.constants.clone();
             }
-            Shading::FixedFunction => {
-                (module, vertex, fragment) = match key.kind() {
-                    Kind::Height => {
-                        (self.module(ctx, "fixed height", FIXED_HEIGHT_WGSL), "vs_fixed_height", "fs_fixed_height")
-                    }
-                    Kind::Triangles => {
-                        let vertex = if key.is_pulled() { "vs_fixed_mesh_pulled" } else { "vs_fixed_mesh" };
-                        (self.module(ctx, "fixed mesh", FIXED_MESH_WGSL), vertex, "fs_fixed_mesh")
-                    }
-                    _ => (self.module(ctx, "fixed mesh", FIXED_MESH_WGSL), "vs_fixed_mesh", "fs_fixed_thin"),
+            Shading::FixedFunction | Shading::FixedTextured => {
+                let is_textured = key.shading() == Shading::FixedTextured;
+                let (height, mesh, layout) = if is_textured {
+                    (TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL, textured_layout)
+                } else {
+                    (FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, fixed_layout)
                 };
-                (state_layout, outputs, constants) = (Some(fixed_layout), 1, Vec::new());
+                let vertex_of_mesh = if key.is_pulled() { "vs_fixed_mesh_pulled" } else { "vs_fixed_mesh" };
+                (module, vertex, fragment) = match key.kind() {
+                    Kind::Height => (self.module(ctx, "fixed height", height), "vs_fixed_height", "fs_fixed_height"),
+                    Kind::Triangles => (self.module(ctx, "fixed mesh", mesh), vertex_of_mesh, "fs_fixed_mesh"),
+                    _ => (self.module(ctx, "fixed mesh", mesh), "vs_fixed_mesh", "fs_fixed_thin"),
+                };
+                (state_layout, outputs, constants) = (Some(layout), 1, Vec::new());
             }
             Shading::Fallback => {
                 let vertex_of_mesh = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
@@ -568,6 +595,8 @@ mod tests {
             ("mesh", MESH_WGSL),
             ("fixed height", FIXED_HEIGHT_WGSL),
             ("fixed mesh", FIXED_MESH_WGSL),
+            ("fixed height with textures", TEXTURED_HEIGHT_WGSL),
+            ("fixed mesh with textures", TEXTURED_MESH_WGSL),
             ("sky", SKY_WGSL),
             ("water", WATER_WGSL),
             ("query", QUERY_WGSL),

@@ -15,7 +15,7 @@ use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, StageUniform, replaces_sun};
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform, clear_color};
 use crate::gpu::GraphicsContext;
-use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, TextureObject, Viewport};
+use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
     pub(super) fn prepare(&mut self, ctx: &GraphicsContext, stage: &RenderStage, environment: &Environment) {
@@ -162,12 +162,13 @@ impl Renderer {
                     Shading::Fallback
                 }
             },
+            None if (0..TEXTURE_UNITS).any(|unit| state.texture(unit).is_some()) => Shading::FixedTextured,
             None if has_own_light || state.is_fixed_function() => Shading::FixedFunction,
             None => Shading::Plain,
         };
         let group = match shading {
             Shading::Plain | Shading::Fallback => None,
-            Shading::FixedFunction => Some(self.groups.push(&FixedUniform::new(state, stage))),
+            Shading::FixedFunction | Shading::FixedTextured => Some(self.groups.push(&FixedUniform::new(state, stage))),
             Shading::Program(place) => {
                 let program = self.pipelines.programs.get(place);
                 let size = program.map_or(0, |p| p.uniform_bytes);

@@ -16,20 +16,6 @@ struct Fixed {
 }
 
 @group(2) @binding(0) var<uniform> fixed_state: Fixed;
-@group(2) @binding(1) var plane_0: texture_2d<f32>;
-@group(2) @binding(2) var plane_0_sampler: sampler;
-@group(2) @binding(3) var plane_1: texture_2d<f32>;
-@group(2) @binding(4) var plane_1_sampler: sampler;
-@group(2) @binding(5) var plane_2: texture_2d<f32>;
-@group(2) @binding(6) var plane_2_sampler: sampler;
-@group(2) @binding(7) var plane_3: texture_2d<f32>;
-@group(2) @binding(8) var plane_3_sampler: sampler;
-@group(2) @binding(9) var cube_map: texture_cube<f32>;
-@group(2) @binding(10) var cube_map_sampler: sampler;
-@group(2) @binding(11) var volume: texture_3d<f32>;
-@group(2) @binding(12) var volume_sampler: sampler;
-@group(2) @binding(13) var layers: texture_2d_array<f32>;
-@group(2) @binding(14) var layers_sampler: sampler;
 
 // A point to be shaded; all but `object` and `uv` in eye space.
 struct Surface {
@@ -41,48 +27,6 @@ struct Surface {
     base: vec4<f32>,
     is_lit: bool,
     alpha_cutoff: f32,
-}
-
-fn unit_coordinates(unit: u32, s: Surface) -> vec3<f32> {
-    let mirrored = reflect(normalize(s.in_eye), s.normal);
-    let plane_s = fixed_state.planes[2u * unit];
-    let plane_t = fixed_state.planes[2u * unit + 1u];
-    switch fixed_state.texgens[unit] {
-        case 1u: {
-            let p = vec4<f32>(s.object, 1.0);
-            return vec3<f32>(dot(plane_s, p), dot(plane_t, p), 0.0);
-        }
-        case 2u: {
-            let p = vec4<f32>(s.in_eye, 1.0);
-            return vec3<f32>(dot(plane_s, p), dot(plane_t, p), 0.0);
-        }
-        case 3u: {
-            let m = 2.0 * length(mirrored + vec3<f32>(0.0, 0.0, 1.0));
-            return vec3<f32>(mirrored.xy / max(m, 1e-6) + 0.5, 0.0);
-        }
-        case 4u: { return s.normal; }
-        case 5u: { return mirrored; }
-        default: { return vec3<f32>(s.uv, 0.0); }
-    }
-}
-
-fn unit_color(unit: u32, s: Surface) -> vec4<f32> {
-    let c = unit_coordinates(unit, s);
-    let bias = fixed_state.bias[unit];
-    switch fixed_state.units[unit] {
-        case 1u: {
-            switch unit {
-                case 0u: { return textureSampleBias(plane_0, plane_0_sampler, c.xy, bias); }
-                case 1u: { return textureSampleBias(plane_1, plane_1_sampler, c.xy, bias); }
-                case 2u: { return textureSampleBias(plane_2, plane_2_sampler, c.xy, bias); }
-                default: { return textureSampleBias(plane_3, plane_3_sampler, c.xy, bias); }
-            }
-        }
-        case 2u: { return textureSampleBias(cube_map, cube_map_sampler, c, bias); }
-        case 3u: { return textureSampleBias(volume, volume_sampler, c, bias); }
-        case 4u: { return textureSampleBias(layers, layers_sampler, c.xy, i32(round(c.z)), bias); }
-        default: { return vec4<f32>(1.0); }
-    }
 }
 
 fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {

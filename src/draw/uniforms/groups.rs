@@ -3,15 +3,19 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use super::fixed::FixedUniform;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::Shading;
 use crate::gpu::{GraphicsContext, StateTextures, White, view_dimension};
 use crate::state::{ResolvedState, Sampler, TEXTURE_UNITS, TextureBinding, TextureDimension};
 
+/// Of the fixed function without textures.
+const BARE: u16 = u16::MAX;
+
 /// Which bind group a state needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct GroupKey {
-    /// 0 is the fixed function, others a program's place plus 1.
+    /// 0 is the fixed function with textures, [`BARE`] without; others are a program's place plus 1.
     shading: u16,
     /// Serial number of the texture and place of the sampler; 0, 0 without.
     units: [(u32, u32); TEXTURE_UNITS],
@@ -134,7 +138,11 @@ impl Groups {
                 Err(problem) => wrong(problem),
             }
         }
-        let shading = if let Shading::Program(place) = shading { place + 1 } else { 0 };
+        let shading = match shading {
+            Shading::Program(place) => place + 1,
+            Shading::FixedTextured => 0,
+            _ => BARE,
+        };
         let key = GroupKey { shading, units };
         let next = self.groups.len() as u32;
         let group = *self.group_of.entry(key).or_insert(next);
@@ -187,7 +195,9 @@ impl Groups {
         };
         let white_sampler = self.textures.sampler(self.white_sampler)?;
         let mut entries = Vec::new();
+        let fixed_bytes = size_of::<FixedUniform>();
         let (layout, uniform_bytes) = match key.shading.checked_sub(1) {
+            _ if key.shading == BARE => (&pipelines.fixed_layout, fixed_bytes),
             None => {
                 for unit in 0..TEXTURE_UNITS {
                     let is_plane =
@@ -206,7 +216,7 @@ impl Groups {
                     let (view, sampler) = found.map_or((white, white_sampler), |(v, s, _)| (v, s));
                     push(&mut entries, place, view, Some(sampler));
                 }
-                (&pipelines.fixed_layout, size_of::<crate::draw::uniforms::fixed::FixedUniform>())
+                (&pipelines.textured_layout, fixed_bytes)
             }
             Some(place) => {
                 let program = pipelines.programs.get(place)?;
