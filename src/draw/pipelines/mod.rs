@@ -3,11 +3,14 @@
 pub(in crate::draw) mod convert;
 pub(in crate::draw) mod key;
 pub(in crate::draw) mod programs;
+mod variant;
 
 use std::collections::HashMap;
 
 use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Offsets, PipelineKey, Shading, StateKey, Stencils};
 use crate::draw::pipelines::programs::Programs;
+use variant::Variant;
+
 use convert::{bias, factor, operation, reversed, stencil_face};
 
 use crate::gpu::GraphicsContext;
@@ -102,33 +105,6 @@ pub(in crate::draw) struct Pipelines {
     created: u32,
     /// What could not be made, once each.
     pub(in crate::draw) errors: Vec<String>,
-}
-
-/// The parts in which pipelines differ.
-struct Variant<'a> {
-    label: &'a str,
-    shader: &'a wgpu::ShaderModule,
-    vertex: &'a str,
-    fragment: &'a str,
-    block_layout: Option<&'a wgpu::BindGroupLayout>,
-    state_layout: Option<&'a wgpu::BindGroupLayout>,
-    pull_layout: Option<&'a wgpu::BindGroupLayout>,
-    constants: &'a [(&'a str, f64)],
-    buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
-    topology: wgpu::PrimitiveTopology,
-    culled: Option<wgpu::Face>,
-    front_face: wgpu::FrontFace,
-    polygon_mode: wgpu::PolygonMode,
-    depth_write: bool,
-    depth_compare: wgpu::CompareFunction,
-    stencil: wgpu::StencilState,
-    bias: wgpu::DepthBiasState,
-    blend: Option<wgpu::BlendState>,
-    write_mask: wgpu::ColorWrites,
-    /// Bits of the attachments that the fragment shader writes.
-    outputs: u32,
-    alpha_to_coverage: bool,
-    target: TargetKey,
 }
 
 impl Pipelines {
@@ -262,40 +238,6 @@ impl Pipelines {
         });
         self.modules.push((source, module.clone()));
         module
-    }
-
-    /// A pipeline without vertices or block.
-    fn bare<'a>(
-        label: &'a str,
-        shader: &'a wgpu::ShaderModule,
-        [vertex, fragment]: [&'a str; 2],
-        target: TargetKey,
-    ) -> Variant<'a> {
-        Variant {
-            label,
-            shader,
-            vertex,
-            fragment,
-            block_layout: None,
-            state_layout: None,
-            pull_layout: None,
-            constants: &[],
-            buffers: &[],
-            topology: wgpu::PrimitiveTopology::TriangleList,
-            culled: None,
-            front_face: wgpu::FrontFace::Ccw,
-            polygon_mode: wgpu::PolygonMode::Fill,
-            depth_write: false,
-            // Equal: where nothing was drawn, the depth is still the cleared 0.
-            depth_compare: wgpu::CompareFunction::GreaterEqual,
-            stencil: wgpu::StencilState::default(),
-            bias: wgpu::DepthBiasState::default(),
-            blend: None,
-            write_mask: wgpu::ColorWrites::COLOR,
-            outputs: 1,
-            alpha_to_coverage: false,
-            target,
-        }
     }
 
     /// Makes the sky's pipeline for a target unless it is there.
@@ -483,77 +425,6 @@ impl Pipelines {
                 read_mask: u32::from(stencil.read_mask),
                 write_mask: u32::from(stencil.write_mask),
             },
-        }
-    }
-
-    /// `None`, and an error kept, where the device refuses.
-    fn create(&mut self, ctx: &GraphicsContext, variant: &Variant<'_>) -> Option<wgpu::RenderPipeline> {
-        let device = ctx.device();
-        let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let layouts = [Some(&self.frame_layout), variant.block_layout, variant.state_layout, variant.pull_layout];
-        let used = layouts.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some(variant.label),
-            bind_group_layouts: &layouts[..used],
-            immediate_size: 0,
-        });
-        let target = &variant.target;
-        let colors = target.colors.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
-        let mut states = [const { None }; MOST_COLORS];
-        for (location, (state, format)) in states.iter_mut().zip(target.colors).enumerate() {
-            let is_written = variant.outputs >> location & 1 == 1;
-            *state = format.map(|format| wgpu::ColorTargetState {
-                format,
-                blend: variant.blend.filter(|_| is_written),
-                write_mask: if is_written { variant.write_mask } else { wgpu::ColorWrites::empty() },
-            });
-        }
-        let options = wgpu::PipelineCompilationOptions { constants: variant.constants, ..Default::default() };
-        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some(variant.label),
-            layout: Some(&layout),
-            vertex: wgpu::VertexState {
-                module: variant.shader,
-                entry_point: Some(variant.vertex),
-                compilation_options: options.clone(),
-                buffers: variant.buffers,
-            },
-            primitive: wgpu::PrimitiveState {
-                topology: variant.topology,
-                front_face: variant.front_face,
-                cull_mode: variant.culled,
-                polygon_mode: variant.polygon_mode,
-                ..Default::default()
-            },
-            depth_stencil: Some(wgpu::DepthStencilState {
-                format: target.depth,
-                depth_write_enabled: Some(variant.depth_write),
-                depth_compare: Some(variant.depth_compare),
-                stencil: variant.stencil.clone(),
-                bias: variant.bias,
-            }),
-            multisample: wgpu::MultisampleState {
-                count: target.samples,
-                alpha_to_coverage_enabled: variant.alpha_to_coverage,
-                ..Default::default()
-            },
-            fragment: (colors > 0).then(|| wgpu::FragmentState {
-                module: variant.shader,
-                entry_point: Some(variant.fragment),
-                compilation_options: options,
-                targets: &states[..colors],
-            }),
-            multiview_mask: None,
-            cache: None,
-        });
-        match pollster::block_on(scope.pop()) {
-            None => Some(pipeline),
-            Some(error) => {
-                let error = format!("pipeline {}: {error}", variant.label);
-                log::error!("{error}");
-                self.errors.push(error);
-                None
-            }
         }
     }
 }
