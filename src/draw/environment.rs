@@ -5,14 +5,16 @@ use glam::DVec3;
 /// What is behind everything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sky {
-    /// From haze at the horizon to blue at the zenith, with a glow around the sun, fading to space with height.
-    Gradient,
+    /// The earth's air, from the ground to orbit: one physical model colours the sky, what is seen through it and the
+    /// light of sun and sky on the ground (S. Hillaire, A Scalable and Production Ready Sky and Atmosphere Rendering
+    /// Technique, 2020).
+    Atmosphere,
     /// One sRGB colour, exactly: pixels without anything drawn can be counted.
     Background([u8; 3]),
 }
 
-/// Haze that takes distant things towards the colour of the horizon. Thins out with height (to 1/e every 8 km),
-/// so that a view from space is clear.
+/// Air in front of things. Under [`Sky::Atmosphere`] it is the sky's own, and the density that of aerosols, which thin out
+/// to 1/e every 1.2 km. Over a background it is a haze of the horizon's colour that thins out to 1/e every 8 km.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fog {
     /// Off: everything is drawn in its own colour.
@@ -42,9 +44,10 @@ impl Water {
 pub struct Environment {
     /// Unit vector towards the sun, in the world.
     pub sun_direction: DVec3,
-    /// Linear colour of sunlight on a surface that faces it.
+    /// Linear colour of sunlight on a surface that faces it; under an atmosphere, at height 0 with the sun overhead.
     pub sun_color: [f32; 3],
-    /// Linear light from the sky, on surfaces that face up; those that face down get less, of the ground's tint.
+    /// Linear light from the sky, on surfaces that face up; those that face down get less, of the ground's tint. Under
+    /// an atmosphere, with the sun overhead.
     pub ambient_color: [f32; 3],
     /// Haze.
     pub fog: Fog,
@@ -68,9 +71,9 @@ impl Default for Environment {
             sun_color: [1.12, 1.05, 0.92],
             ambient_color: [0.18, 0.22, 0.30],
             fog: Fog { enabled: true, density_per_m: 1.2e-5 },
-            sky: Sky::Gradient,
+            sky: Sky::Atmosphere,
             water: None,
-            exposure: Some(1.0),
+            exposure: Some(1.5),
             up_in_world: DVec3::Z,
         }
     }

@@ -12,6 +12,7 @@
 //! Stages of cameras that are drawn before or after are passes before or after, into textures or the same target.
 
 mod answers;
+mod atmosphere;
 mod batch;
 mod callbacks;
 mod composite;

@@ -17,14 +17,20 @@ use crate::gpu::GraphicsContext;
 use crate::scene::MeshVertex;
 use crate::state::{PolygonMode, ResolvedState, TEXTURE_UNITS};
 
-const HEIGHT_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/height.wgsl"));
+const HEIGHT_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/height.wgsl")
+);
 const MESH_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
     include_str!("../shaders/mesh_vertex.wgsl"),
     include_str!("../shaders/mesh_pull.wgsl"),
     include_str!("../shaders/mesh.wgsl")
 );
 const FIXED_HEIGHT_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
     include_str!("../shaders/height.wgsl"),
     include_str!("../shaders/fixed.wgsl"),
@@ -32,6 +38,7 @@ const FIXED_HEIGHT_WGSL: &str = concat!(
     include_str!("../shaders/fixed_height.wgsl")
 );
 const TEXTURED_HEIGHT_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
     include_str!("../shaders/height.wgsl"),
     include_str!("../shaders/fixed.wgsl"),
@@ -39,6 +46,7 @@ const TEXTURED_HEIGHT_WGSL: &str = concat!(
     include_str!("../shaders/fixed_height.wgsl")
 );
 const FIXED_MESH_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
     include_str!("../shaders/mesh_vertex.wgsl"),
     include_str!("../shaders/mesh_pull.wgsl"),
@@ -48,6 +56,7 @@ const FIXED_MESH_WGSL: &str = concat!(
     include_str!("../shaders/fixed_mesh.wgsl")
 );
 const TEXTURED_MESH_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
     include_str!("../shaders/mesh_vertex.wgsl"),
     include_str!("../shaders/mesh_pull.wgsl"),
@@ -56,16 +65,28 @@ const TEXTURED_MESH_WGSL: &str = concat!(
     include_str!("../shaders/fixed_units.wgsl"),
     include_str!("../shaders/fixed_mesh.wgsl")
 );
-const SKY_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/sky.wgsl"));
+const SKY_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/sky.wgsl")
+);
 const WATER_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
     include_str!("../shaders/sky.wgsl"),
     include_str!("../shaders/water.wgsl")
 );
-const QUERY_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/query.wgsl"));
+const QUERY_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/query.wgsl")
+);
 /// What stands before the source of a program.
-pub(in crate::draw) const PROGRAM_PRELUDE: &str =
-    concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/mesh_vertex.wgsl"));
+pub(in crate::draw) const PROGRAM_PRELUDE: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/mesh_vertex.wgsl")
+);
 
 /// Most colour attachments of a target.
 pub(in crate::draw) const MOST_COLORS: usize = 4;
@@ -116,6 +137,22 @@ impl Pipelines {
             count: None,
         };
         let both = wgpu::ShaderStages::VERTEX_FRAGMENT;
+        let air_texture = |binding, view_dimension| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: both,
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Float { filterable: true },
+                view_dimension,
+                multisampled: false,
+            },
+            count: None,
+        };
+        let air_sampler = wgpu::BindGroupLayoutEntry {
+            binding: 3,
+            visibility: both,
+            ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+            count: None,
+        };
         let uniform = wgpu::BufferBindingType::Uniform;
         let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("frame"),
@@ -123,6 +160,11 @@ impl Pipelines {
                 buffer(0, both, uniform, true),
                 buffer(1, both, wgpu::BufferBindingType::Storage { read_only: true }, false),
                 buffer(2, both, uniform, true),
+                air_sampler,
+                air_texture(4, wgpu::TextureViewDimension::D2),
+                air_texture(5, wgpu::TextureViewDimension::D2),
+                air_texture(6, wgpu::TextureViewDimension::D3),
+                air_texture(7, wgpu::TextureViewDimension::D3),
             ],
         });
         let bare = [buffer(0, both, uniform, true)];
@@ -473,6 +515,7 @@ mod tests {
             ("query", QUERY_WGSL),
             ("program", PROGRAM_PRELUDE),
         ];
+        parse("atmosphere", crate::draw::atmosphere::ATMOSPHERE_WGSL);
         for (name, source) in all {
             let module = parse(name, source);
             let (span, fields) = members(&module, "Frame");
@@ -480,7 +523,7 @@ mod tests {
             assert_eq!(
                 fields,
                 offsets!(FrameUniform: clip_from_eye, sun_direction, sun_color, ambient_color, up, horizon_color,
-                    zenith_color, ray, horizon, water)
+                    shape, ray, water, air, sun_top)
             );
             let (span, fields) = members(&module, "Leaf");
             assert_eq!(span as usize, size_of::<LeafUniform>(), "{name}");

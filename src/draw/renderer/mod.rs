@@ -15,10 +15,11 @@ use std::time::Duration;
 
 use crate::cull::RenderStage;
 use crate::draw::answers::{PictureReads, Queries};
+use crate::draw::atmosphere::{Air, Atmosphere};
 use crate::draw::batch::Batch;
 use crate::draw::callbacks::{CameraCallbacks, RenderInfo};
 use crate::draw::composite::Composite;
-use crate::draw::environment::Environment;
+use crate::draw::environment::{Environment, Sky};
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{PassTarget, StagePlan, Targets};
 use crate::draw::state::{INDIRECT_BYTES, Sources, State, Statics};
@@ -88,6 +89,9 @@ pub struct Renderer {
     pipelines: Pipelines,
     groups: Groups,
     targets: Targets,
+    atmosphere: Atmosphere,
+    /// As this frame's eye sees it.
+    air: Air,
     leaf_buffer: wgpu::Buffer,
     frame_bind_group: wgpu::BindGroup,
     indirect: Option<wgpu::Buffer>,
@@ -124,11 +128,13 @@ fn frame_bind_group(
     layout: &wgpu::BindGroupLayout,
     uniforms: &wgpu::Buffer,
     leaves: &wgpu::Buffer,
+    atmosphere: &Atmosphere,
 ) -> wgpu::BindGroup {
     let uniform = |size: usize| {
         let size = wgpu::BufferSize::new(size as u64);
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: uniforms, offset: 0, size })
     };
+    let [sampler, sunlight, sky_light, scattered, mie] = atmosphere.entries();
     device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("frame"),
         layout,
@@ -136,6 +142,11 @@ fn frame_bind_group(
             wgpu::BindGroupEntry { binding: 0, resource: uniform(size_of::<FrameUniform>()) },
             wgpu::BindGroupEntry { binding: 1, resource: leaves.as_entire_binding() },
             wgpu::BindGroupEntry { binding: 2, resource: uniform(size_of::<StageUniform>()) },
+            sampler,
+            sunlight,
+            sky_light,
+            scattered,
+            mie,
         ],
     })
 }
@@ -150,8 +161,17 @@ impl Renderer {
         let limits = device.limits();
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let has_indirect = device.features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE);
+        let atmosphere = Atmosphere::new(device);
         Self {
-            frame_bind_group: frame_bind_group(device, &pipelines.frame_layout, groups.buffer(), &leaf_buffer),
+            frame_bind_group: frame_bind_group(
+                device,
+                &pipelines.frame_layout,
+                groups.buffer(),
+                &leaf_buffer,
+                &atmosphere,
+            ),
+            atmosphere,
+            air: Air::default(),
             pipelines,
             groups,
             targets: Targets::new(device),
@@ -211,7 +231,7 @@ impl Renderer {
         let created_before = self.pipelines.created();
         self.prepare(ctx, stage, environment);
         self.upload(ctx);
-        let mut stats = self.record(ctx, stage);
+        let mut stats = self.record(ctx, stage, environment);
         stats.leaves = self.batch.leaves().len() as u32;
         stats.pipelines_created = self.pipelines.created() - created_before;
         self.throttle(ctx)?;
@@ -236,8 +256,9 @@ impl Renderer {
             is_new = true;
         }
         if is_new {
+            let layout = &self.pipelines.frame_layout;
             self.frame_bind_group =
-                frame_bind_group(device, &self.pipelines.frame_layout, self.groups.buffer(), &self.leaf_buffer);
+                frame_bind_group(device, layout, self.groups.buffer(), &self.leaf_buffer, &self.atmosphere);
         }
         if !bytes.is_empty() {
             ctx.queue().write_buffer(&self.leaf_buffer, 0, bytes);
@@ -263,8 +284,11 @@ impl Renderer {
         }
     }
 
-    fn record(&mut self, ctx: &GraphicsContext, stage: &RenderStage) -> DrawStats {
+    fn record(&mut self, ctx: &GraphicsContext, stage: &RenderStage, environment: &Environment) -> DrawStats {
         let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
+        if environment.sky == Sky::Atmosphere {
+            self.atmosphere.record(ctx, &mut encoder, &self.air);
+        }
         let mut stats = DrawStats::default();
         let mut next = 0;
         let plans = std::mem::take(&mut self.plans);
@@ -442,7 +466,6 @@ mod tests {
 
     use super::*;
     use crate::cull::{CullCamera, CullVisitor};
-    use crate::draw::environment::Sky;
     use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
     use crate::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page, Scene};
     use crate::state::{Attribute, BinDetails, CullFace, Scissor, SortMode, StateSet, SurfaceMaterial};

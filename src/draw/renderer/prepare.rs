@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::{FrameClock, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::answers::Queries;
+use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
 use crate::draw::composite::Composite;
 use crate::draw::environment::{Environment, Sky};
@@ -33,6 +34,7 @@ impl Renderer {
         if let Some(problem) = self.targets.start_frame(stage) {
             self.complain(problem);
         }
+        self.air = Air::of(stage, environment);
         let dropped = self.prepare_all(ctx, stage, environment, true);
         for (bucket, _) in self.batch.buckets.iter().filter(|(b, _)| b.stride > 0) {
             self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
@@ -81,13 +83,13 @@ impl Renderer {
                 return 0;
             }
         };
-        let uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment);
+        let uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment, &self.air);
         let clear = clear_color(environment, &uniform);
         let first_frame = self.groups.push(&uniform);
         let positioned = self.groups.push(&StageUniform::new(stage));
         let mut frames = [first_frame; MOST_VIEWS];
         for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
-            *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment));
+            *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment, &self.air));
         }
         let base = Statics {
             dynamics: target.dynamics(stage.target.viewport_px),
@@ -120,7 +122,7 @@ impl Renderer {
         let runs = first_run..self.batch.runs.len();
         let queries = self.prepare_queries(ctx, stage, &target, &frames, base);
         let has_sky =
-            is_outermost && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Gradient;
+            is_outermost && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Atmosphere;
         if has_sky {
             self.pipelines.ensure_sky(ctx, target.index);
         }

@@ -34,7 +34,7 @@ fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {
     let diffuse = base.rgb * fixed_state.diffuse.rgb;
     var color = fixed_state.emission.rgb + fixed_state.model_ambient.rgb * ambient;
     if (fixed_state.flags.x & 1u) != 0u && fixed_state.flags.w == 0u {
-        color += diffuse * light(s.normal, s.up);
+        color += diffuse * light(s.normal, s.up, above_ground(s.in_eye).w);
     }
     let to_eye = normalize(-s.in_eye);
     for (var i = 0u; i < 8u; i++) {
@@ -70,7 +70,13 @@ fn fogged(s: Surface, color: vec3<f32>) -> vec3<f32> {
     let distance = -s.in_eye.z;
     var share = 0.0;
     switch u32(fixed_state.fog_color.w) {
-        case 1u: { return mix(color, frame.horizon_color.rgb, haze(s.in_eye)); }
+        case 1u: {
+            let air = aerial(s.in_eye);
+            if s.is_lit {
+                return through_air(color, air);
+            }
+            return unlit_through_air(color, air);
+        }
         case 2u: { share = 1.0 - (fixed_state.fog.x - distance) * fixed_state.fog.y; }
         case 3u: { share = 1.0 - exp(-fixed_state.fog.x * distance); }
         case 4u: {
@@ -79,7 +85,11 @@ fn fogged(s: Surface, color: vec3<f32>) -> vec3<f32> {
         }
         default: {}
     }
-    return mix(color, fixed_state.fog_color.rgb, clamp(share, 0.0, 1.0));
+    var shown = color;
+    if s.is_lit {
+        shown = tone_mapped(color);
+    }
+    return mix(shown, fixed_state.fog_color.rgb, clamp(share, 0.0, 1.0));
 }
 
 fn passes_alpha_test(alpha: f32) -> bool {
@@ -115,7 +125,7 @@ fn fixed_color(s: Surface) -> vec4<f32> {
     base.a *= fixed_state.diffuse.a;
     var color = base.rgb;
     if s.is_lit {
-        color = tone_mapped(lit(s, base));
+        color = lit(s, base);
     }
     if is_clipped(s.in_eye) || base.a < s.alpha_cutoff || !passes_alpha_test(base.a) {
         discard;

@@ -31,7 +31,7 @@ fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>) -> Surface {
     let base = textureSample(color_layers, color_sampler, uv, in.leaf.x) * in.color;
     let is_lit = (in.leaf.y & FLAG_UNLIT) == 0u;
     let cutoff = bitcast<f32>(in.leaf.z);
-    return Surface(in.in_eye_u.xyz, normal, frame.up.xyz, in.object, uv, base, is_lit, cutoff);
+    return Surface(in.in_eye_u.xyz, normal, above_ground(in.in_eye_u.xyz).xyz, in.object, uv, base, is_lit, cutoff);
 }
 
 @fragment

@@ -7,11 +7,12 @@ struct Frame {
     ambient_color: vec4<f32>,  // linear; w: fog density per metre at height 0
     up: vec4<f32>,             // in eye space, at the eye; w: height of the eye, metres
     horizon_color: vec4<f32>,  // linear; w: 1 / height over which air thins to 1/e
-    zenith_color: vec4<f32>,   // linear; w: 1 / radius of the ground, 0 when flat
+    shape: vec4<f32>,          // 1 / radius of the ground, 0 when flat; exposure, 0 without tone mapping; 1 where there is
+                               // an atmosphere; 1 where it is seen in front of things
     ray: vec4<f32>,            // eye ray from clip position: scale xy, offset zw
-    horizon: vec4<f32>,        // sine of the horizon's dip, share of air at the eye, sine over which the sky's haze thins;
-                               // w: exposure, 0 without tone mapping
     water: vec4<f32>,          // linear colour of deep water; w: its height, metres
+    air: vec4<f32>,            // of the eye: kilometres from the earth's centre, cosines of horizon and limb (air.wgsl)
+    sun_top: vec4<f32>,        // linear irradiance of the sun before any air
 }
 
 struct Leaf {
@@ -46,6 +47,11 @@ const INDEX_COUNT_SHIFT: u32 = 8u;
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
 @group(0) @binding(2) var<uniform> stage: Stage;
+@group(0) @binding(3) var air_sampler: sampler;
+@group(0) @binding(4) var sunlight: texture_2d<f32>;
+@group(0) @binding(5) var sky_light: texture_2d<f32>;
+@group(0) @binding(6) var air_scattered: texture_3d<f32>;
+@group(0) @binding(7) var air_mie: texture_3d<f32>;
 
 fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
     let p = vec4<f32>(point, 1.0);
@@ -64,25 +70,56 @@ fn direction_in_eye(leaf: Leaf, direction: vec3<f32>) -> vec3<f32> {
     );
 }
 
-// Sun and sky on a surface; `up` is the direction away from the ground there.
-fn light(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
-    let sun = max(dot(normal, frame.sun_direction.xyz), 0.0);
-    // A sun below the local horizon (the night side of a globe) shines on nothing.
-    let day = clamp(dot(up, frame.sun_direction.xyz) * 5.0 + 0.5, 0.0, 1.0);
+// The direction away from the ground at a point in eye space, and its height in metres.
+fn above_ground(point: vec3<f32>) -> vec4<f32> {
+    let rise = dot(point, frame.up.xyz);
+    let height = frame.up.w + rise;
+    if frame.shape.x <= 0.0 {
+        return vec4<f32>(frame.up.xyz, height);
+    }
+    let across = point - rise * frame.up.xyz;
+    let radius = 1.0 / frame.shape.x;
+    let from_center = sqrt((radius + height) * (radius + height) + dot(across, across));
+    // The difference of two large numbers, without their noise.
+    let over = dot(across, across) / (from_center + radius + height);
+    return vec4<f32>(((radius + height) * frame.up.xyz + across) / from_center, height + over);
+}
+
+// What the sun's irradiance is at a place, on a surface that faces it.
+fn sun_at(up: vec3<f32>, height_m: f32) -> vec3<f32> {
+    let height = height_m * 1e-3;
+    let cosine = dot(up, frame.sun_direction.xyz);
+    let left = textureSampleLevel(sunlight, air_sampler, sunlight_place(height, cosine), 0.0).rgb;
+    return frame.sun_top.rgb * left * sun_share(height, cosine);
+}
+
+// Sun and sky on a surface, over pi; `up` is the direction away from the ground there.
+fn light(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
+    let facing = max(dot(normal, frame.sun_direction.xyz), 0.0);
+    let cosine = dot(up, frame.sun_direction.xyz);
     let ground = frame.ambient_color.rgb * vec3<f32>(0.45, 0.40, 0.34);
     let ambient = mix(ground, frame.ambient_color.rgb, 0.5 + 0.5 * dot(normal, up));
-    return frame.sun_color.rgb * sun * day + ambient * (0.15 + 0.85 * day);
+    if frame.shape.z <= 0.0 {
+        // A sun below the local horizon (the night side of a globe) shines on nothing.
+        let day = clamp(cosine * 5.0 + 0.5, 0.0, 1.0);
+        return frame.sun_color.rgb * facing * day + ambient * (0.15 + 0.85 * day);
+    }
+    // The ambient light is that of a high sun; it falls with the sky's, and some is left at night.
+    let last = i32(textureDimensions(sky_light).x) - 1;
+    let place = vec2<f32>((clamp((cosine + 0.3) / 1.3, 0.0, 1.0) * f32(last) + 0.5) / f32(last + 1), 0.5);
+    let sky = textureSampleLevel(sky_light, air_sampler, place, 0.0).rgb / textureLoad(sky_light, vec2<i32>(last, 0), 0).rgb;
+    return sun_at(up, height_m) * (facing / 3.14159265) + ambient * max(sky, vec3<f32>(0.03));
 }
 
 // Lit colours for a display: times the exposure, highlights rolled off towards white, what is below 0.76 as it is.
 // Khronos PBR Neutral (https://github.com/KhronosGroup/ToneMapping) without its offset, which takes back a reflection
 // at normal incidence that there is not here.
 fn tone_mapped(lit_color: vec3<f32>) -> vec3<f32> {
-    if frame.horizon.w <= 0.0 {
+    if frame.shape.y <= 0.0 {
         return lit_color;
     }
     let start = 0.8 - 0.04;
-    var color = lit_color * frame.horizon.w;
+    var color = lit_color * frame.shape.y;
     let peak = max(color.r, max(color.g, color.b));
     if peak < start {
         return color;
@@ -94,26 +131,58 @@ fn tone_mapped(lit_color: vec3<f32>) -> vec3<f32> {
     return mix(color, vec3<f32>(new_peak), share);
 }
 
-// Share of a point's colour that haze takes, from the mean density of air along the way to it.
+// What the air between the eye and a point adds to its colour; w: the share of it that is left.
+fn aerial(point: vec3<f32>) -> vec4<f32> {
+    if frame.shape.w > 0.0 {
+        let distance = length(point);
+        let ray = point / max(distance, 1e-6);
+        let cosine = dot(ray, frame.up.xyz);
+        let range = air_range(frame.air.x, cosine, cosine >= frame.air.y);
+        return air_along(ray, cosine, (distance * 1e-3 - range.x) / (range.y - range.x));
+    }
+    let share = haze(point);
+    return vec4<f32>(frame.horizon_color.rgb * share, 1.0 - share);
+}
+
+// The same along a part of a ray's way through the air, 1 for all of it.
+fn air_along(ray: vec3<f32>, cosine: f32, part: f32) -> vec4<f32> {
+    let sun = frame.sun_direction.xyz;
+    let across = ray - cosine * frame.up.xyz;
+    let sun_across = sun - dot(sun, frame.up.xyz) * frame.up.xyz;
+    let size = length(across) * length(sun_across);
+    let azimuth = select(0.0, dot(across, sun_across) / size, size > 1e-6);
+    let texel = vec3<f32>(
+        (0.5 - 0.5 * azimuth) * 31.0,
+        air_row(cosine, frame.air.y, frame.air.z),
+        sqrt(clamp(part, 0.0, 1.0)) * 23.0,
+    );
+    let place = (texel + 0.5) / vec3<f32>(32.0, 64.0, 24.0);
+    let scattered = textureSampleLevel(air_scattered, air_sampler, place, 0.0);
+    let mie = textureSampleLevel(air_mie, air_sampler, place, 0.0).rgb * mie_phase(dot(ray, sun));
+    return vec4<f32>(frame.sun_top.rgb * (scattered.rgb + mie), scattered.a);
+}
+
+// A lit colour as the display shows it through the air in front of it.
+fn through_air(lit_color: vec3<f32>, air: vec4<f32>) -> vec3<f32> {
+    return tone_mapped(lit_color * air.w + air.rgb);
+}
+
+// The same for a colour that is not lit and keeps its values.
+fn unlit_through_air(color: vec3<f32>, air: vec4<f32>) -> vec3<f32> {
+    return color * air.w + tone_mapped(air.rgb);
+}
+
+// Share of a point's colour that haze takes where there is no atmosphere, from the mean density of air along the way.
 fn haze(point: vec3<f32>) -> f32 {
     if frame.ambient_color.w <= 0.0 {
         return 0.0;
     }
-    let distance = length(point);
-    let rise = dot(point, frame.up.xyz);
-    let across2 = max(distance * distance - rise * rise, 0.0);
     let eye_height = frame.up.w * frame.horizon_color.w;
-    var height = frame.up.w + rise;
-    if frame.zenith_color.w > 0.0 {
-        let radius = 1.0 / frame.zenith_color.w;
-        let from_center = radius + height;
-        height = sqrt(from_center * from_center + across2) - radius;
-    }
-    let point_height = max(height, 0.0) * frame.horizon_color.w;
+    let point_height = max(above_ground(point).w, 0.0) * frame.horizon_color.w;
     let climb = point_height - eye_height;
     var density = exp(-0.5 * (point_height + eye_height));
     if abs(climb) > 1e-2 {
         density = (exp(-eye_height) - exp(-point_height)) / climb;
     }
-    return 1.0 - exp(-frame.ambient_color.w * distance * density);
+    return 1.0 - exp(-frame.ambient_color.w * length(point) * density);
 }

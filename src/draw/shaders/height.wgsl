@@ -20,7 +20,7 @@ struct HeightFragment {
     @builtin(position) position: vec4<f32>,
     @location(0) uv: vec2<f32>,
     @location(1) light: vec3<f32>,  // times the leaf's color
-    @location(2) haze: f32,
+    @location(2) air: vec4<f32>,
     // By value, not by leaf: a load from a buffer for each pixel is dear on software adapters.
     @location(3) @interpolate(flat) layer: u32,
 }
@@ -161,10 +161,10 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
     out.uv = point.uv;
     out.light = vec3<f32>(1.0);
     if (leaf.flags & FLAG_UNLIT) == 0u {
-        out.light = light(point.normal, point.up);
+        out.light = light(point.normal, point.up, above_ground(point.in_eye).w);
     }
     out.light *= leaf.color.rgb;
-    out.haze = haze(point.in_eye);
+    out.air = aerial(point.in_eye);
     out.layer = leaf.layer;
     return out;
 }
@@ -172,5 +172,5 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
 @fragment
 fn fs_height(in: HeightFragment) -> @location(0) vec4<f32> {
     let base = textureSample(color_layers, color_sampler, in.uv, in.layer);
-    return vec4<f32>(mix(tone_mapped(base.rgb * in.light), frame.horizon_color.rgb, in.haze), 1.0);
+    return vec4<f32>(through_air(base.rgb * in.light, in.air), 1.0);
 }

@@ -51,11 +51,13 @@ fn surface_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) ->
 }
 
 fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) -> vec3<f32> {
-    var color = base.rgb;
-    if (in.leaf.y & FLAG_UNLIT) == 0u {
-        color = tone_mapped(color * light(surface_normal(in.normal_v.xyz, is_front, facet), frame.up.xyz));
+    let air = aerial(in.in_eye_u.xyz);
+    if (in.leaf.y & FLAG_UNLIT) != 0u {
+        return unlit_through_air(base.rgb, air);
     }
-    return mix(color, frame.horizon_color.rgb, haze(in.in_eye_u.xyz));
+    let ground = above_ground(in.in_eye_u.xyz);
+    let normal = surface_normal(in.normal_v.xyz, is_front, facet);
+    return through_air(base.rgb * light(normal, ground.xyz, ground.w), air);
 }
 
 // The facet's normal, towards the eye.

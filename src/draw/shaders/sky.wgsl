@@ -12,27 +12,26 @@ fn vs_sky(@builtin(vertex_index) index: u32) -> SkyVertex {
     return SkyVertex(vec4<f32>(xy, 0.0, 1.0), xy * frame.ray.xy + frame.ray.zw);
 }
 
-// The sky's colour in a direction of eye space, without the sun.
+// The sky's light from a direction of eye space, without the sun.
 fn sky_color(ray: vec3<f32>) -> vec3<f32> {
-    // Height above the horizon, which from high up lies below the level.
-    let above = dot(ray, frame.up.xyz) + frame.horizon.x;
-    let air = frame.horizon.y;
-    let t = 1.0 - exp(-max(above, 0.0) / frame.horizon.z);
-    var color = mix(frame.horizon_color.rgb, frame.zenith_color.rgb, t);
-    // Below the horizon: ground that is not there, in haze.
-    color *= mix(1.0, mix(0.15, 0.55, air), smoothstep(0.0, -1.2 * frame.horizon.z, above));
-    return color;
+    return air_along(ray, max(dot(ray, frame.up.xyz), frame.air.y), 1.0).rgb;
 }
 
 @fragment
 fn fs_sky(in: SkyVertex) -> @location(0) vec4<f32> {
     let ray = normalize(vec3<f32>(in.ray, -1.0));
-    let color = sky_color(ray);
-    let above = dot(ray, frame.up.xyz) + frame.horizon.x;
-    let air = frame.horizon.y;
-    let toward_sun = max(dot(ray, frame.sun_direction.xyz), 0.0);
-    let glow = 0.25 * pow(toward_sun, 24.0) * max(air, 0.1) + 4.0 * pow(toward_sun, 3000.0);
-    // The sky's own colours are those of a picture already; the sun's are light.
-    let sun = frame.sun_color.rgb * glow * smoothstep(-0.02, 0.02, above);
-    return vec4<f32>(color + tone_mapped(color + sun) - tone_mapped(color), 1.0);
+    let cosine = dot(ray, frame.up.xyz);
+    let air = air_along(ray, cosine, 1.0);
+    var beyond = vec3<f32>(0.0);
+    if cosine >= frame.air.y {
+        let height = frame.air.x - EARTH_KM;
+        let left = textureSampleLevel(sunlight, air_sampler, sunlight_place(height, cosine), 0.0).rgb;
+        let disc = smoothstep(cos(1.3 * SUN_RADIUS), cos(0.8 * SUN_RADIUS), dot(ray, frame.sun_direction.xyz));
+        beyond = 30.0 * disc * frame.sun_top.rgb * left;
+    } else {
+        // Ground that is not there.
+        let ground = above_ground(ray * (1e3 * air_range(frame.air.x, cosine, false).y));
+        beyond = vec3<f32>(0.05, 0.055, 0.06) * light(ground.xyz, ground.xyz, 0.0) * air.w;
+    }
+    return vec4<f32>(tone_mapped(air.rgb + beyond), 1.0);
 }

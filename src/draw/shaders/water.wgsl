@@ -12,9 +12,9 @@ fn fs_water(in: SkyVertex) -> WaterFragment {
     let above = frame.up.w - frame.water.w;
     var distance = above / down;
     var normal = frame.up.xyz;
-    if frame.zenith_color.w > 0.0 {
+    if frame.shape.x > 0.0 {
         // The sphere through the water below the eye, in differences from it: t^2 - 2 b t + c = 0.
-        let radius = 1.0 / frame.zenith_color.w;
+        let radius = 1.0 / frame.shape.x;
         let b = down * (radius + frame.up.w);
         let c = above * (2.0 * radius + frame.up.w + frame.water.w);
         let inside = b * b - c;
@@ -37,12 +37,12 @@ fn fs_water(in: SkyVertex) -> WaterFragment {
     let half_way = normalize(frame.sun_direction.xyz - ray);
     // Waves too small to be seen spread the sun's image: a lobe of their slopes.
     let glitter = 6.0 * pow(max(dot(normal, half_way), 0.0), 400.0) * step(0.0, dot(normal, frame.sun_direction.xyz));
-    let deep = frame.water.rgb * light(normal, normal);
-    let reflected = sky_color(mirrored) + frame.sun_color.rgb * glitter;
-    let color = tone_mapped(mix(deep, reflected, fresnel));
+    let deep = frame.water.rgb * light(normal, normal, frame.water.w);
+    let reflected = sky_color(mirrored) + sun_at(normal, frame.water.w) * (glitter / 3.14159265);
+    let color = mix(deep, reflected, fresnel);
     let opacity = mix(0.88, 1.0, fresnel);
     return WaterFragment(
-        vec4<f32>(mix(color, frame.horizon_color.rgb, haze(point)), opacity),
+        vec4<f32>(through_air(color, aerial(point)), opacity),
         clamp(clip.z / clip.w, 0.0, 1.0),
     );
 }

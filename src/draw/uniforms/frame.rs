@@ -3,6 +3,7 @@
 use glam::{DMat4, DVec3, Mat4, Vec3};
 
 use crate::cull::RenderStage;
+use crate::draw::atmosphere::Air;
 use crate::draw::environment::{Environment, Sky};
 use crate::math::WGS84;
 
@@ -28,15 +29,17 @@ pub(in crate::draw) struct FrameUniform {
     pub(in crate::draw) up: [f32; 4],
     /// Linear colour of the sky at the horizon; w: 1 / air scale height.
     pub(in crate::draw) horizon_color: [f32; 4],
-    /// Linear colour of the sky at the zenith; w: curvature of the ground, 1 / radius (0 when flat).
-    pub(in crate::draw) zenith_color: [f32; 4],
+    /// Curvature of the ground, 1 / radius (0 when flat); exposure, 0 without tone mapping; 1 where there is an
+    /// atmosphere; 1 where it is seen in front of things.
+    pub(in crate::draw) shape: [f32; 4],
     /// Eye-space ray of a pixel from its clip position: x and y scale, x and y offset.
     pub(in crate::draw) ray: [f32; 4],
-    /// Sine of the dip of the horizon, share of air at the eye, sine over which the sky's haze thins to 1/e; w: exposure,
-    /// 0 without tone mapping.
-    pub(in crate::draw) horizon: [f32; 4],
     /// Linear colour of deep water; w: its height in metres.
     pub(in crate::draw) water: [f32; 4],
+    /// Of the eye the air's tables were made for: kilometres from the earth's centre, cosines of horizon and limb.
+    pub(in crate::draw) air: [f32; 4],
+    /// Linear irradiance of the sun before any air.
+    pub(in crate::draw) sun_top: [f32; 4],
 }
 
 /// Per leaf; `Leaf` in frame.wgsl.
@@ -89,42 +92,46 @@ fn linear_from_srgb(byte: u8) -> f64 {
 pub(in crate::draw) fn clear_color(environment: &Environment, frame: &FrameUniform) -> wgpu::Color {
     let [r, g, b] = match environment.sky {
         Sky::Background(rgb) => rgb.map(linear_from_srgb),
-        Sky::Gradient => [0, 1, 2].map(|i| f64::from(frame.horizon_color[i])),
+        Sky::Atmosphere => [0, 1, 2].map(|i| f64::from(frame.horizon_color[i])),
     };
     wgpu::Color { r, g, b, a: 1.0 }
 }
 
+/// Height of a camera's eye in metres, and whether it is near a globe. Steers air and water only; a local frame counts as
+/// flat, with its ground at 0.
+pub(in crate::draw) fn eye_height_m(stage: &RenderStage, environment: &Environment) -> (f64, bool) {
+    let eye = stage.camera.eye_from_world.inverse().translation;
+    let is_globe = eye.length() > LOCAL_WORLD_RADIUS_M;
+    let height_m = if is_globe { WGS84.geodetic(eye).height_m } else { eye.dot(environment.up_in_world) };
+    (if height_m.is_finite() { height_m.max(0.0) } else { 0.0 }, is_globe)
+}
+
+/// Sine of the sun's height over the level at the eye.
+pub(in crate::draw) fn sun_height(stage: &RenderStage, environment: &Environment) -> f64 {
+    let sun = DVec3::from(direction_in_eye(stage, environment.sun_direction));
+    sun.dot(direction_in_eye(stage, environment.up_in_world).into())
+}
+
 impl FrameUniform {
-    /// For one of the stage's projections.
-    pub(in crate::draw) fn new(stage: &RenderStage, clip_from_eye: &DMat4, environment: &Environment) -> Self {
+    /// For one of the stage's projections, in the air as the outermost stage's eye sees it.
+    pub(in crate::draw) fn new(
+        stage: &RenderStage,
+        clip_from_eye: &DMat4,
+        environment: &Environment,
+        air: &Air,
+    ) -> Self {
         let camera = &stage.camera;
-        let world_from_eye = camera.eye_from_world.inverse();
-        let eye = world_from_eye.translation;
-        // Height and curvature only steer haze and sky; a local frame counts as flat, with its ground at 0.
-        let is_globe = eye.length() > LOCAL_WORLD_RADIUS_M;
-        let height_m = if is_globe { WGS84.geodetic(eye).height_m } else { eye.dot(environment.up_in_world) }.max(0.0);
-        let radius_m = WGS84.semi_major_m;
-        let dip_sine = if is_globe {
-            let cosine = radius_m / (radius_m + height_m);
-            (1.0 - cosine * cosine).max(0.0).sqrt()
-        } else {
-            0.0
-        };
-        let air = (-height_m / (3.0 * AIR_SCALE_HEIGHT_M)).exp();
-        // The bright band above the horizon: the air's thickness, seen from as far as the horizon is.
-        let horizon_m = (height_m * (2.0 * radius_m + height_m)).sqrt().max(1.0);
-        let band = (2.0 * AIR_SCALE_HEIGHT_M / horizon_m).min(0.32);
+        let (height_m, is_globe) = eye_height_m(stage, environment);
         let sun = direction_in_eye(stage, environment.sun_direction);
         let up = direction_in_eye(stage, environment.up_in_world);
-        let sun_height = sun[0] * up[0] + sun[1] * up[1] + sun[2] * up[2];
-        let day = ((sun_height + 0.1) / 0.35).clamp(0.0, 1.0);
+        let day = ((sun_height(stage, environment) + 0.1) / 0.35).clamp(0.0, 1.0);
         let horizon = mix([0.05, 0.05, 0.09], [0.62, 0.72, 0.84], day);
-        let zenith = mix([0.005, 0.006, 0.015], [0.09, 0.22, 0.52], day);
-        let space = [0.002, 0.002, 0.004];
         let fog = environment.fog;
         let density = if fog.enabled && fog.density_per_m.is_finite() { f64::from(fog.density_per_m) } else { 0.0 };
         let p = clip_from_eye;
         let sse_scale = camera.px_per_radian() / (camera.settings.max_sse_px * camera.settings.lod_scale).max(1e-9);
+        let has_atmosphere = environment.sky == Sky::Atmosphere;
+        let switch = |on: bool| if on { 1.0 } else { 0.0 };
         Self {
             clip_from_eye: p.as_mat4(),
             sun_direction: vec4(sun, sse_scale),
@@ -132,15 +139,21 @@ impl FrameUniform {
             ambient_color: with_w(environment.ambient_color, density as f32),
             up: vec4(up, height_m),
             horizon_color: vec4(horizon, 1.0 / AIR_SCALE_HEIGHT_M),
-            zenith_color: vec4(mix(space, zenith, air), if is_globe { 1.0 / radius_m } else { 0.0 }),
+            shape: [
+                if is_globe { (1.0 / WGS84.semi_major_m) as f32 } else { 0.0 },
+                environment.exposure.unwrap_or(0.0).max(0.0),
+                switch(has_atmosphere),
+                switch(has_atmosphere && fog.enabled),
+            ],
             ray: [
                 (1.0 / p.x_axis.x) as f32,
                 (1.0 / p.y_axis.y) as f32,
                 (p.z_axis.x / p.x_axis.x) as f32,
                 (p.z_axis.y / p.y_axis.y) as f32,
             ],
-            horizon: [dip_sine as f32, air as f32, band as f32, environment.exposure.unwrap_or(0.0).max(0.0)],
             water: environment.water.map_or([0.0; 4], |w| with_w(w.color, w.height_m)),
+            air: [air.eye_km, air.horizon_cosine, air.limb_cosine, 0.0],
+            sun_top: with_w(air.sun_irradiance(environment.sun_color), 0.0),
         }
     }
 }
