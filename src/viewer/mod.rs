@@ -5,6 +5,7 @@
 
 mod camera;
 mod camera_path;
+mod events;
 mod holes;
 mod home;
 mod manipulator;
@@ -21,6 +22,10 @@ mod window;
 
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
+pub use events::{
+    Bindings, ButtonMask, EventKind, EventMask, EventQueue, GuiEventAdapter, GuiEventHandler, InputState, Key,
+    Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
+};
 pub use holes::{HoleCheck, KEY_COLOR, coverage};
 pub use home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for};
 pub use manipulator::{CameraManipulator, Event, FlyManipulator, MoveKey};
