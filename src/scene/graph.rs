@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
+use super::callbacks::CallbackPages;
 use super::error::SceneError;
 use super::page::{NONE, Page};
 use super::tiles::flag;
@@ -31,6 +32,7 @@ pub struct Scene {
     page_count: usize,
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
+    pub(super) callback_pages: CallbackPages,
 }
 
 impl Scene {
@@ -210,6 +212,8 @@ impl Scene {
 
     fn insert(&mut self, page: Page, slot: Option<NodeId>, base_depth: u32) -> PageId {
         self.page_count += 1;
+        let place = self.free.last().copied().unwrap_or(self.entries.len() as u32);
+        self.callback_pages.note(place, &page);
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {
@@ -227,6 +231,9 @@ impl Scene {
     fn take(&mut self, id: PageId) -> Option<Page> {
         let entry = self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?;
         let page = entry.page.take()?;
+        if !(page.update_callbacks.is_empty() && page.event_callbacks.is_empty()) {
+            self.callback_pages.forget(id.slot);
+        }
         entry.slot = None;
         entry.generation = entry.generation.wrapping_add(1);
         self.free.push(id.slot);
