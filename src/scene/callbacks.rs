@@ -135,6 +135,11 @@ impl Scene {
         self.traverse_callbacks::<dyn Any, EventCallback>(|pages| &pages.event, event)
     }
 
+    /// True when some node has an update callback.
+    pub fn has_update_callbacks(&self) -> bool {
+        !self.callback_pages.update.is_empty()
+    }
+
     /// Gives a node another update callback, or none.
     pub fn set_update_callback(&mut self, node: NodeId, callback: Option<UpdateCallback>) -> Result<(), SceneError> {
         self.set_callback(node, callback, |page| &mut page.update_callbacks)

@@ -6,9 +6,11 @@
 mod camera;
 mod camera_path;
 mod events;
+pub mod handlers;
 mod holes;
 mod home;
-mod manipulator;
+mod input;
+pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;
 mod report;
@@ -19,6 +21,9 @@ mod threading;
 mod viewer;
 #[cfg(feature = "window")]
 mod window;
+#[cfg(feature = "window")]
+mod window_events;
+mod window_matrix;
 
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
@@ -28,7 +33,8 @@ pub use events::{
 };
 pub use holes::{HoleCheck, KEY_COLOR, coverage};
 pub use home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for};
-pub use manipulator::{CameraManipulator, Event, FlyManipulator, MoveKey};
+pub use input::{OnPicture, WindowCommand, event_callback};
+pub use manipulators::{CameraManipulator, GroundHeight, ManipulatorView};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
 pub use report::{Bytes, DrawMedians, FrameTimes, Phases, Report, ReportError, Settled, Tiles, Times};
@@ -36,7 +42,8 @@ pub use stats::{FrameStats, Samples, StatsHistory};
 pub use threading::{ContextHandle, DrawCommand, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 #[cfg(feature = "window")]
-pub use window::{AfterFrame, BeforeFrame, KEYS, OnOpen, WindowOptions, has_display, run_window};
+pub use window::{AfterFrame, BeforeFrame, OnOpen, WindowOptions, has_display, run_window};
+pub use window_matrix::{WindowMatrix, WindowRay, camera_with_focus};
 
 /// Why a viewer cannot go on.
 #[derive(Debug, thiserror::Error)]

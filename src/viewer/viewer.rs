@@ -10,7 +10,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::camera::Camera;
 use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
-use super::manipulator::{CameraManipulator, Event};
+use super::input::Input;
 use super::stats::{FrameStats, StatsHistory};
 use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
 use crate::cull::{CullCamera, CullSettings, CullVisitor, PageRequest, RenderStage, Stereo};
@@ -103,9 +103,8 @@ pub struct Viewer {
     pub(super) size_px: [u32; 2],
     pub(super) free_stages: Vec<RenderStage>,
     pub(super) requests: Vec<PageRequest>,
-    manipulator: Option<Box<dyn CameraManipulator>>,
-    events: Vec<Event>,
-    update_callbacks: Vec<UpdateCallback>,
+    pub(super) input: Input,
+    pub(super) update_callbacks: Vec<UpdateCallback>,
     bounds: Option<SetBounds>,
     root_uri: Option<Arc<str>>,
     root: Option<PageId>,
@@ -179,8 +178,7 @@ impl Viewer {
             size_px: config.size_px,
             free_stages: (0..=STAGES_IN_FLIGHT).map(|_| RenderStage::default()).collect(),
             requests: Vec::new(),
-            manipulator: None,
-            events: Vec::new(),
+            input: Input::new(config.size_px),
             update_callbacks: Vec::new(),
             bounds: None,
             root_uri: None,
@@ -332,21 +330,6 @@ impl Viewer {
             && (self.requests.is_empty() || self.quiet_frames >= QUIET_FRAMES)
     }
 
-    /// Moves the camera from now on.
-    pub fn set_manipulator(&mut self, manipulator: Option<Box<dyn CameraManipulator>>) {
-        self.manipulator = manipulator;
-    }
-
-    /// The manipulator, to set its pose.
-    pub fn manipulator_mut(&mut self) -> Option<&mut (dyn CameraManipulator + 'static)> {
-        self.manipulator.as_deref_mut()
-    }
-
-    /// Queues an event for the next frame's event phase.
-    pub fn push_event(&mut self, event: Event) {
-        self.events.push(event);
-    }
-
     /// Draws for two eyes from now on, or for one.
     pub fn set_stereo(&mut self, stereo: Option<Stereo>) {
         self.stereo = stereo;
@@ -362,6 +345,8 @@ impl Viewer {
     pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
         self.size_px = size_px.map(|side| side.max(1));
         self.eyes = None;
+        let time_s = self.input.queue.time_s();
+        self.input.queue.window_resize(self.size_px, time_s);
         self.context.resize(self.size_px)
     }
 
@@ -394,7 +379,7 @@ impl Viewer {
         let dt_s = self.advance(start, simulation_time_s);
         let mut stats = FrameStats { frame: self.stamp.frame, ..FrameStats::default() };
 
-        self.event(dt_s);
+        self.event_traversal();
         let after_event = Instant::now();
         stats.event_ms = millis(after_event - start);
 
@@ -402,6 +387,7 @@ impl Viewer {
         for callback in &mut self.update_callbacks {
             callback(&mut self.scene, &self.stamp);
         }
+        self.update_from_input(dt_s);
         if self.pager_config.blocking {
             self.absorb_all()?;
         }
@@ -474,16 +460,6 @@ impl Viewer {
         dt_s
     }
 
-    fn event(&mut self, dt_s: f64) {
-        if let Some(manipulator) = &mut self.manipulator {
-            for event in &self.events {
-                manipulator.handle(event);
-            }
-            self.camera.world_from_eye = manipulator.advance(dt_s);
-        }
-        self.events.clear();
-    }
-
     /// The pager's turn with the scene; milliseconds.
     fn page(&mut self) -> f64 {
         let start = Instant::now();
@@ -518,6 +494,7 @@ impl Viewer {
     pub(super) fn cull_into(&mut self, stage: &mut RenderStage) {
         let horizon = self.bounds.as_ref().and_then(SetBounds::body);
         let camera = CullCamera { horizon, ..self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT) };
+        self.cull.state_set.clone_from(&self.input.state_set);
         match &self.stereo {
             None => {
                 self.cull.cull(&self.scene, &camera, stage);
@@ -554,6 +531,9 @@ impl Viewer {
         if let Some(bounds) = self.bounds.filter(|b| b.frame.georeferenced) {
             self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
         }
+        if self.picture_wanted {
+            self.input.note_wanted(self.stamp.frame);
+        }
         FrameJob {
             stage,
             environment: self.environment,
@@ -563,7 +543,7 @@ impl Viewer {
                 simulation_time_s: self.stamp.simulation_time_s,
             },
             budget: self.compile_budget,
-            read_back: std::mem::take(&mut self.picture_wanted),
+            read_back: std::mem::take(&mut self.picture_wanted) || self.input.wants_picture(self.stamp.frame),
             present: true,
             #[cfg(feature = "window")]
             overlay: self.overlay.take(),
@@ -626,8 +606,10 @@ impl Viewer {
             stats.points = drawn.points;
             stats.drawn = true;
         }
-        if let Some(image) = done.image {
-            self.pictures.push((frame, image?));
+        if let Some(image) = done.image
+            && let Some(image) = self.input.picture_came(frame, image?)
+        {
+            self.pictures.push((frame, image));
         }
         Ok(())
     }

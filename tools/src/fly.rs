@@ -87,7 +87,7 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
 fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &str) -> Result<(Viewer, Flight)> {
     let interactive = flight.args.interactive;
     if interactive {
-        writeln!(std::io::stdout(), "{}", terrane::viewer::KEYS).context("stdout")?;
+        writeln!(std::io::stdout(), "H shows the keys, Esc ends").context("stdout")?;
     }
     let options = WindowOptions {
         title: format!("Terrane - {source}"),

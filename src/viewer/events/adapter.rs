@@ -296,12 +296,16 @@ impl GuiEventAdapter {
         }
     }
 
-    /// The key that went down by itself or with Shift; none while Control, Alt or the logo key is down, nor for
-    /// repeats.
+    /// The key that went down by itself or with Shift; none while Control, Alt or the logo key or a button of the
+    /// pointer is down (keys are the manipulator's then), nor for repeats.
     pub fn key_pressed(&self) -> Option<Key> {
         let m = self.state.modifiers;
         match self.kind {
-            EventKind::KeyDown { key, repeat: false, .. } if !(m.control || m.alt || m.logo) => Some(key),
+            EventKind::KeyDown { key, repeat: false, .. }
+                if !(m.control || m.alt || m.logo) && self.state.buttons.is_empty() =>
+            {
+                Some(key)
+            }
             _ => None,
         }
     }

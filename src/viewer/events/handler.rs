@@ -14,8 +14,8 @@ pub struct Usage {
 
 /// Answers events before the manipulator does.
 pub trait GuiEventHandler {
-    /// Takes one event; true when it is answered, so that neither later handlers nor the manipulator need to. While
-    /// this runs the viewer's list of handlers is empty: one added is called from the next event on.
+    /// Takes one event; true when it is answered, so that neither later handlers nor the manipulator need to. A handler
+    /// that is added here is called from the next event on.
     fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool;
 
     /// The kinds that this handler is called for.

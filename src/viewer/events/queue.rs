@@ -68,6 +68,11 @@ impl EventQueue {
         self.start.elapsed().as_secs_f64()
     }
 
+    /// True when nothing happened since the last frame.
+    pub fn is_empty(&self) -> bool {
+        self.events.is_empty() && self.from_threads.is_empty()
+    }
+
     /// Pointer, buttons and modifiers after all events so far; OSG's current event state.
     pub fn state(&self) -> &InputState {
         &self.state
