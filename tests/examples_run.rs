@@ -79,3 +79,18 @@ fn proxy_node() {
     // Nine houses of at least three flat faces each, before a sky.
     run("proxy_node", &[], 40);
 }
+
+#[test]
+fn custom_callback() {
+    run("custom_callback", &[], 100);
+}
+
+#[test]
+fn custom_manipulator() {
+    run("custom_manipulator", &[], 100);
+}
+
+#[test]
+fn embedding() {
+    run("embedding", &[], 40);
+}

@@ -97,6 +97,12 @@ pub struct FlyArgs {
     /// A window to move in, without a path.
     #[arg(skip)]
     pub interactive: bool,
+    /// Draw only when something changes.
+    #[arg(skip)]
+    pub on_demand: bool,
+    /// Frames a second at most (window only)
+    #[arg(long, value_name = "FPS")]
+    pub max_fps: Option<Positive>,
 }
 
 #[derive(Clone, Debug, ClapArgs)]
@@ -109,7 +115,7 @@ pub struct ViewArgs {
     /// First camera: heading and pitch in degrees and distance in metres to the centre of the set
     #[arg(long, value_name = "HEADING_DEG,PITCH_DEG,RANGE_M", allow_hyphen_values = true)]
     pub view: Option<View>,
-    /// Camera path that P plays
+    /// Camera path that key 7 plays
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
@@ -121,11 +127,17 @@ pub struct ViewArgs {
     /// Show the stats overlay from the start
     #[arg(long)]
     pub stats: bool,
+    /// Draw only when something changes
+    #[arg(long)]
+    pub on_demand: bool,
+    /// Frames a second at most
+    #[arg(long, value_name = "FPS")]
+    pub max_fps: Option<Positive>,
 }
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs { source, size, view, path, sse, threading, stats } = args;
+        let ViewArgs { source, size, view, path, sse, threading, stats, on_demand, max_fps } = args;
         Box::new(FlyArgs {
             source: Some(source),
             size,
@@ -134,6 +146,8 @@ impl From<ViewArgs> for Box<FlyArgs> {
             sse,
             threading,
             stats,
+            on_demand,
+            max_fps,
             interactive: true,
             ..FlyArgs::default()
         })

@@ -94,6 +94,8 @@ fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &st
         path: flight.path.clone(),
         overlay: flight.args.stats,
         manipulated: interactive,
+        on_demand: flight.args.on_demand,
+        max_frame_rate: flight.args.max_fps.map(|rate| rate.0),
         ..WindowOptions::default()
     };
     // The event loop calls back from two places; both run on this thread, one after the other.

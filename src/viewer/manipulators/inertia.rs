@@ -164,7 +164,7 @@ impl Pointer {
         let motion = *speed * (THROW_FADES_S * (1.0 - left));
         let gesture = *gesture;
         *speed *= left;
-        if speed.length() < 1e-4 {
+        if speed.length() < 5e-4 {
             self.stop();
         }
         Some((gesture, motion))
