@@ -315,6 +315,21 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.letter('w');
     w.until("filled", |picture| differing(&home, picture) < 0.002);
 
+    // Without textures the ground is white, without light it has no shadows.
+    let green = |picture: &RgbImage| {
+        let is_green = |p: &&image::Rgb<u8>| p.0[1] > p.0[2].saturating_add(25);
+        picture.pixels().filter(is_green).count() as f64 / f64::from(picture.width() * picture.height())
+    };
+    assert!(green(&home) > 0.1);
+    w.letter('t');
+    w.until("no textures", |picture| green(picture) < 0.001 && differing(&home, picture) > 0.1);
+    w.letter('t');
+    w.until("textures", |picture| differing(&home, picture) < 0.002);
+    w.letter('l');
+    w.until("no light", |picture| differing(&home, picture) > 0.03 && green(picture) > 0.1);
+    w.letter('l');
+    w.until("light", |picture| differing(&home, picture) < 0.002);
+
     // Tile bounds are lines over the ground.
     w.letter('g');
     w.until("tiles", |picture| differing(&home, picture) > 0.02);
@@ -346,6 +361,34 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.until("flown", |picture| differing(&home, picture) > 0.02);
 
     w.close();
+    assert_eq!(w.ended().code(), Some(0));
+}
+
+#[test]
+fn a_window_that_draws_on_demand_rests_and_wakes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let args = ["view", set.to_str().unwrap(), "--size", "320x180", "--on-demand", "--max-fps", "30"];
+    let mut w = Driven::start(&display, &args, folder.path());
+    w.until("terrain on demand", |picture| colours(picture) > 100);
+    std::thread::sleep(Duration::from_secs(3));
+    let rest = w.at_rest("rest on demand");
+    // Clock ticks of all its threads, of which there are 100 a second.
+    let ticks = |w: &Driven| {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", w.program.id())).unwrap();
+        let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
+        fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()
+    };
+    let before = ticks(&w);
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(ticks(&w) - before < 60, "it draws all the time");
+    w.send(MOTION, 0, 160, 90);
+    for _ in 0..4 {
+        w.send(BUTTON_PRESS, 4, 0, 0);
+        w.send(BUTTON_RELEASE, 4, 0, 0);
+    }
+    w.until("woken", |picture| differing(&rest, picture) > 0.2);
+    w.key(ESCAPE);
     assert_eq!(w.ended().code(), Some(0));
 }
 

@@ -510,7 +510,9 @@ mod tests {
         let header = crate::gpu::TABLE_HEADER_VECTORS;
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
-        assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {}u;", crate::draw::uniforms::frame::FLAG_UNLIT)));
+        use crate::draw::uniforms::frame::{FLAG_UNLIT, FLAG_UNTEXTURED};
+        assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {FLAG_UNLIT}u;")));
+        assert!(MESH_WGSL.contains(&format!("const FLAG_UNTEXTURED: u32 = {FLAG_UNTEXTURED}u;")));
         let shift = crate::draw::uniforms::frame::INDEX_COUNT_SHIFT;
         assert!(MESH_WGSL.contains(&format!("const INDEX_COUNT_SHIFT: u32 = {shift}u;")));
         assert_eq!(size_of::<MeshVertex>(), 7 * 4);

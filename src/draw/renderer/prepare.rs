@@ -112,7 +112,7 @@ impl Renderer {
                 self.statics.len() - 1
             });
             let key = self.pipelines.state_key(state, shading, target.index);
-            states.push(StateEntry::new(key, index as u32, state.color, [state.is_lit(false), state.is_lit(true)]));
+            states.push(StateEntry::new(key, index as u32, state));
         }
         self.batch.states = states;
         let first_run = self.batch.runs.len();

@@ -32,18 +32,21 @@ impl GuiEventHandler for HelpHandler {
 
     #[cfg(feature = "window")]
     fn lay_out(&mut self, ui: &egui::Context, viewer: &Viewer) {
+        let lines = viewer.usage();
+        let keys = |ui: &mut egui::Ui| {
+            egui::Grid::new("keys").num_columns(2).spacing([18.0, 3.0]).show(ui, |ui| {
+                for line in lines.iter().chain(&KEYS.usage()) {
+                    ui.label(egui::RichText::new(&line.keys).monospace().strong());
+                    ui.label(line.does);
+                    ui.end_row();
+                }
+            });
+        };
+        let most_high = 0.8 * ui.content_rect().height();
         egui::Window::new("Keys")
             .anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0])
             .resizable(false)
             .collapsible(false)
-            .show(ui, |ui| {
-                egui::Grid::new("keys").num_columns(2).spacing([18.0, 3.0]).show(ui, |ui| {
-                    for line in viewer.usage().iter().chain(&KEYS.usage()) {
-                        ui.label(egui::RichText::new(&line.keys).monospace().strong());
-                        ui.label(line.does);
-                        ui.end_row();
-                    }
-                });
-            });
+            .show(ui, |ui| egui::ScrollArea::vertical().max_height(most_high).show(ui, keys));
     }
 }

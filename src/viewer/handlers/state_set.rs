@@ -17,7 +17,7 @@ enum Action {
 const KEYS: Bindings<Action> = Bindings(&[
     (&[Key::Char('w')], Action::Polygons, "filled, lines, points"),
     (&[Key::Char('l')], Action::Lighting, "lighting"),
-    (&[Key::Char('t')], Action::Textures, "textures of texture units"),
+    (&[Key::Char('t')], Action::Textures, "textures"),
     (&[Key::Char('b')], Action::BackFaces, "culling of back faces"),
 ]);
 
@@ -77,7 +77,7 @@ impl GuiEventHandler for StateSetManipulator {
             }
             Action::Textures => {
                 self.is_untextured = !self.is_untextured;
-                format!("texture units {}", on_off(self.is_untextured))
+                format!("textures {}", on_off(self.is_untextured))
             }
             Action::BackFaces => {
                 self.shows_back_faces = !self.shows_back_faces;
