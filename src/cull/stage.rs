@@ -73,7 +73,7 @@ pub struct CullCounters {
 }
 
 impl CullCounters {
-    pub(super) fn add(&mut self, other: &Self) {
+    pub(crate) fn add(&mut self, other: &Self) {
         self.nodes_visited += other.nodes_visited;
         self.drawables_tested += other.drawables_tested;
         self.leaves += other.leaves;
@@ -160,6 +160,8 @@ pub struct StageTarget {
     pub order: i32,
     /// Called while it is drawn.
     pub callbacks: Option<DrawHook>,
+    /// A whole picture with a background of its own, in its part of a target that others have drawn into.
+    pub is_picture: bool,
 }
 
 /// What is drawn for a camera.

@@ -18,6 +18,7 @@ mod slots;
 mod text;
 mod tiles;
 mod transforms;
+mod variance;
 
 pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMALL_FEATURE_PX};
 pub use error::SceneError;
@@ -35,6 +36,7 @@ pub use page::{DrawSlot, Page};
 pub use slots::{SlotInfo, SlotState};
 #[cfg(feature = "text")]
 pub use text::Font;
+pub use variance::DataVariance;
 
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use tiles::{TileBounds, TileRecord, flag};

@@ -1,19 +1,20 @@
 //! The viewer: runs the frame and owns what it needs. The only room that knows winit and egui.
 //!
 //! [`Viewer::frame`] is advance, event, update and rendering; see `viewer.rs` for who may touch the scene when and
-//! `threading.rs` for who draws. Everything here runs on the main thread, except what `threading.rs` sends away.
+//! `rendering` for who culls and draws. Everything here runs on the main thread, except what `rendering` sends away.
 
 mod camera;
 mod camera_path;
+mod frame;
 mod holes;
 mod home;
 mod manipulator;
 #[cfg(feature = "window")]
 mod overlay;
+mod rendering;
 mod report;
 mod settled;
 mod stats;
-mod threading;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]
 mod viewer;
 #[cfg(feature = "window")]
@@ -26,9 +27,9 @@ pub use home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for};
 pub use manipulator::{CameraManipulator, Event, FlyManipulator, MoveKey};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
+pub use rendering::{THREADING_VARIABLE, ThreadingModel};
 pub use report::{Bytes, DrawMedians, FrameTimes, Phases, Report, ReportError, Settled, Tiles, Times};
 pub use stats::{FrameStats, Samples, StatsHistory};
-pub use threading::{ContextHandle, DrawCommand, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 #[cfg(feature = "window")]
 pub use window::{AfterFrame, BeforeFrame, KEYS, OnOpen, WindowOptions, has_display, run_window};
@@ -48,7 +49,10 @@ pub enum ViewerError {
     /// A thread could not be started.
     #[error("cannot start a thread: {0}")]
     Thread(std::io::Error),
-    /// The draw thread ended before it was told to.
+    /// A variable of the environment says what it cannot.
+    #[error("{0}")]
+    Setting(String),
+    /// A thread that draws or culls ended before it was told to.
     #[error("the draw thread has stopped")]
     DrawThreadStopped,
     /// A callback of the application failed.

@@ -219,7 +219,7 @@ impl Viewer {
         self.absorb_all()?;
         let mut report = Report::from_frames(self.history.iter());
         report.adapter = self.adapter_name().to_owned();
-        report.threading = self.threading.to_string();
+        report.threading = self.threading_model().to_string();
         report.size = self.size_px;
         report.converge_s = self.converge_s;
         report.bytes.gpu_peak = self.gpu_bytes_peak;

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use image::RgbaImage;
 
 use super::holes::{KEY_COLOR, coverage};
+use super::rendering::FrameJob;
 use super::report::Settled;
 use super::stats::FrameStats;
 use super::viewer::CONTEXT;
 use super::{Viewer, ViewerError};
-use crate::cull::RenderStage;
 use crate::draw::Sky;
 use crate::scene::{DrawSlot, SlotState};
 
@@ -18,18 +18,17 @@ impl Viewer {
     /// Draws the present view once more, unseen and without statistics; on the key colour without fog if asked.
     fn draw_again(&mut self, on_key: bool) -> Result<(FrameStats, RgbaImage), ViewerError> {
         self.absorb_all()?;
-        let stage = self.cull_again();
+        self.cull_again();
+        let stage = std::mem::take(&mut self.probe_stage);
         let mut stats = FrameStats { tiles_drawn: stage.counters.tiles_drawn, ..FrameStats::default() };
-        let mut job = self.job(stage);
+        let mut job = FrameJob { stage: Some(stage), read_back: true, present: false, ..self.job() };
         if on_key {
             job.environment.sky = Sky::Background(KEY_COLOR);
             job.environment.fog.enabled = false;
         }
-        job.read_back = true;
-        job.present = false;
-        self.context.frame(job)?;
-        let done = self.context.wait_done()?.ok_or(ViewerError::DrawThreadStopped)?;
-        self.free_stages.push(done.stage);
+        let context = self.rendering.context_mut(CONTEXT).ok_or(ViewerError::DrawThreadStopped)?;
+        let done = context.draw_alone(job)?;
+        self.probe_stage = done.stage.unwrap_or_default();
         let drawn = done.stats?;
         stats.triangles = drawn.triangles;
         stats.points = drawn.points;
@@ -37,13 +36,11 @@ impl Viewer {
         Ok((stats, image))
     }
 
-    /// Culls the present view once more, leaving requests and counters as they are.
-    fn cull_again(&mut self) -> RenderStage {
-        let mut stage = self.free_stages.pop().unwrap_or_default();
-        let (requests, wanted_missing) = (std::mem::take(&mut self.requests), self.wanted_missing);
-        self.cull_into(&mut stage);
-        (self.requests, self.wanted_missing) = (requests, wanted_missing);
-        stage
+    /// Culls the present view once more into the viewer's own stage.
+    fn cull_again(&mut self) {
+        self.prepare_eyes();
+        let task = self.task(Vec::new());
+        task.run(&mut self.probe, &mut self.probe_stage);
     }
 
     /// The present view's picture, drawn once more.
@@ -65,11 +62,11 @@ impl Viewer {
 
     /// URIs of the contents that the present view draws, sorted.
     pub fn drawn_contents(&mut self) -> Vec<Arc<str>> {
-        let stage = self.cull_again();
-        let mut drawn: Vec<DrawSlot> = stage.bins.iter().flat_map(|b| &b.leaves).map(|leaf| leaf.slot).collect();
+        self.cull_again();
+        let mut drawn: Vec<DrawSlot> =
+            self.probe_stage.bins.iter().flat_map(|b| &b.leaves).map(|leaf| leaf.slot).collect();
         drawn.retain(|slot| *slot != DrawSlot::NONE);
         drawn.sort_unstable();
-        self.free_stages.push(stage);
         let mut uris = Vec::new();
         let mut pages = self.scene.roots().to_vec();
         while let Some(page) = pages.pop() {

@@ -9,24 +9,23 @@ use image::RgbaImage;
 
 use super::ViewerError;
 use super::camera::Camera;
-use super::home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for, root_volume};
+use super::home::{LoadedRoot, SetBounds, ViewFrom, environment_for, root_volume};
 use super::manipulator::{CameraManipulator, Event};
-use super::stats::{FrameStats, StatsHistory};
-use super::threading::{ContextHandle, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel, millis};
-use crate::cull::{CullCamera, CullSettings, CullVisitor, PageRequest, RenderStage, Stereo};
-use crate::draw::{Environment, FrameClock};
+use super::rendering::{Rendering, ThreadingModel};
+use super::stats::StatsHistory;
+use crate::cull::{CullSettings, CullVisitor, PageRequest, RenderStage, Stereo};
+use crate::draw::Environment;
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::io::ReadOptions;
 use crate::pager::{CompileContext, DatabasePager, PagerConfig};
-use crate::scene::{Attachment, CameraTarget, Page, PageId, Scene};
-use crate::state::{TextureFormat, TextureObject};
+use crate::scene::{CameraTarget, Page, PageId, Scene};
 
 /// How a viewer is made.
 #[derive(Clone, Debug)]
 pub struct ViewerConfig {
     /// Size of the picture in pixels.
     pub size_px: [u32; 2],
-    /// Who draws.
+    /// Who culls and who draws.
     pub threading: ThreadingModel,
     /// Which adapter draws.
     pub adapter: AdapterChoice,
@@ -80,7 +79,8 @@ pub type UpdateCallback = Box<dyn FnMut(&mut Scene, &FrameStamp) + Send>;
 /// frame()   advance    frame stamp
 ///           event      events -> manipulator -> camera
 ///           update     &mut Scene: callbacks, pager (expire, merge, request)
-///           rendering  cull: &Scene -> stage; draw: the stage moves to the context's thread
+///           rendering  cull: &Scene -> stage; draw: the stage moves to the context's thread;
+///                      which threads do it is the [`ThreadingModel`]'s to say
 /// ```
 pub struct Viewer {
     /// The eye; change it between frames, or set a manipulator.
@@ -90,56 +90,54 @@ pub struct Viewer {
     /// Uploads between two frames.
     pub compile_budget: CompileBudget,
     #[cfg(feature = "window")]
-    overlay: Option<super::overlay::OverlayPaint>,
-    pub(super) scene: Scene,
+    pub(super) overlay: Option<super::overlay::OverlayPaint>,
+    /// The main thread's alone but while cameras are culled.
+    pub(super) scene: Arc<Scene>,
     pub(super) pager: Option<DatabasePager>,
-    pager_config: PagerConfig,
-    cull: CullVisitor,
-    samples: u32,
-    stereo: Option<Stereo>,
+    pub(super) pager_config: PagerConfig,
+    /// For looking at the scene outside the frame's own culls, with a stage.
+    pub(super) probe: CullVisitor,
+    pub(super) probe_stage: RenderStage,
+    pub(super) samples: u32,
+    pub(super) stereo: Option<Stereo>,
     /// What the eyes' pictures are drawn into; made anew when their size changes.
-    eyes: Option<[Arc<CameraTarget>; 2]>,
-    pub(super) context: ContextHandle,
+    pub(super) eyes: Option<[Arc<CameraTarget>; 2]>,
+    pub(super) rendering: Rendering,
     pub(super) size_px: [u32; 2],
-    pub(super) free_stages: Vec<RenderStage>,
+    /// Of all cameras in the last frame.
     pub(super) requests: Vec<PageRequest>,
-    manipulator: Option<Box<dyn CameraManipulator>>,
-    events: Vec<Event>,
-    update_callbacks: Vec<UpdateCallback>,
-    bounds: Option<SetBounds>,
-    root_uri: Option<Arc<str>>,
-    root: Option<PageId>,
+    pub(super) manipulator: Option<Box<dyn CameraManipulator>>,
+    pub(super) events: Vec<Event>,
+    pub(super) update_callbacks: Vec<UpdateCallback>,
+    pub(super) bounds: Option<SetBounds>,
+    pub(super) root_uri: Option<Arc<str>>,
+    pub(super) root: Option<PageId>,
     /// Pages made by the application whose drawables were sent to be uploaded; the index is the ticket.
-    compiling: Vec<PageId>,
-    first_frame: Option<Instant>,
-    last_frame: Option<Instant>,
-    stamp: FrameStamp,
+    pub(super) compiling: Vec<PageId>,
+    pub(super) first_frame: Option<Instant>,
+    pub(super) last_frame: Option<Instant>,
+    pub(super) stamp: FrameStamp,
     /// Seconds between the last two frames.
-    delta_s: f64,
+    pub(super) delta_s: f64,
     pub(super) history: StatsHistory,
-    pub(super) threading: ThreadingModel,
     pub(super) gpu_bytes_peak: u64,
     /// What could not be drawn as it should, each once.
     pub(super) draw_errors: Vec<String>,
-    picture_wanted: bool,
-    pictures: Vec<(u32, RgbaImage)>,
+    pub(super) picture_wanted: bool,
+    pub(super) pictures: Vec<(u32, RgbaImage)>,
     /// Reading back in the frame being measured, milliseconds.
-    read_back_ms: f64,
+    pub(super) read_back_ms: f64,
     /// Frames in a row in which the pager had nothing to do.
-    quiet_frames: u32,
+    pub(super) quiet_frames: u32,
     pub(super) wanted_missing: u32,
     pub(super) converge_s: Option<f64>,
-    first_pose: Option<DAffine3>,
+    pub(super) first_pose: Option<DAffine3>,
 }
 
 /// The one context of a viewer.
 pub(super) const CONTEXT: u32 = 0;
 /// With nothing under way for this many frames, requests that remain are ones the pager declines.
-const QUIET_FRAMES: u32 = 4;
-/// How often arrivals are looked for while the draw thread is busy.
-const ARRIVAL_POLL: Duration = Duration::from_micros(300);
-/// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
-const MAX_BLOCKING_ROUNDS: u32 = 256;
+pub(super) const QUIET_FRAMES: u32 = 4;
 
 impl Viewer {
     /// A viewer that draws into a texture.
@@ -157,8 +155,14 @@ impl Viewer {
 
     /// A viewer on a context of the caller's.
     pub fn new(context: GraphicsContext, config: &ViewerConfig) -> Result<Self, ViewerError> {
-        let mut context = ContextHandle::new(CONTEXT, context, config.threading)?;
-        context.finish_compiles = config.pager.blocking;
+        let mut rendering = Rendering::new(ThreadingModel::SingleThreaded);
+        let first = rendering.add_context(context);
+        debug_assert_eq!(first, CONTEXT);
+        rendering.add_camera(first);
+        rendering.set_model(config.threading)?;
+        for context in rendering.contexts_mut() {
+            context.finish_compiles = config.pager.blocking;
+        }
         Ok(Self {
             camera: Camera {
                 settings: CullSettings { max_sse_px: config.max_sse_px, ..CullSettings::default() },
@@ -168,16 +172,16 @@ impl Viewer {
             compile_budget: config.compile_budget,
             #[cfg(feature = "window")]
             overlay: None,
-            scene: Scene::new(),
+            scene: Arc::new(Scene::new()),
             pager: None,
             pager_config: config.pager.clone(),
-            cull: CullVisitor::default(),
+            probe: CullVisitor::default(),
+            probe_stage: RenderStage::new(),
             samples: config.samples,
             stereo: None,
             eyes: None,
-            context,
+            rendering,
             size_px: config.size_px,
-            free_stages: (0..=STAGES_IN_FLIGHT).map(|_| RenderStage::default()).collect(),
             requests: Vec::new(),
             manipulator: None,
             events: Vec::new(),
@@ -191,7 +195,6 @@ impl Viewer {
             stamp: FrameStamp::default(),
             delta_s: 0.0,
             history: StatsHistory::new(config.history_frames),
-            threading: config.threading,
             gpu_bytes_peak: 0,
             draw_errors: Vec::new(),
             picture_wanted: false,
@@ -234,10 +237,10 @@ impl Viewer {
             self.environment = environment_for(&bounds);
         }
         let drawables = page.take_drawables();
-        let root = self.scene.add_root(page);
+        let root = self.scene_mut().add_root(page);
         self.root.get_or_insert(root);
         if !drawables.is_empty() {
-            self.context.compile_own(self.compiling.len() as u32, drawables)?;
+            self.rendering.compile_own(self.compiling.len() as u32, drawables)?;
             self.compiling.push(root);
         }
         Ok(root)
@@ -246,9 +249,11 @@ impl Viewer {
     /// Takes a root out of the scene and frees what it has on the GPU; `None` when it is not a root, or while
     /// pages hang in it.
     pub fn remove_root(&mut self, id: PageId) -> Option<Page> {
-        let mut page = self.scene.remove_root(id)?;
-        for (_, slots) in page.take_draw_slots() {
-            self.context.release(slots);
+        let mut page = self.scene_mut().remove_root(id)?;
+        for (context, slots) in page.take_draw_slots() {
+            if let Some(context) = self.rendering.context_mut(context) {
+                context.release(slots);
+            }
         }
         Some(page)
     }
@@ -269,7 +274,7 @@ impl Viewer {
 
     /// The scene; pages may be added and transforms set between frames.
     pub fn scene_mut(&mut self) -> &mut Scene {
-        &mut self.scene
+        alone(&mut self.scene)
     }
 
     /// The scene.
@@ -306,7 +311,7 @@ impl Viewer {
 
     /// Name of the adapter that draws.
     pub fn adapter_name(&self) -> &str {
-        self.context.adapter_name()
+        self.rendering.contexts().first().map_or("", |c| c.adapter_name())
     }
 
     /// Number and times of the last frame.
@@ -358,11 +363,30 @@ impl Viewer {
         self.update_callbacks.push(callback);
     }
 
+    /// The threading model that runs, or will from the first frame on.
+    pub fn threading_model(&self) -> ThreadingModel {
+        self.rendering.model()
+    }
+
+    /// Changes the threading model at run time: waits until all frames are drawn, ends the threads, and the next frame
+    /// starts those of the new model.
+    pub fn set_threading_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
+        self.absorb_all()?;
+        self.rendering.set_model(model)
+    }
+
+    /// Ends the threads until the next frame starts them again; all frames are drawn before.
+    pub fn stop_threading(&mut self) -> Result<(), ViewerError> {
+        self.absorb_all()?;
+        self.rendering.stop_threads();
+        Ok(())
+    }
+
     /// The picture's new size in pixels.
     pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
         self.size_px = size_px.map(|side| side.max(1));
         self.eyes = None;
-        self.context.resize(self.size_px)
+        self.rendering.context_mut(CONTEXT).map_or(Ok(()), |c| c.resize(self.size_px))
     }
 
     /// Paints an overlay over the next frame.
@@ -387,65 +411,11 @@ impl Viewer {
         self.frame_at(now)
     }
 
-    /// Renders one frame at a simulation time.
-    pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
-        let start = Instant::now();
-        self.read_back_ms = 0.0;
-        let dt_s = self.advance(start, simulation_time_s);
-        let mut stats = FrameStats { frame: self.stamp.frame, ..FrameStats::default() };
-
-        self.event(dt_s);
-        let after_event = Instant::now();
-        stats.event_ms = millis(after_event - start);
-
-        // Update: everything with &mut Scene.
-        for callback in &mut self.update_callbacks {
-            callback(&mut self.scene, &self.stamp);
-        }
-        if self.pager_config.blocking {
-            self.absorb_all()?;
-        }
-        stats.merge_ms = self.page();
-        stats.update_ms = millis(after_event.elapsed());
-
-        // Rendering: cull now, draw on the context's thread.
-        self.wait_for_stage()?;
-        let before_cull = Instant::now();
-        let mut stage = self.free_stages.pop().unwrap_or_default();
-        self.cull_into(&mut stage);
-        stats.cull_ms = millis(before_cull.elapsed());
-        if self.pager_config.blocking {
-            let mut rounds = 0;
-            while !self.is_settled() && rounds < MAX_BLOCKING_ROUNDS {
-                stats.merge_ms += self.page();
-                self.cull_into(&mut stage);
-                rounds += 1;
-            }
-        }
-        let counters = &stage.counters;
-        stats.tiles_drawn = counters.tiles_drawn;
-        stats.tiles_visited = counters.tiles_visited;
-        stats.occluded = counters.occluded;
-        stats.wanted_missing = counters.wanted_missing;
-        self.note_convergence(start);
-        self.history.push(stats);
-        let job = self.job(stage);
-        self.context.frame(job)?;
-        while let Some(done) = self.context.try_done() {
-            self.absorb(*done)?;
-        }
-        let frame_ms = (millis(start.elapsed()) - self.read_back_ms).max(0.0);
-        if let Some(stats) = self.history.frame_mut(self.stamp.frame) {
-            stats.frame_ms = frame_ms;
-        }
-        Ok(())
-    }
-
     /// For a loop with a frame rate of its own, instead of sleeping until the next frame is due: uploads, merges and
     /// expires what arrives, so that frames have less to do. Returns at `deadline`.
     pub fn work_until(&mut self, deadline: Instant) {
         if let (Some(pager), false) = (&mut self.pager, self.pager_config.blocking) {
-            pager.work_until(&mut self.scene, &mut [&mut self.context], deadline);
+            pager.work_until(alone(&mut self.scene), &mut self.rendering.compile_contexts(), deadline);
         }
         std::thread::sleep(deadline.saturating_duration_since(Instant::now()));
     }
@@ -458,187 +428,8 @@ impl Viewer {
     /// The last frame's picture, offscreen.
     pub fn read_back(&mut self) -> Result<RgbaImage, ViewerError> {
         self.absorb_all()?;
-        self.context.read_back()
+        self.rendering.context_mut(CONTEXT).ok_or(ViewerError::DrawThreadStopped)?.read_back()
     }
-
-    fn advance(&mut self, now: Instant, simulation_time_s: f64) -> f64 {
-        let first = *self.first_frame.get_or_insert(now);
-        let dt_s = self.last_frame.map_or(0.0, |last| (now - last).as_secs_f64());
-        self.last_frame = Some(now);
-        self.delta_s = dt_s;
-        self.stamp = FrameStamp {
-            frame: self.stamp.frame + 1,
-            reference_time_s: (now - first).as_secs_f64(),
-            simulation_time_s,
-        };
-        dt_s
-    }
-
-    fn event(&mut self, dt_s: f64) {
-        if let Some(manipulator) = &mut self.manipulator {
-            for event in &self.events {
-                manipulator.handle(event);
-            }
-            self.camera.world_from_eye = manipulator.advance(dt_s);
-        }
-        self.events.clear();
-    }
-
-    /// The pager's turn with the scene; milliseconds.
-    fn page(&mut self) -> f64 {
-        let start = Instant::now();
-        self.merge_own();
-        if let Some(pager) = &mut self.pager {
-            pager.update_scene_graph(&mut self.scene, self.stamp.frame, &self.requests, &mut [&mut self.context]);
-            self.quiet_frames = if pager.is_idle() { self.quiet_frames.saturating_add(1) } else { 0 };
-        } else {
-            self.quiet_frames = QUIET_FRAMES;
-        }
-        millis(start.elapsed())
-    }
-
-    /// Gives pages that the application made the slots of their uploaded drawables.
-    fn merge_own(&mut self) {
-        if self.pager.is_none() && !self.compiling.is_empty() {
-            // Nobody else takes what is compiled.
-            self.context.take_compiled();
-        }
-        for (number, compiled) in self.context.take_compiled_own() {
-            for error in &compiled.errors {
-                log::error!("a drawable of a root cannot be drawn: {error}");
-            }
-            match self.compiling.get(number as usize).and_then(|id| self.scene.page_mut(*id)) {
-                Some(page) => page.set_draw_slots(CONTEXT, compiled.slots),
-                // Removed meanwhile.
-                None => self.context.release(compiled.slots),
-            }
-        }
-    }
-
-    pub(super) fn cull_into(&mut self, stage: &mut RenderStage) {
-        let horizon = self.bounds.as_ref().and_then(SetBounds::body);
-        let camera = CullCamera { horizon, ..self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT) };
-        match &self.stereo {
-            None => {
-                self.cull.cull(&self.scene, &camera, stage);
-                // The near plane of this very frame, from what cull has just found.
-                stage.camera.clip_from_eye =
-                    self.camera.clip_from_eye(self.size_px, self.camera.near_for(stage.near_m));
-            }
-            Some(stereo) => {
-                let samples = self.samples;
-                let targets = &*self.eyes.get_or_insert_with(|| eye_targets(stereo.eye_size_px(self.size_px), samples));
-                self.cull.cull_stereo(&self.scene, &camera, stereo, targets, stage);
-                let near_m = self.camera.near_for(stage.near_m);
-                let camera = CullCamera { clip_from_eye: self.camera.clip_from_eye(self.size_px, near_m), ..camera };
-                for (eye, of_eye) in stereo.eyes(&camera).iter().zip(&mut stage.pre_render) {
-                    of_eye.camera.clip_from_eye = eye.clip_from_eye;
-                }
-            }
-        }
-        // The stage goes to the draw thread; its requests stay for the next update.
-        std::mem::swap(&mut self.requests, &mut stage.requests);
-        self.wanted_missing = stage.counters.wanted_missing;
-    }
-
-    fn note_convergence(&mut self, now: Instant) {
-        let pose = self.camera.world_from_eye;
-        let first_pose = *self.first_pose.get_or_insert(pose);
-        if self.converge_s.is_none() && first_pose == pose && self.is_settled() {
-            self.converge_s = self.first_frame.map(|first| now.max(first).duration_since(first).as_secs_f64());
-        }
-    }
-
-    pub(super) fn job(&mut self, stage: RenderStage) -> FrameJob {
-        // Over a globe, up is a matter of where one is.
-        if let Some(bounds) = self.bounds.filter(|b| b.frame.georeferenced) {
-            self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
-        }
-        FrameJob {
-            stage,
-            environment: self.environment,
-            clock: FrameClock {
-                reference_time_s: self.stamp.reference_time_s,
-                delta_s: self.delta_s,
-                simulation_time_s: self.stamp.simulation_time_s,
-            },
-            budget: self.compile_budget,
-            read_back: std::mem::take(&mut self.picture_wanted),
-            present: true,
-            #[cfg(feature = "window")]
-            overlay: self.overlay.take(),
-        }
-    }
-
-    fn absorb_next(&mut self) -> Result<(), ViewerError> {
-        let start = Instant::now();
-        if let Some(done) = self.context.wait_done()? {
-            let waited_ms = millis(start.elapsed());
-            self.read_back_ms += done.read_back_ms.min(waited_ms);
-            self.absorb(*done)?;
-        }
-        Ok(())
-    }
-
-    /// Waits until a stage is free, merging what arrives meanwhile.
-    fn wait_for_stage(&mut self) -> Result<(), ViewerError> {
-        while self.context.in_flight() >= STAGES_IN_FLIGHT {
-            match &mut self.pager {
-                Some(pager) if !self.pager_config.blocking && !pager.is_idle() => {
-                    pager.merge_arrived(&mut self.scene, &mut [&mut self.context]);
-                    let start = Instant::now();
-                    if let Some(done) = self.context.wait_done_for(ARRIVAL_POLL)? {
-                        self.read_back_ms += done.read_back_ms.min(millis(start.elapsed()));
-                        self.absorb(*done)?;
-                    }
-                }
-                _ => self.absorb_next()?,
-            }
-        }
-        Ok(())
-    }
-
-    pub(super) fn absorb_all(&mut self) -> Result<(), ViewerError> {
-        while self.context.in_flight() > 0 {
-            self.absorb_next()?;
-        }
-        Ok(())
-    }
-
-    fn absorb(&mut self, done: FrameDone) -> Result<(), ViewerError> {
-        let frame = done.stage.camera.frame;
-        self.gpu_bytes_peak = self.gpu_bytes_peak.max(done.gpu_bytes_peak);
-        if self.threading == ThreadingModel::SingleThreaded {
-            self.read_back_ms += done.read_back_ms;
-        }
-        self.free_stages.push(done.stage);
-        self.draw_errors.extend(done.errors);
-        let drawn = done.stats?;
-        if let Some(stats) = self.history.frame_mut(frame) {
-            stats.draw_ms = done.draw_ms;
-            stats.compile_ms = done.compile_ms;
-            stats.gpu_ms = drawn.gpu_ms;
-            stats.leaves = drawn.leaves;
-            stats.draw_calls = drawn.draw_calls;
-            stats.state_changes = drawn.state_changes;
-            stats.state_changes_skipped = drawn.state_changes_skipped;
-            stats.triangles = drawn.triangles;
-            stats.points = drawn.points;
-            stats.drawn = true;
-        }
-        if let Some(image) = done.image {
-            self.pictures.push((frame, image?));
-        }
-        Ok(())
-    }
-}
-
-/// A texture for each eye.
-fn eye_targets(size_px: [u32; 2], samples: u32) -> [Arc<CameraTarget>; 2] {
-    ["left eye", "right eye"].map(|name| {
-        let texture = TextureObject::target(name, size_px, TextureFormat::Rgba8Srgb);
-        Arc::new(CameraTarget { colors: vec![Attachment::new(texture)], samples, ..CameraTarget::default() })
-    })
 }
 
 fn traits(config: &ViewerConfig) -> ContextTraits {
@@ -648,4 +439,9 @@ fn traits(config: &ViewerConfig) -> ContextTraits {
         samples: config.samples,
         validation: config.validation,
     }
+}
+
+/// The scene, between two frames.
+pub(super) fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
+    Arc::get_mut(scene).expect("culls have dropped the scene before a frame ends")
 }
