@@ -7,6 +7,7 @@ use glam::DAffine3;
 use super::error::SceneError;
 use super::page::{NONE, Page};
 use super::tiles::flag;
+use super::variance::Rewritten;
 use super::{NodeId, PageId};
 use crate::math::BoundingSphere;
 use crate::state::StateSet;
@@ -31,6 +32,8 @@ pub struct Scene {
     page_count: usize,
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
+    /// Meshes that were changed and have not been sent to be drawn.
+    pub(super) rewritten: Vec<Rewritten>,
 }
 
 impl Scene {

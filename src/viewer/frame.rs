@@ -12,7 +12,7 @@ use super::{Viewer, ViewerError};
 use crate::cull::{CullCamera, CullCounters};
 use crate::draw::FrameClock;
 use crate::pager::CompileContext;
-use crate::scene::{Attachment, CameraTarget};
+use crate::scene::{Attachment, CameraTarget, DataVariance, DrawSlot};
 use crate::state::{TextureFormat, TextureObject};
 
 /// How often arrivals are looked for while the draw thread is busy.
@@ -46,6 +46,7 @@ impl Viewer {
             self.absorb_all()?;
         }
         stats.merge_ms = self.page();
+        let is_dynamic = self.send_rewritten()?;
         stats.update_ms = millis(after_event.elapsed());
 
         // Rendering: cull and draw, by the threads of the model.
@@ -60,7 +61,7 @@ impl Viewer {
                 rounds += 1;
             }
         }
-        self.render(&mut stats)?;
+        self.render(&mut stats, is_dynamic)?;
         self.note_convergence(start);
         self.history.push(stats);
         self.absorb_arrived()?;
@@ -72,13 +73,14 @@ impl Viewer {
     }
 
     /// Hands jobs and tasks to the contexts and cameras, and takes what the culls found.
-    fn render(&mut self, stats: &mut FrameStats) -> Result<(), ViewerError> {
+    fn render(&mut self, stats: &mut FrameStats, is_dynamic: bool) -> Result<(), ViewerError> {
         let mut job = Some(self.job());
         // The closures may not borrow what the rendering is part of.
         let task = self.task(Vec::new());
-        let rendered = self
-            .rendering
-            .frame(|_| job.take().unwrap_or_default(), |_, last| CullTask { requests: last.requests, ..task.clone() });
+        let rendered = self.rendering.frame(
+            |_| job.take().unwrap_or_default(),
+            |_, last| CullTask { requests: last.requests, is_dynamic, ..task.clone() },
+        );
         drop(task);
         rendered?;
         let mut counters = CullCounters::default();
@@ -161,6 +163,29 @@ impl Viewer {
                 }
             }
         }
+    }
+
+    /// Tells the contexts of meshes that update has changed; whether draw reads what the next update writes in place.
+    fn send_rewritten(&mut self) -> Result<bool, ViewerError> {
+        let scene = alone(&mut self.scene);
+        let mut is_dynamic = false;
+        for rewritten in std::mem::take(scene.rewritten_mut()) {
+            let Some(page) = scene.page(rewritten.page) else { continue };
+            let slots = |context: u32| page.draw_slots_of(context);
+            if self.rendering.contexts().iter().any(|c| slots(c.id()).is_empty()) {
+                // Not uploaded yet.
+                scene.rewritten_mut().push(rewritten);
+                continue;
+            }
+            is_dynamic |= rewritten.variance == DataVariance::Dynamic;
+            for context in self.rendering.contexts_mut() {
+                match slots(context.id()).get(rewritten.drawable as usize) {
+                    Some(slot) if *slot != DrawSlot::NONE => context.rewrite(*slot, rewritten.mesh.clone())?,
+                    _ => {}
+                }
+            }
+        }
+        Ok(is_dynamic)
     }
 
     /// What culling the present view is told.

@@ -10,7 +10,7 @@ use image::RgbaImage;
 use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
 use crate::pager::CompileContext;
-use crate::scene::{DrawSlot, Drawable};
+use crate::scene::{DrawSlot, Drawable, Mesh};
 use crate::sync::{Operation, OperationThread};
 use crate::viewer::ViewerError;
 
@@ -221,6 +221,11 @@ impl ContextHandle {
     /// What was uploaded by [`Self::compile_own`], with its number; called after the pager has taken its own.
     pub(in crate::viewer) fn take_compiled_own(&mut self) -> Vec<(u32, Compiled)> {
         self.compiled_own.drain(..).map(|c| (c.ticket as u32, c)).collect()
+    }
+
+    /// Puts another mesh in the place of a drawable's, from the next frame on.
+    pub(in crate::viewer) fn rewrite(&mut self, slot: DrawSlot, mesh: Arc<Mesh>) -> Result<(), ViewerError> {
+        self.send(DrawCommand::Rewrite { slot, mesh })
     }
 
     /// The target has a new size.

@@ -16,7 +16,7 @@ use super::millis;
 use crate::cull::RenderStage;
 use crate::draw::{DrawStats, Environment, FrameClock, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
-use crate::scene::DrawSlot;
+use crate::scene::{DrawSlot, Mesh};
 use crate::sync::BlockCount;
 
 /// One frame's work for the thread that owns the context.
@@ -65,6 +65,8 @@ pub(in crate::viewer) struct FrameDone {
 pub(super) enum DrawCommand {
     /// Put drawables into the compile queue.
     Compile(CompileOperation),
+    /// Put another mesh in the place of a drawable's, from the next frame on.
+    Rewrite { slot: DrawSlot, mesh: Arc<Mesh> },
     /// Free slots after the last frame that drew them.
     Release(Vec<DrawSlot>),
     /// Upload within a budget, between two frames.
@@ -100,6 +102,8 @@ pub(super) struct DrawSide {
     renderer: Renderer,
     /// A resize that failed; told with the next frame.
     failed: Option<GpuError>,
+    /// What else went wrong between frames; told with the next one.
+    errors: Vec<String>,
     /// Made when the first overlay comes.
     #[cfg(feature = "window")]
     overlay: Option<crate::viewer::overlay::OverlayPainter>,
@@ -145,6 +149,7 @@ impl DrawSide {
             context,
             renderer,
             failed: None,
+            errors: Vec::new(),
             #[cfg(feature = "window")]
             overlay: None,
             commands,
@@ -183,6 +188,12 @@ impl DrawSide {
     pub(super) fn execute(&mut self, command: DrawCommand) {
         let reply = match command {
             DrawCommand::Compile(operation) => return self.context.compile(operation),
+            DrawCommand::Rewrite { slot, mesh } => {
+                if let Err(error) = self.context.rewrite(slot, &mesh) {
+                    self.errors.push(error.to_string());
+                }
+                return;
+            }
             DrawCommand::Release(slots) => return self.context.release(&slots),
             DrawCommand::RunCompiles(budget) => {
                 self.context.run_compiles(&budget);
@@ -238,6 +249,7 @@ impl DrawSide {
         }
         let culled = Instant::now();
         let stats = self.draw(&job);
+        self.complete_dynamic();
         #[cfg(feature = "window")]
         if let Some(mut paint) = job.overlay.take() {
             self.paint(&mut paint);
@@ -251,6 +263,8 @@ impl DrawSide {
         // A window's image can be read until it is presented only.
         let image = (job.read_back && stats.is_ok()).then(|| self.renderer.read_back(&mut self.context));
         let read_back_ms = if image.is_some() { millis(drawn.elapsed()) } else { 0.0 };
+        let mut errors = self.renderer.take_errors();
+        errors.append(&mut self.errors);
         let stage = if own_stage { self.stages.pop().map(|s| s.stage) } else { None };
         self.give_back_stages();
         let done = FrameDone {
@@ -262,7 +276,7 @@ impl DrawSide {
             read_back_ms,
             image,
             gpu_bytes_peak: self.context.bytes_peak(),
-            errors: self.renderer.take_errors(),
+            errors,
         };
         self.drawn = Some((Box::new(done), job.present));
     }
@@ -286,12 +300,16 @@ impl DrawSide {
         stats
     }
 
-    /// Says that what is dynamic was read, and lets the stages be culled into again.
+    /// Says that what is dynamic was read.
+    fn complete_dynamic(&self) {
+        if let Some(block) = &self.end_of_dynamic {
+            self.stages.iter().filter(|culled| culled.completes).for_each(|_| block.completed());
+        }
+    }
+
+    /// Lets the stages be culled into again.
     fn give_back_stages(&mut self) {
         for (camera, culled) in self.cameras.iter().zip(self.stages.drain(..)) {
-            if let (true, Some(block)) = (culled.completes, &self.end_of_dynamic) {
-                block.completed();
-            }
             // As many fit as there are.
             let _ = camera.available.try_send(culled.stage);
         }
