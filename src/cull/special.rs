@@ -204,7 +204,6 @@ impl Cull<'_> {
                 clear_depth: camera.clear_depth,
                 order,
                 callbacks: camera.callbacks.clone(),
-                is_picture: false,
             },
             clamp_projection: camera.clamp_projection,
         });

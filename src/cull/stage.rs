@@ -160,8 +160,6 @@ pub struct StageTarget {
     pub order: i32,
     /// Called while it is drawn.
     pub callbacks: Option<DrawHook>,
-    /// A whole picture with a background of its own, in its part of a target that others have drawn into.
-    pub is_picture: bool,
 }
 
 /// What is drawn for a camera.

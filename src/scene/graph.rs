@@ -135,6 +135,13 @@ impl Scene {
         self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page.as_deref_mut()
     }
 
+    /// Forgets where a context kept the pages' drawables.
+    pub(crate) fn forget_context(&mut self, context: u32) {
+        for page in self.entries.iter_mut().filter_map(|e| e.page.as_mut()) {
+            page.draw_slots.retain(|(of, _)| *of != context);
+        }
+    }
+
     /// The slot in which a page hangs; `None` for root pages.
     pub fn slot_of(&self, id: PageId) -> Option<NodeId> {
         self.page(id)?;

@@ -20,8 +20,17 @@ const COMMAND_QUEUE: usize = 1024;
 /// Most time for uploads between two frames at once, so that a frame sent after them does not wait longer.
 const MOST_COMPILING: Duration = Duration::from_millis(2);
 
-/// Set in the tickets of what the viewer itself compiles (pages that the application made); the rest are the pager's.
+/// Set in the tickets of pages that the application made; the rest are the pagers'.
 const OWN_TICKET: u64 = 1 << 63;
+
+/// Where in a ticket its scene is told; what the pager chose lies below.
+const OWNER_SHIFT: u32 = 48;
+const TICKET_MASK: u64 = (1 << OWNER_SHIFT) - 1;
+
+/// What tells the uploads of a scene from others.
+fn owner_bits(owner: u16, is_own: bool) -> u64 {
+    (u64::from(owner & 0x7fff) << OWNER_SHIFT) | if is_own { OWN_TICKET } else { 0 }
+}
 
 /// Who owns the context now.
 enum Side {
@@ -46,19 +55,21 @@ pub(in crate::viewer) struct ContextHandle {
     compiling: usize,
     /// An upload between frames was sent and has not been done.
     running_compiles: Arc<AtomicBool>,
-    /// Compiled for the viewer's own pages, until it asks.
-    compiled_own: Vec<Compiled>,
+    /// Compiled and not asked for yet by those whose they are.
+    arrived: Vec<Compiled>,
+    size_px: [u32; 2],
     in_flight: usize,
     /// Last frame that came back.
-    pub(in crate::viewer) done_frame: u32,
+    pub(super) done_frame: u32,
     /// Wait for every upload when the pager asks what is compiled: the blocking mode.
-    pub(in crate::viewer) finish_compiles: bool,
+    finish_compiles: bool,
     adapter_name: String,
 }
 
 impl ContextHandle {
     /// Takes the context; it is the main thread's until threads are started.
-    pub(super) fn new(id: u32, context: GraphicsContext) -> Self {
+    pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
+        let size_px = context.size_px();
         let adapter_name = context.adapter_name();
         let (commands, to_do) = crossbeam_channel::bounded(COMMAND_QUEUE);
         let (compiled_sender, compiled) = crossbeam_channel::unbounded();
@@ -81,16 +92,27 @@ impl ContextHandle {
             compiled,
             compiling: 0,
             running_compiles,
-            compiled_own: Vec::new(),
+            arrived: Vec::new(),
+            size_px,
             in_flight: 0,
-            done_frame: 0,
-            finish_compiles: false,
+            done_frame: frame,
+            finish_compiles: blocking,
             adapter_name,
         }
     }
 
+    /// Never the same again.
+    pub(in crate::viewer) fn number(&self) -> u32 {
+        self.id
+    }
+
+    /// Size of the target, or what it will be.
+    pub(super) fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
     /// Name of the adapter that draws.
-    pub(in crate::viewer) fn adapter_name(&self) -> &str {
+    pub(super) fn adapter_name(&self) -> &str {
         &self.adapter_name
     }
 
@@ -211,16 +233,52 @@ impl ContextHandle {
         }
     }
 
-    /// Uploads what the application made itself; see [`Self::take_compiled_own`].
-    pub(in crate::viewer) fn compile_own(&mut self, number: u32, drawables: Vec<Drawable>) -> Result<(), ViewerError> {
-        let ticket = OWN_TICKET | u64::from(number);
+    /// Uploads what the application made itself, under a number of its scene's.
+    pub(super) fn compile_own(&mut self, owner: u16, number: u32, drawables: Vec<Drawable>) -> Result<(), ViewerError> {
+        let ticket = owner_bits(owner, true) | u64::from(number);
         self.compiling += 1;
         self.send(DrawCommand::Compile(CompileOperation { ticket, drawables }))
     }
 
-    /// What was uploaded by [`Self::compile_own`], with its number; called after the pager has taken its own.
-    pub(in crate::viewer) fn take_compiled_own(&mut self) -> Vec<(u32, Compiled)> {
-        self.compiled_own.drain(..).map(|c| (c.ticket as u32, c)).collect()
+    /// Uploads what a scene's pager asks for.
+    pub(super) fn compile(&mut self, owner: u16, operation: CompileOperation) {
+        let ticket = owner_bits(owner, false) | (operation.ticket & TICKET_MASK);
+        self.compiling += 1;
+        // A draw thread that has ended shows at the next frame.
+        let _ = self.send(DrawCommand::Compile(CompileOperation { ticket, ..operation }));
+    }
+
+    /// Uploads between two frames. On a draw thread this waits behind the frames sent before.
+    pub(super) fn run_compiles(&mut self, budget: &CompileBudget) {
+        if self.compiling > 0 && !self.running_compiles.swap(true, Ordering::AcqRel) {
+            let budget = CompileBudget { time: budget.time.min(MOST_COMPILING), ..*budget };
+            // A draw thread that has ended shows at the next frame.
+            let _ = self.send(DrawCommand::RunCompiles(budget));
+        }
+    }
+
+    /// What was uploaded for a scene: for its own pages, with their numbers, or for its pager.
+    pub(super) fn take_compiled(&mut self, owner: u16, is_own: bool) -> Vec<Compiled> {
+        // Answers come in order, so frames in flight would have to be taken first; the blocking mode has none.
+        if self.finish_compiles
+            && self.compiling > 0
+            && self.in_flight == 0
+            && self.send(DrawCommand::FinishCompiles).is_ok()
+        {
+            let _ = self.replies.recv();
+        }
+        let before = self.arrived.len();
+        self.arrived.extend(self.compiled.try_iter());
+        self.compiling = self.compiling.saturating_sub(self.arrived.len() - before);
+        let bits = owner_bits(owner, is_own);
+        let of_owner = self.arrived.extract_if(.., |c| c.ticket & !TICKET_MASK == bits);
+        of_owner.map(|c| Compiled { ticket: c.ticket & TICKET_MASK, ..c }).collect()
+    }
+
+    /// Frees slots after the last frame that draws them.
+    pub(super) fn release(&mut self, slots: Vec<DrawSlot>) {
+        // As above.
+        let _ = self.send(DrawCommand::Release(slots));
     }
 
     /// Puts another mesh in the place of a drawable's, from the next frame on.
@@ -230,6 +288,7 @@ impl ContextHandle {
 
     /// The target has a new size.
     pub(in crate::viewer) fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
+        self.size_px = size_px;
         self.send(DrawCommand::Resize(size_px))
     }
 
@@ -255,46 +314,31 @@ impl ContextHandle {
     }
 }
 
-impl CompileContext for ContextHandle {
+/// A context as the pager of one scene sees it.
+pub(super) struct ContextOfScene<'a> {
+    pub(super) handle: &'a mut ContextHandle,
+    /// Tells the scene's uploads from others.
+    pub(super) owner: u16,
+}
+
+impl CompileContext for ContextOfScene<'_> {
     fn id(&self) -> u32 {
-        self.id
+        self.handle.id
     }
 
-    fn compile(&mut self, op: CompileOperation) {
-        self.compiling += 1;
-        // A draw thread that has ended shows at the next frame.
-        let _ = self.send(DrawCommand::Compile(op));
+    fn compile(&mut self, operation: CompileOperation) {
+        self.handle.compile(self.owner, operation);
     }
 
-    /// On a draw thread this waits behind the frames sent before.
     fn run_compiles(&mut self, budget: &CompileBudget) {
-        if self.compiling > 0 && !self.running_compiles.swap(true, Ordering::AcqRel) {
-            let budget = CompileBudget { time: budget.time.min(MOST_COMPILING), ..*budget };
-            // A draw thread that has ended shows at the next frame.
-            let _ = self.send(DrawCommand::RunCompiles(budget));
-        }
+        self.handle.run_compiles(budget);
     }
 
     fn take_compiled(&mut self) -> Vec<Compiled> {
-        // Answers come in order, so frames in flight would have to be taken first; the blocking mode has none.
-        if self.finish_compiles && self.in_flight == 0 && self.send(DrawCommand::FinishCompiles).is_ok() {
-            let _ = self.replies.recv();
-        }
-        let own = &mut self.compiled_own;
-        let for_pager = |c: Compiled| {
-            if c.ticket & OWN_TICKET == 0 {
-                Some(c)
-            } else {
-                own.push(c);
-                None
-            }
-        };
-        let compiling = &mut self.compiling;
-        let came = self.compiled.try_iter().inspect(|_| *compiling = compiling.saturating_sub(1));
-        came.filter_map(for_pager).collect()
+        self.handle.take_compiled(self.owner, false)
     }
 
     fn release(&mut self, slots: Vec<DrawSlot>) {
-        let _ = self.send(DrawCommand::Release(slots));
+        self.handle.release(slots);
     }
 }

@@ -12,7 +12,7 @@ use glam::DMat4;
 
 use super::millis;
 use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo};
-use crate::draw::CameraCallbacks;
+use crate::draw::{CameraCallbacks, Environment};
 use crate::scene::{CameraTarget, ComputeNearFar, DataVariance, Scene};
 use crate::sync::BlockCount;
 use crate::viewer::Camera;
@@ -28,6 +28,8 @@ pub(in crate::viewer) struct CullTask {
     /// Gives the projection again once the nearest thing is known.
     pub(in crate::viewer) lens: Lens,
     pub(in crate::viewer) stereo: Option<(Stereo, [Arc<CameraTarget>; 2])>,
+    /// Sun, sky and fog of its picture.
+    pub(in crate::viewer) environment: Environment,
     /// Part of the context's target: x, y, width and height; `None`: all of it.
     pub(in crate::viewer) viewport_px: Option<[u32; 4]>,
     /// What draw does for the frame besides reads what update changes.
@@ -62,6 +64,7 @@ pub(in crate::viewer) struct CullOutcome {
 /// A stage on its way to draw.
 pub(super) struct Culled {
     pub(super) stage: RenderStage,
+    pub(super) environment: Environment,
     /// Draw completes the end of dynamic draws for it; cull has otherwise.
     pub(super) completes: bool,
 }
@@ -131,12 +134,12 @@ impl CullSide {
             let _ = self.outcomes.send(CullOutcome { requests, ..CullOutcome::default() });
             return self.completed();
         };
-        let is_dynamic = task.is_dynamic;
+        let (is_dynamic, environment) = (task.is_dynamic, task.environment);
         let outcome = task.run(&mut self.visitor, &mut stage);
         let waits = self.end_of_dynamic.is_some() && (is_dynamic || has_dynamic_callbacks(&stage));
         // Each fails only where the other end is gone, which shows there.
         let _ = self.outcomes.send(outcome);
-        let lost = self.culled.send(Culled { stage, completes: waits }).is_err();
+        let lost = self.culled.send(Culled { stage, environment, completes: waits }).is_err();
         if !waits || lost {
             self.completed();
         }

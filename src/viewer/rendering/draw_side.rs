@@ -14,7 +14,7 @@ use image::RgbaImage;
 use super::cull_side::{CullSide, Culled};
 use super::millis;
 use crate::cull::RenderStage;
-use crate::draw::{DrawStats, Environment, FrameClock, Renderer};
+use crate::draw::{DrawStats, Environment, FrameClock, Picture, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
 use crate::scene::{DrawSlot, Mesh};
 use crate::sync::BlockCount;
@@ -23,10 +23,8 @@ use crate::sync::BlockCount;
 #[derive(Default)]
 pub(in crate::viewer) struct FrameJob {
     pub(in crate::viewer) frame: u32,
-    /// Drawn instead of what the cameras culled; comes back.
-    pub(in crate::viewer) stage: Option<RenderStage>,
-    /// Sun, sky and fog.
-    pub(in crate::viewer) environment: Environment,
+    /// Drawn instead of what the cameras culled, under a light and a sky; comes back.
+    pub(in crate::viewer) stage: Option<(RenderStage, Environment)>,
     /// Times that programs see.
     pub(in crate::viewer) clock: FrameClock,
     /// How much may be uploaded before the frame is drawn.
@@ -38,6 +36,14 @@ pub(in crate::viewer) struct FrameJob {
     /// The stats overlay, painted over the picture.
     #[cfg(feature = "window")]
     pub(in crate::viewer) overlay: Option<crate::viewer::overlay::OverlayPaint>,
+}
+
+impl FrameJob {
+    /// The same frame for another context.
+    pub(in crate::viewer) fn again(&self) -> Self {
+        let Self { frame, clock, budget, present, .. } = *self;
+        Self { frame, clock, budget, present, ..Self::default() }
+    }
 }
 
 /// What comes back from a [`FrameJob`].
@@ -92,6 +98,8 @@ pub(super) enum Reply {
 
 /// Where a camera's stages come from and go back to.
 pub(super) struct DrawEnd {
+    /// Number of the camera.
+    pub(super) camera: u32,
     pub(super) culled: Receiver<Culled>,
     pub(super) available: Sender<RenderStage>,
 }
@@ -238,7 +246,7 @@ impl DrawSide {
         let compiled = Instant::now();
         let own_stage = job.stage.is_some();
         match job.stage.take() {
-            Some(stage) => self.stages.push(Culled { stage, completes: false }),
+            Some((stage, environment)) => self.stages.push(Culled { stage, environment, completes: false }),
             None => {
                 for cull in &mut self.culls {
                     cull.cull();
@@ -248,7 +256,7 @@ impl DrawSide {
             }
         }
         let culled = Instant::now();
-        let stats = self.draw(&job);
+        let stats = self.draw(job.clock);
         self.complete_dynamic();
         #[cfg(feature = "window")]
         if let Some(mut paint) = job.overlay.take() {
@@ -265,7 +273,7 @@ impl DrawSide {
         let read_back_ms = if image.is_some() { millis(drawn.elapsed()) } else { 0.0 };
         let mut errors = self.renderer.take_errors();
         errors.append(&mut self.errors);
-        let stage = if own_stage { self.stages.pop().map(|s| s.stage) } else { None };
+        let stage = if own_stage { self.stages.pop().map(|culled| culled.stage) } else { None };
         self.give_back_stages();
         let done = FrameDone {
             frame: job.frame,
@@ -281,23 +289,16 @@ impl DrawSide {
         self.drawn = Some((Box::new(done), job.present));
     }
 
-    /// Draws the stages: the first in the whole target or its part of it, the others after it in theirs.
-    fn draw(&mut self, job: &FrameJob) -> Result<DrawStats, GpuError> {
+    fn draw(&mut self, clock: FrameClock) -> Result<DrawStats, GpuError> {
         if let Some(error) = self.failed.take() {
             return Err(error);
         }
-        self.renderer.clock = job.clock;
-        let Some((first, others)) = self.stages.split_first_mut() else { return Ok(DrawStats::default()) };
-        let own_after = first.stage.post_render.len();
-        for other in others.iter_mut() {
-            other.stage.target.is_picture = true;
-            first.stage.post_render.push(std::mem::take(&mut other.stage));
+        self.renderer.clock = clock;
+        if self.stages.is_empty() {
+            return Ok(DrawStats::default());
         }
-        let stats = self.renderer.draw(&mut self.context, &first.stage, &job.environment);
-        for (other, stage) in others.iter_mut().zip(first.stage.post_render.drain(own_after..)) {
-            other.stage = stage;
-        }
-        stats
+        let pictures = self.stages.iter().map(|c| Picture { stage: &c.stage, environment: &c.environment });
+        self.renderer.draw_pictures(&mut self.context, pictures)
     }
 
     /// Says that what is dynamic was read.

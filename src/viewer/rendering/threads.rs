@@ -6,7 +6,6 @@ use super::cull_side::CullSide;
 use super::draw_side::DrawSide;
 use super::operations::{BarrierOperation, Cull, StartOfCull, Step};
 use super::{CameraSide, Rendering, Running, ThreadingModel};
-use crate::pager::CompileContext;
 use crate::sync::{Barrier, BlockCount, Operation, OperationThread};
 use crate::viewer::ViewerError;
 
@@ -85,7 +84,7 @@ impl Rendering {
     /// A context's thread culls its cameras itself.
     fn give_cameras_to_contexts(&mut self) {
         for camera in &mut self.cameras {
-            let context = self.contexts.iter_mut().find(|c| c.id() == camera.context);
+            let context = self.contexts.iter_mut().find(|c| c.number() == camera.context);
             let Some(side) = context.and_then(|c| c.here()) else { continue };
             match std::mem::replace(&mut camera.side, CameraSide::AtContext) {
                 CameraSide::Here(cull) => side.culls.push(*cull),
