@@ -204,6 +204,42 @@ fn threads_that_wait_for_each_other_stop_in_any_order_at_any_time() {
     });
 }
 
+/// As [`Meet`], counting meetings that others were let go from.
+struct Refused(Arc<Barrier>);
+
+impl Operation<usize> for Refused {
+    fn name(&self) -> &str {
+        "refused"
+    }
+
+    fn keep(&self) -> bool {
+        true
+    }
+
+    fn run(&self, refused: &mut usize) {
+        *refused += usize::from(!self.0.block());
+    }
+
+    fn release(&self) {
+        self.0.release();
+    }
+}
+
+#[test]
+fn threads_that_were_ended_do_not_go_round_when_their_barrier_is_released() {
+    check(|| {
+        let start = Arc::new(Barrier::new(3));
+        let operations = || [Arc::new(Refused(start.clone())) as Arc<dyn Operation<usize>>];
+        let a = OperationThread::start("a", 0, operations()).unwrap();
+        let b = OperationThread::start("b", 0, operations()).unwrap();
+        assert!(start.block());
+        a.end();
+        b.end();
+        let refused = [a.join().unwrap(), b.join().unwrap()];
+        assert!(refused.iter().all(|n| *n <= 1), "{refused:?}");
+    });
+}
+
 #[test]
 fn an_operation_added_while_the_thread_falls_asleep_is_not_lost() {
     check(|| {

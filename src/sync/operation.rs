@@ -138,6 +138,13 @@ impl<T> OperationQueue<T> {
         }
     }
 
+    /// Nothing is taken any more; what is under way goes on, and what waits in it is not released. For queues whose
+    /// operations wait for each other: those released by the first to be closed would otherwise run again.
+    pub fn end(&self) {
+        self.waiting().closed = true;
+        self.changed.notify_all();
+    }
+
     /// Nothing is taken any more: who waits for an operation gets `None`, and all operations, one under way included,
     /// are released.
     pub fn close(&self) {

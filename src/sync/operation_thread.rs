@@ -60,6 +60,12 @@ impl<T: Send + 'static> OperationThread<T> {
         self.queue.add(operation);
     }
 
+    /// Tells the thread to end after the operation under way, which may wait for long; does not wait itself.
+    /// [`Self::cancel`] is to follow.
+    pub fn end(&self) {
+        self.queue.end();
+    }
+
     /// Tells the thread to end after the operation under way, which is released; does not wait.
     pub fn cancel(&self) {
         self.queue.close();

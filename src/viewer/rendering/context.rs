@@ -146,6 +146,13 @@ impl ContextHandle {
         }
     }
 
+    /// The thread takes no further operation.
+    pub(super) fn end(&self) {
+        if let Side::Thread(thread) = &self.side {
+            thread.end();
+        }
+    }
+
     /// Tells the thread to end; does not wait.
     pub(super) fn cancel(&self) {
         if let Side::Thread(thread) = &self.side {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::cull_side::CullSide;
 use super::draw_side::DrawSide;
 use super::operations::{BarrierOperation, Cull, StartOfCull, Step};
-use super::{CameraSide, Rendering, Running, ThreadingModel};
+use super::{CameraSide, ContextHandle, Rendering, Running, ThreadingModel};
 use crate::sync::{Barrier, BlockCount, Operation, OperationThread};
 use crate::viewer::ViewerError;
 
@@ -146,14 +146,17 @@ impl Rendering {
         if self.running.take().is_none() {
             return;
         }
-        for camera in &self.cameras {
-            if let CameraSide::Thread(thread) = &camera.side {
-                thread.cancel();
-            }
-        }
-        for context in &self.contexts {
-            context.cancel();
-        }
+        let camera_threads = || {
+            self.cameras.iter().filter_map(|camera| match &camera.side {
+                CameraSide::Thread(thread) => Some(thread),
+                _ => None,
+            })
+        };
+        // All of them before any: a barrier that is let go for one is let go for all that meet at it.
+        camera_threads().for_each(OperationThread::end);
+        self.contexts.iter().for_each(ContextHandle::end);
+        camera_threads().for_each(OperationThread::cancel);
+        self.contexts.iter().for_each(ContextHandle::cancel);
         // What culls first: a context's thread may wait for its stages.
         for camera in &mut self.cameras {
             camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
