@@ -24,7 +24,10 @@ struct CloseOnPanic<T>(Arc<OperationQueue<T>>);
 
 impl<T> Drop for CloseOnPanic<T> {
     fn drop(&mut self) {
-        self.0.close();
+        // One that ended because it was told to is closed by who told it.
+        if std::thread::panicking() {
+            self.0.close();
+        }
     }
 }
 
