@@ -8,6 +8,7 @@ use super::callbacks::CallbackPages;
 use super::error::SceneError;
 use super::page::{NONE, Page};
 use super::tiles::flag;
+use super::variance::Rewritten;
 use super::{NodeId, PageId};
 use crate::math::BoundingSphere;
 use crate::state::StateSet;
@@ -33,6 +34,8 @@ pub struct Scene {
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
     pub(super) callback_pages: CallbackPages,
+    /// Meshes that were changed and have not been sent to be drawn.
+    pub(super) rewritten: Vec<Rewritten>,
 }
 
 impl Scene {
@@ -132,6 +135,13 @@ impl Scene {
     /// A page to change its draw slots.
     pub fn page_mut(&mut self, id: PageId) -> Option<&mut Page> {
         self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page.as_deref_mut()
+    }
+
+    /// Forgets where a context kept the pages' drawables.
+    pub(crate) fn forget_context(&mut self, context: u32) {
+        for page in self.entries.iter_mut().filter_map(|e| e.page.as_mut()) {
+            page.draw_slots.retain(|(of, _)| *of != context);
+        }
     }
 
     /// The slot in which a page hangs; `None` for root pages.

@@ -19,6 +19,7 @@ mod slots;
 mod text;
 mod tiles;
 mod transforms;
+mod variance;
 mod world;
 
 pub use callbacks::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
@@ -38,6 +39,7 @@ pub use page::{DrawSlot, Page};
 pub use slots::{SlotInfo, SlotState};
 #[cfg(feature = "text")]
 pub use text::Font;
+pub use variance::DataVariance;
 pub use world::TileInfo;
 
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};

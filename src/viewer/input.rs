@@ -1,20 +1,28 @@
 //! The event phase: what is in the queue goes to handlers, manipulator and event callbacks; what the user sees of it
 //! lies over the picture. Main thread.
 
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 use image::RgbaImage;
 
-use super::Viewer;
+use super::ViewerError;
+use super::base::ViewerBase;
 use super::events::{EventKind, EventQueue, GuiEventAdapter, GuiEventHandler, Key, Usage, UserEvents, YOrientation};
 use super::home::SetBounds;
 use super::manipulators::{CameraManipulator, GroundHeight, ManipulatorView};
 #[cfg(feature = "window")]
 use super::overlay::Overlay;
+use super::paged_scene::PagedScene;
+use super::rendering::ThreadingModel;
+use super::stats::StatsHistory;
+use super::view::{ContextId, View};
+use super::viewer::FrameStamp;
 use super::window_matrix::{WindowMatrix, WindowRay};
 use crate::math::BoundingSphere;
-use crate::scene::{EventCallback, NodeId, Scene, Traverse, UpdateInfo};
+use crate::pager::DatabasePager;
+use crate::scene::{EventCallback, NodeId, Scene, Traverse};
 use crate::state::StateSet;
 
 /// How long a notice is shown, seconds.
@@ -32,7 +40,7 @@ pub enum WindowCommand {
 /// What is done with a picture that was asked for: it and its frame.
 pub type OnPicture = Box<dyn FnOnce(u32, RgbaImage)>;
 
-/// Everything of a viewer that has to do with input.
+/// Everything of a view that has to do with input.
 pub(super) struct Input {
     pub queue: EventQueue,
     /// One that is being called is out of its place.
@@ -45,9 +53,6 @@ pub(super) struct Input {
     /// Handlers are being called.
     in_phase: bool,
     window_commands: Vec<WindowCommand>,
-    captures: Vec<(u32, OnPicture)>,
-    /// Frames whose pictures the application asked for by itself.
-    wanted_pictures: Vec<u32>,
     notice: Option<(String, f64)>,
     /// Something happened since the last frame that may change the picture.
     redraw: bool,
@@ -73,8 +78,6 @@ impl Input {
             done: false,
             in_phase: false,
             window_commands: Vec::new(),
-            captures: Vec::new(),
-            wanted_pictures: Vec::new(),
             notice: None,
             redraw: true,
             state_set: None,
@@ -85,25 +88,10 @@ impl Input {
         }
     }
 
-    /// The picture was asked for by the application.
-    pub fn note_wanted(&mut self, frame: u32) {
-        self.wanted_pictures.push(frame);
-    }
-
-    /// True when someone waits for a frame's picture.
-    pub fn wants_picture(&self, frame: u32) -> bool {
-        self.captures.iter().any(|(of, _)| *of == frame)
-    }
-
-    /// A picture came: goes to those who wait for it, and comes back for the application if it asked too.
-    pub fn picture_came(&mut self, frame: u32, picture: RgbaImage) -> Option<RgbaImage> {
-        while let Some(place) = self.captures.iter().position(|(of, _)| *of == frame) {
-            let (_, then) = self.captures.remove(place);
-            then(frame, picture.clone());
-        }
-        let place = self.wanted_pictures.iter().position(|of| *of == frame)?;
-        self.wanted_pictures.remove(place);
-        Some(picture)
+    /// The picture has another size.
+    pub fn resized(&mut self, size_px: [u32; 2]) {
+        let time_s = self.queue.time_s();
+        self.queue.window_resize(size_px, time_s);
     }
 }
 
@@ -116,7 +104,33 @@ pub fn event_callback(
     })
 }
 
-impl Viewer {
+/// What manipulators are told.
+pub(super) fn manipulator_view<'a>(view: &'a View, paged: &'a PagedScene) -> ManipulatorView<'a> {
+    let unit = BoundingSphere::new(DVec3::ZERO, 1.0);
+    ManipulatorView {
+        scene: paged.scene(),
+        camera: &view.camera,
+        size_px: view.size_px(),
+        bounds: paged.bounds.unwrap_or_else(|| SetBounds::from_sphere(unit)),
+        ground: view.input.ground.as_deref(),
+    }
+}
+
+/// False while another frame would show the same picture.
+pub(super) fn needs_frame(base: &ViewerBase, view: &View, paged: &PagedScene) -> bool {
+    let input = &view.input;
+    input.redraw
+        || !input.queue.is_empty()
+        || view.shows_overlay()
+        || input.manipulator.as_ref().is_some_and(|m| m.is_moving())
+        || base.stamp.frame == 0
+        || !paged.update_callbacks.is_empty()
+        || paged.scene().has_update_callbacks()
+        || !paged.is_settled()
+}
+
+/// What has to do with input and needs no scene.
+impl View {
     /// The queue that a window, a test or another toolkit feeds.
     pub fn event_queue(&mut self) -> &mut EventQueue {
         &mut self.input.queue
@@ -152,13 +166,6 @@ impl Viewer {
         self.input.done = done;
     }
 
-    /// Moves the camera from now on, starting from where it is.
-    pub fn set_manipulator(&mut self, manipulator: Option<Box<dyn CameraManipulator>>) {
-        self.input.manipulator = manipulator;
-        let pose = self.camera.world_from_eye;
-        self.with_manipulator(|manipulator, view| manipulator.set_pose(&pose, view));
-    }
-
     /// Takes the manipulator out.
     pub fn take_manipulator(&mut self) -> Option<Box<dyn CameraManipulator>> {
         self.input.manipulator.take()
@@ -169,58 +176,24 @@ impl Viewer {
         self.input.manipulator.as_deref()
     }
 
-    /// Does something with the manipulator, which is told what there is; `None` without one.
-    pub fn with_manipulator<R>(
-        &mut self,
-        act: impl FnOnce(&mut dyn CameraManipulator, &ManipulatorView<'_>) -> R,
-    ) -> Option<R> {
-        let mut manipulator = self.input.manipulator.take()?;
-        let result = act(&mut *manipulator, &self.manipulator_view());
-        self.input.manipulator = Some(manipulator);
-        Some(result)
-    }
-
-    /// Places the camera where the bounds fill the picture; a manipulator goes on from its own home.
-    pub fn home(&mut self) {
-        if self.with_manipulator(|manipulator, view| manipulator.home(view)).is_none() {
-            self.camera.world_from_eye = self.manipulator_view().home_pose();
-        }
-    }
-
-    /// Places the camera; a manipulator goes on from there. What is not finite changes nothing.
-    pub fn set_pose(&mut self, world_from_eye: &glam::DAffine3) {
-        if world_from_eye.is_finite() {
-            self.camera.world_from_eye = *world_from_eye;
-            self.with_manipulator(|manipulator, view| manipulator.set_pose(world_from_eye, view));
-        }
-    }
-
     /// Where the ground is, for manipulators that stay above it.
     pub fn set_ground(&mut self, ground: Option<Box<dyn GroundHeight>>) {
         self.input.ground = ground;
     }
 
-    /// What manipulators are told.
-    pub fn manipulator_view(&self) -> ManipulatorView<'_> {
-        let unit = BoundingSphere::new(DVec3::ZERO, 1.0);
-        ManipulatorView {
-            scene: &self.scene,
-            camera: &self.camera,
-            size_px: self.size_px,
-            bounds: self.bounds().copied().unwrap_or_else(|| SetBounds::from_sphere(unit)),
-            ground: self.input.ground.as_deref(),
-        }
-    }
-
-    /// View, projection and window matrices of the camera.
+    /// View, projection and window matrices of the master camera.
     pub fn window_matrix(&self) -> WindowMatrix {
-        WindowMatrix::new(&self.camera, self.size_px)
+        let whole = WindowMatrix::new(&self.camera, self.size_px());
+        match self.master.and_then(|place| place.viewport_px) {
+            Some([x, y, ..]) => WindowMatrix { origin_px: DVec2::new(f64::from(x), f64::from(y)), ..whole },
+            None => whole,
+        }
     }
 
     /// What is seen under the pointer of an event.
     pub fn ray_at(&self, event: &GuiEventAdapter) -> Option<WindowRay> {
         let position = event.state.position_in(YOrientation::IncreasingDownwards);
-        self.window_matrix().ray(position, self.camera.eye())
+        WindowMatrix::new(&self.camera, self.size_px()).ray(position, self.camera.eye())
     }
 
     /// State above all roots, such as a wireframe that overrides; OSG's state set of the camera.
@@ -241,13 +214,6 @@ impl Viewer {
     /// What the window is asked for; for whoever runs it.
     pub fn take_window_commands(&mut self) -> Vec<WindowCommand> {
         std::mem::take(&mut self.input.window_commands)
-    }
-
-    /// Reads back the picture of the frame that comes next (in the event phase: of this frame), for `then`, besides
-    /// those of [`Self::want_picture`].
-    pub fn capture(&mut self, then: OnPicture) {
-        let frame = self.frame_stamp().frame + u32::from(!self.in_event_phase());
-        self.input.captures.push((frame, then));
     }
 
     /// Shows the user a line for a short while.
@@ -271,45 +237,157 @@ impl Viewer {
         manipulator.chain(home).chain(handlers).chain(quit).collect()
     }
 
-    /// The next frame is to be drawn even where nothing moves; see [`Self::check_need_to_do_frame`].
+    /// The next frame is to be drawn even where nothing moves; see [`super::Viewer::check_need_to_do_frame`].
     pub fn request_redraw(&mut self) {
         self.input.redraw = true;
     }
 
-    /// For drawing on demand: false while another frame would show the same picture. True for events that wait, a
-    /// manipulator that moves, tiles that are still to come, callbacks of nodes, notices and [`Self::request_redraw`].
-    pub fn check_need_to_do_frame(&self) -> bool {
-        self.input.redraw
-            || !self.input.queue.is_empty()
-            || self.input.notice.is_some()
-            || self.input.manipulator.as_ref().is_some_and(|m| m.is_moving())
-            || self.frame_stamp().frame == 0
-            || !self.update_callbacks.is_empty()
-            || self.scene.has_update_callbacks()
-            || !self.is_settled()
+    /// True when something lies over the picture.
+    pub fn shows_overlay(&self) -> bool {
+        self.input.notice.is_some() || self.input.handlers.iter().flatten().any(|handler| handler.shows_overlay())
     }
 
-    fn in_event_phase(&self) -> bool {
-        self.input.in_phase
+    /// The egui context of the overlay, for a window's input.
+    #[cfg(feature = "window")]
+    pub fn overlay_context(&self) -> &egui::Context {
+        self.input.overlay.context()
+    }
+
+    /// What the user did, for the overlay of the next frame, and the pixels of a point.
+    #[cfg(feature = "window")]
+    pub fn set_overlay_input(&mut self, input: egui::RawInput, pixels_per_point: f32) {
+        self.input.overlay_input = Some((input, pixels_per_point));
+    }
+}
+
+/// A view with its scene and its viewer: what handlers are given, and may use and change; OSG's `GUIActionAdapter`. It
+/// is the [`View`] too.
+pub struct GuiActionAdapter<'a> {
+    pub(super) base: &'a mut ViewerBase,
+    pub(super) view: &'a mut View,
+    pub(super) paged: &'a mut PagedScene,
+}
+
+impl Deref for GuiActionAdapter<'_> {
+    type Target = View;
+
+    fn deref(&self) -> &View {
+        self.view
+    }
+}
+
+impl DerefMut for GuiActionAdapter<'_> {
+    fn deref_mut(&mut self) -> &mut View {
+        self.view
+    }
+}
+
+impl GuiActionAdapter<'_> {
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        self.paged.scene()
+    }
+
+    /// The scene, to be changed.
+    pub fn scene_mut(&mut self) -> &mut Scene {
+        self.paged.scene_mut()
+    }
+
+    /// The pager, once a set is loaded.
+    pub fn pager(&self) -> Option<&DatabasePager> {
+        self.paged.pager.as_ref()
+    }
+
+    /// Extent of the first root.
+    pub fn bounds(&self) -> Option<&SetBounds> {
+        self.paged.bounds.as_ref()
+    }
+
+    /// Number and times of the frame.
+    pub fn frame_stamp(&self) -> FrameStamp {
+        self.base.stamp
+    }
+
+    /// Statistics of the frames so far.
+    pub fn stats(&self) -> &StatsHistory {
+        &self.base.history
+    }
+
+    /// The threading model that runs.
+    pub fn threading_model(&self) -> ThreadingModel {
+        self.base.rendering.model()
+    }
+
+    /// Changes the threading model, after all frames are drawn.
+    pub fn set_threading_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
+        self.base.absorb_all()?;
+        self.base.rendering.set_model(model)
+    }
+
+    /// What manipulators are told.
+    pub fn manipulator_view(&self) -> ManipulatorView<'_> {
+        manipulator_view(self.view, self.paged)
+    }
+
+    /// Moves the camera from now on, starting from where it is.
+    pub fn set_manipulator(&mut self, manipulator: Option<Box<dyn CameraManipulator>>) {
+        self.view.input.manipulator = manipulator;
+        let pose = self.view.camera.world_from_eye;
+        self.with_manipulator(|manipulator, view| manipulator.set_pose(&pose, view));
+    }
+
+    /// Does something with the manipulator, which is told what there is; `None` without one.
+    pub fn with_manipulator<R>(
+        &mut self,
+        act: impl FnOnce(&mut dyn CameraManipulator, &ManipulatorView<'_>) -> R,
+    ) -> Option<R> {
+        let mut manipulator = self.view.input.manipulator.take()?;
+        let result = act(&mut *manipulator, &self.manipulator_view());
+        self.view.input.manipulator = Some(manipulator);
+        Some(result)
+    }
+
+    /// Places the camera where the bounds fill the picture; a manipulator goes on from its own home.
+    pub fn home(&mut self) {
+        if self.with_manipulator(|manipulator, view| manipulator.home(view)).is_none() {
+            self.view.camera.world_from_eye = self.manipulator_view().home_pose();
+        }
+    }
+
+    /// Places the camera; a manipulator goes on from there. What is not finite changes nothing.
+    pub fn set_pose(&mut self, world_from_eye: &DAffine3) {
+        if world_from_eye.is_finite() {
+            self.view.camera.world_from_eye = *world_from_eye;
+            self.with_manipulator(|manipulator, view| manipulator.set_pose(world_from_eye, view));
+        }
+    }
+
+    /// Reads back the picture of the frame that comes next (in the event phase: of this frame), for `then`. Nothing
+    /// where the master camera has no context.
+    pub fn capture(&mut self, then: OnPicture) {
+        let frame = self.base.stamp.frame + u32::from(!self.view.input.in_phase);
+        if let Some(context) = self.view.context() {
+            self.base.capture(context, frame, then);
+        }
     }
 
     /// The event phase.
     pub(super) fn event_traversal(&mut self) {
-        let time_s = self.input.queue.time_s();
-        let mut events = std::mem::take(&mut self.input.events);
-        self.input.queue.take_frame(&mut events, time_s);
-        self.input.redraw = false;
-        self.input.in_phase = true;
+        let time_s = self.view.input.queue.time_s();
+        let mut events = std::mem::take(&mut self.view.input.events);
+        self.view.input.queue.take_frame(&mut events, time_s);
+        self.view.input.redraw = false;
+        self.view.input.in_phase = true;
         for event in &mut events {
             self.handle_event(event);
         }
-        self.input.in_phase = false;
+        self.view.input.in_phase = false;
         events.clear();
-        self.input.events = events;
-        if self.input.notice.as_ref().is_some_and(|(_, until_s)| time_s > *until_s) {
-            self.input.notice = None;
+        self.view.input.events = events;
+        if self.view.input.notice.as_ref().is_some_and(|(_, until_s)| time_s > *until_s) {
+            self.view.input.notice = None;
             // Once more, without it.
-            self.input.redraw = true;
+            self.view.input.redraw = true;
         }
         #[cfg(feature = "window")]
         self.lay_out_overlay();
@@ -318,7 +396,7 @@ impl Viewer {
     fn handle_event(&mut self, event: &mut GuiEventAdapter) {
         let mask = event.mask();
         // What is added meanwhile is called from the next event on.
-        for place in 0..self.input.handlers.len() {
+        for place in 0..self.view.input.handlers.len() {
             self.with_handler(place, |handler, viewer| {
                 let ignores = event.handled && handler.ignore_handled_mask().intersects(mask);
                 if handler.event_mask().intersects(mask) && !ignores {
@@ -336,14 +414,16 @@ impl Viewer {
                 notice.into_iter().for_each(|text| self.notify(text));
             }
         }
-        self.scene.event_traversal(event);
+        self.paged.scene_mut().event_traversal(event);
         if event.handled {
             return;
         }
         match event.kind {
-            EventKind::CloseWindow | EventKind::QuitApplication => self.input.done = true,
-            EventKind::KeyDown { .. } if event.key_pressed().is_some_and(|k| self.input.quit_keys.contains(&k)) => {
-                self.input.done = true;
+            EventKind::CloseWindow | EventKind::QuitApplication => self.view.input.done = true,
+            EventKind::KeyDown { .. }
+                if event.key_pressed().is_some_and(|k| self.view.input.quit_keys.contains(&k)) =>
+            {
+                self.view.input.done = true;
             }
             EventKind::KeyDown { .. } if matches!(event.key_pressed(), Some(Key::SPACE | Key::Home)) => {
                 self.home();
@@ -355,58 +435,36 @@ impl Viewer {
 
     /// Calls a handler, which may change the list of handlers.
     fn with_handler(&mut self, place: usize, call: impl FnOnce(&mut dyn GuiEventHandler, &mut Self)) {
-        if let Some(mut handler) = self.input.handlers.get_mut(place).and_then(Option::take) {
+        if let Some(mut handler) = self.view.input.handlers.get_mut(place).and_then(Option::take) {
             call(&mut *handler, self);
-            if let Some(out) = self.input.handlers.get_mut(place).filter(|out| out.is_none()) {
+            if let Some(out) = self.view.input.handlers.get_mut(place).filter(|out| out.is_none()) {
                 *out = Some(handler);
             }
         }
     }
 
-    /// The part of update that belongs to input: callbacks of nodes, then the camera, which may follow what they moved.
-    pub(super) fn update_from_input(&mut self, dt_s: f64) {
-        let stamp = self.frame_stamp();
-        self.scene.update_traversal(&UpdateInfo {
-            frame: stamp.frame,
-            reference_time_s: stamp.reference_time_s,
-            simulation_time_s: stamp.simulation_time_s,
-        });
+    /// The camera where the manipulator has it; in update, after the callbacks, since it may follow what they moved.
+    pub(super) fn update_camera(&mut self, dt_s: f64) {
         if let Some(pose) = self.with_manipulator(|manipulator, view| manipulator.advance(dt_s, view)) {
             if pose.is_finite() {
-                self.camera.world_from_eye = pose;
+                self.view.camera.world_from_eye = pose;
             } else {
                 log::warn!("a manipulator gave a pose that is not finite; the camera stays where it was");
             }
         }
     }
 
-    /// The egui context of the overlay, for a window's input.
-    #[cfg(feature = "window")]
-    pub fn overlay_context(&self) -> &egui::Context {
-        self.input.overlay.context()
-    }
-
-    /// What the user did, for the overlay of the next frame, and the pixels of a point.
-    #[cfg(feature = "window")]
-    pub fn set_overlay_input(&mut self, input: egui::RawInput, pixels_per_point: f32) {
-        self.input.overlay_input = Some((input, pixels_per_point));
-    }
-
-    /// True when something lies over the picture.
-    pub fn shows_overlay(&self) -> bool {
-        self.input.notice.is_some() || self.input.handlers.iter().flatten().any(|handler| handler.shows_overlay())
-    }
-
     #[cfg(feature = "window")]
     fn lay_out_overlay(&mut self) {
-        let input = self.input.overlay_input.take();
-        if !self.shows_overlay() {
+        let input = self.view.input.overlay_input.take();
+        let is_first = self.base.rendering.context_ids().next();
+        if !self.shows_overlay() || self.view.context() != is_first.map(ContextId) || self.view.is_part() {
             return;
         }
         let (input, pixels_per_point) = input.unwrap_or((egui::RawInput::default(), 1.0));
-        let mut overlay = self.input.overlay.clone();
-        let paint = overlay.lay_out(input, self.size_px, pixels_per_point, |ui| {
-            for place in 0..self.input.handlers.len() {
+        let mut overlay = self.view.input.overlay.clone();
+        let paint = overlay.lay_out(input, self.view.size_px(), pixels_per_point, |ui| {
+            for place in 0..self.view.input.handlers.len() {
                 self.with_handler(place, |handler, viewer| {
                     if handler.shows_overlay() {
                         handler.lay_out(ui, viewer);
@@ -417,6 +475,6 @@ impl Viewer {
                 super::overlay::notice(ui, text);
             }
         });
-        self.set_overlay(paint);
+        self.base.set_overlay(paint);
     }
 }

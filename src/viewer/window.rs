@@ -12,7 +12,7 @@ use winit::window::{Fullscreen, Window, WindowId};
 
 use super::ViewerError;
 use super::camera_path::AnimationPath;
-use super::handlers::{self, StatsPage, SwitchThreading, ThreadingHandler};
+use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
 use super::manipulators;
 use super::viewer::{Viewer, ViewerConfig};
@@ -45,8 +45,6 @@ pub struct WindowOptions {
     /// The user moves the camera, by what [`Self::on_open`] has set or the [usual](manipulators::usual) manipulators;
     /// otherwise [`Self::before_frame`] places it.
     pub manipulated: bool,
-    /// The key m calls it, to change the threading model.
-    pub switch_threading: Option<SwitchThreading>,
     /// Draw only what [`Viewer::check_need_to_do_frame`] asks for.
     pub on_demand: bool,
     /// Frames a second at most; the time that is left goes to what the pager has.
@@ -66,7 +64,6 @@ impl Default for WindowOptions {
             output_dir: PathBuf::from("."),
             on_open: Box::new(|_| Ok(())),
             manipulated: true,
-            switch_threading: None,
             on_demand: false,
             max_frame_rate: None,
             before_frame: Box::new(|_| Ok(true)),
@@ -132,9 +129,6 @@ impl App {
         on_open(&mut viewer)?;
         let stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
         handlers::add_usual(&mut viewer, &self.options.output_dir, stats);
-        if let Some(switch) = self.options.switch_threading.take() {
-            viewer.add_event_handler(ThreadingHandler::new(switch));
-        }
         if self.options.manipulated && viewer.manipulator().is_none() {
             viewer.set_manipulator(Some(Box::new(manipulators::usual(self.options.path.take()))));
             viewer.notify("H shows the keys");

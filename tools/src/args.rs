@@ -57,8 +57,9 @@ pub struct FlyArgs {
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
-    /// SingleThreaded or DrawThreadPerContext
-    #[arg(long, value_name = "MODEL", default_value = "DrawThreadPerContext")]
+    /// Which threads cull and draw: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
+    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
+    #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
     /// Load everything a frame wants before drawing it, so that equal paths give equal pictures
     #[arg(long)]
@@ -121,8 +122,9 @@ pub struct ViewArgs {
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
-    /// SingleThreaded or DrawThreadPerContext
-    #[arg(long, value_name = "MODEL", default_value = "DrawThreadPerContext")]
+    /// Which threads cull and draw: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
+    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
+    #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
     /// Show the stats overlay from the start
     #[arg(long)]

@@ -1,7 +1,7 @@
 //! Who answers events; OSG's `GUIEventHandler`. Called in the event phase, on the main thread.
 
 use super::{EventMask, GuiEventAdapter, Key};
-use crate::viewer::Viewer;
+use crate::viewer::GuiActionAdapter;
 
 /// A line of the help: keys and what they do.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,7 +16,7 @@ pub struct Usage {
 pub trait GuiEventHandler {
     /// Takes one event; true when it is answered, so that neither later handlers nor the manipulator need to. A handler
     /// that is added here is called from the next event on.
-    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool;
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool;
 
     /// The kinds that this handler is called for.
     fn event_mask(&self) -> EventMask {
@@ -41,7 +41,7 @@ pub trait GuiEventHandler {
 
     /// Lays out what it shows; called after the events of a frame when any handler [`Self::shows_overlay`].
     #[cfg(feature = "window")]
-    fn lay_out(&mut self, ui: &egui::Context, viewer: &Viewer) {
+    fn lay_out(&mut self, ui: &egui::Context, viewer: &GuiActionAdapter<'_>) {
         let _ = (ui, viewer);
     }
 }

@@ -1,6 +1,6 @@
 //! The keys, over the picture.
 
-use super::Viewer;
+use super::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 const KEYS: Bindings<()> = Bindings(&[(&[Key::Char('h'), Key::F(1)], (), "help")]);
@@ -12,7 +12,7 @@ pub struct HelpHandler {
 }
 
 impl GuiEventHandler for HelpHandler {
-    fn handle(&mut self, event: &GuiEventAdapter, _: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, _: &mut GuiActionAdapter<'_>) -> bool {
         let pressed = KEYS.action(event).is_some();
         self.is_shown ^= pressed;
         pressed
@@ -31,7 +31,7 @@ impl GuiEventHandler for HelpHandler {
     }
 
     #[cfg(feature = "window")]
-    fn lay_out(&mut self, ui: &egui::Context, viewer: &Viewer) {
+    fn lay_out(&mut self, ui: &egui::Context, viewer: &GuiActionAdapter<'_>) {
         let lines = viewer.usage();
         let keys = |ui: &mut egui::Ui| {
             egui::Grid::new("keys").num_columns(2).spacing([18.0, 3.0]).show(ui, |ui| {

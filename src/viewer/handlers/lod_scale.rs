@@ -1,6 +1,6 @@
 //! More or less detail.
 
-use super::Viewer;
+use super::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 const KEYS: Bindings<f64> = Bindings(&[
@@ -16,7 +16,7 @@ const STEP: f64 = 1.1;
 pub struct LodScaleHandler;
 
 impl GuiEventHandler for LodScaleHandler {
-    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
         let Some(factor) = KEYS.action(event) else { return false };
         let scale = &mut viewer.camera.settings.lod_scale;
         *scale = (*scale * factor).clamp(0.05, 20.0);

@@ -19,21 +19,22 @@ pub use record_path::RecordCameraPathHandler;
 pub use screen_capture::ScreenCaptureHandler;
 pub use state_set::StateSetManipulator;
 pub use stats::{StatsHandler, StatsPage};
-pub use threading::{SwitchThreading, ThreadingHandler};
+pub use threading::ThreadingHandler;
 pub use window_size::WindowSizeHandler;
 
 use std::path::Path;
 
-use super::Viewer;
+use super::{GuiActionAdapter, View};
 
-/// Adds all of them but [`ThreadingHandler`]; pictures and camera paths go into a folder.
-pub fn add_usual(viewer: &mut Viewer, folder: &Path, stats: StatsPage) {
-    viewer.add_event_handler(HelpHandler::default());
-    viewer.add_event_handler(StatsHandler { page: stats });
-    viewer.add_event_handler(WindowSizeHandler);
-    viewer.add_event_handler(ScreenCaptureHandler::new(folder));
-    viewer.add_event_handler(RecordCameraPathHandler::new(folder.join("terrane.path")));
-    viewer.add_event_handler(StateSetManipulator::default());
-    viewer.add_event_handler(LodScaleHandler);
-    viewer.add_event_handler(PagerDebugHandler::default());
+/// Adds all of them to a view (a [`Viewer`](super::Viewer) is one); pictures and camera paths go into a folder.
+pub fn add_usual(view: &mut View, folder: &Path, stats: StatsPage) {
+    view.add_event_handler(HelpHandler::default());
+    view.add_event_handler(StatsHandler { page: stats });
+    view.add_event_handler(WindowSizeHandler);
+    view.add_event_handler(ScreenCaptureHandler::new(folder));
+    view.add_event_handler(RecordCameraPathHandler::new(folder.join("terrane.path")));
+    view.add_event_handler(StateSetManipulator::default());
+    view.add_event_handler(LodScaleHandler);
+    view.add_event_handler(ThreadingHandler);
+    view.add_event_handler(PagerDebugHandler::default());
 }

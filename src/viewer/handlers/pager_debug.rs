@@ -1,6 +1,6 @@
 //! The pager's tiles, over the picture.
 
-use super::Viewer;
+use super::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 const KEYS: Bindings<()> = Bindings(&[(&[Key::Char('g')], (), "tiles of the pager by level, by state, none")]);
@@ -25,7 +25,7 @@ pub struct PagerDebugHandler {
 }
 
 impl GuiEventHandler for PagerDebugHandler {
-    fn handle(&mut self, event: &GuiEventAdapter, _: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, _: &mut GuiActionAdapter<'_>) -> bool {
         if KEYS.action(event).is_none() {
             return false;
         }
@@ -50,7 +50,7 @@ impl GuiEventHandler for PagerDebugHandler {
     }
 
     #[cfg(feature = "window")]
-    fn lay_out(&mut self, ui: &egui::Context, viewer: &Viewer) {
+    fn lay_out(&mut self, ui: &egui::Context, viewer: &GuiActionAdapter<'_>) {
         show::tiles(ui, viewer, self.colors);
     }
 }
@@ -62,7 +62,7 @@ mod show {
     use egui::{Color32, RichText};
     use glam::{DVec3, DVec4};
 
-    use super::{TileColors, Viewer};
+    use super::{GuiActionAdapter, TileColors};
     use crate::scene::{SlotState, TileInfo};
     use crate::viewer::window_matrix::WindowMatrix;
 
@@ -99,7 +99,7 @@ mod show {
         Color32::from_rgb(200, 100, 230),
     ];
 
-    pub fn tiles(ui: &egui::Context, viewer: &Viewer, colors: TileColors) {
+    pub fn tiles(ui: &egui::Context, viewer: &GuiActionAdapter<'_>, colors: TileColors) {
         // Cull has stamped the frame before this one.
         let last_frame = viewer.frame_stamp().frame.saturating_sub(1);
         let state = |tile: &TileInfo| {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::Viewer;
+use super::GuiActionAdapter;
 use crate::viewer::camera_path::{AnimationPath, ControlPoint, PathError};
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 use crate::viewer::manipulators::{AnimationPathManipulator, CameraManipulator};
@@ -41,7 +41,7 @@ impl RecordCameraPathHandler {
         Self { file, recording: None, path: None, playing: None }
     }
 
-    fn record(&mut self, viewer: &mut Viewer) {
+    fn record(&mut self, viewer: &mut GuiActionAdapter<'_>) {
         let Some(points) = self.recording.take() else {
             self.stop(viewer);
             self.recording = Some(Vec::new());
@@ -61,7 +61,7 @@ impl RecordCameraPathHandler {
         }
     }
 
-    fn play(&mut self, viewer: &mut Viewer) -> Result<(), PathError> {
+    fn play(&mut self, viewer: &mut GuiActionAdapter<'_>) -> Result<(), PathError> {
         if self.stop(viewer) {
             return Ok(());
         }
@@ -80,14 +80,14 @@ impl RecordCameraPathHandler {
     }
 
     /// Gives the camera back; false when nothing was playing.
-    fn stop(&mut self, viewer: &mut Viewer) -> bool {
+    fn stop(&mut self, viewer: &mut GuiActionAdapter<'_>) -> bool {
         let Some(playing) = self.playing.take() else { return false };
         // It goes on from where the path is.
         viewer.set_manipulator(playing.before);
         true
     }
 
-    fn frame(&mut self, viewer: &mut Viewer) {
+    fn frame(&mut self, viewer: &mut GuiActionAdapter<'_>) {
         let now_s = viewer.frame_stamp().reference_time_s;
         if let Some(points) = &mut self.recording {
             points.push(ControlPoint::from_pose(now_s, &viewer.camera.world_from_eye));
@@ -100,7 +100,7 @@ impl RecordCameraPathHandler {
 }
 
 impl GuiEventHandler for RecordCameraPathHandler {
-    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
         match KEYS.action(event) {
             Some(Action::Record) => self.record(viewer),
             Some(Action::Play) => {

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-use super::Viewer;
+use super::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 #[derive(Clone, Copy, Debug)]
@@ -49,7 +49,7 @@ impl ScreenCaptureHandler {
     }
 
     /// Asks for this frame's picture.
-    fn take(&mut self, viewer: &mut Viewer) {
+    fn take(&mut self, viewer: &mut GuiActionAdapter<'_>) {
         if self.shared.count.load(Ordering::Relaxed) >= MOST_WRITING {
             return;
         }
@@ -84,7 +84,7 @@ impl ScreenCaptureHandler {
 }
 
 impl GuiEventHandler for ScreenCaptureHandler {
-    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
         match KEYS.action(event) {
             Some(Action::One) => self.take(viewer),
             Some(Action::Continuous) => {

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::Viewer;
+use super::GuiActionAdapter;
 use crate::state::{Attribute, Mode, PolygonMode, StateSet, StateValue, TEXTURE_UNITS};
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
@@ -54,7 +54,7 @@ impl StateSetManipulator {
 }
 
 impl GuiEventHandler for StateSetManipulator {
-    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
         let Some(action) = KEYS.action(event) else { return false };
         let on_off = |is_off: bool| if is_off { "off" } else { "on" };
         let text = match action {

@@ -1,6 +1,6 @@
 //! What frames cost, over the picture.
 
-use super::Viewer;
+use super::GuiActionAdapter;
 #[cfg(feature = "window")]
 use crate::viewer::FrameStats;
 use crate::viewer::Samples;
@@ -44,7 +44,7 @@ pub struct StatsHandler {
 const RECENT: usize = 120;
 
 impl GuiEventHandler for StatsHandler {
-    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
         match KEYS.action(event) {
             Some(Action::Cycle) => {
                 self.page = match self.page {
@@ -74,7 +74,7 @@ impl GuiEventHandler for StatsHandler {
     }
 
     #[cfg(feature = "window")]
-    fn lay_out(&mut self, ui: &egui::Context, viewer: &Viewer) {
+    fn lay_out(&mut self, ui: &egui::Context, viewer: &GuiActionAdapter<'_>) {
         egui::Window::new("Terrane").default_pos([10.0, 10.0]).resizable(false).show(ui, |ui| {
             let recent: Vec<&FrameStats> = viewer.stats().iter().rev().filter(|s| s.drawn).take(RECENT).collect();
             page::frame_rate(ui, &recent);
@@ -92,7 +92,7 @@ impl GuiEventHandler for StatsHandler {
 }
 
 /// The medians, into the log.
-fn print(viewer: &mut Viewer) {
+fn print(viewer: &mut GuiActionAdapter<'_>) {
     let median = |value: fn(&crate::viewer::FrameStats) -> f64| {
         Samples::new(viewer.stats().iter().rev().filter(|s| s.drawn).take(RECENT).map(value)).median()
     };
@@ -120,7 +120,7 @@ mod page {
 
     use egui::{Color32, RichText, Ui};
 
-    use super::{RECENT, Viewer};
+    use super::{GuiActionAdapter, RECENT};
     use crate::viewer::{FrameStats, Samples};
 
     /// Height of the bars in points.
@@ -179,7 +179,7 @@ mod page {
         );
     }
 
-    pub fn pager(ui: &mut Ui, viewer: &Viewer) {
+    pub fn pager(ui: &mut Ui, viewer: &GuiActionAdapter<'_>) {
         let Some(pager) = viewer.pager().map(|p| p.stats()) else { return };
         let wanted = viewer.stats().last().map_or(0, |s| s.wanted_missing);
         let mean_ms = 1e3 * pager.latency_sum_s / pager.merged.max(1) as f64;

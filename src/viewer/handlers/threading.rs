@@ -1,34 +1,28 @@
-//! Who draws.
+//! Which threads cull and draw.
 
-use super::Viewer;
+use super::GuiActionAdapter;
+use crate::viewer::ThreadingModel;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
 const KEYS: Bindings<()> = Bindings(&[(&[Key::Char('m')], (), "next threading model")]);
 
-/// Changes to the next threading model and says which that is; an error is shown to the user.
-pub type SwitchThreading = Box<dyn FnMut(&mut Viewer) -> Result<String, crate::viewer::ViewerError>>;
-
-/// Switches the threading model by what it is given; OSG's `ThreadingHandler`.
-pub struct ThreadingHandler {
-    switch: SwitchThreading,
-}
-
-impl ThreadingHandler {
-    /// A handler that calls `switch`.
-    pub fn new(switch: SwitchThreading) -> Self {
-        Self { switch }
-    }
-}
+/// Goes through the threading models; OSG's `ThreadingHandler`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ThreadingHandler;
 
 impl GuiEventHandler for ThreadingHandler {
-    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
         if KEYS.action(event).is_none() {
             return false;
         }
-        match (self.switch)(viewer) {
-            Ok(model) => viewer.notify(model),
-            Err(error) => viewer.notify(error.to_string()),
-        }
+        let models = ThreadingModel::ALL;
+        let place = models.iter().position(|model| *model == viewer.threading_model()).unwrap_or(0);
+        let next = models[(place + 1) % models.len()];
+        let text = match viewer.set_threading_model(next) {
+            Ok(()) => next.to_string(),
+            Err(error) => error.to_string(),
+        };
+        viewer.notify(text);
         true
     }
 

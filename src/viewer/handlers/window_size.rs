@@ -1,6 +1,6 @@
 //! Size of the window.
 
-use super::Viewer;
+use super::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 use crate::viewer::input::WindowCommand;
 
@@ -21,7 +21,7 @@ const KEYS: Bindings<Action> = Bindings(&[
 pub struct WindowSizeHandler;
 
 impl GuiEventHandler for WindowSizeHandler {
-    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut Viewer) -> bool {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
         let Some(action) = KEYS.action(event) else { return false };
         viewer.request_window(match action {
             Action::FullScreen => WindowCommand::ToggleFullScreen,
