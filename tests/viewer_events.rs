@@ -33,7 +33,10 @@ fn a_key_event_knows_where_the_pointer_is() {
     assert_eq!((key.mask(), key.time_s), (EventMask::KEY_DOWN, 0.3));
     assert_eq!(key.state.position, DVec2::new(150.0, 25.0));
     assert!(key.state.buttons.contains(MouseButton::Right) && !key.state.buttons.contains(MouseButton::Left));
-    assert_eq!(key.key_pressed(), Some(Key::Char('S')));
+    assert_eq!(key.key_pressed(), None, "with a button held keys are the manipulator's");
+    let mut free = key.clone();
+    free.state.buttons = terrane::viewer::ButtonMask::default();
+    assert_eq!(free.key_pressed(), Some(Key::Char('S')));
     assert!(events[1].state.buttons.is_empty(), "an event has the state of its own moment");
     assert_eq!(events.last().unwrap().mask(), EventMask::FRAME);
     assert_eq!(taken(&mut queue).len(), 1, "events are taken once");
