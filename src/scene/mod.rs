@@ -9,6 +9,7 @@ mod flatten;
 mod geometry;
 mod graph;
 mod id;
+mod intersect;
 mod kinds;
 mod node;
 mod page;
@@ -25,6 +26,7 @@ pub use flatten::MAX_DEPTH;
 pub use geometry::{AlphaMode, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology};
 pub use graph::Scene;
 pub use id::{NodeId, PageId};
+pub use intersect::KdTree;
 pub use kinds::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, DrawHook, LightSource, NormalCone, OcclusionQueryNode,
