@@ -26,7 +26,10 @@ pub use flatten::MAX_DEPTH;
 pub use geometry::{AlphaMode, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology};
 pub use graph::Scene;
 pub use id::{NodeId, PageId};
-pub use intersect::KdTree;
+pub use intersect::{
+    Dimensions, EyePoint, Intersection, IntersectionLimit, IntersectionVisitor, Intersector, KdTree,
+    LineSegmentIntersector, LodSelection, PolytopeIntersector, RayIntersector,
+};
 pub use kinds::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, DrawHook, LightSource, NormalCone, OcclusionQueryNode,

@@ -8,7 +8,7 @@
 
 use glam::{DMat3, DVec3, DVec4, Vec3};
 
-use super::primitives::{Corners, HeightCorners, Indices, MeshCorners, corners_of, mesh_primitives};
+use super::primitives::{Corners, HeightCorners, Indices, MeshCorners, Primitive, corners_of, mesh_primitives};
 use crate::math::{Ray, slab};
 use crate::scene::geometry::Geometry;
 
@@ -233,15 +233,14 @@ impl KdTree {
     }
 
     /// Visits the primitives of leaves whose boxes `meets`, given by a function of their middle and half size, lets
-    /// through: each with its number, its corners and how many of them it has. False from `visit` ends it.
+    /// through. False from `visit` ends it.
     pub(crate) fn visit_in(
         &self,
         boxes: &mut dyn FnMut(&BoxInDrawable) -> bool,
-        visit: &mut dyn FnMut(u32, &Corners, usize) -> bool,
+        visit: &mut dyn FnMut(&Primitive) -> bool,
     ) {
         let axes = self.box_from_drawable.transpose();
         let leaves = (1usize << self.depth) - 1;
-        let corners = self.store.corners_of_each();
         let mut stack = [0usize; 40];
         let mut open = 1;
         while open > 0 {
@@ -259,7 +258,16 @@ impl KdTree {
                 continue;
             }
             for place in self.places(node - leaves) {
-                if !visit(self.store.primitive(place), &self.store.corners(place), corners) {
+                let corners = self.store.corners(place);
+                let [a, b, c] = corners;
+                let primitive = Primitive {
+                    number: self.store.primitive(place),
+                    vertices: self.store.vertices(place),
+                    corners,
+                    count: self.store.corners_of_each(),
+                    normal: self.store.facing(place, (b - a).cross(c - a)),
+                };
+                if !visit(&primitive) {
                     return;
                 }
             }

@@ -8,6 +8,18 @@ use crate::scene::geometry::{Geometry, HeightTile, Mesh, Topology};
 /// Corners of a triangle, a segment or a point; the last ones repeat where there are fewer than three.
 pub(crate) type Corners = [DVec3; 3];
 
+/// A primitive of a drawable, in the drawable's frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Primitive {
+    pub number: u32,
+    pub vertices: [u32; 3],
+    pub corners: Corners,
+    /// How many of the corners are its own: 3, 2 or 1.
+    pub count: usize,
+    /// Not of unit length; zero of segments and points.
+    pub normal: DVec3,
+}
+
 /// How many corners a primitive has.
 pub(crate) fn corner_count(topology: Topology) -> usize {
     match topology {
@@ -172,6 +184,15 @@ impl HeightCorners {
         let (i, j, upper) = Self::cell(place);
         let (a, c) = (self.vertex(i, j), self.vertex(i + 1, j + 1));
         if upper == 0 { [a, self.vertex(i + 1, j), c] } else { [a, c, self.vertex(i, j + 1)] }
+    }
+
+    /// A triangle as it is drawn, its normal upwards: the tile's frame is left-handed.
+    pub fn triangle(&self, place: usize) -> Primitive {
+        let corners = self.of(place);
+        let [a, b, c] = corners;
+        let normal = (b - a).cross(c - a);
+        let normal = if normal.dot(self.up(place)) < 0.0 { -normal } else { normal };
+        Primitive { number: self.primitive(place), vertices: self.vertices(place), corners, count: 3, normal }
     }
 
     /// Away from the ground, at a cell.
