@@ -31,6 +31,7 @@ pub struct Scene {
     page_count: usize,
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
+    revision: u64,
 }
 
 impl Scene {
@@ -129,6 +130,7 @@ impl Scene {
 
     /// A page to change its draw slots.
     pub fn page_mut(&mut self, id: PageId) -> Option<&mut Page> {
+        self.revision += 1;
         self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page.as_deref_mut()
     }
 
@@ -142,6 +144,11 @@ impl Scene {
     pub fn bounding_sphere(&self) -> BoundingSphere {
         let spheres = self.roots.iter().filter_map(|r| self.page(*r)).map(Page::bounding_sphere);
         spheres.fold(BoundingSphere::EMPTY, |all, s| all.union(&s))
+    }
+
+    /// Another number whenever pages came, went or may have been changed.
+    pub fn revision(&self) -> u64 {
+        self.revision
     }
 
     /// How many pages there are.
@@ -210,6 +217,7 @@ impl Scene {
 
     fn insert(&mut self, page: Page, slot: Option<NodeId>, base_depth: u32) -> PageId {
         self.page_count += 1;
+        self.revision += 1;
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {
@@ -231,6 +239,7 @@ impl Scene {
         entry.generation = entry.generation.wrapping_add(1);
         self.free.push(id.slot);
         self.page_count -= 1;
+        self.revision += 1;
         Some(*page)
     }
 
@@ -244,6 +253,7 @@ impl Scene {
     }
 
     pub(super) fn page_at_mut(&mut self, place: u32) -> Option<&mut Page> {
+        self.revision += 1;
         self.entries.get_mut(place as usize)?.page.as_deref_mut()
     }
 

@@ -27,8 +27,9 @@ pub use geometry::{AlphaMode, Drawable, Geometry, HeightTile, Material, Mesh, Me
 pub use graph::Scene;
 pub use id::{NodeId, PageId};
 pub use intersect::{
-    Dimensions, EyePoint, Intersection, IntersectionLimit, IntersectionVisitor, Intersector, KdTree,
-    LineSegmentIntersector, LodSelection, PolytopeIntersector, RayIntersector,
+    Dimensions, EyePoint, GroundPoint, GroundSnapshot, HeightQuery, Intersection, IntersectionLimit,
+    IntersectionVisitor, Intersector, KdTree, LineSegmentIntersector, LodSelection, PolytopeIntersector,
+    RayIntersector, Vertical,
 };
 pub use kinds::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,

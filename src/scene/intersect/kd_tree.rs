@@ -9,7 +9,7 @@
 use glam::{DMat3, DVec3, DVec4, Vec3};
 
 use super::primitives::{Corners, HeightCorners, Indices, MeshCorners, Primitive, corners_of, mesh_primitives};
-use crate::math::{Ray, slab};
+use crate::math::{BoundingSphere, Ray, slab};
 use crate::scene::geometry::Geometry;
 
 /// Most primitives below a leaf: of a mesh, 3 to 6 bytes of boxes a triangle; of a height tile, 4 x 4 cells.
@@ -155,6 +155,12 @@ impl KdTree {
             Store::Heights(heights) => heights.size_bytes(),
         };
         (size_of::<Self>() + self.boxes.len() * size_of::<StepBox>() + store) as u64
+    }
+
+    /// Around all primitives, in the drawable's frame.
+    pub fn bounding_sphere(&self) -> BoundingSphere {
+        let half = 0.5 * STEPS * self.step_m;
+        BoundingSphere::new(self.box_from_drawable.transpose() * (self.origin + half), half.length())
     }
 
     /// The places of a leaf's primitives.
@@ -408,7 +414,7 @@ fn mean_axes(corners: impl Iterator<Item = Corners>) -> DMat3 {
 
 /// Orders primitives so that each node's are divided at the median of the axis along which their middles reach
 /// farthest.
-fn divide(middles: &mut [(Vec3, u32)], depth: u32) {
+pub(super) fn divide(middles: &mut [(Vec3, u32)], depth: u32) {
     let count = middles.len();
     for level in 0..depth {
         for node in 0..1usize << level {

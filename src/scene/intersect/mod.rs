@@ -9,7 +9,10 @@
 //!   -> KdTree           of each drawable, in its own frame, by the positions that are drawn            kd_tree
 //!     -> Intersection   node path, drawable, primitive, point, normal                                  visitor
 //! ```
+//!
+//! A [`HeightQuery`] answers threads that do not hold the scene.
 
+mod height_query;
 mod kd_tree;
 mod line;
 mod polytope;
@@ -18,6 +21,7 @@ mod surface;
 mod visitor;
 mod walk;
 
+pub use height_query::{GroundPoint, GroundSnapshot, HeightQuery, Vertical};
 pub use kd_tree::KdTree;
 pub use line::{LineSegmentIntersector, RayIntersector};
 pub use polytope::{Dimensions, PolytopeIntersector};
