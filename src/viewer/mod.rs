@@ -10,6 +10,7 @@ mod home;
 mod manipulator;
 #[cfg(feature = "window")]
 mod overlay;
+mod pick;
 mod report;
 mod settled;
 mod stats;

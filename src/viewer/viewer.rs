@@ -233,6 +233,9 @@ impl Viewer {
             self.camera.min_near_m = (1e-5 * bounds.sphere.radius_m).clamp(1e-4, 1.0);
             self.environment = environment_for(&bounds);
         }
+        if self.pager_config.build_kd_trees {
+            page.build_kd_trees();
+        }
         let drawables = page.take_drawables();
         let root = self.scene.add_root(page);
         self.root.get_or_insert(root);
