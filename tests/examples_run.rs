@@ -79,3 +79,8 @@ fn proxy_node() {
     // Nine houses of at least three flat faces each, before a sky.
     run("proxy_node", &[], 40);
 }
+
+#[test]
+fn picking() {
+    run("picking", &[], 1000);
+}

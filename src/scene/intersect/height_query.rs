@@ -62,7 +62,7 @@ pub struct GroundPoint {
 /// The published ground, and who may ask for it.
 ///
 /// Clones share what is published. [`Self::publish`] belongs to the thread that holds the scene, after update; it costs
-/// nothing while the scene stays as it was, and about 0.1 us a loaded drawable when it changed. All else is for any
+/// nothing while the scene stays as it was, and about 0.3 us a drawable of the level when it changed. All else is for any
 /// thread at any time, waits for nobody longer than an `Arc` takes to be cloned, and never keeps the frame waiting.
 ///
 /// Needs the drawables' [`KdTree`]s (see [`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees)) or
