@@ -94,3 +94,8 @@ fn custom_manipulator() {
 fn embedding() {
     run("embedding", &[], 40);
 }
+
+#[test]
+fn picking() {
+    run("picking", &[], 1000);
+}

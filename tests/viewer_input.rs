@@ -10,13 +10,14 @@ use std::sync::{Arc, Mutex};
 
 use glam::{DAffine3, DVec2, DVec3};
 use terrane::draw::Sky;
-use terrane::gpu::AdapterChoice;
+use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::scene::{Drawable, Material, Mesh, Node, NodeId, Page, PageId, Traverse, UpdateCallback};
 use terrane::viewer::handlers::{self, StatsPage};
 use terrane::viewer::manipulators::{OrbitManipulator, usual};
 use terrane::viewer::{
-    AnimationPath, EventKind, EventMask, GuiActionAdapter, GuiEventAdapter, GuiEventHandler, KEY_COLOR, Key, Modifiers,
-    MouseButton, ThreadingModel, Viewer, ViewerConfig, WindowCommand, coverage, event_callback,
+    AnimationPath, CompositeViewer, EventKind, EventMask, GuiActionAdapter, GuiEventAdapter, GuiEventHandler,
+    KEY_COLOR, Key, Modifiers, MouseButton, ThreadingModel, Viewer, ViewerConfig, WindowCommand, coverage,
+    event_callback,
 };
 
 fn viewer(adapter: AdapterChoice) -> Option<Viewer> {
@@ -406,4 +407,56 @@ fn toggles_change_the_picture_and_overlays_lie_over_it() {
     drop(viewer);
     let written = image::open(folder.path().join("terrane-001.png")).unwrap();
     assert_eq!((written.width(), written.height()), (320, 240));
+}
+
+#[test]
+fn each_view_of_a_composite_viewer_has_input_of_its_own() {
+    let config = ViewerConfig {
+        size_px: [320, 240],
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        ..ViewerConfig::default()
+    };
+    let mut composite = CompositeViewer::new(&config).unwrap();
+    let context = composite.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
+    let scene = composite.add_scene().unwrap();
+    let counted = Arc::new(AtomicU32::new(0));
+    let counter = counted.clone();
+    let mut node =
+        Node::geode(vec![Drawable::new(Mesh::rectangle(DVec3::ZERO, DVec3::X, DVec3::Z).into(), Material::default())]);
+    node.update_callback = Some(UpdateCallback::new(move |_, _, _| {
+        counter.fetch_add(1, Ordering::Relaxed);
+        Traverse::Below
+    }));
+    composite.add_root(scene, Page::from_node(node).unwrap()).unwrap();
+    let left = composite.add_view(scene, context, Some([0, 0, 160, 240])).unwrap();
+    let right = composite.add_view(scene, context, Some([160, 0, 160, 240])).unwrap();
+    for view in [left, right] {
+        composite.actions(view).unwrap().set_manipulator(Some(Box::new(OrbitManipulator::default())));
+    }
+    composite.frame().unwrap();
+    let eye = |composite: &CompositeViewer, id| composite.views().find(|(v, _)| *v == id).unwrap().1.camera.eye();
+    let (left_eye, right_eye) = (eye(&composite, left), eye(&composite, right));
+
+    // The wheel turns over the right one.
+    assert_eq!(composite.view_at(context, DVec2::new(10.0, 10.0)).unwrap().0, left);
+    let (view, at) = composite.view_at(context, DVec2::new(200.0, 10.0)).unwrap();
+    assert_eq!((view, at), (right, DVec2::new(40.0, 10.0)));
+    assert!(composite.view_at(context, DVec2::new(400.0, 10.0)).is_none());
+    let queue = composite.view_mut(view).unwrap().event_queue();
+    queue.mouse_motion(at, 0.0);
+    queue.mouse_scroll(DVec2::new(0.0, 4.0), 0.0);
+    for _ in 0..5 {
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        composite.frame().unwrap();
+    }
+    assert_eq!(eye(&composite, left), left_eye);
+    assert!(eye(&composite, right).distance(right_eye) > 0.1);
+    assert_eq!(counted.load(Ordering::Relaxed), 6, "once a frame, however many views there are");
+
+    let queue = composite.view_mut(left).unwrap().event_queue();
+    queue.key_press(Key::Escape, Key::Escape, 0.0);
+    assert!(!composite.is_done());
+    composite.frame().unwrap();
+    assert!(composite.is_done());
 }

@@ -52,7 +52,8 @@ pub struct DatabasePager {
 impl DatabasePager {
     /// Starts the threads. `options` is the scope of the tile set that is paged.
     pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
-        let options = ReadOptions { limits: config.limits, ..options };
+        let build_kd_trees = config.build_kd_trees || options.build_kd_trees;
+        let options = ReadOptions { limits: config.limits, build_kd_trees, ..options };
         let threads = Threads::start(&config, &options)?;
         Ok(Self {
             root_chain: options.chain.clone(),

@@ -85,6 +85,7 @@ impl Flattener {
                 uses_page_frame: false,
                 drawables: Vec::new(),
                 payload_bytes: 0,
+                kd_trees: Vec::new(),
                 draw_slots: Vec::new(),
                 attached_pages: 0,
             },

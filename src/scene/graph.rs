@@ -36,6 +36,7 @@ pub struct Scene {
     pub(super) callback_pages: CallbackPages,
     /// Meshes that were changed and have not been sent to be drawn.
     pub(super) rewritten: Vec<Rewritten>,
+    revision: u64,
 }
 
 impl Scene {
@@ -134,6 +135,7 @@ impl Scene {
 
     /// A page to change its draw slots.
     pub fn page_mut(&mut self, id: PageId) -> Option<&mut Page> {
+        self.revision += 1;
         self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page.as_deref_mut()
     }
 
@@ -154,6 +156,11 @@ impl Scene {
     pub fn bounding_sphere(&self) -> BoundingSphere {
         let spheres = self.roots.iter().filter_map(|r| self.page(*r)).map(Page::bounding_sphere);
         spheres.fold(BoundingSphere::EMPTY, |all, s| all.union(&s))
+    }
+
+    /// Another number whenever pages came, went or may have been changed.
+    pub fn revision(&self) -> u64 {
+        self.revision
     }
 
     /// How many pages there are.
@@ -224,6 +231,7 @@ impl Scene {
         self.page_count += 1;
         let place = self.free.last().copied().unwrap_or(self.entries.len() as u32);
         self.callback_pages.note(place, &page);
+        self.revision += 1;
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {
@@ -248,6 +256,7 @@ impl Scene {
         entry.generation = entry.generation.wrapping_add(1);
         self.free.push(id.slot);
         self.page_count -= 1;
+        self.revision += 1;
         Some(*page)
     }
 
@@ -261,6 +270,7 @@ impl Scene {
     }
 
     pub(super) fn page_at_mut(&mut self, place: u32) -> Option<&mut Page> {
+        self.revision += 1;
         self.entries.get_mut(place as usize)?.page.as_deref_mut()
     }
 

@@ -10,6 +10,7 @@ mod flatten;
 mod geometry;
 mod graph;
 mod id;
+mod intersect;
 mod kinds;
 mod node;
 mod page;
@@ -29,6 +30,11 @@ pub use flatten::MAX_DEPTH;
 pub use geometry::{AlphaMode, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology};
 pub use graph::Scene;
 pub use id::{NodeId, PageId};
+pub use intersect::{
+    Dimensions, EyePoint, GroundPoint, GroundSnapshot, HeightQuery, Intersection, IntersectionLimit,
+    IntersectionVisitor, Intersector, KdTree, LineSegmentIntersector, LodSelection, PolytopeIntersector,
+    RayIntersector, Vertical,
+};
 pub use kinds::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, DrawHook, LightSource, NormalCone, OcclusionQueryNode,

@@ -181,6 +181,11 @@ impl View {
         self.input.ground = ground;
     }
 
+    /// True when it is known where the ground is.
+    pub fn has_ground(&self) -> bool {
+        self.input.ground.is_some()
+    }
+
     /// View, projection and window matrices of the master camera.
     pub fn window_matrix(&self) -> WindowMatrix {
         let whole = WindowMatrix::new(&self.camera, self.size_px());

@@ -16,6 +16,7 @@ pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;
 mod paged_scene;
+mod pick;
 mod rendering;
 mod report;
 mod settled;

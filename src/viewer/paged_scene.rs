@@ -93,6 +93,9 @@ impl PagedScene {
 
     pub(super) fn add_root(&mut self, mut page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
         self.bounds.get_or_insert_with(|| SetBounds::new(page.bounding_sphere(), root_volume(&page)));
+        if self.pager_config.build_kd_trees {
+            page.build_kd_trees();
+        }
         let drawables = page.take_drawables();
         let root = self.scene_mut().add_root(page);
         self.root.get_or_insert(root);

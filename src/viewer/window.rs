@@ -14,7 +14,7 @@ use super::ViewerError;
 use super::camera_path::AnimationPath;
 use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
-use super::manipulators;
+use super::manipulators::{self, SceneGround};
 use super::viewer::{Viewer, ViewerConfig};
 use super::window_events;
 
@@ -129,6 +129,9 @@ impl App {
         on_open(&mut viewer)?;
         let stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
         handlers::add_usual(&mut viewer, &self.options.output_dir, stats);
+        if self.config.pager.build_kd_trees && !viewer.has_ground() {
+            viewer.set_ground(Some(Box::new(SceneGround::default())));
+        }
         if self.options.manipulated && viewer.manipulator().is_none() {
             viewer.set_manipulator(Some(Box::new(manipulators::usual(self.options.path.take()))));
             viewer.notify("H shows the keys");

@@ -179,6 +179,12 @@ pub enum Bench {
         #[arg(long, default_value_t = 1.0)]
         secs: f64,
     },
+    /// Lines through a terrain of a million triangles, without a GPU
+    Pick {
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
     /// Render stages to the adapter that does nothing: the processor's time per leaf
     Submit {
         /// Shortest time to measure each case, seconds

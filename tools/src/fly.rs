@@ -58,6 +58,8 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
         ..ViewerConfig::default()
     };
     config.pager.blocking = args.blocking;
+    // Manipulators stay above the ground.
+    config.pager.build_kd_trees = args.interactive;
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     let root = LoadedRoot::read(&source, &config.pager)?;
     let offscreen = args.offscreen || !display;

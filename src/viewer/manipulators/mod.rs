@@ -10,6 +10,7 @@ mod animation_path;
 mod drive;
 mod first_person;
 mod fly;
+mod ground;
 mod inertia;
 mod key_switch;
 mod node_tracker;
@@ -22,6 +23,7 @@ pub use animation_path::AnimationPathManipulator;
 pub use drive::DriveManipulator;
 pub use first_person::FirstPersonManipulator;
 pub use fly::FlyManipulator;
+pub use ground::SceneGround;
 pub use key_switch::KeySwitchManipulator;
 pub use node_tracker::{NodeTrackerManipulator, TrackerMode};
 pub use orbit::OrbitManipulator;
@@ -37,7 +39,7 @@ use super::home::{LocalFrame, SetBounds};
 use crate::math::WGS84;
 use crate::scene::Scene;
 
-/// Where the ground is; asked by manipulators that stay above it. A closure will do.
+/// Where the ground is; asked by manipulators that stay above it: [`SceneGround`], or a closure.
 pub trait GroundHeight {
     /// The ground on the line through `point` along `up` (unit, world): the highest where there are several. `None`
     /// where nothing is known.

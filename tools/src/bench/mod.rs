@@ -3,6 +3,7 @@
 pub mod cull;
 pub mod frame;
 pub mod page;
+pub mod pick;
 pub mod submit;
 
 use anyhow::Result;
@@ -13,6 +14,10 @@ pub fn run(args: &BenchArgs) -> Result<()> {
     match &args.bench {
         Bench::Cull { secs } => {
             cull::run(*secs);
+            Ok(())
+        }
+        Bench::Pick { secs } => {
+            pick::run(*secs);
             Ok(())
         }
         Bench::Submit { secs } => submit::run(*secs),
