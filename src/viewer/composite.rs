@@ -159,6 +159,7 @@ impl CompositeViewer {
         let ViewerConfig { size_px, samples, .. } = self.config;
         let mut view = View::new(scene.0, self.config.cull_settings(), size_px, samples);
         view.master = Some(place);
+        view.set_stereo(self.config.stereo);
         view.prepare(&self.base.rendering, bounds.as_ref());
         if let Some(bounds) = &bounds {
             view.home(bounds);
@@ -216,8 +217,15 @@ impl CompositeViewer {
 
     /// Renders one frame of all views at a simulation time.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
-        self.base.frame(&mut self.views, &mut self.scenes, simulation_time_s)?;
-        Ok(())
+        let mut frame = self.base.begin_frame(simulation_time_s)?;
+        for view in &mut self.views {
+            view.event(frame.dt_s);
+        }
+        frame.end_events();
+        for scene in &mut self.scenes {
+            scene.update(&self.base.stamp);
+        }
+        self.base.end_frame(frame, &mut self.views, &mut self.scenes)
     }
 
     /// Uploads, merges and expires what arrives, instead of sleeping until the next frame is due. Returns at
