@@ -18,4 +18,5 @@ pub mod math;
 pub mod pager;
 pub mod scene;
 pub mod state;
+pub mod timeline;
 pub mod viewer;

@@ -20,6 +20,7 @@ use crate::io::ReadOptions;
 use crate::pager::{CompileContext, DatabasePager, PagerConfig};
 use crate::scene::{Attachment, CameraTarget, Page, PageId, Scene};
 use crate::state::{TextureFormat, TextureObject};
+use crate::timeline;
 
 /// How a viewer is made.
 #[derive(Clone, Debug)]
@@ -396,12 +397,16 @@ impl Viewer {
         self.read_back_ms = 0.0;
         let dt_s = self.advance(start, simulation_time_s);
         let mut stats = FrameStats { frame: self.stamp.frame, ..FrameStats::default() };
+        let _frame = timeline::span_of("frame", || self.stamp.frame.to_string().into());
 
+        let span = timeline::span("event");
         self.event(dt_s);
+        drop(span);
         let after_event = Instant::now();
         stats.event_ms = millis(after_event - start);
 
         // Update: everything with &mut Scene.
+        let span = timeline::span("update");
         for callback in &mut self.update_callbacks {
             callback(&mut self.scene, &self.stamp);
         }
@@ -410,6 +415,7 @@ impl Viewer {
         }
         stats.merge_ms = self.page();
         stats.update_ms = millis(after_event.elapsed());
+        drop(span);
 
         // Rendering: cull now, draw on the context's thread.
         self.wait_for_stage()?;
@@ -447,6 +453,7 @@ impl Viewer {
     /// For a loop with a frame rate of its own, instead of sleeping until the next frame is due: uploads, merges and
     /// expires what arrives, so that frames have less to do. Returns at `deadline`.
     pub fn work_until(&mut self, deadline: Instant) {
+        let _span = timeline::span("between frames");
         if let (Some(pager), false) = (&mut self.pager, self.pager_config.blocking) {
             pager.work_until(&mut self.scene, &mut [&mut self.context], deadline);
         }
@@ -490,6 +497,7 @@ impl Viewer {
     /// The pager's turn with the scene; milliseconds.
     fn page(&mut self) -> f64 {
         let start = Instant::now();
+        let _span = timeline::span("merge");
         self.merge_own();
         if let Some(pager) = &mut self.pager {
             pager.update_scene_graph(&mut self.scene, self.stamp.frame, &self.requests, &mut [&mut self.context]);
@@ -519,6 +527,7 @@ impl Viewer {
     }
 
     pub(super) fn cull_into(&mut self, stage: &mut RenderStage) {
+        let _span = timeline::span("cull");
         let horizon = self.bounds.as_ref().and_then(SetBounds::body);
         let camera = CullCamera { horizon, ..self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT) };
         match &self.stereo {
@@ -575,7 +584,10 @@ impl Viewer {
 
     fn absorb_next(&mut self) -> Result<(), ViewerError> {
         let start = Instant::now();
-        if let Some(done) = self.context.wait_done()? {
+        let span = timeline::span("wait for draw");
+        let done = self.context.wait_done()?;
+        drop(span);
+        if let Some(done) = done {
             let waited_ms = millis(start.elapsed());
             self.read_back_ms += done.read_back_ms.min(waited_ms);
             self.absorb(*done)?;
@@ -585,6 +597,7 @@ impl Viewer {
 
     /// Waits until a stage is free, merging what arrives meanwhile.
     fn wait_for_stage(&mut self) -> Result<(), ViewerError> {
+        let _span = timeline::span("wait for stage");
         while self.context.in_flight() >= STAGES_IN_FLIGHT {
             match &mut self.pager {
                 Some(pager) if !self.pager_config.blocking && !pager.is_idle() => {
