@@ -113,6 +113,8 @@ fn a_flight_is_recorded_whole() {
             (main, "merge", 40),
             (main, "wait for stage", 40),
             (main, "cull", 40),
+            (main, "traverse", 40),
+            (main, "sort", 40),
             (draw, "compile", 40),
             (draw, "draw", 40),
             (draw, "present", 40),

@@ -22,7 +22,6 @@ use crate::draw::{DrawStats, Environment, FrameClock, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
 use crate::pager::CompileContext;
 use crate::scene::{DrawSlot, Drawable};
-use crate::timeline;
 
 /// Where drawing happens.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -160,7 +159,6 @@ impl DrawSide {
                 None
             }
             DrawCommand::RunCompiles(budget) => {
-                let _span = timeline::span("compile");
                 self.context.run_compiles(&budget);
                 self.pass_on_compiled();
                 self.running_compiles.store(false, Ordering::Release);
@@ -188,7 +186,6 @@ impl DrawSide {
     }
 
     fn finish_compiles(&mut self) {
-        let _span = timeline::span("compile");
         let unlimited = CompileBudget { time: Duration::from_secs(3600), bytes: u64::MAX };
         // Each run does at least one slice of what is pending, so this ends.
         while self.context.pending_compiles() > 0 {
@@ -199,12 +196,9 @@ impl DrawSide {
 
     fn frame(&mut self, job: FrameJob) -> FrameDone {
         let start = Instant::now();
-        let span = timeline::span("compile");
         self.context.run_compiles(&job.budget);
         self.pass_on_compiled();
-        drop(span);
         let compiled = Instant::now();
-        let span = timeline::span("draw");
         let stats = match self.failed.take() {
             Some(error) => Err(error),
             None => {
@@ -216,9 +210,7 @@ impl DrawSide {
         if let Some(mut paint) = job.overlay {
             self.paint(&mut paint);
         }
-        drop(span);
         let submitted = Instant::now();
-        let span = job.read_back.then(|| timeline::span("read back"));
         if job.read_back {
             // The adapter's work is part of the frame, copying its picture is not.
             let _ = self.context.device().poll(wgpu::PollType::wait_indefinitely());
@@ -226,10 +218,8 @@ impl DrawSide {
         let drawn = Instant::now();
         // A window's image can be read until it is presented only.
         let image = (job.read_back && stats.is_ok()).then(|| self.renderer.read_back(&mut self.context));
-        drop(span);
         let read_back = drawn.elapsed();
         if job.present {
-            let _span = timeline::span("present");
             self.context.present();
         }
         FrameDone {

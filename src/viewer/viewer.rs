@@ -527,7 +527,6 @@ impl Viewer {
     }
 
     pub(super) fn cull_into(&mut self, stage: &mut RenderStage) {
-        let _span = timeline::span("cull");
         let horizon = self.bounds.as_ref().and_then(SetBounds::body);
         let camera = CullCamera { horizon, ..self.camera.cull_camera(self.size_px, self.stamp.frame, CONTEXT) };
         match &self.stereo {

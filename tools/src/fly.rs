@@ -37,6 +37,8 @@ const STALLED_AFTER: Duration = Duration::from_secs(60);
 
 pub fn run(args: Box<FlyArgs>) -> Result<()> {
     let Some(file) = args.trace.clone() else { return fly(args) };
+    // Told before the flight, not after it.
+    std::fs::File::create(&file).with_context(|| file.display().to_string())?;
     let recording = Recording::start()?;
     // All threads have ended by then.
     fly(args).and(recording.write(&file).map(drop).map_err(Into::into))
