@@ -29,9 +29,10 @@ pub struct Scene {
     free: Vec<u32>,
     roots: Vec<PageId>,
     page_count: usize,
+    /// Changed whenever pages come, go or may be changed.
+    revision: u64,
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
-    revision: u64,
 }
 
 impl Scene {
@@ -216,8 +217,8 @@ impl Scene {
     }
 
     fn insert(&mut self, page: Page, slot: Option<NodeId>, base_depth: u32) -> PageId {
-        self.page_count += 1;
         self.revision += 1;
+        self.page_count += 1;
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {

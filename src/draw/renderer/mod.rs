@@ -27,7 +27,6 @@ use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
-use crate::timeline;
 
 /// Frames the processor may be ahead of the adapter.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -204,8 +203,8 @@ impl Renderer {
         stage: &RenderStage,
         environment: &Environment,
     ) -> Result<DrawStats, GpuError> {
-        let _span = timeline::span("draw");
-        let acquire = timeline::span("acquire");
+        let _span = crate::timeline::span("draw");
+        let acquire = crate::timeline::span("acquire");
         if ctx.acquire()? == Acquired::Skip {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
@@ -218,7 +217,7 @@ impl Renderer {
         let mut stats = self.record(ctx, stage);
         stats.leaves = self.batch.leaves().len() as u32;
         stats.pipelines_created = self.pipelines.created() - created_before;
-        let wait = timeline::span("wait for adapter");
+        let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
         drop(wait);
         if let Some(timer) = &mut self.timer {
@@ -429,7 +428,7 @@ impl Renderer {
     /// The picture last drawn, top row first. Waits for the adapter. A window's picture can be read between draw
     /// and present, where the platform lets images be copied.
     pub fn read_back(&mut self, ctx: &mut GraphicsContext) -> Result<image::RgbaImage, GpuError> {
-        let _span = timeline::span("read back");
+        let _span = crate::timeline::span("read back");
         ctx.read_back()
     }
 }
