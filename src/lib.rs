@@ -19,4 +19,5 @@ pub mod pager;
 pub mod scene;
 pub mod state;
 pub mod sync;
+pub mod timeline;
 pub mod viewer;

@@ -160,6 +160,7 @@ impl CullVisitor {
     /// Culls a scene for a camera: clears and refills the stage, and makes the stages of the cameras met. Allocates
     /// nothing once the visitor and the stage have seen as much before.
     pub fn cull(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
+        let _span = crate::timeline::span("cull");
         self.traverse(scene, camera, stage);
         self.sort(stage);
         if !self.deferred.is_empty() {
@@ -199,6 +200,7 @@ impl CullVisitor {
     /// the two apart.
     #[doc(hidden)]
     pub fn traverse(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
+        let _span = crate::timeline::span("traverse");
         self.graph.start_frame();
         self.deferred.clear();
         let clamp = self.clamp_projection;
@@ -208,6 +210,7 @@ impl CullVisitor {
     /// The second half of [`Self::cull`].
     #[doc(hidden)]
     pub fn sort(&mut self, stage: &mut RenderStage) {
+        let _span = crate::timeline::span("sort");
         self.sorter.fill_bins(&mut self.leaves, stage);
     }
 

@@ -236,6 +236,7 @@ impl GraphicsContext {
 
     /// Shows the window's image. Nothing to do offscreen.
     pub fn present(&mut self) {
+        let _span = crate::timeline::span("present");
         self.target.present(&self.queue);
     }
 
@@ -246,6 +247,7 @@ impl GraphicsContext {
 
     /// Uploads within a budget, at least one slice; what is too big is split over calls.
     pub fn run_compiles(&mut self, budget: &CompileBudget) -> CompileStats {
+        let _span = crate::timeline::span("compile");
         let stats = self.compiles.run(&self.device, &self.queue, &mut self.pools, &mut self.drawables, budget);
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
         stats

@@ -31,12 +31,13 @@ pub struct Scene {
     free: Vec<u32>,
     roots: Vec<PageId>,
     page_count: usize,
+    /// Changed whenever pages come, go or may be changed.
+    revision: u64,
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
     pub(super) callback_pages: CallbackPages,
     /// Meshes that were changed and have not been sent to be drawn.
     pub(super) rewritten: Vec<Rewritten>,
-    revision: u64,
 }
 
 impl Scene {
@@ -228,10 +229,10 @@ impl Scene {
     }
 
     fn insert(&mut self, page: Page, slot: Option<NodeId>, base_depth: u32) -> PageId {
-        self.page_count += 1;
         let place = self.free.last().copied().unwrap_or(self.entries.len() as u32);
         self.callback_pages.note(place, &page);
         self.revision += 1;
+        self.page_count += 1;
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {

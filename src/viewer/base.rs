@@ -15,6 +15,7 @@ use super::viewer::{FrameStamp, ViewerConfig};
 use crate::cull::{CullVisitor, RenderStage};
 use crate::draw::FrameClock;
 use crate::gpu::{CompileBudget, GraphicsContext};
+use crate::timeline::{self, Span};
 
 /// How often arrivals are looked for while the draw thread is busy.
 const ARRIVAL_POLL: Duration = Duration::from_micros(300);
@@ -57,12 +58,17 @@ pub(super) struct FrameUnderWay {
     /// Seconds since the frame before.
     pub(super) dt_s: f64,
     stats: FrameStats,
+    /// On the timeline; ends before the frame's own.
+    phase: Option<Span>,
+    _frame: Span,
 }
 
 impl FrameUnderWay {
     /// The event phase is over.
     pub(super) fn end_events(&mut self) {
         self.stats.event_ms = millis(self.start.elapsed());
+        self.phase = None;
+        self.phase = Some(timeline::span("update"));
     }
 }
 
@@ -202,7 +208,10 @@ impl ViewerBase {
         let start = Instant::now();
         self.read_back_ms = 0.0;
         let dt_s = self.advance(start, simulation_time_s);
-        Ok(FrameUnderWay { start, dt_s, stats: FrameStats { frame: self.stamp.frame, ..FrameStats::default() } })
+        let number = self.stamp.frame;
+        let _frame = timeline::span_of("frame", || number.to_string().into());
+        let stats = FrameStats { frame: number, ..FrameStats::default() };
+        Ok(FrameUnderWay { start, dt_s, stats, phase: Some(timeline::span("event")), _frame })
     }
 
     /// Update after the application's own, and rendering.
@@ -212,7 +221,7 @@ impl ViewerBase {
         views: &mut [View],
         scenes: &mut [PagedScene],
     ) -> Result<(), ViewerError> {
-        let FrameUnderWay { start, mut stats, .. } = frame;
+        let FrameUnderWay { start, mut stats, phase, _frame, .. } = frame;
         // A handler may have changed the model.
         self.rendering.start_threads()?;
         if self.blocking {
@@ -224,6 +233,7 @@ impl ViewerBase {
             is_dynamic |= scene.send_rewritten(&mut self.rendering)?;
         }
         stats.update_ms = millis(start.elapsed()) - stats.event_ms;
+        drop(phase);
 
         // Cull and draw, by the threads of the model.
         self.wait_for_stage(scenes)?;
@@ -353,6 +363,7 @@ impl ViewerBase {
 
     /// Works until shortly before `deadline`, sleeps the rest.
     pub(super) fn work_until(&mut self, scenes: &mut [PagedScene], deadline: Instant) {
+        let _span = timeline::span("between frames");
         for scene in scenes {
             scene.work_until(&mut self.rendering, deadline);
         }
@@ -392,7 +403,10 @@ impl ViewerBase {
     fn absorb_next(&mut self, place: usize) -> Result<(), ViewerError> {
         let start = Instant::now();
         let Some(context) = self.rendering.context_at(place) else { return Ok(()) };
-        if let Some(done) = context.wait_done()? {
+        let span = timeline::span("wait for draw");
+        let done = context.wait_done()?;
+        drop(span);
+        if let Some(done) = done {
             self.read_back_ms += done.read_back_ms.min(millis(start.elapsed()));
             self.absorb(place, *done)?;
         }
@@ -401,6 +415,7 @@ impl ViewerBase {
 
     /// Waits until each camera has a free stage, merging what arrives meanwhile.
     fn wait_for_stage(&mut self, scenes: &mut [PagedScene]) -> Result<(), ViewerError> {
+        let _span = timeline::span("wait for stage");
         for place in 0..self.rendering.context_count() {
             while self.rendering.in_flight(place) >= FRAMES_IN_FLIGHT {
                 if !scenes.iter().any(PagedScene::is_paging) {

@@ -154,6 +154,7 @@ impl PagedScene {
     /// The pager's turn with the scene; milliseconds.
     pub(super) fn page(&mut self, rendering: &mut Rendering, frame: u32) -> f64 {
         let start = Instant::now();
+        let _span = crate::timeline::span("merge");
         self.merge_own(rendering);
         if let Some(pager) = &mut self.pager {
             let (scene, requests) = (alone(&mut self.scene), &self.requests);

@@ -70,6 +70,9 @@ pub struct FlyArgs {
     /// Write the report as JSON
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
+    /// Write what every thread did when, for ui.perfetto.dev or chrome://tracing
+    #[arg(long, value_name = "FILE")]
+    pub trace: Option<PathBuf>,
     /// Write every frame as PNG
     #[arg(long, value_name = "DIR")]
     pub frames_dir: Option<PathBuf>,

@@ -11,6 +11,7 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use image::RgbaImage;
 use terrane::cull::Stereo;
 use terrane::draw::{Sky, Water};
+use terrane::timeline::Recording;
 use terrane::viewer::{
     AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer,
     ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
@@ -35,6 +36,15 @@ const FOREIGN_SSE_PX: f64 = 16.0;
 const STALLED_AFTER: Duration = Duration::from_secs(60);
 
 pub fn run(args: Box<FlyArgs>) -> Result<()> {
+    let Some(file) = args.trace.clone() else { return fly(args) };
+    // Told before the flight, not after it.
+    std::fs::File::create(&file).with_context(|| file.display().to_string())?;
+    let recording = Recording::start()?;
+    // All threads have ended by then.
+    fly(args).and(recording.write(&file).map(drop).map_err(Into::into))
+}
+
+fn fly(args: Box<FlyArgs>) -> Result<()> {
     let display = has_display();
     if args.interactive && !display {
         bail!("there is no display to open a window on; `terrane fly` renders without one");

@@ -222,9 +222,12 @@ impl Renderer {
         ctx: &mut GraphicsContext,
         pictures: impl Iterator<Item = Picture<'a>> + Clone,
     ) -> Result<DrawStats, GpuError> {
+        let _span = crate::timeline::span("draw");
+        let acquire = crate::timeline::span("acquire");
         if ctx.acquire()? == Acquired::Skip {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
+        drop(acquire);
         ctx.submitted();
         let ctx = &*ctx;
         let created_before = self.pipelines.created();
@@ -233,7 +236,9 @@ impl Renderer {
         let mut stats = self.record(ctx, pictures);
         stats.leaves = self.batch.leaves().len() as u32;
         stats.pipelines_created = self.pipelines.created() - created_before;
+        let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
+        drop(wait);
         if let Some(timer) = &mut self.timer {
             let passes = timer.latest_ms();
             stats.gpu_ms = (!passes.is_empty()).then(|| passes.iter().sum());
@@ -448,6 +453,7 @@ impl Renderer {
     /// The picture last drawn, top row first. Waits for the adapter. A window's picture can be read between draw
     /// and present, where the platform lets images be copied.
     pub fn read_back(&mut self, ctx: &mut GraphicsContext) -> Result<image::RgbaImage, GpuError> {
+        let _span = crate::timeline::span("read back");
         ctx.read_back()
     }
 }
