@@ -140,6 +140,11 @@ impl Scene {
         !self.callback_pages.update.is_empty()
     }
 
+    /// True when some node has an event callback.
+    pub fn has_event_callbacks(&self) -> bool {
+        !self.callback_pages.event.is_empty()
+    }
+
     /// Gives a node another update callback, or none.
     pub fn set_update_callback(&mut self, node: NodeId, callback: Option<UpdateCallback>) -> Result<(), SceneError> {
         self.set_callback(node, callback, |page| &mut page.update_callbacks)

@@ -419,7 +419,9 @@ impl GuiActionAdapter<'_> {
                 notice.into_iter().for_each(|text| self.notify(text));
             }
         }
-        self.paged.scene_mut().event_traversal(event);
+        if let Some(scene) = self.paged.changeable().filter(|scene| scene.has_event_callbacks()) {
+            scene.event_traversal(event);
+        }
         if event.handled {
             return;
         }

@@ -74,6 +74,11 @@ impl PagedScene {
         self.scene.clone()
     }
 
+    /// The scene, between two frames; `None` once a thread has died with it, of which the frame gives the error.
+    pub(super) fn changeable(&mut self) -> Option<&mut Scene> {
+        Arc::get_mut(&mut self.scene)
+    }
+
     /// The scene, between two frames.
     pub(super) fn scene_mut(&mut self) -> &mut Scene {
         alone(&mut self.scene)
@@ -144,11 +149,13 @@ impl PagedScene {
         for callback in &mut self.update_callbacks {
             callback(alone(&mut self.scene), stamp);
         }
-        alone(&mut self.scene).update_traversal(&UpdateInfo {
-            frame: stamp.frame,
-            reference_time_s: stamp.reference_time_s,
-            simulation_time_s: stamp.simulation_time_s,
-        });
+        if let Some(scene) = self.changeable().filter(|scene| scene.has_update_callbacks()) {
+            scene.update_traversal(&UpdateInfo {
+                frame: stamp.frame,
+                reference_time_s: stamp.reference_time_s,
+                simulation_time_s: stamp.simulation_time_s,
+            });
+        }
     }
 
     /// The pager's turn with the scene; milliseconds.
