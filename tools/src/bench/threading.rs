@@ -100,18 +100,21 @@ fn measure(
     viewer.finish()?;
     let first = viewer.frame_stamp().frame + 1;
     let start = Instant::now();
-    let mut frames = 0;
-    while start.elapsed() < time || frames < 20 {
+    let mut times = Vec::new();
+    while start.elapsed() < time || times.len() < 20 {
+        let before = Instant::now();
         viewer.frame()?;
-        frames += 1;
+        times.push(before.elapsed().as_secs_f64() * 1e3);
     }
+    let frames = times.len();
+    let frame_ms = percentile(&mut times, 0.5);
     viewer.finish()?;
-    let frame_ms = start.elapsed().as_secs_f64() * 1e3 / f64::from(frames);
-    let mean = |value: fn(&FrameStats) -> f64| {
+    // Medians: what else the machine does comes and goes.
+    let median = |value: fn(&FrameStats) -> f64| {
         let drawn = viewer.stats().iter().filter(|f| f.frame >= first && f.drawn);
-        drawn.map(value).sum::<f64>() / f64::from(frames)
+        percentile(&mut drawn.map(value).collect::<Vec<_>>(), 0.5)
     };
-    let own = [mean(|f| f.event_ms + f.update_ms), mean(|f| f.cull_ms), mean(|f| f.draw_ms + f.compile_ms)];
+    let own = [median(|f| f.event_ms + f.update_ms), median(|f| f.cull_ms), median(|f| f.draw_ms + f.compile_ms)];
     let bound = |[update, cull, draw]: [f64; 3]| match threading {
         ThreadingModel::SingleThreaded | ThreadingModel::CullDrawThreadPerContext => update + cull + draw,
         _ => (update + cull).max(draw),
@@ -123,8 +126,8 @@ fn measure(
         |mut ms: Vec<f64>| json!({ "p50": round(percentile(&mut ms, 0.5)), "max": round(percentile(&mut ms, 1.0)) });
     Ok(json!({
         "bench": "terrane_threading", "threading": threading.to_string(), "n": LEAVES, "statesets": STATE_SETS,
-        "moved": moved, "frames": frames, "frame_mean_ms": round(frame_ms),
-        "update_mean_ms": round(own[0]), "cull_mean_ms": round(own[1]), "draw_mean_ms": round(own[2]),
+        "moved": moved, "frames": frames, "frame_p50_ms": round(frame_ms),
+        "update_p50_ms": round(own[0]), "cull_p50_ms": round(own[1]), "draw_p50_ms": round(own[2]),
         "bound_ms": round(bound(own)), "frame_per_bound": round(frame_ms / bound(own)),
         "alone_ms": alone.map(round), "frame_per_bound_alone": round(frame_ms / bound(alone)),
         "stop_ms": times(stop_ms), "start_ms": times(start_ms),
