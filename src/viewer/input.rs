@@ -17,7 +17,7 @@ use super::overlay::Overlay;
 use super::paged_scene::PagedScene;
 use super::rendering::ThreadingModel;
 use super::stats::StatsHistory;
-use super::view::{ContextId, View};
+use super::view::View;
 use super::viewer::FrameStamp;
 use super::window_matrix::{WindowMatrix, WindowRay};
 use crate::math::BoundingSphere;
@@ -465,7 +465,7 @@ impl GuiActionAdapter<'_> {
     fn lay_out_overlay(&mut self) {
         let input = self.view.input.overlay_input.take();
         let is_first = self.base.rendering.context_ids().next();
-        if !self.shows_overlay() || self.view.context() != is_first.map(ContextId) || self.view.is_part() {
+        if !self.shows_overlay() || self.view.context() != is_first.map(super::view::ContextId) || self.view.is_part() {
             return;
         }
         let (input, pixels_per_point) = input.unwrap_or((egui::RawInput::default(), 1.0));
