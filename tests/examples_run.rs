@@ -79,3 +79,13 @@ fn proxy_node() {
     // Nine houses of at least three flat faces each, before a sky.
     run("proxy_node", &[], 40);
 }
+
+#[test]
+fn slave_cameras() {
+    run("slave_cameras", &[], 300);
+}
+
+#[test]
+fn multi_view() {
+    run("multi_view", &[], 100);
+}
