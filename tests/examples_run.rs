@@ -104,3 +104,13 @@ fn picking() {
     let (pins, balls) = (count(|[r, g, b]| *r > 180 && *g < 140 && *b < 130), count(|[r, _, b]| *b > 150 && *r < 90));
     assert!(pins > 500 && balls > 1000, "{pins} {balls}");
 }
+
+#[test]
+fn slave_cameras() {
+    run("slave_cameras", &[], 300);
+}
+
+#[test]
+fn multi_view() {
+    run("multi_view", &[], 100);
+}
