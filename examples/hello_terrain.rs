@@ -4,8 +4,8 @@
 //! cargo run --release --example hello_terrain -- [SOURCE] [--offscreen] [--frames N] [--screenshot FILE]
 //! ```
 //! SOURCE is a folder, a tileset.json or a URL; without it a small set is made in the system's temporary folder.
-//! Expected: a window over hills that grow sharper as tiles arrive (WASD and the mouse fly, Esc quits); offscreen,
-//! a picture of the last frame, looking down on the middle of the set from the south-west.
+//! Expected: a window over hills that grow sharper as tiles arrive (drags turn and move, H shows the keys, Esc quits);
+//! offscreen, a picture of the last frame, looking down on the middle of the set from the south-west.
 
 use anyhow::Result;
 use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};

@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat4};
 
 use crate::math::Ellipsoid;
-use crate::scene::CullSettings;
+use crate::scene::{CullSettings, EyePoint};
 
 /// A camera for one cull.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +48,16 @@ impl CullCamera {
     /// Pixels that one metre covers at a distance of one metre: `viewport height / (2 tan(fovy / 2))`.
     pub fn px_per_radian(&self) -> f64 {
         px_per_radian(&self.clip_from_eye, self.viewport_px)
+    }
+
+    /// The eye for an [`IntersectionVisitor`](crate::scene::IntersectionVisitor) that is to meet what this camera draws.
+    pub fn eye_point(&self) -> EyePoint {
+        EyePoint {
+            world_from_eye: self.eye_from_world.inverse(),
+            px_per_radian: self.px_per_radian(),
+            max_sse_px: self.settings.max_sse_px,
+            lod_scale: self.settings.lod_scale,
+        }
     }
 }
 

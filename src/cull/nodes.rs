@@ -4,7 +4,7 @@ use glam::{DAffine3, DVec3, Vec4};
 
 use super::stage::RenderLeaf;
 use super::visitor::{Cull, DepthRange, PageContext, Purpose};
-use crate::scene::{CALLBACK, CullAction, CullInfo, CullingMode, DrawSlot, INACTIVE, PLAIN, Special, UNBOUNDED, kind};
+use crate::scene::{CALLBACK, CullAction, CullInfo, CullingMode, DrawSlot, INACTIVE, PLAIN, UNBOUNDED, kind};
 
 /// What holds again behind a subtree.
 #[derive(Clone, Copy, Debug)]
@@ -183,17 +183,7 @@ impl Cull<'_> {
 
     /// The transform in whose frame a node lies.
     pub(super) fn enclosing_transform(&self, context: &PageContext, node: u32) -> u32 {
-        let page = context.page;
-        let mut at = page.parents[node as usize];
-        while let Some(record) = page.nodes.get(at as usize) {
-            let is_absolute = record.kind == kind::SPECIAL
-                && matches!(page.specials.get(page.payloads[at as usize] as usize), Some(Special::AbsoluteTransform));
-            if record.kind == kind::TRANSFORM || is_absolute {
-                return record.first_transform;
-            }
-            at = page.parents[at as usize];
-        }
-        0
+        context.page.enclosing_transform(node)
     }
 
     /// Stores the matrices of a range of transforms one behind the other and returns the first's index.

@@ -1,6 +1,6 @@
 //! The rarer node kinds during the node scan: other views, billboards, positioned state, occlusion queries.
 
-use glam::{DAffine3, DMat3, DQuat, DVec3, DVec4};
+use glam::{DAffine3, DMat3, DVec3, DVec4};
 
 use super::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView, moved, plane_moved,
@@ -214,27 +214,9 @@ impl Cull<'_> {
         let first = page.nodes[node as usize].first_drawable;
         let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
         let Some(node_from_eye) = finite(eye_from_node.inverse()) else { return };
-        let linear = eye_from_node.matrix3;
-        let scale = DVec3::new(linear.x_axis.length(), linear.y_axis.length(), linear.z_axis.length());
         for (drawable, position) in (first..).zip(positions) {
             let Some((depth, _)) = self.test_drawable(context, drawable, mask) else { continue };
-            let to_eye = (node_from_eye.translation - *position).normalize_or(DVec3::NEG_Y);
-            let matrix3 = match mode {
-                // Right, away from the eye, up.
-                BillboardMode::PointRotEye => {
-                    DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y) * DMat3::from_diagonal(scale)
-                }
-                BillboardMode::PointRotWorld => {
-                    linear * DMat3::from_quat(DQuat::from_rotation_arc(DVec3::NEG_Y, to_eye))
-                }
-                BillboardMode::AxialRot { axis } => {
-                    let axis = axis.normalize_or(DVec3::Z);
-                    let across = to_eye - axis * axis.dot(to_eye);
-                    let front = across.try_normalize().unwrap_or_else(|| axis.any_orthonormal_vector());
-                    linear * DMat3::from_cols((-front).cross(axis), -front, axis)
-                }
-            };
-            let map = DAffine3 { matrix3, translation: eye_from_node.transform_point3(*position) };
+            let map = mode.eye_from_drawable(&eye_from_node, node_from_eye.translation, *position);
             let matrix = self.push_matrix(&map);
             let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
             let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);

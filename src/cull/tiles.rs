@@ -70,7 +70,7 @@ impl Cull<'_> {
             }
             self.counters.tiles_visited += 1;
             let bounds = &tiles.bounds[index];
-            let offset = offset_from(view.eye, bounds);
+            let offset = bounds.offset_from(view.eye);
             // What this camera does not see is kept with its siblings all the same: the parent waits for all of them.
             let mut purpose = if hidden { Purpose::Keep } else { above.purpose };
             let mut mask = above.mask;
@@ -95,7 +95,8 @@ impl Cull<'_> {
                 purpose = Purpose::Keep;
             }
             tiles.stamp(index, frame);
-            let (range2, distance2) = self.range_and_distance(page, tile, &record, bounds, offset, view.eye);
+            let per = (self.view.range_per_error, self.view.range_per_metre);
+            let (range2, distance2) = tiles.range_and_distance(tile, &record, bounds, offset, view.eye, per);
             let ready = record.not_ready_children == 0;
             let missing = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
             let px2 = self.view.max_sse_px * self.view.max_sse_px;
@@ -191,36 +192,6 @@ impl Cull<'_> {
         hidden
     }
 
-    /// Squared distance at which the tile wants its children, and squared distance now; metres of the tile frame.
-    #[inline(always)]
-    fn range_and_distance(
-        &self,
-        page: &Page,
-        tile: u32,
-        record: &TileRecord,
-        bounds: &TileBounds,
-        offset: [f32; 3],
-        eye: DVec3,
-    ) -> (f32, f32) {
-        let (range, distance2) = if record.has(flag::DISTANCE) {
-            let distance = page.tiles.distance_center(tile).distance(eye) as f32;
-            (bounds.metric_m * self.view.range_per_metre, distance * distance)
-        } else if record.has(flag::SPHERE) {
-            let [x, y, z] = offset;
-            let outside = ((x * x + y * y + z * z).sqrt() - bounds.radius_m).max(0.0);
-            (bounds.metric_m * self.view.range_per_error, outside * outside)
-        } else {
-            let mut distance2 = 0.0;
-            for (axis, half) in bounds.axes.iter().zip(bounds.half_m) {
-                let along = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2];
-                let outside = (along.abs() - half).max(0.0);
-                distance2 += outside * outside;
-            }
-            (bounds.metric_m * self.view.range_per_error, distance2)
-        };
-        (range * range, distance2.max(1.0e-14))
-    }
-
     #[allow(clippy::too_many_arguments, reason = "a row of the page queue")]
     fn enter(
         &mut self,
@@ -262,13 +233,6 @@ impl Cull<'_> {
         self.stage.requests.push(PageRequest { slot, priority: shown_px2 * share, error_px: own_px2 });
         self.counters.wanted_missing += 1;
     }
-}
-
-/// Offset of a tile's centre from the eye; the subtraction is f64.
-#[inline(always)]
-fn offset_from(eye: DVec3, bounds: &TileBounds) -> [f32; 3] {
-    let [x, y, z] = bounds.center;
-    [(x - eye.x) as f32, (y - eye.y) as f32, (z - eye.z) as f32]
 }
 
 #[inline(always)]

@@ -14,6 +14,7 @@ use super::tiles::{TileFrame, TileView};
 use super::view::{View, clamp};
 use super::{CullCamera, Stereo};
 use crate::scene::{BLEND, CameraTarget, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene, VIEW};
+use crate::state::StateSet;
 
 /// Why a page or tile is visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,6 +109,8 @@ pub struct CullVisitor {
     visits_all: bool,
     /// Changes near and far of the outermost stage when its settings have them computed.
     pub clamp_projection: Option<ClampProjection>,
+    /// State above all roots; OSG's state set of a camera.
+    pub state_set: Option<Arc<StateSet>>,
 }
 
 /// A cull under way.
@@ -121,6 +124,8 @@ pub(super) struct Cull<'a> {
     pub memo: &'a mut Vec<u32>,
     pub chains: &'a mut Vec<u32>,
     pub graph: &'a mut StateGraph,
+    /// State of the roots, in the state graph.
+    pub root_state: u32,
     pub leaves: &'a mut Vec<RenderLeaf>,
     /// The stage's views; the current one is a copy.
     pub views: &'a mut Vec<View>,
@@ -155,6 +160,7 @@ impl CullVisitor {
     /// Culls a scene for a camera: clears and refills the stage, and makes the stages of the cameras met. Allocates
     /// nothing once the visitor and the stage have seen as much before.
     pub fn cull(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
+        let _span = crate::timeline::span("cull");
         self.traverse(scene, camera, stage);
         self.sort(stage);
         if !self.deferred.is_empty() {
@@ -175,6 +181,7 @@ impl CullVisitor {
         stage.bins.clear();
         stage.state_sets.clear();
         stage.stereo = Some(stereo.mode);
+        stage.stereo_gap_px = stereo.separation_px;
         stage.counters = CullCounters::default();
         (stage.near_m, stage.far_m) = (f64::INFINITY, 0.0);
         for (eye, target) in stereo.eyes(camera).iter().zip(targets) {
@@ -193,6 +200,7 @@ impl CullVisitor {
     /// the two apart.
     #[doc(hidden)]
     pub fn traverse(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
+        let _span = crate::timeline::span("traverse");
         self.graph.start_frame();
         self.deferred.clear();
         let clamp = self.clamp_projection;
@@ -202,6 +210,7 @@ impl CullVisitor {
     /// The second half of [`Self::cull`].
     #[doc(hidden)]
     pub fn sort(&mut self, stage: &mut RenderStage) {
+        let _span = crate::timeline::span("sort");
         self.sorter.fill_bins(&mut self.leaves, stage);
     }
 
@@ -224,6 +233,7 @@ impl CullVisitor {
         if view.settings.culling.contains(CullingMode::SHADOW_OCCLUSION) {
             self.occluders.collect(scene, &view);
         }
+        let root_state = self.state_set.as_ref().map_or(ROOT, |set| self.graph.find_or_insert(ROOT, set));
         let mut cull = Cull {
             scene,
             camera,
@@ -234,6 +244,7 @@ impl CullVisitor {
             memo: &mut self.memo,
             chains: &mut self.chains,
             graph: &mut self.graph,
+            root_state,
             leaves: &mut self.leaves,
             views: &mut self.views,
             view,
@@ -297,7 +308,7 @@ impl<'a> Cull<'a> {
                         mask: self.view.planes.mask,
                         purpose: Purpose::Draw,
                         required: false,
-                        state: ROOT,
+                        state: self.root_state,
                         view: 0,
                         shown_px2: f32::MAX,
                     });

@@ -126,8 +126,22 @@ pub(super) struct Atmosphere {
     made_for: Option<Air>,
 }
 
+/// `struct Air` of atmosphere.wgsl.
+const UNIFORM_BYTES: u64 = 32;
+
+fn wanted_buffer(device: &wgpu::Device, pictures: u64) -> wgpu::Buffer {
+    device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("wanted air"),
+        size: pictures * UNIFORM_BYTES,
+        usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
 /// What computes the tables.
 struct Maker {
+    /// What the frame's pictures want, each at its place; copied into the uniform before a picture is drawn.
+    wanted: wgpu::Buffer,
     uniform: wgpu::Buffer,
     /// In the order run; the last one is run for each eye.
     runs: [Run; 4],
@@ -171,8 +185,8 @@ impl Atmosphere {
         ]
     }
 
-    /// Computes what has changed, before any pass of the frame.
-    pub(super) fn record(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, air: &Air) {
+    /// Computes what has changed, before the passes of a picture; `place` is the picture's in the frame.
+    pub(super) fn record(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, place: u64, air: &Air) {
         if self.made_for.as_ref() == Some(air) {
             return;
         }
@@ -180,10 +194,14 @@ impl Atmosphere {
         if self.maker.is_none() {
             self.maker = Some(self.maker(ctx.device()));
         }
-        let Some(maker) = &self.maker else { return };
+        let Some(maker) = &mut self.maker else { return };
         let words =
             [air.eye_km, air.horizon_cosine, air.limb_cosine, air.sun_cosine, air.aerosol_per_km, 0.0, 0.0, 0.0];
-        ctx.queue().write_buffer(&maker.uniform, 0, bytemuck::cast_slice(&words));
+        if maker.wanted.size() < (place + 1) * UNIFORM_BYTES {
+            maker.wanted = wanted_buffer(ctx.device(), place + 1);
+        }
+        ctx.queue().write_buffer(&maker.wanted, place * UNIFORM_BYTES, bytemuck::cast_slice(&words));
+        encoder.copy_buffer_to_buffer(&maker.wanted, place * UNIFORM_BYTES, &maker.uniform, 0, UNIFORM_BYTES);
         let first = if same_aerosol { maker.runs.len() - 1 } else { 0 };
         let mut pass =
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("air"), ..Default::default() });
@@ -203,7 +221,7 @@ impl Atmosphere {
         });
         let uniform = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("air"),
-            size: 32,
+            size: UNIFORM_BYTES,
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
@@ -279,6 +297,7 @@ impl Atmosphere {
                 run("cs_sky_light", &[sunlight, multiple], &[(4, &self.sky_light)], SKY_LIGHT_SIZE),
                 run("cs_air", &[sunlight, multiple], &[(5, &self.scattered), (6, &self.mie)], AIR_SIZE),
             ],
+            wanted: wanted_buffer(device, 1),
             uniform,
         }
     }

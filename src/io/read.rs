@@ -14,12 +14,15 @@ pub struct ReadOptions {
     pub limits: Limits,
     /// URIs of the tilesets above, root first; a tileset among them is a cycle.
     pub chain: Arc<[Arc<str>]>,
+    /// Pages get a [`KdTree`](crate::scene::KdTree) for each drawable, so that lines and volumes can be intersected with
+    /// them after their payloads went to the GPU. Off by default: it costs memory and time of the decode workers.
+    pub build_kd_trees: bool,
 }
 
 impl ReadOptions {
     /// Options for a tile set whose root is `root_uri`, as [`super::root_uri`] returned it.
     pub fn for_root(root_uri: &str, limits: Limits) -> Self {
-        Self { root: RootScope::of(root_uri), limits, chain: Arc::new([]) }
+        Self { root: RootScope::of(root_uri), limits, chain: Arc::new([]), build_kd_trees: false }
     }
 
     /// The same for what a tileset names.
@@ -58,7 +61,11 @@ pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> 
     let uri = content.uri.clone();
     let read = || {
         let node = decode_node(content, options)?;
-        Page::from_node(node).map_err(|e| IoError::invalid(&uri, e.to_string()))
+        let mut page = Page::from_node(node).map_err(|e| IoError::invalid(&uri, e.to_string()))?;
+        if options.build_kd_trees {
+            page.build_kd_trees();
+        }
+        Ok(page)
     };
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(read))
         .unwrap_or_else(|_| Err(IoError::invalid(&uri, DECODER_PANICKED)))

@@ -1,12 +1,15 @@
-//! Bounds, frusta and geodesy: plain values, used on every thread, in every stage of the frame.
+//! Bounds, frusta, rays and geodesy: plain values, used on every thread, in every stage of the frame.
 //!
 //! World positions are `f64`; what is stored per node is `f32` relative to a page's frame.
 
 mod bounds;
 mod frustum;
 mod geodesy;
+mod ray;
 
 pub(crate) use bounds::max_scale;
 pub use bounds::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region};
 pub use frustum::Frustum;
 pub use geodesy::{Ellipsoid, Geodetic, WGS84};
+pub use ray::Ray;
+pub(crate) use ray::slab;

@@ -55,6 +55,9 @@ pub struct PagerConfig {
     pub http: crate::io::HttpConfig,
     /// Each update waits until everything that was asked for is merged or has failed: equal flights give equal tiles.
     pub blocking: bool,
+    /// The decode workers build k-d trees, for intersections with what is paged; see
+    /// [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees).
+    pub build_kd_trees: bool,
 }
 
 impl Default for PagerConfig {
@@ -77,6 +80,7 @@ impl Default for PagerConfig {
             #[cfg(feature = "http")]
             http: crate::io::HttpConfig::default(),
             blocking: false,
+            build_kd_trees: false,
         }
     }
 }

@@ -10,6 +10,7 @@ use super::list::{Answer, Job, Loaded, RequestList};
 use super::threads::SERVERS_AT_ONCE;
 use super::threads::read_bytes;
 use crate::io::{self, HttpClient, IoError, Limits};
+use crate::timeline;
 
 /// Runs until the list closes. Requests still under way are dropped then.
 pub(super) fn run(
@@ -39,7 +40,12 @@ pub(super) fn run(
             }
             for job in jobs {
                 let (client, limits, ticket, copy) = (client.clone(), *limits, job.ticket, job.clone());
-                running.insert(ticket, (tasks.spawn(async move { fetch(&client, job, &limits).await }), copy));
+                let source = list.ticket_source;
+                let work = async move {
+                    let _span = timeline::request_span("fetch", source | ticket);
+                    fetch(&client, job, &limits).await
+                };
+                running.insert(ticket, (tasks.spawn(work), copy));
             }
             tokio::select! {
                 () = list.http_bell.notified() => {}

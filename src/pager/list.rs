@@ -74,6 +74,8 @@ pub(super) struct RequestList {
     #[cfg(feature = "http")]
     pub http_bell: tokio::sync::Notify,
     pub capacity: usize,
+    /// Tells this pager's tickets from others' on a timeline.
+    pub ticket_source: u64,
 }
 
 impl RequestList {
@@ -84,6 +86,7 @@ impl RequestList {
             #[cfg(feature = "http")]
             http_bell: tokio::sync::Notify::new(),
             capacity,
+            ticket_source: crate::timeline::ticket_source(),
         }
     }
 

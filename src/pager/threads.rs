@@ -9,6 +9,7 @@ use super::config::{PagerConfig, PagerError};
 use super::list::{Answer, Job, Loaded, RequestList};
 use crate::io::{self, Content, ReadOptions};
 use crate::scene::Page;
+use crate::timeline;
 
 /// Pages that the reaper may have before it; more are dropped where they are.
 const REAPER_QUEUE: usize = 256;
@@ -58,7 +59,12 @@ impl Threads {
             let (loaded, sender, options) = (loaded.clone(), answer_sender.clone(), options.clone());
             threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options))?;
         }
-        threads.spawn("pager-reaper".to_owned(), move || doomed.iter().for_each(drop))?;
+        threads.spawn("pager-reaper".to_owned(), move || {
+            for page in doomed {
+                let _span = timeline::span("drop page");
+                drop(page);
+            }
+        })?;
         Ok(threads)
     }
 
@@ -93,6 +99,7 @@ impl Drop for Threads {
 
 fn read_files(list: &RequestList, sender: &Sender<Loaded>, limits: &io::Limits) {
     while let Some(job) = list.take_file() {
+        let span = timeline::span_of("fetch", || job.uri.clone());
         let bytes = io::read_file(&job.uri, limits);
         let companions: Vec<_> = match &bytes {
             Ok(_) => io::companions(&job.uri, job.reader_data.as_ref())
@@ -105,6 +112,7 @@ fn read_files(list: &RequestList, sender: &Sender<Loaded>, limits: &io::Limits) 
             Err(_) => Vec::new(),
         };
         let bytes_read = read_bytes(&bytes, &companions);
+        drop(span);
         if sender.send(Loaded { job, bytes, companions, bytes_read, bytes_http: 0 }).is_err() {
             return;
         }
@@ -119,7 +127,9 @@ pub(super) fn read_bytes(bytes: &Result<Vec<u8>, io::IoError>, companions: &[io:
 
 fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOptions) {
     for Loaded { job, bytes, companions, bytes_read, bytes_http } in loaded {
+        let span = timeline::span_of("decode", || job.uri.clone());
         let page = bytes.and_then(|bytes| decode_one(&job, bytes, companions, options));
+        drop(span);
         if sender.send(Answer { job, page: Some(page), bytes_read, bytes_http }).is_err() {
             return;
         }

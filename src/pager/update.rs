@@ -13,6 +13,7 @@ use crate::cull::PageRequest;
 use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
 use crate::scene::{NodeId, Page, PageId, Scene, SlotState};
+use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
 const EXPIRY_LOOKS: usize = 256;
@@ -52,7 +53,8 @@ pub struct DatabasePager {
 impl DatabasePager {
     /// Starts the threads. `options` is the scope of the tile set that is paged.
     pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
-        let options = ReadOptions { limits: config.limits, ..options };
+        let build_kd_trees = config.build_kd_trees || options.build_kd_trees;
+        let options = ReadOptions { limits: config.limits, build_kd_trees, ..options };
         let threads = Threads::start(&config, &options)?;
         Ok(Self {
             root_chain: options.chain.clone(),
@@ -235,6 +237,7 @@ impl DatabasePager {
                 reader_data: slot.reader_data.cloned(),
                 chain: self.chains.get(&slot.page).unwrap_or(&self.root_chain).clone(),
             };
+            timeline::request_begins(self.threads.list.ticket_source | job.ticket, &job.uri);
             self.next_ticket += 1;
             self.stats.requested += 1;
             let entry = Entry {
@@ -274,10 +277,12 @@ impl DatabasePager {
         match answer.page {
             None => {
                 self.stats.cancelled += 1;
+                timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "cancelled");
                 self.entries.remove(&slot);
             }
             Some(Err(error)) => {
                 self.stats.failed += 1;
+                timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "failed");
                 self.errors.add(&error);
                 entry.tries += 1;
                 let again = error.is_transient() && entry.tries < self.config.max_tries;
@@ -341,6 +346,7 @@ impl DatabasePager {
         if self.ready.is_empty() {
             return;
         }
+        let _span = timeline::span("merge pages");
         let start = Instant::now();
         let priority = |s: &NodeId| self.entries.get(s).map_or(f32::MIN, |e| e.priority);
         self.ready.sort_by(|a, b| priority(b).total_cmp(&priority(a)).then(a.cmp(b)));
@@ -352,16 +358,19 @@ impl DatabasePager {
             }
             let Some(entry) = self.entries.remove(&slot) else { continue };
             let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
+            let ticket = self.threads.list.ticket_source | entry.job.ticket;
             let cpu_bytes = page.size_bytes();
             self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes);
             self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes);
             if cpu_bytes > self.config.max_bytes_cpu || gpu_bytes > self.config.max_bytes_gpu {
+                timeline::request_ends(ticket, "failed");
                 self.refuse(scene, slot, entry.job, (cpu_bytes, gpu_bytes));
                 self.retire(page, contexts);
                 continue;
             }
             if !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
                 self.stats.declined += 1;
+                timeline::request_ends(ticket, "declined");
                 self.retire(page, contexts);
                 continue;
             }
@@ -370,6 +379,7 @@ impl DatabasePager {
                 Ok(id) => {
                     let latency_s = entry.since.elapsed().as_secs_f64();
                     self.stats.merged += 1;
+                    timeline::request_ends(ticket, "merged");
                     self.stats.latency_sum_s += latency_s;
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
                     self.residents.insert(id, Resident { slot, cpu_bytes, gpu_bytes });
@@ -379,7 +389,10 @@ impl DatabasePager {
                     }
                 }
                 // The slot went with its tree.
-                Err(refused) => self.retire(Box::new(refused.1), contexts),
+                Err(refused) => {
+                    timeline::request_ends(ticket, "stale");
+                    self.retire(Box::new(refused.1), contexts);
+                }
             }
             done += 1;
         }
@@ -443,7 +456,14 @@ impl DatabasePager {
     fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
         // Requests for slots inside an expired tileset go with it.
         if self.chains.remove(&id).is_some() {
-            self.entries.retain(|slot, _| slot.page != id);
+            let source = self.threads.list.ticket_source;
+            self.entries.retain(|slot, entry| {
+                let stays = slot.page != id;
+                if !stays && !matches!(entry.progress, Progress::Failed { .. }) {
+                    timeline::request_ends(source | entry.job.ticket, "stale");
+                }
+                stays
+            });
         }
         match scene.detach(id) {
             Ok(page) => {
@@ -464,6 +484,36 @@ impl DatabasePager {
         self.threads.reap(page);
     }
 
+    /// Takes every page out that nothing else hangs in, and what was loaded and not merged: all of it is loaded and
+    /// uploaded again when it is wanted. For contexts that come later.
+    pub fn page_anew(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        self.drop_uploads(contexts);
+        // What hangs deepest goes first; each round takes a level.
+        loop {
+            let expirable = self.residents.take_if(|id| scene.is_expirable(id));
+            if expirable.is_empty() {
+                break;
+            }
+            for id in expirable {
+                self.detach(scene, id, contexts);
+            }
+        }
+    }
+
+    /// Drops what was loaded and waits for its upload or its merge, to be asked for again. For contexts that go, whose
+    /// uploads nobody would finish.
+    pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        self.compiling.clear();
+        self.ready.clear();
+        let arrived = self.entries.extract_if(|_, entry| matches!(entry.progress, Progress::Arrived(_)));
+        let arrived: Vec<_> = arrived.map(|(_, entry)| entry.progress).collect();
+        for progress in arrived {
+            if let Progress::Arrived(Arrived { page, .. }) = progress {
+                self.retire(page, contexts);
+            }
+        }
+    }
+
     /// Lets failures whose wait is over be requested again.
     fn retry(&mut self, scene: &mut Scene) {
         let now = Instant::now();
@@ -473,6 +523,7 @@ impl DatabasePager {
             {
                 scene.set_failed(entry.job.slot, false);
                 entry.job.ticket = self.next_ticket;
+                timeline::request_begins(self.threads.list.ticket_source | self.next_ticket, &entry.job.uri);
                 self.next_ticket += 1;
                 entry.wanted_frame = self.frame;
                 entry.progress = Progress::Waiting;
@@ -499,6 +550,9 @@ impl DatabasePager {
         self.entries.retain(|_, e| {
             let old = frame.saturating_sub(e.wanted_frame) > stale_frames && matches!(e.progress, Progress::Waiting);
             stale += u64::from(old);
+            if old {
+                timeline::request_ends(self.threads.list.ticket_source | e.job.ticket, "stale");
+            }
             !old
         });
         self.stats.stale += stale;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use glam::{DAffine3, DMat4, DVec3, DVec4};
+use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, DVec4};
 
 use super::cull_settings::{CullSettings, Inherit};
 use super::geometry::Drawable;
@@ -32,6 +32,29 @@ pub enum BillboardMode {
         /// Axis in the node's frame.
         axis: DVec3,
     },
+}
+
+impl BillboardMode {
+    /// The map of a drawable at a position of the node's frame, seen from `eye` there.
+    pub(crate) fn eye_from_drawable(self, eye_from_node: &DAffine3, eye: DVec3, position: DVec3) -> DAffine3 {
+        let linear = eye_from_node.matrix3;
+        let to_eye = (eye - position).normalize_or(DVec3::NEG_Y);
+        let matrix3 = match self {
+            // Right, away from the eye, up.
+            Self::PointRotEye => {
+                let scale = DVec3::new(linear.x_axis.length(), linear.y_axis.length(), linear.z_axis.length());
+                DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y) * DMat3::from_diagonal(scale)
+            }
+            Self::PointRotWorld => linear * DMat3::from_quat(DQuat::from_rotation_arc(DVec3::NEG_Y, to_eye)),
+            Self::AxialRot { axis } => {
+                let axis = axis.normalize_or(DVec3::Z);
+                let across = to_eye - axis * axis.dot(to_eye);
+                let front = across.try_normalize().unwrap_or_else(|| axis.any_orthonormal_vector());
+                linear * DMat3::from_cols((-front).cross(axis), -front, axis)
+            }
+        };
+        DAffine3 { matrix3, translation: eye_from_node.transform_point3(position) }
+    }
 }
 
 /// Drawables that turn towards the eye. Each has its pivot at its own origin, looks along -y and has z up.

@@ -3,12 +3,14 @@
 //! [`Node`] trees are built anywhere and flattened once into a [`Page`]. A [`Scene`] owns pages: update changes it
 //! through `&mut Scene`, cull reads it through `&Scene` from any number of threads.
 
+mod callbacks;
 mod cull_settings;
 mod error;
 mod flatten;
 mod geometry;
 mod graph;
 mod id;
+mod intersect;
 mod kinds;
 mod node;
 mod page;
@@ -18,13 +20,21 @@ mod slots;
 mod text;
 mod tiles;
 mod transforms;
+mod variance;
+mod world;
 
+pub use callbacks::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
 pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMALL_FEATURE_PX};
 pub use error::SceneError;
 pub use flatten::MAX_DEPTH;
 pub use geometry::{AlphaMode, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology};
 pub use graph::Scene;
 pub use id::{NodeId, PageId};
+pub use intersect::{
+    Dimensions, EyePoint, GroundPoint, GroundSnapshot, HeightQuery, Intersection, IntersectionLimit,
+    IntersectionVisitor, Intersector, KdTree, LineSegmentIntersector, LodSelection, PolytopeIntersector,
+    RayIntersector, Vertical,
+};
 pub use kinds::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, DrawHook, LightSource, NormalCone, OcclusionQueryNode,
@@ -35,6 +45,8 @@ pub use page::{DrawSlot, Page};
 pub use slots::{SlotInfo, SlotState};
 #[cfg(feature = "text")]
 pub use text::Font;
+pub use variance::DataVariance;
+pub use world::TileInfo;
 
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use tiles::{TileBounds, TileRecord, flag};

@@ -70,6 +70,15 @@ pub(crate) struct TileBounds {
     pub metric_m: f32,
 }
 
+impl TileBounds {
+    /// Offset of the centre from the eye; the subtraction is f64.
+    #[inline(always)]
+    pub fn offset_from(&self, eye: DVec3) -> [f32; 3] {
+        let [x, y, z] = self.center;
+        [(x - eye.x) as f32, (y - eye.y) as f32, (z - eye.z) as f32]
+    }
+}
+
 /// Tiles of a page.
 #[derive(Debug, Default)]
 pub(crate) struct Tiles {
@@ -230,6 +239,37 @@ impl Tiles {
             Ok(place) => self.request_volumes[place].1.contains(eye),
             Err(_) => true,
         }
+    }
+
+    /// Squared distance at which a tile wants its children, and squared distance now; metres of the tile frame.
+    /// `per` are the ranges of a metre of error and of a metre of range.
+    #[inline(always)]
+    pub fn range_and_distance(
+        &self,
+        tile: u32,
+        record: &TileRecord,
+        bounds: &TileBounds,
+        offset: [f32; 3],
+        eye: DVec3,
+        per: (f32, f32),
+    ) -> (f32, f32) {
+        let (range, distance2) = if record.has(flag::DISTANCE) {
+            let distance = self.distance_center(tile).distance(eye) as f32;
+            (bounds.metric_m * per.1, distance * distance)
+        } else if record.has(flag::SPHERE) {
+            let [x, y, z] = offset;
+            let outside = ((x * x + y * y + z * z).sqrt() - bounds.radius_m).max(0.0);
+            (bounds.metric_m * per.0, outside * outside)
+        } else {
+            let mut distance2 = 0.0;
+            for (axis, half) in bounds.axes.iter().zip(bounds.half_m) {
+                let along = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2];
+                let outside = (along.abs() - half).max(0.0);
+                distance2 += outside * outside;
+            }
+            (bounds.metric_m * per.0, distance2)
+        };
+        (range * range, distance2.max(1.0e-14))
     }
 
     pub fn distance_center(&self, tile: u32) -> DVec3 {

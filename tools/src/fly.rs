@@ -11,9 +11,10 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use image::RgbaImage;
 use terrane::cull::Stereo;
 use terrane::draw::{Sky, Water};
+use terrane::timeline::Recording;
 use terrane::viewer::{
-    AnimationPath, Camera, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerConfig,
-    ViewerError, WindowOptions, has_display, run_window,
+    AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer,
+    ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
 };
 
 use crate::args::FlyArgs;
@@ -35,6 +36,15 @@ const FOREIGN_SSE_PX: f64 = 16.0;
 const STALLED_AFTER: Duration = Duration::from_secs(60);
 
 pub fn run(args: Box<FlyArgs>) -> Result<()> {
+    let Some(file) = args.trace.clone() else { return fly(args) };
+    // Told before the flight, not after it.
+    std::fs::File::create(&file).with_context(|| file.display().to_string())?;
+    let recording = Recording::start()?;
+    // All threads have ended by then.
+    fly(args).and(recording.write(&file).map(drop).map_err(Into::into))
+}
+
+fn fly(args: Box<FlyArgs>) -> Result<()> {
     let display = has_display();
     if args.interactive && !display {
         bail!("there is no display to open a window on; `terrane fly` renders without one");
@@ -50,18 +60,22 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
     // A second handler in one process (tests) is no reason not to fly.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
 
-    let mut config = ViewerConfig {
-        size_px: args.size.0,
-        threading: args.threading,
-        samples: args.samples.max(1),
-        validation: false,
-        ..ViewerConfig::default()
-    };
+    let mut settings = DisplaySettings::from_environment()?;
+    settings.samples = settings.samples.max(args.samples);
+    if let Some(mode) = args.stereo {
+        (settings.stereo, settings.stereo_mode) = (true, mode);
+    }
+    let mut config =
+        ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
+    settings.configure(&mut config);
     config.pager.blocking = args.blocking;
+    // Manipulators stay above the ground.
+    config.pager.build_kd_trees = args.interactive;
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     let root = LoadedRoot::read(&source, &config.pager)?;
     let offscreen = args.offscreen || !display;
     let mut flight = Flight::new(*args, path, stop)?;
+    flight.eyes = config.stereo;
     let mut viewer = if offscreen {
         let mut viewer = Viewer::new_offscreen(&config)?;
         flight.open(&mut viewer, root)?;
@@ -87,13 +101,15 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
 fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &str) -> Result<(Viewer, Flight)> {
     let interactive = flight.args.interactive;
     if interactive {
-        writeln!(std::io::stdout(), "{}", terrane::viewer::KEYS).context("stdout")?;
+        writeln!(std::io::stdout(), "H shows the keys, Esc ends").context("stdout")?;
     }
     let options = WindowOptions {
         title: format!("Terrane - {source}"),
         path: flight.path.clone(),
         overlay: flight.args.stats,
         manipulated: interactive,
+        on_demand: flight.args.on_demand,
+        max_frame_rate: flight.args.max_fps.map(|rate| rate.0),
         ..WindowOptions::default()
     };
     // The event loop calls back from two places; both run on this thread, one after the other.
@@ -133,6 +149,7 @@ struct Flight {
     path: Option<AnimationPath>,
     stop: Arc<AtomicBool>,
     phase: Phase,
+    eyes: Option<Stereo>,
     frames: u32,
     frames_dir: Option<PathBuf>,
     picture_every: u32,
@@ -174,6 +191,7 @@ impl Flight {
             path,
             stop,
             phase,
+            eyes: None,
             frames_dir,
             picture_every,
             report_file,
@@ -211,9 +229,9 @@ impl Flight {
         };
         viewer.camera.world_from_eye = first;
         viewer.environment.water = self.args.water.filter(|h| h.is_finite()).map(Water::at);
-        if let Some(mode) = self.args.stereo {
+        if let Some(stereo) = self.eyes {
             let fusion_distance_m = first.translation.distance(bounds.sphere.center);
-            viewer.set_stereo(Some(Stereo { fusion_distance_m, ..Stereo::new(mode) }));
+            viewer.set_stereo(Some(Stereo { fusion_distance_m, ..stereo }));
         }
         if self.path.is_none() {
             self.path = Some(bounds.default_path(&first));

@@ -164,3 +164,50 @@ fn a_flight_over_a_bad_server_ends_whole() {
     let coverage = report["settled"]["coverage"].as_f64().unwrap();
     assert!(coverage > 0.1, "{report}");
 }
+
+#[test]
+fn a_flight_over_http_leaves_a_timeline() {
+    let traits = terrane::gpu::ContextTraits::default();
+    if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&traits) {
+        assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+        eprintln!("SKIPPED: {error}");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = folder.path().join("set");
+    let args = terrane_data_gen::GenArgs { levels: Some(3), seed: 7, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    let server = Server::start(&set, &["--error-rate", "0.2", "--seed", "5"]);
+    let file = folder.path().join("trace.json");
+    let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["fly", &format!("http://{}/tileset.json", server.address), "--offscreen", "--frames", "30"])
+        .args(["--size", "64x64", "--trace", file.to_str().unwrap()])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let json: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    let events = json["traceEvents"].as_array().unwrap();
+    let named = |name: &str| events.iter().filter(|e| e["name"] == name).collect::<Vec<_>>();
+    assert!(named("thread_name").iter().any(|e| e["args"]["name"] == "main"));
+    assert!(named("frame").len() >= 30 && !named("decode").is_empty());
+    // Several are fetched at a time by one thread: inside their requests, not on the thread.
+    let fetches = named("fetch");
+    assert!(!fetches.is_empty() && fetches.iter().all(|e| e["ph"] == "b" || e["ph"] == "e"));
+    let mut open: std::collections::BTreeMap<&str, i32> = std::collections::BTreeMap::new();
+    for event in events.iter().filter(|e| e["ph"] == "b" || e["ph"] == "e") {
+        let depth = open.entry(event["id"].as_str().unwrap()).or_default();
+        *depth += if event["ph"] == "b" { 1 } else { -1 };
+        assert!((0..=2).contains(depth), "{event}");
+    }
+    assert!(!open.is_empty() && open.values().all(|depth| *depth == 0), "every request comes to its end");
+    let unwritable = folder.path().join("none/trace.json");
+    let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["fly", set.to_str().unwrap(), "--offscreen", "--frames", "1", "--size", "16x16"])
+        .args(["--trace", unwritable.to_str().unwrap()])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert_eq!(out.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&out.stderr).contains("none/trace.json"));
+}

@@ -84,14 +84,23 @@ pub struct FrameClock {
     pub simulation_time_s: f64,
 }
 
+/// A whole picture: what a camera has culled, under its own light and sky.
+#[derive(Clone, Copy, Debug)]
+pub struct Picture<'a> {
+    /// The camera's stage.
+    pub stage: &'a RenderStage,
+    /// Sun, sky and fog.
+    pub environment: &'a Environment,
+}
+
 /// Executes render stages on one [`GraphicsContext`].
 pub struct Renderer {
     pipelines: Pipelines,
     groups: Groups,
     targets: Targets,
     atmosphere: Atmosphere,
-    /// As this frame's eye sees it.
-    air: Air,
+    /// As each picture's eye sees it.
+    airs: Vec<Air>,
     leaf_buffer: wgpu::Buffer,
     frame_bind_group: wgpu::BindGroup,
     indirect: Option<wgpu::Buffer>,
@@ -171,7 +180,7 @@ impl Renderer {
                 &atmosphere,
             ),
             atmosphere,
-            air: Air::default(),
+            airs: Vec::new(),
             pipelines,
             groups,
             targets: Targets::new(device),
@@ -223,18 +232,33 @@ impl Renderer {
         stage: &RenderStage,
         environment: &Environment,
     ) -> Result<DrawStats, GpuError> {
+        self.draw_pictures(ctx, std::iter::once(Picture { stage, environment }))
+    }
+
+    /// As [`Self::draw`], for several pictures in parts of the same target: each in its stage's viewport, one after the
+    /// other, all of them handed to the adapter together.
+    pub fn draw_pictures<'a>(
+        &mut self,
+        ctx: &mut GraphicsContext,
+        pictures: impl Iterator<Item = Picture<'a>> + Clone,
+    ) -> Result<DrawStats, GpuError> {
+        let _span = crate::timeline::span("draw");
+        let acquire = crate::timeline::span("acquire");
         if ctx.acquire()? == Acquired::Skip {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
+        drop(acquire);
         ctx.submitted();
         let ctx = &*ctx;
         let created_before = self.pipelines.created();
-        self.prepare(ctx, stage, environment);
+        self.prepare(ctx, pictures.clone());
         self.upload(ctx);
-        let mut stats = self.record(ctx, stage, environment);
+        let mut stats = self.record(ctx, pictures);
         stats.leaves = self.batch.leaves().len() as u32;
         stats.pipelines_created = self.pipelines.created() - created_before;
+        let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
+        drop(wait);
         if let Some(timer) = &mut self.timer {
             let passes = timer.latest_ms();
             stats.gpu_ms = (!passes.is_empty()).then(|| passes.iter().sum());
@@ -284,16 +308,19 @@ impl Renderer {
         }
     }
 
-    fn record(&mut self, ctx: &GraphicsContext, stage: &RenderStage, environment: &Environment) -> DrawStats {
+    fn record<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>>) -> DrawStats {
         let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        if environment.sky == Sky::Atmosphere {
-            self.atmosphere.record(ctx, &mut encoder, &self.air);
-        }
         let mut stats = DrawStats::default();
         let mut next = 0;
         let plans = std::mem::take(&mut self.plans);
-        self.record_all(ctx, &mut encoder, stage, &plans, &mut next, &mut stats);
-        self.plans = plans;
+        let airs = std::mem::take(&mut self.airs);
+        for (place, (picture, air)) in pictures.zip(&airs).enumerate() {
+            if picture.environment.sky == Sky::Atmosphere {
+                self.atmosphere.record(ctx, &mut encoder, place as u64, air);
+            }
+            self.record_all(ctx, &mut encoder, picture.stage, &plans, &mut next, &mut stats);
+        }
+        (self.plans, self.airs) = (plans, airs);
         if let Some(timer) = &self.timer {
             timer.resolve(&mut encoder);
         }
@@ -357,7 +384,7 @@ impl Renderer {
         callbacks: Option<&CameraCallbacks>,
         info: &RenderInfo<'_>,
     ) -> DrawStats {
-        let colors = target.color_attachments(stage, plan.background);
+        let colors = target.color_attachments(stage, plan);
         let count = target.color_count();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("stage"),
@@ -378,6 +405,10 @@ impl Renderer {
             indirect: self.indirect.as_ref(),
         };
         let mut state = State::new(&mut pass, target.dynamics(None));
+        if let (Some(leaf), Some(fill)) = (plan.fill, self.pipelines.fill(target.index)) {
+            state.apply(&from, plan.statics);
+            state.draw_bare(fill, 3, leaf..leaf + 1);
+        }
         if let Some(pre_draw) = callbacks.and_then(|c| c.pre_draw.as_ref()) {
             pre_draw(info, state.pass);
             state.forget();
@@ -447,6 +478,7 @@ impl Renderer {
     /// The picture last drawn, top row first. Waits for the adapter. A window's picture can be read between draw
     /// and present, where the platform lets images be copied.
     pub fn read_back(&mut self, ctx: &mut GraphicsContext) -> Result<image::RgbaImage, GpuError> {
+        let _span = crate::timeline::span("read back");
         ctx.read_back()
     }
 }

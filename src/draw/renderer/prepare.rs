@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{FrameClock, Renderer};
+use super::{FrameClock, Picture, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::answers::Queries;
 use crate::draw::atmosphere::Air;
@@ -11,7 +11,7 @@ use crate::draw::composite::Composite;
 use crate::draw::environment::{Environment, Sky};
 use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
-use crate::draw::plan::{PassTarget, StagePlan};
+use crate::draw::plan::{PassTarget, StagePlan, color};
 use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, StageUniform, replaces_sun};
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform, clear_color};
@@ -19,7 +19,7 @@ use crate::gpu::GraphicsContext;
 use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
-    pub(super) fn prepare(&mut self, ctx: &GraphicsContext, stage: &RenderStage, environment: &Environment) {
+    pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>> + Clone) {
         self.batch.start_frame();
         self.groups.start_frame();
         self.statics.clear();
@@ -31,11 +31,16 @@ impl Renderer {
         if let Some(queries) = &mut self.queries {
             queries.start_frame();
         }
-        if let Some(problem) = self.targets.start_frame(stage) {
+        if let Some(problem) = self.targets.start_frame(pictures.clone().map(|p| p.stage)) {
             self.complain(problem);
         }
-        self.air = Air::of(stage, environment);
-        let dropped = self.prepare_all(ctx, stage, environment, true);
+        self.airs.clear();
+        let mut dropped = 0;
+        for Picture { stage, environment } in pictures {
+            let air = Air::of(stage, environment);
+            self.airs.push(air);
+            dropped += self.prepare_all(ctx, stage, environment, &air, true);
+        }
         for (bucket, _) in self.batch.buckets.iter().filter(|(b, _)| b.stride > 0) {
             self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
         }
@@ -53,16 +58,17 @@ impl Renderer {
         ctx: &GraphicsContext,
         stage: &RenderStage,
         environment: &Environment,
+        air: &Air,
         is_outermost: bool,
     ) -> usize {
         let mut dropped = 0;
         for before in &stage.pre_render {
             // An eye's picture is a whole one, with its sky.
-            dropped += self.prepare_all(ctx, before, environment, stage.stereo.is_some());
+            dropped += self.prepare_all(ctx, before, environment, air, stage.stereo.is_some());
         }
-        dropped += self.prepare_stage(ctx, stage, environment, is_outermost);
+        dropped += self.prepare_stage(ctx, stage, environment, air, is_outermost);
         for after in &stage.post_render {
-            dropped += self.prepare_all(ctx, after, environment, false);
+            dropped += self.prepare_all(ctx, after, environment, air, false);
         }
         dropped
     }
@@ -72,6 +78,7 @@ impl Renderer {
         ctx: &GraphicsContext,
         stage: &RenderStage,
         environment: &Environment,
+        air: &Air,
         is_outermost: bool,
     ) -> usize {
         let found = self.targets.of(ctx, &mut self.groups.textures, &mut self.pipelines, &stage.target, is_outermost);
@@ -83,13 +90,13 @@ impl Renderer {
                 return 0;
             }
         };
-        let uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment, &self.air);
+        let uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment, air);
         let clear = clear_color(environment, &uniform);
         let first_frame = self.groups.push(&uniform);
         let positioned = self.groups.push(&StageUniform::new(stage));
         let mut frames = [first_frame; MOST_VIEWS];
         for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
-            *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment, &self.air));
+            *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment, air));
         }
         let base = Statics {
             dynamics: target.dynamics(stage.target.viewport_px),
@@ -114,7 +121,7 @@ impl Renderer {
                 self.statics.len() - 1
             });
             let key = self.pipelines.state_key(state, shading, target.index);
-            states.push(StateEntry::new(key, index as u32, state.color, [state.is_lit(false), state.is_lit(true)]));
+            states.push(StateEntry::new(key, index as u32, state));
         }
         self.batch.states = states;
         let first_run = self.batch.runs.len();
@@ -131,6 +138,15 @@ impl Renderer {
             self.pipelines.ensure_water(ctx, target.index);
         }
         let eyes = self.prepare_eyes(ctx, stage, &target);
+        let [width, height] = target.size_px;
+        let has_part = stage.target.viewport_px.is_some_and(|rect| rect != [0, 0, width, height]);
+        let is_part = is_outermost && (target.is_begun || has_part);
+        let fill = match stage.clear_node {
+            _ if !is_part || has_sky => None,
+            Some(said) => said.map(color),
+            None => Some(clear),
+        };
+        let fill = fill.and_then(|color| self.prepare_fill(ctx, &target, color));
         self.plans.push(StagePlan {
             eyes,
             target: Some(target),
@@ -141,6 +157,8 @@ impl Renderer {
             has_sky,
             has_water,
             background: clear,
+            fill,
+            is_part,
         });
         dropped
     }
@@ -201,6 +219,18 @@ impl Renderer {
         (shading, group)
     }
 
+    /// A leaf for the background of a part of a target.
+    fn prepare_fill(&mut self, ctx: &GraphicsContext, target: &PassTarget, color: wgpu::Color) -> Option<u32> {
+        let leaf = self.batch.leaves().len();
+        if leaf >= self.most_leaves {
+            return None;
+        }
+        self.pipelines.ensure_fill(ctx, target.index);
+        let color = [color.r, color.g, color.b, color.a].map(|c| c as f32);
+        self.batch.push_leaf(LeafUniform { color, ..LeafUniform::EMPTY });
+        Some(leaf as u32)
+    }
+
     /// The textures of the eyes that a stage puts together.
     fn prepare_eyes(
         &mut self,
@@ -211,7 +241,7 @@ impl Renderer {
         let mode = stage.stereo?;
         let key = *self.pipelines.target_key(target.index)?;
         let composite = self.composite.get_or_insert_with(|| Composite::new(ctx.device()));
-        composite.prepare(ctx.device(), ctx.queue(), &key, mode);
+        composite.prepare(ctx.device(), ctx.queue(), &key, mode, stage.stereo_gap_px);
         let eye = |of: &RenderStage| Some(of.target.camera.as_ref()?.colors.first()?.texture.clone());
         Some([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?])
     }

@@ -42,6 +42,7 @@ struct Stage {
 }
 
 const FLAG_UNLIT: u32 = 1u;
+const FLAG_UNTEXTURED: u32 = 2u;
 const INDEX_COUNT_SHIFT: u32 = 8u;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -52,6 +53,11 @@ const INDEX_COUNT_SHIFT: u32 = 8u;
 @group(0) @binding(5) var sky_light: texture_2d<f32>;
 @group(0) @binding(6) var air_scattered: texture_3d<f32>;
 @group(0) @binding(7) var air_mie: texture_3d<f32>;
+
+// What a drawable's texture gives; where textures are switched off, its alpha alone.
+fn texel(sampled: vec4<f32>, flags: u32) -> vec4<f32> {
+    return select(sampled, vec4<f32>(1.0, 1.0, 1.0, sampled.a), (flags & FLAG_UNTEXTURED) != 0u);
+}
 
 fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
     let p = vec4<f32>(point, 1.0);

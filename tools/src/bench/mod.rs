@@ -3,7 +3,9 @@
 pub mod cull;
 pub mod frame;
 pub mod page;
+pub mod pick;
 pub mod submit;
+pub mod threading;
 
 use anyhow::Result;
 
@@ -15,8 +17,13 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             cull::run(*secs);
             Ok(())
         }
+        Bench::Pick { secs } => {
+            pick::run(*secs);
+            Ok(())
+        }
         Bench::Submit { secs } => submit::run(*secs),
         Bench::Frame { secs } => frame::run(*secs),
+        Bench::Threading { secs } => threading::run(*secs),
         Bench::Page { frames, pace, draw, tiles, content, url } => page::run(page::Options {
             frames: *frames,
             pace_hz: *pace,

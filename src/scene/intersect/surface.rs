@@ -1,0 +1,81 @@
+//! The primitives of a drawable, by its tree or, while it is there, by its payload.
+
+use glam::DVec3;
+
+use super::kd_tree::{BoxInDrawable, KdTree, LineHit, meet};
+use super::primitives::{HeightCorners, Primitive, corner_count, mesh_primitives};
+use crate::math::Ray;
+use crate::scene::geometry::Geometry;
+use crate::scene::page::Page;
+
+/// Where the primitives of a drawable are.
+#[derive(Clone, Copy, Debug)]
+pub enum Surface<'a> {
+    Tree(&'a KdTree),
+    /// One after the other.
+    Payload(&'a Geometry),
+}
+
+impl<'a> Surface<'a> {
+    /// `None` where the payload was taken and no tree was built, or the drawable has no primitives.
+    pub fn of(page: &'a Page, drawable: u32) -> Option<Self> {
+        if let Some(tree) = page.kd_trees.get(drawable as usize).and_then(Option::as_deref) {
+            return Some(Self::Tree(tree));
+        }
+        page.drawables.get(drawable as usize).map(|d| Self::Payload(&d.geometry))
+    }
+
+    /// Meets triangles with a line. `found` says up to which ratio to go on.
+    pub(super) fn intersect_line(&self, ray: &Ray, mut found: impl FnMut(&LineHit) -> f64) {
+        let geometry = match self {
+            Self::Tree(tree) => return tree.intersect_line(ray, found),
+            Self::Payload(geometry) => geometry,
+        };
+        let mut max_ratio = ray.max_ratio;
+        each(geometry, &mut |p| {
+            if p.count == 3
+                && let Some((ratio, weights, _)) = meet(ray, &p.corners)
+                && (0.0..=max_ratio).contains(&ratio)
+            {
+                let hit = LineHit { primitive: p.number, vertices: p.vertices, ratio, weights, normal: p.normal };
+                max_ratio = max_ratio.min(found(&hit));
+            }
+            true
+        });
+    }
+
+    /// Visits primitives whose surroundings `boxes` lets through. False from `visit` ends it.
+    pub(super) fn visit_in(
+        &self,
+        boxes: &mut dyn FnMut(&BoxInDrawable) -> bool,
+        visit: &mut dyn FnMut(&Primitive) -> bool,
+    ) {
+        match self {
+            Self::Tree(tree) => tree.visit_in(boxes, visit),
+            Self::Payload(geometry) => each(geometry, visit),
+        }
+    }
+}
+
+fn each(geometry: &Geometry, visit: &mut dyn FnMut(&Primitive) -> bool) {
+    match geometry {
+        Geometry::Mesh(mesh) => {
+            let count = corner_count(mesh.topology);
+            for (number, vertices, corners) in mesh_primitives(mesh) {
+                let [a, b, c] = corners;
+                let normal = if count == 3 { (b - a).cross(c - a) } else { DVec3::ZERO };
+                if !visit(&Primitive { number, vertices, corners, count, normal }) {
+                    return;
+                }
+            }
+        }
+        Geometry::Height(tile) => {
+            let Some(corners) = HeightCorners::new(tile) else { return };
+            for place in 0..corners.count() {
+                if !visit(&corners.triangle(place)) {
+                    return;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! A recorded flight: the file parses, spans of a thread lie inside each other, every thread has a name, every request
+//! comes to its end. Needs a GPU (a software one will do). One test: a process has one recording.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::Value;
+use terrane::gpu::AdapterChoice;
+use terrane::timeline::{Recording, TimelineError, span};
+use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
+
+fn text<'a>(event: &'a Value, key: &str) -> &'a str {
+    event[key].as_str().unwrap_or_else(|| panic!("{key} of {event}"))
+}
+
+fn number(event: &Value, key: &str) -> f64 {
+    event[key].as_f64().unwrap_or_else(|| panic!("{key} of {event}"))
+}
+
+/// Each span that begins inside another ends inside it. A nanosecond is what the file's microseconds keep.
+fn assert_nested(spans: &mut [(f64, f64, String)]) {
+    const ROUNDING_US: f64 = 0.002;
+    spans.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.total_cmp(&a.1)));
+    let mut open: Vec<&(f64, f64, String)> = Vec::new();
+    for span in spans.iter() {
+        while open.last().is_some_and(|above| above.1 <= span.0 + ROUNDING_US) {
+            open.pop();
+        }
+        if let Some(above) = open.last() {
+            assert!(span.1 <= above.1 + ROUNDING_US, "{span:?} reaches out of {above:?}");
+        }
+        open.push(span);
+    }
+}
+
+#[test]
+fn a_flight_is_recorded_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = folder.path().join("set");
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    let file = folder.path().join("trace.json");
+    for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+        let config = ViewerConfig {
+            size_px: [160, 90],
+            threading,
+            adapter: AdapterChoice::Software,
+            max_sse_px: 3.0,
+            ..ViewerConfig::default()
+        };
+        let recording = Recording::start().unwrap();
+        assert!(matches!(Recording::start(), Err(TimelineError::AlreadyRecording)));
+        let mut viewer = match Viewer::new_offscreen(&config) {
+            Ok(viewer) => viewer,
+            Err(error) => {
+                assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+                eprintln!("SKIPPED: {error}");
+                return;
+            }
+        };
+        viewer.load(set.to_str().unwrap()).unwrap();
+        let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+        for frame in 0..40 {
+            viewer.camera.world_from_eye = path.world_from_eye(f64::from(frame) * 0.5);
+            viewer.frame().unwrap();
+        }
+        viewer.finish().unwrap();
+        let stats = *viewer.pager().unwrap().stats();
+        drop(viewer);
+        let never_ends = span("open when the recording ends");
+        let summary = recording.write(&file).unwrap();
+        drop(never_ends);
+
+        let json: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+        let events = json["traceEvents"].as_array().unwrap();
+        assert_eq!(summary.lost, 0);
+
+        // Names of threads.
+        let mut names = BTreeMap::new();
+        for event in events.iter().filter(|e| text(e, "name") == "thread_name") {
+            let before = names.insert(number(event, "tid") as u64, text(&event["args"], "name").to_owned());
+            assert!(before.is_none());
+        }
+        assert_eq!(names.len(), summary.threads);
+        let all: BTreeSet<&str> = names.values().map(String::as_str).collect();
+        let draws = if threading == ThreadingModel::SingleThreaded { None } else { Some("draw 0") };
+        for name in ["a_flight_is_recorded_whole", "pager-file-", "pager-decode-"].into_iter().chain(draws) {
+            assert!(all.iter().any(|n| n.starts_with(name)), "{name} is not among {all:?}");
+        }
+        assert!(!all.iter().any(|n| n.starts_with("thread ")), "without a name: {all:?}");
+
+        // Spans.
+        let mut spans: BTreeMap<u64, Vec<(f64, f64, String)>> = BTreeMap::new();
+        let mut stages: BTreeMap<(&str, &str), u32> = BTreeMap::new();
+        for event in events.iter().filter(|e| text(e, "ph") == "X") {
+            let thread = number(event, "tid") as u64;
+            let name = names.get(&thread).expect("every thread has a name");
+            let (at, us) = (number(event, "ts"), number(event, "dur"));
+            assert!(at >= 0.0 && us >= 0.0);
+            spans.entry(thread).or_default().push((at, at + us, text(event, "name").to_owned()));
+            *stages.entry((name, text(event, "name"))).or_default() += 1;
+        }
+        assert_eq!(spans.values().map(|s| s.len() as u64).sum::<u64>(), summary.spans);
+        spans.values_mut().for_each(|spans| assert_nested(spans));
+        let main = "a_flight_is_recorded_whole";
+        let draw = draws.unwrap_or(main);
+        for (thread, stage, least) in [
+            (main, "frame", 40),
+            (main, "event", 40),
+            (main, "update", 40),
+            (main, "merge", 40),
+            (main, "wait for stage", 40),
+            (main, "cull", 40),
+            (main, "traverse", 40),
+            (main, "sort", 40),
+            (draw, "compile", 40),
+            (draw, "draw", 40),
+            (draw, "present", 40),
+        ] {
+            let count = stages.get(&(thread, stage)).copied().unwrap_or(0);
+            assert!(count >= least, "{threading}: {count} of {stage} on {thread}");
+        }
+        let of = |stage: &str| stages.iter().filter(|((_, s), _)| *s == stage).map(|(_, n)| u64::from(*n)).sum::<u64>();
+        assert!(of("fetch") >= stats.loaded && of("decode") >= stats.loaded && stats.loaded > 5, "{stages:?}");
+        assert_eq!(of("open when the recording ends"), 0);
+
+        // Requests.
+        let mut requests: BTreeMap<&str, Vec<(&str, f64, &Value)>> = BTreeMap::new();
+        for event in events.iter().filter(|e| ["b", "e"].contains(&text(e, "ph"))) {
+            assert!(names.contains_key(&(number(event, "tid") as u64)));
+            let request = requests.entry(text(event, "id")).or_default();
+            request.push((text(event, "ph"), number(event, "ts"), &event["args"]));
+        }
+        assert_eq!(requests.len() as u64, summary.requests);
+        assert_eq!(summary.requests, stats.requested, "each request is there, from its beginning");
+        let mut outcomes: BTreeMap<&str, u64> = BTreeMap::new();
+        for (id, events) in &requests {
+            let [(begin, from, args), .., (end, to, ended)] = events[..] else { panic!("{id}: {events:?}") };
+            assert_eq!((begin, end), ("b", "e"), "{id}");
+            assert!(from <= to && text(args, "uri").ends_with(".exr"), "{id}: {args}");
+            *outcomes.entry(text(ended, "outcome")).or_default() += 1;
+        }
+        let outcome = |name: &str| outcomes.get(name).copied().unwrap_or(0);
+        assert_eq!(outcome("merged"), stats.merged, "{outcomes:?} {stats:?}");
+        assert_eq!(outcome("stale"), stats.stale);
+        assert_eq!(outcome("failed") + outcome("cancelled") + outcome("declined"), 0);
+        assert_eq!(outcome("unfinished"), stats.waiting + stats.in_flight);
+    }
+}
