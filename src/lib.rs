@@ -18,5 +18,6 @@ pub mod math;
 pub mod pager;
 pub mod scene;
 pub mod state;
+pub mod sync;
 pub mod timeline;
 pub mod viewer;

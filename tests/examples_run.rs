@@ -81,6 +81,21 @@ fn proxy_node() {
 }
 
 #[test]
+fn custom_callback() {
+    run("custom_callback", &[], 100);
+}
+
+#[test]
+fn custom_manipulator() {
+    run("custom_manipulator", &[], 100);
+}
+
+#[test]
+fn embedding() {
+    run("embedding", &[], 40);
+}
+
+#[test]
 fn picking() {
     run("picking", &[], 1000);
 }

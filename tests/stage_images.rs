@@ -441,6 +441,7 @@ fn callbacks_come_at_their_moments() {
             })),
             post_draw: Some(Box::new(move |info, _| post(info.stage.leaf_count()))),
             final_draw: Some(Box::new(move |info, _| last(info.stage.leaf_count()))),
+            ..CameraCallbacks::default()
         }
         .hook()
     };

@@ -68,12 +68,42 @@ fn the_same_path_gives_the_same_pixels_whoever_draws() {
     assert_eq!(first.len(), 6);
     let colours: std::collections::BTreeSet<_> = first[2].pixels().map(|p| p.0).collect();
     assert!(colours.len() > 50, "the picture is empty: {} colours", colours.len());
-    for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+    for threading in ThreadingModel::ALL {
         let again = fly(&set, threading).unwrap();
         for (index, (a, b)) in first.iter().zip(&again).enumerate() {
             let differing = a.pixels().zip(b.pixels()).filter(|(a, b)| a != b).count();
             assert_eq!(differing, 0, "{threading}: picture {index} differs in {differing} pixels");
         }
+    }
+}
+
+#[test]
+fn the_model_is_changed_at_run_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let Some(expected) = fly(&set, ThreadingModel::SingleThreaded) else { return };
+    let mut viewer = viewer(&config(ThreadingModel::SingleThreaded)).unwrap();
+    viewer.load(&set).unwrap();
+    let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+    let models = ThreadingModel::ALL;
+    for frame in 0..60u32 {
+        // Each after each other one, in the middle of the flight.
+        let model = models[(frame as usize * (1 + frame as usize / 20)) % 4];
+        viewer.set_threading_model(model).unwrap();
+        assert_eq!(viewer.threading_model(), model);
+        let time_s = path.duration_s() * f64::from(frame) / 59.0;
+        viewer.camera.world_from_eye = path.world_from_eye(time_s);
+        if frame % 10 == 0 {
+            viewer.want_picture();
+        }
+        viewer.frame_at(time_s).unwrap();
+    }
+    viewer.finish().unwrap();
+    assert_eq!(viewer.stats().iter().filter(|s| s.drawn).count(), 60);
+    let pictures = viewer.take_pictures();
+    assert_eq!(pictures.len(), expected.len());
+    for ((frame, picture), expected) in pictures.iter().zip(&expected) {
+        assert!(picture == expected, "frame {frame} differs");
     }
 }
 
@@ -99,7 +129,7 @@ fn a_settled_view_stays_as_it_is() {
 fn a_viewer_is_resized_and_dropped_at_any_time() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
-    for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+    for threading in ThreadingModel::ALL {
         let mut config = config(threading);
         config.pager.blocking = false;
         let Some(mut viewer) = viewer(&config) else { return };

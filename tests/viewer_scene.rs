@@ -51,7 +51,7 @@ fn frames(viewer: &mut Viewer, count: u32) {
 #[test]
 fn a_square_is_drawn_moved_and_removed() {
     let mut pictures = Vec::new();
-    for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+    for threading in ThreadingModel::ALL {
         let Some(mut viewer) = viewer(threading, AdapterChoice::Software) else { return };
         let square = Node::transform(DAffine3::IDENTITY, vec![Node::geode(vec![square()])]);
         let root = viewer.add_root(Page::from_node(square).unwrap()).unwrap();

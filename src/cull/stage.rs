@@ -73,7 +73,7 @@ pub struct CullCounters {
 }
 
 impl CullCounters {
-    pub(super) fn add(&mut self, other: &Self) {
+    pub(crate) fn add(&mut self, other: &Self) {
         self.nodes_visited += other.nodes_visited;
         self.drawables_tested += other.drawables_tested;
         self.leaves += other.leaves;

@@ -14,6 +14,7 @@ use super::tiles::{TileFrame, TileView};
 use super::view::{View, clamp};
 use super::{CullCamera, Stereo};
 use crate::scene::{BLEND, CameraTarget, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene, VIEW};
+use crate::state::StateSet;
 
 /// Why a page or tile is visited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,6 +109,8 @@ pub struct CullVisitor {
     visits_all: bool,
     /// Changes near and far of the outermost stage when its settings have them computed.
     pub clamp_projection: Option<ClampProjection>,
+    /// State above all roots; OSG's state set of a camera.
+    pub state_set: Option<Arc<StateSet>>,
 }
 
 /// A cull under way.
@@ -121,6 +124,8 @@ pub(super) struct Cull<'a> {
     pub memo: &'a mut Vec<u32>,
     pub chains: &'a mut Vec<u32>,
     pub graph: &'a mut StateGraph,
+    /// State of the roots, in the state graph.
+    pub root_state: u32,
     pub leaves: &'a mut Vec<RenderLeaf>,
     /// The stage's views; the current one is a copy.
     pub views: &'a mut Vec<View>,
@@ -227,6 +232,7 @@ impl CullVisitor {
         if view.settings.culling.contains(CullingMode::SHADOW_OCCLUSION) {
             self.occluders.collect(scene, &view);
         }
+        let root_state = self.state_set.as_ref().map_or(ROOT, |set| self.graph.find_or_insert(ROOT, set));
         let mut cull = Cull {
             scene,
             camera,
@@ -237,6 +243,7 @@ impl CullVisitor {
             memo: &mut self.memo,
             chains: &mut self.chains,
             graph: &mut self.graph,
+            root_state,
             leaves: &mut self.leaves,
             views: &mut self.views,
             view,
@@ -300,7 +307,7 @@ impl<'a> Cull<'a> {
                         mask: self.view.planes.mask,
                         purpose: Purpose::Draw,
                         required: false,
-                        state: ROOT,
+                        state: self.root_state,
                         view: 0,
                         shown_px2: f32::MAX,
                     });

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::cull::RenderStage;
-use crate::scene::DrawHook;
+use crate::scene::{DataVariance, DrawHook};
 
 /// What a callback is given, and may use.
 pub struct RenderInfo<'a> {
@@ -29,12 +29,19 @@ pub struct CameraCallbacks {
     pub post_draw: Option<OnPass>,
     /// After everything, the stages drawn after this one included.
     pub final_draw: Option<OnEncoder>,
+    /// [`DataVariance::Dynamic`] where update changes what they read.
+    pub data_variance: DataVariance,
 }
 
 impl CameraCallbacks {
     /// To be put into a [`CameraNode`](crate::scene::CameraNode).
     pub fn hook(self) -> DrawHook {
         DrawHook(Arc::new(self))
+    }
+
+    /// Of what is hooked into a camera.
+    pub(crate) fn variance_of(hook: &Option<DrawHook>) -> DataVariance {
+        Self::of(hook).map_or(DataVariance::Static, |callbacks| callbacks.data_variance)
     }
 
     pub(super) fn of(hook: &Option<DrawHook>) -> Option<&Self> {

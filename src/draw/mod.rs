@@ -24,4 +24,4 @@ mod uniforms;
 
 pub use callbacks::{CameraCallbacks, RenderInfo};
 pub use environment::{Environment, Fog, Sky, Water};
-pub use renderer::{DrawStats, FrameClock, Renderer};
+pub use renderer::{DrawStats, FrameClock, Picture, Renderer};

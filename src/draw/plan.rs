@@ -27,6 +27,9 @@ pub(super) struct StagePlan {
     /// The textures of two eyes to be put together.
     pub(super) eyes: Option<[Arc<TextureObject>; 2]>,
     pub(super) background: wgpu::Color,
+    /// It has a part of the context's target, or shares it: it fills its viewport with this leaf instead of clearing.
+    pub(super) fill: Option<u32>,
+    pub(super) is_part: bool,
 }
 
 /// Where a pass draws.
@@ -43,6 +46,8 @@ pub(super) struct PassTarget {
     /// In [`Pipelines`].
     pub(super) index: u8,
     is_outermost: bool,
+    /// Nothing was drawn into it in this frame yet.
+    pub(super) is_begun: bool,
 }
 
 /// Targets of a renderer.
@@ -53,6 +58,8 @@ pub(super) struct Targets {
     has_stencil: bool,
     /// Stages that follow the outermost one in its own target.
     has_followers: bool,
+    /// Pictures were drawn into the context's target in this frame.
+    is_begun: bool,
     /// Addresses of the targets met in this frame: each has a depth buffer of its own.
     owners: Vec<usize>,
 }
@@ -64,17 +71,24 @@ impl Targets {
             can_stencil: device.features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8),
             has_stencil: false,
             has_followers: false,
+            is_begun: false,
             owners: Vec::new(),
         }
     }
 
-    /// Looks what the frame's stages need; says what the adapter lacks.
-    pub(super) fn start_frame(&mut self, stage: &RenderStage) -> Option<String> {
+    /// Looks what the stages of the frame's pictures need; says what the adapter lacks.
+    pub(super) fn start_frame<'a>(
+        &mut self,
+        mut stages: impl Iterator<Item = &'a RenderStage> + Clone,
+    ) -> Option<String> {
         self.transients.start_frame();
         self.owners.clear();
-        let needs_stencil = any(stage, &|s| s.state_sets.iter().any(|state| state.stencil().is_some()));
+        self.is_begun = false;
+        let has_stencil = |stage| any(stage, &|s| s.state_sets.iter().any(|state| state.stencil().is_some()));
+        let needs_stencil = stages.clone().any(has_stencil);
         self.has_stencil = needs_stencil && self.can_stencil;
-        self.has_followers = stage.post_render.iter().any(|after| any(after, &|s| s.target.camera.is_none()));
+        let follows = |after| any(after, &|s| s.target.camera.is_none());
+        self.has_followers = stages.any(|stage| stage.post_render.iter().any(follows));
         (needs_stencil && !self.can_stencil)
             .then(|| "the adapter has no stencil beside float depth; stencil tests pass everywhere".into())
     }
@@ -106,6 +120,8 @@ impl Targets {
         pipelines: &mut Pipelines,
         is_outermost: bool,
     ) -> Result<PassTarget, String> {
+        let is_begun = self.is_begun;
+        self.is_begun |= is_outermost;
         let view = ctx.color_view().ok_or("the window has no image to draw into")?.clone();
         let (size_px, samples, depth) = (ctx.size_px(), ctx.samples(), self.depth_format());
         let format = ctx.color_format();
@@ -128,6 +144,7 @@ impl Targets {
             size_px,
             index: pipelines.target(&key).ok_or("more different targets than there can be")?,
             is_outermost,
+            is_begun,
         })
     }
 
@@ -219,6 +236,7 @@ impl Targets {
             size_px,
             index: pipelines.target(&key).ok_or("more different targets than there can be")?,
             is_outermost,
+            is_begun: false,
         })
     }
 }
@@ -255,11 +273,12 @@ impl PassTarget {
     pub(super) fn color_attachments<'a>(
         &'a self,
         stage: &RenderStage,
-        background: wgpu::Color,
+        plan: &StagePlan,
     ) -> [Option<wgpu::RenderPassColorAttachment<'a>>; MOST_COLORS] {
         let clear = match stage.clear_node {
+            _ if plan.is_part => (!self.is_begun).then_some(wgpu::Color::BLACK),
             Some(said) => said.map(color),
-            None if self.is_outermost => Some(background),
+            None if self.is_outermost => Some(plan.background),
             None => stage.target.clear_color.map(color),
         };
         let load = clear.map_or(wgpu::LoadOp::Load, wgpu::LoadOp::Clear);
@@ -289,7 +308,7 @@ impl PassTarget {
     }
 }
 
-fn color([r, g, b, a]: [f32; 4]) -> wgpu::Color {
+pub(super) fn color([r, g, b, a]: [f32; 4]) -> wgpu::Color {
     let [r, g, b, a] = [r, g, b, a].map(f64::from);
     wgpu::Color { r, g, b, a }
 }

@@ -235,6 +235,36 @@ impl CompileQueue {
     }
 }
 
+/// Puts another mesh in the place of a drawable's, with all of its data at once; the bytes that were written.
+pub(super) fn rewrite(
+    device: &wgpu::Device,
+    queue: &wgpu::Queue,
+    pools: &mut Pools,
+    table: &mut DrawableTable,
+    slot: DrawSlot,
+    mesh: &Arc<Mesh>,
+) -> Result<u64, String> {
+    let entry = *table.entry(slot).ok_or("a mesh is to be rewritten that is not there")?;
+    let Shape::Mesh { place: old, texture, .. } = entry.shape else {
+        return Err("a height tile is not to be rewritten as a mesh".into());
+    };
+    let placed = pools.meshes.allocate(device, &pools.limits, mesh)?;
+    let vertices = placed.vertices.map(|range| Source::Vertices { range, mesh: mesh.clone() });
+    let indices = placed.indices.map(|range| Source::Indices { range, mesh: mesh.clone() });
+    let mut bytes = 0;
+    for source in [vertices, indices].into_iter().flatten() {
+        if let Some((units, unit_bytes)) = source.extent(0) {
+            source.write(queue, pools, &mut Vec::new(), 0, 0..units);
+            bytes += (units * unit_bytes) as u64;
+        }
+    }
+    let shape = Shape::Mesh { place: placed.place, topology: mesh.topology, texture };
+    table.replace(slot, DrawableEntry { shape, ..entry });
+    // Free at once: later uploads run after the draws already submitted.
+    pools.meshes.release(&old);
+    Ok(bytes)
+}
+
 /// Gives a drawable its places and queues what has to be uploaded to them.
 fn prepare(
     device: &wgpu::Device,

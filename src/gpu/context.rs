@@ -4,12 +4,12 @@
 
 use std::sync::{Arc, Mutex};
 
-use super::compile::{CompileBudget, CompileOperation, CompileQueue, CompileStats, Compiled};
+use super::compile::{self, CompileBudget, CompileOperation, CompileQueue, CompileStats, Compiled};
 use super::drawable::{DrawableTable, Pools};
 use super::layouts::Layouts;
 use super::target::{Acquired, Target};
 use super::{BindClass, DrawableEntry, GpuError};
-use crate::scene::DrawSlot;
+use crate::scene::{DrawSlot, Mesh};
 
 /// Which adapter to draw with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -261,6 +261,15 @@ impl GraphicsContext {
     /// What was finished since the last call, in the order of [`Self::compile`].
     pub fn take_compiled(&mut self) -> Vec<Compiled> {
         self.compiles.take_finished()
+    }
+
+    /// Puts another mesh in the place of a drawable's, uploaded at once: draws from now on show it, those submitted
+    /// before do not. Slot, material and texture stay.
+    pub fn rewrite(&mut self, slot: DrawSlot, mesh: &Arc<Mesh>) -> Result<(), GpuError> {
+        let Self { device, queue, pools, drawables, .. } = self;
+        let written = compile::rewrite(device, queue, pools, drawables, slot, mesh);
+        self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
+        written.map(|_| ()).map_err(|reason| GpuError::Rewrite { reason })
     }
 
     /// Gives drawables back. Their places are free at once: later uploads run after the draws already

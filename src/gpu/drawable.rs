@@ -87,12 +87,24 @@ pub(super) struct DrawableTable {
 }
 
 impl DrawableTable {
-    pub(super) fn insert(&mut self, mut entry: DrawableEntry) -> DrawSlot {
+    fn classify(&mut self, entry: &mut DrawableEntry) {
         let class = entry.bind_class();
         entry.class = *self.class_of.entry(class).or_insert_with(|| {
             self.classes.push(class);
             self.classes.len() as u32 - 1
         });
+    }
+
+    /// Puts something else in a slot.
+    pub(super) fn replace(&mut self, slot: DrawSlot, mut entry: DrawableEntry) {
+        self.classify(&mut entry);
+        if let Some(place) = self.entries.get_mut(slot.0 as usize) {
+            *place = Some(entry);
+        }
+    }
+
+    pub(super) fn insert(&mut self, mut entry: DrawableEntry) -> DrawSlot {
+        self.classify(&mut entry);
         match self.free.pop() {
             Some(index) => {
                 self.entries[index as usize] = Some(entry);

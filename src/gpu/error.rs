@@ -33,6 +33,12 @@ pub enum GpuError {
         /// Largest side.
         limit: u32,
     },
+    /// A mesh could not take the place of another.
+    #[error("rewriting a mesh: {reason}")]
+    Rewrite {
+        /// What was wrong.
+        reason: String,
+    },
     /// The picture could not be read back.
     #[error("reading the picture back: {reason}")]
     ReadBack {

@@ -34,6 +34,16 @@ impl Residents {
         self.pages.put(id, resident);
     }
 
+    /// Forgets all pages that something holds for, oldest first.
+    pub fn take_if(&mut self, holds: impl Fn(PageId) -> bool) -> Vec<PageId> {
+        let taken: Vec<PageId> = self.pages.iter().rev().map(|(id, _)| *id).filter(|id| holds(*id)).collect();
+        for resident in taken.iter().filter_map(|id| self.pages.pop(id)).collect::<Vec<_>>() {
+            self.cpu_bytes -= resident.cpu_bytes;
+            self.gpu_bytes -= resident.gpu_bytes;
+        }
+        taken
+    }
+
     /// The page that was not wanted for longest, if it was not wanted for `unused_frames` and can go: nothing hangs
     /// in it and nothing finer is shown instead of it. Pages found in use move to the young end, at most `looks`.
     pub fn pop_expired(

@@ -484,6 +484,37 @@ impl DatabasePager {
         self.threads.reap(page);
     }
 
+    /// Takes every page out that nothing else hangs in, and what was loaded and not merged: all of it is loaded and
+    /// uploaded again when it is wanted. For contexts that come later.
+    pub fn page_anew(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        self.drop_uploads(contexts);
+        // What hangs deepest goes first; each round takes a level.
+        loop {
+            let expirable = self.residents.take_if(|id| scene.is_expirable(id));
+            if expirable.is_empty() {
+                break;
+            }
+            for id in expirable {
+                self.detach(scene, id, contexts);
+            }
+        }
+    }
+
+    /// Drops what was loaded and waits for its upload or its merge, to be asked for again. For contexts that go, whose
+    /// uploads nobody would finish.
+    pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        self.compiling.clear();
+        self.ready.clear();
+        let arrived = self.entries.extract_if(|_, entry| matches!(entry.progress, Progress::Arrived(_)));
+        let arrived: Vec<_> = arrived.map(|(_, entry)| (entry.job.ticket, entry.progress)).collect();
+        for (ticket, progress) in arrived {
+            timeline::request_ends(self.threads.list.ticket_source | ticket, "declined");
+            if let Progress::Arrived(Arrived { page, .. }) = progress {
+                self.retire(page, contexts);
+            }
+        }
+    }
+
     /// Lets failures whose wait is over be requested again.
     fn retry(&mut self, scene: &mut Scene) {
         let now = Instant::now();

@@ -72,6 +72,14 @@ pub enum SceneError {
         /// The child given.
         child: usize,
     },
+    /// The node is not a Geode, or has no such drawable.
+    #[error("node {} is not a Geode with a drawable {drawable}", node.index)]
+    NotAMesh {
+        /// The handle given.
+        node: NodeId,
+        /// The drawable given.
+        drawable: usize,
+    },
     /// A transform with NaN or infinite entries.
     #[error("the transform is not finite")]
     NotFinite,

@@ -69,6 +69,8 @@ impl Flattener {
                 specials: Vec::new(),
                 names: Vec::new(),
                 callbacks: Vec::new(),
+                update_callbacks: Vec::new(),
+                event_callbacks: Vec::new(),
                 occluders: Vec::new(),
                 clusters: Vec::new(),
                 transforms: Transforms::new(),
@@ -124,7 +126,7 @@ impl Flattener {
 
     fn add(&mut self, node: Node, above: Option<(u32, u32, u32, u32)>) -> Result<Open, SceneError> {
         let (parent, mut transform, above_path, mut tile) = above.unwrap_or((NONE, 0, 0, NONE));
-        let Node { kind: node_kind, state_set, mask, culling_active, cull_callback, children, name } = node;
+        let Node { kind: node_kind, state_set, mask, culling_active, cull_callback, children, name, .. } = node;
         let children = children.into_iter();
         let index = u32::try_from(self.page.nodes.len()).ok().filter(|i| *i < NONE - 1).ok_or(SceneError::TooLarge)?;
         let first_drawable =
@@ -147,6 +149,8 @@ impl Flattener {
             flags |= CALLBACK;
             self.page.callbacks.push((index, callback));
         }
+        self.page.update_callbacks.extend(node.update_callback.map(|c| (index, c)));
+        self.page.event_callbacks.extend(node.event_callback.map(|c| (index, c)));
         let code = match node_kind {
             NodeKind::Group => kind::GROUP,
             NodeKind::Transform(parent_from_child) => {

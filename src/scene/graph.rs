@@ -4,9 +4,11 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
+use super::callbacks::CallbackPages;
 use super::error::SceneError;
 use super::page::{NONE, Page};
 use super::tiles::flag;
+use super::variance::Rewritten;
 use super::{NodeId, PageId};
 use crate::math::BoundingSphere;
 use crate::state::StateSet;
@@ -33,6 +35,9 @@ pub struct Scene {
     revision: u64,
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
+    pub(super) callback_pages: CallbackPages,
+    /// Meshes that were changed and have not been sent to be drawn.
+    pub(super) rewritten: Vec<Rewritten>,
 }
 
 impl Scene {
@@ -135,6 +140,13 @@ impl Scene {
         self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page.as_deref_mut()
     }
 
+    /// Forgets where a context kept the pages' drawables.
+    pub(crate) fn forget_context(&mut self, context: u32) {
+        for page in self.entries.iter_mut().filter_map(|e| e.page.as_mut()) {
+            page.draw_slots.retain(|(of, _)| *of != context);
+        }
+    }
+
     /// The slot in which a page hangs; `None` for root pages.
     pub fn slot_of(&self, id: PageId) -> Option<NodeId> {
         self.page(id)?;
@@ -217,6 +229,8 @@ impl Scene {
     }
 
     fn insert(&mut self, page: Page, slot: Option<NodeId>, base_depth: u32) -> PageId {
+        let place = self.free.last().copied().unwrap_or(self.entries.len() as u32);
+        self.callback_pages.note(place, &page);
         self.revision += 1;
         self.page_count += 1;
         let page = Some(Box::new(page));
@@ -236,6 +250,9 @@ impl Scene {
     fn take(&mut self, id: PageId) -> Option<Page> {
         let entry = self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?;
         let page = entry.page.take()?;
+        if !(page.update_callbacks.is_empty() && page.event_callbacks.is_empty()) {
+            self.callback_pages.forget(id.slot);
+        }
         entry.slot = None;
         entry.generation = entry.generation.wrapping_add(1);
         self.free.push(id.slot);

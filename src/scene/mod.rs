@@ -3,6 +3,7 @@
 //! [`Node`] trees are built anywhere and flattened once into a [`Page`]. A [`Scene`] owns pages: update changes it
 //! through `&mut Scene`, cull reads it through `&Scene` from any number of threads.
 
+mod callbacks;
 mod cull_settings;
 mod error;
 mod flatten;
@@ -19,7 +20,10 @@ mod slots;
 mod text;
 mod tiles;
 mod transforms;
+mod variance;
+mod world;
 
+pub use callbacks::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
 pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMALL_FEATURE_PX};
 pub use error::SceneError;
 pub use flatten::MAX_DEPTH;
@@ -41,6 +45,8 @@ pub use page::{DrawSlot, Page};
 pub use slots::{SlotInfo, SlotState};
 #[cfg(feature = "text")]
 pub use text::Font;
+pub use variance::DataVariance;
+pub use world::TileInfo;
 
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use tiles::{TileBounds, TileRecord, flag};

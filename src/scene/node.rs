@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 
+use super::callbacks::{EventCallback, UpdateCallback};
 use super::geometry::Drawable;
 use super::kinds::{
     Billboard, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, OcclusionQueryNode,
@@ -27,6 +28,10 @@ pub struct Node {
     pub culling_active: bool,
     /// Asked each time cull is about to visit it.
     pub cull_callback: Option<CullCallback>,
+    /// Called once a frame in update.
+    pub update_callback: Option<UpdateCallback>,
+    /// Called once an event.
+    pub event_callback: Option<EventCallback>,
     /// Children in order.
     pub children: Vec<Node>,
 }
@@ -159,6 +164,8 @@ impl Node {
             mask: u32::MAX,
             culling_active: true,
             cull_callback: None,
+            update_callback: None,
+            event_callback: None,
             children: Vec::new(),
         }
     }

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat4, DVec3, DVec4, Vec4};
 
+use super::callbacks::{EventCallback, UpdateCallback};
 use super::error::SceneError;
 use super::geometry::Drawable;
 use super::intersect::KdTree;
@@ -152,6 +153,10 @@ pub struct Page {
     pub(crate) specials: Vec<Special>,
     /// Cull callbacks by node, in order.
     pub(crate) callbacks: Vec<(u32, CullCallback)>,
+    /// By node, in order.
+    pub(crate) update_callbacks: Vec<(u32, UpdateCallback)>,
+    /// By node, in order.
+    pub(crate) event_callbacks: Vec<(u32, EventCallback)>,
     /// Occluders with their nodes and enclosing transforms.
     pub(crate) occluders: Vec<(u32, u32, ConvexPlanarOccluder)>,
     /// Normal cones by drawable, in order.

@@ -77,7 +77,8 @@ pub enum Mode {
     Light(u8),
     /// A clip plane by its number, 0 to 5; off.
     ClipPlane(u8),
-    /// A texture unit, 0 to 3; off.
+    /// A texture unit, 0 to 3; off. Unit 0 switched off with override takes the textures of drawables' own materials
+    /// along.
     Texture(u8),
     /// [`TexGen`] of a texture unit; off.
     TexGen(u8),

@@ -242,6 +242,12 @@ impl ResolvedState {
         if unlit { self.modes.by_drawable(Mode::Lighting, false) } else { self.mode(Mode::Lighting) }
     }
 
+    /// The textures of drawables' own materials and of height tiles count, until something above overrides texture
+    /// unit 0.
+    pub fn has_own_textures(&self) -> bool {
+        self.modes.by_drawable(Mode::Texture(0), true)
+    }
+
     /// How blending weighs.
     pub fn blend_func(&self) -> BlendFunc {
         self.blend_func.value

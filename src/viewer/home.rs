@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
 use super::ViewerError;
-use super::camera::world_from_eye;
+use super::camera::{Camera, world_from_eye};
 use super::camera_path::{AnimationPath, ControlPoint};
 use crate::draw::{Environment, Fog};
 use crate::io;
@@ -132,6 +132,29 @@ impl SetBounds {
         let range_m = view.range_m.unwrap_or(2.2 * self.sphere.radius_m);
         let direction = self.frame.direction(view.heading, view.pitch);
         world_from_eye(self.sphere.center - direction * range_m, direction, self.frame.up())
+    }
+
+    /// The eye that sees all of the bounds, as large as they fit: from the south, 35 degrees above the horizon.
+    pub fn home_camera(&self, camera: &Camera, size_px: [u32; 2]) -> DAffine3 {
+        let [width, height] = size_px.map(|side| f64::from(side.max(1)));
+        let tan_y = (0.5 * camera.fovy(size_px)).tan();
+        let tan_x = tan_y * width / height;
+        let view = ViewFrom::default();
+        let direction = self.frame.direction(view.heading, view.pitch);
+        let (target, range_m) = if self.volume.is_none() {
+            (self.sphere.center, self.sphere.radius_m / tan_x.min(tan_y).atan().sin())
+        } else {
+            let pose = world_from_eye(DVec3::ZERO, direction, self.frame.up());
+            let eye_from_local = pose.matrix3.transpose() * self.frame.world_from_local.matrix3;
+            let corner = |i: u32| {
+                let sign = |bit: u32| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
+                let at = eye_from_local * (self.half_size_m * DVec3::new(sign(0), sign(1), sign(2)));
+                at.z + (at.x.abs() / tan_x).max(at.y.abs() / tan_y)
+            };
+            let middle = self.frame.world_from_local.transform_point3(self.middle_m);
+            (middle, (0..8).map(corner).fold(0.0, f64::max))
+        };
+        world_from_eye(target - direction * (1.02 * range_m).max(1e-3), direction, self.frame.up())
     }
 
     /// Thirty seconds over the set, from a first pose: approaches from the south, flies low over the middle,

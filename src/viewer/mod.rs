@@ -1,38 +1,56 @@
 //! The viewer: runs the frame and owns what it needs. The only room that knows winit and egui.
 //!
-//! [`Viewer::frame`] is advance, event, update and rendering; see `viewer.rs` for who may touch the scene when and
-//! `threading.rs` for who draws. Everything here runs on the main thread, except what `threading.rs` sends away.
+//! [`Viewer::frame`] is advance, event, update and rendering; see `base.rs` for who may touch the scene when and
+//! `rendering` for who culls and draws. Everything here runs on the main thread, except what `rendering` sends away.
 
+mod base;
 mod camera;
 mod camera_path;
+mod composite;
+mod events;
+pub mod handlers;
 mod holes;
 mod home;
-mod manipulator;
+mod input;
+pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;
+mod paged_scene;
 mod pick;
+mod rendering;
 mod report;
 mod settled;
 mod stats;
-mod threading;
+mod view;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]
 mod viewer;
 #[cfg(feature = "window")]
 mod window;
+#[cfg(feature = "window")]
+mod window_events;
+mod window_matrix;
 
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
+pub use composite::{CompositeViewer, SceneId, ViewId};
+pub use events::{
+    Bindings, ButtonMask, EventKind, EventMask, EventQueue, GuiEventAdapter, GuiEventHandler, InputState, Key,
+    Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,
+};
 pub use holes::{HoleCheck, KEY_COLOR, coverage};
 pub use home::{LoadedRoot, LocalFrame, SetBounds, ViewFrom, environment_for};
-pub use manipulator::{CameraManipulator, Event, FlyManipulator, MoveKey};
+pub use input::{GuiActionAdapter, OnPicture, WindowCommand, event_callback};
+pub use manipulators::{CameraManipulator, GroundHeight, ManipulatorView};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
+pub use rendering::{THREADING_VARIABLE, ThreadingModel};
 pub use report::{Bytes, DrawMedians, FrameTimes, Phases, Report, ReportError, Settled, Tiles, Times};
 pub use stats::{FrameStats, Samples, StatsHistory};
-pub use threading::{ContextHandle, DrawCommand, FrameDone, FrameJob, STAGES_IN_FLIGHT, ThreadingModel};
+pub use view::{ContextId, Slave, SlaveId, View};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 #[cfg(feature = "window")]
-pub use window::{AfterFrame, BeforeFrame, KEYS, OnOpen, WindowOptions, has_display, run_window};
+pub use window::{AfterFrame, BeforeFrame, OnOpen, WindowOptions, has_display, run_window};
+pub use window_matrix::{WindowMatrix, WindowRay, camera_with_focus};
 
 /// Why a viewer cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -49,7 +67,31 @@ pub enum ViewerError {
     /// A thread could not be started.
     #[error("cannot start a thread: {0}")]
     Thread(std::io::Error),
-    /// The draw thread ended before it was told to.
+    /// A variable of the environment says what it cannot.
+    #[error("{0}")]
+    Setting(String),
+    /// The viewer has as many contexts as it may have.
+    #[error("{limit} contexts are open, and ViewerConfig::max_contexts allows no more")]
+    TooManyContexts {
+        /// [`ViewerConfig::max_contexts`].
+        limit: usize,
+    },
+    /// The viewer has no such context, or not any more.
+    #[error("the viewer has no context {}", .0.0)]
+    NoContext(ContextId),
+    /// A viewer has as many scenes as there can be.
+    #[error("a viewer has {limit} scenes at most")]
+    TooManyScenes {
+        /// How many.
+        limit: usize,
+    },
+    /// The viewer has no such scene.
+    #[error("the viewer has no such scene: {0:?}")]
+    NoScene(SceneId),
+    /// The viewer has no such view, or not any more.
+    #[error("the viewer has no such view: {0:?}")]
+    NoView(ViewId),
+    /// A thread that draws or culls ended before it was told to.
     #[error("the draw thread has stopped")]
     DrawThreadStopped,
     /// A callback of the application failed.

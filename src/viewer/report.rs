@@ -216,14 +216,14 @@ impl Report {
 impl Viewer {
     /// The report on all frames so far; waits for those still being drawn.
     pub fn report(&mut self) -> Result<Report, ViewerError> {
-        self.absorb_all()?;
-        let mut report = Report::from_frames(self.history.iter());
+        self.base.absorb_all()?;
+        let mut report = Report::from_frames(self.base.history.iter());
         report.adapter = self.adapter_name().to_owned();
-        report.threading = self.threading.to_string();
-        report.size = self.size_px;
+        report.threading = self.threading_model().to_string();
+        report.size = self.size_px();
         report.converge_s = self.converge_s;
-        report.bytes.gpu_peak = self.gpu_bytes_peak;
-        if let Some(pager) = &self.pager {
+        report.bytes.gpu_peak = self.base.gpu_bytes_peak;
+        if let Some(pager) = self.pager() {
             let s = pager.stats();
             report.tiles = Tiles {
                 requested: s.requested,
@@ -248,7 +248,7 @@ impl Viewer {
                 .collect();
         }
         let of_draw = |reason: &String| ReportError { uri: "draw".into(), reason: reason.clone(), count: 1 };
-        report.errors.extend(self.draw_errors.iter().map(of_draw));
+        report.errors.extend(self.base.draw_errors.iter().map(of_draw));
         Ok(report)
     }
 }

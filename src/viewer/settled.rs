@@ -6,30 +6,30 @@ use std::sync::Arc;
 use image::RgbaImage;
 
 use super::holes::{KEY_COLOR, coverage};
+use super::rendering::FrameJob;
 use super::report::Settled;
 use super::stats::FrameStats;
-use super::viewer::CONTEXT;
 use super::{Viewer, ViewerError};
-use crate::cull::RenderStage;
 use crate::draw::Sky;
 use crate::scene::{DrawSlot, SlotState};
 
 impl Viewer {
     /// Draws the present view once more, unseen and without statistics; on the key colour without fog if asked.
     fn draw_again(&mut self, on_key: bool) -> Result<(FrameStats, RgbaImage), ViewerError> {
-        self.absorb_all()?;
-        let stage = self.cull_again();
-        let mut stats = FrameStats { tiles_drawn: stage.counters.tiles_drawn, ..FrameStats::default() };
-        let mut job = self.job(stage);
+        self.base.absorb_all()?;
+        let context = self.view.context().ok_or(ViewerError::NoContext(self.context))?;
+        self.cull_again();
+        let mut environment = self.view.environment;
         if on_key {
-            job.environment.sky = Sky::Background(KEY_COLOR);
-            job.environment.fog.enabled = false;
+            environment.sky = Sky::Background(KEY_COLOR);
+            environment.fog.enabled = false;
         }
-        job.read_back = true;
-        job.present = false;
-        self.context.frame(job)?;
-        let done = self.context.wait_done()?.ok_or(ViewerError::DrawThreadStopped)?;
-        self.free_stages.push(done.stage);
+        let stage = std::mem::take(&mut self.base.probe_stage);
+        let mut stats = FrameStats { tiles_drawn: stage.counters.tiles_drawn, ..FrameStats::default() };
+        let job = FrameJob { stage: Some((stage, environment)), read_back: true, present: false, ..self.base.job() };
+        let handle = self.base.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?;
+        let done = handle.draw_alone(job)?;
+        self.base.probe_stage = done.stage.unwrap_or_default();
         let drawn = done.stats?;
         stats.triangles = drawn.triangles;
         stats.points = drawn.points;
@@ -37,13 +37,14 @@ impl Viewer {
         Ok((stats, image))
     }
 
-    /// Culls the present view once more, leaving requests and counters as they are.
-    fn cull_again(&mut self) -> RenderStage {
-        let mut stage = self.free_stages.pop().unwrap_or_default();
-        let (requests, wanted_missing) = (std::mem::take(&mut self.requests), self.wanted_missing);
-        self.cull_into(&mut stage);
-        (self.requests, self.wanted_missing) = (requests, wanted_missing);
-        stage
+    /// Culls the present view once more into the viewer's own stage; nothing where the master camera has no context.
+    fn cull_again(&mut self) {
+        self.view.prepare(&self.base.rendering, self.paged.bounds.as_ref());
+        let frame = self.base.stamp.frame;
+        let camera = self.view.master.map(|place| place.camera);
+        if let Some(task) = camera.and_then(|camera| self.view.task(camera, &self.paged, frame, Vec::new())) {
+            task.run(&mut self.base.probe, &mut self.base.probe_stage);
+        }
     }
 
     /// The present view's picture, drawn once more.
@@ -65,18 +66,19 @@ impl Viewer {
 
     /// URIs of the contents that the present view draws, sorted.
     pub fn drawn_contents(&mut self) -> Vec<Arc<str>> {
-        let stage = self.cull_again();
-        let mut drawn: Vec<DrawSlot> = stage.bins.iter().flat_map(|b| &b.leaves).map(|leaf| leaf.slot).collect();
+        self.cull_again();
+        let context = self.view.context().map_or(u32::MAX, |c| c.0);
+        let mut drawn: Vec<DrawSlot> =
+            self.base.probe_stage.bins.iter().flat_map(|b| &b.leaves).map(|leaf| leaf.slot).collect();
         drawn.retain(|slot| *slot != DrawSlot::NONE);
         drawn.sort_unstable();
-        self.free_stages.push(stage);
         let mut uris = Vec::new();
-        let mut pages = self.scene.roots().to_vec();
+        let mut pages = self.scene().roots().to_vec();
         while let Some(page) = pages.pop() {
-            for slot in self.scene.slots_of_page(page).filter_map(|id| self.scene.slot(id)) {
+            for slot in self.scene().slots_of_page(page).filter_map(|id| self.scene().slot(id)) {
                 let SlotState::Resident(content) = slot.state else { continue };
                 pages.push(content);
-                let slots = self.scene.page(content).map_or(&[][..], |p| p.draw_slots_of(CONTEXT));
+                let slots = self.scene().page(content).map_or(&[][..], |p| p.draw_slots_of(context));
                 if slots.iter().any(|s| drawn.binary_search(s).is_ok()) {
                     uris.push(Arc::clone(slot.uri));
                 }

@@ -1,25 +1,22 @@
-//! A window to fly in: winit's event loop turned into the viewer's events. Runs on the main thread.
-//!
-//! [`KEYS`] lists the keys. The stats overlay is on Tab and Shift+S: S alone, OSG's key for it, moves backward here.
+//! A window to move in: winit's event loop feeds the viewer's event queue and calls its frames. Runs on the main
+//! thread.
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use winit::application::ApplicationHandler;
-use winit::event::{ElementState, MouseButton, MouseScrollDelta, WindowEvent};
+use winit::event::{StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
-use winit::keyboard::{KeyCode, PhysicalKey};
-use winit::window::{Window, WindowId};
+use winit::window::{Fullscreen, Window, WindowId};
 
 use super::ViewerError;
-use super::camera_path::{AnimationPath, ControlPoint};
-use super::manipulator::{Event, FlyManipulator, MoveKey};
-use super::overlay::Overlay;
+use super::camera_path::AnimationPath;
+use super::handlers::{self, StatsPage};
+use super::input::WindowCommand;
+use super::manipulators::{self, SceneGround};
 use super::viewer::{Viewer, ViewerConfig};
-
-/// What the keys do, a line each; printed by programs that open a window.
-pub const KEYS: &str = "W A S D or arrows move, Q E or page keys down and up, drag looks, wheel changes the speed\n\
-     Tab or Shift+S stats, C or F12 picture, Z record the path (again: save), P play it, Home first view, Esc quit";
+use super::window_events;
 
 /// Called once, when the window is there.
 pub type OnOpen = Box<dyn FnOnce(&mut Viewer) -> Result<(), ViewerError>>;
@@ -28,20 +25,30 @@ pub type BeforeFrame = Box<dyn FnMut(&mut Viewer) -> Result<bool, ViewerError>>;
 /// Called after each frame.
 pub type AfterFrame = Box<dyn FnMut(&mut Viewer) -> Result<(), ViewerError>>;
 
+/// While nothing moves, a window that draws on demand looks so often whether something came from elsewhere.
+const IDLE_POLL: Duration = Duration::from_millis(30);
+/// And draws a frame so often nevertheless.
+const IDLE_FRAME: Duration = Duration::from_secs(1);
+
 /// What a window shows and when it closes.
 pub struct WindowOptions {
     /// Title of the window.
     pub title: String,
-    /// P plays it in its own time and stops it.
+    /// Key 7 plays it.
     pub path: Option<AnimationPath>,
-    /// Show the stats overlay from the start.
+    /// Show the stats from the start.
     pub overlay: bool,
     /// Where pictures and recorded paths go.
     pub output_dir: PathBuf,
-    /// Called once the viewer exists, to load a set; the viewer has no root before.
+    /// Called once the viewer exists, to load a set and to add handlers; the viewer has no root before.
     pub on_open: OnOpen,
-    /// The user moves the camera; otherwise [`Self::before_frame`] places it.
+    /// The user moves the camera, by what [`Self::on_open`] has set or the [usual](manipulators::usual) manipulators;
+    /// otherwise [`Self::before_frame`] places it.
     pub manipulated: bool,
+    /// Draw only what [`Viewer::check_need_to_do_frame`] asks for.
+    pub on_demand: bool,
+    /// Frames a second at most; the time that is left goes to what the pager has.
+    pub max_frame_rate: Option<f64>,
     /// Called before each frame; returning false closes the window.
     pub before_frame: BeforeFrame,
     /// Called after each frame.
@@ -57,6 +64,8 @@ impl Default for WindowOptions {
             output_dir: PathBuf::from("."),
             on_open: Box::new(|_| Ok(())),
             manipulated: true,
+            on_demand: false,
+            max_frame_rate: None,
             before_frame: Box::new(|_| Ok(true)),
             after_frame: Box::new(|_| Ok(())),
         }
@@ -100,16 +109,8 @@ struct App {
 /// Everything that exists while the window does. The viewer is dropped before the window.
 struct Open {
     viewer: Viewer,
-    overlay: Overlay,
-    overlay_shown: bool,
     egui: egui_winit::State,
-    dragging: bool,
-    shift: bool,
-    pointer_px: Option<[f64; 2]>,
-    playing: bool,
-    play_start_s: f64,
-    recording: Option<Vec<ControlPoint>>,
-    pictures_taken: u32,
+    last_frame: Instant,
     window: Arc<Window>,
 }
 
@@ -126,33 +127,24 @@ impl App {
         let mut viewer = Viewer::new_window(Arc::clone(&window), &self.config)?;
         let on_open = std::mem::replace(&mut self.options.on_open, Box::new(|_| Ok(())));
         on_open(&mut viewer)?;
-        if let (true, Some(bounds)) = (self.options.manipulated, viewer.bounds().copied()) {
-            let manipulator = FlyManipulator::new(bounds, &viewer.camera.world_from_eye);
-            viewer.set_manipulator(Some(Box::new(manipulator)));
+        let stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
+        handlers::add_usual(&mut viewer, &self.options.output_dir, stats);
+        if self.config.pager.build_kd_trees && !viewer.has_ground() {
+            viewer.set_ground(Some(Box::new(SceneGround::default())));
         }
-        let overlay = Overlay::default();
+        if self.options.manipulated && viewer.manipulator().is_none() {
+            viewer.set_manipulator(Some(Box::new(manipulators::usual(self.options.path.take()))));
+            viewer.notify("H shows the keys");
+        }
         let egui = egui_winit::State::new(
-            overlay.context().clone(),
+            viewer.overlay_context().clone(),
             egui::ViewportId::ROOT,
             &window,
             Some(window.scale_factor() as f32),
             None,
             None,
         );
-        Ok(Open {
-            viewer,
-            overlay,
-            overlay_shown: self.options.overlay,
-            egui,
-            dragging: false,
-            shift: false,
-            pointer_px: None,
-            playing: false,
-            play_start_s: 0.0,
-            recording: None,
-            pictures_taken: 0,
-            window,
-        })
+        Ok(Open { viewer, egui, last_frame: Instant::now(), window })
     }
 
     fn fail(&mut self, event_loop: &ActiveEventLoop, error: ViewerError) {
@@ -162,53 +154,30 @@ impl App {
 
     fn handle(&mut self, event_loop: &ActiveEventLoop, event: &WindowEvent) -> Result<(), ViewerError> {
         let Some(open) = &mut self.open else { return Ok(()) };
-        let taken = open.overlay_shown && open.egui.on_window_event(&open.window, event).consumed;
         match event {
-            WindowEvent::CloseRequested => event_loop.exit(),
-            WindowEvent::Resized(size) => open.viewer.resize([size.width, size.height])?,
-            WindowEvent::Focused(false) => open.viewer.push_event(Event::FocusLost),
-            WindowEvent::KeyboardInput { event: key, .. } => {
-                let PhysicalKey::Code(code) = key.physical_key else { return Ok(()) };
-                let pressed = key.state == ElementState::Pressed;
-                if open.shift && code == KeyCode::KeyS {
-                    open.overlay_shown ^= pressed && !key.repeat;
-                } else if let Some(key) = move_key(code) {
-                    open.viewer.push_event(Event::Key { key, pressed });
-                } else if pressed && !key.repeat {
-                    if code == KeyCode::Escape {
-                        event_loop.exit();
-                    } else {
-                        open.command(code, &self.options);
-                    }
-                }
-            }
-            WindowEvent::ModifiersChanged(modifiers) => open.shift = modifiers.state().shift_key(),
-            WindowEvent::MouseInput { state, button: MouseButton::Left | MouseButton::Right, .. } => {
-                open.dragging = *state == ElementState::Pressed && !taken;
-            }
-            WindowEvent::CursorMoved { position, .. } => {
-                let now = [position.x, position.y];
-                if let (true, Some([x, y])) = (open.dragging && !open.playing, open.pointer_px) {
-                    open.viewer.push_event(Event::Drag([now[0] - x, now[1] - y]));
-                }
-                open.pointer_px = Some(now);
-            }
-            WindowEvent::MouseWheel { delta, .. } if !taken => {
-                let notches = match delta {
-                    MouseScrollDelta::LineDelta(_, lines) => f64::from(*lines),
-                    MouseScrollDelta::PixelDelta(px) => px.y / 50.0,
-                };
-                open.viewer.push_event(Event::Wheel(notches));
-            }
             WindowEvent::RedrawRequested => {
-                let go_on = open.frame(&mut self.options)?;
-                if go_on {
-                    open.window.request_redraw();
+                if open.frame(&mut self.options)? {
+                    open.plan_next(event_loop, &self.options);
                 } else {
                     event_loop.exit();
                 }
+                return Ok(());
             }
+            WindowEvent::Resized(size) => open.viewer.resize([size.width, size.height])?,
             _ => {}
+        }
+        let taken = open.viewer.shows_overlay() && open.egui.on_window_event(&open.window, event).consumed;
+        // What the overlay's windows take does not reach the scene; what comes up does, since it may have gone down there.
+        let is_press = match event {
+            WindowEvent::MouseInput { state, .. } => state.is_pressed(),
+            WindowEvent::MouseWheel { .. } => true,
+            _ => false,
+        };
+        if !(taken && is_press) {
+            window_events::feed(open.viewer.event_queue(), event);
+        }
+        if self.options.on_demand {
+            open.window.request_redraw();
         }
         Ok(())
     }
@@ -228,6 +197,20 @@ impl ApplicationHandler for App {
         }
     }
 
+    fn new_events(&mut self, _: &ActiveEventLoop, cause: StartCause) {
+        if let (StartCause::ResumeTimeReached { .. }, Some(open)) = (cause, &self.open)
+            && (open.viewer.check_need_to_do_frame() || open.last_frame.elapsed() > IDLE_FRAME)
+        {
+            open.window.request_redraw();
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if self.options.on_demand && self.open.is_some() && event_loop.control_flow() != ControlFlow::Poll {
+            event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + IDLE_POLL));
+        }
+    }
+
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         if let Err(error) = self.handle(event_loop, &event) {
             self.fail(event_loop, error);
@@ -237,7 +220,7 @@ impl ApplicationHandler for App {
     fn exiting(&mut self, _: &ActiveEventLoop) {
         if let Some(mut open) = self.open.take() {
             // Pictures of the last frames may still be on their way.
-            let ended = open.viewer.finish().and_then(|()| open.after_frame(&mut self.options));
+            let ended = open.viewer.finish().and_then(|()| (self.options.after_frame)(&mut open.viewer));
             if let Err(error) = ended {
                 self.error.get_or_insert(error);
             }
@@ -247,100 +230,54 @@ impl ApplicationHandler for App {
 }
 
 impl Open {
-    /// One key that is not a movement.
-    fn command(&mut self, code: KeyCode, options: &WindowOptions) {
-        match code {
-            KeyCode::Tab | KeyCode::F1 => self.overlay_shown = !self.overlay_shown,
-            KeyCode::KeyC | KeyCode::F12 => self.viewer.want_picture(),
-            KeyCode::KeyZ => match self.recording.take() {
-                None => self.recording = Some(Vec::new()),
-                Some(points) => save_path(points, options),
-            },
-            KeyCode::KeyP if options.path.is_some() && options.manipulated => {
-                self.playing = !self.playing;
-                self.play_start_s = self.viewer.frame_stamp().reference_time_s;
-                self.hand_back_to_manipulator();
-            }
-            KeyCode::Home => {
-                if let Some(bounds) = self.viewer.bounds() {
-                    self.viewer.camera.world_from_eye = bounds.first_camera(&super::ViewFrom::default());
-                    self.hand_back_to_manipulator();
-                }
-            }
-            _ => {}
-        }
-    }
-
-    /// The manipulator goes on from where the camera is.
-    fn hand_back_to_manipulator(&mut self) {
-        let pose = self.viewer.camera.world_from_eye;
-        if let Some(manipulator) = self.viewer.manipulator_mut() {
-            manipulator.set_pose(&pose);
-        }
-    }
-
+    /// One frame; false when it was the last.
     fn frame(&mut self, options: &mut WindowOptions) -> Result<bool, ViewerError> {
+        self.last_frame = Instant::now();
         if !(options.before_frame)(&mut self.viewer)? {
             return Ok(false);
         }
-        if let (true, Some(path)) = (self.playing, &options.path) {
-            let time_s = self.viewer.frame_stamp().reference_time_s - self.play_start_s;
-            self.viewer.camera.world_from_eye = path.world_from_eye(path.first_s() + time_s);
-            self.hand_back_to_manipulator();
-            self.playing = time_s < path.duration_s();
-        }
-        if self.overlay_shown {
+        if self.viewer.shows_overlay() {
             let input = self.egui.take_egui_input(&self.window);
-            let paint = self.overlay.layout(
-                input,
-                self.viewer.size_px(),
-                self.window.scale_factor() as f32,
-                self.viewer.stats(),
-                self.viewer.pager().map(|p| p.stats()),
-                if self.recording.is_some() { "recording the camera path; Z saves it" } else { "" },
-            );
-            self.viewer.set_overlay(paint);
+            self.viewer.set_overlay_input(input, self.window.scale_factor() as f32);
         }
         self.viewer.frame()?;
-        if let Some(points) = &mut self.recording {
-            let time_s = self.viewer.frame_stamp().reference_time_s;
-            points.push(ControlPoint::from_pose(time_s, &self.viewer.camera.world_from_eye));
+        (options.after_frame)(&mut self.viewer)?;
+        for command in self.viewer.take_window_commands() {
+            self.obey(command);
         }
-        self.after_frame(options)?;
-        Ok(true)
+        Ok(!self.viewer.is_done())
     }
 
-    /// The application first: pictures that it leaves are the user's.
-    fn after_frame(&mut self, options: &mut WindowOptions) -> Result<(), ViewerError> {
-        (options.after_frame)(&mut self.viewer)?;
-        for (_, picture) in self.viewer.take_pictures() {
-            self.pictures_taken += 1;
-            let file = options.output_dir.join(format!("terrane-{:03}.png", self.pictures_taken));
-            match picture.save(&file) {
-                Ok(()) => log::info!("wrote {}", file.display()),
-                Err(error) => log::error!("{}: {error}", file.display()),
+    fn obey(&mut self, command: WindowCommand) {
+        match command {
+            WindowCommand::ToggleFullScreen => {
+                let full = self.window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
+                self.window.set_fullscreen(full);
+            }
+            WindowCommand::Resize([width, height]) => {
+                self.window.set_fullscreen(None);
+                // Where the size changes at once there is no event for it.
+                let size = winit::dpi::PhysicalSize::new(width.max(1), height.max(1));
+                if let Some(now) = self.window.request_inner_size(size)
+                    && let Err(error) = self.viewer.resize([now.width, now.height])
+                {
+                    log::error!("{error}");
+                }
             }
         }
-        Ok(())
     }
-}
 
-fn save_path(points: Vec<ControlPoint>, options: &WindowOptions) {
-    let file = options.output_dir.join("terrane.path");
-    match AnimationPath::new(points).and_then(|path| path.write(&file)) {
-        Ok(()) => log::info!("wrote {}", file.display()),
-        Err(error) => log::error!("camera path: {error}"),
+    /// When the next frame comes.
+    fn plan_next(&mut self, event_loop: &ActiveEventLoop, options: &WindowOptions) {
+        if let Some(rate) = options.max_frame_rate.filter(|rate| *rate > 0.0) {
+            // A rate of less than one a second would keep events waiting.
+            self.viewer.work_until(self.last_frame + Duration::from_secs_f64(1.0 / rate.max(1.0)));
+        }
+        if !options.on_demand || self.viewer.check_need_to_do_frame() {
+            event_loop.set_control_flow(ControlFlow::Poll);
+            self.window.request_redraw();
+        } else {
+            event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + IDLE_POLL));
+        }
     }
-}
-
-fn move_key(code: KeyCode) -> Option<MoveKey> {
-    Some(match code {
-        KeyCode::KeyW | KeyCode::ArrowUp => MoveKey::Forward,
-        KeyCode::KeyS | KeyCode::ArrowDown => MoveKey::Backward,
-        KeyCode::KeyA | KeyCode::ArrowLeft => MoveKey::Left,
-        KeyCode::KeyD | KeyCode::ArrowRight => MoveKey::Right,
-        KeyCode::KeyE | KeyCode::PageUp => MoveKey::Up,
-        KeyCode::KeyQ | KeyCode::PageDown => MoveKey::Down,
-        _ => return None,
-    })
 }

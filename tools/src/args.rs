@@ -57,8 +57,9 @@ pub struct FlyArgs {
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
-    /// SingleThreaded or DrawThreadPerContext
-    #[arg(long, value_name = "MODEL", default_value = "DrawThreadPerContext")]
+    /// Which threads cull and draw: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
+    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
+    #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
     /// Load everything a frame wants before drawing it, so that equal paths give equal pictures
     #[arg(long)]
@@ -100,6 +101,12 @@ pub struct FlyArgs {
     /// A window to move in, without a path.
     #[arg(skip)]
     pub interactive: bool,
+    /// Draw only when something changes.
+    #[arg(skip)]
+    pub on_demand: bool,
+    /// Frames a second at most (window only)
+    #[arg(long, value_name = "FPS")]
+    pub max_fps: Option<Positive>,
 }
 
 #[derive(Clone, Debug, ClapArgs)]
@@ -112,23 +119,30 @@ pub struct ViewArgs {
     /// First camera: heading and pitch in degrees and distance in metres to the centre of the set
     #[arg(long, value_name = "HEADING_DEG,PITCH_DEG,RANGE_M", allow_hyphen_values = true)]
     pub view: Option<View>,
-    /// Camera path that P plays
+    /// Camera path that key 7 plays
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
-    /// SingleThreaded or DrawThreadPerContext
-    #[arg(long, value_name = "MODEL", default_value = "DrawThreadPerContext")]
+    /// Which threads cull and draw: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
+    /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
+    #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
     /// Show the stats overlay from the start
     #[arg(long)]
     pub stats: bool,
+    /// Draw only when something changes
+    #[arg(long)]
+    pub on_demand: bool,
+    /// Frames a second at most
+    #[arg(long, value_name = "FPS")]
+    pub max_fps: Option<Positive>,
 }
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs { source, size, view, path, sse, threading, stats } = args;
+        let ViewArgs { source, size, view, path, sse, threading, stats, on_demand, max_fps } = args;
         Box::new(FlyArgs {
             source: Some(source),
             size,
@@ -137,6 +151,8 @@ impl From<ViewArgs> for Box<FlyArgs> {
             sse,
             threading,
             stats,
+            on_demand,
+            max_fps,
             interactive: true,
             ..FlyArgs::default()
         })

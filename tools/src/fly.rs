@@ -68,6 +68,8 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
         ..ViewerConfig::default()
     };
     config.pager.blocking = args.blocking;
+    // Manipulators stay above the ground.
+    config.pager.build_kd_trees = args.interactive;
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     let root = LoadedRoot::read(&source, &config.pager)?;
     let offscreen = args.offscreen || !display;
@@ -97,13 +99,15 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
 fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &str) -> Result<(Viewer, Flight)> {
     let interactive = flight.args.interactive;
     if interactive {
-        writeln!(std::io::stdout(), "{}", terrane::viewer::KEYS).context("stdout")?;
+        writeln!(std::io::stdout(), "H shows the keys, Esc ends").context("stdout")?;
     }
     let options = WindowOptions {
         title: format!("Terrane - {source}"),
         path: flight.path.clone(),
         overlay: flight.args.stats,
         manipulated: interactive,
+        on_demand: flight.args.on_demand,
+        max_frame_rate: flight.args.max_fps.map(|rate| rate.0),
         ..WindowOptions::default()
     };
     // The event loop calls back from two places; both run on this thread, one after the other.

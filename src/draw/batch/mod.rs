@@ -11,10 +11,10 @@ use crate::cull::{RenderLeaf, RenderStage};
 use crate::draw::batch::lookup::Lookup;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
-use crate::draw::uniforms::frame::{FLAG_UNLIT, INDEX_COUNT_SHIFT, LeafUniform};
+use crate::draw::uniforms::frame::{FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
 use crate::scene::{AlphaMode, Topology};
-use crate::state::SortMode;
+use crate::state::{ResolvedState, SortMode};
 
 /// What has to be bound for a run: leaves with one bucket differ in geometry alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,8 +68,10 @@ pub(in crate::draw) struct StateEntry {
 }
 
 impl StateEntry {
-    pub(in crate::draw) fn new(key: StateKey, statics: u32, color: [f32; 4], is_lit: [bool; 2]) -> Self {
-        Self { key, statics, class: 0, color, flags: is_lit.map(|lit| if lit { 0 } else { FLAG_UNLIT }) }
+    pub(in crate::draw) fn new(key: StateKey, statics: u32, state: &ResolvedState) -> Self {
+        let of_all = if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
+        let flags = [false, true].map(|unlit| if state.is_lit(unlit) { of_all } else { of_all | FLAG_UNLIT });
+        Self { key, statics, class: 0, color: state.color, flags }
     }
 }
 

@@ -56,6 +56,7 @@ const TEXTURED_MESH_WGSL: &str = concat!(
     include_str!("../shaders/fixed_units.wgsl"),
     include_str!("../shaders/fixed_mesh.wgsl")
 );
+const FILL_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/fill.wgsl"));
 const SKY_WGSL: &str = concat!(include_str!("../shaders/frame.wgsl"), include_str!("../shaders/sky.wgsl"));
 const WATER_WGSL: &str = concat!(
     include_str!("../shaders/frame.wgsl"),
@@ -99,6 +100,7 @@ pub(in crate::draw) struct Pipelines {
     skies: Vec<Option<wgpu::RenderPipeline>>,
     waters: Vec<Option<wgpu::RenderPipeline>>,
     queries: Vec<Option<wgpu::RenderPipeline>>,
+    fills: Vec<Option<wgpu::RenderPipeline>>,
     /// Modules by the address of their source.
     modules: Vec<(&'static str, wgpu::ShaderModule)>,
     features: wgpu::Features,
@@ -172,6 +174,7 @@ impl Pipelines {
             skies: Vec::new(),
             waters: Vec::new(),
             queries: Vec::new(),
+            fills: Vec::new(),
             modules: Vec::new(),
             features: device.features(),
             created: 0,
@@ -205,6 +208,7 @@ impl Pipelines {
                 self.skies.push(None);
                 self.waters.push(None);
                 self.queries.push(None);
+                self.fills.push(None);
                 self.targets.len() - 1
             }
             None => return None,
@@ -228,6 +232,10 @@ impl Pipelines {
         self.waters.get(usize::from(target))?.as_ref()
     }
 
+    pub(in crate::draw) fn fill(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
+        self.fills.get(usize::from(target))?.as_ref()
+    }
+
     fn module(&mut self, ctx: &GraphicsContext, label: &str, source: &'static str) -> wgpu::ShaderModule {
         if let Some((_, module)) = self.modules.iter().find(|(s, _)| std::ptr::eq(*s, source)) {
             return module.clone();
@@ -247,6 +255,17 @@ impl Pipelines {
             let module = self.module(ctx, "sky", SKY_WGSL);
             let variant = Self::bare("sky", &module, ["vs_sky", "fs_sky"], key);
             self.skies[usize::from(target)] = self.create(ctx, &variant);
+            self.created += 1;
+        }
+    }
+
+    /// Makes the pipeline of backgrounds for a target unless it is there.
+    pub(in crate::draw) fn ensure_fill(&mut self, ctx: &GraphicsContext, target: u8) {
+        let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
+        if self.fill(target).is_none() {
+            let module = self.module(ctx, "fill", FILL_WGSL);
+            let variant = Self::bare("fill", &module, ["vs_fill", "fs_fill"], key);
+            self.fills[usize::from(target)] = self.create(ctx, &variant);
             self.created += 1;
         }
     }
@@ -471,6 +490,7 @@ mod tests {
             ("sky", SKY_WGSL),
             ("water", WATER_WGSL),
             ("query", QUERY_WGSL),
+            ("fill", FILL_WGSL),
             ("program", PROGRAM_PRELUDE),
         ];
         for (name, source) in all {
@@ -510,7 +530,9 @@ mod tests {
         let header = crate::gpu::TABLE_HEADER_VECTORS;
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
-        assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {}u;", crate::draw::uniforms::frame::FLAG_UNLIT)));
+        use crate::draw::uniforms::frame::{FLAG_UNLIT, FLAG_UNTEXTURED};
+        assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {FLAG_UNLIT}u;")));
+        assert!(MESH_WGSL.contains(&format!("const FLAG_UNTEXTURED: u32 = {FLAG_UNTEXTURED}u;")));
         let shift = crate::draw::uniforms::frame::INDEX_COUNT_SHIFT;
         assert!(MESH_WGSL.contains(&format!("const INDEX_COUNT_SHIFT: u32 = {shift}u;")));
         assert_eq!(size_of::<MeshVertex>(), 7 * 4);

@@ -83,6 +83,15 @@ pub struct FrameClock {
     pub simulation_time_s: f64,
 }
 
+/// A whole picture: what a camera has culled, under its own light and sky.
+#[derive(Clone, Copy, Debug)]
+pub struct Picture<'a> {
+    /// The camera's stage.
+    pub stage: &'a RenderStage,
+    /// Sun, sky and fog.
+    pub environment: &'a Environment,
+}
+
 /// Executes render stages on one [`GraphicsContext`].
 pub struct Renderer {
     pipelines: Pipelines,
@@ -203,6 +212,16 @@ impl Renderer {
         stage: &RenderStage,
         environment: &Environment,
     ) -> Result<DrawStats, GpuError> {
+        self.draw_pictures(ctx, std::iter::once(Picture { stage, environment }))
+    }
+
+    /// As [`Self::draw`], for several pictures in parts of the same target: each in its stage's viewport, one after the
+    /// other, all of them handed to the adapter together.
+    pub fn draw_pictures<'a>(
+        &mut self,
+        ctx: &mut GraphicsContext,
+        pictures: impl Iterator<Item = Picture<'a>> + Clone,
+    ) -> Result<DrawStats, GpuError> {
         let _span = crate::timeline::span("draw");
         let acquire = crate::timeline::span("acquire");
         if ctx.acquire()? == Acquired::Skip {
@@ -212,9 +231,9 @@ impl Renderer {
         ctx.submitted();
         let ctx = &*ctx;
         let created_before = self.pipelines.created();
-        self.prepare(ctx, stage, environment);
+        self.prepare(ctx, pictures.clone());
         self.upload(ctx);
-        let mut stats = self.record(ctx, stage);
+        let mut stats = self.record(ctx, pictures);
         stats.leaves = self.batch.leaves().len() as u32;
         stats.pipelines_created = self.pipelines.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
@@ -268,12 +287,14 @@ impl Renderer {
         }
     }
 
-    fn record(&mut self, ctx: &GraphicsContext, stage: &RenderStage) -> DrawStats {
+    fn record<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>>) -> DrawStats {
         let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
         let mut stats = DrawStats::default();
         let mut next = 0;
         let plans = std::mem::take(&mut self.plans);
-        self.record_all(ctx, &mut encoder, stage, &plans, &mut next, &mut stats);
+        for picture in pictures {
+            self.record_all(ctx, &mut encoder, picture.stage, &plans, &mut next, &mut stats);
+        }
         self.plans = plans;
         if let Some(timer) = &self.timer {
             timer.resolve(&mut encoder);
@@ -338,7 +359,7 @@ impl Renderer {
         callbacks: Option<&CameraCallbacks>,
         info: &RenderInfo<'_>,
     ) -> DrawStats {
-        let colors = target.color_attachments(stage, plan.background);
+        let colors = target.color_attachments(stage, plan);
         let count = target.color_count();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("stage"),
@@ -359,6 +380,10 @@ impl Renderer {
             indirect: self.indirect.as_ref(),
         };
         let mut state = State::new(&mut pass, target.dynamics(None));
+        if let (Some(leaf), Some(fill)) = (plan.fill, self.pipelines.fill(target.index)) {
+            state.apply(&from, plan.statics);
+            state.draw_bare(fill, 3, leaf..leaf + 1);
+        }
         if let Some(pre_draw) = callbacks.and_then(|c| c.pre_draw.as_ref()) {
             pre_draw(info, state.pass);
             state.forget();

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{FrameClock, Renderer};
+use super::{FrameClock, Picture, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::answers::Queries;
 use crate::draw::batch::StateEntry;
@@ -10,7 +10,7 @@ use crate::draw::composite::Composite;
 use crate::draw::environment::{Environment, Sky};
 use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
-use crate::draw::plan::{PassTarget, StagePlan};
+use crate::draw::plan::{PassTarget, StagePlan, color};
 use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, StageUniform, replaces_sun};
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform, clear_color};
@@ -18,7 +18,7 @@ use crate::gpu::GraphicsContext;
 use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
-    pub(super) fn prepare(&mut self, ctx: &GraphicsContext, stage: &RenderStage, environment: &Environment) {
+    pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>> + Clone) {
         self.batch.start_frame();
         self.groups.start_frame();
         self.statics.clear();
@@ -30,10 +30,10 @@ impl Renderer {
         if let Some(queries) = &mut self.queries {
             queries.start_frame();
         }
-        if let Some(problem) = self.targets.start_frame(stage) {
+        if let Some(problem) = self.targets.start_frame(pictures.clone().map(|p| p.stage)) {
             self.complain(problem);
         }
-        let dropped = self.prepare_all(ctx, stage, environment, true);
+        let dropped: usize = pictures.map(|p| self.prepare_all(ctx, p.stage, p.environment, true)).sum();
         for (bucket, _) in self.batch.buckets.iter().filter(|(b, _)| b.stride > 0) {
             self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
         }
@@ -112,7 +112,7 @@ impl Renderer {
                 self.statics.len() - 1
             });
             let key = self.pipelines.state_key(state, shading, target.index);
-            states.push(StateEntry::new(key, index as u32, state.color, [state.is_lit(false), state.is_lit(true)]));
+            states.push(StateEntry::new(key, index as u32, state));
         }
         self.batch.states = states;
         let first_run = self.batch.runs.len();
@@ -129,6 +129,15 @@ impl Renderer {
             self.pipelines.ensure_water(ctx, target.index);
         }
         let eyes = self.prepare_eyes(ctx, stage, &target);
+        let [width, height] = target.size_px;
+        let has_part = stage.target.viewport_px.is_some_and(|rect| rect != [0, 0, width, height]);
+        let is_part = is_outermost && (target.is_begun || has_part);
+        let fill = match stage.clear_node {
+            _ if !is_part || has_sky => None,
+            Some(said) => said.map(color),
+            None => Some(clear),
+        };
+        let fill = fill.and_then(|color| self.prepare_fill(ctx, &target, color));
         self.plans.push(StagePlan {
             eyes,
             target: Some(target),
@@ -139,6 +148,8 @@ impl Renderer {
             has_sky,
             has_water,
             background: clear,
+            fill,
+            is_part,
         });
         dropped
     }
@@ -197,6 +208,18 @@ impl Renderer {
             self.complain(format!("{name}: {problem}"));
         }
         (shading, group)
+    }
+
+    /// A leaf for the background of a part of a target.
+    fn prepare_fill(&mut self, ctx: &GraphicsContext, target: &PassTarget, color: wgpu::Color) -> Option<u32> {
+        let leaf = self.batch.leaves().len();
+        if leaf >= self.most_leaves {
+            return None;
+        }
+        self.pipelines.ensure_fill(ctx, target.index);
+        let color = [color.r, color.g, color.b, color.a].map(|c| c as f32);
+        self.batch.push_leaf(LeafUniform { color, ..LeafUniform::EMPTY });
+        Some(leaf as u32)
     }
 
     /// The textures of the eyes that a stage puts together.

@@ -28,7 +28,7 @@ fn vs_fixed_mesh_pulled(@builtin(vertex_index) index: u32, @builtin(instance_ind
 
 fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>) -> Surface {
     let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
-    let base = textureSample(color_layers, color_sampler, uv, in.leaf.x) * in.color;
+    let base = texel(textureSample(color_layers, color_sampler, uv, in.leaf.x), in.leaf.y) * in.color;
     let is_lit = (in.leaf.y & FLAG_UNLIT) == 0u;
     let cutoff = bitcast<f32>(in.leaf.z);
     return Surface(in.in_eye_u.xyz, normal, frame.up.xyz, in.object, uv, base, is_lit, cutoff);

@@ -41,11 +41,17 @@ struct Stage {
 }
 
 const FLAG_UNLIT: u32 = 1u;
+const FLAG_UNTEXTURED: u32 = 2u;
 const INDEX_COUNT_SHIFT: u32 = 8u;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
 @group(0) @binding(2) var<uniform> stage: Stage;
+
+// What a drawable's texture gives; where textures are switched off, its alpha alone.
+fn texel(sampled: vec4<f32>, flags: u32) -> vec4<f32> {
+    return select(sampled, vec4<f32>(1.0, 1.0, 1.0, sampled.a), (flags & FLAG_UNTEXTURED) != 0u);
+}
 
 fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
     let p = vec4<f32>(point, 1.0);

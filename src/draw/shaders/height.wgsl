@@ -22,9 +22,10 @@ struct HeightFragment {
     @location(1) light: vec3<f32>,  // times the leaf's color
     @location(2) haze: f32,
     // By value, not by leaf: a load from a buffer for each pixel is dear on software adapters.
-    @location(3) @interpolate(flat) layer: u32,
+    @location(3) @interpolate(flat) layer: u32,  // and the flags above
 }
 
+const FLAGS_SHIFT: u32 = 24u;
 const HEADER: u32 = 3u;
 
 fn row_of(table: u32, j: i32) -> vec4<f32> {
@@ -165,12 +166,13 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
     }
     out.light *= leaf.color.rgb;
     out.haze = haze(point.in_eye);
-    out.layer = leaf.layer;
+    out.layer = leaf.layer | (leaf.flags << FLAGS_SHIFT);
     return out;
 }
 
 @fragment
 fn fs_height(in: HeightFragment) -> @location(0) vec4<f32> {
-    let base = textureSample(color_layers, color_sampler, in.uv, in.layer);
+    let layer = in.layer & ((1u << FLAGS_SHIFT) - 1u);
+    let base = texel(textureSample(color_layers, color_sampler, in.uv, layer), in.layer >> FLAGS_SHIFT);
     return vec4<f32>(mix(tone_mapped(base.rgb * in.light), frame.horizon_color.rgb, in.haze), 1.0);
 }

@@ -23,7 +23,7 @@ fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragm
 
 fn base_color(in: MeshFragment) -> vec4<f32> {
     let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
-    return textureSample(color_layers, color_sampler, uv, in.leaf.x) * in.color;
+    return texel(textureSample(color_layers, color_sampler, uv, in.leaf.x), in.leaf.y) * in.color;
 }
 
 @vertex

@@ -67,6 +67,8 @@ pub(in crate::draw) const INDEX_COUNT_SHIFT: u32 = 8;
 
 /// Not lit.
 pub(in crate::draw) const FLAG_UNLIT: u32 = 1;
+/// The drawable's own texture does not count.
+pub(in crate::draw) const FLAG_UNTEXTURED: u32 = 2;
 
 fn mix(a: [f64; 3], b: [f64; 3], t: f64) -> [f64; 3] {
     [0, 1, 2].map(|i| a[i] + (b[i] - a[i]) * t)

@@ -1,0 +1,18 @@
+// The background of a picture that has a part of a target: one triangle over its viewport, in a leaf's colour.
+
+struct FillVertex {
+    @builtin(position) position: vec4<f32>,
+    @location(0) @interpolate(flat) color: vec4<f32>,
+}
+
+@vertex
+fn vs_fill(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> FillVertex {
+    let xy = vec2<f32>(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0);
+    // Reversed-Z: depth 0 is infinitely far.
+    return FillVertex(vec4<f32>(xy, 0.0, 1.0), leaves[instance].color);
+}
+
+@fragment
+fn fs_fill(in: FillVertex) -> @location(0) vec4<f32> {
+    return in.color;
+}

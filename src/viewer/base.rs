@@ -1,0 +1,461 @@
+//! [`ViewerBase`]: the frame of one view or of many; osgViewer's ViewerBase. Main thread; cull and draw run where the
+//! threading model has them.
+
+use std::time::{Duration, Instant};
+
+use image::RgbaImage;
+
+use super::ViewerError;
+use super::input::{GuiActionAdapter, OnPicture};
+use super::paged_scene::PagedScene;
+use super::rendering::{CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rendering, millis};
+use super::stats::{FrameStats, StatsHistory};
+use super::view::{ContextId, Place, Slave, SlaveId, View};
+use super::viewer::{FrameStamp, ViewerConfig};
+use crate::cull::{CullVisitor, RenderStage};
+use crate::draw::FrameClock;
+use crate::gpu::{CompileBudget, GraphicsContext};
+use crate::timeline;
+
+/// How often arrivals are looked for while the draw thread is busy.
+const ARRIVAL_POLL: Duration = Duration::from_micros(300);
+/// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
+const MAX_BLOCKING_ROUNDS: u32 = 256;
+
+pub(super) struct ViewerBase {
+    pub(super) rendering: Rendering,
+    max_contexts: usize,
+    blocking: bool,
+    pub(super) compile_budget: CompileBudget,
+    #[cfg(feature = "window")]
+    pub(super) overlay: Option<super::overlay::OverlayPaint>,
+    /// For looking at the scene outside the frame's own culls, with a stage.
+    pub(super) probe: CullVisitor,
+    pub(super) probe_stage: RenderStage,
+    pub(super) first_frame: Option<Instant>,
+    last_frame: Option<Instant>,
+    pub(super) stamp: FrameStamp,
+    /// Seconds between the last two frames.
+    delta_s: f64,
+    pub(super) history: StatsHistory,
+    pub(super) gpu_bytes_peak: u64,
+    /// What could not be drawn as it should, each once.
+    pub(super) draw_errors: Vec<String>,
+    /// Contexts whose next picture is read back.
+    wanted: Vec<u32>,
+    pictures: Vec<(u32, u32, RgbaImage)>,
+    /// Contexts and frames of pictures that the application asked for, and those with what is done with them.
+    asked: Vec<(u32, u32)>,
+    captures: Vec<(u32, u32, OnPicture)>,
+    /// Reading back in the frame being measured, milliseconds.
+    read_back_ms: f64,
+}
+
+impl ViewerBase {
+    pub(super) fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
+        let mut rendering = Rendering::new(config.pager.blocking);
+        rendering.set_model(config.threading)?;
+        Ok(Self {
+            rendering,
+            max_contexts: config.max_contexts,
+            blocking: config.pager.blocking,
+            compile_budget: config.compile_budget,
+            #[cfg(feature = "window")]
+            overlay: None,
+            probe: CullVisitor::default(),
+            probe_stage: RenderStage::new(),
+            first_frame: None,
+            last_frame: None,
+            stamp: FrameStamp::default(),
+            delta_s: 0.0,
+            history: StatsHistory::new(config.history_frames),
+            gpu_bytes_peak: 0,
+            draw_errors: Vec::new(),
+            wanted: Vec::new(),
+            pictures: Vec::new(),
+            asked: Vec::new(),
+            captures: Vec::new(),
+            read_back_ms: 0.0,
+        })
+    }
+
+    /// Takes a context while others may be drawn in; all frames are drawn before, and the next one starts the threads.
+    pub(super) fn open_context(
+        &mut self,
+        context: GraphicsContext,
+        scenes: &mut [PagedScene],
+    ) -> Result<ContextId, ViewerError> {
+        let limit = self.max_contexts;
+        if self.rendering.context_ids().count() >= limit {
+            return Err(ViewerError::TooManyContexts { limit });
+        }
+        self.absorb_all()?;
+        let number = self.rendering.add_context(context, self.stamp.frame);
+        for scene in scenes {
+            scene.context_opened(&mut self.rendering, number)?;
+        }
+        Ok(ContextId(number))
+    }
+
+    /// Drops a context with the cameras in it; all frames are drawn before. False when there is none.
+    pub(super) fn close_context(
+        &mut self,
+        id: ContextId,
+        views: &mut [View],
+        scenes: &mut [PagedScene],
+    ) -> Result<bool, ViewerError> {
+        self.absorb_all()?;
+        if !self.rendering.remove_context(id.0) {
+            return Ok(false);
+        }
+        for view in views {
+            view.context_closed(id.0);
+        }
+        for scene in scenes {
+            scene.context_closed(&mut self.rendering, id.0);
+        }
+        Ok(true)
+    }
+
+    /// A camera in a context; all frames are drawn before.
+    pub(super) fn add_camera(
+        &mut self,
+        context: ContextId,
+        viewport_px: Option<[u32; 4]>,
+    ) -> Result<Place, ViewerError> {
+        self.absorb_all()?;
+        let camera = self.rendering.add_camera(context.0).ok_or(ViewerError::NoContext(context))?;
+        Ok(Place { camera, context: context.0, viewport_px })
+    }
+
+    pub(super) fn remove_camera(&mut self, camera: u32) -> Result<(), ViewerError> {
+        self.absorb_all()?;
+        self.rendering.remove_camera(camera);
+        Ok(())
+    }
+
+    pub(super) fn add_slave(&mut self, view: &mut View, slave: Slave) -> Result<SlaveId, ViewerError> {
+        let place = self.add_camera(slave.context, slave.viewport_px)?;
+        Ok(view.push_slave(place.camera, slave))
+    }
+
+    pub(super) fn remove_slave(&mut self, view: &mut View, id: SlaveId) -> Result<bool, ViewerError> {
+        if !view.take_slave(id) {
+            return Ok(false);
+        }
+        self.remove_camera(id.0)?;
+        Ok(true)
+    }
+
+    /// The context's next picture is read back.
+    pub(super) fn want_picture(&mut self, context: ContextId) {
+        if !self.wanted.contains(&context.0) {
+            self.wanted.push(context.0);
+        }
+    }
+
+    /// Pictures of a context that were read back, with their frames.
+    pub(super) fn take_pictures(&mut self, context: ContextId) -> Vec<(u32, RgbaImage)> {
+        let of_context = self.pictures.extract_if(.., |(of, _, _)| *of == context.0);
+        of_context.map(|(_, frame, picture)| (frame, picture)).collect()
+    }
+
+    /// The last frame's picture in a context, offscreen.
+    pub(super) fn read_back(&mut self, context: ContextId) -> Result<RgbaImage, ViewerError> {
+        self.absorb_all()?;
+        self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?.read_back()
+    }
+
+    pub(super) fn resize(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
+        let handle = self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?;
+        handle.resize(size_px.map(|side| side.max(1)))
+    }
+
+    /// Seconds since the first frame.
+    pub(super) fn seconds(&self) -> f64 {
+        self.first_frame.map_or(0.0, |first| first.elapsed().as_secs_f64())
+    }
+
+    /// Renders one frame; when it began.
+    pub(super) fn frame(
+        &mut self,
+        views: &mut [View],
+        scenes: &mut [PagedScene],
+        simulation_time_s: f64,
+    ) -> Result<Instant, ViewerError> {
+        let start = Instant::now();
+        self.read_back_ms = 0.0;
+        let dt_s = self.advance(start, simulation_time_s);
+        let mut stats = FrameStats { frame: self.stamp.frame, ..FrameStats::default() };
+        let _frame = timeline::span_of("frame", || self.stamp.frame.to_string().into());
+
+        let span = timeline::span("event");
+        for view in views.iter_mut() {
+            let paged = &mut scenes[view.scene];
+            GuiActionAdapter { base: self, view, paged }.event_traversal();
+        }
+        // A handler may have changed the model.
+        self.rendering.start_threads()?;
+        drop(span);
+        let after_event = Instant::now();
+        stats.event_ms = millis(after_event - start);
+
+        // Update: everything with &mut Scene.
+        let span = timeline::span("update");
+        for scene in scenes.iter_mut() {
+            scene.update(&self.stamp);
+        }
+        // After the callbacks: what a camera follows may have moved.
+        for view in views.iter_mut() {
+            let paged = &mut scenes[view.scene];
+            GuiActionAdapter { base: self, view, paged }.update_camera(dt_s);
+        }
+        if self.blocking {
+            self.absorb_all()?;
+        }
+        let mut is_dynamic = false;
+        for scene in scenes.iter_mut() {
+            stats.merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
+            is_dynamic |= scene.send_rewritten(&mut self.rendering)?;
+        }
+        stats.update_ms = millis(after_event.elapsed());
+        drop(span);
+
+        // Rendering: cull and draw, by the threads of the model.
+        self.wait_for_stage(scenes)?;
+        for view in views.iter_mut() {
+            view.prepare(&self.rendering, scenes[view.scene].bounds.as_ref());
+        }
+        if self.blocking {
+            for (place, scene) in scenes.iter_mut().enumerate() {
+                stats.merge_ms += self.settle(views, scene, place);
+            }
+        }
+        self.render(views, scenes, &mut stats, is_dynamic)?;
+        self.history.push(stats);
+        self.absorb_arrived()?;
+        let frame_ms = (millis(start.elapsed()) - self.read_back_ms).max(0.0);
+        if let Some(stats) = self.history.frame_mut(self.stamp.frame) {
+            stats.frame_ms = frame_ms;
+        }
+        Ok(start)
+    }
+
+    fn advance(&mut self, now: Instant, simulation_time_s: f64) -> f64 {
+        let first = *self.first_frame.get_or_insert(now);
+        let dt_s = self.last_frame.map_or(0.0, |last| (now - last).as_secs_f64());
+        self.last_frame = Some(now);
+        self.delta_s = dt_s;
+        self.stamp = FrameStamp {
+            frame: self.stamp.frame + 1,
+            reference_time_s: (now - first).as_secs_f64(),
+            simulation_time_s,
+        };
+        dt_s
+    }
+
+    /// Loads until nothing of what the views of a scene want is missing; milliseconds of paging.
+    fn settle(&mut self, views: &[View], scene: &mut PagedScene, place: usize) -> f64 {
+        let mut merge_ms = 0.0;
+        self.look(views, scene, place);
+        for _ in 0..MAX_BLOCKING_ROUNDS {
+            if scene.is_settled() {
+                break;
+            }
+            merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
+            self.look(views, scene, place);
+        }
+        merge_ms
+    }
+
+    /// Culls on this very thread, without a frame: what would be requested, and what misses.
+    fn look(&mut self, views: &[View], scene: &mut PagedScene, place: usize) {
+        scene.requests.clear();
+        scene.wanted_missing = 0;
+        for view in views.iter().filter(|view| view.scene == place) {
+            for camera in view.cameras() {
+                let Some(task) = view.task(camera, scene, self.stamp.frame, Vec::new()) else { continue };
+                let outcome = task.run(&mut self.probe, &mut self.probe_stage);
+                scene.requests.extend_from_slice(&outcome.requests);
+                scene.wanted_missing += outcome.counters.wanted_missing;
+            }
+        }
+    }
+
+    /// Hands jobs and tasks to the contexts and cameras, and takes what the culls found.
+    fn render(
+        &mut self,
+        views: &[View],
+        scenes: &mut [PagedScene],
+        stats: &mut FrameStats,
+        is_dynamic: bool,
+    ) -> Result<(), ViewerError> {
+        let (wanted, job) = (std::mem::take(&mut self.wanted), self.job());
+        #[cfg(feature = "window")]
+        let mut overlay = self.overlay.take();
+        let view_of = |camera| views.iter().find(|view| view.has_camera(camera));
+        let frame = self.stamp.frame;
+        self.asked.extend(wanted.iter().map(|context| (*context, frame)));
+        let captures = &self.captures;
+        let captured = |context| captures.iter().any(|(c, f, _)| (*c, *f) == (context, frame));
+        let rendered = self.rendering.frame(
+            |context| FrameJob {
+                read_back: wanted.contains(&context) || captured(context),
+                #[cfg(feature = "window")]
+                overlay: overlay.take(),
+                ..job.again()
+            },
+            |camera, last| {
+                let view = view_of(camera)?;
+                let task = view.task(camera, &scenes[view.scene], frame, last.requests)?;
+                Some(super::rendering::CullTask { is_dynamic, ..task })
+            },
+        );
+        self.wanted = wanted;
+        self.wanted.clear();
+        rendered?;
+        for scene in scenes.iter_mut() {
+            scene.requests.clear();
+            scene.wanted_missing = 0;
+        }
+        for (camera, CullOutcome { requests, counters, cull_ms }) in self.rendering.outcomes() {
+            let Some(view) = view_of(camera) else { continue };
+            let scene = &mut scenes[view.scene];
+            scene.requests.extend_from_slice(requests);
+            scene.wanted_missing += counters.wanted_missing;
+            stats.tiles_drawn += counters.tiles_drawn;
+            stats.tiles_visited += counters.tiles_visited;
+            stats.occluded += counters.occluded;
+            stats.wanted_missing += counters.wanted_missing;
+            stats.cull_ms += cull_ms;
+        }
+        Ok(())
+    }
+
+    /// What a context is told to draw: what its cameras cull.
+    pub(super) fn job(&self) -> FrameJob {
+        FrameJob {
+            frame: self.stamp.frame,
+            clock: FrameClock {
+                reference_time_s: self.stamp.reference_time_s,
+                delta_s: self.delta_s,
+                simulation_time_s: self.stamp.simulation_time_s,
+            },
+            budget: self.compile_budget,
+            present: true,
+            ..FrameJob::default()
+        }
+    }
+
+    /// Works until shortly before `deadline`, sleeps the rest.
+    pub(super) fn work_until(&mut self, scenes: &mut [PagedScene], deadline: Instant) {
+        let _span = timeline::span("between frames");
+        for scene in scenes {
+            scene.work_until(&mut self.rendering, deadline);
+        }
+        std::thread::sleep(deadline.saturating_duration_since(Instant::now()));
+    }
+
+    /// Paints an overlay over the next frame.
+    #[cfg(feature = "window")]
+    pub(super) fn set_overlay(&mut self, paint: super::overlay::OverlayPaint) {
+        self.overlay = Some(paint.after(self.overlay.take()));
+    }
+
+    /// The picture of a frame that has not been drawn goes to `then`.
+    pub(super) fn capture(&mut self, context: ContextId, frame: u32, then: OnPicture) {
+        self.captures.push((context.0, frame, then));
+    }
+
+    fn picture_came(&mut self, context: u32, frame: u32, picture: RgbaImage) {
+        for (_, _, then) in self.captures.extract_if(.., |(c, f, _)| (*c, *f) == (context, frame)) {
+            then(frame, picture.clone());
+        }
+        if let Some(place) = self.asked.iter().position(|of| *of == (context, frame)) {
+            self.asked.swap_remove(place);
+            self.pictures.push((context, frame, picture));
+        }
+    }
+
+    fn absorb_arrived(&mut self) -> Result<(), ViewerError> {
+        for place in 0..self.rendering.context_count() {
+            while let Some(done) = self.rendering.context_at(place).and_then(|c| c.try_done()) {
+                self.absorb(place, *done)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn absorb_next(&mut self, place: usize) -> Result<(), ViewerError> {
+        let start = Instant::now();
+        let Some(context) = self.rendering.context_at(place) else { return Ok(()) };
+        let span = timeline::span("wait for draw");
+        let done = context.wait_done()?;
+        drop(span);
+        if let Some(done) = done {
+            self.read_back_ms += done.read_back_ms.min(millis(start.elapsed()));
+            self.absorb(place, *done)?;
+        }
+        Ok(())
+    }
+
+    /// Waits until each camera has a free stage, merging what arrives meanwhile.
+    fn wait_for_stage(&mut self, scenes: &mut [PagedScene]) -> Result<(), ViewerError> {
+        let _span = timeline::span("wait for stage");
+        for place in 0..self.rendering.context_count() {
+            while self.rendering.in_flight(place) >= FRAMES_IN_FLIGHT {
+                if !scenes.iter().any(PagedScene::is_paging) {
+                    self.absorb_next(place)?;
+                    continue;
+                }
+                for scene in scenes.iter_mut().filter(|scene| scene.is_paging()) {
+                    scene.merge_arrived(&mut self.rendering);
+                }
+                let start = Instant::now();
+                let Some(context) = self.rendering.context_at(place) else { break };
+                if let Some(done) = context.wait_done_for(ARRIVAL_POLL)? {
+                    self.read_back_ms += done.read_back_ms.min(millis(start.elapsed()));
+                    self.absorb(place, *done)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn absorb_all(&mut self) -> Result<(), ViewerError> {
+        for place in 0..self.rendering.context_count() {
+            while self.rendering.in_flight(place) > 0 {
+                self.absorb_next(place)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn absorb(&mut self, place: usize, done: FrameDone) -> Result<(), ViewerError> {
+        let frame = done.frame;
+        self.gpu_bytes_peak = self.gpu_bytes_peak.max(done.gpu_bytes_peak);
+        if !self.rendering.overlaps() {
+            self.read_back_ms += done.read_back_ms;
+        }
+        self.draw_errors.extend(done.errors);
+        let drawn = done.stats?;
+        let is_last = self.rendering.all_done(frame);
+        if let Some(stats) = self.history.frame_mut(frame) {
+            stats.draw_ms = stats.draw_ms.max(done.draw_ms);
+            stats.compile_ms = stats.compile_ms.max(done.compile_ms);
+            stats.gpu_ms = drawn.gpu_ms.map(|ms| ms.max(stats.gpu_ms.unwrap_or(0.0))).or(stats.gpu_ms);
+            stats.leaves += drawn.leaves;
+            stats.draw_calls += drawn.draw_calls;
+            stats.state_changes += drawn.state_changes;
+            stats.state_changes_skipped += drawn.state_changes_skipped;
+            stats.triangles += drawn.triangles;
+            stats.points += drawn.points;
+            stats.drawn = is_last;
+        }
+        let context = self.rendering.context_ids().nth(place);
+        if let (Some(image), Some(context)) = (done.image, context) {
+            self.picture_came(context, frame, image?);
+        }
+        Ok(())
+    }
+}

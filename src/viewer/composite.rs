@@ -1,0 +1,312 @@
+//! [`CompositeViewer`]: several views, each of a scene of its own or of one that they share. Main thread.
+
+use std::path::Path;
+use std::time::Instant;
+
+use glam::DVec2;
+use image::RgbaImage;
+
+use super::ViewerError;
+use super::base::ViewerBase;
+use super::home::{LoadedRoot, SetBounds};
+use super::input::GuiActionAdapter;
+use super::paged_scene::PagedScene;
+use super::rendering::ThreadingModel;
+use super::stats::StatsHistory;
+use super::view::{ContextId, Slave, SlaveId, View};
+use super::viewer::{FrameStamp, UpdateCallback, ViewerConfig};
+use super::window_matrix::{WindowMatrix, camera_with_focus};
+use crate::gpu::GraphicsContext;
+use crate::pager::DatabasePager;
+use crate::scene::{Page, PageId, Scene};
+
+/// A scene of a [`CompositeViewer`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SceneId(usize);
+
+/// A view of a [`CompositeViewer`]; never the same again once it was removed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ViewId(u32);
+
+/// Scenes that a viewer may have: their numbers share the tickets of uploads with the pages'.
+const MOST_SCENES: usize = 1 << 15;
+
+/// Views, their scenes and their contexts: one frame for all of them.
+pub struct CompositeViewer {
+    config: ViewerConfig,
+    base: ViewerBase,
+    scenes: Vec<PagedScene>,
+    views: Vec<View>,
+    /// By place in `views`.
+    view_ids: Vec<ViewId>,
+    next_view: u32,
+}
+
+impl CompositeViewer {
+    /// A viewer without contexts, scenes and views.
+    pub fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
+        let base = ViewerBase::new(config)?;
+        let (scenes, views, view_ids) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { config: config.clone(), base, scenes, views, view_ids, next_view: 0 })
+    }
+
+    /// Takes a context to draw views in; at most [`ViewerConfig::max_contexts`]. What scenes have is uploaded to it.
+    pub fn open_context(&mut self, context: GraphicsContext) -> Result<ContextId, ViewerError> {
+        self.base.open_context(context, &mut self.scenes)
+    }
+
+    /// Closes a context, and with it the cameras that are drawn in it; the rest goes on. False when there is none.
+    pub fn close_context(&mut self, id: ContextId) -> Result<bool, ViewerError> {
+        self.base.close_context(id, &mut self.views, &mut self.scenes)
+    }
+
+    /// The open contexts, in the order opened.
+    pub fn contexts(&self) -> impl Iterator<Item = ContextId> {
+        self.base.rendering.context_ids().map(ContextId)
+    }
+
+    /// An empty scene with a pager and budgets of its own.
+    pub fn add_scene(&mut self) -> Result<SceneId, ViewerError> {
+        let place = self.scenes.len();
+        let owner = u16::try_from(place).ok().filter(|_| place < MOST_SCENES);
+        let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MOST_SCENES })?;
+        self.scenes.push(PagedScene::new(owner, self.config.pager.clone(), self.config.max_contexts > 1));
+        Ok(SceneId(place))
+    }
+
+    fn paged(&self, id: SceneId) -> Result<&PagedScene, ViewerError> {
+        self.scenes.get(id.0).ok_or(ViewerError::NoScene(id))
+    }
+
+    fn paged_mut(&mut self, id: SceneId) -> Result<&mut PagedScene, ViewerError> {
+        self.scenes.get_mut(id.0).ok_or(ViewerError::NoScene(id))
+    }
+
+    /// Loads a root tile set into a scene. The first root of a scene places the cameras of its views.
+    pub fn load(&mut self, scene: SceneId, source: &str) -> Result<PageId, ViewerError> {
+        let root = LoadedRoot::read(source, &self.config.pager)?;
+        self.with_first_sight(scene, |paged, base| paged.set_root(root, &mut base.rendering))
+    }
+
+    /// Adds a page made by the application as a root of a scene.
+    pub fn add_root(&mut self, scene: SceneId, page: Page) -> Result<PageId, ViewerError> {
+        self.with_first_sight(scene, |paged, base| paged.add_root(page, &mut base.rendering))
+    }
+
+    fn with_first_sight(
+        &mut self,
+        scene: SceneId,
+        add: impl FnOnce(&mut PagedScene, &mut ViewerBase) -> Result<PageId, ViewerError>,
+    ) -> Result<PageId, ViewerError> {
+        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
+        let first = paged.bounds.is_none();
+        let root = add(paged, &mut self.base)?;
+        if let (true, Some(bounds)) = (first, &paged.bounds) {
+            self.views.iter_mut().filter(|view| view.scene == scene.0).for_each(|view| view.first_sight(bounds));
+        }
+        Ok(root)
+    }
+
+    /// Takes a root out of a scene; `None` when it is not a root, or while pages hang in it.
+    pub fn remove_root(&mut self, scene: SceneId, id: PageId) -> Result<Option<Page>, ViewerError> {
+        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
+        Ok(paged.remove_root(id, &mut self.base.rendering))
+    }
+
+    /// Pages files in a folder and below, for a scene made by hand.
+    pub fn page_files_in(&mut self, scene: SceneId, folder: &Path) -> Result<(), ViewerError> {
+        self.paged_mut(scene)?.page_files_in(folder)
+    }
+
+    /// A scene; pages may be added and transforms set between frames.
+    pub fn scene_mut(&mut self, scene: SceneId) -> Result<&mut Scene, ViewerError> {
+        Ok(self.paged_mut(scene)?.scene_mut())
+    }
+
+    /// A scene.
+    pub fn scene(&self, scene: SceneId) -> Result<&Scene, ViewerError> {
+        Ok(self.paged(scene)?.scene())
+    }
+
+    /// The pager of a scene, once a set is loaded.
+    pub fn pager(&self, scene: SceneId) -> Result<Option<&DatabasePager>, ViewerError> {
+        Ok(self.paged(scene)?.pager.as_ref())
+    }
+
+    /// Extent of a scene's first root.
+    pub fn bounds(&self, scene: SceneId) -> Result<Option<&SetBounds>, ViewerError> {
+        Ok(self.paged(scene)?.bounds.as_ref())
+    }
+
+    /// Adds something to do to a scene in each update phase.
+    pub fn on_update(&mut self, scene: SceneId, callback: UpdateCallback) -> Result<(), ViewerError> {
+        self.paged_mut(scene)?.update_callbacks.push(callback);
+        Ok(())
+    }
+
+    /// True when the last frame showed everything its views wanted and no pager has anything to do.
+    pub fn is_settled(&self) -> bool {
+        self.scenes.iter().all(PagedScene::is_settled)
+    }
+
+    /// Adds a view of a scene, drawn in a part of a context (x, y, width, height; `None`: all of it) after those that
+    /// are there.
+    pub fn add_view(
+        &mut self,
+        scene: SceneId,
+        context: ContextId,
+        viewport_px: Option<[u32; 4]>,
+    ) -> Result<ViewId, ViewerError> {
+        let bounds = self.paged(scene)?.bounds;
+        let place = self.base.add_camera(context, viewport_px)?;
+        let ViewerConfig { size_px, samples, .. } = self.config;
+        let mut view = View::new(scene.0, self.config.cull_settings(), size_px, samples);
+        view.master = Some(place);
+        view.prepare(&self.base.rendering, bounds.as_ref());
+        if let Some(bounds) = &bounds {
+            view.first_sight(bounds);
+        }
+        let id = ViewId(self.next_view);
+        self.next_view += 1;
+        self.views.push(view);
+        self.view_ids.push(id);
+        Ok(id)
+    }
+
+    fn place_of(&self, id: ViewId) -> Result<usize, ViewerError> {
+        self.view_ids.iter().position(|of| *of == id).ok_or(ViewerError::NoView(id))
+    }
+
+    /// Takes a view with all its cameras out; its scene stays.
+    pub fn remove_view(&mut self, id: ViewId) -> Result<(), ViewerError> {
+        let place = self.place_of(id)?;
+        self.base.absorb_all()?;
+        for camera in self.views[place].cameras() {
+            self.base.rendering.remove_camera(camera);
+        }
+        self.views.remove(place);
+        self.view_ids.remove(place);
+        Ok(())
+    }
+
+    /// The views, in the order added.
+    pub fn views(&self) -> impl Iterator<Item = (ViewId, &View)> {
+        self.view_ids.iter().copied().zip(&self.views)
+    }
+
+    /// A view, to move its camera.
+    pub fn view_mut(&mut self, id: ViewId) -> Result<&mut View, ViewerError> {
+        let place = self.place_of(id)?;
+        Ok(&mut self.views[place])
+    }
+
+    /// What the handlers of a view are given: its queue, handlers and manipulator are set by it.
+    pub fn actions(&mut self, view: ViewId) -> Result<GuiActionAdapter<'_>, ViewerError> {
+        let place = self.place_of(view)?;
+        let view = &mut self.views[place];
+        let paged = &mut self.scenes[view.scene];
+        Ok(GuiActionAdapter { base: &mut self.base, view, paged })
+    }
+
+    /// The view that has the focus at a place of a context, pixels from its upper left corner: of those there, the one
+    /// drawn last; with the place in the view's own picture, which is what goes into its event queue.
+    pub fn view_at(&self, context: ContextId, position_px: DVec2) -> Option<(ViewId, DVec2)> {
+        let here = self.views().filter(|(_, view)| view.context() == Some(context));
+        let (ids, cameras): (Vec<ViewId>, Vec<WindowMatrix>) =
+            here.map(|(id, view)| (id, view.window_matrix())).unzip();
+        let place = camera_with_focus(&cameras, position_px)?;
+        Some((*ids.get(place)?, position_px - cameras.get(place)?.origin_px))
+    }
+
+    /// True once the user of a view or the application wants an end.
+    pub fn is_done(&self) -> bool {
+        self.views.iter().any(View::is_done)
+    }
+
+    /// Adds a camera that goes with the master camera of a view.
+    pub fn add_slave(&mut self, view: ViewId, slave: Slave) -> Result<SlaveId, ViewerError> {
+        let place = self.place_of(view)?;
+        self.base.add_slave(&mut self.views[place], slave)
+    }
+
+    /// Takes a slave out; false when there is none.
+    pub fn remove_slave(&mut self, view: ViewId, id: SlaveId) -> Result<bool, ViewerError> {
+        let place = self.place_of(view)?;
+        self.base.remove_slave(&mut self.views[place], id)
+    }
+
+    /// Renders one frame of all views; the simulation time is the wall's.
+    pub fn frame(&mut self) -> Result<(), ViewerError> {
+        self.frame_at(self.base.seconds())
+    }
+
+    /// Renders one frame of all views at a simulation time.
+    pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
+        self.base.frame(&mut self.views, &mut self.scenes, simulation_time_s)?;
+        Ok(())
+    }
+
+    /// Uploads, merges and expires what arrives, instead of sleeping until the next frame is due. Returns at
+    /// `deadline`.
+    pub fn work_until(&mut self, deadline: Instant) {
+        self.base.work_until(&mut self.scenes, deadline);
+    }
+
+    /// Waits until every frame has been drawn, so that statistics and pictures are complete.
+    pub fn finish(&mut self) -> Result<(), ViewerError> {
+        self.base.absorb_all()
+    }
+
+    /// The new size of a context in pixels.
+    pub fn resize_context(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
+        self.base.resize(context, size_px)
+    }
+
+    /// The next frame's picture in a context is read back; see [`Self::take_pictures`].
+    pub fn want_picture(&mut self, context: ContextId) {
+        self.base.want_picture(context);
+    }
+
+    /// Pictures of a context that were read back, with their frame numbers, in order.
+    pub fn take_pictures(&mut self, context: ContextId) -> Vec<(u32, RgbaImage)> {
+        self.base.take_pictures(context)
+    }
+
+    /// The last frame's picture in a context, offscreen.
+    pub fn read_back(&mut self, context: ContextId) -> Result<RgbaImage, ViewerError> {
+        self.base.read_back(context)
+    }
+
+    /// Number and times of the last frame.
+    pub fn frame_stamp(&self) -> FrameStamp {
+        self.base.stamp
+    }
+
+    /// Statistics of the frames so far, all views together.
+    pub fn stats(&self) -> &StatsHistory {
+        &self.base.history
+    }
+
+    /// The threading model that runs, or will from the first frame on.
+    pub fn threading_model(&self) -> ThreadingModel {
+        self.base.rendering.model()
+    }
+
+    /// Changes the threading model at run time, after all frames are drawn.
+    pub fn set_threading_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
+        self.base.absorb_all()?;
+        self.base.rendering.set_model(model)
+    }
+
+    /// Starts the model's threads; the first frame does otherwise.
+    pub fn start_threading(&mut self) -> Result<(), ViewerError> {
+        self.base.rendering.start_threads()
+    }
+
+    /// Ends the threads until the next frame starts them again; all frames are drawn before.
+    pub fn stop_threading(&mut self) -> Result<(), ViewerError> {
+        self.base.absorb_all()?;
+        self.base.rendering.stop_threads();
+        Ok(())
+    }
+}

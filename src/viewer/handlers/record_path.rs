@@ -1,0 +1,128 @@
+//! Camera paths, recorded and played.
+
+use std::path::PathBuf;
+
+use super::GuiActionAdapter;
+use crate::viewer::camera_path::{AnimationPath, ControlPoint, PathError};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+use crate::viewer::manipulators::{AnimationPathManipulator, CameraManipulator};
+
+#[derive(Clone, Copy, Debug)]
+enum Action {
+    Record,
+    Play,
+}
+
+const KEYS: Bindings<Action> = Bindings(&[
+    (&[Key::Char('z')], Action::Record, "record the camera path; again: write it"),
+    (&[Key::Char('Z')], Action::Play, "play the recorded path; again: stop"),
+]);
+
+/// Records where the camera is each frame, writes it in OSG's text form and plays it back; OSG's
+/// `RecordCameraPathHandler`.
+pub struct RecordCameraPathHandler {
+    file: PathBuf,
+    recording: Option<Vec<ControlPoint>>,
+    path: Option<AnimationPath>,
+    playing: Option<Playing>,
+}
+
+struct Playing {
+    /// When it began.
+    start_s: f64,
+    duration_s: f64,
+    /// What moved the camera before, and does so again.
+    before: Option<Box<dyn CameraManipulator>>,
+}
+
+impl RecordCameraPathHandler {
+    /// Writes to a file, and plays it when nothing was recorded yet.
+    pub fn new(file: PathBuf) -> Self {
+        Self { file, recording: None, path: None, playing: None }
+    }
+
+    fn record(&mut self, viewer: &mut GuiActionAdapter<'_>) {
+        let Some(points) = self.recording.take() else {
+            self.stop(viewer);
+            self.recording = Some(Vec::new());
+            viewer.notify("recording the camera path; Z writes it");
+            return;
+        };
+        let written = AnimationPath::new(points).and_then(|path| {
+            path.write(&self.file)?;
+            Ok(path)
+        });
+        match written {
+            Ok(path) => {
+                viewer.notify(format!("wrote {}", self.file.display()));
+                self.path = Some(path);
+            }
+            Err(error) => viewer.notify(error.to_string()),
+        }
+    }
+
+    fn play(&mut self, viewer: &mut GuiActionAdapter<'_>) -> Result<(), PathError> {
+        if self.stop(viewer) {
+            return Ok(());
+        }
+        if self.recording.is_some() {
+            self.record(viewer);
+        }
+        let path = match &self.path {
+            Some(path) => path.clone(),
+            None => self.path.insert(AnimationPath::read(&self.file)?).clone(),
+        };
+        let duration_s = path.duration_s();
+        let before = viewer.take_manipulator();
+        viewer.set_manipulator(Some(Box::new(AnimationPathManipulator::new(path))));
+        self.playing = Some(Playing { start_s: viewer.frame_stamp().reference_time_s, duration_s, before });
+        Ok(())
+    }
+
+    /// Gives the camera back; false when nothing was playing.
+    fn stop(&mut self, viewer: &mut GuiActionAdapter<'_>) -> bool {
+        let Some(playing) = self.playing.take() else { return false };
+        // It goes on from where the path is.
+        viewer.set_manipulator(playing.before);
+        true
+    }
+
+    fn frame(&mut self, viewer: &mut GuiActionAdapter<'_>) {
+        let now_s = viewer.frame_stamp().reference_time_s;
+        if let Some(points) = &mut self.recording {
+            points.push(ControlPoint::from_pose(now_s, &viewer.camera.world_from_eye));
+        }
+        if self.playing.as_ref().is_some_and(|playing| now_s - playing.start_s > playing.duration_s) {
+            self.stop(viewer);
+            viewer.notify("the end of the path");
+        }
+    }
+}
+
+impl GuiEventHandler for RecordCameraPathHandler {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
+        match KEYS.action(event) {
+            Some(Action::Record) => self.record(viewer),
+            Some(Action::Play) => {
+                if let Err(error) = self.play(viewer) {
+                    viewer.notify(error.to_string());
+                }
+            }
+            None => {
+                if event.mask() == EventMask::FRAME {
+                    self.frame(viewer);
+                }
+                return false;
+            }
+        }
+        true
+    }
+
+    fn event_mask(&self) -> EventMask {
+        EventMask::KEY_DOWN | EventMask::FRAME
+    }
+
+    fn usage(&self) -> Vec<Usage> {
+        KEYS.usage()
+    }
+}

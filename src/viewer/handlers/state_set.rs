@@ -1,0 +1,99 @@
+//! Wireframe, light, texture and back faces of everything.
+
+use std::sync::Arc;
+
+use super::GuiActionAdapter;
+use crate::state::{Attribute, Mode, PolygonMode, StateSet, StateValue, TEXTURE_UNITS};
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+
+#[derive(Clone, Copy, Debug)]
+enum Action {
+    Polygons,
+    Lighting,
+    Textures,
+    BackFaces,
+}
+
+const KEYS: Bindings<Action> = Bindings(&[
+    (&[Key::Char('w')], Action::Polygons, "filled, lines, points"),
+    (&[Key::Char('l')], Action::Lighting, "lighting"),
+    (&[Key::Char('t')], Action::Textures, "textures"),
+    (&[Key::Char('b')], Action::BackFaces, "culling of back faces"),
+]);
+
+/// Overrides state from above all roots; OSG's `StateSetManipulator`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct StateSetManipulator {
+    polygons: PolygonMode,
+    is_unlit: bool,
+    is_untextured: bool,
+    shows_back_faces: bool,
+}
+
+impl StateSetManipulator {
+    /// The state set; none where everything is as the scene says.
+    fn state_set(&self) -> Option<Arc<StateSet>> {
+        let mut set = StateSet { name: "toggles".to_owned(), ..StateSet::default() };
+        let off = StateValue::OFF | StateValue::OVERRIDE;
+        if self.polygons != PolygonMode::Fill {
+            set.set_attribute(Attribute::PolygonMode(self.polygons), StateValue::ON | StateValue::OVERRIDE);
+        }
+        if self.is_unlit {
+            set.set_mode(Mode::Lighting, off);
+        }
+        if self.is_untextured {
+            for unit in 0..TEXTURE_UNITS {
+                set.set_mode(Mode::Texture(unit as u8), off);
+            }
+        }
+        if self.shows_back_faces {
+            set.set_mode(Mode::CullFace, off);
+        }
+        (!set.modes.is_empty() || !set.attributes.is_empty()).then(|| Arc::new(set))
+    }
+}
+
+impl GuiEventHandler for StateSetManipulator {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
+        let Some(action) = KEYS.action(event) else { return false };
+        let on_off = |is_off: bool| if is_off { "off" } else { "on" };
+        let text = match action {
+            Action::Polygons => {
+                self.polygons = match self.polygons {
+                    PolygonMode::Fill => PolygonMode::Line,
+                    PolygonMode::Line => PolygonMode::Point,
+                    PolygonMode::Point => PolygonMode::Fill,
+                };
+                let names = match self.polygons {
+                    PolygonMode::Fill => "filled",
+                    PolygonMode::Line => "lines",
+                    PolygonMode::Point => "points",
+                };
+                format!("triangles {names}")
+            }
+            Action::Lighting => {
+                self.is_unlit = !self.is_unlit;
+                format!("lighting {}", on_off(self.is_unlit))
+            }
+            Action::Textures => {
+                self.is_untextured = !self.is_untextured;
+                format!("textures {}", on_off(self.is_untextured))
+            }
+            Action::BackFaces => {
+                self.shows_back_faces = !self.shows_back_faces;
+                format!("culling of back faces {}", on_off(self.shows_back_faces))
+            }
+        };
+        viewer.set_state_set(self.state_set());
+        viewer.notify(text);
+        true
+    }
+
+    fn event_mask(&self) -> EventMask {
+        EventMask::KEY_DOWN
+    }
+
+    fn usage(&self) -> Vec<Usage> {
+        KEYS.usage()
+    }
+}

@@ -1,0 +1,36 @@
+//! Which threads cull and draw.
+
+use super::GuiActionAdapter;
+use crate::viewer::ThreadingModel;
+use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
+
+const KEYS: Bindings<()> = Bindings(&[(&[Key::Char('m')], (), "next threading model")]);
+
+/// Goes through the threading models; OSG's `ThreadingHandler`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ThreadingHandler;
+
+impl GuiEventHandler for ThreadingHandler {
+    fn handle(&mut self, event: &GuiEventAdapter, viewer: &mut GuiActionAdapter<'_>) -> bool {
+        if KEYS.action(event).is_none() {
+            return false;
+        }
+        let models = ThreadingModel::ALL;
+        let place = models.iter().position(|model| *model == viewer.threading_model()).unwrap_or(0);
+        let next = models[(place + 1) % models.len()];
+        let text = match viewer.set_threading_model(next) {
+            Ok(()) => next.to_string(),
+            Err(error) => error.to_string(),
+        };
+        viewer.notify(text);
+        true
+    }
+
+    fn event_mask(&self) -> EventMask {
+        EventMask::KEY_DOWN
+    }
+
+    fn usage(&self) -> Vec<Usage> {
+        KEYS.usage()
+    }
+}

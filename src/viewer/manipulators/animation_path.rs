@@ -1,0 +1,75 @@
+//! Along a recorded path.
+
+use glam::DAffine3;
+
+use super::{CameraManipulator, ManipulatorView, usage};
+use crate::viewer::camera_path::{AnimationPath, LoopMode};
+use crate::viewer::events::{GuiEventAdapter, Key, Usage};
+
+/// Plays a camera path in its own time; OSG's `AnimationPathManipulator`.
+#[derive(Clone, Debug)]
+pub struct AnimationPathManipulator {
+    path: AnimationPath,
+    /// Seconds since its start.
+    at_s: f64,
+    /// Seconds of the path a second.
+    pub time_scale: f64,
+    /// Stands still.
+    pub is_paused: bool,
+}
+
+impl AnimationPathManipulator {
+    /// Plays a path from its start.
+    pub fn new(path: AnimationPath) -> Self {
+        Self { path, at_s: 0.0, time_scale: 1.0, is_paused: false }
+    }
+
+    /// The path.
+    pub fn path(&self) -> &AnimationPath {
+        &self.path
+    }
+
+    /// True once the end of a path that does not loop is reached.
+    pub fn is_finished(&self) -> bool {
+        self.path.loop_mode == LoopMode::NoLooping && self.at_s >= self.path.duration_s()
+    }
+
+    fn rescale(&mut self, factor: f64) {
+        self.time_scale = (self.time_scale * factor).clamp(1.0 / 64.0, 64.0);
+    }
+}
+
+impl CameraManipulator for AnimationPathManipulator {
+    fn handle(&mut self, event: &GuiEventAdapter, _: &ManipulatorView<'_>) -> bool {
+        match event.key_pressed() {
+            Some(Key::Char('p')) => self.is_paused = !self.is_paused,
+            Some(Key::Char('(')) => self.rescale(0.5),
+            Some(Key::Char(')')) => self.rescale(2.0),
+            _ => return false,
+        }
+        true
+    }
+
+    fn advance(&mut self, dt_s: f64, _: &ManipulatorView<'_>) -> DAffine3 {
+        let step_s = dt_s * self.time_scale;
+        if !self.is_paused && step_s.is_finite() && step_s > 0.0 {
+            self.at_s += step_s;
+        }
+        self.path.world_from_eye(self.path.first_s() + self.at_s)
+    }
+
+    /// The path alone says where the eye is.
+    fn set_pose(&mut self, _: &DAffine3, _: &ManipulatorView<'_>) {}
+
+    fn home(&mut self, _: &ManipulatorView<'_>) {
+        self.at_s = 0.0;
+    }
+
+    fn is_moving(&self) -> bool {
+        !self.is_paused && !self.is_finished()
+    }
+
+    fn usage(&self) -> Vec<Usage> {
+        vec![usage("P", "pause the path"), usage("( )", "play it at half or double speed")]
+    }
+}

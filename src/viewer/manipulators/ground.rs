@@ -1,0 +1,50 @@
+//! The ground as the scene has it.
+
+use std::cell::RefCell;
+
+use glam::DVec3;
+
+use super::GroundHeight;
+use crate::math::WGS84;
+use crate::scene::{IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, Scene};
+
+/// Points farther from the origin are taken as earth-centred.
+const EARTH_CENTRED_BEYOND_M: f64 = 1.0e6;
+/// Deeper below the ellipsoid there is no ground.
+const LOWEST_M: f64 = -2.0e4;
+
+/// The highest of what is met below or above a place, at the finest level that is loaded: all that was read with
+/// [`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees), and nothing without.
+#[derive(Debug, Default)]
+pub struct SceneGround {
+    /// Its memory is used again.
+    visitor: RefCell<IntersectionVisitor>,
+}
+
+impl SceneGround {
+    /// Meets nodes with these bits in their masks alone.
+    pub fn with_traversal_mask(self, mask: u32) -> Self {
+        self.visitor.borrow_mut().traversal_mask = mask;
+        self
+    }
+}
+
+impl GroundHeight for SceneGround {
+    fn ground_at(&self, scene: &Scene, point: DVec3, up: DVec3) -> Option<DVec3> {
+        let all = scene.bounding_sphere();
+        let start = point + up * ((all.center - point).dot(up) + all.radius_m);
+        let down_m = if point.length() > EARTH_CENTRED_BEYOND_M {
+            // Not to the other side of the earth.
+            (WGS84.geodetic(start).height_m - LOWEST_M).min(2.0 * all.radius_m)
+        } else {
+            2.0 * all.radius_m
+        };
+        if !(start.is_finite() && down_m > 0.0) {
+            return None;
+        }
+        let segment = LineSegmentIntersector::new(start, start - up * down_m);
+        let mut segment = segment.with_limit(IntersectionLimit::Nearest);
+        self.visitor.try_borrow_mut().ok()?.traverse(scene, &mut segment);
+        segment.first_intersection().map(|met| met.world_point())
+    }
+}

@@ -1,0 +1,162 @@
+//! Over terrain: the point looked at stays on the ground, the eye above it.
+
+use std::f64::consts::FRAC_PI_2;
+
+use glam::{DAffine3, DVec3};
+
+use super::inertia::left_after;
+use super::orbit::{Around, distance_to_middle};
+use super::{CameraManipulator, ManipulatorView, carried, usage};
+use crate::viewer::camera::world_from_eye;
+use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
+
+/// The eye keeps this share of its distance as height above the ground, at least.
+const LEAST_SHARE: f64 = 0.02;
+/// Nearly level: the horizon is seen, but never from below.
+const FLATTEST_PITCH: f64 = -0.02;
+/// In this time the point looked at comes 63 % nearer to the ground.
+const SETTLES_S: f64 = 0.15;
+
+/// Moves over terrain: a drag moves along the ground, the vertical stays upright, the eye stays above the ground
+/// ([`super::GroundHeight`]; above the ellipsoid or plane it moves on where no ground is known); OSG's
+/// `TerrainManipulator`.
+#[derive(Clone, Copy, Debug)]
+pub struct TerrainManipulator {
+    /// The eye never comes nearer to the ground, metres.
+    pub clearance_m: f64,
+    center: DVec3,
+    around: Around,
+    is_settling: bool,
+}
+
+impl Default for TerrainManipulator {
+    fn default() -> Self {
+        let around = Around { pitches: [-FRAC_PI_2, FLATTEST_PITCH], ..Around::default() };
+        Self { clearance_m: 2.0, center: DVec3::ZERO, around, is_settling: true }
+    }
+}
+
+impl TerrainManipulator {
+    /// The point looked at, world.
+    pub fn center(&self) -> DVec3 {
+        self.center
+    }
+
+    /// Metres from the point to where the eye is, unless the ground lifts it.
+    pub fn distance_m(&self) -> f64 {
+        self.around.distance_m.value
+    }
+
+    /// Moves along the ground so that what was under the pointer stays under it, as near as a plane allows.
+    fn pan(&mut self, motion: DVec3, view: &ManipulatorView<'_>) {
+        let scale_m = view.picture_height() * self.distance_m();
+        let (sin, cos) = self.around.heading.sin_cos();
+        // A vertical move in the picture is longer on the ground the flatter one looks.
+        let ahead_m = -motion.y * scale_m / (-self.around.pitch).sin().max(0.2);
+        let right_m = -motion.x * scale_m;
+        let (east_m, north_m) = (right_m * cos + ahead_m * sin, ahead_m * cos - right_m * sin);
+        if !(east_m.is_finite() && north_m.is_finite()) {
+            return;
+        }
+        let before = view.frame_at(self.center);
+        let moved = view.moved_over(self.center, east_m, north_m);
+        if !moved.is_finite() {
+            return;
+        }
+        self.center = moved;
+        self.around.heading = carried(self.around.heading, &before, &view.frame_at(moved));
+        self.is_settling = true;
+    }
+
+    fn settle(&mut self, dt_s: f64, view: &ManipulatorView<'_>) {
+        let Some(ground) = view.ground_at(self.center) else {
+            self.is_settling = false;
+            return;
+        };
+        let left = self.center - ground;
+        self.is_settling = left.length() > 1e-4 * self.distance_m();
+        self.center = if self.is_settling { ground + left * left_after(dt_s, SETTLES_S) } else { ground };
+    }
+
+    /// The pose, from above the ground.
+    fn pose(&self, view: &ManipulatorView<'_>) -> DAffine3 {
+        let pose = self.around.pose(&view.frame_at(self.center).world_from_local.matrix3, self.center);
+        let eye = pose.translation;
+        let least_m = self.clearance_m.max(LEAST_SHARE * self.distance_m().min(1e4));
+        match view.height_above_ground_m(eye) {
+            Some(height_m) if height_m < least_m => {
+                let up = view.frame_at(eye).up();
+                let lifted = eye + up * (least_m - height_m);
+                world_from_eye(lifted, self.center - lifted, up)
+            }
+            _ => pose,
+        }
+    }
+}
+
+impl CameraManipulator for TerrainManipulator {
+    fn handle(&mut self, event: &GuiEventAdapter, view: &ManipulatorView<'_>) -> bool {
+        if let EventKind::DoubleClick(_) = event.kind {
+            // Towards what is under the pointer.
+            let at = event.state.normalized();
+            let motion = DVec3::new(
+                -0.5 * at.x * f64::from(view.size_px[0]) / f64::from(view.size_px[1].max(1)),
+                -0.5 * at.y,
+                0.0,
+            );
+            self.around.handle(event);
+            self.pan(motion, view);
+            self.around.distance_m.scale(0.5);
+            return true;
+        }
+        match self.around.handle(event) {
+            Some(pan) => {
+                pan.into_iter().for_each(|motion| self.pan(motion, view));
+                true
+            }
+            None => false,
+        }
+    }
+
+    fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
+        if let Some(motion) = self.around.advance(dt_s) {
+            self.pan(motion, view);
+        }
+        self.settle(dt_s, view);
+        self.pose(view)
+    }
+
+    fn set_pose(&mut self, world_from_eye: &DAffine3, view: &ManipulatorView<'_>) {
+        if !world_from_eye.is_finite() {
+            return;
+        }
+        let direction = -world_from_eye.matrix3.z_axis;
+        let mut distance_m = distance_to_middle(world_from_eye, view);
+        // To the ground where the line of view meets it.
+        for _ in 0..8 {
+            let at = world_from_eye.translation + direction * distance_m;
+            let steepness = -direction.dot(view.frame_at(at).up());
+            match view.height_above_ground_m(at) {
+                Some(height_m) if steepness > 0.05 => distance_m = (distance_m + height_m / steepness).max(1.0),
+                _ => break,
+            }
+        }
+        self.around.distance_m.set(distance_m);
+        self.center = world_from_eye.translation + direction * self.distance_m();
+        self.around.set_direction(&view.frame_at(self.center).world_from_local.matrix3, world_from_eye);
+        self.is_settling = true;
+    }
+
+    fn is_moving(&self) -> bool {
+        self.around.is_moving() || self.is_settling
+    }
+
+    fn usage(&self) -> Vec<Usage> {
+        vec![
+            usage("Left drag", "turn about the point looked at"),
+            usage("Middle drag, Shift+left drag", "move over the ground"),
+            usage("Right drag, wheel", "zoom"),
+            usage("Double click", "towards the place clicked"),
+        ]
+    }
+}

@@ -1,0 +1,272 @@
+//! [`PagedScene`]: a scene with what fills it, pages it and keeps it uploaded; osgViewer's Scene. Main thread.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::ViewerError;
+use super::home::{LoadedRoot, SetBounds, root_volume};
+use super::rendering::{Rendering, millis};
+use super::viewer::{FrameStamp, UpdateCallback};
+use crate::cull::PageRequest;
+use crate::io::ReadOptions;
+use crate::pager::{DatabasePager, PagerConfig};
+use crate::scene::{DataVariance, DrawSlot, Drawable, Geometry, Page, PageId, Scene, UpdateInfo};
+
+/// With nothing under way for this many frames, requests that remain are ones the pager declines.
+const QUIET_FRAMES: u32 = 4;
+
+/// A page that the application made and whose drawables were sent to be uploaded.
+struct Own {
+    page: PageId,
+    /// For contexts that are opened later; empty where there may be none.
+    drawables: Vec<Drawable>,
+}
+
+pub(super) struct PagedScene {
+    /// Tells its uploads from those of other scenes.
+    owner: u16,
+    /// The main thread's alone but while cameras are culled.
+    scene: Arc<Scene>,
+    pub(super) pager: Option<DatabasePager>,
+    pub(super) pager_config: PagerConfig,
+    /// Extent of the first root.
+    pub(super) bounds: Option<SetBounds>,
+    pub(super) root_uri: Option<Arc<str>>,
+    root: Option<PageId>,
+    /// The index is the number under which it was compiled.
+    own: Vec<Own>,
+    keeps_drawables: bool,
+    pub(super) update_callbacks: Vec<UpdateCallback>,
+    /// Of all cameras in the last frame.
+    pub(super) requests: Vec<PageRequest>,
+    /// Tiles that the last frame's pictures lacked.
+    pub(super) wanted_missing: u32,
+    /// Frames in a row in which the pager had nothing to do.
+    quiet_frames: u32,
+}
+
+impl PagedScene {
+    pub(super) fn new(owner: u16, pager_config: PagerConfig, keeps_drawables: bool) -> Self {
+        Self {
+            owner,
+            scene: Arc::new(Scene::new()),
+            pager: None,
+            pager_config,
+            bounds: None,
+            root_uri: None,
+            root: None,
+            own: Vec::new(),
+            keeps_drawables,
+            update_callbacks: Vec::new(),
+            requests: Vec::new(),
+            wanted_missing: 0,
+            quiet_frames: 0,
+        }
+    }
+
+    pub(super) fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// For a cull, which drops it before the frame ends.
+    pub(super) fn shared(&self) -> Arc<Scene> {
+        self.scene.clone()
+    }
+
+    /// The scene, between two frames.
+    pub(super) fn scene_mut(&mut self) -> &mut Scene {
+        alone(&mut self.scene)
+    }
+
+    pub(super) fn set_root(&mut self, root: LoadedRoot, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
+        let LoadedRoot { pager, page, uri, region } = root;
+        self.pager = Some(pager);
+        self.root_uri = Some(uri);
+        let first = self.bounds.is_none();
+        let root = self.add_root(page, rendering)?;
+        if let (true, Some(bounds), Some(region)) = (first, &mut self.bounds, region) {
+            *bounds = SetBounds::new(bounds.sphere, Some(region));
+        }
+        Ok(root)
+    }
+
+    pub(super) fn add_root(&mut self, mut page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
+        self.bounds.get_or_insert_with(|| SetBounds::new(page.bounding_sphere(), root_volume(&page)));
+        if self.pager_config.build_kd_trees {
+            page.build_kd_trees();
+        }
+        let drawables = page.take_drawables();
+        let root = self.scene_mut().add_root(page);
+        self.root.get_or_insert(root);
+        if !drawables.is_empty() {
+            let kept = if self.keeps_drawables { drawables.clone() } else { Vec::new() };
+            rendering.compile_own(self.owner, self.own.len() as u32, drawables)?;
+            self.own.push(Own { page: root, drawables: kept });
+        }
+        Ok(root)
+    }
+
+    pub(super) fn remove_root(&mut self, id: PageId, rendering: &mut Rendering) -> Option<Page> {
+        let mut page = self.scene_mut().remove_root(id)?;
+        for (context, slots) in page.take_draw_slots() {
+            rendering.release(context, slots);
+        }
+        if let Some(own) = self.own.iter_mut().find(|own| own.page == id) {
+            own.drawables = Vec::new();
+        }
+        Some(page)
+    }
+
+    pub(super) fn page_files_in(&mut self, folder: &Path) -> Result<(), ViewerError> {
+        // The scope of a root is the folder it lies in.
+        let root = folder.join("tileset.json").display().to_string();
+        let options = ReadOptions::for_root(&root, self.pager_config.limits);
+        self.pager = Some(DatabasePager::new(self.pager_config.clone(), options)?);
+        Ok(())
+    }
+
+    pub(super) fn is_height_set(&self) -> bool {
+        self.root.is_some_and(|root| {
+            self.scene.slots_of_page(root).any(|id| self.scene.slot(id).is_some_and(|s| s.reader_data.is_some()))
+        })
+    }
+
+    /// The last frame showed everything it wanted and the pager has nothing to do.
+    pub(super) fn is_settled(&self) -> bool {
+        self.wanted_missing == 0
+            && self.quiet_frames > 0
+            && (self.requests.is_empty() || self.quiet_frames >= QUIET_FRAMES)
+    }
+
+    /// The application's turn with the scene.
+    pub(super) fn update(&mut self, stamp: &FrameStamp) {
+        for callback in &mut self.update_callbacks {
+            callback(alone(&mut self.scene), stamp);
+        }
+        alone(&mut self.scene).update_traversal(&UpdateInfo {
+            frame: stamp.frame,
+            reference_time_s: stamp.reference_time_s,
+            simulation_time_s: stamp.simulation_time_s,
+        });
+    }
+
+    /// The pager's turn with the scene; milliseconds.
+    pub(super) fn page(&mut self, rendering: &mut Rendering, frame: u32) -> f64 {
+        let start = Instant::now();
+        let _span = crate::timeline::span("merge");
+        self.merge_own(rendering);
+        if let Some(pager) = &mut self.pager {
+            let (scene, requests) = (alone(&mut self.scene), &self.requests);
+            rendering.compile_for(self.owner, |contexts| pager.update_scene_graph(scene, frame, requests, contexts));
+            self.quiet_frames = if pager.is_idle() { self.quiet_frames.saturating_add(1) } else { 0 };
+        } else {
+            self.quiet_frames = QUIET_FRAMES;
+        }
+        millis(start.elapsed())
+    }
+
+    /// True where something may arrive and be merged while the main thread waits.
+    pub(super) fn is_paging(&self) -> bool {
+        !self.pager_config.blocking && self.pager.as_ref().is_some_and(|pager| !pager.is_idle())
+    }
+
+    pub(super) fn merge_arrived(&mut self, rendering: &mut Rendering) {
+        if let Some(pager) = &mut self.pager {
+            let scene = alone(&mut self.scene);
+            rendering.compile_for(self.owner, |contexts| pager.merge_arrived(scene, contexts));
+        }
+    }
+
+    /// Uploads, merges and expires what arrives until shortly before `deadline`.
+    pub(super) fn work_until(&mut self, rendering: &mut Rendering, deadline: Instant) {
+        if let (Some(pager), false) = (&mut self.pager, self.pager_config.blocking) {
+            let scene = alone(&mut self.scene);
+            rendering.compile_for(self.owner, |contexts| pager.work_until(scene, contexts, deadline));
+        }
+    }
+
+    /// Gives pages that the application made the slots of their uploaded drawables.
+    fn merge_own(&mut self, rendering: &mut Rendering) {
+        if self.own.is_empty() {
+            return;
+        }
+        let scene = alone(&mut self.scene);
+        for (context, number, compiled) in rendering.take_compiled_own(self.owner) {
+            for error in &compiled.errors {
+                log::error!("a drawable of a root cannot be drawn: {error}");
+            }
+            match self.own.get(number as usize).and_then(|own| scene.page_mut(own.page)) {
+                Some(page) => page.set_draw_slots(context, compiled.slots),
+                // Removed meanwhile.
+                None => rendering.release(context, compiled.slots),
+            }
+        }
+    }
+
+    /// Tells the contexts of meshes that update has changed; whether draw reads what the next update writes in place.
+    pub(super) fn send_rewritten(&mut self, rendering: &mut Rendering) -> Result<bool, ViewerError> {
+        let scene = alone(&mut self.scene);
+        let mut is_dynamic = false;
+        for rewritten in std::mem::take(scene.rewritten_mut()) {
+            let Some(page) = scene.page(rewritten.page) else { continue };
+            let slots = |context: u32| page.draw_slots_of(context);
+            if rendering.context_ids().any(|context| slots(context).is_empty()) {
+                // Not uploaded yet.
+                scene.rewritten_mut().push(rewritten);
+                continue;
+            }
+            is_dynamic |= rewritten.variance == DataVariance::Dynamic;
+            for context in rendering.contexts_mut() {
+                match slots(context.number()).get(rewritten.drawable as usize) {
+                    Some(slot) if *slot != DrawSlot::NONE => context.rewrite(*slot, rewritten.mesh.clone())?,
+                    _ => {}
+                }
+            }
+            // A dynamic one is to be the application's alone, which will write it again.
+            let kept = self.own.iter_mut().find(|own| own.page == rewritten.page);
+            if let Some(drawable) = kept.and_then(|own| own.drawables.get_mut(rewritten.drawable as usize))
+                && rewritten.variance == DataVariance::Static
+            {
+                drawable.geometry = Geometry::Mesh(rewritten.mesh);
+            }
+        }
+        Ok(is_dynamic)
+    }
+
+    /// Uploads everything to a context that was opened after others: the application's pages at once, paged contents
+    /// when they are asked for again.
+    pub(super) fn context_opened(&mut self, rendering: &mut Rendering, context: u32) -> Result<(), ViewerError> {
+        for (number, own) in (0..).zip(&self.own) {
+            if !own.drawables.is_empty() {
+                rendering.compile_own_in(context, self.owner, number, own.drawables.clone())?;
+            }
+        }
+        self.page_anew(rendering);
+        Ok(())
+    }
+
+    /// Forgets what a context had that is gone.
+    pub(super) fn context_closed(&mut self, rendering: &mut Rendering, context: u32) {
+        // Uploads that wait for it would wait for ever.
+        self.drop_uploads(rendering);
+        alone(&mut self.scene).forget_context(context);
+    }
+
+    fn page_anew(&mut self, rendering: &mut Rendering) {
+        if let Some(pager) = &mut self.pager {
+            let scene = alone(&mut self.scene);
+            rendering.compile_for(self.owner, |contexts| pager.page_anew(scene, contexts));
+        }
+    }
+
+    fn drop_uploads(&mut self, rendering: &mut Rendering) {
+        if let Some(pager) = &mut self.pager {
+            rendering.compile_for(self.owner, |contexts| pager.drop_uploads(contexts));
+        }
+    }
+}
+
+fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
+    Arc::get_mut(scene).expect("culls have dropped the scene before a frame ends")
+}

@@ -1,0 +1,351 @@
+//! [`ContextHandle`]: the main thread's end of a graphics context, whatever thread owns it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use image::RgbaImage;
+
+use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
+use crate::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
+use crate::pager::CompileContext;
+use crate::scene::{DrawSlot, Drawable, Mesh};
+use crate::sync::{Operation, OperationThread};
+use crate::viewer::ViewerError;
+
+/// Commands that may wait before the sender does; many small uploads fit between two frames.
+const COMMAND_QUEUE: usize = 1024;
+
+/// Most time for uploads between two frames at once, so that a frame sent after them does not wait longer.
+const MOST_COMPILING: Duration = Duration::from_millis(2);
+
+/// Set in the tickets of pages that the application made; the rest are the pagers'.
+const OWN_TICKET: u64 = 1 << 63;
+
+/// Where in a ticket its scene is told; what the pager chose lies below.
+const OWNER_SHIFT: u32 = 48;
+const TICKET_MASK: u64 = (1 << OWNER_SHIFT) - 1;
+
+/// What tells the uploads of a scene from others.
+fn owner_bits(owner: u16, is_own: bool) -> u64 {
+    (u64::from(owner & 0x7fff) << OWNER_SHIFT) | if is_own { OWN_TICKET } else { 0 }
+}
+
+/// Who owns the context now.
+enum Side {
+    /// The main thread.
+    Here(Box<DrawSide>),
+    /// A thread of its own.
+    Thread(OperationThread<DrawSide>),
+    /// Nobody any more: its thread panicked, or could not be started.
+    Lost,
+}
+
+/// Sends commands, takes answers, and is what the pager compiles through.
+pub(in crate::viewer) struct ContextHandle {
+    id: u32,
+    side: Side,
+    commands: Sender<DrawCommand>,
+    replies: Receiver<Reply>,
+    /// Read by the context's thread where it waits for a frame.
+    stopping: Arc<AtomicBool>,
+    compiled: Receiver<Compiled>,
+    /// Operations sent whose answers were not taken.
+    compiling: usize,
+    /// An upload between frames was sent and has not been done.
+    running_compiles: Arc<AtomicBool>,
+    /// Compiled and not asked for yet by those whose they are.
+    arrived: Vec<Compiled>,
+    size_px: [u32; 2],
+    in_flight: usize,
+    /// Last frame that came back.
+    pub(super) done_frame: u32,
+    /// Wait for every upload when the pager asks what is compiled: the blocking mode.
+    finish_compiles: bool,
+    adapter_name: String,
+}
+
+impl ContextHandle {
+    /// Takes the context; it is the main thread's until threads are started.
+    pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
+        let size_px = context.size_px();
+        let adapter_name = context.adapter_name();
+        let (commands, to_do) = crossbeam_channel::bounded(COMMAND_QUEUE);
+        let (compiled_sender, compiled) = crossbeam_channel::unbounded();
+        let (reply_sender, replies) = crossbeam_channel::unbounded();
+        let running_compiles = Arc::new(AtomicBool::new(false));
+        let stopping = Arc::new(AtomicBool::new(false));
+        let ends = DrawSideEnds {
+            commands: to_do,
+            replies: reply_sender,
+            stopping: stopping.clone(),
+            running_compiles: running_compiles.clone(),
+            compiled: compiled_sender,
+        };
+        Self {
+            id,
+            side: Side::Here(Box::new(DrawSide::new(context, ends))),
+            commands,
+            replies,
+            stopping,
+            compiled,
+            compiling: 0,
+            running_compiles,
+            arrived: Vec::new(),
+            size_px,
+            in_flight: 0,
+            done_frame: frame,
+            finish_compiles: blocking,
+            adapter_name,
+        }
+    }
+
+    /// Never the same again.
+    pub(in crate::viewer) fn number(&self) -> u32 {
+        self.id
+    }
+
+    /// Size of the target, or what it will be.
+    pub(super) fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// Name of the adapter that draws.
+    pub(super) fn adapter_name(&self) -> &str {
+        &self.adapter_name
+    }
+
+    /// Frames sent and not yet back.
+    pub(in crate::viewer) fn in_flight(&self) -> usize {
+        self.in_flight
+    }
+
+    /// What the main thread owns; `None` while a thread does.
+    pub(super) fn here(&mut self) -> Option<&mut DrawSide> {
+        match &mut self.side {
+            Side::Here(side) => Some(side),
+            _ => None,
+        }
+    }
+
+    /// Gives the context to a thread with operations to do again and again.
+    pub(super) fn start(&mut self, operations: Vec<Arc<dyn Operation<DrawSide>>>) -> Result<(), ViewerError> {
+        match std::mem::replace(&mut self.side, Side::Lost) {
+            Side::Here(side) => {
+                self.stopping.store(false, Ordering::Release);
+                let thread = OperationThread::start(&format!("draw {}", self.id), *side, operations);
+                self.side = Side::Thread(thread.map_err(ViewerError::Thread)?);
+                Ok(())
+            }
+            Side::Thread(thread) => {
+                self.side = Side::Thread(thread);
+                Ok(())
+            }
+            Side::Lost => Err(ViewerError::DrawThreadStopped),
+        }
+    }
+
+    /// The thread takes no further operation.
+    pub(super) fn end(&self) {
+        if let Side::Thread(thread) = &self.side {
+            thread.end();
+        }
+    }
+
+    /// Tells the thread to end; does not wait.
+    pub(super) fn cancel(&self) {
+        if let Side::Thread(thread) = &self.side {
+            self.stopping.store(true, Ordering::Release);
+            thread.cancel();
+            // With a full queue the thread is awake, and looks at the flag.
+            let _ = self.commands.try_send(DrawCommand::Wake);
+        }
+    }
+
+    /// Takes the context back from its thread, with what was left to do done.
+    pub(super) fn stop(&mut self) {
+        self.cancel();
+        self.side = match std::mem::replace(&mut self.side, Side::Lost) {
+            Side::Thread(thread) => match thread.join() {
+                Ok(mut side) => {
+                    side.catch_up();
+                    Side::Here(Box::new(side))
+                }
+                Err(panicked) => {
+                    log::error!("{panicked}");
+                    Side::Lost
+                }
+            },
+            other => other,
+        };
+    }
+
+    /// Sends a frame. Where the main thread owns the context, it is drawn by [`Self::draw_here`].
+    pub(in crate::viewer) fn frame(&mut self, job: FrameJob) -> Result<(), ViewerError> {
+        self.send(DrawCommand::Frame(Box::new(job)))?;
+        self.in_flight += 1;
+        Ok(())
+    }
+
+    /// Draws one frame that is not one of all contexts, with no other on its way.
+    pub(in crate::viewer) fn draw_alone(&mut self, job: FrameJob) -> Result<Box<FrameDone>, ViewerError> {
+        debug_assert_eq!(self.in_flight, 0, "frames in flight would answer first");
+        self.frame(job)?;
+        if let Some(side) = self.here() {
+            side.render();
+            side.swap();
+        }
+        self.wait_done()?.ok_or(ViewerError::DrawThreadStopped)
+    }
+
+    fn came(&mut self, reply: Reply) -> Option<Box<FrameDone>> {
+        match reply {
+            Reply::Frame(done) => {
+                self.in_flight = self.in_flight.saturating_sub(1);
+                self.done_frame = self.done_frame.max(done.frame);
+                Some(done)
+            }
+            // Images and finished compiles are taken by those who asked, once no frame is in flight before them.
+            Reply::Image(_) | Reply::CompilesFinished => None,
+        }
+    }
+
+    /// A frame that came back, if one has.
+    pub(in crate::viewer) fn try_done(&mut self) -> Option<Box<FrameDone>> {
+        let reply = self.replies.try_recv().ok()?;
+        self.came(reply)
+    }
+
+    /// Waits a while for the next frame to come back.
+    pub(in crate::viewer) fn wait_done_for(
+        &mut self,
+        patience: Duration,
+    ) -> Result<Option<Box<FrameDone>>, ViewerError> {
+        match self.replies.recv_timeout(patience) {
+            Ok(reply) => Ok(self.came(reply)),
+            Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => Err(ViewerError::DrawThreadStopped),
+        }
+    }
+
+    /// Waits for the next frame to come back; `None` when none is on its way.
+    pub(in crate::viewer) fn wait_done(&mut self) -> Result<Option<Box<FrameDone>>, ViewerError> {
+        if self.in_flight == 0 {
+            return Ok(None);
+        }
+        match self.replies.recv() {
+            Ok(reply) => Ok(self.came(reply)),
+            Err(_) => Err(ViewerError::DrawThreadStopped),
+        }
+    }
+
+    /// Uploads what the application made itself, under a number of its scene's.
+    pub(super) fn compile_own(&mut self, owner: u16, number: u32, drawables: Vec<Drawable>) -> Result<(), ViewerError> {
+        let ticket = owner_bits(owner, true) | u64::from(number);
+        self.compiling += 1;
+        self.send(DrawCommand::Compile(CompileOperation { ticket, drawables }))
+    }
+
+    /// Uploads what a scene's pager asks for.
+    pub(super) fn compile(&mut self, owner: u16, operation: CompileOperation) {
+        let ticket = owner_bits(owner, false) | (operation.ticket & TICKET_MASK);
+        self.compiling += 1;
+        // A draw thread that has ended shows at the next frame.
+        let _ = self.send(DrawCommand::Compile(CompileOperation { ticket, ..operation }));
+    }
+
+    /// Uploads between two frames. On a draw thread this waits behind the frames sent before.
+    pub(super) fn run_compiles(&mut self, budget: &CompileBudget) {
+        if self.compiling > 0 && !self.running_compiles.swap(true, Ordering::AcqRel) {
+            let budget = CompileBudget { time: budget.time.min(MOST_COMPILING), ..*budget };
+            // A draw thread that has ended shows at the next frame.
+            let _ = self.send(DrawCommand::RunCompiles(budget));
+        }
+    }
+
+    /// What was uploaded for a scene: for its own pages, with their numbers, or for its pager.
+    pub(super) fn take_compiled(&mut self, owner: u16, is_own: bool) -> Vec<Compiled> {
+        // Answers come in order, so frames in flight would have to be taken first; the blocking mode has none.
+        if self.finish_compiles
+            && self.compiling > 0
+            && self.in_flight == 0
+            && self.send(DrawCommand::FinishCompiles).is_ok()
+        {
+            let _ = self.replies.recv();
+        }
+        let before = self.arrived.len();
+        self.arrived.extend(self.compiled.try_iter());
+        self.compiling = self.compiling.saturating_sub(self.arrived.len() - before);
+        let bits = owner_bits(owner, is_own);
+        let of_owner = self.arrived.extract_if(.., |c| c.ticket & !TICKET_MASK == bits);
+        of_owner.map(|c| Compiled { ticket: c.ticket & TICKET_MASK, ..c }).collect()
+    }
+
+    /// Frees slots after the last frame that draws them.
+    pub(super) fn release(&mut self, slots: Vec<DrawSlot>) {
+        // As above.
+        let _ = self.send(DrawCommand::Release(slots));
+    }
+
+    /// Puts another mesh in the place of a drawable's, from the next frame on.
+    pub(in crate::viewer) fn rewrite(&mut self, slot: DrawSlot, mesh: Arc<Mesh>) -> Result<(), ViewerError> {
+        self.send(DrawCommand::Rewrite { slot, mesh })
+    }
+
+    /// The target has a new size.
+    pub(in crate::viewer) fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
+        self.size_px = size_px;
+        self.send(DrawCommand::Resize(size_px))
+    }
+
+    /// The picture of the last frame; the caller has taken all frames in flight before.
+    pub(in crate::viewer) fn read_back(&mut self) -> Result<RgbaImage, ViewerError> {
+        debug_assert_eq!(self.in_flight, 0, "frames in flight would answer first");
+        self.send(DrawCommand::ReadBack)?;
+        match self.replies.recv() {
+            Ok(Reply::Image(image)) => Ok(image?),
+            _ => Err(ViewerError::DrawThreadStopped),
+        }
+    }
+
+    fn send(&mut self, command: DrawCommand) -> Result<(), ViewerError> {
+        match &mut self.side {
+            Side::Here(side) => {
+                side.execute(command);
+                Ok(())
+            }
+            Side::Thread(_) => self.commands.send(command).map_err(|_| ViewerError::DrawThreadStopped),
+            Side::Lost => Err(ViewerError::DrawThreadStopped),
+        }
+    }
+}
+
+/// A context as the pager of one scene sees it.
+pub(super) struct ContextOfScene<'a> {
+    pub(super) handle: &'a mut ContextHandle,
+    /// Tells the scene's uploads from others.
+    pub(super) owner: u16,
+}
+
+impl CompileContext for ContextOfScene<'_> {
+    fn id(&self) -> u32 {
+        self.handle.id
+    }
+
+    fn compile(&mut self, operation: CompileOperation) {
+        self.handle.compile(self.owner, operation);
+    }
+
+    fn run_compiles(&mut self, budget: &CompileBudget) {
+        self.handle.run_compiles(budget);
+    }
+
+    fn take_compiled(&mut self) -> Vec<Compiled> {
+        self.handle.take_compiled(self.owner, false)
+    }
+
+    fn release(&mut self, slots: Vec<DrawSlot>) {
+        self.handle.release(slots);
+    }
+}

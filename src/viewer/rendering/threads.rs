@@ -1,0 +1,198 @@
+//! Starting and stopping the threads of a model. Main thread, between frames, with no frame on its way.
+
+use std::sync::Arc;
+
+use super::cull_side::CullSide;
+use super::draw_side::DrawSide;
+use super::operations::{BarrierOperation, Cull, StartOfCull, Step};
+use super::{CameraSide, ContextHandle, Rendering, Running, ThreadingModel};
+use crate::sync::{Barrier, BlockCount, Operation, OperationThread};
+use crate::viewer::ViewerError;
+
+fn overlaps(model: ThreadingModel) -> bool {
+    use ThreadingModel::{CullThreadPerCameraDrawThreadPerContext, DrawThreadPerContext};
+    matches!(model, DrawThreadPerContext | CullThreadPerCameraDrawThreadPerContext)
+}
+
+impl Rendering {
+    /// The model that runs, or would.
+    pub(in crate::viewer) fn model(&self) -> ThreadingModel {
+        match &self.running {
+            Some(running) => running.model,
+            // What the environment says was looked at when the model was set.
+            None => {
+                self.model.resolved(self.contexts.len(), self.cameras.len()).unwrap_or(ThreadingModel::SingleThreaded)
+            }
+        }
+    }
+
+    /// Has another model from the next frame on; no frame may be on its way.
+    pub(in crate::viewer) fn set_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
+        model.resolved(self.contexts.len(), self.cameras.len()).map_err(ViewerError::Setting)?;
+        self.stop_threads();
+        self.model = model;
+        Ok(())
+    }
+
+    /// True while update may run beside draw.
+    pub(in crate::viewer) fn overlaps(&self) -> bool {
+        overlaps(self.model())
+    }
+
+    /// Starts the model's threads where they do not run.
+    pub(in crate::viewer) fn start_threads(&mut self) -> Result<(), ViewerError> {
+        if self.running.is_some() {
+            return Ok(());
+        }
+        let (contexts, cameras) = (self.contexts.len(), self.cameras.len());
+        let model = self.model.resolved(contexts, cameras).map_err(ViewerError::Setting)?;
+        let barrier = |threads| Some(Arc::new(Barrier::new(threads)));
+        let (start, end) = match model {
+            ThreadingModel::CullDrawThreadPerContext => (barrier(contexts + 1), barrier(contexts + 1)),
+            ThreadingModel::CullThreadPerCameraDrawThreadPerContext => (barrier(cameras + 1), None),
+            _ => (None, None),
+        };
+        let end_of_dynamic = overlaps(model).then(|| Arc::new(BlockCount::new(cameras)));
+        for context in &mut self.contexts {
+            let side = context.here().ok_or(ViewerError::DrawThreadStopped)?;
+            side.end_of_dynamic = end_of_dynamic.clone();
+        }
+        for camera in &mut self.cameras {
+            let CameraSide::Here(side) = &mut camera.side else { return Err(ViewerError::DrawThreadStopped) };
+            side.end_of_dynamic = end_of_dynamic.clone();
+        }
+        let running = Running { model, start: start.clone(), end: end.clone(), end_of_dynamic: end_of_dynamic.clone() };
+        self.running = Some(running);
+        let started = match model {
+            ThreadingModel::SingleThreaded | ThreadingModel::AutomaticSelection => Ok(()),
+            ThreadingModel::CullDrawThreadPerContext => {
+                self.give_cameras_to_contexts();
+                self.start_contexts(start.as_ref(), end.as_ref(), None)
+            }
+            ThreadingModel::DrawThreadPerContext => self.start_contexts(None, None, end_of_dynamic.as_ref()),
+            ThreadingModel::CullThreadPerCameraDrawThreadPerContext => {
+                let contexts = self.start_contexts(None, None, end_of_dynamic.as_ref());
+                contexts.and_then(|()| self.start_cameras(start.as_ref(), end_of_dynamic.as_ref()))
+            }
+        };
+        if started.is_err() {
+            self.stop_threads();
+        }
+        started
+    }
+
+    /// A context's thread culls its cameras itself.
+    fn give_cameras_to_contexts(&mut self) {
+        for camera in &mut self.cameras {
+            let context = self.contexts.iter_mut().find(|c| c.number() == camera.context);
+            let Some(side) = context.and_then(|c| c.here()) else { continue };
+            match std::mem::replace(&mut camera.side, CameraSide::AtContext) {
+                CameraSide::Here(cull) => side.culls.push(*cull),
+                other => camera.side = other,
+            }
+        }
+    }
+
+    fn start_contexts(
+        &mut self,
+        start: Option<&Arc<Barrier>>,
+        end: Option<&Arc<Barrier>>,
+        end_of_dynamic: Option<&Arc<BlockCount>>,
+    ) -> Result<(), ViewerError> {
+        let swap_ready = Arc::new(Barrier::new(self.contexts.len()));
+        for context in &mut self.contexts {
+            let step = |name, run: fn(&mut DrawSide)| -> Arc<dyn Operation<DrawSide>> {
+                Arc::new(Step { name, run, end_of_dynamic: end_of_dynamic.cloned() })
+            };
+            let meet = |name, barrier: &Arc<Barrier>| -> Arc<dyn Operation<DrawSide>> {
+                Arc::new(BarrierOperation { name, barrier: barrier.clone() })
+            };
+            let mut operations = vec![step("await frame", DrawSide::await_frame)];
+            operations.extend(start.map(|barrier| meet("start barrier", barrier)));
+            operations.push(step("render", DrawSide::render));
+            operations.push(meet("swap ready", &swap_ready));
+            operations.push(step("swap", DrawSide::swap));
+            operations.extend(end.map(|barrier| meet("end barrier", barrier)));
+            context.start(operations)?;
+        }
+        Ok(())
+    }
+
+    fn start_cameras(
+        &mut self,
+        start: Option<&Arc<Barrier>>,
+        end_of_dynamic: Option<&Arc<BlockCount>>,
+    ) -> Result<(), ViewerError> {
+        for camera in &mut self.cameras {
+            camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
+                CameraSide::Here(side) => {
+                    let mut operations: Vec<Arc<dyn Operation<CullSide>>> = Vec::new();
+                    if let Some(barrier) = start {
+                        operations.push(Arc::new(StartOfCull(barrier.clone())));
+                    }
+                    operations.push(Arc::new(Cull(end_of_dynamic.cloned())));
+                    let name = format!("cull {}", camera.number);
+                    CameraSide::Thread(OperationThread::start(&name, *side, operations).map_err(ViewerError::Thread)?)
+                }
+                other => other,
+            };
+        }
+        Ok(())
+    }
+
+    /// Ends all threads and takes back what they owned. Waits for what they are doing; frames still on their way are
+    /// not drawn.
+    pub(in crate::viewer) fn stop_threads(&mut self) {
+        if self.running.take().is_none() {
+            return;
+        }
+        let camera_threads = || {
+            self.cameras.iter().filter_map(|camera| match &camera.side {
+                CameraSide::Thread(thread) => Some(thread),
+                _ => None,
+            })
+        };
+        // All of them before any: a barrier that is let go for one is let go for all that meet at it.
+        camera_threads().for_each(OperationThread::end);
+        self.contexts.iter().for_each(ContextHandle::end);
+        camera_threads().for_each(OperationThread::cancel);
+        self.contexts.iter().for_each(ContextHandle::cancel);
+        // What culls first: a context's thread may wait for its stages.
+        for camera in &mut self.cameras {
+            camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
+                CameraSide::Thread(thread) => match thread.join() {
+                    Ok(side) => CameraSide::Here(Box::new(side)),
+                    Err(panicked) => {
+                        log::error!("{panicked}");
+                        CameraSide::Lost
+                    }
+                },
+                other => other,
+            };
+        }
+        for context in &mut self.contexts {
+            context.stop();
+            let Some(side) = context.here() else { continue };
+            side.end_of_dynamic = None;
+            for cull in side.culls.drain(..) {
+                if let Some(camera) = self.cameras.iter_mut().find(|c| c.number == cull.camera) {
+                    camera.side = CameraSide::Here(Box::new(cull));
+                }
+            }
+        }
+        for camera in &mut self.cameras {
+            match &mut camera.side {
+                CameraSide::Here(side) => side.end_of_dynamic = None,
+                CameraSide::AtContext => camera.side = CameraSide::Lost,
+                CameraSide::Thread(_) | CameraSide::Lost => {}
+            }
+        }
+    }
+}
+
+impl Drop for Rendering {
+    /// The context is dropped on the main thread, as its window is there.
+    fn drop(&mut self) {
+        self.stop_threads();
+    }
+}

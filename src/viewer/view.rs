@@ -1,0 +1,260 @@
+//! [`View`]: a camera on a scene, its light, what moves it, and the slave cameras that go with it. Main thread.
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat4};
+
+use super::camera::Camera;
+use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for};
+use super::input::Input;
+use super::paged_scene::PagedScene;
+use super::rendering::{CullTask, Lens, Rendering};
+use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo};
+use crate::draw::Environment;
+use crate::scene::{Attachment, CameraTarget, Inherit};
+use crate::state::{TextureFormat, TextureObject};
+
+/// A graphics context of a viewer; never the same again once it was closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ContextId(pub(super) u32);
+
+/// A slave camera of a view.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SlaveId(pub(super) u32);
+
+/// A camera that goes with the master camera of its view: another eye of it, another window, another part of one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Slave {
+    /// Where it is drawn.
+    pub context: ContextId,
+    /// x, y, width and height in pixels of the context, origin upper left; `None`: all of it.
+    pub viewport_px: Option<[u32; 4]>,
+    /// Applied to the master's clip space: a shift of 2 in x shows what is beside the master's picture.
+    pub projection_offset: DMat4,
+    /// Applied to the master's eye space: from the master's eye to the slave's.
+    pub view_offset: DAffine3,
+    /// Its own settings.
+    pub settings: CullSettings,
+    /// Which of the settings are the master's instead.
+    pub inherit: Inherit,
+}
+
+impl Slave {
+    /// A camera that sees what the master sees, in all of a context.
+    pub fn new(context: ContextId) -> Self {
+        Self {
+            context,
+            viewport_px: None,
+            projection_offset: DMat4::IDENTITY,
+            view_offset: DAffine3::IDENTITY,
+            settings: CullSettings::default(),
+            inherit: Inherit::ALL,
+        }
+    }
+}
+
+/// Where a camera is drawn.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    /// Number of the camera.
+    pub(super) camera: u32,
+    pub(super) context: u32,
+    pub(super) viewport_px: Option<[u32; 4]>,
+}
+
+struct SlaveCamera {
+    /// Number of the camera.
+    camera: u32,
+    /// Of its picture.
+    size_px: [u32; 2],
+    slave: Slave,
+}
+
+/// A scene seen by a master camera and its slaves.
+pub struct View {
+    /// The eye; change it between frames, or set a manipulator.
+    pub camera: Camera,
+    /// Sun, sky and fog.
+    pub environment: Environment,
+    /// Place of the scene in the viewer's.
+    pub(super) scene: usize,
+    /// Where the master camera is drawn; `None`: nowhere, only its slaves are.
+    pub(super) master: Option<Place>,
+    slaves: Vec<SlaveCamera>,
+    size_px: [u32; 2],
+    samples: u32,
+    stereo: Option<Stereo>,
+    /// What the eyes' pictures are drawn into; made anew when their size changes.
+    eyes: Option<[Arc<CameraTarget>; 2]>,
+    pub(super) input: Input,
+}
+
+impl View {
+    pub(super) fn new(scene: usize, settings: CullSettings, size_px: [u32; 2], samples: u32) -> Self {
+        Self {
+            camera: Camera { settings, ..Camera::default() },
+            environment: Environment::default(),
+            scene,
+            master: None,
+            slaves: Vec::new(),
+            size_px,
+            samples,
+            stereo: None,
+            eyes: None,
+            input: Input::new(size_px),
+        }
+    }
+
+    /// Size of the master camera's picture in pixels. Without a context of its own it decides the aspect of the
+    /// slaves' projections.
+    pub fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
+    /// Where the master camera is drawn; `None` once its context was closed.
+    pub fn context(&self) -> Option<ContextId> {
+        self.master.map(|place| ContextId(place.context))
+    }
+
+    /// True when the master camera has a part of its context alone.
+    #[cfg(feature = "window")]
+    pub(super) fn is_part(&self) -> bool {
+        self.master.is_some_and(|place| place.viewport_px.is_some())
+    }
+
+    /// Part of the context that the master camera has: x, y, width and height; `None`: all of it.
+    pub fn set_viewport_px(&mut self, viewport_px: Option<[u32; 4]>) {
+        if let Some(place) = &mut self.master {
+            place.viewport_px = viewport_px;
+        }
+    }
+
+    /// Draws the master camera for two eyes from now on, or for one. It must have all of its context.
+    pub fn set_stereo(&mut self, stereo: Option<Stereo>) {
+        self.stereo = stereo;
+        self.eyes = None;
+    }
+
+    /// The slaves in the order added.
+    pub fn slaves(&self) -> impl Iterator<Item = (SlaveId, &Slave)> {
+        self.slaves.iter().map(|s| (SlaveId(s.camera), &s.slave))
+    }
+
+    /// A slave, to change everything but its context: that stays what it was added with.
+    pub fn slave_mut(&mut self, id: SlaveId) -> Option<&mut Slave> {
+        self.slaves.iter_mut().find(|s| s.camera == id.0).map(|s| &mut s.slave)
+    }
+
+    /// Adds a slave whose camera was made.
+    pub(super) fn push_slave(&mut self, camera: u32, slave: Slave) -> SlaveId {
+        self.slaves.push(SlaveCamera { camera, size_px: self.size_px, slave });
+        SlaveId(camera)
+    }
+
+    /// Takes a slave out; false when there is none.
+    pub(super) fn take_slave(&mut self, id: SlaveId) -> bool {
+        let before = self.slaves.len();
+        self.slaves.retain(|s| s.camera != id.0);
+        self.slaves.len() < before
+    }
+
+    /// Numbers of its cameras.
+    pub(super) fn cameras(&self) -> impl Iterator<Item = u32> {
+        self.master.iter().map(|place| place.camera).chain(self.slaves.iter().map(|s| s.camera))
+    }
+
+    pub(super) fn has_camera(&self, camera: u32) -> bool {
+        self.cameras().any(|c| c == camera)
+    }
+
+    /// Forgets cameras of a context that is gone.
+    pub(super) fn context_closed(&mut self, context: u32) {
+        self.master = self.master.filter(|place| place.context != context);
+        self.slaves.retain(|s| s.slave.context.0 != context);
+    }
+
+    /// The first sight of a set: the camera before it, sun and haze to its size.
+    pub(super) fn first_sight(&mut self, bounds: &SetBounds) {
+        self.camera.world_from_eye = bounds.first_camera(&ViewFrom::default());
+        self.camera.min_near_m = (1e-5 * bounds.sphere.radius_m).clamp(1e-4, 1.0);
+        self.environment = environment_for(bounds);
+    }
+
+    /// What follows from contexts and camera, before it is culled.
+    pub(super) fn prepare(&mut self, rendering: &Rendering, bounds: Option<&SetBounds>) {
+        let size_in = |context, viewport: Option<[u32; 4]>| match viewport {
+            Some([_, _, width, height]) => Some([width.max(1), height.max(1)]),
+            None => rendering.size_px(context),
+        };
+        let size_px = self.master.and_then(|place| size_in(place.context, place.viewport_px)).unwrap_or(self.size_px);
+        if self.size_px != size_px {
+            self.size_px = size_px;
+            self.eyes = None;
+            self.input.resized(size_px);
+        }
+        for s in &mut self.slaves {
+            s.size_px = size_in(s.slave.context.0, s.slave.viewport_px).unwrap_or(size_px);
+        }
+        // Over a globe, up is a matter of where one is.
+        if let Some(bounds) = bounds.filter(|b| b.frame.georeferenced) {
+            self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
+        }
+        if let (Some(stereo), None) = (&self.stereo, &self.eyes) {
+            self.eyes = Some(eye_targets(stereo.eye_size_px(size_px), self.samples));
+        }
+    }
+
+    /// What culling one of its cameras is told; `None` where the camera is another view's.
+    pub(super) fn task(
+        &self,
+        camera: u32,
+        paged: &PagedScene,
+        frame: u32,
+        requests: Vec<PageRequest>,
+    ) -> Option<CullTask> {
+        let horizon = paged.bounds.as_ref().and_then(SetBounds::body);
+        let master = |context| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, context) };
+        let lens = Lens { camera: self.camera, size_px: self.size_px, offset: DMat4::IDENTITY };
+        let (camera, lens, stereo, viewport_px) = match self.master.filter(|place| place.camera == camera) {
+            Some(place) => {
+                let stereo = if place.viewport_px.is_none() { self.stereo.zip(self.eyes.clone()) } else { None };
+                (master(place.context), lens, stereo, place.viewport_px)
+            }
+            None => {
+                let SlaveCamera { size_px, slave, .. } = self.slaves.iter().find(|s| s.camera == camera)?;
+                let offset = slave.projection_offset;
+                let lens = Lens { offset: if offset.is_finite() { offset } else { DMat4::IDENTITY }, ..lens };
+                let of_view = slave.view_offset;
+                let of_view = if of_view.is_finite() { of_view } else { DAffine3::IDENTITY };
+                let above = master(slave.context.0);
+                let camera = CullCamera {
+                    eye_from_world: of_view * above.eye_from_world,
+                    clip_from_eye: lens.clip_from_eye(self.camera.min_near_m),
+                    viewport_px: *size_px,
+                    settings: slave.settings.inheriting(&above.settings, slave.inherit),
+                    ..above
+                };
+                (camera, lens, None, slave.viewport_px)
+            }
+        };
+        Some(CullTask {
+            scene: paged.shared(),
+            camera,
+            lens,
+            stereo,
+            environment: self.environment,
+            state_set: self.input.state_set.clone(),
+            viewport_px,
+            is_dynamic: false,
+            requests,
+        })
+    }
+}
+
+/// A texture for each eye.
+fn eye_targets(size_px: [u32; 2], samples: u32) -> [Arc<CameraTarget>; 2] {
+    ["left eye", "right eye"].map(|name| {
+        let texture = TextureObject::target(name, size_px, TextureFormat::Rgba8Srgb);
+        Arc::new(CameraTarget { colors: vec![Attachment::new(texture)], samples, ..CameraTarget::default() })
+    })
+}

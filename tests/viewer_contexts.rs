@@ -1,0 +1,284 @@
+//! Slave cameras, several contexts and several views: parts put together are the whole, whoever culls and draws. Needs a
+//! GPU (a software one will do).
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat4, DVec3};
+use image::RgbaImage;
+use terrane::draw::Sky;
+use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::pager::PagerConfig;
+use terrane::scene::{DataVariance, Drawable, Geometry, Inherit, Material, Mesh, Node, NodeId, Page};
+use terrane::viewer::{
+    CompositeViewer, ContextId, KEY_COLOR, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError, coverage,
+};
+
+fn config(threading: ThreadingModel, size_px: [u32; 2], blocking: bool) -> ViewerConfig {
+    ViewerConfig {
+        size_px,
+        threading,
+        adapter: AdapterChoice::Software,
+        max_sse_px: 6.0,
+        pager: PagerConfig { blocking, ..PagerConfig::default() },
+        max_contexts: 4,
+        ..ViewerConfig::default()
+    }
+}
+
+/// A context, or a visible skip where nothing can draw; with REQUIRE_GPU=1 that is a failure.
+fn context(size_px: [u32; 2]) -> Option<GraphicsContext> {
+    let traits = ContextTraits { size_px, ..config(ThreadingModel::SingleThreaded, size_px, false).traits() };
+    match GraphicsContext::new_offscreen(&traits) {
+        Ok(context) => Some(context),
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+    }
+}
+
+fn small_set(folder: &Path) -> String {
+    let set = folder.join("set");
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(3), seed: 5, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    set.display().to_string()
+}
+
+fn ball(at: DVec3, radius: f64, color: [f32; 4]) -> Node {
+    let mesh = Mesh::sphere(DVec3::ZERO, radius, 24);
+    let material = Material { base_color: color, unlit: true, ..Material::default() };
+    let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
+    Node::transform(DAffine3::from_translation(at), vec![geode])
+}
+
+fn page(color: [f32; 4]) -> Page {
+    let balls = vec![ball(DVec3::ZERO, 1.0, color), ball(DVec3::new(1.6, 0.5, 0.9), 0.6, [0.2, 0.2, 1.0, 1.0])];
+    Page::from_node(Node::group(balls)).unwrap()
+}
+
+/// Pixels that differ by more than rounding.
+fn differing(a: &RgbaImage, b: &RgbaImage) -> usize {
+    assert_eq!(a.dimensions(), b.dimensions());
+    let far = |a: &image::Rgba<u8>, b: &image::Rgba<u8>| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 2);
+    a.pixels().zip(b.pixels()).filter(|(a, b)| far(a, b)).count()
+}
+
+/// Shows `[from, to]` of the master's picture (-1 to 1, left to right) in a whole one.
+fn part(from: f64, to: f64) -> DMat4 {
+    let scale = 2.0 / (to - from);
+    DMat4::from_translation(DVec3::new(-scale * 0.5 * (from + to), 0.0, 0.0))
+        * DMat4::from_scale(DVec3::new(scale, 1.0, 1.0))
+}
+
+#[test]
+fn halves_of_a_context_are_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let size = [240, 90];
+    for sky in [Sky::Gradient, Sky::Background([40, 90, 10])] {
+        let mut expected: Option<RgbaImage> = None;
+        for threading in ThreadingModel::ALL {
+            let Some(context) = context(size) else { return };
+            let mut viewer = Viewer::new(context, &config(threading, size, true)).unwrap();
+            viewer.load(&set).unwrap();
+            viewer.environment.sky = sky;
+            viewer.frame().unwrap();
+            let whole = viewer.read_back().unwrap();
+            // The master keeps the left half of its own part; the right one is a slave's, in the same context.
+            let context = viewer.contexts().next().unwrap();
+            let [left, right] = [[0, 0, 120, 90], [120, 0, 120, 90]];
+            let slave =
+                |rect, offset| Slave { viewport_px: Some(rect), projection_offset: offset, ..Slave::new(context) };
+            viewer.add_slave(slave(left, part(-1.0, 0.0))).unwrap();
+            let on_the_right = viewer.add_slave(slave(right, part(0.0, 1.0))).unwrap();
+            viewer.frame().unwrap();
+            viewer.frame().unwrap();
+            let halves = viewer.read_back().unwrap();
+            assert!(differing(&whole, &halves) < 60, "{threading}: {} pixels differ", differing(&whole, &halves));
+            assert!(*expected.get_or_insert(halves.clone()) == halves, "{threading} draws otherwise");
+            // A slave may be moved, and goes.
+            viewer.slave_mut(on_the_right).unwrap().projection_offset = part(-1.0, 0.0);
+            viewer.frame().unwrap();
+            assert!(differing(&halves, &viewer.read_back().unwrap()) > 1000);
+            assert!(viewer.remove_slave(on_the_right).unwrap() && !viewer.remove_slave(on_the_right).unwrap());
+            viewer.frame().unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_wall_of_three_contexts_is_one_wide_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let (size, wide) = ([96, 72], [288, 72]);
+    let Some(of_wide) = context(wide) else { return };
+    let mut one = Viewer::new(of_wide, &config(ThreadingModel::SingleThreaded, wide, true)).unwrap();
+    one.load(&set).unwrap();
+    let pose = one.camera.world_from_eye;
+    // The middle third has a third of the wide picture's width, in tangents.
+    let fovy = one.camera.fovy(wide);
+    one.frame().unwrap();
+    let expected = one.read_back().unwrap();
+    let mut first: Option<Vec<RgbaImage>> = None;
+    for threading in ThreadingModel::ALL {
+        let mut viewer = Viewer::new(context(size).unwrap(), &config(threading, size, true)).unwrap();
+        viewer.load(&set).unwrap();
+        viewer.camera.world_from_eye = pose;
+        viewer.camera.field_of_view = terrane::viewer::FieldOfView::Vertical(fovy);
+        let shift = |x: f64| DMat4::from_translation(DVec3::new(x, 0.0, 0.0));
+        let mut contexts: Vec<ContextId> = viewer.contexts().collect();
+        for x in [2.0, -2.0] {
+            let context = viewer.open_context(context(size).unwrap()).unwrap();
+            viewer.add_slave(Slave { projection_offset: shift(x), ..Slave::new(context) }).unwrap();
+            contexts.push(context);
+        }
+        let too_many = (0..2).map(|_| viewer.open_context(context(size).unwrap())).last().unwrap();
+        assert!(matches!(too_many, Err(ViewerError::TooManyContexts { limit: 4 })));
+        for _ in 0..3 {
+            viewer.frame().unwrap();
+        }
+        let pictures: Vec<_> = contexts.iter().map(|c| viewer.read_back_of(*c).unwrap()).collect();
+        let [middle, left, right] = &pictures[..] else { panic!() };
+        let mut wall = RgbaImage::new(wide[0], wide[1]);
+        for (x, picture) in [left, middle, right].into_iter().enumerate() {
+            image::imageops::replace(&mut wall, picture, x as i64 * 96, 0);
+        }
+        assert!(differing(&wall, &expected) < 60, "{threading}: {} pixels differ", differing(&wall, &expected));
+        assert!(*first.get_or_insert_with(|| pictures.clone()) == pictures, "{threading} draws otherwise");
+        // The window in the middle is closed: the others go on.
+        assert!(viewer.close_context(contexts[0]).unwrap() && !viewer.close_context(contexts[0]).unwrap());
+        assert!(matches!(viewer.read_back(), Err(ViewerError::NoContext(_))));
+        viewer.frame().unwrap();
+        viewer.frame().unwrap();
+        assert!(viewer.read_back_of(contexts[1]).unwrap() == pictures[1], "{threading}: the wall has changed");
+    }
+}
+
+#[test]
+fn a_context_that_comes_later_shows_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let size = [120, 90];
+    for threading in ThreadingModel::ALL {
+        let Some(of_first) = context(size) else { return };
+        let mut viewer = Viewer::new(of_first, &config(threading, size, false)).unwrap();
+        viewer.load(&set).unwrap();
+        let bounds = *viewer.bounds().unwrap();
+        let (at, radius) = (bounds.sphere.center, 0.2 * bounds.sphere.radius_m);
+        viewer.add_root(Page::from_node(ball(at, radius, [1.0, 0.0, 0.0, 1.0])).unwrap()).unwrap();
+        let settle = |viewer: &mut Viewer| {
+            let until = std::time::Instant::now() + std::time::Duration::from_secs(30);
+            while !viewer.is_settled() && std::time::Instant::now() < until {
+                viewer.frame().unwrap();
+            }
+            // What was uploaded last is drawn.
+            (0..4).for_each(|_| viewer.frame().unwrap());
+        };
+        settle(&mut viewer);
+        let before = viewer.read_back().unwrap();
+        let later = viewer.open_context(context(size).unwrap()).unwrap();
+        viewer.add_slave(Slave::new(later)).unwrap();
+        viewer.frame().unwrap();
+        settle(&mut viewer);
+        assert!(viewer.read_back().unwrap() == before, "{threading}: the first context shows something else");
+        assert!(viewer.read_back_of(later).unwrap() == before, "{threading}: the second one does");
+        let first = viewer.context().unwrap();
+        viewer.close_context(first).unwrap();
+        settle(&mut viewer);
+        assert!(viewer.read_back_of(later).unwrap() == before);
+    }
+}
+
+#[test]
+fn slaves_have_settings_of_their_own() {
+    let size = [120, 90];
+    let Some(of_first) = context(size) else { return };
+    let mut viewer = Viewer::new(of_first, &config(ThreadingModel::DrawThreadPerContext, size, false)).unwrap();
+    let masked = Node { mask: 1, ..ball(DVec3::ZERO, 1.0, [1.0, 0.0, 0.0, 1.0]) };
+    viewer.add_root(Page::from_node(masked).unwrap()).unwrap();
+    viewer.environment.sky = Sky::Background(KEY_COLOR);
+    viewer.environment.fog.enabled = false;
+    let (a, b) = (context(size).unwrap(), context(size).unwrap());
+    let (a, b) = (viewer.open_context(a).unwrap(), viewer.open_context(b).unwrap());
+    let mut blind = Slave::new(a);
+    blind.settings.cull_mask = 2;
+    let of_master = viewer.add_slave(blind).unwrap();
+    viewer.add_slave(Slave { context: b, inherit: Inherit::NONE, ..blind }).unwrap();
+    (0..4).for_each(|_| viewer.frame().unwrap());
+    let master = viewer.read_back().unwrap();
+    assert!(viewer.read_back_of(a).unwrap() == master, "settings inherited are the master's");
+    assert_eq!(coverage(&viewer.read_back_of(b).unwrap(), KEY_COLOR), 0.0, "a mask of its own hides everything");
+    // Another eye: 10 km beside the master's.
+    viewer.slave_mut(of_master).unwrap().view_offset = DAffine3::from_translation(DVec3::new(10_000.0, 0.0, 0.0));
+    viewer.frame().unwrap();
+    assert_eq!(coverage(&viewer.read_back_of(a).unwrap(), KEY_COLOR), 0.0);
+    viewer.slave_mut(of_master).unwrap().view_offset = DAffine3::from_translation(DVec3::splat(f64::NAN));
+    viewer.frame().unwrap();
+    assert!(viewer.read_back_of(a).unwrap() == master, "an offset that is none counts as none");
+}
+
+#[test]
+fn views_have_scenes_of_their_own_or_share_one() {
+    let size = [200, 80];
+    let mut first: Option<(RgbaImage, RgbaImage)> = None;
+    for threading in ThreadingModel::ALL {
+        let Some(of_first) = context(size) else { return };
+        let mut viewer = CompositeViewer::new(&config(threading, size, false)).unwrap();
+        let main = viewer.open_context(of_first).unwrap();
+        let other = viewer.open_context(context(size).unwrap()).unwrap();
+        let (red, green) = (viewer.add_scene().unwrap(), viewer.add_scene().unwrap());
+        let root = viewer.add_root(red, page([1.0, 0.0, 0.0, 1.0])).unwrap();
+        let left = viewer.add_view(red, main, Some([0, 0, 100, 80])).unwrap();
+        let right = viewer.add_view(green, main, Some([100, 0, 100, 80])).unwrap();
+        let shared = viewer.add_view(red, other, None).unwrap();
+        viewer.add_root(green, page([0.0, 1.0, 0.0, 1.0])).unwrap();
+        for (view, sky) in [(left, [255, 255, 0]), (right, [0, 255, 255]), (shared, KEY_COLOR)] {
+            let view = viewer.view_mut(view).unwrap();
+            view.environment.sky = Sky::Background(sky);
+            view.environment.fog.enabled = false;
+            view.camera.look_at(DVec3::new(0.0, -6.0, 0.0), DVec3::ZERO, DVec3::Z);
+        }
+        (0..5).for_each(|_| viewer.frame().unwrap());
+        viewer.finish().unwrap();
+        let (both, alone) = (viewer.read_back(main).unwrap(), viewer.read_back(other).unwrap());
+        assert_eq!(both.get_pixel(50, 40).0, [255, 0, 0, 255]);
+        assert_eq!(both.get_pixel(150, 40).0, [0, 255, 0, 255]);
+        assert_eq!(both.get_pixel(2, 2).0, [255, 255, 0, 255]);
+        assert_eq!(both.get_pixel(197, 77).0, [0, 255, 255, 255]);
+        assert_eq!(alone.get_pixel(100, 40).0, [255, 0, 0, 255]);
+        assert_eq!(alone.get_pixel(0, 0).0, [255, 0, 255, 255]);
+        let pictures = (both.clone(), alone);
+        assert!(*first.get_or_insert_with(|| pictures.clone()) == pictures, "{threading} draws otherwise");
+
+        // What is changed in a scene is seen by all its views and by no others.
+        let far = DAffine3::from_translation(DVec3::new(0.0, 0.0, 1e6));
+        for index in [1, 3] {
+            viewer.scene_mut(red).unwrap().set_transform(NodeId { page: root, index }, far).unwrap();
+        }
+        viewer.frame().unwrap();
+        let (moved, moved_alone) = (viewer.read_back(main).unwrap(), viewer.read_back(other).unwrap());
+        assert_eq!(moved.get_pixel(50, 40).0, [255, 255, 0, 255]);
+        assert_eq!(moved.get_pixel(150, 40).0, [0, 255, 0, 255]);
+        assert_eq!(coverage(&moved_alone, KEY_COLOR), 0.0);
+        let mesh = Arc::new(Mesh::sphere(DVec3::new(0.0, 0.0, -1e6), 1.0, 24));
+        let geode = NodeId { page: root, index: 2 };
+        viewer.scene_mut(red).unwrap().set_mesh(geode, 0, mesh, DataVariance::Static).unwrap();
+        viewer.frame().unwrap();
+        assert_eq!(viewer.read_back(main).unwrap().get_pixel(50, 40).0, [255, 0, 0, 255]);
+        assert_eq!(viewer.read_back(other).unwrap().get_pixel(100, 40).0, [255, 0, 0, 255]);
+
+        viewer.remove_view(right).unwrap();
+        assert!(matches!(viewer.view_mut(right), Err(ViewerError::NoView(_))));
+        viewer.frame().unwrap();
+        let without = viewer.read_back(main).unwrap();
+        assert_eq!(without.get_pixel(150, 40).0, [0, 0, 0, 255], "nobody draws there any more");
+        viewer.close_context(main).unwrap();
+        viewer.frame().unwrap();
+        assert_eq!(viewer.read_back(other).unwrap().get_pixel(100, 40).0, [255, 0, 0, 255]);
+    }
+}

@@ -1,0 +1,409 @@
+//! `terrane view` in a real window under a virtual display: keys, pointer, resize, close, and what the window shows.
+//! Needs Xvfb and a GPU (a software one will do); says so where there is none.
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use image::{GenericImageView as _, RgbImage};
+use x11rb::connection::Connection as _;
+use x11rb::protocol::xproto::{
+    AtomEnum, ClientMessageEvent, ConfigureWindowAux, ConnectionExt as _, EventMask, ImageFormat, InputFocus, Window,
+};
+use x11rb::protocol::xtest::ConnectionExt as _;
+use x11rb::rust_connection::RustConnection;
+use x11rb::wrapper::ConnectionExt as _;
+
+const KEY_PRESS: u8 = 2;
+const KEY_RELEASE: u8 = 3;
+const BUTTON_PRESS: u8 = 4;
+const BUTTON_RELEASE: u8 = 5;
+const MOTION: u8 = 6;
+/// The picture is drawn by a debug build on a software adapter.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A virtual display; ends on drop.
+struct Display {
+    xvfb: Child,
+    name: String,
+}
+
+impl Display {
+    /// `None`, said aloud, where there is no Xvfb (a failure with REQUIRE_GPU=1, as in CI).
+    fn start() -> Option<Self> {
+        let xvfb = Command::new("Xvfb")
+            .args(["-displayfd", "1", "-screen", "0", "1280x1024x24", "-nolisten", "tcp"])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn();
+        let mut xvfb = match xvfb {
+            Ok(xvfb) => xvfb,
+            Err(error) => {
+                eprintln!("SKIPPED: no Xvfb: {error}");
+                return None;
+            }
+        };
+        let mut line = String::new();
+        BufReader::new(xvfb.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        Some(Self { xvfb, name: format!(":{}", line.trim()) })
+    }
+}
+
+impl Drop for Display {
+    fn drop(&mut self) {
+        let _ = self.xvfb.kill();
+        let _ = self.xvfb.wait();
+    }
+}
+
+/// A program with a window, seen and driven through the X protocol.
+struct Driven {
+    program: Child,
+    x: RustConnection,
+    root: Window,
+    window: Window,
+}
+
+impl Driven {
+    fn start(display: &Display, args: &[&str], folder: &Path) -> Self {
+        let program = Command::new(env!("CARGO_BIN_EXE_terrane"))
+            .args(args)
+            .current_dir(folder)
+            .env("DISPLAY", &display.name)
+            .env_remove("WAYLAND_DISPLAY")
+            .env_remove("WAYLAND_SOCKET")
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        let (x, screen) = x11rb::connect(Some(&display.name)).unwrap();
+        let root = x.setup().roots[screen].root;
+        let mut driven = Self { program, x, root, window: 0 };
+        driven.window = driven.wait_for("a window", Self::find_window);
+        // There is no window manager that would.
+        driven.x.set_input_focus(InputFocus::PARENT, driven.window, x11rb::CURRENT_TIME).unwrap();
+        driven.x.sync().unwrap();
+        driven
+    }
+
+    fn find_window(&mut self) -> Option<Window> {
+        let tree = self.x.query_tree(self.root).unwrap().reply().unwrap();
+        tree.children.into_iter().find(|window| {
+            let name = self.x.get_property(false, *window, AtomEnum::WM_NAME, AtomEnum::ANY, 0, 100).unwrap().reply();
+            let is_ours = name.is_ok_and(|name| name.value.starts_with(b"Terrane"));
+            let seen = self.x.get_window_attributes(*window).unwrap().reply();
+            is_ours && seen.is_ok_and(|a| a.map_state == x11rb::protocol::xproto::MapState::VIEWABLE)
+        })
+    }
+
+    fn wait_for<T>(&mut self, what: &str, mut found: impl FnMut(&mut Self) -> Option<T>) -> T {
+        let start = Instant::now();
+        loop {
+            if let Some(it) = found(self) {
+                return it;
+            }
+            assert!(start.elapsed() < PATIENCE, "no {what} after {PATIENCE:?}");
+            assert!(self.program.try_wait().unwrap().is_none(), "the program ended before there was {what}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// What the window shows.
+    fn picture(&self) -> RgbImage {
+        let size = self.x.get_geometry(self.window).unwrap().reply().unwrap();
+        let (width, height) = (size.width, size.height);
+        let image = self.x.get_image(ImageFormat::Z_PIXMAP, self.window, 0, 0, width, height, u32::MAX);
+        let data = image.unwrap().reply().unwrap().data;
+        RgbImage::from_fn(u32::from(width), u32::from(height), |x, y| {
+            let at = 4 * (y as usize * usize::from(width) + x as usize);
+            image::Rgb([data[at + 2], data[at + 1], data[at]])
+        })
+    }
+
+    /// Waits for a picture, and keeps it where KEEP_IMAGES names a folder.
+    fn until(&mut self, name: &str, mut good: impl FnMut(&RgbImage) -> bool) -> RgbImage {
+        let mut last = None;
+        let start = Instant::now();
+        while start.elapsed() < PATIENCE {
+            let picture = self.picture();
+            if good(&picture) {
+                keep(name, &picture);
+                return picture;
+            }
+            last = Some(picture);
+            assert!(self.program.try_wait().unwrap().is_none(), "the program ended before {name}");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        last.iter().for_each(|picture| keep(name, picture));
+        panic!("{name}: not seen after {PATIENCE:?}");
+    }
+
+    /// A picture that stays the same for a while.
+    fn at_rest(&mut self, name: &str) -> RgbImage {
+        let (mut before, mut same) = (None, 0);
+        self.until(name, |picture| {
+            let is_same = before.as_ref().is_some_and(|b| differing(b, picture) < 1e-4);
+            same = if is_same { same + 1 } else { 0 };
+            before = Some(picture.clone());
+            same >= 5
+        })
+    }
+
+    fn send(&self, kind: u8, detail: u8, x: i16, y: i16) {
+        self.x.xtest_fake_input(kind, detail, 0, self.root, x, y, 0).unwrap();
+        self.x.sync().unwrap();
+    }
+
+    /// Types a key by its symbol.
+    fn key(&self, symbol: u32) {
+        let setup = self.x.setup();
+        let (first, last) = (setup.min_keycode, setup.max_keycode);
+        let map = self.x.get_keyboard_mapping(first, last - first + 1).unwrap().reply().unwrap();
+        let columns = usize::from(map.keysyms_per_keycode);
+        let row = map.keysyms.chunks(columns).position(|symbols| symbols.first() == Some(&symbol)).unwrap();
+        let code = first + u8::try_from(row).unwrap();
+        self.send(KEY_PRESS, code, 0, 0);
+        std::thread::sleep(Duration::from_millis(30));
+        self.send(KEY_RELEASE, code, 0, 0);
+    }
+
+    fn letter(&self, letter: char) {
+        self.key(letter as u32);
+    }
+
+    /// Drags with a button and holds still before the release, so that nothing is thrown.
+    fn drag(&self, button: u8, from: [i16; 2], to: [i16; 2]) {
+        self.send(MOTION, 0, from[0], from[1]);
+        self.send(BUTTON_PRESS, button, 0, 0);
+        for step in 1..=10 {
+            let at = [0, 1].map(|i| from[i] + (to[i] - from[i]) * step / 10);
+            self.send(MOTION, 0, at[0], at[1]);
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        std::thread::sleep(Duration::from_millis(600));
+        self.send(BUTTON_RELEASE, button, 0, 0);
+    }
+
+    fn resize(&self, [width, height]: [u32; 2]) {
+        self.x.configure_window(self.window, &ConfigureWindowAux::new().width(width).height(height)).unwrap();
+        self.x.sync().unwrap();
+    }
+
+    /// As a window manager does when the user closes the window.
+    fn close(&self) {
+        let atom = |name: &[u8]| self.x.intern_atom(false, name).unwrap().reply().unwrap().atom;
+        let (protocols, delete) = (atom(b"WM_PROTOCOLS"), atom(b"WM_DELETE_WINDOW"));
+        let message = ClientMessageEvent::new(32, self.window, protocols, [delete, 0, 0, 0, 0]);
+        self.x.send_event(false, self.window, EventMask::NO_EVENT, message).unwrap();
+        self.x.sync().unwrap();
+    }
+
+    fn ended(&mut self) -> ExitStatus {
+        let start = Instant::now();
+        loop {
+            if let Some(status) = self.program.try_wait().unwrap() {
+                return status;
+            }
+            assert!(start.elapsed() < PATIENCE, "it hangs on exit");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+}
+
+impl Drop for Driven {
+    fn drop(&mut self) {
+        let _ = self.program.kill();
+        let _ = self.program.wait();
+    }
+}
+
+fn keep(name: &str, picture: &RgbImage) {
+    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
+        picture.save(Path::new(&folder).join(format!("window-{name}.png"))).unwrap();
+    }
+}
+
+/// Share of the pixels that differ visibly.
+fn differing(a: &RgbImage, b: &RgbImage) -> f64 {
+    if a.dimensions() != b.dimensions() {
+        return 1.0;
+    }
+    let differ = |(p, q): (&image::Rgb<u8>, &image::Rgb<u8>)| p.0.iter().zip(q.0).any(|(p, q)| p.abs_diff(q) > 12);
+    a.pixels().zip(b.pixels()).filter(|pair| differ(*pair)).count() as f64 / f64::from(a.width() * a.height())
+}
+
+/// How many colours there are, in steps of 8: a sky alone has few.
+fn colours(picture: &RgbImage) -> usize {
+    let of = |p: &image::Rgb<u8>| p.0.map(|c| c / 8);
+    picture.pixels().map(of).collect::<std::collections::BTreeSet<_>>().len()
+}
+
+fn part(picture: &RgbImage, [x, y, width, height]: [u32; 4]) -> RgbImage {
+    picture.view(x, y, width, height).to_image()
+}
+
+/// A small set of height tiles; `None`, said aloud, where nothing can draw.
+fn tile_set(folder: &Path) -> Option<PathBuf> {
+    if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&terrane::gpu::ContextTraits::default()) {
+        assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+        eprintln!("SKIPPED: {error}");
+        return None;
+    }
+    let set = folder.join("set");
+    let args = ["gen", set.to_str().unwrap(), "--levels", "3", "--seed", "7"];
+    assert!(Command::new(env!("CARGO_BIN_EXE_terrane")).args(args).stdout(Stdio::null()).status().unwrap().success());
+    Some(set)
+}
+
+const ESCAPE: u32 = 0xff1b;
+const SPACE: u32 = 0x20;
+
+#[test]
+fn a_user_moves_looks_around_and_closes_the_window() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let set = set.to_str().unwrap().to_owned();
+    let mut w = Driven::start(&display, &["view", &set, "--size", "640x360"], folder.path());
+    w.until("terrain", |picture| picture.dimensions() == (640, 360) && colours(picture) > 200);
+    // Until the line at the lower edge is gone.
+    std::thread::sleep(Duration::from_secs(3));
+    let first = w.at_rest("first");
+
+    // Home is another view than the first; the pointer turns it, and home brings it back.
+    w.key(SPACE);
+    w.until("moved home", |picture| differing(&first, picture) > 0.1);
+    let home = w.at_rest("home");
+    w.drag(1, [320, 180], [460, 160]);
+    let turned = w.at_rest("turned");
+    assert!(differing(&home, &turned) > 0.2, "a drag turns");
+    w.key(SPACE);
+    w.until("home again", |picture| differing(&home, picture) < 0.002);
+
+    // The wheel: nearer, so that less sky is left above.
+    for _ in 0..4 {
+        w.send(BUTTON_PRESS, 4, 0, 0);
+        w.send(BUTTON_RELEASE, 4, 0, 0);
+    }
+    w.until("zoomed", |picture| differing(&home, picture) > 0.2);
+    w.key(SPACE);
+    w.until("home after the zoom", |picture| differing(&home, picture) < 0.002);
+
+    // The stats lie dark over the upper left; four more times and they are gone.
+    let corner = [20, 40, 120, 60];
+    w.letter('s');
+    let over = w.until("stats", |picture| differing(&part(picture, corner), &part(&home, corner)) > 0.9);
+    let rest = [400, 60, 200, 240];
+    assert!(differing(&part(&over, rest), &part(&home, rest)) < 0.01, "the rest stays");
+    for _ in 0..4 {
+        w.letter('s');
+        std::thread::sleep(Duration::from_millis(300));
+    }
+    w.until("no stats", |picture| differing(&home, picture) < 0.002);
+    w.letter('h');
+    let middle = [240, 100, 160, 160];
+    w.until("help", |picture| differing(&part(picture, middle), &part(&home, middle)) > 0.5);
+    w.letter('h');
+    w.until("no help", |picture| differing(&home, picture) < 0.002);
+
+    // Wireframe shows the sky through the ground, and is taken back.
+    w.letter('w');
+    w.until("wireframe", |picture| differing(&home, picture) > 0.1);
+    w.letter('w');
+    std::thread::sleep(Duration::from_millis(300));
+    w.letter('w');
+    w.until("filled", |picture| differing(&home, picture) < 0.002);
+
+    // Without textures the ground is white, without light it has no shadows.
+    let green = |picture: &RgbImage| {
+        let is_green = |p: &&image::Rgb<u8>| p.0[1] > p.0[2].saturating_add(25);
+        picture.pixels().filter(is_green).count() as f64 / f64::from(picture.width() * picture.height())
+    };
+    assert!(green(&home) > 0.1);
+    w.letter('t');
+    w.until("no textures", |picture| green(picture) < 0.001 && differing(&home, picture) > 0.1);
+    w.letter('t');
+    w.until("textures", |picture| differing(&home, picture) < 0.002);
+    w.letter('l');
+    w.until("no light", |picture| differing(&home, picture) > 0.03 && green(picture) > 0.1);
+    w.letter('l');
+    w.until("light", |picture| differing(&home, picture) < 0.002);
+
+    // Tile bounds are lines over the ground.
+    w.letter('g');
+    w.until("tiles", |picture| differing(&home, picture) > 0.02);
+    w.letter('g');
+    std::thread::sleep(Duration::from_millis(300));
+    w.letter('g');
+    w.until("no tiles", |picture| differing(&home, picture) < 0.002);
+
+    // Another size: all of it is drawn, and what was in the middle still is.
+    w.resize([800, 500]);
+    w.until("resized", |picture| {
+        picture.dimensions() == (800, 500) && colours(&part(picture, [640, 200, 160, 300])) > 20
+    });
+    w.resize([1, 1]);
+    std::thread::sleep(Duration::from_millis(300));
+    w.resize([640, 360]);
+    w.until("back in size", |picture| picture.dimensions() == (640, 360) && differing(&home, picture) < 0.002);
+
+    w.letter('c');
+    let file = folder.path().join("terrane-001.png");
+    let written = w.wait_for("a picture", |_| image::open(&file).ok()).into_rgb8();
+    assert!(differing(&written, &home) < 0.002, "it shows what the window shows");
+
+    // Other manipulators by their keys, from where the camera is; the arrows fly.
+    w.letter('2');
+    std::thread::sleep(Duration::from_millis(500));
+    w.until("the same from the fly manipulator", |picture| differing(&part(&home, rest), &part(picture, rest)) < 0.01);
+    w.key(0xff52);
+    w.until("flown", |picture| differing(&home, picture) > 0.02);
+
+    w.close();
+    assert_eq!(w.ended().code(), Some(0));
+}
+
+#[test]
+fn a_window_that_draws_on_demand_rests_and_wakes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let args = ["view", set.to_str().unwrap(), "--size", "320x180", "--on-demand", "--max-fps", "30"];
+    let mut w = Driven::start(&display, &args, folder.path());
+    w.until("terrain on demand", |picture| colours(picture) > 100);
+    std::thread::sleep(Duration::from_secs(3));
+    let rest = w.at_rest("rest on demand");
+    // Clock ticks of all its threads, of which there are 100 a second.
+    let ticks = |w: &Driven| {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", w.program.id())).unwrap();
+        let fields: Vec<&str> = stat.rsplit(')').next().unwrap().split_whitespace().collect();
+        fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()
+    };
+    let before = ticks(&w);
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(ticks(&w) - before < 60, "it draws all the time");
+    w.send(MOTION, 0, 160, 90);
+    for _ in 0..4 {
+        w.send(BUTTON_PRESS, 4, 0, 0);
+        w.send(BUTTON_RELEASE, 4, 0, 0);
+    }
+    w.until("woken", |picture| differing(&rest, picture) > 0.2);
+    w.key(ESCAPE);
+    assert_eq!(w.ended().code(), Some(0));
+}
+
+#[test]
+fn escape_ends_a_flight_in_a_window_and_the_report_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let report = folder.path().join("report.json");
+    let args = ["fly", set.to_str().unwrap(), "--size", "320x180", "--frames", "100000", "--report"];
+    let args: Vec<&str> = args.into_iter().chain([report.to_str().unwrap()]).collect();
+    let mut w = Driven::start(&display, &args, folder.path());
+    let first = w.until("terrain", |picture| colours(picture) > 100);
+    w.until("the flight goes on", |picture| differing(&first, picture) > 0.1);
+    w.key(ESCAPE);
+    assert_eq!(w.ended().code(), Some(0));
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
+    assert!(report["frames"].as_u64().unwrap() > 5, "{report}");
+}
