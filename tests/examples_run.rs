@@ -24,12 +24,13 @@ fn example(name: &str) -> PathBuf {
     program
 }
 
-fn run(name: &str, arguments: &[&str], colours_at_least: usize) {
+/// The picture; `None` where nothing can draw.
+fn run(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<image::RgbImage> {
     let traits = terrane::gpu::ContextTraits::default();
     if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&traits) {
         assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
         eprintln!("SKIPPED {name}: {error}");
-        return;
+        return None;
     }
     let folder = tempfile::tempdir().unwrap();
     let picture = folder.path().join("picture.png");
@@ -43,6 +44,7 @@ fn run(name: &str, arguments: &[&str], colours_at_least: usize) {
     assert_eq!((picture.width(), picture.height()), (1280, 720));
     let colours: BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
     assert!(colours.len() >= colours_at_least, "{name}: {} colours", colours.len());
+    Some(picture)
 }
 
 #[test]
@@ -97,5 +99,8 @@ fn embedding() {
 
 #[test]
 fn picking() {
-    run("picking", &[], 1000);
+    let Some(picture) = run("picking", &[], 1000) else { return };
+    let count = |is: fn(&[u8; 3]) -> bool| picture.pixels().filter(|p| is(&p.0)).count();
+    let (pins, balls) = (count(|[r, g, b]| *r > 180 && *g < 140 && *b < 130), count(|[r, _, b]| *b > 150 && *r < 90));
+    assert!(pins > 500 && balls > 1000, "{pins} {balls}");
 }
