@@ -74,6 +74,24 @@ fn each_mode_puts_the_eyes_where_it_should() {
 }
 
 #[test]
+fn split_pictures_have_a_gap_where_asked_for() {
+    let Some(mut rig) = rig("split_pictures_have_a_gap_where_asked_for") else { return };
+    let rig = &mut *rig;
+    for mode in [StereoMode::HorizontalSplit, StereoMode::VerticalSplit] {
+        let picture = picture(rig, &Stereo { separation_px: 10, ..Stereo::new(mode) });
+        for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
+            let along = if mode == StereoMode::HorizontalSplit { x } else { y };
+            let expected = match along {
+                _ if along < (SIDE - 10) / 2 => YELLOW,
+                _ if along < (SIDE + 10) / 2 => [0; 3],
+                _ => CYAN,
+            };
+            assert_eq!(pixel(&picture, x, y), expected, "{mode:?} at {x}, {y}");
+        }
+    }
+}
+
+#[test]
 fn eyes_see_near_things_in_different_places() {
     let Some(mut rig) = rig("eyes_see_near_things_in_different_places") else { return };
     let rig = &mut *rig;

@@ -197,6 +197,8 @@ pub struct RenderStage {
     pub post_render: Vec<RenderStage>,
     /// The first two stages of `pre_render` are the eyes' pictures, to be put together like this; there are no bins.
     pub stereo: Option<StereoMode>,
+    /// Pixels between the pictures of split modes.
+    pub stereo_gap_px: u32,
     /// Nearest depth of any leaf's bound, at least 0; 0 without leaves.
     pub near_m: f64,
     /// Farthest depth of any leaf's bound; 0 without leaves.
@@ -225,6 +227,7 @@ impl RenderStage {
         self.texgens.clear();
         self.clear_node = None;
         self.stereo = None;
+        self.stereo_gap_px = 0;
         self.queries.clear();
         self.target = StageTarget::default();
         for mut stage in self.pre_render.drain(..).chain(self.post_render.drain(..)) {

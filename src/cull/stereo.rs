@@ -80,6 +80,10 @@ pub struct Stereo {
     pub fusion_distance_m: f64,
     /// The eyes change places.
     pub swaps_eyes: bool,
+    /// Pixels between the pictures of split modes.
+    pub separation_px: u32,
+    /// The eyes have a screen each, straight before them: their projections are not sheared.
+    pub head_mounted: bool,
     /// Split modes keep the proportions of things instead of filling each half with the whole width or height.
     pub keeps_aspect: bool,
 }
@@ -93,6 +97,8 @@ impl Stereo {
             screen_distance_m: 0.5,
             fusion_distance_m: 0.5,
             swaps_eyes: false,
+            separation_px: 0,
+            head_mounted: false,
             keeps_aspect: false,
         }
     }
@@ -101,8 +107,8 @@ impl Stereo {
     pub fn eye_size_px(&self, size_px: [u32; 2]) -> [u32; 2] {
         let [width, height] = size_px;
         match self.mode {
-            StereoMode::HorizontalSplit => [(width / 2).max(1), height],
-            StereoMode::VerticalSplit => [width, (height / 2).max(1)],
+            StereoMode::HorizontalSplit => [(width.saturating_sub(self.separation_px) / 2).max(1), height],
+            StereoMode::VerticalSplit => [width, (height.saturating_sub(self.separation_px) / 2).max(1)],
             _ => size_px,
         }
     }
@@ -123,7 +129,9 @@ impl Stereo {
             // The left eye is moved to the left: the world to the right.
             eye.eye_from_world = DAffine3::from_translation(DVec3::new(offset * scale, 0.0, 0.0)) * eye.eye_from_world;
             let mut shear = DMat4::IDENTITY;
-            shear.z_axis.x = offset / self.screen_distance_m.max(1e-6);
+            if !self.head_mounted {
+                shear.z_axis.x = offset / self.screen_distance_m.max(1e-6);
+            }
             eye.clip_from_eye = camera.clip_from_eye * shear;
             if self.keeps_aspect {
                 let [w, h] = camera.viewport_px.map(f64::from);
@@ -157,6 +165,11 @@ mod tests {
         assert!((x(&left, 20.0) - x(&right, 20.0)).abs() < 1e-12);
         assert!(x(&left, 10.0) > x(&right, 10.0), "nearer things cross over");
         assert!(x(&left, 40.0) < x(&right, 40.0));
+        let [left_screen, right_screen] = Stereo { head_mounted: true, ..stereo }.eyes(&camera);
+        assert_eq!(
+            (left_screen.clip_from_eye, right_screen.clip_from_eye),
+            (camera.clip_from_eye, camera.clip_from_eye)
+        );
         let [swapped, _] = Stereo { swaps_eyes: true, ..stereo }.eyes(&camera);
         assert!((x(&swapped, 10.0) - x(&right, 10.0)).abs() < 1e-12);
     }

@@ -181,6 +181,7 @@ impl CullVisitor {
         stage.bins.clear();
         stage.state_sets.clear();
         stage.stereo = Some(stereo.mode);
+        stage.stereo_gap_px = stereo.separation_px;
         stage.counters = CullCounters::default();
         (stage.near_m, stage.far_m) = (f64::INFINITY, 0.0);
         for (eye, target) in stereo.eyes(camera).iter().zip(targets) {

@@ -65,8 +65,15 @@ impl Composite {
     }
 
     /// Makes the pipeline for a target unless it is there, and says what to do.
-    pub(super) fn prepare(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, target: &TargetKey, mode: StereoMode) {
-        queue.write_buffer(&self.uniforms, 0, bytemuck::cast_slice(&[code(mode), 0, 0, 0]));
+    pub(super) fn prepare(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        target: &TargetKey,
+        mode: StereoMode,
+        gap_px: u32,
+    ) {
+        queue.write_buffer(&self.uniforms, 0, bytemuck::cast_slice(&[code(mode), gap_px, 0, 0]));
         if self.pipelines.iter().any(|(key, _)| key == target) {
             return;
         }

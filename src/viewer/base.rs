@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use image::RgbaImage;
 
 use super::ViewerError;
-use super::input::{GuiActionAdapter, OnPicture};
+use super::input::OnPicture;
 use super::paged_scene::PagedScene;
 use super::rendering::{CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rendering, millis};
 use super::stats::{FrameStats, StatsHistory};
@@ -15,7 +15,7 @@ use super::viewer::{FrameStamp, ViewerConfig};
 use crate::cull::{CullVisitor, RenderStage};
 use crate::draw::FrameClock;
 use crate::gpu::{CompileBudget, GraphicsContext};
-use crate::timeline;
+use crate::timeline::{self, Span};
 
 /// How often arrivals are looked for while the draw thread is busy.
 const ARRIVAL_POLL: Duration = Duration::from_micros(300);
@@ -25,6 +25,7 @@ const MAX_BLOCKING_ROUNDS: u32 = 256;
 pub(super) struct ViewerBase {
     pub(super) rendering: Rendering,
     max_contexts: usize,
+    min_stencil_bits: u32,
     blocking: bool,
     pub(super) compile_budget: CompileBudget,
     #[cfg(feature = "window")]
@@ -51,6 +52,26 @@ pub(super) struct ViewerBase {
     read_back_ms: f64,
 }
 
+/// A frame whose rendering has not begun.
+pub(super) struct FrameUnderWay {
+    pub(super) start: Instant,
+    /// Seconds since the frame before.
+    pub(super) dt_s: f64,
+    stats: FrameStats,
+    /// On the timeline; ends before the frame's own.
+    phase: Option<Span>,
+    _frame: Span,
+}
+
+impl FrameUnderWay {
+    /// The event phase is over.
+    pub(super) fn end_events(&mut self) {
+        self.stats.event_ms = millis(self.start.elapsed());
+        self.phase = None;
+        self.phase = Some(timeline::span("update"));
+    }
+}
+
 impl ViewerBase {
     pub(super) fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
         let mut rendering = Rendering::new(config.pager.blocking);
@@ -58,6 +79,7 @@ impl ViewerBase {
         Ok(Self {
             rendering,
             max_contexts: config.max_contexts,
+            min_stencil_bits: config.min_stencil_bits,
             blocking: config.pager.blocking,
             compile_budget: config.compile_budget,
             #[cfg(feature = "window")]
@@ -85,6 +107,11 @@ impl ViewerBase {
         context: GraphicsContext,
         scenes: &mut [PagedScene],
     ) -> Result<ContextId, ViewerError> {
+        let has_stencil = context.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
+        if self.min_stencil_bits > if has_stencil { 8 } else { 0 } {
+            let (bits, adapter) = (self.min_stencil_bits, context.adapter_name());
+            return Err(ViewerError::Setting(format!("{adapter} has no {bits} bits of stencil")));
+        }
         let limit = self.max_contexts;
         if self.rendering.context_ids().count() >= limit {
             return Err(ViewerError::TooManyContexts { limit });
@@ -176,40 +203,27 @@ impl ViewerBase {
         self.first_frame.map_or(0.0, |first| first.elapsed().as_secs_f64())
     }
 
-    /// Renders one frame; when it began.
-    pub(super) fn frame(
-        &mut self,
-        views: &mut [View],
-        scenes: &mut [PagedScene],
-        simulation_time_s: f64,
-    ) -> Result<Instant, ViewerError> {
+    /// Begins a frame; the event phase comes next.
+    pub(super) fn begin_frame(&mut self, simulation_time_s: f64) -> Result<FrameUnderWay, ViewerError> {
         let start = Instant::now();
         self.read_back_ms = 0.0;
         let dt_s = self.advance(start, simulation_time_s);
-        let mut stats = FrameStats { frame: self.stamp.frame, ..FrameStats::default() };
-        let _frame = timeline::span_of("frame", || self.stamp.frame.to_string().into());
+        let number = self.stamp.frame;
+        let _frame = timeline::span_of("frame", || number.to_string().into());
+        let stats = FrameStats { frame: number, ..FrameStats::default() };
+        Ok(FrameUnderWay { start, dt_s, stats, phase: Some(timeline::span("event")), _frame })
+    }
 
-        let span = timeline::span("event");
-        for view in views.iter_mut() {
-            let paged = &mut scenes[view.scene];
-            GuiActionAdapter { base: self, view, paged }.event_traversal();
-        }
+    /// Update after the application's own, and rendering.
+    pub(super) fn end_frame(
+        &mut self,
+        frame: FrameUnderWay,
+        views: &mut [View],
+        scenes: &mut [PagedScene],
+    ) -> Result<(), ViewerError> {
+        let FrameUnderWay { start, mut stats, phase, _frame, .. } = frame;
         // A handler may have changed the model.
         self.rendering.start_threads()?;
-        drop(span);
-        let after_event = Instant::now();
-        stats.event_ms = millis(after_event - start);
-
-        // Update: everything with &mut Scene.
-        let span = timeline::span("update");
-        for scene in scenes.iter_mut() {
-            scene.update(&self.stamp);
-        }
-        // After the callbacks: what a camera follows may have moved.
-        for view in views.iter_mut() {
-            let paged = &mut scenes[view.scene];
-            GuiActionAdapter { base: self, view, paged }.update_camera(dt_s);
-        }
         if self.blocking {
             self.absorb_all()?;
         }
@@ -218,10 +232,10 @@ impl ViewerBase {
             stats.merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
             is_dynamic |= scene.send_rewritten(&mut self.rendering)?;
         }
-        stats.update_ms = millis(after_event.elapsed());
-        drop(span);
+        stats.update_ms = millis(start.elapsed()) - stats.event_ms;
+        drop(phase);
 
-        // Rendering: cull and draw, by the threads of the model.
+        // Cull and draw, by the threads of the model.
         self.wait_for_stage(scenes)?;
         for view in views.iter_mut() {
             view.prepare(&self.rendering, scenes[view.scene].bounds.as_ref());
@@ -238,7 +252,7 @@ impl ViewerBase {
         if let Some(stats) = self.history.frame_mut(self.stamp.frame) {
             stats.frame_ms = frame_ms;
         }
-        Ok(start)
+        Ok(())
     }
 
     fn advance(&mut self, now: Instant, simulation_time_s: f64) -> f64 {

@@ -162,6 +162,7 @@ impl CompositeViewer {
         let ViewerConfig { size_px, samples, .. } = self.config;
         let mut view = View::new(scene.0, self.config.cull_settings(), size_px, samples);
         view.master = Some(place);
+        view.set_stereo(self.config.stereo);
         view.prepare(&self.base.rendering, bounds.as_ref());
         if let Some(bounds) = &bounds {
             view.first_sight(bounds);
@@ -242,8 +243,22 @@ impl CompositeViewer {
 
     /// Renders one frame of all views at a simulation time.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
-        self.base.frame(&mut self.views, &mut self.scenes, simulation_time_s)?;
-        Ok(())
+        let mut frame = self.base.begin_frame(simulation_time_s)?;
+        self.for_each_view(|mut view| view.event_traversal());
+        frame.end_events();
+        for scene in &mut self.scenes {
+            scene.update(&self.base.stamp);
+        }
+        // After the callbacks: what cameras follow may have moved.
+        self.for_each_view(|mut view| view.update_camera(frame.dt_s));
+        self.base.end_frame(frame, &mut self.views, &mut self.scenes)
+    }
+
+    fn for_each_view(&mut self, act: impl Fn(GuiActionAdapter<'_>)) {
+        for view in &mut self.views {
+            let paged = &mut self.scenes[view.scene];
+            act(GuiActionAdapter { base: &mut self.base, view, paged });
+        }
     }
 
     /// Uploads, merges and expires what arrives, instead of sleeping until the next frame is due. Returns at

@@ -7,6 +7,7 @@ mod base;
 mod camera;
 mod camera_path;
 mod composite;
+mod display_settings;
 mod events;
 pub mod handlers;
 mod holes;
@@ -33,6 +34,7 @@ mod window_matrix;
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use composite::{CompositeViewer, SceneId, ViewId};
+pub use display_settings::{DisplaySettingError, DisplaySettings, DisplayType};
 pub use events::{
     Bindings, ButtonMask, EventKind, EventMask, EventQueue, GuiEventAdapter, GuiEventHandler, InputState, Key,
     Modifiers, MouseButton, TouchPhase, Usage, UserEvent, UserEvents, YOrientation,

@@ -16,7 +16,7 @@ use super::paged_scene::PagedScene;
 use super::rendering::ThreadingModel;
 use super::stats::StatsHistory;
 use super::view::{ContextId, Slave, SlaveId, View};
-use crate::cull::CullSettings;
+use crate::cull::{CullSettings, Stereo};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::pager::{DatabasePager, PagerConfig};
 use crate::scene::{Page, PageId, Scene};
@@ -42,6 +42,10 @@ pub struct ViewerConfig {
     pub compile_budget: CompileBudget,
     /// Frames whose statistics are kept.
     pub history_frames: usize,
+    /// The master cameras draw for two eyes.
+    pub stereo: Option<Stereo>,
+    /// Bits of stencil that the adapter must have; 8 at most.
+    pub min_stencil_bits: u32,
     /// Contexts that may be open at once. With more than one the geometry of pages that the application made is kept
     /// after its upload, for contexts that are opened later.
     pub max_contexts: usize,
@@ -59,6 +63,8 @@ impl Default for ViewerConfig {
             max_sse_px: 16.0,
             compile_budget: CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
             history_frames: 100_000,
+            stereo: None,
+            min_stencil_bits: 0,
             max_contexts: 1,
         }
     }
@@ -149,6 +155,7 @@ impl Viewer {
         let context = base.open_context(context, &mut [])?;
         let mut view = View::new(0, config.cull_settings(), config.size_px, config.samples);
         view.master = Some(base.add_camera(context, None)?);
+        view.set_stereo(config.stereo);
         let paged = PagedScene::new(0, config.pager.clone(), config.max_contexts > 1);
         let compile_budget = config.compile_budget;
         Ok(Self { compile_budget, base, view, paged, context, converge_s: None, first_pose: None })
@@ -402,8 +409,15 @@ impl Viewer {
     /// Renders one frame at a simulation time.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
         self.base.compile_budget = self.compile_budget;
+        let mut frame = self.base.begin_frame(simulation_time_s)?;
+        let start = frame.start;
+        self.actions().event_traversal();
+        frame.end_events();
+        self.paged.update(&self.base.stamp);
+        // After the callbacks: what the camera follows may have moved.
+        self.actions().update_camera(frame.dt_s);
         let (views, scenes) = (std::slice::from_mut(&mut self.view), std::slice::from_mut(&mut self.paged));
-        let start = self.base.frame(views, scenes, simulation_time_s)?;
+        self.base.end_frame(frame, views, scenes)?;
         self.note_convergence(start);
         Ok(())
     }

@@ -200,6 +200,12 @@ pub enum Bench {
         #[arg(long, default_value_t = 1.0)]
         secs: f64,
     },
+    /// What each threading model makes of update, cull and draw
+    Threading {
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
     /// Files to merged pages
     Page {
         /// Frames of the flight

@@ -13,8 +13,8 @@ use terrane::cull::Stereo;
 use terrane::draw::{Sky, Water};
 use terrane::timeline::Recording;
 use terrane::viewer::{
-    AnimationPath, Camera, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerConfig,
-    ViewerError, WindowOptions, has_display, run_window,
+    AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer,
+    ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
 };
 
 use crate::args::FlyArgs;
@@ -60,13 +60,14 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
     // A second handler in one process (tests) is no reason not to fly.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
 
-    let mut config = ViewerConfig {
-        size_px: args.size.0,
-        threading: args.threading,
-        samples: args.samples.max(1),
-        validation: false,
-        ..ViewerConfig::default()
-    };
+    let mut settings = DisplaySettings::from_environment()?;
+    settings.samples = settings.samples.max(args.samples);
+    if let Some(mode) = args.stereo {
+        (settings.stereo, settings.stereo_mode) = (true, mode);
+    }
+    let mut config =
+        ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
+    settings.configure(&mut config);
     config.pager.blocking = args.blocking;
     // Manipulators stay above the ground.
     config.pager.build_kd_trees = args.interactive;
@@ -74,6 +75,7 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
     let root = LoadedRoot::read(&source, &config.pager)?;
     let offscreen = args.offscreen || !display;
     let mut flight = Flight::new(*args, path, stop)?;
+    flight.eyes = config.stereo;
     let mut viewer = if offscreen {
         let mut viewer = Viewer::new_offscreen(&config)?;
         flight.open(&mut viewer, root)?;
@@ -147,6 +149,7 @@ struct Flight {
     path: Option<AnimationPath>,
     stop: Arc<AtomicBool>,
     phase: Phase,
+    eyes: Option<Stereo>,
     frames: u32,
     frames_dir: Option<PathBuf>,
     picture_every: u32,
@@ -188,6 +191,7 @@ impl Flight {
             path,
             stop,
             phase,
+            eyes: None,
             frames_dir,
             picture_every,
             report_file,
@@ -225,9 +229,9 @@ impl Flight {
         };
         viewer.camera.world_from_eye = first;
         viewer.environment.water = self.args.water.filter(|h| h.is_finite()).map(Water::at);
-        if let Some(mode) = self.args.stereo {
+        if let Some(stereo) = self.eyes {
             let fusion_distance_m = first.translation.distance(bounds.sphere.center);
-            viewer.set_stereo(Some(Stereo { fusion_distance_m, ..Stereo::new(mode) }));
+            viewer.set_stereo(Some(Stereo { fusion_distance_m, ..stereo }));
         }
         if self.path.is_none() {
             self.path = Some(bounds.default_path(&first));

@@ -2,6 +2,7 @@
 
 @group(0) @binding(0) var left: texture_2d<f32>;
 @group(0) @binding(1) var right: texture_2d<f32>;
+// How they are put together, and pixels between halves.
 @group(0) @binding(2) var<uniform> mode: vec4<u32>;
 
 @vertex
@@ -14,7 +15,9 @@ fn fs_composite(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32
     let pixel = vec2<i32>(position.xy);
     let size = vec2<i32>(textureDimensions(left));
     let inside = min(pixel, size - 1);
+    let gap = i32(mode.y);
     var is_right = false;
+    var is_between = false;
     var at = inside;
     switch mode.x {
         case 0u: {
@@ -23,18 +26,23 @@ fn fs_composite(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32
         }
         // The halves; an odd column or row in the middle is the right eye's first.
         case 1u: {
-            is_right = pixel.x >= size.x;
-            at = vec2<i32>(min(select(pixel.x, pixel.x - size.x, is_right), size.x - 1), inside.y);
+            is_right = pixel.x >= size.x + gap;
+            is_between = pixel.x >= size.x && !is_right;
+            at = vec2<i32>(min(select(pixel.x, pixel.x - size.x - gap, is_right), size.x - 1), inside.y);
         }
         case 2u: {
-            is_right = pixel.y >= size.y;
-            at = vec2<i32>(inside.x, min(select(pixel.y, pixel.y - size.y, is_right), size.y - 1));
+            is_right = pixel.y >= size.y + gap;
+            is_between = pixel.y >= size.y && !is_right;
+            at = vec2<i32>(inside.x, min(select(pixel.y, pixel.y - size.y - gap, is_right), size.y - 1));
         }
         case 3u: {}
         case 4u: { is_right = true; }
         case 5u: { is_right = (pixel.y & 1) == 1; }
         case 6u: { is_right = (pixel.x & 1) == 1; }
         default: { is_right = ((pixel.x + pixel.y) & 1) == 1; }
+    }
+    if is_between {
+        return vec4<f32>(0.0, 0.0, 0.0, 1.0);
     }
     if is_right {
         return vec4<f32>(textureLoad(right, at, 0).rgb, 1.0);

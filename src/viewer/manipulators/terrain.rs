@@ -26,13 +26,14 @@ pub struct TerrainManipulator {
     pub clearance_m: f64,
     center: DVec3,
     around: Around,
+    /// After a move the point looked at comes to the ground.
     is_settling: bool,
 }
 
 impl Default for TerrainManipulator {
     fn default() -> Self {
         let around = Around { pitches: [-FRAC_PI_2, FLATTEST_PITCH], ..Around::default() };
-        Self { clearance_m: 2.0, center: DVec3::ZERO, around, is_settling: true }
+        Self { clearance_m: 2.0, center: DVec3::ZERO, around, is_settling: false }
     }
 }
 
@@ -122,7 +123,9 @@ impl CameraManipulator for TerrainManipulator {
         if let Some(motion) = self.around.advance(dt_s) {
             self.pan(motion, view);
         }
-        self.settle(dt_s, view);
+        if self.is_settling {
+            self.settle(dt_s, view);
+        }
         self.pose(view)
     }
 
@@ -144,7 +147,8 @@ impl CameraManipulator for TerrainManipulator {
         self.around.distance_m.set(distance_m);
         self.center = world_from_eye.translation + direction * self.distance_m();
         self.around.set_direction(&view.frame_at(self.center).world_from_local.matrix3, world_from_eye);
-        self.is_settling = true;
+        // What is loaded later does not move the eye.
+        self.is_settling = false;
     }
 
     fn is_moving(&self) -> bool {

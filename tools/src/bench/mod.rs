@@ -5,6 +5,7 @@ pub mod frame;
 pub mod page;
 pub mod pick;
 pub mod submit;
+pub mod threading;
 
 use anyhow::Result;
 
@@ -22,6 +23,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         }
         Bench::Submit { secs } => submit::run(*secs),
         Bench::Frame { secs } => frame::run(*secs),
+        Bench::Threading { secs } => threading::run(*secs),
         Bench::Page { frames, pace, draw, tiles, content, url } => page::run(page::Options {
             frames: *frames,
             pace_hz: *pace,

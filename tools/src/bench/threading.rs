@@ -1,0 +1,146 @@
+//! What the threading models make of update, cull and draw: the frame's time beside the longest of what may run at the
+//! same time, and what it takes to stop and start a model's threads. The adapter that does nothing draws, so that no
+//! driver's threads take the cores. One JSON object per line.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use glam::{DAffine3, DVec3};
+use serde_json::json;
+use terrane::gpu::AdapterChoice;
+use terrane::scene::{Node, NodeId, Page};
+use terrane::state::{Attribute, StateSet, SurfaceMaterial};
+use terrane::viewer::{FrameStats, ThreadingModel, Viewer, ViewerConfig};
+
+use super::cull::triangle;
+use super::percentile;
+
+/// Drawables, each under a transform of its own.
+const LEAVES: u32 = 60_000;
+/// Materials that they have in turns.
+const STATE_SETS: u32 = 64;
+/// Transforms under one group: what moving one of them costs update.
+const SIDE: u32 = 100;
+/// Stops and starts that are timed.
+const SWITCHES: usize = 200;
+
+/// Measures every case for about `seconds` each and prints a line for it.
+pub fn run(seconds: f64) -> Result<()> {
+    let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
+    for moved in [0, LEAVES / 64, LEAVES / 16] {
+        // Update, cull and draw of the model that runs them one after the other.
+        let mut alone = None;
+        for threading in ThreadingModel::ALL {
+            println!("{}", measure(moved, threading, time, &mut alone)?);
+        }
+    }
+    Ok(())
+}
+
+fn root() -> Result<Page> {
+    let sets: Vec<_> = (0..STATE_SETS)
+        .map(|i| {
+            let material = SurfaceMaterial { shininess: i as f32, ..SurfaceMaterial::default() };
+            Arc::new(StateSet::default().with(Attribute::SurfaceMaterial(material)))
+        })
+        .collect();
+    let leaf = |i: u32| {
+        let place = DVec3::new(f64::from(i % SIDE), f64::from(i / SIDE), 0.0);
+        let geode = Node::geode(vec![triangle(DVec3::ZERO)]).with_state_set(sets[(i % STATE_SETS) as usize].clone());
+        Node::transform(DAffine3::from_translation(place), vec![geode])
+    };
+    let rows = (0..LEAVES / SIDE).map(|row| Node::group((row * SIDE..(row + 1) * SIDE).map(leaf).collect()));
+    Ok(Page::from_node(Node::group(rows.collect()))?)
+}
+
+fn viewer(moved: u32, threading: ThreadingModel) -> Result<Viewer> {
+    let config = ViewerConfig {
+        size_px: [64, 64],
+        threading,
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        ..ViewerConfig::default()
+    };
+    let mut viewer = Viewer::new_offscreen(&config)?;
+    let root = viewer.add_root(root()?)?;
+    let center = DVec3::new(f64::from(SIDE), f64::from(LEAVES / SIDE), 0.0) * 0.5;
+    viewer.camera.look_at(center + DVec3::new(0.0, 0.0, 400.0), center, DVec3::Y);
+    let mut refused = false;
+    viewer.on_update(Box::new(move |scene, stamp| {
+        let lift = DVec3::new(0.0, 0.0, f64::from(stamp.frame % 8));
+        for i in 0..moved {
+            // A row is its group and two nodes for each leaf.
+            let (row, column) = (i / SIDE, i % SIDE);
+            let node = NodeId { page: root, index: 1 + row * (1 + 2 * SIDE) + 1 + 2 * column };
+            let place = DVec3::new(f64::from(column), f64::from(row), 0.0) + lift;
+            refused |= scene.set_transform(node, DAffine3::from_translation(place)).is_err();
+        }
+        debug_assert!(!refused, "the nodes are where the scene was built");
+    }));
+    Ok(viewer)
+}
+
+fn measure(
+    moved: u32,
+    threading: ThreadingModel,
+    time: Duration,
+    alone: &mut Option<[f64; 3]>,
+) -> Result<serde_json::Value> {
+    let mut viewer = viewer(moved, threading)?;
+    let patience = Instant::now() + Duration::from_secs(60);
+    while viewer.stats().last_drawn().is_none_or(|f| f.leaves < LEAVES) && Instant::now() < patience {
+        viewer.frame()?;
+    }
+    for _ in 0..20 {
+        viewer.frame()?;
+    }
+    viewer.finish()?;
+    let first = viewer.frame_stamp().frame + 1;
+    let start = Instant::now();
+    let mut frames = 0;
+    while start.elapsed() < time || frames < 20 {
+        viewer.frame()?;
+        frames += 1;
+    }
+    viewer.finish()?;
+    let frame_ms = start.elapsed().as_secs_f64() * 1e3 / f64::from(frames);
+    let mean = |value: fn(&FrameStats) -> f64| {
+        let drawn = viewer.stats().iter().filter(|f| f.frame >= first && f.drawn);
+        drawn.map(value).sum::<f64>() / f64::from(frames)
+    };
+    let own = [mean(|f| f.event_ms + f.update_ms), mean(|f| f.cull_ms), mean(|f| f.draw_ms + f.compile_ms)];
+    let bound = |[update, cull, draw]: [f64; 3]| match threading {
+        ThreadingModel::SingleThreaded | ThreadingModel::CullDrawThreadPerContext => update + cull + draw,
+        _ => (update + cull).max(draw),
+    };
+    let alone = *alone.get_or_insert(own);
+    let [stop_ms, start_ms] = switches(&mut viewer)?;
+    let round = |v: f64| (v * 1e3).round() / 1e3;
+    let times =
+        |mut ms: Vec<f64>| json!({ "p50": round(percentile(&mut ms, 0.5)), "max": round(percentile(&mut ms, 1.0)) });
+    Ok(json!({
+        "bench": "terrane_threading", "threading": threading.to_string(), "n": LEAVES, "statesets": STATE_SETS,
+        "moved": moved, "frames": frames, "frame_mean_ms": round(frame_ms),
+        "update_mean_ms": round(own[0]), "cull_mean_ms": round(own[1]), "draw_mean_ms": round(own[2]),
+        "bound_ms": round(bound(own)), "frame_per_bound": round(frame_ms / bound(own)),
+        "alone_ms": alone.map(round), "frame_per_bound_alone": round(frame_ms / bound(alone)),
+        "stop_ms": times(stop_ms), "start_ms": times(start_ms),
+    }))
+}
+
+/// Milliseconds of stopping and starting the threads, a frame between two.
+fn switches(viewer: &mut Viewer) -> Result<[Vec<f64>; 2]> {
+    let (mut stop_ms, mut start_ms) = (Vec::new(), Vec::new());
+    for _ in 0..SWITCHES {
+        viewer.frame()?;
+        viewer.finish()?;
+        let before = Instant::now();
+        viewer.stop_threading()?;
+        let stopped = Instant::now();
+        viewer.start_threading()?;
+        stop_ms.push((stopped - before).as_secs_f64() * 1e3);
+        start_ms.push(stopped.elapsed().as_secs_f64() * 1e3);
+    }
+    Ok([stop_ms, start_ms])
+}
