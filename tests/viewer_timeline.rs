@@ -42,7 +42,7 @@ fn a_flight_is_recorded_whole() {
         terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
     terrane_data_gen::run(&args).unwrap();
     let file = folder.path().join("trace.json");
-    for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+    for threading in ThreadingModel::ALL {
         let config = ViewerConfig {
             size_px: [160, 90],
             threading,
@@ -86,7 +86,13 @@ fn a_flight_is_recorded_whole() {
         assert_eq!(names.len(), summary.threads);
         let all: BTreeSet<&str> = names.values().map(String::as_str).collect();
         let draws = if threading == ThreadingModel::SingleThreaded { None } else { Some("draw 0") };
-        for name in ["a_flight_is_recorded_whole", "pager-file-", "pager-decode-"].into_iter().chain(draws) {
+        let culls = match threading {
+            ThreadingModel::CullDrawThreadPerContext => Some("draw 0"),
+            ThreadingModel::CullThreadPerCameraDrawThreadPerContext => Some("cull 0"),
+            _ => None,
+        };
+        for name in ["a_flight_is_recorded_whole", "pager-file-", "pager-decode-"].into_iter().chain(draws).chain(culls)
+        {
             assert!(all.iter().any(|n| n.starts_with(name)), "{name} is not among {all:?}");
         }
         assert!(!all.iter().any(|n| n.starts_with("thread ")), "without a name: {all:?}");
@@ -105,20 +111,40 @@ fn a_flight_is_recorded_whole() {
         assert_eq!(spans.values().map(|s| s.len() as u64).sum::<u64>(), summary.spans);
         spans.values_mut().for_each(|spans| assert_nested(spans));
         let main = "a_flight_is_recorded_whole";
-        let draw = draws.unwrap_or(main);
-        for (thread, stage, least) in [
+        let (draw, cull) = (draws.unwrap_or(main), culls.unwrap_or(main));
+        // Where the threads of the model meet.
+        let meetings: &[(&str, &str, u32)] = match threading {
+            ThreadingModel::CullDrawThreadPerContext => &[
+                (main, "start barrier", 40),
+                (main, "end barrier", 40),
+                ("draw 0", "start barrier", 40),
+                ("draw 0", "end barrier", 40),
+            ],
+            ThreadingModel::DrawThreadPerContext => {
+                &[(main, "end of dynamic draws", 40), ("draw 0", "await frame", 40), ("draw 0", "swap ready", 40)]
+            }
+            ThreadingModel::CullThreadPerCameraDrawThreadPerContext => &[
+                (main, "start barrier", 40),
+                (main, "end of dynamic draws", 40),
+                (main, "wait for culls", 40),
+                ("cull 0", "start barrier", 40),
+                ("draw 0", "wait for cull", 40),
+            ],
+            _ => &[],
+        };
+        for &(thread, stage, least) in meetings.iter().chain(&[
             (main, "frame", 40),
             (main, "event", 40),
             (main, "update", 40),
             (main, "merge", 40),
             (main, "wait for stage", 40),
-            (main, "cull", 40),
-            (main, "traverse", 40),
-            (main, "sort", 40),
+            (cull, "cull", 40),
+            (cull, "traverse", 40),
+            (cull, "sort", 40),
             (draw, "compile", 40),
             (draw, "draw", 40),
             (draw, "present", 40),
-        ] {
+        ]) {
             let count = stages.get(&(thread, stage)).copied().unwrap_or(0);
             assert!(count >= least, "{threading}: {count} of {stage} on {thread}");
         }

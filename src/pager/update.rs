@@ -506,8 +506,9 @@ impl DatabasePager {
         self.compiling.clear();
         self.ready.clear();
         let arrived = self.entries.extract_if(|_, entry| matches!(entry.progress, Progress::Arrived(_)));
-        let arrived: Vec<_> = arrived.map(|(_, entry)| entry.progress).collect();
-        for progress in arrived {
+        let arrived: Vec<_> = arrived.map(|(_, entry)| (entry.job.ticket, entry.progress)).collect();
+        for (ticket, progress) in arrived {
+            timeline::request_ends(self.threads.list.ticket_source | ticket, "declined");
             if let Progress::Arrived(Arrived { page, .. }) = progress {
                 self.retire(page, contexts);
             }

@@ -16,6 +16,7 @@ use crate::draw::{CameraCallbacks, Environment};
 use crate::scene::{CameraTarget, ComputeNearFar, DataVariance, Scene};
 use crate::state::StateSet;
 use crate::sync::BlockCount;
+use crate::timeline;
 use crate::viewer::Camera;
 
 /// Stages of a camera: one for cull, one for draw.
@@ -132,7 +133,10 @@ impl CullSide {
             Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
         };
         // The main thread starts no frame before a stage is free; none comes where the thread that draws is gone.
-        let Ok(mut stage) = self.available.recv() else {
+        let span = timeline::span("wait for stage");
+        let available = self.available.recv();
+        drop(span);
+        let Ok(mut stage) = available else {
             let requests = task.requests;
             drop(task.scene);
             let _ = self.outcomes.send(CullOutcome { requests, ..CullOutcome::default() });

@@ -18,6 +18,7 @@ use crate::draw::{DrawStats, Environment, FrameClock, Picture, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
 use crate::scene::{DrawSlot, Mesh};
 use crate::sync::BlockCount;
+use crate::timeline;
 
 /// One frame's work for the thread that owns the context.
 #[derive(Default)]
@@ -252,6 +253,7 @@ impl DrawSide {
                     cull.cull();
                 }
                 // Whoever culls ends with sending a stage, or is gone.
+                let _span = timeline::span("wait for cull");
                 self.stages.extend(self.cameras.iter().filter_map(|camera| camera.culled.recv().ok()));
             }
         }

@@ -39,6 +39,7 @@ use crate::gpu::{Compiled, GraphicsContext};
 use crate::pager::CompileContext;
 use crate::scene::{DrawSlot, Drawable};
 use crate::sync::{Barrier, BlockCount, OperationThread};
+use crate::timeline;
 
 /// Frames that may be on their way to or in a context's thread; as many as a camera has stages.
 pub(super) const FRAMES_IN_FLIGHT: usize = SCENE_VIEWS;
@@ -296,6 +297,7 @@ impl Rendering {
             result = result.and(camera.tasks.send(task).map_err(|_| ViewerError::DrawThreadStopped));
         }
         if let Some(barrier) = &running.start {
+            let _span = timeline::span("start barrier");
             barrier.block();
         }
         for camera in &mut self.cameras {
@@ -314,11 +316,14 @@ impl Rendering {
             }
         }
         if let Some(barrier) = &running.end {
+            let _span = timeline::span("end barrier");
             barrier.block();
         }
         if let Some(block) = &running.end_of_dynamic {
+            let _span = timeline::span("end of dynamic draws");
             block.block();
         }
+        let _span = timeline::span("wait for culls");
         for camera in &mut self.cameras {
             match camera.outcomes.recv() {
                 Ok(outcome) => camera.outcome = outcome,

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use super::cull_side::CullSide;
 use super::draw_side::DrawSide;
 use crate::sync::{Barrier, BlockCount, Operation};
+use crate::timeline;
 
 /// A step of a context's thread.
 pub(super) struct Step {
@@ -33,6 +34,7 @@ impl Operation<DrawSide> for Step {
     }
 
     fn run(&self, side: &mut DrawSide) {
+        let _span = timeline::span(self.name);
         (self.run)(side);
     }
 
@@ -61,6 +63,7 @@ impl Operation<DrawSide> for BarrierOperation {
     fn run(&self, side: &mut DrawSide) {
         // Woken without a frame there is nobody to meet.
         if side.meets_others {
+            let _span = timeline::span(self.name);
             self.barrier.block();
         }
     }
@@ -83,6 +86,7 @@ impl Operation<CullSide> for StartOfCull {
     }
 
     fn run(&self, _: &mut CullSide) {
+        let _span = timeline::span("start barrier");
         self.0.block();
     }
 
