@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::tileset::{self, TileJson};
-use super::{IoError, Limits, ReadOptions, is_http, read_file, resolve, root_uri};
+use super::{IoError, Limits, ReadOptions, is_http, read_file, resolve, root_uri, shown};
 use crate::scene::Page;
 
 /// Summary of a tile set.
@@ -95,7 +95,7 @@ pub fn inspect(source: &str, limits: &Limits) -> Result<Info, IoError> {
 
 impl Info {
     fn fail(&mut self, error: &IoError) {
-        self.errors.push(InfoError { uri: error.uri().to_owned(), reason: error.reason() });
+        self.errors.push(InfoError { uri: shown(error.uri()).into_owned(), reason: error.reason() });
     }
 
     fn level(&mut self, level: u32) -> &mut LevelInfo {
@@ -170,7 +170,7 @@ pub(crate) fn fetch(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
     }
     #[cfg(feature = "http")]
     {
-        super::http::get_here(uri, limits, &super::HttpConfig::default())
+        super::HttpHere::new(&super::HttpConfig::default())?.get(uri, limits)
     }
     #[cfg(not(feature = "http"))]
     Err(IoError::unsupported(uri, "http (built without the feature)"))

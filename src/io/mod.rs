@@ -4,6 +4,7 @@
 //! every failure is one [`IoError`] that names the URI and the reason.
 
 mod b3dm;
+mod encoding;
 mod error;
 mod file;
 mod gltf;
@@ -21,10 +22,10 @@ pub mod write;
 pub use error::{IoError, Limits};
 pub use file::read_file;
 #[cfg(feature = "http")]
-pub(crate) use http::get_here;
+pub use http::{Credential, HttpBody, HttpClient, HttpConfig};
 #[cfg(feature = "http")]
-pub use http::{HttpClient, HttpConfig};
+pub(crate) use http::{HttpHere, runtime};
 pub(crate) use info::fetch;
 pub use info::{BoundsInfo, Info, InfoError, LevelInfo, inspect};
 pub use read::{Content, DECODER_PANICKED, Fetched, ReadOptions, companions, decode, decode_node};
-pub use uri::{RootScope, is_http, resolve, root_uri};
+pub use uri::{RootScope, is_http, resolve, root_uri, shown};

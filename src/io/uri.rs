@@ -3,6 +3,7 @@
 //! A URI is an absolute file path or an http(s) URL. What a tile set names must stay below the folder of its root
 //! (files), or on http(s) (servers): a foreign tile set cannot make a client open local files.
 
+use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
@@ -32,6 +33,30 @@ impl RootScope {
 pub fn is_http(uri: &str) -> bool {
     let lower = |prefix: &str| uri.get(..prefix.len()).is_some_and(|p| p.eq_ignore_ascii_case(prefix));
     lower("http://") || lower("https://")
+}
+
+/// A URI for errors, logs and reports: of a URL, the name and password and the values of the query are left out.
+pub fn shown(uri: &str) -> Cow<'_, str> {
+    if !is_http(uri) {
+        return Cow::Borrowed(uri);
+    }
+    let (path, query) = uri.split_once('?').map_or((uri, None), |(path, query)| (path, Some(query)));
+    let start = path.find("://").map_or(0, |at| at + 3);
+    let end = path[start..].find('/').map_or(path.len(), |at| start + at);
+    let user = path[start..end].rfind('@');
+    if query.is_none() && user.is_none() {
+        return Cow::Borrowed(uri);
+    }
+    let mut text = path[..start].to_owned();
+    text.push_str(&path[user.map_or(start, |at| start + at + 1)..]);
+    for (i, pair) in query.into_iter().flat_map(|q| q.split('&')).enumerate() {
+        text.push(if i == 0 { '?' } else { '&' });
+        // Without a name, all of it may be the token.
+        let name = pair.split_once('=').map_or("", |(name, _)| name);
+        text.push_str(name);
+        text.push_str(if name.is_empty() { "..." } else { "=..." });
+    }
+    Cow::Owned(text)
 }
 
 /// What a person typed, as a URI: a folder means its tileset.json, a file itself, a URL ending in `/` its tileset.json.
@@ -136,6 +161,20 @@ mod tests {
         assert_eq!(&*ok("../a.glb?x=1").unwrap(), "/data/set/a.glb");
         for escape in ["../../a.glb", "/etc/passwd", "file:///etc/passwd", "http://x/y", "%2e%2e/%2e%2e/x", "%2Fetc"] {
             assert!(ok(escape).is_err(), "{escape}");
+        }
+    }
+
+    #[test]
+    fn secrets_are_not_shown() {
+        for (uri, text) in [
+            ("/data/a?b=c", "/data/a?b=c"),
+            ("https://h/a.glb", "https://h/a.glb"),
+            ("https://h/a.glb?key=1&v=2#f", "https://h/a.glb?key=...&v=..."),
+            ("https://h/a.glb?secret", "https://h/a.glb?..."),
+            ("HTTP://me:pass@h:80/a@b", "HTTP://h:80/a@b"),
+            ("http://me@h", "http://h"),
+        ] {
+            assert_eq!(shown(uri), text);
         }
     }
 

@@ -9,7 +9,27 @@ use tokio::task::{AbortHandle, JoinSet};
 use super::list::{Answer, Job, Loaded, RequestList};
 use super::threads::SERVERS_AT_ONCE;
 use super::threads::read_bytes;
-use crate::io::{self, HttpClient, IoError, Limits};
+use crate::io::{self, HttpBody, HttpClient, IoError, Limits};
+
+/// The way to the HTTP thread for what cannot wait for the request list: a root.
+pub(super) struct Door {
+    pub runtime: tokio::runtime::Handle,
+    pub client: HttpClient,
+}
+
+impl Door {
+    /// Asks on the HTTP thread, whose connections are used again for the tiles, and waits here.
+    pub fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
+        let (sender, receiver) = crossbeam_channel::bounded(1);
+        let (client, of, limits) = (self.client.clone(), uri.to_owned(), *limits);
+        self.runtime.spawn(async move {
+            // Nobody waits any more where the pager is gone.
+            let _ = sender.send(client.get(&of, &limits).await);
+        });
+        let stopped = |_| IoError::Network { uri: uri.to_owned(), reason: "the HTTP thread stopped".to_owned() };
+        receiver.recv().map_err(stopped)?
+    }
+}
 
 /// Runs until the list closes. Requests still under way are dropped then.
 pub(super) fn run(
@@ -109,14 +129,23 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> Loaded {
     let companions = async {
         let mut fetched = Vec::new();
         for uri in io::companions(&job.uri, job.reader_data.as_ref()) {
-            let bytes: Result<Vec<u8>, IoError> = client.get(&uri, limits).await;
-            fetched.push((uri, bytes));
+            let body = client.get(&uri, limits).await;
+            fetched.push((uri, body));
         }
         fetched
     };
-    let (bytes, companions) = tokio::join!(client.get(&job.uri, limits), companions);
+    let (body, companions) = tokio::join!(client.get(&job.uri, limits), companions);
+    let mut bytes_http = 0;
+    let mut bytes_of = |body: Result<HttpBody, IoError>| {
+        body.map(|body| {
+            bytes_http += body.network_bytes;
+            body.bytes
+        })
+    };
+    let bytes = bytes_of(body);
+    let companions: Vec<io::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
     let bytes_read = read_bytes(&bytes, &companions);
-    Loaded { job, bytes, companions, bytes_read, bytes_http: bytes_read }
+    Loaded { job, bytes, companions, bytes_read, bytes_http }
 }
 
 #[cfg(test)]

@@ -6,6 +6,8 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::config::{PagerConfig, PagerError};
+#[cfg(feature = "http")]
+use super::http::Door;
 use super::list::{Answer, Job, Loaded, RequestList};
 use crate::io::{self, Content, ReadOptions};
 use crate::scene::Page;
@@ -21,6 +23,8 @@ pub(super) struct Threads {
     pub list: Arc<RequestList>,
     /// `None` once closed.
     pub answers: Option<Receiver<Answer>>,
+    #[cfg(feature = "http")]
+    pub door: Option<Door>,
     reaper: Option<Sender<Box<Page>>>,
     handles: Vec<JoinHandle<()>>,
 }
@@ -34,8 +38,14 @@ impl Threads {
         let (loaded_sender, loaded) = bounded::<Loaded>(capacity);
         let (answer_sender, answers) = bounded::<Answer>(capacity);
         let (reaper, doomed) = bounded::<Box<Page>>(REAPER_QUEUE);
-        let mut threads =
-            Self { list: list.clone(), answers: Some(answers), reaper: Some(reaper), handles: Vec::new() };
+        let mut threads = Self {
+            list: list.clone(),
+            answers: Some(answers),
+            #[cfg(feature = "http")]
+            door: None,
+            reaper: Some(reaper),
+            handles: Vec::new(),
+        };
         for i in 0..config.file_threads.max(1) {
             let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
             threads.spawn(format!("pager-file-{i}"), move || read_files(&list, &sender, &limits))?;
@@ -46,10 +56,8 @@ impl Threads {
             let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
             let (in_flight, answers) = (config.http_in_flight.max(1), answer_sender.clone());
             let name = "pager-http".to_owned();
-            let runtime = tokio::runtime::Builder::new_current_thread()
-                .enable_all()
-                .build()
-                .map_err(|source| PagerError::Thread { name: name.clone(), source })?;
+            let runtime = io::runtime(&name).map_err(|source| PagerError::Thread { name: name.clone(), source })?;
+            threads.door = Some(Door { runtime: runtime.handle().clone(), client: client.clone() });
             threads.spawn(name, move || {
                 super::http::run(&runtime, &client, &list, &sender, &answers, &limits, in_flight);
             })?;

@@ -78,19 +78,18 @@ impl DatabasePager {
     pub fn read_root(&mut self, uri: &Arc<str>) -> Result<Page, IoError> {
         let bytes = self.fetch(uri)?;
         self.stats.bytes_read += bytes.len() as u64;
-        if io::is_http(uri) {
-            self.stats.bytes_http += bytes.len() as u64;
-        }
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         let page = io::decode(content, &self.options)?;
         self.root_chain = self.options.below(uri).chain;
         Ok(page)
     }
 
-    fn fetch(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+    fn fetch(&mut self, uri: &str) -> Result<Vec<u8>, IoError> {
         #[cfg(feature = "http")]
-        if io::is_http(uri) {
-            return io::get_here(uri, &self.config.limits, &self.config.http);
+        if let Some(door) = self.threads.door.as_ref().filter(|_| io::is_http(uri)) {
+            let body = door.get(uri, &self.config.limits)?;
+            self.stats.bytes_http += body.network_bytes;
+            return Ok(body.bytes);
         }
         io::fetch(uri, &self.config.limits)
     }
@@ -282,6 +281,7 @@ impl DatabasePager {
                 entry.tries += 1;
                 let again = error.is_transient() && entry.tries < self.config.max_tries;
                 let wait = self.config.retry_after * 2u32.saturating_pow(entry.tries.min(10) - 1);
+                let wait = wait.max(error.retry_after().unwrap_or_default());
                 entry.progress = Progress::Failed { retry_at: again.then(|| Instant::now() + wait) };
                 scene.set_failed(slot, true);
             }
