@@ -50,6 +50,12 @@ pub enum IoError {
         /// The limit.
         seconds: f64,
     },
+    /// Not in the cache, and no server is to be asked.
+    #[error("{}: not in the cache, and offline", shown(.uri))]
+    Offline {
+        /// What was asked for.
+        uri: String,
+    },
     /// A URI that is not allowed or cannot be understood.
     #[error("{}: {reason}", shown(.uri))]
     Uri {
@@ -97,6 +103,7 @@ impl IoError {
             | Self::Status { uri, .. }
             | Self::Network { uri, .. }
             | Self::Timeout { uri, .. }
+            | Self::Offline { uri }
             | Self::Uri { uri, .. }
             | Self::Invalid { uri, .. }
             | Self::Unsupported { uri, .. }

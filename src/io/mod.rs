@@ -4,6 +4,7 @@
 //! every failure is one [`IoError`] that names the URI and the reason.
 
 mod b3dm;
+mod cache;
 mod encoding;
 mod error;
 mod file;
@@ -19,6 +20,9 @@ mod tileset;
 mod uri;
 pub mod write;
 
+pub use cache::CacheStats;
+#[cfg(feature = "http")]
+pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
 pub use error::{IoError, Limits};
 pub use file::read_file;
 #[cfg(feature = "http")]

@@ -2,6 +2,7 @@
 //! has its own limit, so that one that hangs takes no other's places.
 
 use std::collections::HashMap;
+use std::time::Duration;
 
 use crossbeam_channel::Sender;
 use tokio::task::{AbortHandle, JoinSet};
@@ -10,6 +11,9 @@ use super::list::{Answer, Job, Loaded, RequestList};
 use super::threads::SERVERS_AT_ONCE;
 use super::threads::read_bytes;
 use crate::io::{self, HttpBody, HttpClient, IoError, Limits};
+
+/// At the end, bodies on their way to the cache have so long.
+const LAST_STORES: Duration = Duration::from_secs(2);
 
 /// The way to the HTTP thread for what cannot wait for the request list: a root.
 pub(super) struct Door {
@@ -47,6 +51,8 @@ pub(super) fn run(
         loop {
             let (jobs, aborts, closed) = take(list, &running, in_flight);
             if closed {
+                // What came is worth keeping, but nobody waits long for it.
+                let _ = tokio::time::timeout(LAST_STORES, client.flush()).await;
                 return;
             }
             for ticket in aborts {

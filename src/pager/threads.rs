@@ -64,7 +64,15 @@ impl Threads {
         }
         for i in 0..config.decode_threads.max(1) {
             let (loaded, sender, options) = (loaded.clone(), answer_sender.clone(), options.clone());
-            threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options))?;
+            #[cfg(feature = "http")]
+            let cache = threads.door.as_ref().and_then(|door| door.client.cache().cloned());
+            let forget = move |_uri: &str| {
+                #[cfg(feature = "http")]
+                if let Some(cache) = cache.as_ref().filter(|_| io::is_http(_uri)) {
+                    cache.forget(_uri);
+                }
+            };
+            threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options, &forget))?;
         }
         threads.spawn("pager-reaper".to_owned(), move || doomed.iter().for_each(drop))?;
         Ok(threads)
@@ -125,9 +133,16 @@ pub(super) fn read_bytes(bytes: &Result<Vec<u8>, io::IoError>, companions: &[io:
     of(bytes) + companions.iter().map(|(_, r)| of(r)).sum::<u64>()
 }
 
-fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOptions) {
+/// `forget` is told the URI of what turned out to be no content.
+fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOptions, forget: &dyn Fn(&str)) {
     for Loaded { job, bytes, companions, bytes_read, bytes_http } in loaded {
-        let page = bytes.and_then(|bytes| decode_one(&job, bytes, companions, options));
+        let page = bytes.and_then(|bytes| {
+            let page = decode_one(&job, bytes, companions, options);
+            if let Err(error @ io::IoError::Invalid { .. }) = &page {
+                forget(error.uri());
+            }
+            page
+        });
         if sender.send(Answer { job, page: Some(page), bytes_read, bytes_http }).is_err() {
             return;
         }

@@ -192,6 +192,14 @@ impl DatabasePager {
         &self.stats
     }
 
+    /// Counters of the cache on disk, where there is one.
+    pub fn cache_stats(&self) -> Option<io::CacheStats> {
+        #[cfg(feature = "http")]
+        return self.threads.door.as_ref()?.client.cache().map(|cache| cache.stats());
+        #[cfg(not(feature = "http"))]
+        None
+    }
+
     /// Starts the longest latency of [`PagerStats`] anew, to measure a phase by itself.
     pub fn reset_latency_max(&mut self) {
         self.stats.latency_max_s = 0.0;

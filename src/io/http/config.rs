@@ -6,7 +6,7 @@ use std::time::Duration;
 use reqwest::header::{HeaderName, HeaderValue};
 use url::Url;
 
-use crate::io::IoError;
+use crate::io::{CacheConfig, IoError};
 
 /// How servers are talked to. Proxies come from the environment (`http_proxy`, `https_proxy`, `no_proxy`).
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +33,8 @@ pub struct HttpConfig {
     pub http2_only: bool,
     /// Shown to the servers that they are for.
     pub credentials: Vec<Credential>,
+    /// Keeps what came on disk.
+    pub cache: Option<CacheConfig>,
 }
 
 impl Default for HttpConfig {
@@ -48,6 +50,7 @@ impl Default for HttpConfig {
             seed: 1,
             http2_only: false,
             credentials: Vec::new(),
+            cache: None,
         }
     }
 }

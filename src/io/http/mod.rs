@@ -1,5 +1,6 @@
 //! Bytes over HTTP: one client, many requests in flight, on the pager's HTTP thread (a tokio runtime of its own).
 
+mod cached;
 mod config;
 mod exchange;
 mod retry;
@@ -12,11 +13,14 @@ use reqwest::header::{ACCEPT_ENCODING, CONTENT_ENCODING, HeaderMap, HeaderValue}
 pub use config::{Credential, HttpConfig};
 use exchange::Exchange;
 use retry::{Backoff, Pauses};
+use tokio::sync::Semaphore;
 
-use super::{IoError, Limits, encoding};
+use super::{DiskCache, IoError, Limits, encoding};
 
 /// Beyond this, undoing compression goes to a thread of its own, so that the HTTP thread keeps to its connections.
 const DECODED_HERE_BYTES: usize = 4 << 10;
+/// Bodies that may wait to be written to the cache; with more, the next one waits for its turn.
+const STORES: usize = 64;
 
 /// What came for a URI.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -38,10 +42,13 @@ struct Inner {
     client: reqwest::Client,
     config: HttpConfig,
     pauses: Pauses,
+    cache: Option<Arc<DiskCache>>,
+    /// One permit for each body on its way to the cache.
+    stores: Arc<Semaphore>,
 }
 
 impl HttpClient {
-    /// A client; fails when the TLS back end cannot be set up.
+    /// A client; fails when the TLS back end cannot be set up or the cache cannot be opened.
     pub fn new(config: &HttpConfig) -> Result<Self, IoError> {
         // A second install is refused and harmless: the provider is the same.
         let _ = rustls::crypto::ring::default_provider().install_default();
@@ -57,26 +64,41 @@ impl HttpClient {
         }
         let client =
             builder.build().map_err(|e| IoError::Network { uri: String::new(), reason: exchange::chain(e) })?;
-        Ok(Self { inner: Arc::new(Inner { client, config: config.clone(), pauses: Pauses::default() }) })
+        let cache = config.cache.as_ref().map(DiskCache::open).transpose()?.map(Arc::new);
+        let (pauses, stores) = (Pauses::default(), Arc::new(Semaphore::new(STORES)));
+        Ok(Self { inner: Arc::new(Inner { client, config: config.clone(), pauses, cache, stores }) })
     }
 
-    /// The body of a URL, compression undone. Retries what may pass, with growing waits.
+    /// The cache on disk, where there is one.
+    pub fn cache(&self) -> Option<&Arc<DiskCache>> {
+        self.inner.cache.as_ref()
+    }
+
+    /// Waits until everything that came is in the cache.
+    pub async fn flush(&self) {
+        // Fails only for a semaphore that was closed, which this one never is.
+        let _ = self.inner.stores.acquire_many(STORES as u32).await;
+    }
+
+    /// The body of a URL, compression undone, from the cache where it holds. Retries what may pass, with growing waits.
     pub async fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
-        let mut headers = HeaderMap::new();
-        headers.insert(ACCEPT_ENCODING, HeaderValue::from_static(encoding::ACCEPT));
-        let answer = self.exchange(uri, &headers, limits).await?;
-        let network_bytes = answer.body.len() as u64;
-        if !answer.is_whole() {
-            return Err(answer.error(uri));
+        match &self.inner.cache {
+            Some(cache) => self.get_cached(cache, uri, limits).await,
+            None => {
+                let answer = self.exchange(uri, &accept_any(), limits).await?;
+                if !answer.is_whole() {
+                    return Err(answer.error(uri));
+                }
+                let network_bytes = answer.body.len() as u64;
+                let bytes = undo(uri, answer.body, encodings(&answer.headers), limits).await?;
+                Ok(HttpBody { bytes, network_bytes })
+            }
         }
-        let names = encodings(&answer.headers);
-        let bytes = undo(uri, answer.body, names, limits).await?;
-        Ok(HttpBody { bytes, network_bytes })
     }
 
     /// An answer that is no failure, with as many tries as that takes and the configuration allows.
     async fn exchange(&self, uri: &str, headers: &HeaderMap, limits: &Limits) -> Result<exchange::Answer, IoError> {
-        let Inner { client, config, pauses } = &*self.inner;
+        let Inner { client, config, pauses, .. } = &*self.inner;
         let mut backoff = Backoff::new(config.retry_backoff, config.max_wait, config.seed, uri);
         let server = exchange::origin(uri)?;
         let mut tries_left = config.max_retries;
@@ -109,6 +131,11 @@ impl HttpClient {
             }
         }
     }
+}
+
+/// What every request says, ranges excepted.
+fn accept_any() -> HeaderMap {
+    HeaderMap::from_iter([(ACCEPT_ENCODING, HeaderValue::from_static(encoding::ACCEPT))])
 }
 
 fn encodings(headers: &HeaderMap) -> String {
@@ -155,6 +182,10 @@ impl HttpHere {
     }
 
     pub fn get(&self, uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
-        Ok(self.runtime.block_on(self.client.get(uri, limits))?.bytes)
+        self.runtime.block_on(async {
+            let body = self.client.get(uri, limits).await?;
+            self.client.flush().await;
+            Ok(body.bytes)
+        })
     }
 }
