@@ -11,6 +11,7 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use image::RgbaImage;
 use terrane::cull::Stereo;
 use terrane::draw::{Sky, Water};
+use terrane::io::shown;
 use terrane::viewer::{
     AnimationPath, Camera, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer, ViewerConfig,
     ViewerError, WindowOptions, has_display, run_window,
@@ -58,6 +59,7 @@ pub fn run(args: Box<FlyArgs>) -> Result<()> {
         ..ViewerConfig::default()
     };
     config.pager.blocking = args.blocking;
+    config.pager.http = args.net.http(&source)?;
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     let root = LoadedRoot::read(&source, &config.pager)?;
     let offscreen = args.offscreen || !display;
@@ -90,7 +92,7 @@ fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &st
         writeln!(std::io::stdout(), "{}", terrane::viewer::KEYS).context("stdout")?;
     }
     let options = WindowOptions {
-        title: format!("Terrane - {source}"),
+        title: format!("Terrane - {}", shown(source)),
         path: flight.path.clone(),
         overlay: flight.args.stats,
         manipulated: interactive,
@@ -299,12 +301,14 @@ impl Flight {
     fn write_selection(&self, viewer: &mut Viewer) -> Result<()> {
         let Some(file) = &self.args.selection else { return Ok(()) };
         let uris = viewer.drawn_contents();
-        let root = viewer.root_uri().unwrap_or_default();
-        let folder = root.rsplit_once('/').map_or("", |(folder, _)| folder);
-        let relative: Vec<&str> = uris
-            .iter()
-            .map(|uri| uri.strip_prefix(folder).and_then(|rest| rest.strip_prefix('/')).unwrap_or(uri))
-            .collect();
+        let root = shown(viewer.root_uri().unwrap_or_default()).into_owned();
+        let path = root.split('?').next().unwrap_or(&root);
+        let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let relative = |uri: &str| {
+            let uri = shown(uri);
+            uri.strip_prefix(folder).and_then(|rest| rest.strip_prefix('/')).unwrap_or(&uri).to_owned()
+        };
+        let relative: Vec<String> = uris.iter().map(|uri| relative(uri)).collect();
         let json = serde_json::json!({ "selectedContent": relative });
         write_text(file, &format!("{json}\n"))
     }
