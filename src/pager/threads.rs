@@ -46,9 +46,10 @@ impl Threads {
             reaper: Some(reaper),
             handles: Vec::new(),
         };
+        let files = Arc::new(io::FileReader::new(config.limits));
         for i in 0..config.file_threads.max(1) {
-            let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
-            threads.spawn(format!("pager-file-{i}"), move || read_files(&list, &sender, &limits))?;
+            let (list, sender, files) = (list.clone(), loaded_sender.clone(), files.clone());
+            threads.spawn(format!("pager-file-{i}"), move || read_files(&list, &sender, &files))?;
         }
         #[cfg(feature = "http")]
         {
@@ -107,14 +108,14 @@ impl Drop for Threads {
     }
 }
 
-fn read_files(list: &RequestList, sender: &Sender<Loaded>, limits: &io::Limits) {
+fn read_files(list: &RequestList, sender: &Sender<Loaded>, files: &io::FileReader) {
     while let Some(job) = list.take_file() {
-        let bytes = io::read_file(&job.uri, limits);
+        let bytes = files.read(&job.uri);
         let companions: Vec<_> = match &bytes {
             Ok(_) => io::companions(&job.uri, job.reader_data.as_ref())
                 .into_iter()
                 .map(|uri| {
-                    let bytes = io::read_file(&uri, limits);
+                    let bytes = files.read(&uri);
                     (uri, bytes)
                 })
                 .collect(),

@@ -91,7 +91,7 @@ impl DatabasePager {
             self.stats.bytes_http += body.network_bytes;
             return Ok(body.bytes);
         }
-        io::fetch(uri, &self.config.limits)
+        io::Source::new(self.config.limits).read(uri)
     }
 
     /// The pager's turn with the scene, once a frame: takes what was loaded and compiled, merges, expires, and

@@ -156,6 +156,8 @@ pub struct InfoArgs {
     /// One JSON document instead of text
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub net: NetArgs,
 }
 
 #[derive(Clone, Debug, ClapArgs)]

@@ -5,7 +5,7 @@
 
 use std::time::{Duration, SystemTime};
 
-use reqwest::header::{HeaderMap, LOCATION};
+use reqwest::header::{HeaderMap, LOCATION, RANGE};
 use url::Url;
 
 use super::HttpConfig;
@@ -14,6 +14,8 @@ use crate::io::{IoError, Limits, shown};
 
 /// Memory taken for an answer before its bytes come.
 const MOST_RESERVED_BYTES: u64 = 1 << 20;
+/// The whole is taken instead of a range up to this.
+const MOST_INSTEAD_OF_RANGE_BYTES: u64 = 4 << 20;
 /// Most redirects of one request.
 const MAX_REDIRECTS: usize = 8;
 
@@ -108,9 +110,15 @@ impl Exchange<'_> {
             // The body of a failure is not read: its connection ends, unless it is empty.
             return Ok(Answer { status, headers, body: Vec::new() });
         }
-        let limit = self.limits.max_file_bytes;
-        let too_large = |got: u64| IoError::TooLarge { uri: uri.to_owned(), what: "answer", got, limit };
+        let mut limit = self.limits.max_file_bytes;
         let length = response.content_length();
+        if status != 206 && self.headers.contains_key(RANGE) {
+            if length.is_none_or(|l| l > MOST_INSTEAD_OF_RANGE_BYTES) {
+                return Err(IoError::unsupported(uri, "an archive on a server without range requests"));
+            }
+            limit = limit.min(MOST_INSTEAD_OF_RANGE_BYTES);
+        }
+        let too_large = |got: u64| IoError::TooLarge { uri: uri.to_owned(), what: "answer", got, limit };
         if let Some(length) = length.filter(|l| *l > limit) {
             return Err(too_large(length));
         }

@@ -1,5 +1,6 @@
 //! Bytes over HTTP: one client, many requests in flight, on the pager's HTTP thread (a tokio runtime of its own).
 
+mod archive;
 mod cached;
 mod config;
 mod exchange;
@@ -10,11 +11,13 @@ use std::time::Duration;
 
 use reqwest::header::{ACCEPT_ENCODING, CONTENT_ENCODING, HeaderMap, HeaderValue};
 
+use archive::Archives;
 pub use config::{Credential, HttpConfig};
 use exchange::Exchange;
 use retry::{Backoff, Pauses};
 use tokio::sync::Semaphore;
 
+use super::archive::split_url;
 use super::{DiskCache, IoError, Limits, encoding};
 
 /// Beyond this, undoing compression goes to a thread of its own, so that the HTTP thread keeps to its connections.
@@ -42,6 +45,7 @@ struct Inner {
     client: reqwest::Client,
     config: HttpConfig,
     pauses: Pauses,
+    archives: Archives,
     cache: Option<Arc<DiskCache>>,
     /// One permit for each body on its way to the cache.
     stores: Arc<Semaphore>,
@@ -65,8 +69,15 @@ impl HttpClient {
         let client =
             builder.build().map_err(|e| IoError::Network { uri: String::new(), reason: exchange::chain(e) })?;
         let cache = config.cache.as_ref().map(DiskCache::open).transpose()?.map(Arc::new);
-        let (pauses, stores) = (Pauses::default(), Arc::new(Semaphore::new(STORES)));
-        Ok(Self { inner: Arc::new(Inner { client, config: config.clone(), pauses, cache, stores }) })
+        let inner = Inner {
+            client,
+            config: config.clone(),
+            pauses: Pauses::default(),
+            archives: Archives::new(),
+            cache,
+            stores: Arc::new(Semaphore::new(STORES)),
+        };
+        Ok(Self { inner: Arc::new(inner) })
     }
 
     /// The cache on disk, where there is one.
@@ -80,8 +91,12 @@ impl HttpClient {
         let _ = self.inner.stores.acquire_many(STORES as u32).await;
     }
 
-    /// The body of a URL, compression undone, from the cache where it holds. Retries what may pass, with growing waits.
+    /// The body of a URL, compression undone, from the cache where it holds. A URL that goes on behind the name of an
+    /// archive (`.3tz`, `.zip`) is a file inside it. Retries what may pass, with growing waits.
     pub async fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
+        if let Some((url, name)) = split_url(uri) {
+            return self.get_member(uri, (&url, name), limits).await;
+        }
         match &self.inner.cache {
             Some(cache) => self.get_cached(cache, uri, limits).await,
             None => {
