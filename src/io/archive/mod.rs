@@ -11,9 +11,8 @@ mod member;
 
 use std::path::{Path, PathBuf};
 
-pub(crate) use directory::{Directory, TAIL_BYTES};
 #[cfg(feature = "http")]
-pub(crate) use directory::{End, Span};
+pub(crate) use directory::{Directory, End, Span, TAIL_BYTES};
 pub(crate) use local::LocalArchive;
 #[cfg(feature = "http")]
 pub(crate) use member::{SLACK_BYTES, data_of, piece_of, unpack};
