@@ -9,6 +9,8 @@ mod cache;
 mod encoding;
 mod error;
 mod file;
+#[cfg(feature = "http")]
+mod fill;
 mod gltf;
 mod height;
 #[cfg(feature = "http")]
@@ -27,6 +29,8 @@ pub use cache::CacheStats;
 pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
 pub use error::{IoError, Limits};
 pub use file::{FileReader, read_file};
+#[cfg(feature = "http")]
+pub use fill::{FillOptions, Filled, fill};
 #[cfg(feature = "http")]
 pub use http::{Credential, HttpBody, HttpClient, HttpConfig};
 #[cfg(feature = "http")]

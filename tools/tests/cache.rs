@@ -101,6 +101,49 @@ fn a_flight_without_a_server_shows_what_was_seen_before() {
 }
 
 #[test]
+fn a_filled_cache_needs_no_server() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (set, cache) = (path("set"), path("cache"));
+    said(&["gen", &set, "--levels", "4", "--size", "5000", "--seed", "3"]);
+    let server = Server::start(Path::new(&set), &["--error-rate", "0.3", "--seed", "2"]);
+    let url = server.1.clone();
+    let fill = |more: &[&str]| {
+        let args = [&["cache", "fill", &url, "--cache", &cache], more].concat();
+        let out = terrane(&args);
+        (out.status.code(), String::from_utf8_lossy(&out.stdout).into_owned(), out.stderr)
+    };
+    // All tries of one file may fail by chance: again until it is there.
+    let until_whole = |more: &[&str]| {
+        for _ in 0..20 {
+            let (code, text, stderr) = fill(more);
+            if code == Some(0) {
+                return text;
+            }
+            assert!(text.contains("failed") && !stderr.is_empty(), "{text}");
+        }
+        panic!("does not end");
+    };
+    let text = until_whole(&["--region", "-100,0,-99,1"]);
+    assert!(text.starts_with("1 files"), "another part of the earth: {text}");
+    let text = until_whole(&["--level", "0-1"]);
+    assert!(!text.starts_with("1 files"), "{text}");
+    until_whole(&[]);
+    let (_, text, _) = fill(&[]);
+    assert!(text.contains(" 0 came (0.0 MiB), 0 failed"), "{text}");
+    server.stop();
+    let info = |source: &str, more: &[&str]| -> Value {
+        serde_json::from_str(&said(&[&["info", source, "--json"], more].concat())).unwrap()
+    };
+    let (of_cache, of_folder) = (info(&url, &["--cache", &cache, "--offline"]), info(&set, &[]));
+    assert_eq!((&of_cache["contents"], &of_cache["tiles"]), (&of_folder["contents"], &of_folder["tiles"]));
+    let kept: Value = serde_json::from_str(&said(&["cache", "info", "--cache", &cache, "--json"])).unwrap();
+    assert!(kept["entries"].as_u64() > of_folder["contents"].as_u64(), "imagery and tilesets too: {kept}");
+    assert!(refused(&["cache", "fill", &set, "--cache", &cache]).contains("on a server"));
+    assert!(refused(&["cache", "fill", &url, "--cache", &cache, "--offline"]).contains("offline"));
+}
+
+#[test]
 fn a_folder_that_is_no_cache_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("letter"), "dear").unwrap();

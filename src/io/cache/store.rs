@@ -144,6 +144,13 @@ impl DiskCache {
         None
     }
 
+    /// The entry and a body of its size are there; the body is not read.
+    pub(crate) fn has(&self, uri: &str) -> bool {
+        let entry = self.entry_at(&self.files.key(&key_of(uri)));
+        let blob = entry.as_ref().and_then(|e| Some((self.files.blob(&e.blob_hash()?), e.size)));
+        blob.is_some_and(|(blob, size)| fs::metadata(blob).is_ok_and(|m| m.len() == size))
+    }
+
     fn entry_at(&self, key: &Path) -> Option<Entry> {
         let bytes = read_at_most(key, entry::MOST_BYTES).ok()?;
         let entry = Entry::from_bytes(&bytes);

@@ -58,6 +58,18 @@ impl HttpClient {
         Ok(HttpBody { bytes, network_bytes })
     }
 
+    /// The content as it is kept, however old.
+    pub(crate) async fn kept(&self, uri: &str, limits: &Limits) -> Option<Vec<u8>> {
+        self.load(self.cache()?, uri, limits).await.ok()?.map(|(_, bytes)| bytes)
+    }
+
+    /// Something is kept of a URI.
+    pub(crate) async fn is_kept(&self, uri: &str) -> bool {
+        let Some(cache) = self.cache().cloned() else { return false };
+        let of = uri.to_owned();
+        blocking(uri, move || cache.has(&of)).await.unwrap_or(false)
+    }
+
     /// What is kept of a URI, compression undone; what cannot be undone is dropped.
     pub(super) async fn load(
         &self,
