@@ -206,6 +206,8 @@ pub enum Bench {
         /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
         #[arg(long, value_name = "URL")]
         url: Option<String>,
+        #[command(flatten)]
+        net: NetArgs,
     },
 }
 

@@ -120,17 +120,20 @@ impl DiskCache {
         }
     }
 
-    /// What is known of a URI, and its body as it came; `None` where one of the two is missing or broken.
-    pub(crate) fn load(&self, uri: &str, limits: &Limits) -> Option<(Entry, Vec<u8>)> {
+    /// What is known of a URI.
+    pub(crate) fn entry(&self, uri: &str) -> Option<Entry> {
+        self.entry_at(&self.files.key(&key_of(uri)))
+    }
+
+    /// The body of an entry as it came; `None` where it is gone or broken.
+    pub(crate) fn body(&self, uri: &str, entry: &Entry, limits: &Limits) -> Option<Vec<u8>> {
         let key_hash = key_of(uri);
-        let key = self.files.key(&key_hash);
-        let entry = self.entry_at(&key)?;
-        let (blob_hash, size) = (entry.blob_hash()?, entry.size);
+        let (key, blob_hash, size) = (self.files.key(&key_hash), entry.blob_hash()?, entry.size);
         let blob = self.files.blob(&blob_hash);
         match read_at_most(&blob, size.min(limits.max_file_bytes)) {
             Ok(body) if body.len() as u64 == size && files::hash(&body) == blob_hash => {
                 self.touch(key_hash, &[&key, &blob]);
-                return Some((entry, body));
+                return Some(body);
             }
             Ok(_) if size > limits.max_file_bytes => {}
             Ok(_) => {

@@ -9,6 +9,15 @@ use super::{HttpBody, HttpClient, accept_any, blocking, encodings};
 use crate::io::cache::{Entry, Freshness};
 use crate::io::{DiskCache, IoError, Limits, encoding, shown};
 
+/// What the disk has of a URI.
+enum Kept {
+    /// To be taken without asking.
+    Fresh(Entry, Vec<u8>),
+    /// To be asked about; the body is read while the answer is on its way.
+    Stale(Entry),
+    Nothing,
+}
+
 impl HttpClient {
     pub(super) async fn get_cached(
         &self,
@@ -16,35 +25,56 @@ impl HttpClient {
         uri: &str,
         limits: &Limits,
     ) -> Result<HttpBody, IoError> {
-        let mut headers = accept_any();
-        let kept = match self.load(cache, uri, limits).await? {
-            Some((entry, bytes)) if cache.is_offline() || entry.is_fresh(SystemTime::now()) => {
-                return Ok(hit(cache, &entry, bytes, false));
-            }
-            None if cache.is_offline() => {
+        let entry = match look_up(cache, uri, limits).await? {
+            Kept::Fresh(entry, bytes) => return Ok(hit(cache, &entry, bytes, false)),
+            Kept::Nothing if cache.is_offline() => {
                 cache.count_miss();
                 return Err(IoError::Offline { uri: uri.to_owned() });
             }
-            kept => kept,
+            Kept::Nothing => return self.get_new(cache, uri, &accept_any(), limits).await.map(|(body, _)| body),
+            Kept::Stale(entry) => entry,
         };
-        if let Some((entry, _)) = &kept {
-            validate(&mut headers, entry);
-        }
-        let answer = self.exchange(uri, &headers, limits).await?;
-        let freshness = Freshness::of(&answer.headers, SystemTime::now());
-        if answer.status == 304
-            && let Some((mut entry, bytes)) = kept
-        {
-            entry.checked(SystemTime::now(), freshness.fresh_for);
-            keep_validators(&mut entry, &answer.headers);
-            let (of, renewed) = (uri.to_owned(), entry.clone());
+        let mut headers = accept_any();
+        validate(&mut headers, &entry);
+        let (answer, kept) =
+            tokio::join!(self.get_new(cache, uri, &headers, limits), body_of(cache, uri, &entry, limits));
+        let (body, not_modified) = answer?;
+        let Some(answer_headers) = not_modified else { return Ok(body) };
+        let Some(bytes) = kept? else {
+            // It holds, but it is gone.
+            return self.get_new(cache, uri, &accept_any(), limits).await.map(|(body, _)| body);
+        };
+        let mut renewed = entry.clone();
+        let freshness = Freshness::of(&answer_headers, SystemTime::now());
+        renewed.checked(SystemTime::now(), freshness.fresh_for);
+        keep_validators(&mut renewed, &answer_headers);
+        // When it was checked matters only to what is fresh for a while.
+        let says_the_same = Entry { checked_s: entry.checked_s, ..renewed.clone() } == entry;
+        if renewed.fresh_for_s > 0 || !says_the_same {
+            let of = uri.to_owned();
             self.write_behind(cache, move |cache| cache.try_renew(&of, &renewed)).await;
-            return Ok(hit(cache, &entry, bytes, true));
+        }
+        Ok(hit(cache, &entry, bytes, true))
+    }
+
+    /// Asks the server and keeps what comes; with headers instead of a body where it says that the kept one holds.
+    async fn get_new(
+        &self,
+        cache: &Arc<DiskCache>,
+        uri: &str,
+        headers: &HeaderMap,
+        limits: &Limits,
+    ) -> Result<(HttpBody, Option<HeaderMap>), IoError> {
+        let answer = self.exchange(uri, headers, limits).await?;
+        let was_asked = headers.contains_key(IF_NONE_MATCH) || headers.contains_key(IF_MODIFIED_SINCE);
+        if answer.status == 304 && was_asked {
+            return Ok((HttpBody::default(), Some(answer.headers)));
         }
         if !answer.is_whole() {
             return Err(answer.error(uri));
         }
         cache.count_miss();
+        let freshness = Freshness::of(&answer.headers, SystemTime::now());
         let network_bytes = answer.body.len() as u64;
         let names = encodings(&answer.headers);
         let bytes = super::undo(uri, answer.body.clone(), names.clone(), limits).await?;
@@ -55,7 +85,7 @@ impl HttpClient {
             let of = uri.to_owned();
             self.write_behind(cache, move |cache| cache.store(&of, entry, &answer.body)).await;
         }
-        Ok(HttpBody { bytes, network_bytes })
+        Ok((HttpBody { bytes, network_bytes }, None))
     }
 
     /// The content as it is kept, however old.
@@ -70,7 +100,7 @@ impl HttpClient {
         blocking(uri, move || cache.has(&of)).await.unwrap_or(false)
     }
 
-    /// What is kept of a URI, compression undone; what cannot be undone is dropped.
+    /// What is kept of a URI, however old, compression undone.
     pub(super) async fn load(
         &self,
         cache: &Arc<DiskCache>,
@@ -79,14 +109,9 @@ impl HttpClient {
     ) -> Result<Option<(Entry, Vec<u8>)>, IoError> {
         let (cache, of, limits) = (cache.clone(), uri.to_owned(), *limits);
         blocking(uri, move || {
-            let (entry, body) = cache.load(&of, &limits)?;
-            match encoding::decode(&of, body, &entry.encoding, &limits) {
-                Ok(bytes) => Some((entry, bytes)),
-                Err(_) => {
-                    cache.forget(&of);
-                    None
-                }
-            }
+            let entry = cache.entry(&of)?;
+            let bytes = read_body(&cache, &of, &entry, &limits)?;
+            Some((entry, bytes))
         })
         .await
     }
@@ -100,6 +125,41 @@ impl HttpClient {
             drop(permit);
         });
     }
+}
+
+async fn look_up(cache: &Arc<DiskCache>, uri: &str, limits: &Limits) -> Result<Kept, IoError> {
+    let (cache, of, limits) = (cache.clone(), uri.to_owned(), *limits);
+    blocking(uri, move || {
+        let Some(entry) = cache.entry(&of) else { return Kept::Nothing };
+        if !cache.is_offline() && !entry.is_fresh(SystemTime::now()) {
+            return Kept::Stale(entry);
+        }
+        match read_body(&cache, &of, &entry, &limits) {
+            Some(bytes) => Kept::Fresh(entry, bytes),
+            None => Kept::Nothing,
+        }
+    })
+    .await
+}
+
+async fn body_of(
+    cache: &Arc<DiskCache>,
+    uri: &str,
+    entry: &Entry,
+    limits: &Limits,
+) -> Result<Option<Vec<u8>>, IoError> {
+    let (cache, of, entry, limits) = (cache.clone(), uri.to_owned(), entry.clone(), *limits);
+    blocking(uri, move || read_body(&cache, &of, &entry, &limits)).await
+}
+
+/// The body of an entry, compression undone; what cannot be undone is dropped.
+fn read_body(cache: &DiskCache, uri: &str, entry: &Entry, limits: &Limits) -> Option<Vec<u8>> {
+    let body = cache.body(uri, entry, limits)?;
+    let bytes = encoding::decode(uri, body, &entry.encoding, limits);
+    if bytes.is_err() {
+        cache.forget(uri);
+    }
+    bytes.ok()
 }
 
 pub(super) fn hit(cache: &DiskCache, entry: &Entry, bytes: Vec<u8>, asked: bool) -> HttpBody {
