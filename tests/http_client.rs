@@ -50,6 +50,23 @@ fn a_connection_is_used_again() {
 }
 
 #[test]
+fn failures_and_redirects_keep_the_connection() {
+    let server = Server::start(|r| match r.path() {
+        "/gone" => Reply::new(404, "There is nothing here."),
+        "/moved" => Reply::new(302, "Over there.").with("Location", "/x"),
+        _ => Reply::ok("body"),
+    });
+    let client = HttpClient::new(&quick()).unwrap();
+    runtime().block_on(async {
+        for path in ["gone", "moved", "x", "gone", "x"] {
+            let result = client.get(&format!("{}/{path}", server.url), &Limits::default()).await;
+            assert_eq!(result.is_ok(), path != "gone");
+        }
+    });
+    assert!(server.seen().iter().all(|r| r.connection == 0), "{:?}", server.seen());
+}
+
+#[test]
 fn many_requests_share_few_connections_over_http2() {
     let (address, connections) = http2_server();
     let client = HttpClient::new(&HttpConfig { http2_only: true, ..quick() }).unwrap();

@@ -16,6 +16,9 @@ use crate::io::{IoError, Limits, shown};
 const MOST_RESERVED_BYTES: u64 = 1 << 20;
 /// The whole is taken instead of a range up to this.
 const MOST_INSTEAD_OF_RANGE_BYTES: u64 = 4 << 20;
+/// Bodies of failures and redirects are read up to this, and for so long.
+const MOST_DRAINED_BYTES: u64 = 16 << 10;
+const DRAIN_TIME: Duration = Duration::from_millis(200);
 /// Most redirects of one request.
 const MAX_REDIRECTS: usize = 8;
 
@@ -74,6 +77,7 @@ impl Exchange<'_> {
                 return Err(refused(uri, format!("redirected from https to {}", shown(next.as_str()))));
             }
             url = next;
+            self.drain(response).await;
         }
         Err(refused(uri, format!("more than {MAX_REDIRECTS} redirects")))
     }
@@ -107,7 +111,7 @@ impl Exchange<'_> {
         let status = response.status().as_u16();
         let headers = std::mem::take(response.headers_mut());
         if !matches!(status, 200 | 203 | 206) {
-            // The body of a failure is not read: its connection ends, unless it is empty.
+            self.drain(response).await;
             return Ok(Answer { status, headers, body: Vec::new() });
         }
         let mut limit = self.limits.max_file_bytes;
@@ -136,6 +140,17 @@ impl Exchange<'_> {
             }
             body.extend_from_slice(&piece);
         }
+    }
+}
+
+impl Exchange<'_> {
+    /// Reads a short body that nobody needs, so that the connection can be used again; a long one ends it.
+    async fn drain(&self, mut response: reqwest::Response) {
+        if response.content_length().is_none_or(|length| length > MOST_DRAINED_BYTES) {
+            return;
+        }
+        let all = async { while let Ok(Some(_)) = response.chunk().await {} };
+        let _ = tokio::time::timeout(DRAIN_TIME, all).await;
     }
 }
 
