@@ -94,8 +94,8 @@ mod tests {
 
     fn gzip(bytes: &[u8]) -> Vec<u8> {
         let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
-        encoder.write_all(bytes).unwrap();
-        encoder.finish().unwrap()
+        encoder.write_all(bytes).expect("memory takes it");
+        encoder.finish().expect("memory takes it")
     }
 
     fn zstd(bytes: &[u8]) -> Vec<u8> {

@@ -100,6 +100,46 @@ fn a_flight_without_a_server_shows_what_was_seen_before() {
     assert!(error.contains("offline"), "{error}");
 }
 
+/// Every fault of the server, into a cache: what does not show a tile is not kept, and in the end all of it is there.
+#[test]
+fn faults_do_not_stay_in_the_cache() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (set, cache, report) = (path("set"), path("cache"), path("report.json"));
+    said(&["gen", &set, "--levels", "3", "--size", "5000", "--seed", "4"]);
+    let fly = |url: &str, more: &[&str]| -> Value {
+        let mut args = vec!["fly", url, "--offscreen", "--settle", "--size", "160x90", "--sse", "0.02"];
+        args.extend(["--report", &report]);
+        args.extend(more);
+        let out = terrane(&args);
+        // The root itself may fail by chance.
+        if !out.status.success() {
+            return Value::Null;
+        }
+        serde_json::from_slice(&std::fs::read(&report).unwrap()).unwrap()
+    };
+    let whole = fly(&set, &[]);
+    let faults = ["--error-rate", "0.1", "--truncate-rate", "0.1", "--reset-rate", "0.1", "--page-rate", "0.2"];
+    let server = Server::start(Path::new(&set), &[&faults[..], &["--max-age", "1000", "--seed", "8"]].concat());
+    let mut flights = 0;
+    loop {
+        let report = fly(&server.1, &["--cache", &cache]);
+        if report["tiles"]["failed"] == 0 {
+            assert_eq!(report["settled"], whole["settled"], "flight {flights}");
+            break;
+        }
+        flights += 1;
+        assert!(flights < 30, "{report}");
+    }
+    assert!(flights > 0, "the server was no bad one");
+    let url = server.1.clone();
+    server.stop();
+    assert_eq!(fly(&url, &["--cache", &cache, "--offline"])["settled"], whole["settled"]);
+}
+
 #[test]
 fn a_filled_cache_needs_no_server() {
     let folder = tempfile::tempdir().unwrap();

@@ -97,4 +97,13 @@ mod tests {
             assert_eq!(of(headers), expected, "{headers:?}");
         }
     }
+
+    proptest::proptest! {
+        /// Whatever servers say, it is understood in some way.
+        #[test]
+        fn odd_headers(control in "[ -~]{0,60}", expires in "[ -~]{0,40}", age in "[0-9]{0,25}") {
+            let (_, fresh_for) = of(&[("Cache-Control", &control), ("Expires", &expires), ("Age", &age)]);
+            proptest::prop_assert!(fresh_for.is_none_or(|s| s <= LONGEST.as_secs()));
+        }
+    }
 }
