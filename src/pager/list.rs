@@ -74,16 +74,19 @@ pub(super) struct RequestList {
     #[cfg(feature = "http")]
     pub http_bell: tokio::sync::Notify,
     pub capacity: usize,
+    /// Most that may be outstanding while a file is taken: files need no more to keep the threads busy.
+    for_files: usize,
 }
 
 impl RequestList {
-    pub fn new(capacity: usize) -> Self {
+    pub fn new(capacity: usize, for_files: usize) -> Self {
         Self {
             waiting: Mutex::new(Waiting { allowed: capacity, ..Waiting::default() }),
             file_bell: Condvar::new(),
             #[cfg(feature = "http")]
             http_bell: tokio::sync::Notify::new(),
             capacity,
+            for_files,
         }
     }
 
@@ -110,7 +113,7 @@ impl RequestList {
             if waiting.closed {
                 return None;
             }
-            if waiting.outstanding < waiting.allowed
+            if waiting.outstanding < waiting.allowed.min(self.for_files)
                 && let Some(job) = waiting.file.pop()
             {
                 waiting.outstanding += 1;

@@ -7,6 +7,8 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::config::{PagerConfig, PagerError};
 #[cfg(feature = "http")]
+use super::flow::Range;
+#[cfg(feature = "http")]
 use super::http::Door;
 use super::list::{Answer, Job, Loaded, RequestList};
 use crate::io::{self, Content, ReadOptions};
@@ -31,10 +33,11 @@ pub(super) struct Threads {
 
 impl Threads {
     pub fn start(config: &PagerConfig, options: &ReadOptions) -> Result<Self, PagerError> {
-        let capacity = SERVERS_AT_ONCE * config.http_in_flight.max(1)
-            + 4 * config.file_threads.max(1)
-            + 2 * config.decode_threads.max(1);
-        let list = Arc::new(RequestList::new(capacity));
+        let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
+        let beside = 4 * config.file_threads.max(1) + 2 * config.decode_threads.max(1);
+        let for_files = SERVERS_AT_ONCE * start + beside;
+        let capacity = for_files + most.saturating_sub(start);
+        let list = Arc::new(RequestList::new(capacity, for_files));
         let (loaded_sender, loaded) = bounded::<Loaded>(capacity);
         let (answer_sender, answers) = bounded::<Answer>(capacity);
         let (reaper, doomed) = bounded::<Box<Page>>(REAPER_QUEUE);
@@ -55,12 +58,12 @@ impl Threads {
         {
             let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
             let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
-            let (in_flight, answers) = (config.http_in_flight.max(1), answer_sender.clone());
+            let (range, answers) = (Range { start, most }, answer_sender.clone());
             let name = "pager-http".to_owned();
             let runtime = io::runtime(&name).map_err(|source| PagerError::Thread { name: name.clone(), source })?;
             threads.door = Some(Door { runtime: runtime.handle().clone(), client: client.clone() });
             threads.spawn(name, move || {
-                super::http::run(&runtime, &client, &list, &sender, &answers, &limits, in_flight);
+                super::http::run(&runtime, &client, &list, &sender, &answers, &limits, range);
             })?;
         }
         for i in 0..config.decode_threads.max(1) {
