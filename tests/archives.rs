@@ -355,6 +355,23 @@ mod over_http {
     }
 
     #[test]
+    fn servers_without_ranges_from_the_end() {
+        let large = BTreeMap::from([("tileset.json".to_owned(), vec![1; 6 << 20])]);
+        let bytes = zipped(&large, options().compression_method(Stored));
+        for refuses in [true, false] {
+            let bytes = bytes.clone();
+            let server = Server::start(move |r| match r.header("range").unwrap() {
+                range if range.starts_with("bytes=-") && refuses => Reply::new(400, ""),
+                range if range.starts_with("bytes=-") => Reply::ok(bytes.clone()),
+                _ => Reply::ok(bytes.clone()).ranged(r),
+            });
+            let url = format!("{}/set.3tz/tileset.json", server.url);
+            assert!(get(&client(None), &url).as_ref() == Ok(&large["tileset.json"]));
+            assert_eq!(server.count(), 4);
+        }
+    }
+
+    #[test]
     fn an_archive_that_changes_is_an_error_that_passes() {
         let of = |n: usize| {
             let files = BTreeMap::from([("a".to_owned(), vec![1; 100]), ("b".to_owned(), vec![n as u8; 1000 * n])]);

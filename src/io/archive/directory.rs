@@ -120,7 +120,7 @@ impl Directory {
         let mut at = 0;
         while at < bytes.len() {
             let (member, end) = header(&bytes, at).ok_or_else(|| broken("a broken header"))?;
-            // Compressed to nothing and less it cannot be; this keeps what is read later inside the archive.
+            // What is read later stays inside the archive.
             if member.offset.checked_add(member.packed).is_none_or(|end| end > start) {
                 return Err(broken("a member outside of it"));
             }

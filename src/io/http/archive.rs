@@ -133,7 +133,15 @@ impl HttpClient {
         limits: &Limits,
         network_bytes: &AtomicU64,
     ) -> Result<Arc<RemoteArchive>, IoError> {
-        let tail = self.part(url, &format!("bytes=-{TAIL_BYTES}"), limits, network_bytes).await?;
+        let tail = match self.part(url, &format!("bytes=-{TAIL_BYTES}"), limits, network_bytes).await {
+            // Some servers (Azure's) know no range that counts from the end: the length comes with any other.
+            Err(IoError::Unsupported { .. } | IoError::Status { status: 400 | 416, .. }) => {
+                let length = self.part(url, "bytes=0-0", limits, network_bytes).await?.length;
+                let size = length.min(TAIL_BYTES);
+                self.part(url, &range(Span { offset: length - size, size }), limits, network_bytes).await?
+            }
+            other => other?,
+        };
         let (length, etag) = (tail.length, tail.etag());
         let at = async |span: Span| {
             let inside = span.offset.checked_sub(tail.offset).and_then(|from| {
