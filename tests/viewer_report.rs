@@ -52,6 +52,7 @@ fn every_field_of_the_schema_is_there() {
             "gpu_ms",
             "tiles",
             "bytes",
+            "cache",
             "converge_s",
             "draw",
             "hitches",

@@ -1,16 +1,21 @@
 //! What can go wrong between a URI and a page, and how much is accepted.
 
-/// Why something could not be read. Every variant names the URI.
+use std::time::Duration;
+
+use super::shown;
+
+/// Why something could not be read. Every variant names the URI; as text, the values of a URL's query are left out
+/// ([`shown`]), since tokens travel there.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum IoError {
     /// The file does not exist or the server answered 404 or 410.
-    #[error("{uri}: not found")]
+    #[error("{}: not found", shown(.uri))]
     NotFound {
         /// What was asked for.
         uri: String,
     },
     /// The operating system refused.
-    #[error("{uri}: {reason}")]
+    #[error("{}: {reason}", shown(.uri))]
     File {
         /// What was asked for.
         uri: String,
@@ -18,15 +23,17 @@ pub enum IoError {
         reason: String,
     },
     /// The server answered with a failure.
-    #[error("{uri}: HTTP status {status}")]
+    #[error("{}: HTTP status {status}", shown(.uri))]
     Status {
         /// What was asked for.
         uri: String,
         /// Status code.
         status: u16,
+        /// How long the server asks to be left alone (`Retry-After`).
+        retry_after: Option<Duration>,
     },
     /// No answer: refused, reset, name not found.
-    #[error("{uri}: {reason}")]
+    #[error("{}: {reason}", shown(.uri))]
     Network {
         /// What was asked for.
         uri: String,
@@ -34,7 +41,7 @@ pub enum IoError {
         reason: String,
     },
     /// No answer, or not all of it, in time.
-    #[error("{uri}: timed out after {seconds} s ({phase})")]
+    #[error("{}: timed out after {seconds} s ({phase})", shown(.uri))]
     Timeout {
         /// What was asked for.
         uri: String,
@@ -43,8 +50,14 @@ pub enum IoError {
         /// The limit.
         seconds: f64,
     },
+    /// Not in the cache, and no server is to be asked.
+    #[error("{}: not in the cache, and offline", shown(.uri))]
+    Offline {
+        /// What was asked for.
+        uri: String,
+    },
     /// A URI that is not allowed or cannot be understood.
-    #[error("{uri}: {reason}")]
+    #[error("{}: {reason}", shown(.uri))]
     Uri {
         /// The URI as written.
         uri: String,
@@ -52,7 +65,7 @@ pub enum IoError {
         reason: String,
     },
     /// The bytes are not what they should be.
-    #[error("{uri}: {reason}")]
+    #[error("{}: {reason}", shown(.uri))]
     Invalid {
         /// Where the bytes came from.
         uri: String,
@@ -60,7 +73,7 @@ pub enum IoError {
         reason: String,
     },
     /// Well formed, but not read by this version.
-    #[error("{uri}: {what} is not supported")]
+    #[error("{}: {what} is not supported", shown(.uri))]
     Unsupported {
         /// Where the bytes came from.
         uri: String,
@@ -68,7 +81,7 @@ pub enum IoError {
         what: String,
     },
     /// Larger than [`Limits`] allow.
-    #[error("{uri}: {what} is {got}, the limit is {limit}")]
+    #[error("{}: {what} is {got}, the limit is {limit}", shown(.uri))]
     TooLarge {
         /// Where the bytes came from.
         uri: String,
@@ -82,7 +95,7 @@ pub enum IoError {
 }
 
 impl IoError {
-    /// The URI that failed.
+    /// The URI that failed, in full: for people there is [`shown`].
     pub fn uri(&self) -> &str {
         match self {
             Self::NotFound { uri }
@@ -90,6 +103,7 @@ impl IoError {
             | Self::Status { uri, .. }
             | Self::Network { uri, .. }
             | Self::Timeout { uri, .. }
+            | Self::Offline { uri }
             | Self::Uri { uri, .. }
             | Self::Invalid { uri, .. }
             | Self::Unsupported { uri, .. }
@@ -100,7 +114,7 @@ impl IoError {
     /// The message without the URI.
     pub fn reason(&self) -> String {
         let text = self.to_string();
-        text.strip_prefix(self.uri()).and_then(|t| t.strip_prefix(": ")).map_or(text.clone(), str::to_owned)
+        text.strip_prefix(&*shown(self.uri())).and_then(|t| t.strip_prefix(": ")).map_or(text.clone(), str::to_owned)
     }
 
     /// True when asking again later may help.
@@ -109,6 +123,14 @@ impl IoError {
             Self::Network { .. } | Self::Timeout { .. } => true,
             Self::Status { status, .. } => *status >= 500 || *status == 429 || *status == 408,
             _ => false,
+        }
+    }
+
+    /// How long to wait at least before asking again, where the server said so.
+    pub fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::Status { retry_after, .. } => *retry_after,
+            _ => None,
         }
     }
 

@@ -1,29 +1,101 @@
-//! Bytes from local files, gzip undone by magic. Blocking; called on the pager's file threads.
+//! Bytes from local files and archives, gzip undone by magic. Blocking; called on the pager's file threads.
 
-use std::io::Read;
+use std::io::{ErrorKind, Read};
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use lru::LruCache;
+
+use super::archive::{LocalArchive, split_path};
 use super::{IoError, Limits};
 
-/// Reads a file whole, refusing more than the limit, before and after decompression.
+/// Archives whose directories are kept.
+const KEPT_ARCHIVES: NonZeroUsize = NonZeroUsize::new(64).unwrap();
+
+/// Reads files, and files inside archives, whose directories it keeps. Shared by the file threads.
+#[derive(Debug)]
+pub struct FileReader {
+    limits: Limits,
+    /// By path; taken for moments, a directory is read outside of it.
+    archives: Mutex<LruCache<PathBuf, Arc<LocalArchive>>>,
+}
+
+impl FileReader {
+    /// A reader that refuses more than the limits, before and after decompression.
+    pub fn new(limits: Limits) -> Self {
+        Self { limits, archives: Mutex::new(LruCache::new(KEPT_ARCHIVES)) }
+    }
+
+    /// A file whole, gzip undone. A path that goes on behind the name of an archive is a file inside it.
+    pub fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        let limits = &self.limits;
+        let Some(metadata) = self.metadata(uri)? else {
+            let (archive, name) = self.inside(uri)?;
+            return gunzip(uri, archive.read(uri, &name, limits)?, limits);
+        };
+        if metadata.is_dir() {
+            return Err(IoError::File { uri: uri.to_owned(), reason: "is a folder".to_owned() });
+        }
+        // A pipe or a device may never end, or never begin.
+        if !metadata.is_file() {
+            return Err(IoError::File { uri: uri.to_owned(), reason: "is not a regular file".to_owned() });
+        }
+        check(uri, metadata.len(), limits)?;
+        let file = std::fs::File::open(uri).map_err(|e| failed(uri, &e))?;
+        let mut bytes = Vec::with_capacity(metadata.len() as usize);
+        file.take(limits.max_file_bytes + 1).read_to_end(&mut bytes).map_err(|e| failed(uri, &e))?;
+        check(uri, bytes.len() as u64, limits)?;
+        gunzip(uri, bytes, limits)
+    }
+
+    /// Bytes of a file, or of one inside an archive, as it is there.
+    pub fn size(&self, uri: &str) -> Result<u64, IoError> {
+        match self.metadata(uri)? {
+            Some(metadata) => Ok(metadata.len()),
+            None => {
+                let (archive, name) = self.inside(uri)?;
+                archive.size(uri, &name)
+            }
+        }
+    }
+
+    /// `None` where there is no such file.
+    fn metadata(&self, uri: &str) -> Result<Option<std::fs::Metadata>, IoError> {
+        match std::fs::metadata(uri) {
+            Ok(metadata) => Ok(Some(metadata)),
+            Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
+            Err(e) => Err(failed(uri, &e)),
+        }
+    }
+
+    /// The archive that a path goes into, and the name inside it.
+    fn inside(&self, uri: &str) -> Result<(Arc<LocalArchive>, String), IoError> {
+        let (path, name) = split_path(uri).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
+        let kept = self.kept().get(&path).cloned();
+        if let Some(archive) = kept.filter(|archive| archive.is_current()) {
+            return Ok((archive, name));
+        }
+        let archive = Arc::new(LocalArchive::open(&path, &self.limits)?);
+        self.kept().put(path, archive.clone());
+        Ok((archive, name))
+    }
+
+    fn kept(&self) -> MutexGuard<'_, LruCache<PathBuf, Arc<LocalArchive>>> {
+        self.archives.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Reads one file as a [`FileReader`] does.
 pub fn read_file(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
-    let failed = |e: std::io::Error| match e.kind() {
-        std::io::ErrorKind::NotFound => IoError::NotFound { uri: uri.to_owned() },
-        _ => IoError::File { uri: uri.to_owned(), reason: e.to_string() },
-    };
-    let metadata = std::fs::metadata(uri).map_err(failed)?;
-    if metadata.is_dir() {
-        return Err(IoError::File { uri: uri.to_owned(), reason: "is a folder".to_owned() });
+    FileReader::new(*limits).read(uri)
+}
+
+fn failed(uri: &str, error: &std::io::Error) -> IoError {
+    match error.kind() {
+        ErrorKind::NotFound => IoError::NotFound { uri: uri.to_owned() },
+        _ => IoError::File { uri: uri.to_owned(), reason: error.to_string() },
     }
-    // A pipe or a device may never end, or never begin.
-    if !metadata.is_file() {
-        return Err(IoError::File { uri: uri.to_owned(), reason: "is not a regular file".to_owned() });
-    }
-    check(uri, metadata.len(), limits)?;
-    let file = std::fs::File::open(uri).map_err(failed)?;
-    let mut bytes = Vec::with_capacity(metadata.len() as usize);
-    file.take(limits.max_file_bytes + 1).read_to_end(&mut bytes).map_err(failed)?;
-    check(uri, bytes.len() as u64, limits)?;
-    gunzip(uri, bytes, limits)
 }
 
 /// Undoes gzip where the magic says so (servers and disks hold tiles compressed without saying it).

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::tileset::{self, TileJson};
-use super::{IoError, Limits, ReadOptions, is_http, read_file, resolve, root_uri};
+use super::{IoError, Limits, ReadOptions, Source, is_http, resolve, root_uri, shown};
 use crate::scene::Page;
 
 /// Summary of a tile set.
@@ -67,10 +67,20 @@ pub struct InfoError {
 
 /// Walks a tile set. Fails only when the root cannot be read; everything below goes into `errors`.
 pub fn inspect(source: &str, limits: &Limits) -> Result<Info, IoError> {
+    inspect_from(source, limits, Source::new(*limits))
+}
+
+/// [`inspect`], for a source on a server that is talked to in a certain way.
+#[cfg(feature = "http")]
+pub fn inspect_with(source: &str, limits: &Limits, http: super::HttpConfig) -> Result<Info, IoError> {
+    inspect_from(source, limits, Source::with_http(*limits, http))
+}
+
+fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoError> {
     let root = root_uri(source)?;
     let options = ReadOptions::for_root(&root, *limits);
     let mut info = Info { format: "3D Tiles".to_owned(), ..Info::default() };
-    let bytes = fetch(&root, limits)?;
+    let bytes = from.read(&root)?;
     let json = tileset::parse(&root, &bytes)?;
     info.version.clone_from(&json.asset.version);
     if json.asset.extras.as_ref().and_then(|e| e.get("terrane")?.get("content")?.as_str()) == Some("height") {
@@ -89,13 +99,13 @@ pub fn inspect(source: &str, limits: &Limits) -> Result<Info, IoError> {
         }
         Err(e) => info.fail(&e),
     }
-    info.walk(&root, &json.root, 0, &options);
+    info.walk(&from, &root, &json.root, 0, &options);
     Ok(info)
 }
 
 impl Info {
     fn fail(&mut self, error: &IoError) {
-        self.errors.push(InfoError { uri: error.uri().to_owned(), reason: error.reason() });
+        self.errors.push(InfoError { uri: shown(error.uri()).into_owned(), reason: error.reason() });
     }
 
     fn level(&mut self, level: u32) -> &mut LevelInfo {
@@ -105,7 +115,7 @@ impl Info {
         &mut self.levels[level as usize]
     }
 
-    fn walk(&mut self, base: &Arc<str>, tile: &TileJson, level: u32, options: &ReadOptions) {
+    fn walk(&mut self, from: &Source, base: &Arc<str>, tile: &TileJson, level: u32, options: &ReadOptions) {
         if level > options.limits.max_depth {
             return;
         }
@@ -121,7 +131,7 @@ impl Info {
                 }
             };
             if uri.split(['?', '#']).next().is_some_and(|path| path.ends_with(".json")) {
-                if let Err(e) = self.external(base, &uri, level, options) {
+                if let Err(e) = self.external(from, base, &uri, level, options) {
                     self.fail(&e);
                 }
                 continue;
@@ -131,49 +141,40 @@ impl Info {
             if is_http(&uri) {
                 continue;
             }
-            match std::fs::metadata(&*uri) {
-                Ok(m) => {
-                    self.bytes += m.len();
-                    self.level(level).bytes += m.len();
+            match from.size(&uri) {
+                Ok(bytes) => {
+                    self.bytes += bytes;
+                    self.level(level).bytes += bytes;
                 }
-                Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-                    self.fail(&IoError::NotFound { uri: uri.to_string() });
-                }
-                Err(e) => self.fail(&IoError::File { uri: uri.to_string(), reason: e.to_string() }),
+                Err(e) => self.fail(&e),
             }
         }
         for child in &tile.children {
-            self.walk(base, child, level + 1, options);
+            self.walk(from, base, child, level + 1, options);
         }
     }
 
-    fn external(&mut self, base: &Arc<str>, uri: &Arc<str>, level: u32, options: &ReadOptions) -> Result<(), IoError> {
+    fn external(
+        &mut self,
+        from: &Source,
+        base: &Arc<str>,
+        uri: &Arc<str>,
+        level: u32,
+        options: &ReadOptions,
+    ) -> Result<(), IoError> {
         if uri == base || options.chain.contains(uri) {
             return Err(IoError::invalid(uri, "the tileset contains itself"));
         }
         if options.chain.len() >= options.limits.max_external_depth {
             return Err(IoError::invalid(uri, "external tilesets are nested too deep"));
         }
-        let bytes = fetch(uri, &options.limits)?;
+        let bytes = from.read(uri)?;
         let json = tileset::parse(uri, &bytes)?;
         self.bytes += bytes.len() as u64;
         self.extensions.extend(json.extensions_used.iter().cloned());
-        self.walk(uri, &json.root, level + 1, &options.below(base));
+        self.walk(from, uri, &json.root, level + 1, &options.below(base));
         Ok(())
     }
-}
-
-/// Bytes from a file or a server, on this thread.
-pub(crate) fn fetch(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
-    if !is_http(uri) {
-        return read_file(uri, limits);
-    }
-    #[cfg(feature = "http")]
-    {
-        super::http::get_here(uri, limits, &super::HttpConfig::default())
-    }
-    #[cfg(not(feature = "http"))]
-    Err(IoError::unsupported(uri, "http (built without the feature)"))
 }
 
 impl std::fmt::Display for Info {

@@ -1,11 +1,16 @@
-//! From URIs to bytes and from bytes to pages: 3D Tiles, glTF, EXR height tiles, images.
+//! From URIs to bytes and from bytes to pages: files, archives and servers; 3D Tiles, glTF, EXR height tiles, images.
 //!
 //! Used by the pager's file, HTTP and decode threads; never on the frame's threads. Nothing here trusts its input:
 //! every failure is one [`IoError`] that names the URI and the reason.
 
+mod archive;
 mod b3dm;
+mod cache;
+mod encoding;
 mod error;
 mod file;
+#[cfg(feature = "http")]
+mod fill;
 mod gltf;
 mod height;
 #[cfg(feature = "http")]
@@ -14,17 +19,25 @@ mod image;
 mod info;
 mod pnts;
 mod read;
+mod source;
 mod tileset;
 mod uri;
 pub mod write;
 
+pub use cache::CacheStats;
+#[cfg(feature = "http")]
+pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
 pub use error::{IoError, Limits};
-pub use file::read_file;
+pub use file::{FileReader, read_file};
 #[cfg(feature = "http")]
-pub(crate) use http::get_here;
+pub use fill::{FillOptions, Filled, fill};
 #[cfg(feature = "http")]
-pub use http::{HttpClient, HttpConfig};
-pub(crate) use info::fetch;
+pub use http::{Credential, HttpBody, HttpClient, HttpConfig};
+#[cfg(feature = "http")]
+pub(crate) use http::{HttpHere, runtime};
+#[cfg(feature = "http")]
+pub use info::inspect_with;
 pub use info::{BoundsInfo, Info, InfoError, LevelInfo, inspect};
 pub use read::{Content, DECODER_PANICKED, Fetched, ReadOptions, companions, decode, decode_node};
-pub use uri::{RootScope, is_http, resolve, root_uri};
+pub(crate) use source::Source;
+pub use uri::{RootScope, is_http, resolve, root_uri, shown};

@@ -3,10 +3,12 @@
 //! A URI is an absolute file path or an http(s) URL. What a tile set names must stay below the folder of its root
 //! (files), or on http(s) (servers): a foreign tile set cannot make a client open local files.
 
+use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use super::IoError;
+use super::archive::is_archive;
 
 /// What references may reach: below a folder, or anything on http(s).
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,22 +36,51 @@ pub fn is_http(uri: &str) -> bool {
     lower("http://") || lower("https://")
 }
 
-/// What a person typed, as a URI: a folder means its tileset.json, a file itself, a URL ending in `/` its tileset.json.
+/// A URI for errors, logs and reports: of a URL, the name and password and the values of the query are left out.
+pub fn shown(uri: &str) -> Cow<'_, str> {
+    if !is_http(uri) {
+        return Cow::Borrowed(uri);
+    }
+    let (path, query) = uri.split_once('?').map_or((uri, None), |(path, query)| (path, Some(query)));
+    let start = path.find("://").map_or(0, |at| at + 3);
+    let end = path[start..].find('/').map_or(path.len(), |at| start + at);
+    let user = path[start..end].rfind('@');
+    if query.is_none() && user.is_none() {
+        return Cow::Borrowed(uri);
+    }
+    let mut text = path[..start].to_owned();
+    text.push_str(&path[user.map_or(start, |at| start + at + 1)..]);
+    for (i, pair) in query.into_iter().flat_map(|q| q.split('&')).enumerate() {
+        text.push(if i == 0 { '?' } else { '&' });
+        // Without a name, all of it may be the token.
+        let name = pair.split_once('=').map_or("", |(name, _)| name);
+        text.push_str(name);
+        text.push_str(if name.is_empty() { "..." } else { "=..." });
+    }
+    Cow::Owned(text)
+}
+
+/// What a person typed, as a URI: a folder or an archive means its tileset.json, a file itself, a URL ending in `/` or
+/// in the name of an archive its tileset.json.
 pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
     if is_http(source) {
         let mut url = url::Url::parse(source).map_err(|e| bad(source, e.to_string()))?;
         if url.path().ends_with('/') {
             let path = format!("{}tileset.json", url.path());
             url.set_path(&path);
+        } else if is_archive(url.path()) {
+            url.set_path(&format!("{}/tileset.json", url.path()));
         }
         return Ok(url.as_str().into());
     }
     let path = std::path::absolute(source).map_err(|e| bad(source, e.to_string()))?;
-    let path = if path.is_dir() { path.join("tileset.json") } else { path };
+    let is_inside = path.is_dir() || (path.is_file() && path.to_str().is_some_and(is_archive));
+    let path = if is_inside { path.join("tileset.json") } else { path };
     path.to_str().map(Arc::from).ok_or_else(|| bad(source, "the path is not UTF-8"))
 }
 
-/// `reference`, found in the file `base_uri`, as a URI. Refuses what leaves the scope.
+/// `reference`, found in the file `base_uri`, as a URI. Refuses what leaves the scope. A 3D Tiles archive means the
+/// tileset.json inside it.
 pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc<str>, IoError> {
     match scope {
         RootScope::Http => {
@@ -65,6 +96,9 @@ pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc
                 return Err(bad(reference, "an open connection is not allowed in a tile set on an encrypted one"));
             }
             // Session tokens travel in the root's query; a child without one inherits it, at the same server only.
+            if is_3tz(url.path()) {
+                url.set_path(&format!("{}/tileset.json", url.path()));
+            }
             if url.query().is_none() && url.origin() == base.origin() {
                 url.set_query(base.query());
             }
@@ -94,6 +128,9 @@ pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc
                     }
                 }
             }
+            if is_3tz(&decoded) {
+                path.push("tileset.json");
+            }
             if !path.starts_with(folder) {
                 return Err(bad(reference, format!("leaves the tile set's folder {}", folder.display())));
             }
@@ -102,11 +139,15 @@ pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc
     }
 }
 
+fn is_3tz(path: &str) -> bool {
+    path.to_ascii_lowercase().ends_with(".3tz")
+}
+
 fn bad(uri: &str, reason: impl Into<String>) -> IoError {
     IoError::Uri { uri: uri.to_owned(), reason: reason.into() }
 }
 
-fn percent_decode(text: &str) -> Option<String> {
+pub(super) fn percent_decode(text: &str) -> Option<String> {
     if !text.contains('%') {
         return Some(text.to_owned());
     }
@@ -134,8 +175,23 @@ mod tests {
         let ok = |r: &str| resolve("/data/set/sub/tileset.json", r, &scope);
         assert_eq!(&*ok("a%20b.glb").unwrap(), "/data/set/sub/a b.glb");
         assert_eq!(&*ok("../a.glb?x=1").unwrap(), "/data/set/a.glb");
+        assert_eq!(&*ok("more.3tz").unwrap(), "/data/set/sub/more.3tz/tileset.json");
         for escape in ["../../a.glb", "/etc/passwd", "file:///etc/passwd", "http://x/y", "%2e%2e/%2e%2e/x", "%2Fetc"] {
             assert!(ok(escape).is_err(), "{escape}");
+        }
+    }
+
+    #[test]
+    fn secrets_are_not_shown() {
+        for (uri, text) in [
+            ("/data/a?b=c", "/data/a?b=c"),
+            ("https://h/a.glb", "https://h/a.glb"),
+            ("https://h/a.glb?key=1&v=2#f", "https://h/a.glb?key=...&v=..."),
+            ("https://h/a.glb?secret", "https://h/a.glb?..."),
+            ("HTTP://me:pass@h:80/a@b", "HTTP://h:80/a@b"),
+            ("http://me@h", "http://h"),
+        ] {
+            assert_eq!(shown(uri), text);
         }
     }
 
@@ -143,6 +199,8 @@ mod tests {
     fn servers_stay_on_http() {
         let r = |x: &str| resolve("http://h/a/tileset.json?k=1", x, &RootScope::Http);
         assert_eq!(&*r("b.glb").unwrap(), "http://h/a/b.glb?k=1");
+        assert_eq!(&*r("b.3tz").unwrap(), "http://h/a/b.3tz/tileset.json?k=1");
+        assert_eq!(&*root_uri("http://h/b.3TZ?k=1").unwrap(), "http://h/b.3TZ/tileset.json?k=1");
         assert_eq!(&*r("https://other/b.glb").unwrap(), "https://other/b.glb");
         assert!(r("file:///etc/passwd").is_err());
         let get = |base: &str, reference: &str| resolve(base, reference, &RootScope::Http);

@@ -28,6 +28,8 @@ pub struct PagerConfig {
     pub file_threads: usize,
     /// Contents asked of one server at once (of all together four times as many); one with imagery of its own is two requests.
     pub http_in_flight: usize,
+    /// A server that answers as quickly under more requests gets more, up to so many.
+    pub http_in_flight_max: usize,
     /// Threads that decode; the default leaves one core to the frame.
     pub decode_threads: usize,
     /// CPU bytes of merged pages and of tile trees.
@@ -66,6 +68,7 @@ impl Default for PagerConfig {
         Self {
             file_threads: 2,
             http_in_flight: 32,
+            http_in_flight_max: 128,
             decode_threads: (cores - 1).clamp(1, 16),
             max_bytes_cpu: 512 << 20,
             max_bytes_gpu: 1 << 30,

@@ -76,10 +76,12 @@ pub(super) struct RequestList {
     pub capacity: usize,
     /// Tells this pager's tickets from others' on a timeline.
     pub ticket_source: u64,
+    /// Most that may be outstanding while a file is taken: files need no more to keep the threads busy.
+    for_files: usize,
 }
 
 impl RequestList {
-    pub fn new(capacity: usize) -> Self {
+    pub fn new(capacity: usize, for_files: usize) -> Self {
         Self {
             waiting: Mutex::new(Waiting { allowed: capacity, ..Waiting::default() }),
             file_bell: Condvar::new(),
@@ -87,6 +89,7 @@ impl RequestList {
             http_bell: tokio::sync::Notify::new(),
             capacity,
             ticket_source: crate::timeline::ticket_source(),
+            for_files,
         }
     }
 
@@ -113,7 +116,7 @@ impl RequestList {
             if waiting.closed {
                 return None;
             }
-            if waiting.outstanding < waiting.allowed
+            if waiting.outstanding < waiting.allowed.min(self.for_files)
                 && let Some(job) = waiting.file.pop()
             {
                 waiting.outstanding += 1;

@@ -12,6 +12,8 @@
 
 mod config;
 #[cfg(feature = "http")]
+mod flow;
+#[cfg(feature = "http")]
 mod http;
 mod list;
 mod residents;

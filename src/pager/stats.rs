@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::io::IoError;
+use crate::io::{IoError, shown};
 
 /// What the pager did since it started; main thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -53,7 +53,7 @@ pub struct PagerStats {
 /// A failure, however often it happened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ErrorRecord {
-    /// What failed.
+    /// What failed, as [`shown`] has it.
     pub uri: Arc<str>,
     /// Why.
     pub reason: Arc<str>,
@@ -76,7 +76,7 @@ impl Errors {
     }
 
     pub fn add_text(&mut self, uri: &str, reason: &str) {
-        let key = (Arc::from(uri), Arc::from(reason));
+        let key = (Arc::from(&*shown(uri)), Arc::from(reason));
         if self.by_uri.len() >= Self::MAX && !self.by_uri.contains_key(&key) {
             self.others += 1;
             return;

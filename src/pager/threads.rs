@@ -6,6 +6,10 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Receiver, Sender, bounded};
 
 use super::config::{PagerConfig, PagerError};
+#[cfg(feature = "http")]
+use super::flow::Range;
+#[cfg(feature = "http")]
+use super::http::Door;
 use super::list::{Answer, Job, Loaded, RequestList};
 use crate::io::{self, Content, ReadOptions};
 use crate::scene::Page;
@@ -22,42 +26,58 @@ pub(super) struct Threads {
     pub list: Arc<RequestList>,
     /// `None` once closed.
     pub answers: Option<Receiver<Answer>>,
+    #[cfg(feature = "http")]
+    pub door: Option<Door>,
     reaper: Option<Sender<Box<Page>>>,
     handles: Vec<JoinHandle<()>>,
 }
 
 impl Threads {
     pub fn start(config: &PagerConfig, options: &ReadOptions) -> Result<Self, PagerError> {
-        let capacity = SERVERS_AT_ONCE * config.http_in_flight.max(1)
-            + 4 * config.file_threads.max(1)
-            + 2 * config.decode_threads.max(1);
-        let list = Arc::new(RequestList::new(capacity));
+        let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
+        let beside = 4 * config.file_threads.max(1) + 2 * config.decode_threads.max(1);
+        let for_files = SERVERS_AT_ONCE * start + beside;
+        let capacity = for_files + most.saturating_sub(start);
+        let list = Arc::new(RequestList::new(capacity, for_files));
         let (loaded_sender, loaded) = bounded::<Loaded>(capacity);
         let (answer_sender, answers) = bounded::<Answer>(capacity);
         let (reaper, doomed) = bounded::<Box<Page>>(REAPER_QUEUE);
-        let mut threads =
-            Self { list: list.clone(), answers: Some(answers), reaper: Some(reaper), handles: Vec::new() };
+        let mut threads = Self {
+            list: list.clone(),
+            answers: Some(answers),
+            #[cfg(feature = "http")]
+            door: None,
+            reaper: Some(reaper),
+            handles: Vec::new(),
+        };
+        let files = Arc::new(io::FileReader::new(config.limits));
         for i in 0..config.file_threads.max(1) {
-            let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
-            threads.spawn(format!("pager-file-{i}"), move || read_files(&list, &sender, &limits))?;
+            let (list, sender, files) = (list.clone(), loaded_sender.clone(), files.clone());
+            threads.spawn(format!("pager-file-{i}"), move || read_files(&list, &sender, &files))?;
         }
         #[cfg(feature = "http")]
         {
             let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
             let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
-            let (in_flight, answers) = (config.http_in_flight.max(1), answer_sender.clone());
+            let (range, answers) = (Range { start, most }, answer_sender.clone());
             let name = "pager-http".to_owned();
-            let runtime = tokio::runtime::Builder::new_current_thread()
-                .enable_all()
-                .build()
-                .map_err(|source| PagerError::Thread { name: name.clone(), source })?;
+            let runtime = io::runtime(&name).map_err(|source| PagerError::Thread { name: name.clone(), source })?;
+            threads.door = Some(Door { runtime: runtime.handle().clone(), client: client.clone() });
             threads.spawn(name, move || {
-                super::http::run(&runtime, &client, &list, &sender, &answers, &limits, in_flight);
+                super::http::run(&runtime, &client, &list, &sender, &answers, &limits, range);
             })?;
         }
         for i in 0..config.decode_threads.max(1) {
             let (loaded, sender, options) = (loaded.clone(), answer_sender.clone(), options.clone());
-            threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options))?;
+            #[cfg(feature = "http")]
+            let cache = threads.door.as_ref().and_then(|door| door.client.cache().cloned());
+            let forget = move |_uri: &str| {
+                #[cfg(feature = "http")]
+                if let Some(cache) = cache.as_ref().filter(|_| io::is_http(_uri)) {
+                    cache.forget(_uri);
+                }
+            };
+            threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options, &forget))?;
         }
         threads.spawn("pager-reaper".to_owned(), move || {
             for page in doomed {
@@ -97,15 +117,15 @@ impl Drop for Threads {
     }
 }
 
-fn read_files(list: &RequestList, sender: &Sender<Loaded>, limits: &io::Limits) {
+fn read_files(list: &RequestList, sender: &Sender<Loaded>, files: &io::FileReader) {
     while let Some(job) = list.take_file() {
         let span = timeline::span_of("fetch", || job.uri.clone());
-        let bytes = io::read_file(&job.uri, limits);
+        let bytes = files.read(&job.uri);
         let companions: Vec<_> = match &bytes {
             Ok(_) => io::companions(&job.uri, job.reader_data.as_ref())
                 .into_iter()
                 .map(|uri| {
-                    let bytes = io::read_file(&uri, limits);
+                    let bytes = files.read(&uri);
                     (uri, bytes)
                 })
                 .collect(),
@@ -125,10 +145,17 @@ pub(super) fn read_bytes(bytes: &Result<Vec<u8>, io::IoError>, companions: &[io:
     of(bytes) + companions.iter().map(|(_, r)| of(r)).sum::<u64>()
 }
 
-fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOptions) {
+/// `forget` is told the URI of what turned out to be no content.
+fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOptions, forget: &dyn Fn(&str)) {
     for Loaded { job, bytes, companions, bytes_read, bytes_http } in loaded {
         let span = timeline::span_of("decode", || job.uri.clone());
-        let page = bytes.and_then(|bytes| decode_one(&job, bytes, companions, options));
+        let page = bytes.and_then(|bytes| {
+            let page = decode_one(&job, bytes, companions, options);
+            if let Err(error @ io::IoError::Invalid { .. }) = &page {
+                forget(error.uri());
+            }
+            page
+        });
         drop(span);
         if sender.send(Answer { job, page: Some(page), bytes_read, bytes_http }).is_err() {
             return;

@@ -80,21 +80,20 @@ impl DatabasePager {
     pub fn read_root(&mut self, uri: &Arc<str>) -> Result<Page, IoError> {
         let bytes = self.fetch(uri)?;
         self.stats.bytes_read += bytes.len() as u64;
-        if io::is_http(uri) {
-            self.stats.bytes_http += bytes.len() as u64;
-        }
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         let page = io::decode(content, &self.options)?;
         self.root_chain = self.options.below(uri).chain;
         Ok(page)
     }
 
-    fn fetch(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+    fn fetch(&mut self, uri: &str) -> Result<Vec<u8>, IoError> {
         #[cfg(feature = "http")]
-        if io::is_http(uri) {
-            return io::get_here(uri, &self.config.limits, &self.config.http);
+        if let Some(door) = self.threads.door.as_ref().filter(|_| io::is_http(uri)) {
+            let body = door.get(uri, &self.config.limits)?;
+            self.stats.bytes_http += body.network_bytes;
+            return Ok(body.bytes);
         }
-        io::fetch(uri, &self.config.limits)
+        io::Source::new(self.config.limits).read(uri)
     }
 
     /// The pager's turn with the scene, once a frame: takes what was loaded and compiled, merges, expires, and
@@ -195,6 +194,14 @@ impl DatabasePager {
         &self.stats
     }
 
+    /// Counters of the cache on disk, where there is one.
+    pub fn cache_stats(&self) -> Option<io::CacheStats> {
+        #[cfg(feature = "http")]
+        return self.threads.door.as_ref()?.client.cache().map(|cache| cache.stats());
+        #[cfg(not(feature = "http"))]
+        None
+    }
+
     /// Starts the longest latency of [`PagerStats`] anew, to measure a phase by itself.
     pub fn reset_latency_max(&mut self) {
         self.stats.latency_max_s = 0.0;
@@ -287,6 +294,7 @@ impl DatabasePager {
                 entry.tries += 1;
                 let again = error.is_transient() && entry.tries < self.config.max_tries;
                 let wait = self.config.retry_after * 2u32.saturating_pow(entry.tries.min(10) - 1);
+                let wait = wait.max(error.retry_after().unwrap_or_default()).mul_f64(spread(entry.job.ticket));
                 entry.progress = Progress::Failed { retry_at: again.then(|| Instant::now() + wait) };
                 scene.set_failed(slot, true);
             }
@@ -607,6 +615,11 @@ impl DatabasePager {
         let flying = |e: &&Entry| matches!(e.progress, Progress::Loading | Progress::Arrived(_));
         s.in_flight = self.entries.values().filter(flying).count() as u64;
     }
+}
+
+/// From 1 to 1.25 by the number of a load: what failed together is not asked for again together.
+fn spread(ticket: u64) -> f64 {
+    1.0 + (ticket.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / (1u64 << 26) as f64
 }
 
 fn moving_mean(mean: u64, value: u64) -> u64 {

@@ -51,7 +51,7 @@ pub(super) fn write(path: &Path, recorded: &Recorded) -> Result<TimelineSummary>
                         "ts": us(event.at_ns), "dur": us(ns),
                     });
                     if let Some(detail) = &event.detail {
-                        value["args"] = json!({"of": **detail});
+                        value["args"] = json!({"of": without_query(detail)});
                     }
                     out.event(&value)?;
                 }
@@ -70,7 +70,7 @@ pub(super) fn write(path: &Path, recorded: &Recorded) -> Result<TimelineSummary>
             continue; // taken up before the recording
         };
         summary.requests += 1;
-        let uri = first.detail.as_deref().unwrap_or_default();
+        let uri = without_query(first.detail.as_deref().unwrap_or_default());
         let ends = |e: &Event| matches!(e.kind, EventKind::RequestEnds { .. });
         let last = events.iter().rev().find(|(_, _, e)| ends(e));
         let (end_ns, end_thread, outcome) =
@@ -99,6 +99,12 @@ pub(super) fn write(path: &Path, recorded: &Recorded) -> Result<TimelineSummary>
     Ok(summary)
 }
 
+/// A URL without what follows `?`: keys and tokens do not belong in a file that is passed on.
+fn without_query(uri: &str) -> &str {
+    let is_url = uri.starts_with("http://") || uri.starts_with("https://");
+    uri.split_once('?').filter(|_| is_url).map_or(uri, |(before, _)| before)
+}
+
 /// The last two parts of a path.
 fn short(uri: &str) -> &str {
     uri.rmatch_indices('/').nth(1).map_or(uri, |(at, _)| &uri[at + 1..])
@@ -119,5 +125,17 @@ impl Writer {
         self.is_first = false;
         serde_json::to_writer(&mut self.out, value)?;
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_in_urls_are_not_written() {
+        assert_eq!(without_query("https://tiles.example/a/b.glb?key=secret"), "https://tiles.example/a/b.glb");
+        assert_eq!(without_query("/data/is it?/b.glb"), "/data/is it?/b.glb");
+        assert_eq!(short(without_query("https://tiles.example/a/b.glb?key=x/y/z")), "a/b.glb");
     }
 }

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::stats::{FrameStats, Samples};
 use super::{Viewer, ViewerError};
+use crate::io::CacheStats;
 
 /// The whole report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,6 +33,9 @@ pub struct Report {
     pub tiles: Tiles,
     /// Bytes moved and held.
     pub bytes: Bytes,
+    /// What the cache on disk did; `null` without one.
+    #[serde(default)]
+    pub cache: Option<CacheStats>,
     /// Seconds from the first frame to nothing wanted and nothing pending at the first camera; `null` when the
     /// camera left before.
     pub converge_s: Option<f64>,
@@ -191,6 +195,7 @@ impl Report {
             }),
             tiles: Tiles::default(),
             bytes: Bytes { rss_peak: rss_peak_bytes(), ..Bytes::default() },
+            cache: None,
             converge_s: None,
             draw: DrawMedians {
                 leaves: median(|f| f64::from(f.leaves)),
@@ -241,6 +246,7 @@ impl Viewer {
                 cpu_peak: s.cpu_bytes_peak,
                 ..report.bytes
             };
+            report.cache = pager.cache_stats();
             report.errors = pager
                 .errors()
                 .into_iter()

@@ -54,6 +54,8 @@ pub struct Run {
     pub frame: u32,
     /// Bytes of the root tileset.
     pub root_bytes: u64,
+    /// How coarse tiles may look.
+    pub max_sse_px: f64,
     visitor: CullVisitor,
 }
 
@@ -66,14 +68,16 @@ impl Run {
         scene.add_root(pager.read_root(&uri).unwrap());
         let root_bytes = pager.stats().bytes_read;
         let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
-        Self { scene, pager, context, stage, frame: 0, root_bytes, visitor }
+        let max_sse_px = CullCamera::default().settings.max_sse_px;
+        Self { scene, pager, context, stage, frame: 0, root_bytes, max_sse_px, visitor }
     }
 
     /// A frame that looks straight down.
     pub fn frame(&mut self, eye: DVec3) {
         self.frame += 1;
         let eye_from_world = DAffine3::from_translation(-eye);
-        let camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
+        let mut camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
+        camera.settings.max_sse_px = self.max_sse_px;
         self.visitor.cull(&self.scene, &camera, &mut self.stage);
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
         self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, contexts);

@@ -7,6 +7,8 @@ use clap::{Args as ClapArgs, Parser, Subcommand};
 use terrane::cull::StereoMode;
 use terrane::viewer::{ThreadingModel, ViewFrom};
 
+use crate::net::NetArgs;
+
 /// Streams terrain that is larger than memory, and draws it without a hitch.
 #[derive(Debug, Parser)]
 #[command(name = "terrane", version, about, max_term_width = 110)]
@@ -27,13 +29,15 @@ pub enum Command {
     Info(InfoArgs),
     /// Serve a folder over HTTP, as well or as badly as asked
     Serve(crate::serve::ServeArgs),
+    /// Look after the cache on disk
+    Cache(crate::cache::CacheArgs),
     /// Measure one layer; JSON lines on stdout
     Bench(BenchArgs),
 }
 
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct FlyArgs {
-    /// Folder, tileset.json or http(s) URL; without it a small set is made in the user's cache folder
+    /// Folder, tileset.json, archive (.3tz, .zip) or http(s) URL; without it a small set is made in the user's cache folder
     pub source: Option<String>,
     /// Camera path in OpenSceneGraph's text form, `t px py pz qx qy qz qw` a line [default: approach, fly low, orbit]
     #[arg(long, value_name = "FILE")]
@@ -98,6 +102,8 @@ pub struct FlyArgs {
     /// Show the stats overlay from the start (window only)
     #[arg(long)]
     pub stats: bool,
+    #[command(flatten)]
+    pub net: NetArgs,
     /// A window to move in, without a path.
     #[arg(skip)]
     pub interactive: bool,
@@ -111,7 +117,7 @@ pub struct FlyArgs {
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ViewArgs {
-    /// Folder, tileset.json or http(s) URL
+    /// Folder, tileset.json, archive (.3tz, .zip) or http(s) URL
     pub source: String,
     /// Size of the window in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720")]
@@ -138,11 +144,13 @@ pub struct ViewArgs {
     /// Frames a second at most
     #[arg(long, value_name = "FPS")]
     pub max_fps: Option<Positive>,
+    #[command(flatten)]
+    pub net: NetArgs,
 }
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs { source, size, view, path, sse, threading, stats, on_demand, max_fps } = args;
+        let ViewArgs { source, size, view, path, sse, threading, stats, on_demand, max_fps, net } = args;
         Box::new(FlyArgs {
             source: Some(source),
             size,
@@ -153,6 +161,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             stats,
             on_demand,
             max_fps,
+            net,
             interactive: true,
             ..FlyArgs::default()
         })
@@ -161,11 +170,13 @@ impl From<ViewArgs> for Box<FlyArgs> {
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct InfoArgs {
-    /// Folder, tileset.json or http(s) URL
+    /// Folder, tileset.json, archive (.3tz, .zip) or http(s) URL
     pub source: String,
     /// One JSON document instead of text
     #[arg(long)]
     pub json: bool,
+    #[command(flatten)]
+    pub net: NetArgs,
 }
 
 #[derive(Clone, Debug, ClapArgs)]
@@ -226,6 +237,8 @@ pub enum Bench {
         /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
         #[arg(long, value_name = "URL")]
         url: Option<String>,
+        #[command(flatten)]
+        net: NetArgs,
     },
 }
 

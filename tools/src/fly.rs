@@ -11,6 +11,7 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use image::RgbaImage;
 use terrane::cull::Stereo;
 use terrane::draw::{Sky, Water};
+use terrane::io::shown;
 use terrane::timeline::Recording;
 use terrane::viewer::{
     AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer,
@@ -71,6 +72,7 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
     config.pager.blocking = args.blocking;
     // Manipulators stay above the ground.
     config.pager.build_kd_trees = args.interactive;
+    config.pager.http = args.net.http(&source)?;
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     let root = LoadedRoot::read(&source, &config.pager)?;
     let offscreen = args.offscreen || !display;
@@ -104,7 +106,7 @@ fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &st
         writeln!(std::io::stdout(), "H shows the keys, Esc ends").context("stdout")?;
     }
     let options = WindowOptions {
-        title: format!("Terrane - {source}"),
+        title: format!("Terrane - {}", shown(source)),
         path: flight.path.clone(),
         overlay: flight.args.stats,
         manipulated: interactive,
@@ -317,12 +319,14 @@ impl Flight {
     fn write_selection(&self, viewer: &mut Viewer) -> Result<()> {
         let Some(file) = &self.args.selection else { return Ok(()) };
         let uris = viewer.drawn_contents();
-        let root = viewer.root_uri().unwrap_or_default();
-        let folder = root.rsplit_once('/').map_or("", |(folder, _)| folder);
-        let relative: Vec<&str> = uris
-            .iter()
-            .map(|uri| uri.strip_prefix(folder).and_then(|rest| rest.strip_prefix('/')).unwrap_or(uri))
-            .collect();
+        let root = shown(viewer.root_uri().unwrap_or_default()).into_owned();
+        let path = root.split('?').next().unwrap_or(&root);
+        let folder = path.rsplit_once('/').map_or("", |(folder, _)| folder);
+        let relative = |uri: &str| {
+            let uri = shown(uri);
+            uri.strip_prefix(folder).and_then(|rest| rest.strip_prefix('/')).unwrap_or(&uri).to_owned()
+        };
+        let relative: Vec<String> = uris.iter().map(|uri| relative(uri)).collect();
         let json = serde_json::json!({ "selectedContent": relative });
         write_text(file, &format!("{json}\n"))
     }

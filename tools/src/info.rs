@@ -9,7 +9,7 @@ use terrane::io::{self, Info, Limits};
 use crate::args::InfoArgs;
 
 pub fn run(args: &InfoArgs) -> Result<()> {
-    let info = io::inspect(&args.source, &Limits::default())?;
+    let info = io::inspect_with(&args.source, &Limits::default(), args.net.http(&args.source)?)?;
     let text = if args.json { serde_json::to_string_pretty(&info)? + "\n" } else { text(&info) };
     std::io::stdout().write_all(text.as_bytes()).context("stdout")
 }

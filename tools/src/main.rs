@@ -2,9 +2,11 @@
 
 mod args;
 mod bench;
+mod cache;
 mod default_set;
 mod fly;
 mod info;
+mod net;
 mod pictures;
 mod serve;
 mod summary;
@@ -24,6 +26,7 @@ fn main() -> ExitCode {
         }
         args::Command::Info(args) => ("info", info::run(&args)),
         args::Command::Serve(args) => ("serve", serve::run(args)),
+        args::Command::Cache(args) => ("cache", cache::run(&args)),
         args::Command::Bench(args) => ("bench", bench::run(&args)),
     };
     match result {

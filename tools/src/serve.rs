@@ -1,5 +1,5 @@
 //! `terrane serve`: a folder over HTTP/1.1, as well or as badly as asked: latency, bandwidth, errors, truncation,
-//! corruption, stalls and resets, the same for the same seed.
+//! corruption, stalls, silence and resets, the same for the same seed.
 //!
 //! A thread a connection, which is enough for one client; for many use a real web server.
 
@@ -18,6 +18,8 @@ use clap::Args as ClapArgs;
 const MOST_HEAD_BYTES: u64 = 16 << 10;
 /// A connection without a request ends.
 const IDLE: Duration = Duration::from_secs(60);
+/// Instead of a tile.
+const PAGE: &[u8] = b"<!doctype html><title>Sorry</title><p>The page that you are looking for is not here.</p>\n";
 /// Bytes between two looks at the clock.
 const PIECE: usize = 16 << 10;
 
@@ -40,7 +42,7 @@ pub struct ServeArgs {
     /// Bytes a second of each connection; 0 for as many as go
     #[arg(long, default_value_t = 0.0)]
     pub bandwidth: f64,
-    /// Share of answers that are status 500 or 503
+    /// Share of answers that are status 429, 500 or 503
     #[arg(long, default_value_t = 0.0)]
     pub error_rate: f64,
     /// Share of answers whose body ends early
@@ -55,6 +57,18 @@ pub struct ServeArgs {
     /// Share of connections closed instead of an answer
     #[arg(long, default_value_t = 0.0)]
     pub reset_rate: f64,
+    /// Share of requests that get no answer at all until the client goes
+    #[arg(long, default_value_t = 0.0)]
+    pub silent_rate: f64,
+    /// Share of answers that are a web page with status 200 instead
+    #[arg(long, default_value_t = 0.0)]
+    pub page_rate: f64,
+    /// Seconds that failures ask the client to wait (`Retry-After`)
+    #[arg(long, default_value_t = 0)]
+    pub retry_after: u32,
+    /// Seconds for which clients may take answers without asking again (`Cache-Control`); without it they have to ask
+    #[arg(long, value_name = "SECONDS")]
+    pub max_age: Option<u32>,
     /// Chance is the same for the same seed, path and number of the request for that path
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -64,11 +78,28 @@ pub struct ServeArgs {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fate {
     Whole,
-    Error(u16),
+    Error,
     Truncated,
     Corrupted,
     Stalled,
     Reset,
+    Silent,
+    Page,
+}
+
+impl ServeArgs {
+    /// Shares of answers, and what happens to them.
+    fn rates(&self) -> [(f64, Fate); 7] {
+        [
+            (self.error_rate, Fate::Error),
+            (self.truncate_rate, Fate::Truncated),
+            (self.corrupt_rate, Fate::Corrupted),
+            (self.stall_rate, Fate::Stalled),
+            (self.reset_rate, Fate::Reset),
+            (self.silent_rate, Fate::Silent),
+            (self.page_rate, Fate::Page),
+        ]
+    }
 }
 
 struct Server {
@@ -79,7 +110,7 @@ struct Server {
 }
 
 pub fn run(args: ServeArgs) -> Result<()> {
-    let rates = [args.error_rate, args.truncate_rate, args.corrupt_rate, args.stall_rate, args.reset_rate];
+    let rates: Vec<f64> = args.rates().into_iter().map(|(rate, _)| rate).collect();
     ensure!(rates.iter().all(|r| (0.0..=1.0).contains(r)), "rates are shares from 0 to 1");
     ensure!(rates.iter().sum::<f64>() <= 1.0, "the rates are more than 1 together");
     for (name, value) in
@@ -116,9 +147,27 @@ struct Request {
     is_head: bool,
     path: String,
     range: Option<String>,
+    if_range: Option<String>,
     if_none_match: Option<String>,
+    if_modified_since: Option<String>,
     takes_gzip: bool,
     keeps_alive: bool,
+}
+
+impl Request {
+    /// What the client has is what there is (RFC 9110, 13.2.2): the tag counts, and the date where no tag is given.
+    fn holds(&self, tag: &str, date: &str) -> bool {
+        match &self.if_none_match {
+            Some(tags) => tags.split(',').map(str::trim).any(|t| t == "*" || t.trim_start_matches("W/") == tag),
+            None => self.if_modified_since.as_deref() == Some(date),
+        }
+    }
+}
+
+fn wait_for_the_end(stream: &mut TcpStream) -> std::io::Result<()> {
+    stream.set_read_timeout(None)?;
+    while stream.read(&mut [0; 256]).is_ok_and(|n| n > 0) {}
+    Ok(())
 }
 
 impl Server {
@@ -157,8 +206,24 @@ impl Server {
                 stream.shutdown(Shutdown::Both)?;
                 return Ok(false);
             }
-            Fate::Error(code) => {
-                stream.write_all(&head_of(&format!("{code} By Chance"), 0, "Retry-After: 0\r\n", true))?;
+            Fate::Error => {
+                let code = match chance.share() {
+                    share if share < 0.4 => 500,
+                    share if share < 0.8 => 503,
+                    _ => 429,
+                };
+                let header = format!("Retry-After: {}\r\n", self.args.retry_after);
+                stream.write_all(&head_of(&format!("{code} By Chance"), 0, &header, true))?;
+                return Ok(true);
+            }
+            Fate::Silent => {
+                wait_for_the_end(stream)?;
+                return Ok(false);
+            }
+            Fate::Page => {
+                let header = "Content-Type: text/html\r\n";
+                stream.write_all(&head_of("200 OK", PAGE.len() as u64, header, true))?;
+                stream.write_all(if request.is_head { b"" } else { PAGE })?;
                 return Ok(true);
             }
             _ => {}
@@ -169,19 +234,26 @@ impl Server {
         };
         let metadata = file.metadata()?;
         let length = metadata.len();
-        let modified =
-            metadata.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok()).map_or(0, |d| d.as_nanos());
-        let tag = format!("\"{length:x}-{modified:x}\"");
+        let modified = metadata.modified().ok().filter(|t| *t > UNIX_EPOCH).unwrap_or(UNIX_EPOCH);
+        let nanoseconds = modified.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos());
+        let tag = format!("\"{length:x}-{nanoseconds:x}\"");
+        let date = httpdate::fmt_http_date(modified);
         let mut headers = format!("ETag: {tag}\r\nAccept-Ranges: bytes\r\nContent-Type: {}\r\n", kind(&request.path));
-        headers.push_str("Vary: Accept-Encoding\r\n");
+        headers.push_str(&format!("Vary: Accept-Encoding\r\nLast-Modified: {date}\r\n"));
+        if let Some(seconds) = self.args.max_age {
+            headers.push_str(&format!("Cache-Control: max-age={seconds}\r\n"));
+        }
         if encoding {
             headers.push_str("Content-Encoding: gzip\r\n");
         }
-        if request.if_none_match.as_deref() == Some(tag.as_str()) {
+        if request.holds(&tag, &date) {
             stream.write_all(&head_of("304 Not Modified", length, &headers, true))?;
             return Ok(true);
         }
-        let (status, first, count) = match request.range.as_deref().and_then(|r| range(r, length)) {
+        // A part of something else than the client has is of no use to it.
+        let wanted =
+            request.range.as_deref().filter(|_| request.if_range.as_ref().is_none_or(|i| *i == tag || *i == date));
+        let (status, first, count) = match wanted.and_then(|r| range(r, length)) {
             // None, or one that is not understood: the whole.
             None => ("200 OK", 0, length),
             Some(Some((first, last))) => {
@@ -205,8 +277,7 @@ impl Server {
         match fate {
             Fate::Truncated => Ok(false),
             Fate::Stalled => {
-                stream.set_read_timeout(None)?;
-                while stream.read(&mut [0; 256]).is_ok_and(|n| n > 0) {}
+                wait_for_the_end(stream)?;
                 Ok(false)
             }
             _ => Ok(true),
@@ -242,16 +313,8 @@ impl Server {
     }
 
     fn fate(&self, chance: &mut Chance) -> Fate {
-        let a = &self.args;
         let mut share = chance.share();
-        let code = if chance.share() < 0.5 { 500 } else { 503 };
-        for (rate, fate) in [
-            (a.error_rate, Fate::Error(code)),
-            (a.truncate_rate, Fate::Truncated),
-            (a.corrupt_rate, Fate::Corrupted),
-            (a.stall_rate, Fate::Stalled),
-            (a.reset_rate, Fate::Reset),
-        ] {
+        for (rate, fate) in self.args.rates() {
             if share < rate {
                 return fate;
             }
@@ -318,7 +381,9 @@ fn parse(head: &[u8]) -> Result<Request, &'static str> {
         is_head,
         path,
         range: header("range"),
+        if_range: header("if-range"),
         if_none_match: header("if-none-match"),
+        if_modified_since: header("if-modified-since"),
         takes_gzip: has("accept-encoding", "gzip"),
         keeps_alive: request.version == Some(1) && !has("connection", "close"),
     })
@@ -358,6 +423,8 @@ fn kind(path: &str) -> &'static str {
         "png" => "image/png",
         "jpg" | "jpeg" => "image/jpeg",
         "exr" => "image/aces",
+        "3tz" => "application/vnd.maxar.archive.3tz+zip",
+        "zip" => "application/zip",
         _ => "application/octet-stream",
     }
 }

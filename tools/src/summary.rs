@@ -69,6 +69,10 @@ pub fn lines(report: &Report, notes: &Notes) -> String {
     if let Some(holes) = report.holes {
         results.push(format!("{holes} hole pixels"));
     }
+    if let Some(cache) = &report.cache {
+        let kept = cache.hits + cache.revalidated;
+        results.push(format!("{kept} of {} answers from the cache", kept + cache.misses));
+    }
     if let Some(error) = report.errors.first() {
         let more = report.errors.len() - 1;
         let rest = if more > 0 { format!(" and {more} more") } else { String::new() };

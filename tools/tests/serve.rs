@@ -73,6 +73,15 @@ fn files_are_served_whole_and_in_parts() {
     assert_eq!(server.ask("GET", "/a%20b/tile.glb", "Range: bytes=100000-\r\n").0, 416);
     let tag = head.lines().find_map(|l| l.strip_prefix("ETag: ")).unwrap();
     assert_eq!(server.ask("GET", "/a%20b/tile.glb", &format!("If-None-Match: {tag}\r\n")).0, 304);
+    let ask = |headers: &str| server.ask("GET", "/a%20b/tile.glb", headers).0;
+    assert_eq!(ask(&format!("If-None-Match: \"other\", W/{tag}\r\n")), 304);
+    assert_eq!([ask("If-None-Match: *\r\n"), ask("If-None-Match: \"other\"\r\n")], [304, 200]);
+    let date = head.lines().find_map(|l| l.strip_prefix("Last-Modified: ")).unwrap();
+    assert_eq!(ask(&format!("If-Modified-Since: {date}\r\n")), 304);
+    assert_eq!(ask(&format!("If-None-Match: \"other\"\r\nIf-Modified-Since: {date}\r\n")), 200, "the tag counts");
+    assert_eq!(ask(&format!("Range: bytes=1-2\r\nIf-Range: {tag}\r\n")), 206);
+    assert_eq!(ask("Range: bytes=1-2\r\nIf-Range: \"other\"\r\n"), 200);
+    assert!(!head.contains("Cache-Control"), "{head}");
     assert_eq!(server.ask("GET", "/tile.json", "").2, b"plain");
     let (_, head, body) = server.ask("GET", "/tile.json", "Accept-Encoding: br, gzip\r\n");
     assert_eq!((&body[..], head.contains("Content-Encoding: gzip")), (&b"packed"[..], true));
@@ -105,7 +114,27 @@ fn chance_is_the_same_for_the_same_seed() {
     {
         assert!(first.contains(&seen), "{what}: {first:?}");
     }
-    assert!(first.iter().any(|f| f.0 == 500 || f.0 == 503), "{first:?}");
+    for status in [429, 500, 503] {
+        assert!(first.iter().any(|f| f.0 == status), "{status}: {first:?}");
+    }
+}
+
+#[test]
+fn pages_and_silence_and_how_long_answers_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("f"), "content").unwrap();
+    let page = Server::start(folder.path(), &["--page-rate", "1"]);
+    let (status, head, body) = page.ask("GET", "/f", "");
+    assert!(status == 200 && head.contains("text/html") && body.starts_with(b"<!doctype"), "{head}");
+    let wait = Server::start(folder.path(), &["--error-rate", "1", "--retry-after", "7"]);
+    assert!(wait.ask("GET", "/f", "").1.contains("Retry-After: 7"));
+    let fresh = Server::start(folder.path(), &["--max-age", "60"]);
+    assert!(fresh.ask("GET", "/f", "").1.contains("Cache-Control: max-age=60"));
+    let silent = Server::start(folder.path(), &["--silent-rate", "1"]);
+    let mut stream = TcpStream::connect(&silent.address).unwrap();
+    stream.write_all(b"GET /f HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
+    stream.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
+    assert!(stream.read(&mut [0; 8]).is_err(), "nothing comes, and the connection stays");
 }
 
 #[test]

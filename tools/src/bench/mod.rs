@@ -24,13 +24,14 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         Bench::Submit { secs } => submit::run(*secs),
         Bench::Frame { secs } => frame::run(*secs),
         Bench::Threading { secs } => threading::run(*secs),
-        Bench::Page { frames, pace, draw, tiles, content, url } => page::run(page::Options {
+        Bench::Page { frames, pace, draw, tiles, content, url, net } => page::run(page::Options {
             frames: *frames,
             pace_hz: *pace,
             draw: *draw,
             tiles: *tiles,
             content: *content,
             url: url.clone(),
+            net: net.clone(),
         }),
     }
 }

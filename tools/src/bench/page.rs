@@ -22,6 +22,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::percentile;
 use crate::args::PageContent;
+use crate::net::NetArgs;
 
 /// What is measured, from the command line.
 #[derive(Clone, Debug)]
@@ -38,6 +39,8 @@ pub struct Options {
     pub content: PageContent,
     /// Where the folder of the tiles is served; `None` reads the files.
     pub url: Option<String>,
+    /// How that server is talked to.
+    pub net: NetArgs,
 }
 
 /// Side of the terrain in metres, corner at the origin.
@@ -332,7 +335,8 @@ pub fn run(options: Options) -> Result<()> {
     let mut graphics = GraphicsContext::new_offscreen(&traits(AdapterChoice::Software))
         .or_else(|_| GraphicsContext::new_offscreen(&traits(AdapterChoice::Noop)))?;
     let read = ReadOptions::for_root(&format!("{base}{}", ROOT.file("glb")), Limits::default());
-    let config = PagerConfig { max_tiles: options.tiles, ..PagerConfig::default() };
+    let http = options.net.http(&base)?;
+    let config = PagerConfig { max_tiles: options.tiles, http, ..PagerConfig::default() };
     let pager = DatabasePager::new(config, read)?;
     let renderer = options.draw.then(|| terrane::draw::Renderer::new(&mut graphics));
     let mut bench = Bench {

@@ -1,0 +1,96 @@
+//! Archives as folders: 3D Tiles archives (`.3tz`) and plain zip, without unpacking them. A URI goes on inside:
+//! `set.3tz/tileset.json`.
+//!
+//! The directory at the end is read once, a member by one piece from the middle: of a file on the file threads
+//! ([`LocalArchive`]), from a server by range requests (`src/io/http/archive.rs`). What is here does no I/O of its own
+//! besides.
+
+mod directory;
+mod local;
+mod member;
+
+use std::path::{Path, PathBuf};
+
+#[cfg(feature = "http")]
+pub(crate) use directory::{Directory, End, Span, TAIL_BYTES};
+pub(crate) use local::LocalArchive;
+#[cfg(feature = "http")]
+pub(crate) use member::{SLACK_BYTES, data_of, piece_of, unpack};
+
+/// Names that are taken as archives.
+const EXTENSIONS: [&str; 2] = [".3tz", ".zip"];
+
+/// True for the name of an archive.
+pub(crate) fn is_archive(name: &str) -> bool {
+    let end = name.len().checked_sub(4).and_then(|at| name.get(at..));
+    end.is_some_and(|end| EXTENSIONS.iter().any(|e| end.eq_ignore_ascii_case(e)))
+}
+
+/// The archive that a path goes into, and the way inside it, where there is such a file.
+pub(crate) fn split_path(path: &str) -> Option<(PathBuf, String)> {
+    let archive = Path::new(path).ancestors().skip(1).find(|p| {
+        p.file_name().and_then(|n| n.to_str()).is_some_and(is_archive)
+            && std::fs::metadata(p).is_ok_and(|m| m.is_file())
+    })?;
+    let inside = Path::new(path).strip_prefix(archive).ok()?;
+    let parts: Vec<&str> = inside.iter().map(|part| part.to_str()).collect::<Option<_>>()?;
+    Some((archive.to_path_buf(), parts.join("/")))
+}
+
+/// The URL of the archive that a URL goes into, with its query, and the way inside it.
+#[cfg(feature = "http")]
+pub(crate) fn split_url(url: &str) -> Option<(String, String)> {
+    let end = url.find(['?', '#']).unwrap_or(url.len());
+    let (path, rest) = url.split_at(end);
+    let start = path.find("://").map_or(0, |at| at + 3);
+    let slashes = path.match_indices('/').map(|(at, _)| at).filter(|at| *at >= start);
+    let slash = slashes.into_iter().find(|at| path.get(start..*at).is_some_and(is_inner_archive))?;
+    let (archive, inside) = (path.get(..slash)?, path.get(slash + 1..)?);
+    if inside.is_empty() {
+        return None;
+    }
+    let query = rest.split('#').next().unwrap_or("");
+    Some((format!("{archive}{query}"), super::uri::percent_decode(inside)?))
+}
+
+/// The last part of `host/path` is an archive, and it is not the host.
+#[cfg(feature = "http")]
+fn is_inner_archive(path: &str) -> bool {
+    path.rsplit_once('/').is_some_and(|(_, name)| is_archive(name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    #[cfg(feature = "http")]
+    fn urls_that_go_into_archives() {
+        let split = |url: &str| split_url(url).map(|(a, m)| format!("{a} {m}"));
+        for (url, expected) in [
+            ("http://h/a/set.3tz/tileset.json", Some("http://h/a/set.3tz tileset.json")),
+            ("http://h/SET.ZIP/a%20b/c.glb?key=1#f", Some("http://h/SET.ZIP?key=1 a b/c.glb")),
+            ("http://h/set.3tz", None),
+            ("http://h/set.3tz/", None),
+            ("http://h.zip/a.glb", None),
+            ("http://h.zip/a.zip/b.zip/c", Some("http://h.zip/a.zip b.zip/c")),
+            ("http://h/a.glb?from=/x.zip/y", None),
+            ("http://h/.3tz/a", Some("http://h/.3tz a")),
+        ] {
+            assert_eq!(split(url).as_deref(), expected, "{url}");
+        }
+    }
+
+    #[test]
+    fn paths_that_go_into_archives() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+        std::fs::write(path("set.3tz"), "x").unwrap();
+        std::fs::create_dir(path("folder.zip")).unwrap();
+        assert_eq!(split_path(&path("set.3tz/a/b.glb")), Some((path("set.3tz").into(), "a/b.glb".to_owned())));
+        for name in ["set.3tz", "folder.zip/a.glb", "none.zip/a.glb", "a.glb"] {
+            assert_eq!(split_path(&path(name)), None, "{name}");
+        }
+        assert!(!is_archive("zip") && !is_archive("é.3t") && is_archive("é.3Tz"));
+    }
+}

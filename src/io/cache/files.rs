@@ -1,0 +1,203 @@
+//! Files of the cache: names by hash, and writing so that a file is whole or not there.
+
+use std::fs;
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, SystemTime};
+
+use ring::digest;
+
+/// SHA-256.
+pub(super) type Hash = [u8; 32];
+
+/// What a cache folder holds beside its parts.
+pub(super) const MARKER: &str = "terrane-cache";
+const MARKER_TEXT: &[u8] = b"terrane cache 1\n";
+/// Left-overs of processes that were killed are removed after so long.
+const TEMPORARY_AGE: Duration = Duration::from_secs(3600);
+
+pub(super) fn hash(bytes: &[u8]) -> Hash {
+    let mut out = Hash::default();
+    out.copy_from_slice(digest::digest(&digest::SHA256, bytes).as_ref());
+    out
+}
+
+pub(super) fn hex(hash: &Hash) -> String {
+    use std::fmt::Write as _;
+    hash.iter().fold(String::with_capacity(64), |mut text, byte| {
+        // Writing to a String cannot fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+pub(super) fn unhex(text: &str) -> Option<Hash> {
+    let digits = text.as_bytes();
+    if digits.len() != 64 {
+        return None;
+    }
+    let digit = |b: u8| char::from(b).to_digit(16).filter(|_| !b.is_ascii_uppercase());
+    let mut hash = Hash::default();
+    for (byte, pair) in hash.iter_mut().zip(digits.chunks_exact(2)) {
+        let &[high, low] = pair else { return None };
+        *byte = (digit(high)? * 16 + digit(low)?) as u8;
+    }
+    Some(hash)
+}
+
+/// The folder and its parts.
+#[derive(Clone, Debug)]
+pub(super) struct Files {
+    pub folder: PathBuf,
+}
+
+/// A file of the cache, as a scan finds it.
+#[derive(Clone, Debug)]
+pub(super) struct Found {
+    pub path: PathBuf,
+    pub hash: Hash,
+    pub size: u64,
+    /// Last use.
+    pub modified: SystemTime,
+}
+
+impl Files {
+    /// Opens a cache folder or makes one of a folder that is empty or not there. A folder with other things in it is
+    /// refused: what is in a cache may be removed.
+    pub fn open(folder: &Path) -> io::Result<Self> {
+        let files = Self { folder: folder.to_path_buf() };
+        let marker = folder.join(MARKER);
+        match fs::read(&marker) {
+            Ok(text) if text == MARKER_TEXT => return Ok(files),
+            Ok(_) => return Err(io::Error::other("is the cache of another version")),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+            Err(e) => return Err(e),
+        }
+        fs::create_dir_all(folder)?;
+        // Another process may be making the same folder at this moment.
+        let parts = ["tmp", "keys", "blobs", MARKER];
+        for found in fs::read_dir(folder)? {
+            if !found?.file_name().to_str().is_some_and(|name| parts.contains(&name)) {
+                return Err(io::Error::other("is not empty and no cache"));
+            }
+        }
+        files.write(&marker, MARKER_TEXT)?;
+        Ok(files)
+    }
+
+    pub fn key(&self, hash: &Hash) -> PathBuf {
+        self.place("keys", hash)
+    }
+
+    pub fn blob(&self, hash: &Hash) -> PathBuf {
+        self.place("blobs", hash)
+    }
+
+    fn place(&self, part: &str, hash: &Hash) -> PathBuf {
+        let name = hex(hash);
+        self.folder.join(part).join(&name[..2]).join(name)
+    }
+
+    /// Writes beside and renames: whoever reads finds the old, the new or nothing.
+    pub fn write(&self, place: &Path, bytes: &[u8]) -> io::Result<()> {
+        static NUMBER: AtomicU64 = AtomicU64::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let temporary = self.folder.join("tmp").join(format!("{}-{number}", std::process::id()));
+        let written = write_new(&temporary, bytes).and_then(|()| match fs::rename(&temporary, place) {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {
+                let parent = place.parent().unwrap_or(&self.folder);
+                fs::create_dir_all(parent)?;
+                fs::rename(&temporary, place)
+            }
+            other => other,
+        });
+        if written.is_err() {
+            // A full disk should not keep the rest of it.
+            let _ = fs::remove_file(&temporary);
+        }
+        written
+    }
+
+    /// All files of `keys` or `blobs` that are named as such.
+    pub fn scan(&self, part: &str) -> io::Result<Vec<Found>> {
+        let mut found = Vec::new();
+        for folder in read_dir(&self.folder.join(part))? {
+            for path in read_dir(&folder)? {
+                let Some(hash) = path.file_name().and_then(|n| n.to_str()).and_then(unhex) else { continue };
+                // Another process may have removed it.
+                let Ok(metadata) = fs::metadata(&path) else { continue };
+                let modified = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+                found.push(Found { path, hash, size: metadata.len(), modified });
+            }
+        }
+        Ok(found)
+    }
+
+    /// Removes what processes that were killed were writing.
+    pub fn remove_left_overs(&self) -> io::Result<()> {
+        for path in read_dir(&self.folder.join("tmp"))? {
+            let age = fs::metadata(&path).and_then(|m| m.modified()).ok().and_then(|m| m.elapsed().ok());
+            if age.is_some_and(|age| age > TEMPORARY_AGE) {
+                let _ = fs::remove_file(&path);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let open = || fs::File::options().write(true).create(true).truncate(true).open(path);
+    let mut file = match open() {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => {
+            fs::create_dir_all(path.parent().unwrap_or(path))?;
+            open()?
+        }
+        other => other?,
+    };
+    file.write_all(bytes)
+}
+
+/// Paths in a folder; none where it does not exist.
+fn read_dir(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    match fs::read_dir(folder) {
+        Ok(entries) => Ok(entries.flatten().map(|e| e.path()).collect()),
+        Err(e) if matches!(e.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => Ok(Vec::new()),
+        Err(e) => Err(e),
+    }
+}
+
+/// Says that a file is in use now.
+pub(super) fn touch(path: &Path) -> io::Result<()> {
+    fs::File::options().write(true).open(path)?.set_modified(SystemTime::now())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hashes_as_text() {
+        let of = hash(b"abc");
+        assert_eq!(hex(&of), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+        assert_eq!(unhex(&hex(&of)), Some(of));
+        for odd in ["", "ba78", &hex(&of).to_uppercase(), &"g".repeat(64), &"é".repeat(32)] {
+            assert_eq!(unhex(odd), None, "{odd}");
+        }
+    }
+
+    #[test]
+    fn only_caches_are_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = folder.path().join("new/cache");
+        Files::open(&cache).unwrap();
+        Files::open(&cache).unwrap();
+        fs::write(cache.join(MARKER), "terrane cache 7\n").unwrap();
+        assert!(Files::open(&cache).is_err());
+        let home = folder.path().join("home");
+        fs::create_dir(&home).unwrap();
+        fs::write(home.join("letter"), "dear").unwrap();
+        assert!(Files::open(&home).is_err());
+        assert!(Files::open(&home.join("letter")).is_err());
+    }
+}

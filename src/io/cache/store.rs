@@ -1,0 +1,264 @@
+//! [`DiskCache`]: looking up and keeping.
+
+use std::fs;
+use std::io::{self, Read as _};
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use lru::LruCache;
+
+use super::entry::{self, Entry};
+use super::files::{self, Files, Hash};
+use super::stats::CacheStats;
+use super::sweep::Room;
+use crate::io::{IoError, Limits};
+
+/// A use is written to disk at most so often.
+const TOUCH_EVERY: Duration = Duration::from_secs(60);
+/// Uses remembered.
+const TOUCHES: NonZeroUsize = NonZeroUsize::new(1 << 14).unwrap();
+
+/// URIs remembered that are not to be kept.
+const REFUSED: NonZeroUsize = NonZeroUsize::new(1 << 10).unwrap();
+
+/// Where a cache is, and how large it may become.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CacheConfig {
+    /// Empty, not there, or a cache already.
+    pub folder: PathBuf,
+    /// Bytes of all files together. Each further process that writes at the same time may go beyond by a sixteenth.
+    pub max_bytes: u64,
+    /// Ask no server: what is here counts, however old, and what is not is an error.
+    pub offline: bool,
+}
+
+impl CacheConfig {
+    /// A cache of 2 GiB in a folder.
+    pub fn new(folder: impl Into<PathBuf>) -> Self {
+        Self { folder: folder.into(), max_bytes: 2 << 30, offline: false }
+    }
+}
+
+/// A cache on disk; see the module's head. Any thread that may block; all methods take `&self`.
+#[derive(Debug)]
+pub struct DiskCache {
+    pub(super) files: Files,
+    config: CacheConfig,
+    pub(super) counts: Counts,
+    /// When an entry was last said to be in use; taken for moments.
+    touched: Mutex<LruCache<Hash, Instant>>,
+    /// URIs to forget whose entries were not there yet: they may be on their way. Taken for moments.
+    refused: Mutex<LruCache<Hash, ()>>,
+    /// Held while room is made.
+    pub(super) room: Mutex<Room>,
+}
+
+/// [`CacheStats`] as it is counted.
+#[derive(Debug, Default)]
+pub(super) struct Counts {
+    pub hits: AtomicU64,
+    pub revalidated: AtomicU64,
+    pub misses: AtomicU64,
+    pub stored: AtomicU64,
+    pub evicted: AtomicU64,
+    pub corrupt: AtomicU64,
+    pub write_errors: AtomicU64,
+    pub bytes_hit: AtomicU64,
+    pub bytes_stored: AtomicU64,
+}
+
+pub(super) fn add(count: &AtomicU64, more: u64) {
+    count.fetch_add(more, Ordering::Relaxed);
+}
+
+/// A poisoned lock guards nothing that half a change could break.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl DiskCache {
+    /// Opens a cache or begins one. A folder that holds other things is refused.
+    pub fn open(config: &CacheConfig) -> Result<Self, IoError> {
+        let failed = |e: io::Error| IoError::File { uri: config.folder.display().to_string(), reason: e.to_string() };
+        Ok(Self {
+            files: Files::open(&config.folder).map_err(failed)?,
+            config: config.clone(),
+            counts: Counts::default(),
+            touched: Mutex::new(LruCache::new(TOUCHES)),
+            refused: Mutex::new(LruCache::new(REFUSED)),
+            room: Mutex::new(Room::new(config.max_bytes)),
+        })
+    }
+
+    /// Where it is.
+    pub fn folder(&self) -> &Path {
+        &self.config.folder
+    }
+
+    /// No server is asked.
+    pub fn is_offline(&self) -> bool {
+        self.config.offline
+    }
+
+    /// Counters since it was opened.
+    pub fn stats(&self) -> CacheStats {
+        let c = &self.counts;
+        let of = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        CacheStats {
+            hits: of(&c.hits),
+            revalidated: of(&c.revalidated),
+            misses: of(&c.misses),
+            stored: of(&c.stored),
+            evicted: of(&c.evicted),
+            corrupt: of(&c.corrupt),
+            write_errors: of(&c.write_errors),
+            bytes_hit: of(&c.bytes_hit),
+            bytes_stored: of(&c.bytes_stored),
+        }
+    }
+
+    /// What is known of a URI.
+    pub(crate) fn entry(&self, uri: &str) -> Option<Entry> {
+        self.entry_at(&self.files.key(&key_of(uri)))
+    }
+
+    /// The body of an entry as it came; `None` where it is gone or broken.
+    pub(crate) fn body(&self, uri: &str, entry: &Entry, limits: &Limits) -> Option<Vec<u8>> {
+        let key_hash = key_of(uri);
+        let (key, blob_hash, size) = (self.files.key(&key_hash), entry.blob_hash()?, entry.size);
+        let blob = self.files.blob(&blob_hash);
+        match read_at_most(&blob, size.min(limits.max_file_bytes)) {
+            Ok(body) if body.len() as u64 == size && files::hash(&body) == blob_hash => {
+                self.touch(key_hash, &[&key, &blob]);
+                return Some(body);
+            }
+            Ok(_) if size > limits.max_file_bytes => {}
+            Ok(_) => {
+                add(&self.counts.corrupt, 1);
+                let _ = fs::remove_file(&blob);
+                let _ = fs::remove_file(&key);
+            }
+            // Removed for others, or unreadable for now.
+            Err(_) => {}
+        }
+        None
+    }
+
+    /// The entry and a body of its size are there; the body is not read.
+    pub(crate) fn has(&self, uri: &str) -> bool {
+        let entry = self.entry_at(&self.files.key(&key_of(uri)));
+        let blob = entry.as_ref().and_then(|e| Some((self.files.blob(&e.blob_hash()?), e.size)));
+        blob.is_some_and(|(blob, size)| fs::metadata(blob).is_ok_and(|m| m.len() == size))
+    }
+
+    fn entry_at(&self, key: &Path) -> Option<Entry> {
+        let bytes = read_at_most(key, entry::MOST_BYTES).ok()?;
+        let entry = Entry::from_bytes(&bytes);
+        if entry.is_none() {
+            add(&self.counts.corrupt, 1);
+            let _ = fs::remove_file(key);
+        }
+        entry
+    }
+
+    /// Keeps a body. What cannot be written is counted, and said once.
+    pub(crate) fn store(&self, uri: &str, mut entry: Entry, body: &[u8]) {
+        let size = body.len() as u64;
+        // One body is not worth all others.
+        if size > self.config.max_bytes / 8 {
+            return;
+        }
+        let hash = files::hash(body);
+        entry.blob = files::hex(&hash);
+        entry.size = size;
+        let blob = self.files.blob(&hash);
+        let there = fs::metadata(&blob).is_ok_and(|m| m.len() == size);
+        let written = if there { files::touch(&blob) } else { self.files.write(&blob, body) };
+        if let Err(e) = written.and_then(|()| self.renew(uri, &entry)) {
+            self.say(&e);
+            return;
+        }
+        let key = key_of(uri);
+        if lock(&self.refused).pop(&key).is_some() {
+            self.remove_entry(&key);
+            return;
+        }
+        add(&self.counts.stored, 1);
+        add(&self.counts.bytes_stored, size);
+        if !there {
+            self.made_larger(size);
+        }
+    }
+
+    /// Writes what is known of a URI whose body is kept.
+    pub(crate) fn renew(&self, uri: &str, entry: &Entry) -> io::Result<()> {
+        self.files.write(&self.files.key(&key_of(uri)), &entry.to_bytes())
+    }
+
+    /// The same, where a failure changes nothing but the next question.
+    pub(crate) fn try_renew(&self, uri: &str, entry: &Entry) {
+        if let Err(e) = self.renew(uri, entry) {
+            self.say(&e);
+        }
+    }
+
+    fn say(&self, error: &io::Error) {
+        if self.counts.write_errors.fetch_add(1, Ordering::Relaxed) == 0 {
+            log::warn!("the cache {} cannot be written: {error}", self.config.folder.display());
+        }
+    }
+
+    /// Drops what a decoder found to be no content, so that it is asked for again; also when it is only on its way here.
+    pub fn forget(&self, uri: &str) {
+        let key = key_of(uri);
+        // Before looking for the file: `store` looks here after writing it, so that one of the two sees the other.
+        lock(&self.refused).put(key, ());
+        if self.remove_entry(&key) {
+            lock(&self.refused).pop(&key);
+        }
+    }
+
+    fn remove_entry(&self, key: &Hash) -> bool {
+        let path = self.files.key(key);
+        if let Some(blob) = self.entry_at(&path).and_then(|e| e.blob_hash()) {
+            let _ = fs::remove_file(self.files.blob(&blob));
+        }
+        fs::remove_file(path).is_ok()
+    }
+
+    pub(crate) fn count_hit(&self, bytes: u64, asked: bool) {
+        add(if asked { &self.counts.revalidated } else { &self.counts.hits }, 1);
+        add(&self.counts.bytes_hit, bytes);
+    }
+
+    pub(crate) fn count_miss(&self) {
+        add(&self.counts.misses, 1);
+    }
+
+    fn touch(&self, key: Hash, paths: &[&Path]) {
+        let now = Instant::now();
+        let before = lock(&self.touched).put(key, now);
+        if before.is_some_and(|before| now.duration_since(before) < TOUCH_EVERY) {
+            return;
+        }
+        for path in paths {
+            // A cache that may only be read is one too.
+            let _ = files::touch(path);
+        }
+    }
+}
+
+fn key_of(uri: &str) -> Hash {
+    files::hash(uri.split('#').next().unwrap_or(uri).as_bytes())
+}
+
+/// A file, but not more of it than one byte beyond `most`.
+pub(super) fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let file = fs::File::open(path)?;
+    let mut bytes = Vec::with_capacity(most.min(file.metadata()?.len().saturating_add(1)) as usize);
+    file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}

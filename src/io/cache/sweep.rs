@@ -1,0 +1,99 @@
+//! Keeping the size: the entries used longest ago go first.
+//!
+//! Each process adds up what it writes and looks at the folder itself once that is a sixteenth of the limit, so that
+//! what others write counts too. One process at a time removes; the others go on.
+
+use std::fs;
+use std::io;
+use std::time::Duration;
+
+use super::files::Found;
+use super::store::{DiskCache, add, lock};
+
+/// Room that is made at once, of the limit.
+const FREED_SHARE: u64 = 10;
+/// A body's file and its key's may differ in age by so much though they were used together.
+const SLACK: Duration = Duration::from_secs(180);
+
+/// What a process knows of the size.
+#[derive(Debug)]
+pub(super) struct Room {
+    max_bytes: u64,
+    /// At the last look; `None` before the first.
+    seen_bytes: Option<u64>,
+    /// Written since by this process.
+    written_bytes: u64,
+}
+
+impl Room {
+    pub fn new(max_bytes: u64) -> Self {
+        Self { max_bytes, seen_bytes: None, written_bytes: 0 }
+    }
+
+    fn is_due(&self) -> bool {
+        match self.seen_bytes {
+            None => true,
+            Some(seen) => self.written_bytes > self.max_bytes / 16 || seen + self.written_bytes > self.max_bytes,
+        }
+    }
+}
+
+impl DiskCache {
+    /// Counts what was written and makes room where it is due.
+    pub(super) fn made_larger(&self, bytes: u64) {
+        let mut room = lock(&self.room);
+        room.written_bytes += bytes;
+        if !room.is_due() {
+            return;
+        }
+        match self.sweep(room.max_bytes) {
+            Ok(Some(left)) => {
+                room.seen_bytes = Some(left);
+                room.written_bytes = 0;
+            }
+            // Another process is at it.
+            Ok(None) => room.written_bytes = 0,
+            Err(e) => {
+                room.written_bytes = 0;
+                log::warn!("the cache {} cannot be looked through: {e}", self.folder().display());
+            }
+        }
+    }
+
+    /// Removes down to nine tenths of the limit where there is more than it; says what is left. `None` where another
+    /// process is doing the same.
+    pub(super) fn sweep(&self, max_bytes: u64) -> io::Result<Option<u64>> {
+        let file = fs::File::options().create(true).truncate(false).write(true).open(self.files.folder.join("lock"))?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(fs::TryLockError::WouldBlock) => return Ok(None),
+            Err(fs::TryLockError::Error(e)) => return Err(e),
+        }
+        // The lock goes with the file, also when the process is killed.
+        self.files.remove_left_overs()?;
+        let (mut blobs, keys) = (self.files.scan("blobs")?, self.files.scan("keys")?);
+        let size = |files: &[Found]| files.iter().map(|f| f.size).sum::<u64>();
+        let mut left = size(&blobs) + size(&keys);
+        if left <= max_bytes {
+            return Ok(Some(left));
+        }
+        blobs.sort_by(|a, b| a.modified.cmp(&b.modified).then(a.hash.cmp(&b.hash)));
+        let mut blobs = blobs.into_iter();
+        while left > max_bytes - max_bytes / FREED_SHARE
+            && let Some(oldest) = blobs.next()
+        {
+            if fs::remove_file(&oldest.path).is_ok() {
+                left -= oldest.size;
+                add(&self.counts.evicted, 1);
+            }
+        }
+        // Keys are used with their bodies: those older than every body that is left have none, or are as old.
+        let oldest = blobs.next().and_then(|b| b.modified.checked_sub(SLACK));
+        for key in keys {
+            if oldest.is_none_or(|oldest| key.modified < oldest) && fs::remove_file(&key.path).is_ok() {
+                left -= key.size;
+            }
+        }
+        Ok(Some(left))
+    }
+}

@@ -1,0 +1,159 @@
+//! Undoing compression, never to more bytes than the limit: what HTTP names in `Content-Encoding`, and zstd for archives.
+
+use std::io::Read;
+
+use super::IoError;
+#[cfg(feature = "http")]
+use super::{Limits, file};
+
+/// What is asked of servers.
+#[cfg(feature = "http")]
+pub(crate) const ACCEPT: &str = "zstd, br, gzip";
+/// Encodings on top of each other.
+#[cfg(feature = "http")]
+const MOST_ENCODINGS: usize = 4;
+
+/// Undoes what a `Content-Encoding` lists, last first, and gzip that the server did not tell of.
+#[cfg(feature = "http")]
+pub(crate) fn decode(uri: &str, mut bytes: Vec<u8>, encodings: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
+    let names: Vec<String> = encodings.split(',').map(|e| e.trim().to_ascii_lowercase()).collect();
+    if names.len() > MOST_ENCODINGS {
+        return Err(IoError::invalid(uri, "more than four content encodings"));
+    }
+    for name in names.iter().rev() {
+        bytes = match name.as_str() {
+            "" | "identity" => bytes,
+            "gzip" | "x-gzip" => file::gunzip(uri, bytes, limits)?,
+            "br" => {
+                let reader = brotli_decompressor::Decompressor::new(bytes.as_slice(), 4096);
+                read_limited(uri, "br", reader, limits.max_file_bytes)?
+            }
+            "zstd" => unzstd(uri, &bytes, limits.max_file_bytes)?,
+            other => return Err(IoError::unsupported(uri, format!("content encoding {other:?}"))),
+        };
+    }
+    file::gunzip(uri, bytes, limits)
+}
+
+/// All frames of a zstd stream.
+pub(crate) fn unzstd(uri: &str, mut bytes: &[u8], limit: u64) -> Result<Vec<u8>, IoError> {
+    use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
+    let bad = |e: String| IoError::invalid(uri, format!("zstd: {e}"));
+    let mut out = Vec::new();
+    while !bytes.is_empty() {
+        match ruzstd::decoding::StreamingDecoder::new(&mut bytes) {
+            Ok(mut decoder) => {
+                let left = limit - out.len() as u64;
+                (&mut decoder).take(left + 1).read_to_end(&mut out).map_err(|e| bad(e.to_string()))?;
+                if out.len() as u64 > limit {
+                    return Err(IoError::TooLarge { uri: uri.to_owned(), what: "file", got: limit + 1, limit });
+                }
+                let decoder = decoder.into_frame_decoder();
+                let (told, found) = (decoder.get_checksum_from_data(), decoder.get_calculated_checksum());
+                if told.is_some() && told != found {
+                    return Err(bad("wrong checksum".to_owned()));
+                }
+            }
+            Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame { length, .. })) => {
+                bytes = bytes.get(length as usize..).ok_or_else(|| bad("ends early".to_owned()))?;
+            }
+            Err(e) => return Err(bad(e.to_string())),
+        }
+    }
+    Ok(out)
+}
+
+/// Everything a decoder gives, up to the limit.
+pub(crate) fn read_limited(uri: &str, what: &str, reader: impl Read, limit: u64) -> Result<Vec<u8>, IoError> {
+    let mut out = Vec::new();
+    reader.take(limit + 1).read_to_end(&mut out).map_err(|e| IoError::invalid(uri, format!("{what}: {e}")))?;
+    if out.len() as u64 > limit {
+        return Err(IoError::TooLarge { uri: uri.to_owned(), what: "file", got: limit + 1, limit });
+    }
+    Ok(out)
+}
+
+#[cfg(all(test, feature = "http"))]
+mod tests {
+    use std::io::Write as _;
+
+    use super::*;
+
+    const LIMITS: Limits = Limits {
+        max_file_bytes: 100_000,
+        max_image_side_px: 1,
+        max_image_bytes: 1,
+        max_elements: 1,
+        max_depth: 1,
+        max_external_depth: 1,
+    };
+
+    fn text() -> Vec<u8> {
+        b"heights and imagery ".repeat(400)
+    }
+
+    fn gzip(bytes: &[u8]) -> Vec<u8> {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+        encoder.write_all(bytes).expect("memory takes it");
+        encoder.finish().expect("memory takes it")
+    }
+
+    fn zstd(bytes: &[u8]) -> Vec<u8> {
+        ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
+    }
+
+    /// A brotli stream of uncompressed blocks (RFC 7932, 9.2).
+    fn brotli(bytes: &[u8]) -> Vec<u8> {
+        // WBITS 16 is one zero bit; then, for each block, ISLAST 0, MNIBBLES 4, MLEN - 1, ISUNCOMPRESSED, fill.
+        let mut out = Vec::new();
+        for (i, block) in bytes.chunks(0x1_0000).enumerate() {
+            let head = ((block.len() as u32 - 1) << 3) | (1 << 19);
+            let bits = if i == 0 { head << 1 } else { head };
+            // 21 or 20 bits and fill to a byte's end.
+            out.extend_from_slice(&bits.to_le_bytes()[..3]);
+            out.extend_from_slice(block);
+        }
+        out.push(3);
+        out
+    }
+
+    #[test]
+    fn what_servers_send_is_undone() {
+        let plain = text();
+        for (encodings, bytes) in [
+            ("", plain.clone()),
+            ("identity", plain.clone()),
+            ("gzip", gzip(&plain)),
+            ("", gzip(&plain)),
+            ("X-GZIP", gzip(&plain)),
+            ("zstd", zstd(&plain)),
+            ("zstd", [zstd(&plain[..10]), vec![0x50, 0x2a, 0x4d, 0x18, 1, 0, 0, 0, 9], zstd(&plain[10..])].concat()),
+            ("br", brotli(&plain)),
+            ("br, gzip", gzip(&brotli(&plain))),
+            ("zstd", zstd(&gzip(&plain))),
+        ] {
+            assert!(decode("u", bytes, encodings, &LIMITS).unwrap() == plain, "{encodings}");
+        }
+    }
+
+    #[test]
+    fn too_much_and_broken_are_refused() {
+        let bomb = vec![0u8; 100_001];
+        for (encodings, bytes) in [("gzip", gzip(&bomb)), ("zstd", zstd(&bomb)), ("br", brotli(&bomb))] {
+            let error = decode("u", bytes, encodings, &LIMITS).unwrap_err();
+            assert!(matches!(error, IoError::TooLarge { .. }), "{encodings}: {error}");
+        }
+        let plain = text();
+        for (encodings, bytes) in [("gzip", gzip(&plain)), ("zstd", zstd(&plain)), ("br", brotli(&plain))] {
+            let cut = bytes[..bytes.len() / 2].to_vec();
+            let error = decode("u", cut, encodings, &LIMITS).unwrap_err();
+            assert!(matches!(error, IoError::Invalid { .. }), "{encodings}: {error}");
+        }
+        let mut changed = zstd(&plain);
+        let at = changed.len() - 1;
+        changed[at] ^= 1;
+        assert!(decode("u", changed, "zstd", &LIMITS).is_err(), "its checksum");
+        assert!(matches!(decode("u", plain.clone(), "compress", &LIMITS), Err(IoError::Unsupported { .. })));
+        assert!(decode("u", plain, "gzip,gzip,gzip,gzip,gzip", &LIMITS).is_err());
+    }
+}

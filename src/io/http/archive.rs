@@ -1,0 +1,276 @@
+//! Archives on servers: the directory and each member by range requests.
+
+use std::num::NonZeroUsize;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::SystemTime;
+
+use lru::LruCache;
+use reqwest::header::{ACCEPT_ENCODING, CONTENT_RANGE, ETAG, HeaderMap, HeaderValue, RANGE};
+use tokio::sync::OnceCell;
+
+use super::cached::{hit, keep_validators};
+use super::{DECODED_HERE_BYTES, HttpBody, HttpClient, blocking, exchange};
+use crate::io::archive::{self, Directory, End, SLACK_BYTES, Span, TAIL_BYTES};
+use crate::io::cache::{Entry, Freshness};
+use crate::io::{DiskCache, IoError, Limits, file, shown};
+
+/// Archives whose directories are kept.
+const KEPT: NonZeroUsize = NonZeroUsize::new(64).unwrap();
+
+/// Directories by URL. Whoever needs one first reads it, the others wait for that.
+#[derive(Debug)]
+pub(super) struct Archives(Mutex<LruCache<String, Arc<OnceCell<Arc<RemoteArchive>>>>>);
+
+#[derive(Debug)]
+pub(super) struct RemoteArchive {
+    directory: Directory,
+    length: u64,
+    etag: Option<String>,
+}
+
+impl Archives {
+    pub fn new() -> Self {
+        Self(Mutex::new(LruCache::new(KEPT)))
+    }
+
+    fn cell(&self, url: &str) -> Arc<OnceCell<Arc<RemoteArchive>>> {
+        let mut archives = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        archives.get_or_insert(url.to_owned(), Arc::default).clone()
+    }
+
+    fn forget(&self, url: &str) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).pop(url);
+    }
+}
+
+/// A part of an archive, as it came.
+struct Part {
+    bytes: Vec<u8>,
+    offset: u64,
+    /// Bytes of the whole archive.
+    length: u64,
+    headers: HeaderMap,
+}
+
+impl Part {
+    fn etag(&self) -> Option<String> {
+        self.headers.get(ETAG).and_then(|v| v.to_str().ok()).map(str::to_owned)
+    }
+}
+
+impl HttpClient {
+    /// A file inside an archive. The cache keeps files, not archives: one that holds costs no request.
+    pub(super) async fn get_member(
+        &self,
+        uri: &str,
+        (url, name): (&str, String),
+        limits: &Limits,
+    ) -> Result<HttpBody, IoError> {
+        let cache = self.inner.cache.as_ref();
+        let mut kept = None;
+        if let Some(cache) = cache {
+            kept = match self.load(cache, uri, limits).await? {
+                Some((entry, bytes)) if cache.is_offline() || entry.is_fresh(SystemTime::now()) => {
+                    return Ok(hit(cache, &entry, bytes, false));
+                }
+                None if cache.is_offline() => {
+                    cache.count_miss();
+                    return Err(IoError::Offline { uri: uri.to_owned() });
+                }
+                kept => kept,
+            };
+        }
+        let network_bytes = AtomicU64::new(0);
+        let cell = self.inner.archives.cell(url);
+        let archive = cell.get_or_try_init(|| self.open_archive(url, limits, &network_bytes)).await?;
+        let strong = archive.etag.as_ref().filter(|tag| !tag.starts_with("W/"));
+        if let (Some(cache), Some((entry, bytes)), Some(tag)) = (cache, kept, strong)
+            && entry.etag.as_ref() == Some(tag)
+        {
+            // What the archive's directory came with says that the archive, and with it the file, still holds.
+            return Ok(HttpBody { network_bytes: network_bytes.into_inner(), ..hit(cache, &entry, bytes, true) });
+        }
+        let member = archive.directory.find(&name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
+        let span = archive::piece_of(uri, &member, &archive.directory, limits)?;
+        let mut part = self.member_part(url, archive, span, limits, &network_bytes).await?;
+        let data = archive::data_of(uri, &member, &part.bytes)?;
+        if data.end > part.bytes.len() as u64 {
+            let size = data.end.min(archive.directory.start() - span.offset);
+            part = self.member_part(url, archive, Span { size, ..span }, limits, &network_bytes).await?;
+        }
+        let packed = part.bytes.get(data.start as usize..data.end as usize).map(<[u8]>::to_vec);
+        let packed = packed.ok_or_else(|| IoError::invalid(uri, "the archive ends early"))?;
+        let (of, limits_of) = (uri.to_owned(), *limits);
+        let unpack = move || {
+            let bytes = archive::unpack(&of, &member, packed, &limits_of)?;
+            file::gunzip(&of, bytes, &limits_of)
+        };
+        let bytes = if span.size < DECODED_HERE_BYTES as u64 { unpack() } else { blocking(uri, unpack).await? }?;
+        if let Some(cache) = cache {
+            self.keep_member(cache, uri, &part, &bytes).await;
+        }
+        Ok(HttpBody { bytes, network_bytes: network_bytes.into_inner() })
+    }
+
+    async fn keep_member(&self, cache: &Arc<DiskCache>, uri: &str, part: &Part, bytes: &[u8]) {
+        cache.count_miss();
+        let freshness = Freshness::of(&part.headers, SystemTime::now());
+        if !freshness.store {
+            return;
+        }
+        let mut entry = Entry { uri: shown(uri).into_owned(), ..Entry::default() };
+        entry.checked(SystemTime::now(), freshness.fresh_for);
+        keep_validators(&mut entry, &part.headers);
+        let (of, bytes) = (uri.to_owned(), bytes.to_vec());
+        self.write_behind(cache, move |cache| cache.store(&of, entry, &bytes)).await;
+    }
+
+    /// Reads the directory: by one request where the archive is small, else by two or three.
+    async fn open_archive(
+        &self,
+        url: &str,
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<Arc<RemoteArchive>, IoError> {
+        let tail = match self.part(url, &format!("bytes=-{TAIL_BYTES}"), limits, network_bytes).await {
+            // Some servers (Azure's) know no range that counts from the end: the length comes with any other.
+            Err(IoError::Unsupported { .. } | IoError::Status { status: 400 | 416, .. }) => {
+                let length = self.part(url, "bytes=0-0", limits, network_bytes).await?.length;
+                let size = length.min(TAIL_BYTES);
+                self.part(url, &range(Span { offset: length - size, size }), limits, network_bytes).await?
+            }
+            other => other?,
+        };
+        let (length, etag) = (tail.length, tail.etag());
+        let at = async |span: Span| {
+            let inside = span.offset.checked_sub(tail.offset).and_then(|from| {
+                let from = usize::try_from(from).ok()?;
+                tail.bytes.get(from..from.checked_add(usize::try_from(span.size).ok()?)?)
+            });
+            match inside {
+                Some(bytes) => Ok(bytes.to_vec()),
+                None => {
+                    let part = self.part(url, &range(span), limits, network_bytes).await?;
+                    same(url, &part, span, length, &etag)?;
+                    Ok(part.bytes)
+                }
+            }
+        };
+        let span = match End::find(url, &tail.bytes, tail.offset)? {
+            End::Directory(span) => span,
+            End::Record(span) => match End::of_record(url, &at(span).await?, span.offset)? {
+                End::Directory(span) => span,
+                End::Record(_) => return Err(IoError::invalid(url, "zip archive: its end points to itself")),
+            },
+        };
+        if span.size > limits.max_file_bytes {
+            let (got, limit) = (span.size, limits.max_file_bytes);
+            return Err(IoError::TooLarge { uri: url.to_owned(), what: "directory of an archive", got, limit });
+        }
+        let bytes = if span.size == 0 { Vec::new() } else { at(span).await? };
+        let (of, limits) = (url.to_owned(), *limits);
+        let directory = blocking(url, move || Directory::read(&of, bytes, span.offset, &limits)).await??;
+        Ok(Arc::new(RemoteArchive { directory, length, etag }))
+    }
+
+    async fn member_part(
+        &self,
+        url: &str,
+        archive: &RemoteArchive,
+        span: Span,
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<Part, IoError> {
+        // The headers before a content of the largest size come with it.
+        let limits =
+            Limits { max_file_bytes: limits.max_file_bytes.saturating_add((1 << 18) + SLACK_BYTES), ..*limits };
+        let mut part = match self.part(url, &range(span), &limits, network_bytes).await {
+            // Shorter than it was.
+            Err(IoError::Status { status: 416, .. }) => {
+                self.inner.archives.forget(url);
+                return Err(changed(url));
+            }
+            other => other?,
+        };
+        if part.offset == 0 && part.bytes.len() as u64 == part.length {
+            // From a server without range requests: all of it.
+            let end = span.offset.saturating_add(span.size);
+            let piece = part.bytes.get(span.offset as usize..end as usize).map(<[u8]>::to_vec);
+            part = Part { bytes: piece.unwrap_or_default(), offset: span.offset, ..part };
+        }
+        if let Err(error) = same(url, &part, span, archive.length, &archive.etag) {
+            // The next one reads the directory anew.
+            self.inner.archives.forget(url);
+            return Err(error);
+        }
+        Ok(part)
+    }
+
+    async fn part(&self, url: &str, range: &str, limits: &Limits, network_bytes: &AtomicU64) -> Result<Part, IoError> {
+        let mut headers = HeaderMap::new();
+        let value = HeaderValue::from_str(range).map_err(|_| IoError::invalid(url, "a range of the archive"))?;
+        headers.insert(RANGE, value);
+        // A part of something compressed on its way is no use.
+        headers.insert(ACCEPT_ENCODING, HeaderValue::from_static("identity"));
+        let answer = self.exchange(url, &headers, limits).await?;
+        network_bytes.fetch_add(answer.body.len() as u64, Ordering::Relaxed);
+        let (offset, length) = match answer.status {
+            206 => {
+                let text = answer.headers.get(CONTENT_RANGE).and_then(|v| v.to_str().ok());
+                let told = text.and_then(content_range).filter(|(first, last, length)| {
+                    last < length && last.checked_sub(*first) == Some((answer.body.len() as u64).wrapping_sub(1))
+                });
+                let broken = || IoError::invalid(url, "an answer to a range request without its range");
+                let (first, _, length) = told.ok_or_else(broken)?;
+                (first, length)
+            }
+            _ if answer.is_whole() => (0, answer.body.len() as u64),
+            _ => return Err(answer.error(url)),
+        };
+        let exchange::Answer { body: bytes, headers, .. } = answer;
+        Ok(Part { bytes, offset, length, headers })
+    }
+}
+
+fn range(Span { offset, size }: Span) -> String {
+    format!("bytes={offset}-{}", offset.saturating_add(size).saturating_sub(1))
+}
+
+/// First and last byte and length of the whole.
+fn content_range(text: &str) -> Option<(u64, u64, u64)> {
+    let (span, length) = text.trim().strip_prefix("bytes ")?.split_once('/')?;
+    let (first, last) = span.split_once('-')?;
+    Some((first.trim().parse().ok()?, last.trim().parse().ok()?, length.trim().parse().ok()?))
+}
+
+/// Passes: the next request reads the new directory.
+fn changed(url: &str) -> IoError {
+    IoError::Network { uri: url.to_owned(), reason: "the archive has changed".to_owned() }
+}
+
+/// The part that was asked for, of the archive whose end was read.
+fn same(url: &str, part: &Part, span: Span, length: u64, etag: &Option<String>) -> Result<(), IoError> {
+    let etags_differ = matches!((part.etag(), etag), (Some(a), Some(b)) if a != *b);
+    if part.length != length || etags_differ {
+        return Err(changed(url));
+    }
+    if part.offset != span.offset || part.bytes.len() as u64 != span.size {
+        return Err(IoError::invalid(url, "another part of the archive than was asked for"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges() {
+        assert_eq!(range(Span { offset: 10, size: 5 }), "bytes=10-14");
+        assert_eq!(content_range("bytes 10-14/100"), Some((10, 14, 100)));
+        for odd in ["", "bytes */100", "bytes 10-14/*", "items 1-2/3", "bytes -5/10"] {
+            assert_eq!(content_range(odd), None, "{odd}");
+        }
+    }
+}

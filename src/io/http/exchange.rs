@@ -1,0 +1,185 @@
+//! One request and its answer, redirects followed.
+//!
+//! Redirects are followed here and not by the client below: credentials go to the server that they are for, at each
+//! step anew, and nothing ever goes from an encrypted connection to an open one or to another scheme.
+
+use std::time::{Duration, SystemTime};
+
+use reqwest::header::{HeaderMap, LOCATION, RANGE};
+use url::Url;
+
+use super::HttpConfig;
+use super::retry::retry_after;
+use crate::io::{IoError, Limits, shown};
+
+/// Memory taken for an answer before its bytes come.
+const MOST_RESERVED_BYTES: u64 = 1 << 20;
+/// The whole is taken instead of a range up to this.
+const MOST_INSTEAD_OF_RANGE_BYTES: u64 = 4 << 20;
+/// Bodies of failures and redirects are read up to this, and for so long.
+const MOST_DRAINED_BYTES: u64 = 16 << 10;
+const DRAIN_TIME: Duration = Duration::from_millis(200);
+/// Most redirects of one request.
+const MAX_REDIRECTS: usize = 8;
+
+/// Everything that a request needs besides its URI.
+pub(super) struct Exchange<'a> {
+    pub client: &'a reqwest::Client,
+    pub config: &'a HttpConfig,
+    pub limits: &'a Limits,
+    pub headers: &'a HeaderMap,
+}
+
+/// What a server answered at the end of all redirects.
+pub(super) struct Answer {
+    pub status: u16,
+    pub headers: HeaderMap,
+    /// As it came; empty for a failure.
+    pub body: Vec<u8>,
+}
+
+impl Answer {
+    /// The whole, a part, or "not modified".
+    pub fn is_success(&self) -> bool {
+        self.is_whole() || matches!(self.status, 206 | 304)
+    }
+
+    /// The body is the content.
+    pub fn is_whole(&self) -> bool {
+        matches!(self.status, 200 | 203)
+    }
+
+    pub fn error(&self, uri: &str) -> IoError {
+        match self.status {
+            404 | 410 => IoError::NotFound { uri: uri.to_owned() },
+            status => {
+                let retry_after = retry_after(&self.headers, SystemTime::now());
+                IoError::Status { uri: uri.to_owned(), status, retry_after }
+            }
+        }
+    }
+}
+
+impl Exchange<'_> {
+    pub async fn run(&self, uri: &str) -> Result<Answer, IoError> {
+        let mut url = parse(uri)?;
+        for _ in 0..=MAX_REDIRECTS {
+            let response = self.send(uri, &url).await?;
+            let status = response.status().as_u16();
+            let location = response.headers().get(LOCATION).filter(|_| matches!(status, 301 | 302 | 303 | 307 | 308));
+            let Some(location) = location else { return self.read(uri, response).await };
+            let location = location.to_str().map_err(|_| refused(uri, "redirected to no URL".to_owned()))?;
+            let next = url.join(location).map_err(|e| refused(uri, format!("redirected to no URL: {e}")))?;
+            if !matches!(next.scheme(), "http" | "https") {
+                return Err(refused(uri, format!("redirected to scheme {}", next.scheme())));
+            }
+            if url.scheme() == "https" && next.scheme() != "https" {
+                return Err(refused(uri, format!("redirected from https to {}", shown(next.as_str()))));
+            }
+            url = next;
+            self.drain(response).await;
+        }
+        Err(refused(uri, format!("more than {MAX_REDIRECTS} redirects")))
+    }
+
+    async fn send(&self, uri: &str, url: &Url) -> Result<reqwest::Response, IoError> {
+        let origin = url.origin().ascii_serialization();
+        let mut url = url.clone();
+        let mut headers = self.headers.clone();
+        for credential in &self.config.credentials {
+            if let Some((name, value)) = credential.header_for(&origin) {
+                headers.insert(name.clone(), value.clone());
+            }
+            if let Some((name, value)) = credential.query_for(&origin)
+                && !url.query_pairs().any(|(n, _)| n == name)
+            {
+                url.query_pairs_mut().append_pair(name, value);
+            }
+        }
+        let sent = self.client.get(url).headers(headers).send();
+        match tokio::time::timeout(self.config.first_byte_timeout, sent).await {
+            Ok(Ok(response)) => Ok(response),
+            Ok(Err(e)) if e.is_timeout() && e.is_connect() => {
+                Err(timed_out(uri, "connecting", self.config.connect_timeout))
+            }
+            Ok(Err(e)) => Err(IoError::Network { uri: uri.to_owned(), reason: chain(e) }),
+            Err(_) => Err(timed_out(uri, "waiting for the answer", self.config.first_byte_timeout)),
+        }
+    }
+
+    async fn read(&self, uri: &str, mut response: reqwest::Response) -> Result<Answer, IoError> {
+        let status = response.status().as_u16();
+        let headers = std::mem::take(response.headers_mut());
+        if !matches!(status, 200 | 203 | 206) {
+            self.drain(response).await;
+            return Ok(Answer { status, headers, body: Vec::new() });
+        }
+        let mut limit = self.limits.max_file_bytes;
+        let length = response.content_length();
+        if status != 206 && self.headers.contains_key(RANGE) {
+            if length.is_none_or(|l| l > MOST_INSTEAD_OF_RANGE_BYTES) {
+                return Err(IoError::unsupported(uri, "an archive on a server without range requests"));
+            }
+            limit = limit.min(MOST_INSTEAD_OF_RANGE_BYTES);
+        }
+        let too_large = |got: u64| IoError::TooLarge { uri: uri.to_owned(), what: "answer", got, limit };
+        if let Some(length) = length.filter(|l| *l > limit) {
+            return Err(too_large(length));
+        }
+        // What a server announces is not believed beyond this.
+        let mut body = Vec::with_capacity(length.unwrap_or(0).min(MOST_RESERVED_BYTES) as usize);
+        loop {
+            let piece = match tokio::time::timeout(self.config.read_timeout, response.chunk()).await {
+                Ok(Ok(Some(piece))) => piece,
+                Ok(Ok(None)) => return Ok(Answer { status, headers, body }),
+                Ok(Err(e)) => return Err(IoError::Network { uri: uri.to_owned(), reason: chain(e) }),
+                Err(_) => return Err(timed_out(uri, "reading the answer", self.config.read_timeout)),
+            };
+            if (body.len() + piece.len()) as u64 > limit {
+                return Err(too_large((body.len() + piece.len()) as u64));
+            }
+            body.extend_from_slice(&piece);
+        }
+    }
+}
+
+impl Exchange<'_> {
+    /// Reads a short body that nobody needs, so that the connection can be used again; a long one ends it.
+    async fn drain(&self, mut response: reqwest::Response) {
+        if response.content_length().is_none_or(|length| length > MOST_DRAINED_BYTES) {
+            return;
+        }
+        let all = async { while let Ok(Some(_)) = response.chunk().await {} };
+        let _ = tokio::time::timeout(DRAIN_TIME, all).await;
+    }
+}
+
+fn parse(uri: &str) -> Result<Url, IoError> {
+    Url::parse(uri).map_err(|e| IoError::Uri { uri: uri.to_owned(), reason: e.to_string() })
+}
+
+/// Scheme, name and port.
+pub(super) fn origin(uri: &str) -> Result<String, IoError> {
+    Ok(parse(uri)?.origin().ascii_serialization())
+}
+
+fn refused(uri: &str, reason: String) -> IoError {
+    IoError::Uri { uri: uri.to_owned(), reason }
+}
+
+pub(super) fn timed_out(uri: &str, phase: &'static str, limit: Duration) -> IoError {
+    IoError::Timeout { uri: uri.to_owned(), phase, seconds: limit.as_secs_f64() }
+}
+
+/// An error with its causes, in one line, and without the URL: that may hold a token.
+pub(super) fn chain(error: reqwest::Error) -> String {
+    let error = error.without_url();
+    let mut text = error.to_string();
+    let mut source = std::error::Error::source(&error);
+    while let Some(e) = source {
+        text.push_str(": ");
+        text.push_str(&e.to_string());
+        source = e.source();
+    }
+    text
+}

@@ -1,0 +1,136 @@
+//! Waits between tries: exponential with seeded jitter, longer where the server says so, and shared by all requests to
+//! a server that asked for a pause.
+
+use std::collections::HashMap;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime};
+
+use reqwest::header::{HeaderMap, RETRY_AFTER};
+
+/// Servers whose pauses are remembered.
+const MOST_PAUSES: usize = 256;
+
+/// The waits of one request.
+pub(super) struct Backoff {
+    next: Duration,
+    most: Duration,
+    state: u64,
+}
+
+impl Backoff {
+    pub fn new(first: Duration, most: Duration, seed: u64, uri: &str) -> Self {
+        // FNV-1a of the URI: requests that failed together do not come back together.
+        let hash = uri.bytes().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
+        Self { next: first.min(most), most, state: hash ^ seed.rotate_left(32) }
+    }
+
+    /// How long to wait now; `None` when the server asks for more than is allowed.
+    pub fn wait(&mut self, asked: Option<Duration>) -> Option<Duration> {
+        let own = self.next.mul_f64(0.5 + 0.5 * self.share());
+        self.next = (2 * self.next).min(self.most);
+        let wait = own.max(asked.unwrap_or_default());
+        (wait <= self.most).then_some(wait)
+    }
+
+    /// SplitMix64: from 0, below 1.
+    fn share(&mut self) -> f64 {
+        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.state;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+/// What `Retry-After` asks for: seconds, or a date (RFC 9110, 10.2.3).
+pub(super) fn retry_after(headers: &HeaderMap, now: SystemTime) -> Option<Duration> {
+    let text = headers.get(RETRY_AFTER)?.to_str().ok()?.trim();
+    if !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit()) {
+        // More digits than a u64 holds are a long time too.
+        return Some(Duration::from_secs(text.parse::<u32>().unwrap_or(u32::MAX).into()));
+    }
+    Some(httpdate::parse_http_date(text).ok()?.duration_since(now).unwrap_or_default())
+}
+
+/// Servers that asked for a pause, and until when. Shared by a client's requests; taken for moments.
+#[derive(Debug, Default)]
+pub(super) struct Pauses(Mutex<HashMap<String, Instant>>);
+
+impl Pauses {
+    /// How long requests to a server have to wait.
+    pub fn left(&self, origin: &str) -> Duration {
+        let mut pauses = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let left = pauses.get(origin).map(|until| until.saturating_duration_since(Instant::now()));
+        if left == Some(Duration::ZERO) {
+            pauses.remove(origin);
+        }
+        left.unwrap_or_default()
+    }
+
+    pub fn pause(&self, origin: &str, wait: Duration) {
+        let Some(until) = Instant::now().checked_add(wait) else { return };
+        let mut pauses = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if pauses.len() >= MOST_PAUSES {
+            let now = Instant::now();
+            pauses.retain(|_, until| *until > now);
+        }
+        let entry = pauses.entry(origin.to_owned()).or_insert(until);
+        *entry = (*entry).max(until);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use reqwest::header::HeaderValue;
+
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    fn waits(seed: u64, uri: &str) -> Vec<Duration> {
+        let mut backoff = Backoff::new(100 * MS, 1000 * MS, seed, uri);
+        (0..6).map(|_| backoff.wait(None).unwrap()).collect()
+    }
+
+    #[test]
+    fn waits_grow_with_jitter_that_is_the_same_for_the_same_seed() {
+        let first = waits(1, "http://a/x");
+        assert_eq!(first, waits(1, "http://a/x"));
+        assert!(first != waits(2, "http://a/x") && first != waits(1, "http://a/y"));
+        for (wait, full) in first.iter().zip([100, 200, 400, 800, 1000, 1000]) {
+            assert!((full * MS / 2..=full * MS).contains(wait), "{first:?}");
+        }
+    }
+
+    #[test]
+    fn a_server_may_ask_for_longer_but_not_for_ever() {
+        let mut backoff = Backoff::new(100 * MS, 1000 * MS, 1, "");
+        assert_eq!(backoff.wait(Some(900 * MS)), Some(900 * MS));
+        assert!(backoff.wait(Some(Duration::ZERO)).unwrap() >= 100 * MS);
+        assert_eq!(backoff.wait(Some(1001 * MS)), None);
+    }
+
+    #[test]
+    fn retry_after_as_seconds_and_as_date() {
+        let now = SystemTime::UNIX_EPOCH + Duration::from_secs(1_000_000_000);
+        let of = |text: &'static str| {
+            retry_after(&HeaderMap::from_iter([(RETRY_AFTER, HeaderValue::from_static(text))]), now)
+        };
+        assert_eq!(of("120"), Some(Duration::from_secs(120)));
+        assert_eq!(of("99999999999999999999999"), Some(Duration::from_secs(u32::MAX.into())));
+        assert_eq!(of("Sun, 09 Sep 2001 01:47:10 GMT"), Some(Duration::from_secs(30)));
+        assert_eq!(of("Sun, 09 Sep 2001 01:46:00 GMT"), Some(Duration::ZERO), "gone by");
+        for odd in ["", "-5", "soon", "1.5"] {
+            assert_eq!(of(odd), None, "{odd}");
+        }
+    }
+
+    #[test]
+    fn a_pause_is_for_one_server() {
+        let pauses = Pauses::default();
+        pauses.pause("http://a", Duration::from_secs(100));
+        pauses.pause("http://a", Duration::from_secs(1));
+        assert!(pauses.left("http://a") > Duration::from_secs(90), "the longest holds");
+        assert_eq!(pauses.left("http://b"), Duration::ZERO);
+    }
+}

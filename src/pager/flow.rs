@@ -1,0 +1,179 @@
+//! How many requests a server gets at once: more while it answers as quickly as ever, fewer when answers take longer or
+//! fail. Written and read by the HTTP thread alone.
+//!
+//! Each answer in time adds one place, so that the number doubles in the time of an answer; waiting in a server's or a
+//! link's queue shows as longer answers (as in TCP Vegas) and takes places away again.
+
+use std::collections::HashMap;
+
+use crate::io::IoError;
+
+/// Answers up to so much longer than the quickest are in time.
+const IN_TIME: f64 = 1.5;
+/// Answers that take so much longer have waited in a queue.
+const QUEUED: f64 = 3.0;
+/// The quickest answer is forgotten by this share with each slower one at the start's limit: paths change.
+const FORGET: f64 = 0.01;
+/// Servers remembered beyond those in use.
+const MOST_SERVERS: usize = 64;
+
+/// Limits of one server.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Range {
+    /// At the start, and the least while answers only take longer.
+    pub start: usize,
+    /// The most; not beyond `start` where it is less.
+    pub most: usize,
+}
+
+/// What an answer says about its server.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Answered {
+    /// Bytes came over the network, in so many seconds.
+    After(f64),
+    /// It was overloaded or did not answer.
+    Failed,
+    /// Nothing: from the cache, or not found.
+    Else,
+}
+
+impl Answered {
+    pub fn of<T>(result: &Result<T, IoError>, network_bytes: u64, seconds: f64) -> Self {
+        match result {
+            Ok(_) if network_bytes > 0 => Self::After(seconds),
+            Err(error) if error.is_transient() => Self::Failed,
+            _ => Self::Else,
+        }
+    }
+}
+
+/// One server.
+#[derive(Clone, Copy, Debug)]
+struct Flow {
+    limit: usize,
+    quickest_s: f64,
+}
+
+/// All servers, by scheme, name and port.
+#[derive(Debug)]
+pub(super) struct Flows {
+    range: Range,
+    flows: HashMap<String, Flow>,
+}
+
+impl Flows {
+    pub fn new(range: Range) -> Self {
+        Self { range, flows: HashMap::new() }
+    }
+
+    /// Requests that a server may have.
+    pub fn limit(&self, server: &str) -> usize {
+        self.flows.get(server).map_or(self.range.start, |flow| flow.limit)
+    }
+
+    /// Learns from an answer of a server that had so many requests while it came.
+    pub fn learn(&mut self, server: &str, running: usize, answered: Answered) {
+        if answered == Answered::Else {
+            return;
+        }
+        if self.flows.len() >= MOST_SERVERS && !self.flows.contains_key(server) {
+            self.flows.clear();
+        }
+        let Range { start, most } = self.range;
+        let new = Flow { limit: start, quickest_s: f64::INFINITY };
+        let flow = self.flows.entry(server.to_owned()).or_insert(new);
+        match answered {
+            Answered::After(seconds) => {
+                if seconds < flow.quickest_s {
+                    flow.quickest_s = seconds;
+                } else if flow.limit <= start {
+                    // Under more requests, longer answers say nothing of the path.
+                    flow.quickest_s += FORGET * (seconds - flow.quickest_s);
+                }
+                // More is of use only where what it may have is used.
+                let is_used = 4 * running >= 3 * flow.limit;
+                if flow.limit < start || (seconds <= IN_TIME * flow.quickest_s && is_used) {
+                    flow.limit = (flow.limit + 1).min(most.max(start));
+                } else if seconds > QUEUED * flow.quickest_s && flow.limit > start {
+                    flow.limit -= 1;
+                }
+            }
+            Answered::Failed => {
+                let least = (start / 4).max(1);
+                flow.limit = (flow.limit - (flow.limit / 8).max(1).min(flow.limit)).max(least);
+            }
+            Answered::Else => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flows() -> Flows {
+        Flows::new(Range { start: 8, most: 64 })
+    }
+
+    /// Rounds of as many answers as the limit allows, each after what `seconds` says of the limit.
+    fn rounds(flows: &mut Flows, count: usize, seconds: impl Fn(usize) -> f64) -> usize {
+        for _ in 0..count {
+            let limit = flows.limit("a");
+            for _ in 0..limit {
+                // Free places are taken at once.
+                flows.learn("a", flows.limit("a"), Answered::After(seconds(limit)));
+            }
+        }
+        flows.limit("a")
+    }
+
+    #[test]
+    fn a_far_server_gets_more_each_round_and_a_slow_one_does_not() {
+        let mut far = flows();
+        assert_eq!(rounds(&mut far, 1, |_| 0.1), 16);
+        assert_eq!(rounds(&mut far, 9, |_| 0.1), 64, "the most");
+        // One that does 100 a second: what more it gets only waits.
+        let mut slow = flows();
+        let limit = rounds(&mut slow, 50, |limit| 0.05 + limit as f64 / 100.0);
+        assert!((8..=20).contains(&limit), "{limit}");
+        // It was far and is slow now.
+        let limit = rounds(&mut far, 5, |limit| 0.1 + limit as f64 / 20.0);
+        assert!(limit < 20, "{limit}");
+    }
+
+    #[test]
+    fn failures_take_and_answers_give_back() {
+        let mut flows = flows();
+        rounds(&mut flows, 5, |_| 0.1);
+        for _ in 0..100 {
+            flows.learn("a", 1, Answered::Failed);
+        }
+        assert_eq!(flows.limit("a"), 2);
+        flows.learn("a", 1, Answered::Else);
+        assert_eq!(flows.limit("a"), 2);
+        for _ in 0..6 {
+            flows.learn("a", 1, Answered::After(9.0));
+        }
+        assert_eq!((flows.limit("a"), flows.limit("b")), (8, 8), "what it had at the start");
+    }
+
+    #[test]
+    fn what_is_not_used_does_not_grow_and_a_fixed_limit_is_fixed() {
+        let mut idle = flows();
+        for _ in 0..100 {
+            idle.learn("a", 3, Answered::After(0.1));
+        }
+        assert_eq!(idle.limit("a"), 8);
+        let mut fixed = Flows::new(Range { start: 4, most: 0 });
+        assert_eq!(rounds(&mut fixed, 20, |_| 0.1), 4);
+    }
+
+    #[test]
+    fn many_servers_are_not_all_remembered() {
+        let mut flows = flows();
+        for i in 0..1000 {
+            flows.learn(&i.to_string(), 8, Answered::After(0.1));
+        }
+        assert!(flows.flows.len() <= MOST_SERVERS);
+    }
+}

@@ -1,0 +1,154 @@
+//! Filling the cache: what belongs to a region and to levels, going on after a stop, failures.
+
+#![cfg(feature = "http")]
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod http_support;
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use http_support::{Reply, Server};
+use terrane::io::{CacheConfig, DiskCache, FillOptions, Filled, HttpConfig, IoError, fill};
+use terrane::math::Region;
+
+/// A tree of four levels over 8 x 8 degrees from 0 N 0 E: each tile has four children, a quarter each; the eastern half
+/// of level 1 lies in tilesets of their own.
+fn tile(level: u32, x: u32, y: u32, of_its_own: bool) -> String {
+    let degrees = 8.0 / f64::from(1 << level);
+    let [west, south] = [x, y].map(|i| (f64::from(i) * degrees).to_radians());
+    let [east, north] = [x + 1, y + 1].map(|i| (f64::from(i) * degrees).to_radians());
+    let region = format!(r#""boundingVolume":{{"region":[{west},{south},{east},{north},0,100]}},"geometricError":9"#);
+    if level == 1 && x == 1 && !of_its_own {
+        return format!(r#"{{{region},"content":{{"uri":"east{y}.json"}}}}"#);
+    }
+    let children: Vec<String> =
+        (0..4).filter(|_| level < 3).map(|i| tile(level + 1, 2 * x + i % 2, 2 * y + i / 2, false)).collect();
+    format!(r#"{{{region},"content":{{"uri":"{level}/{x}/{y}.glb"}},"children":[{}]}}"#, children.join(","))
+}
+
+fn set() -> Server {
+    Server::start(|r| {
+        let tileset = |root: String| {
+            Reply::ok(format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{root}}}"#))
+                .with("ETag", "\"t\"")
+        };
+        if r.header("if-none-match") == Some("\"t\"") {
+            return Reply::new(304, "");
+        }
+        match r.path() {
+            "/set/tileset.json" => tileset(tile(0, 0, 0, false)),
+            "/set/east0.json" => tileset(tile(1, 1, 0, true)),
+            "/set/east1.json" => tileset(tile(1, 1, 1, true)),
+            path if path.ends_with(".glb") => Reply::ok(path.repeat(50)).with("ETag", "\"t\""),
+            _ => Reply::new(404, ""),
+        }
+    })
+}
+
+fn config(folder: &Path) -> HttpConfig {
+    HttpConfig { cache: Some(CacheConfig::new(folder)), max_retries: 0, ..HttpConfig::default() }
+}
+
+fn filled(server: &Server, folder: &Path, options: &FillOptions) -> Filled {
+    fill(&format!("{}/set/", server.url), &config(folder), options, &mut |_| ControlFlow::Continue(())).unwrap()
+}
+
+fn paths(server: &Server) -> BTreeSet<String> {
+    server.seen().iter().map(|r| r.target.trim_start_matches("/set/").to_owned()).collect()
+}
+
+const CONTENTS: u64 = 1 + 4 + 16 + 64;
+const TILESETS: u64 = 3;
+
+#[test]
+fn all_of_a_set_and_again() {
+    let (server, folder) = (set(), tempfile::tempdir().unwrap());
+    let all = FillOptions::default();
+    let first = filled(&server, folder.path(), &all);
+    assert_eq!((first.fetched, first.found, first.failed), (CONTENTS + TILESETS, CONTENTS + TILESETS, 0));
+    assert_eq!((first.cache.stored, server.count() as u64), (CONTENTS + TILESETS, CONTENTS + TILESETS));
+    let again = filled(&server, folder.path(), &all);
+    assert_eq!((again.kept, again.fetched, again.bytes), (CONTENTS + TILESETS, 0, 0));
+    assert_eq!(server.count() as u64, CONTENTS + TILESETS, "nothing is asked for");
+    let refreshed = filled(&server, folder.path(), &FillOptions { refresh: true, ..all });
+    assert_eq!((refreshed.kept, refreshed.bytes), (CONTENTS + TILESETS, 0), "all of it still holds");
+    assert_eq!(server.count() as u64, 2 * (CONTENTS + TILESETS));
+    let verified = DiskCache::open(&CacheConfig::new(folder.path())).unwrap().verify().unwrap();
+    assert_eq!((verified.broken, verified.orphans), (0, 0));
+}
+
+#[test]
+fn levels_and_regions() {
+    let degrees = |west: f64, south: f64, east: f64, north: f64| {
+        let [west, south, east, north] = [west, south, east, north].map(f64::to_radians);
+        Some(Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 })
+    };
+    for (levels, region, expected) in [
+        (0..=0, None, vec!["0/0/0.glb"]),
+        (1..=1, None, vec!["1/0/0.glb", "1/0/1.glb"]),
+        (0..=9, degrees(0.1, 0.1, 0.9, 0.9), vec!["0/0/0.glb", "1/0/0.glb", "2/0/0.glb", "3/0/0.glb"]),
+        (3..=3, degrees(0.5, 0.5, 1.5, 0.9), vec!["3/0/0.glb", "3/1/0.glb"]),
+        // The root of an external tileset is one below the tile that names it.
+        (2..=3, degrees(7.5, 7.5, 30.0, 30.0), vec!["1/1/1.glb", "2/3/3.glb", "east1.json"]),
+        (0..=9, degrees(50.0, 0.0, 51.0, 1.0), vec![]),
+    ] {
+        let (server, folder) = (set(), tempfile::tempdir().unwrap());
+        let done =
+            filled(&server, folder.path(), &FillOptions { levels: levels.clone(), region, ..FillOptions::default() });
+        let mut expected: BTreeSet<String> = expected.into_iter().map(str::to_owned).collect();
+        expected.insert("tileset.json".to_owned());
+        assert_eq!(paths(&server), expected, "{levels:?} {region:?}");
+        assert_eq!(done.fetched, expected.len() as u64);
+    }
+}
+
+#[test]
+fn a_stop_loses_nothing() {
+    let (server, folder) = (set(), tempfile::tempdir().unwrap());
+    let url = format!("{}/set/", server.url);
+    let options = FillOptions { in_flight: 4, ..FillOptions::default() };
+    let mut calls = 0;
+    let stopped = fill(&url, &config(folder.path()), &options, &mut |filled| {
+        calls += 1;
+        assert_eq!(filled.fetched, calls);
+        if calls >= 30 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })
+    .unwrap();
+    assert!(stopped.stopped && stopped.fetched < 40, "{stopped:?}");
+    let rest = filled(&server, folder.path(), &options);
+    assert!(!rest.stopped);
+    assert_eq!((rest.kept, rest.kept + rest.fetched), (stopped.fetched, CONTENTS + TILESETS));
+    assert_eq!(server.count() as u64, CONTENTS + TILESETS, "each file once");
+}
+
+#[test]
+fn failures_are_told_and_tried_again() {
+    let inner = set();
+    let to = inner.url.clone();
+    let server = Server::start(move |r| match r.path() {
+        "/set/2/1/1.glb" if r.nth == 0 => Reply::new(503, ""),
+        "/set/east1.json" if r.nth == 0 => Reply::ok("<html>"),
+        path => Reply::new(302, "").with("Location", format!("{to}{path}")),
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let first = filled(&server, folder.path(), &FillOptions::default());
+    assert_eq!((first.failed, first.errors.len()), (2, 2), "{:?}", first.errors);
+    let again = filled(&server, folder.path(), &FillOptions::default());
+    assert_eq!((again.failed, again.kept + again.fetched), (0, CONTENTS + TILESETS), "{:?}", again.errors);
+    assert_eq!(again.kept, first.fetched);
+}
+
+#[test]
+fn what_cannot_be_filled() {
+    let (server, folder) = (set(), tempfile::tempdir().unwrap());
+    let mut go_on = |_: &Filled| ControlFlow::Continue(());
+    let options = FillOptions::default();
+    let error = fill("/data/set", &config(folder.path()), &options, &mut go_on).unwrap_err();
+    assert!(matches!(error, IoError::Uri { .. }), "{error}");
+    let url = format!("{}/set/", server.url);
+    assert!(matches!(fill(&url, &HttpConfig::default(), &options, &mut go_on), Err(IoError::Uri { .. })));
+    let none = format!("{}/none/", server.url);
+    assert!(matches!(fill(&none, &config(folder.path()), &options, &mut go_on), Err(IoError::NotFound { .. })));
+}

@@ -1,0 +1,229 @@
+//! `terrane cache`: what is in the cache on disk, emptying, checking and filling it.
+
+use std::io::Write as _;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use clap::{Args as ClapArgs, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
+use terrane::io::{self, CacheConfig, CacheInfo, DiskCache, FillOptions};
+use terrane::math::Region;
+
+use crate::net::{self, NetArgs};
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct CacheArgs {
+    #[command(subcommand)]
+    pub command: CacheCommand,
+}
+
+#[derive(Clone, Debug, Subcommand)]
+pub enum CacheCommand {
+    /// Say how much is in it
+    Info(FolderArgs),
+    /// Remove everything
+    Clear(FolderArgs),
+    /// Read everything and remove what is not as it was written
+    Verify(FolderArgs),
+    /// Fetch a part of a tile set before anybody flies there; goes on where it was stopped
+    Fill(FillArgs),
+}
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct FillArgs {
+    /// http(s) URL of a folder, tileset.json or archive
+    pub source: String,
+    /// Only tiles over this region of the earth, degrees
+    #[arg(long, value_name = "WEST,SOUTH,EAST,NORTH", allow_hyphen_values = true)]
+    pub region: Option<RegionArg>,
+    /// Only these levels of the tree, as 0-5 or 7; root 0
+    #[arg(long, value_name = "FIRST-LAST")]
+    pub level: Option<Levels>,
+    /// Requests at once
+    #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=256))]
+    pub jobs: u32,
+    /// Ask the server again about what is there
+    #[arg(long)]
+    pub refresh: bool,
+    #[command(flatten)]
+    pub net: NetArgs,
+}
+
+/// West, south, east and north in degrees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegionArg(pub [f64; 4]);
+
+impl FromStr for RegionArg {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+        match numbers.as_deref() {
+            Some(&[west, south, east, north])
+                if [west, east].iter().all(|d| d.abs() <= 180.0)
+                    && south >= -90.0
+                    && south <= north
+                    && north <= 90.0 =>
+            {
+                Ok(Self([west, south, east, north]))
+            }
+            _ => Err("expected WEST,SOUTH,EAST,NORTH in degrees, as 7.5,46.2,8,46.6".to_owned()),
+        }
+    }
+}
+
+/// First and last level.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Levels(pub u32, pub u32);
+
+impl FromStr for Levels {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (first, last) = text.split_once('-').unwrap_or((text, text));
+        match (first.trim().parse(), last.trim().parse()) {
+            (Ok(first), Ok(last)) if first <= last => Ok(Self(first, last)),
+            _ => Err("expected levels, as 0-5 or 7".to_owned()),
+        }
+    }
+}
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct FolderArgs {
+    /// The cache's folder [default: terrane/http in the user's cache folder]
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+    /// One JSON document instead of text
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl FolderArgs {
+    fn open(&self) -> Result<DiskCache> {
+        let folder = net::folder(self.cache.clone())?;
+        // Looking is no reason to make one.
+        if !folder.is_dir() {
+            bail!("{}: there is no cache", folder.display());
+        }
+        Ok(DiskCache::open(&CacheConfig::new(folder))?)
+    }
+}
+
+fn fill(args: &FillArgs) -> Result<()> {
+    let mut net = args.net.clone();
+    ensure!(!net.offline, "--offline asks no server");
+    net.cache = Some(net::folder(net.cache)?);
+    let config = net.http(&args.source)?;
+    let mut options = FillOptions { in_flight: args.jobs as usize, refresh: args.refresh, ..FillOptions::default() };
+    if let Some(RegionArg(degrees)) = args.region {
+        let [west, south, east, north] = degrees.map(f64::to_radians);
+        options.region = Some(Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 });
+    }
+    if let Some(Levels(first, last)) = args.level {
+        options.levels = first..=last;
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    // A second handler in one process (tests) is no reason not to fill.
+    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
+    let bar = ProgressBar::new(0);
+    bar.set_style(ProgressStyle::with_template("{pos}/{len} files {wide_bar} {msg} {eta}")?);
+    let done = io::fill(&args.source, &config, &options, &mut |filled| {
+        bar.set_length(filled.found);
+        bar.set_position(filled.kept + filled.fetched + filled.failed);
+        bar.set_message(format!("{:.1} MiB", mebibytes(filled.bytes)));
+        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    bar.finish_and_clear();
+    let done = done?;
+    let mut text = format!(
+        "{} files: {} were kept, {} came ({:.1} MiB), {} failed",
+        done.kept + done.fetched + done.failed,
+        done.kept,
+        done.fetched,
+        mebibytes(done.bytes),
+        done.failed
+    );
+    if done.stopped {
+        text.push_str("; stopped, the same command goes on from here");
+    }
+    if done.cache.evicted > 0 {
+        text.push_str("; the cache is too small for all of it (--cache-size)");
+    } else if done.cache.stored < done.fetched {
+        let lost = done.fetched - done.cache.stored;
+        text.push_str(&format!("; {lost} could not be kept, as the server forbids it or the disk is full"));
+    }
+    writeln!(std::io::stdout(), "{text}").context("stdout")?;
+    if let Some((uri, reason)) = done.errors.first() {
+        let more = done.failed - 1;
+        bail!("{uri}: {reason}{}", if more > 0 { format!(" and {more} more") } else { String::new() });
+    }
+    Ok(())
+}
+
+fn mebibytes(bytes: u64) -> f64 {
+    bytes as f64 / f64::from(1 << 20)
+}
+
+pub fn run(args: &CacheArgs) -> Result<()> {
+    let text = match &args.command {
+        CacheCommand::Fill(args) => return fill(args),
+        CacheCommand::Info(folder) => {
+            let cache = folder.open()?;
+            let info = cache.info()?;
+            if folder.json {
+                serde_json::to_string_pretty(&info)?
+            } else {
+                let folder = cache.folder().display();
+                let CacheInfo { entries, fresh, bodies, bytes } = info;
+                format!("{folder}: {entries} entries ({fresh} fresh), {bodies} bodies, {:.1} MiB", mebibytes(bytes))
+            }
+        }
+        CacheCommand::Clear(folder) => {
+            let cache = folder.open()?;
+            let bytes = cache.clear()?;
+            if folder.json {
+                serde_json::json!({ "bytes": bytes }).to_string()
+            } else {
+                format!("{}: {:.1} MiB removed", cache.folder().display(), mebibytes(bytes))
+            }
+        }
+        CacheCommand::Verify(folder) => {
+            let cache = folder.open()?;
+            let found = cache.verify()?;
+            if folder.json {
+                serde_json::to_string_pretty(&found)?
+            } else {
+                format!(
+                    "{}: {} files whole, {} broken and {} without their other half removed",
+                    cache.folder().display(),
+                    found.whole,
+                    found.broken,
+                    found.orphans
+                )
+            }
+        }
+    };
+    writeln!(std::io::stdout(), "{text}").context("stdout")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values() {
+        assert_eq!("-1.5,46, 8,46.6".parse(), Ok(RegionArg([-1.5, 46.0, 8.0, 46.6])));
+        for bad in ["", "1,2,3", "0,50,1,40", "0,0,200,1", "0,-91,1,1", "0,nan,1,1", "a,b,c,d"] {
+            assert!(bad.parse::<RegionArg>().is_err(), "{bad}");
+        }
+        assert_eq!(["0-5", "7"].map(str::parse), [Ok(Levels(0, 5)), Ok(Levels(7, 7))]);
+        for bad in ["", "5-3", "-1", "a", "1-"] {
+            assert!(bad.parse::<Levels>().is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! Arguments for sources on servers: the cache on disk, and what is shown to the server.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::{Context as _, Result, ensure};
+use clap::Args as ClapArgs;
+use terrane::io::{CacheConfig, Credential, HttpConfig, is_http};
+
+use crate::default_set;
+
+#[derive(Clone, Debug, Default, ClapArgs)]
+pub struct NetArgs {
+    /// Keep what comes from servers in this folder
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+    /// Size of that folder, as 500MB or 2GiB [default: 2GiB]
+    #[arg(long, value_name = "SIZE")]
+    pub cache_size: Option<ByteSize>,
+    /// Ask no server: only what is in the cache [default folder: as `terrane cache`]
+    #[arg(long)]
+    pub offline: bool,
+    /// Header for the source's server, as `Authorization: Bearer ...`; never printed
+    #[arg(long, value_name = "NAME: VALUE")]
+    pub header: Vec<Secret>,
+    /// Query parameter for the source's server, as `key=...`; never printed
+    #[arg(long, value_name = "NAME=VALUE")]
+    pub query: Vec<Secret>,
+}
+
+impl NetArgs {
+    /// How servers are talked to for a source.
+    pub fn http(&self, source: &str) -> Result<HttpConfig> {
+        let mut credentials = Vec::new();
+        let has_credentials = !self.header.is_empty() || !self.query.is_empty();
+        ensure!(is_http(source) || !has_credentials, "--header and --query are for sources on a server");
+        for Secret(text) in &self.header {
+            let (name, value) = text.split_once(':').context("--header needs NAME: VALUE")?;
+            credentials.push(Credential::header(source, name.trim(), value.trim())?);
+        }
+        for Secret(text) in &self.query {
+            let (name, value) = text.split_once('=').context("--query needs NAME=VALUE")?;
+            credentials.push(Credential::query(source, name, value)?);
+        }
+        Ok(HttpConfig { credentials, cache: self.cache()?, ..HttpConfig::default() })
+    }
+
+    /// The cache, where one is asked for.
+    fn cache(&self) -> Result<Option<CacheConfig>> {
+        if self.cache.is_none() && self.cache_size.is_none() && !self.offline {
+            return Ok(None);
+        }
+        let mut config = CacheConfig::new(folder(self.cache.clone())?);
+        if let Some(ByteSize(bytes)) = self.cache_size {
+            config.max_bytes = bytes;
+        }
+        config.offline = self.offline;
+        Ok(Some(config))
+    }
+}
+
+/// The cache's folder: the given one, or the user's.
+pub fn folder(given: Option<PathBuf>) -> Result<PathBuf> {
+    match given {
+        Some(folder) => Ok(folder),
+        None => {
+            let user = default_set::cache_folder().context("no cache folder: set XDG_CACHE_HOME or HOME")?;
+            Ok(user.join("terrane").join("http"))
+        }
+    }
+}
+
+/// A text that no debug output shows.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Secret(String);
+
+impl FromStr for Secret {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(Self(text.to_owned()))
+    }
+}
+
+impl std::fmt::Debug for Secret {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("...")
+    }
+}
+
+/// Bytes, as 500MB or 2GiB.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ByteSize(pub u64);
+
+impl FromStr for ByteSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+        let (number, unit) = text.split_at(end);
+        let of: f64 = match unit.trim().to_ascii_lowercase().as_str() {
+            "" | "b" => 1.0,
+            "kb" => 1e3,
+            "mb" => 1e6,
+            "gb" => 1e9,
+            "tb" => 1e12,
+            "kib" | "k" => 1024.0,
+            "mib" | "m" => 1_048_576.0,
+            "gib" | "g" => 1_073_741_824.0,
+            "tib" | "t" => 1_099_511_627_776.0,
+            _ => return Err("expected a size, as 500MB or 2GiB".to_owned()),
+        };
+        match number.parse::<f64>() {
+            Ok(n) if n * of >= 1.0 && n * of < 1e18 => Ok(Self((n * of) as u64)),
+            _ => Err("expected a size, as 500MB or 2GiB".to_owned()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes() {
+        for (text, bytes) in [("1", 1), ("500MB", 500_000_000), ("2GiB", 2 << 30), ("1.5 kib", 1536), ("64k", 65536)] {
+            assert_eq!(text.parse(), Ok(ByteSize(bytes)), "{text}");
+        }
+        for bad in ["", "0", "-1", "GB", "1 parsec", "1e99", "1.2.3MB"] {
+            assert!(bad.parse::<ByteSize>().is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn credentials_are_for_servers_and_not_shown() {
+        let args = NetArgs { header: vec![Secret("X-Key: hidden".to_owned())], ..NetArgs::default() };
+        let config = args.http("https://h/tileset.json").unwrap();
+        assert_eq!(config.credentials.len(), 1);
+        assert!(!format!("{args:?} {config:?}").contains("hidden"));
+        let error = args.http("/data/set").unwrap_err();
+        assert!(!format!("{error:#}").contains("hidden"));
+        let odd = NetArgs { header: vec![Secret("hidden".to_owned())], ..NetArgs::default() };
+        assert!(!format!("{:#}", odd.http("https://h/").unwrap_err()).contains("hidden"));
+    }
+}
