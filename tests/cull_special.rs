@@ -320,6 +320,20 @@ fn occluders_hide_what_is_behind_them_where_asked() {
 }
 
 #[test]
+fn a_camera_with_no_mask_sees_nothing() {
+    let mut blind = camera();
+    blind.settings.cull_mask = 0;
+    let wall = ConvexPlanarOccluder { corners: vec![DVec3::ZERO, DVec3::X, DVec3::Z], holes: vec![] };
+    let wall = || Node::new(NodeKind::OccluderNode(Box::new(wall.clone())));
+    let masked = Node { mask: 2, ..cube(DVec3::ZERO) };
+    for things in [vec![cube(DVec3::ZERO), wall()], vec![cube(DVec3::ZERO), masked]] {
+        let root = Node::group(things);
+        assert!(!slots(&cull(root.clone(), &camera())).is_empty());
+        assert!(slots(&cull(root, &blind)).is_empty());
+    }
+}
+
+#[test]
 fn faces_that_look_away_are_dropped() {
     let cone = NormalCone { control_point: DVec3::ZERO, normal: DVec3::Y, least_cosine: -0.5, radius_m: 1.0 };
     let mut away = drawable(Aabb { min: DVec3::splat(-0.5), max: DVec3::splat(0.5) });

@@ -12,9 +12,9 @@ use scenes::quadtree;
 use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
-    Billboard, BillboardMode, DrawSlot, Drawable, EyePoint, Geometry, HeightTile, Intersection, IntersectionLimit,
-    IntersectionVisitor, LineSegmentIntersector, LodSelection, Material, Mesh, MeshVertex, Node, NodeId, NodeKind,
-    Page, PolytopeIntersector, RayIntersector, Refine, Scene, Topology,
+    Billboard, BillboardMode, DataVariance, DrawSlot, Drawable, EyePoint, Geometry, HeightTile, Intersection,
+    IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, LodSelection, Material, Mesh, MeshVertex, Node,
+    NodeId, NodeKind, Page, PolytopeIntersector, RayIntersector, Refine, Scene, Topology,
 };
 
 /// Small and repeatable.
@@ -558,4 +558,26 @@ fn drawables_without_tree_and_payload_are_counted() {
     visitor.traverse(&scene, &mut ray);
     assert!(ray.intersections().is_empty());
     assert_eq!(visitor.unmet_drawables(), 1);
+}
+
+#[test]
+fn a_mesh_written_anew_is_met_where_it_is() {
+    for (with_tree, with_payload) in [(true, true), (true, false), (false, true)] {
+        let square = Mesh::rectangle(DVec3::ZERO, DVec3::X, DVec3::Y);
+        let mut page = Page::from_node(Node::geode(vec![drawable(square)])).unwrap();
+        if with_tree {
+            page.build_kd_trees();
+        }
+        if !with_payload {
+            page.take_drawables();
+        }
+        let mut scene = Scene::new();
+        let root = scene.add_root(page);
+        let raised = Mesh::rectangle(DVec3::new(0.0, 0.0, 2.0), DVec3::X, DVec3::Y);
+        scene.set_mesh(NodeId { page: root, index: 0 }, 0, Arc::new(raised), DataVariance::Static).unwrap();
+        let mut ray = RayIntersector::new(DVec3::new(0.5, 0.5, 5.0), DVec3::NEG_Z);
+        IntersectionVisitor::new().traverse(&scene, &mut ray);
+        let point = ray.first_intersection().map(|hit| hit.world_point());
+        assert_eq!(point, Some(DVec3::new(0.5, 0.5, 2.0)), "tree {with_tree}, payload {with_payload}");
+    }
 }

@@ -31,6 +31,13 @@ impl Cull<'_> {
         let cull_mask = self.view.settings.cull_mask;
         let takes_ranges = self.takes_ranges && small_feature == 0.0;
         let has_occluders = !self.occluders.is_empty();
+        // A mask of 0 hides nodes of every mask, of those without one too.
+        if cull_mask == 0 {
+            if context.visit.required {
+                self.keep_tiles(context, first, last);
+            }
+            return;
+        }
         let has_masks = !page.masks.is_empty();
         // Counted here: a counter behind `self` is a load and a store for each node.
         let mut visited = 0;

@@ -169,7 +169,7 @@ impl Occluders {
 /// No mask or switch above a node hides it.
 fn is_shown(page: &Page, node: u32, cull_mask: u32) -> bool {
     page.path_to_root(node).all(|(node, child)| {
-        let seen = page.masks.get(node as usize).is_none_or(|m| m & cull_mask != 0);
+        let seen = page.masks.get(node as usize).unwrap_or(&u32::MAX) & cull_mask != 0;
         seen && child.is_none_or(|child| page.switch_shows(node, child))
     })
 }

@@ -59,7 +59,8 @@ impl Cull<'_> {
             let index = tile as usize;
             let record = tiles.records[index];
             let skip = record.skip;
-            let hidden = !page.masks.is_empty() && page.masks[tiles.nodes[index] as usize] & cull_mask == 0;
+            let node_mask = page.masks.get(tiles.nodes[index] as usize).copied().unwrap_or(u32::MAX);
+            let hidden = node_mask & cull_mask == 0;
             if hidden && !above.required {
                 tile += skip;
                 continue;

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::error::SceneError;
-use super::geometry::Mesh;
+use super::geometry::{Geometry, Mesh};
+use super::intersect::KdTree;
 use super::page::{NONE, kind};
 use super::{NodeId, Page, PageId, Scene};
 
@@ -38,6 +39,9 @@ impl Scene {
     /// With [`DataVariance::Static`] the next update may come while draw still reads the mesh: an application that
     /// writes it with `Arc::make_mut` then writes a copy. With [`DataVariance::Dynamic`] the frame waits until draw has
     /// let go of it, and `Arc::make_mut` writes in place.
+    ///
+    /// A k-d tree of the drawable is built anew at once, some 300 ns a triangle: scenes that rewrite large meshes every
+    /// frame do better without trees.
     pub fn set_mesh(
         &mut self,
         node: NodeId,
@@ -51,6 +55,7 @@ impl Scene {
         }
         let number =
             page.set_mesh_bounds(node.index, drawable, &mesh).ok_or(SceneError::NotAMesh { node, drawable })?;
+        page.replace_geometry(number, &mesh);
         let rewritten = Rewritten { page: node.page, drawable: number, mesh, variance };
         // The last word of an update counts.
         match self.rewritten.iter_mut().find(|r| (r.page, r.drawable) == (node.page, number)) {
@@ -67,6 +72,17 @@ impl Scene {
 }
 
 impl Page {
+    /// What intersections meet.
+    fn replace_geometry(&mut self, drawable: u32, mesh: &Arc<Mesh>) {
+        let geometry = Geometry::Mesh(mesh.clone());
+        if let Some(tree) = self.kd_trees.get_mut(drawable as usize) {
+            *tree = KdTree::build(&geometry).map(Arc::new);
+        }
+        if let Some(kept) = self.drawables.get_mut(drawable as usize) {
+            kept.geometry = geometry;
+        }
+    }
+
     /// Fits bounds to the new mesh of a Geode's drawable; the drawable's number in the page.
     fn set_mesh_bounds(&mut self, node: u32, drawable: usize, mesh: &Mesh) -> Option<u32> {
         let index = node as usize;
