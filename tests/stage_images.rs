@@ -18,8 +18,8 @@ use terrane::scene::{
     ReferenceFrame, RenderOrder, Scene,
 };
 use terrane::state::{
-    Attribute, CompareFunction, Mode, Program, Sampler, StateSet, StateValue, TextureBinding, TextureDimension,
-    TextureFormat, TextureObject, UniformValue,
+    Attribute, BlendFactor, BlendFunc, CompareFunction, Mode, Program, Sampler, StateSet, StateValue, TextureBinding,
+    TextureDimension, TextureFormat, TextureObject, UniformValue,
 };
 
 const SIDE: u32 = 64;
@@ -335,6 +335,38 @@ fn pictures_come_back_without_waiting() {
     assert_eq!(pixels.iter().filter(|p| **p == [255, 0, 0, 255]).count(), 32 * 32);
     assert_eq!(pixels[0], [0, 0, 255, 128], "textures keep alpha");
     no_errors(rig);
+}
+
+#[test]
+fn alpha_is_weighed_apart_from_colour() {
+    use BlendFactor::{DstAlpha, One, OneMinusSrcAlpha, SrcAlpha, Zero};
+    let Some(mut rig) = rig("alpha_is_weighed_apart_from_colour") else { return };
+    let rig = &mut *rig;
+    let mut drawn = |func: BlendFunc| {
+        let sink = Arc::new(PictureSink::default());
+        let mut camera = to_texture(&target("alpha"));
+        camera.clear_color = Some([0.0, 0.0, 1.0, 0.5]);
+        let mut glass = square(0.0, RED);
+        glass.material.base_color[3] = 0.25;
+        let set = StateSet::default().with(Attribute::BlendFunc(func)).with_mode(Mode::Blend, StateValue::ON);
+        let glass = Node::geode(vec![glass]).with_state_set(Arc::new(set));
+        let pixels = read(rig, camera, vec![glass], &sink);
+        no_errors(rig);
+        pixels[(SIDE * SIDE / 2 + SIDE / 2) as usize]
+    };
+    // Both have what they weigh: 0.25 drawn over 0.5.
+    let cases = [
+        (BlendFunc::new(SrcAlpha, OneMinusSrcAlpha), 0.25 * 0.25 + 0.5 * 0.75),
+        (BlendFunc::ALPHA.with_alpha(One, OneMinusSrcAlpha), 0.25 + 0.5 * 0.75),
+        (BlendFunc::ALPHA.with_alpha(Zero, One), 0.5),
+        (BlendFunc::ALPHA.with_alpha(DstAlpha, Zero), 0.25 * 0.5),
+    ];
+    let pixels = cases.map(|(func, _)| drawn(func));
+    for ((func, wanted), pixel) in cases.into_iter().zip(pixels) {
+        assert!((f64::from(pixel[3]) - 255.0 * wanted).abs() < 1.5, "{func:?}: {pixel:?}");
+    }
+    let colors = pixels.map(|[r, g, b, _]| [r, g, b]);
+    assert!(colors.iter().all(|c| *c == colors[0]), "colour does not change: {colors:?}");
 }
 
 #[test]

@@ -59,7 +59,7 @@ fn over(rig: &mut Rig, below: [u8; 3], above: [u8; 3], set: StateSet) -> [u8; 3]
 }
 
 fn func(source: BlendFactor, destination: BlendFactor) -> Attribute {
-    Attribute::BlendFunc(BlendFunc { source, destination })
+    Attribute::BlendFunc(BlendFunc::new(source, destination))
 }
 
 #[test]

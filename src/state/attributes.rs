@@ -140,20 +140,40 @@ pub enum BlendFactor {
     OneMinusConstantColor,
 }
 
-/// How source and destination are weighed.
+/// How source and destination are weighed: colour, and alpha where the target keeps it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct BlendFunc {
-    /// Of what is drawn.
+    /// Of the colour of what is drawn.
     pub source: BlendFactor,
-    /// Of what is there.
+    /// Of the colour that is there.
     pub destination: BlendFactor,
+    /// Of the alpha of what is drawn.
+    pub source_alpha: BlendFactor,
+    /// Of the alpha that is there.
+    pub destination_alpha: BlendFactor,
 }
 
 impl BlendFunc {
     /// `SRC_ALPHA, ONE_MINUS_SRC_ALPHA`: the default.
-    pub const ALPHA: Self = Self { source: BlendFactor::SrcAlpha, destination: BlendFactor::OneMinusSrcAlpha };
+    pub const ALPHA: Self = Self::new(BlendFactor::SrcAlpha, BlendFactor::OneMinusSrcAlpha);
     /// `ONE, ONE`: light is added.
-    pub const ADD: Self = Self { source: BlendFactor::One, destination: BlendFactor::One };
+    pub const ADD: Self = Self::new(BlendFactor::One, BlendFactor::One);
+
+    /// The same for colour and alpha.
+    pub const fn new(source: BlendFactor, destination: BlendFactor) -> Self {
+        Self { source, destination, source_alpha: source, destination_alpha: destination }
+    }
+
+    /// The same for colour, others for alpha.
+    pub const fn with_alpha(self, source_alpha: BlendFactor, destination_alpha: BlendFactor) -> Self {
+        Self { source_alpha, destination_alpha, ..self }
+    }
+
+    /// One of the factors is the [`Attribute::BlendColor`].
+    pub(crate) fn has_constant(&self) -> bool {
+        let factors = [self.source, self.destination, self.source_alpha, self.destination_alpha];
+        factors.iter().any(|f| matches!(f, BlendFactor::ConstantColor | BlendFactor::OneMinusConstantColor))
+    }
 }
 
 /// How the weighed source and destination are put together.

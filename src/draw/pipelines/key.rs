@@ -2,14 +2,13 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16 blend   17-20 source   21-24 destination   25-27 equation   28-33 offset
-//! 34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units
+//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units
 //! ```
 
 use crate::scene::Topology;
 use crate::state::{
-    BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, FrontFace, Mode, PolygonMode,
-    PolygonOffset, ResolvedState, Stencil,
+    BlendEquation, BlendFunc, ColorMask, CompareFunction, CullFace, FrontFace, Mode, PolygonMode, PolygonOffset,
+    ResolvedState, Stencil,
 };
 
 /// Key of a pipeline.
@@ -34,7 +33,6 @@ pub(in crate::draw) enum Kind {
 }
 
 const CLOCKWISE: u64 = 1 << 10;
-const BLEND: u64 = 1 << 16;
 /// What triangles alone have: culled faces, polygon mode, offset.
 const OF_TRIANGLES: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
 const FIXED: u64 = 1 << 40;
@@ -77,9 +75,8 @@ pub(in crate::draw) struct StateKey {
 }
 
 impl StateKey {
-    /// `offset` and `stencil` are the indices of the state's polygon offset and stencil in [`Offsets`] and
-    /// [`Stencils`], `target` is that of what is drawn into.
-    pub fn new(state: &ResolvedState, offset: u8, stencil: u8, shading: Shading, target: u8) -> Self {
+    /// `target` is the index of what is drawn into.
+    pub fn new(state: &ResolvedState, parts: PartIndices, shading: Shading, target: u8) -> Self {
         let depth = state.depth();
         let (compare, write) = depth.map_or((CompareFunction::Always, false), |d| (d.function, d.write));
         let culled = |double_sided| match state.culled_face(double_sided) {
@@ -94,8 +91,9 @@ impl StateKey {
             | (compare as u64) << 7
             | (state.polygon_mode() as u64) << 11
             | (0..3).map(|i| u64::from(mask[i]) << (13 + i)).sum::<u64>()
-            | u64::from(offset & 63) << 28
-            | u64::from(stencil & 63) << 34
+            | u64::from(parts.blend & 63) << 16
+            | u64::from(parts.offset & 63) << 28
+            | u64::from(parts.stencil & 63) << 34
             | u64::from(target & 63) << 42;
         match shading {
             Shading::Plain => {}
@@ -110,13 +108,8 @@ impl StateKey {
         if state.front_face() == FrontFace::Clockwise {
             common |= CLOCKWISE;
         }
-        if blends {
-            let BlendFunc { source, destination } = state.blend_func();
-            common |=
-                BLEND | (source as u64) << 17 | (destination as u64) << 21 | (state.blend_equation() as u64) << 25;
-        }
         let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
-        let order_is_free = write && nearer_wins && !blends && stencil == 0;
+        let order_is_free = write && nearer_wins && !blends && parts.stencil == 0;
         let can_pull = !matches!(shading, Shading::Program(_));
         Self { common, culled: [culled(false), culled(true)], blends, can_pull, order_is_free }
     }
@@ -187,36 +180,9 @@ impl PipelineKey {
         self.field(13, 3)
     }
 
-    /// Source, destination and equation, where blending is on.
-    pub fn blend(self) -> Option<(BlendFactor, BlendFactor, BlendEquation)> {
-        use BlendFactor::{
-            ConstantColor, DstAlpha, DstColor, One, OneMinusConstantColor, OneMinusDstAlpha, OneMinusDstColor,
-            OneMinusSrcAlpha, OneMinusSrcColor, SrcAlpha, SrcAlphaSaturate, SrcColor, Zero,
-        };
-        const FACTORS: [BlendFactor; 13] = [
-            Zero,
-            One,
-            SrcColor,
-            OneMinusSrcColor,
-            SrcAlpha,
-            OneMinusSrcAlpha,
-            DstColor,
-            OneMinusDstColor,
-            DstAlpha,
-            OneMinusDstAlpha,
-            SrcAlphaSaturate,
-            ConstantColor,
-            OneMinusConstantColor,
-        ];
-        const EQUATIONS: [BlendEquation; 5] = [
-            BlendEquation::Add,
-            BlendEquation::Subtract,
-            BlendEquation::ReverseSubtract,
-            BlendEquation::Min,
-            BlendEquation::Max,
-        ];
-        let factor = |shift| FACTORS[self.field(shift, 4).min(12)];
-        (self.0 & BLEND != 0).then(|| (factor(17), factor(21), EQUATIONS[self.field(25, 3).min(4)]))
+    /// Index of function and equation; 0 where blending is off.
+    pub fn blend(self) -> u8 {
+        self.field(16, 6) as u8
     }
 
     pub fn offset(self) -> u8 {
@@ -270,76 +236,85 @@ impl PipelineKey {
     }
 }
 
-/// The polygon offsets met so far; 0 is none.
-#[derive(Debug, Default)]
-pub(in crate::draw) struct Offsets(Vec<PolygonOffset>);
+/// Parts of states that are met, each kept once; 0 is none.
+#[derive(Debug)]
+pub(in crate::draw) struct Interned<T>(Vec<T>);
 
-impl Offsets {
-    /// The index of an offset. Beyond 63 different ones the last is used for all further.
-    pub fn index_of(&mut self, offset: Option<PolygonOffset>) -> u8 {
-        let usable = offset.filter(|o| o.factor.is_finite() && o.units.is_finite());
-        let Some(offset) = usable.filter(|o| *o != PolygonOffset::default()) else { return 0 };
-        let place = self.0.iter().position(|o| *o == offset).unwrap_or_else(|| {
-            if self.0.len() < 63 {
-                self.0.push(offset);
-            }
-            self.0.len() - 1
-        });
-        place as u8 + 1
-    }
-
-    pub fn get(&self, index: u8) -> PolygonOffset {
-        usize::from(index).checked_sub(1).and_then(|i| self.0.get(i)).copied().unwrap_or_default()
+impl<T> Default for Interned<T> {
+    fn default() -> Self {
+        Self(Vec::new())
     }
 }
 
-/// The stencil states met so far, references apart; 0 is none.
-#[derive(Debug, Default)]
-pub(in crate::draw) struct Stencils(Vec<Stencil>);
-
-impl Stencils {
-    /// The index of a stencil state. Beyond 63 different ones the last is used for all further.
-    pub fn index_of(&mut self, stencil: Option<Stencil>) -> u8 {
-        let Some(stencil) = stencil.map(|s| Stencil { reference: 0, ..s }) else { return 0 };
-        let place = self.0.iter().position(|s| *s == stencil).unwrap_or_else(|| {
+impl<T: Copy + PartialEq> Interned<T> {
+    /// The index of a value. Beyond 63 different ones the last is used for all further.
+    pub fn index_of(&mut self, value: Option<T>) -> u8 {
+        let Some(value) = value else { return 0 };
+        let place = self.0.iter().position(|v| *v == value).unwrap_or_else(|| {
             if self.0.len() < 63 {
-                self.0.push(stencil);
+                self.0.push(value);
             }
             self.0.len() - 1
         });
         place as u8 + 1
     }
 
-    pub fn get(&self, index: u8) -> Option<Stencil> {
+    pub fn get(&self, index: u8) -> Option<T> {
         usize::from(index).checked_sub(1).and_then(|i| self.0.get(i)).copied()
+    }
+}
+
+/// The parts of a state's pipeline that have too many values for bits of their own.
+#[derive(Debug, Default)]
+pub(in crate::draw) struct Parts {
+    pub offsets: Interned<PolygonOffset>,
+    /// References apart.
+    pub stencils: Interned<Stencil>,
+    pub blends: Interned<(BlendFunc, BlendEquation)>,
+}
+
+/// Indices of a state's parts in [`Parts`].
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::draw) struct PartIndices {
+    offset: u8,
+    stencil: u8,
+    blend: u8,
+}
+
+impl Parts {
+    pub fn of(&mut self, state: &ResolvedState) -> PartIndices {
+        let usable = |o: &PolygonOffset| o.factor.is_finite() && o.units.is_finite() && *o != PolygonOffset::default();
+        let blend = state.blends().then(|| (state.blend_func(), state.blend_equation()));
+        PartIndices {
+            offset: self.offsets.index_of(state.polygon_offset().filter(usable)),
+            stencil: self.stencils.index_of(state.stencil().map(|s| Stencil { reference: 0, ..s })),
+            blend: self.blends.index_of(blend),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::{Attribute, Depth, StateSet, StateValue};
+    use crate::state::{Attribute, BlendFactor, Depth, StateSet, StateValue};
 
     #[test]
     fn what_is_packed_comes_out() {
         let set = StateSet::default()
-            .with(Attribute::BlendFunc(BlendFunc {
-                source: BlendFactor::OneMinusDstColor,
-                destination: BlendFactor::SrcAlphaSaturate,
-            }))
+            .with(Attribute::BlendFunc(BlendFunc::ADD))
             .with(Attribute::BlendEquation(BlendEquation::Max))
             .with(Attribute::Depth(Depth { function: CompareFunction::NotEqual, write: false, ..Depth::default() }))
             .with(Attribute::CullFace(CullFace::Front))
             .with(Attribute::FrontFace(FrontFace::Clockwise))
             .with(Attribute::PolygonMode(PolygonMode::Point))
             .with(Attribute::ColorMask(ColorMask([true, false, true])));
-        let state = StateKey::new(&ResolvedState::default().below(&set), 50, 60, Shading::Program(1000), 33);
+        let parts = PartIndices { offset: 50, stencil: 60, blend: 40 };
+        let state = StateKey::new(&ResolvedState::default().below(&set), parts, Shading::Program(1000), 33);
         let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false);
         assert_eq!((key.kind(), key.alpha(), key.culled()), (Kind::Triangles, Alpha::Blended, 2));
         assert_eq!((key.writes_depth(), key.depth_compare()), (false, CompareFunction::NotEqual));
         assert_eq!((key.is_clockwise(), key.polygon_mode(), key.color_mask()), (true, PolygonMode::Point, 0b101));
-        let blend = (BlendFactor::OneMinusDstColor, BlendFactor::SrcAlphaSaturate, BlendEquation::Max);
-        assert_eq!((key.blend(), key.offset()), (Some(blend), 50));
+        assert_eq!((key.blend(), key.offset()), (40, 50));
         assert_eq!((key.stencil(), key.target(), key.shading()), (60, 33, Shading::Program(1000)));
         assert_eq!(key.fallback().shading(), Shading::Fallback);
         assert_eq!(PipelineKey::height(&state, false).shading(), Shading::Plain);
@@ -355,13 +330,14 @@ mod tests {
 
     #[test]
     fn the_defaults_are_plain() {
-        let state = StateKey::new(&ResolvedState::default(), 0, 0, Shading::Plain, 0);
+        let state = StateKey::new(&ResolvedState::default(), PartIndices::default(), Shading::Plain, 0);
         assert!(state.order_is_free);
         let key = PipelineKey::height(&state, true);
-        assert_eq!((key.kind(), key.culled(), key.blend(), key.color_mask()), (Kind::Height, 0, None, 7));
+        assert_eq!((key.kind(), key.culled(), key.blend(), key.color_mask()), (Kind::Height, 0, 0, 7));
         assert_eq!((key.depth_compare(), key.writes_depth()), (CompareFunction::Less, true));
         let off = StateSet::default().with_mode(Mode::DepthTest, StateValue::OFF);
-        let state = StateKey::new(&ResolvedState::default().below(&off), 0, 0, Shading::FixedFunction, 0);
+        let state =
+            StateKey::new(&ResolvedState::default().below(&off), PartIndices::default(), Shading::FixedFunction, 0);
         let key = PipelineKey::height(&state, false);
         assert_eq!(
             (key.depth_compare(), key.writes_depth(), key.is_clockwise()),
@@ -370,18 +346,27 @@ mod tests {
     }
 
     #[test]
-    fn offsets_are_kept_once() {
-        let mut offsets = Offsets::default();
-        let a = PolygonOffset { factor: 1.0, units: 2.0 };
-        assert_eq!([offsets.index_of(None), offsets.index_of(Some(a)), offsets.index_of(Some(a))], [0, 1, 1]);
-        assert_eq!(offsets.index_of(Some(PolygonOffset { factor: f32::NAN, units: 0.0 })), 0);
-        assert_eq!(
-            (offsets.get(1), offsets.get(0), offsets.get(9)),
-            (a, PolygonOffset::default(), PolygonOffset::default())
-        );
+    fn parts_are_kept_once() {
+        let mut parts = Parts::default();
+        let offset = |factor, units| {
+            let set = StateSet::default().with(Attribute::PolygonOffset(PolygonOffset { factor, units }));
+            ResolvedState::default().below(&set)
+        };
+        let indices = [ResolvedState::default(), offset(1.0, 2.0), offset(1.0, 2.0), offset(f32::NAN, 0.0)];
+        assert_eq!(indices.map(|state| parts.of(&state).offset), [0, 1, 1, 0]);
+        assert_eq!(parts.offsets.get(1), Some(PolygonOffset { factor: 1.0, units: 2.0 }));
+        assert_eq!((parts.offsets.get(0), parts.offsets.get(9)), (None, None));
         for i in 0..300 {
-            offsets.index_of(Some(PolygonOffset { factor: 0.0, units: i as f32 + 1.0 }));
+            parts.of(&offset(0.0, i as f32 + 1.0));
         }
-        assert_eq!(offsets.0.len(), 63);
+        assert_eq!(parts.offsets.0.len(), 63);
+        let blend = |func| {
+            let set = StateSet::default().with(Attribute::BlendFunc(func)).with_mode(Mode::Blend, StateValue::ON);
+            ResolvedState::default().below(&set)
+        };
+        let apart = BlendFunc::ALPHA.with_alpha(BlendFactor::One, BlendFactor::Zero);
+        let states = [BlendFunc::ALPHA, apart, BlendFunc::ALPHA].map(blend);
+        assert_eq!(states.map(|state| parts.of(&state).blend), [1, 2, 1]);
+        assert_eq!(parts.blends.get(2), Some((apart, BlendEquation::Add)));
     }
 }

@@ -7,7 +7,7 @@ mod variant;
 
 use std::collections::HashMap;
 
-use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Offsets, PipelineKey, Shading, StateKey, Stencils};
+use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::programs::Programs;
 use variant::Variant;
 
@@ -118,8 +118,7 @@ pub(in crate::draw) struct Pipelines {
     pipelines: Vec<wgpu::RenderPipeline>,
     /// Only looked up, never walked.
     index_of: HashMap<PipelineKey, u32>,
-    offsets: Offsets,
-    stencils: Stencils,
+    parts: Parts,
     targets: Vec<TargetKey>,
     /// By target.
     skies: Vec<Option<wgpu::RenderPipeline>>,
@@ -214,8 +213,7 @@ impl Pipelines {
             programs: Programs::default(),
             pipelines: Vec::new(),
             index_of: HashMap::new(),
-            offsets: Offsets::default(),
-            stencils: Stencils::default(),
+            parts: Parts::default(),
             targets: Vec::new(),
             skies: Vec::new(),
             waters: Vec::new(),
@@ -240,9 +238,8 @@ impl Pipelines {
 
     /// The pipeline part of a state.
     pub(in crate::draw) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u8) -> StateKey {
-        let offset = self.offsets.index_of(state.polygon_offset());
-        let stencil = self.stencils.index_of(state.stencil());
-        StateKey::new(state, offset, stencil, shading, target)
+        let parts = self.parts.of(state);
+        StateKey::new(state, parts, shading, target)
     }
 
     /// The index of a target; `None` when there are too many different ones.
@@ -452,14 +449,17 @@ impl Pipelines {
             depth_write: key.writes_depth(),
             depth_compare: if key.culled() == 3 { wgpu::CompareFunction::Never } else { reversed(key.depth_compare()) },
             stencil: self.stencil_state(key.stencil(), target.depth),
-            bias: bias(self.offsets.get(key.offset())),
-            blend: key.blend().map(|(source, destination, equation)| {
-                let component = wgpu::BlendComponent {
+            bias: bias(self.parts.offsets.get(key.offset()).unwrap_or_default()),
+            blend: self.parts.blends.get(key.blend()).map(|(func, equation)| {
+                let component = |source, destination| wgpu::BlendComponent {
                     src_factor: factor(source),
                     dst_factor: factor(destination),
                     operation: operation(equation),
                 };
-                wgpu::BlendState { color: component, alpha: component }
+                wgpu::BlendState {
+                    color: component(func.source, func.destination),
+                    alpha: component(func.source_alpha, func.destination_alpha),
+                }
             }),
             write_mask,
             outputs,
@@ -482,7 +482,7 @@ impl Pipelines {
 
     /// Nothing where the target has no stencil.
     fn stencil_state(&self, index: u8, depth: wgpu::TextureFormat) -> wgpu::StencilState {
-        match self.stencils.get(index).filter(|_| depth.has_stencil_aspect()) {
+        match self.parts.stencils.get(index).filter(|_| depth.has_stencil_aspect()) {
             None => wgpu::StencilState::default(),
             Some(stencil) => wgpu::StencilState {
                 front: stencil_face(&stencil.front),

@@ -16,7 +16,7 @@ use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, StageUniform, replaces_sun};
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform, clear_color};
 use crate::gpu::GraphicsContext;
-use crate::state::{BlendFactor, BlendFunc, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
+use crate::state::{ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
     pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>> + Clone) {
@@ -327,9 +327,7 @@ fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32
         dynamics.scissor = [x, y, w.min(width - x), h.min(height - y)];
     }
     dynamics.stencil_reference = state.stencil().map_or(0, |s| u32::from(s.reference));
-    let is_constant = |f| matches!(f, BlendFactor::ConstantColor | BlendFactor::OneMinusConstantColor);
-    let BlendFunc { source, destination } = state.blend_func();
-    if state.blends() && (is_constant(source) || is_constant(destination)) {
+    if state.blends() && state.blend_func().has_constant() {
         dynamics.blend_color = Some(state.blend_color());
     }
 }
