@@ -521,7 +521,7 @@ proptest! {
             let pose = manipulator.advance(dt_s, &world.view());
             prop_assert!(pose.is_finite(), "{name} {pose} after {dt_s}");
             let unit = (pose.matrix3.transpose() * pose.matrix3 - glam::DMat3::IDENTITY).to_cols_array();
-            prop_assert!(unit.iter().all(|v| v.abs() < 1e-9), "{name}: no rotation");
+            prop_assert!(unit.iter().all(|v| v.abs() < 1e-9), "{name}: no rotation {unit:?} {pose}");
         }
         manipulator.home(&world.view());
         prop_assert!(manipulator.advance(0.1, &world.view()).is_finite());

@@ -118,13 +118,28 @@ pub fn world_from_eye(eye: DVec3, direction: DVec3, up: DVec3) -> DAffine3 {
     if right.length_squared() < 1e-20 {
         right = back.any_orthogonal_vector();
     }
+    // Of nearly parallel vectors the cross product is hardly exact: once more at right angles to `back`.
     let right = right.normalize();
+    let right = (right - back * back.dot(right)).normalize();
     DAffine3 { matrix3: DMat3::from_cols(right, back.cross(right), back), translation: eye }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_pose_is_a_rotation_where_direction_and_up_are_nearly_parallel() {
+        let up = DVec3::new(0.6758678476252854, 0.09079264767835152, 0.7314091520304615).normalize();
+        for exponent in 1..16 {
+            let aside = up.any_orthonormal_vector() * 10f64.powi(-exponent);
+            for direction in [aside - up, aside + up] {
+                let m = world_from_eye(DVec3::ZERO, direction, up).matrix3;
+                let off = (m.transpose() * m - DMat3::IDENTITY).to_cols_array();
+                assert!(off.iter().all(|v| v.abs() < 1e-14), "1e-{exponent}: {off:?}");
+            }
+        }
+    }
 
     #[test]
     fn sixty_degrees_span_the_longer_side() {
