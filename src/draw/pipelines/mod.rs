@@ -106,6 +106,19 @@ pub(in crate::draw) struct TargetKey {
     pub(in crate::draw) writes_alpha: bool,
 }
 
+/// What is drawn without a state of the scene's, one pipeline a target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::draw) enum Bare {
+    /// Behind what is opaque.
+    Sky,
+    /// The sea.
+    Water,
+    /// Boxes of occlusion queries.
+    Query,
+    /// The background of a part of a target.
+    Fill,
+}
+
 /// Pipelines of a renderer, by key.
 pub(in crate::draw) struct Pipelines {
     pub(in crate::draw) frame_layout: wgpu::BindGroupLayout,
@@ -121,10 +134,8 @@ pub(in crate::draw) struct Pipelines {
     parts: Parts,
     targets: Vec<TargetKey>,
     /// By target.
-    skies: Vec<Option<wgpu::RenderPipeline>>,
-    waters: Vec<Option<wgpu::RenderPipeline>>,
-    queries: Vec<Option<wgpu::RenderPipeline>>,
-    fills: Vec<Option<wgpu::RenderPipeline>>,
+    /// Of each target, in the order of [`Bare`].
+    bare: Vec<[Option<wgpu::RenderPipeline>; 4]>,
     /// Modules by the address of their source.
     modules: Vec<(&'static str, wgpu::ShaderModule)>,
     features: wgpu::Features,
@@ -215,10 +226,7 @@ impl Pipelines {
             index_of: HashMap::new(),
             parts: Parts::default(),
             targets: Vec::new(),
-            skies: Vec::new(),
-            waters: Vec::new(),
-            queries: Vec::new(),
-            fills: Vec::new(),
+            bare: Vec::new(),
             modules: Vec::new(),
             features: device.features(),
             created: 0,
@@ -248,10 +256,7 @@ impl Pipelines {
             Some(place) => place,
             None if self.targets.len() < MOST_TARGETS => {
                 self.targets.push(*key);
-                self.skies.push(None);
-                self.waters.push(None);
-                self.queries.push(None);
-                self.fills.push(None);
+                self.bare.push([const { None }; 4]);
                 self.targets.len() - 1
             }
             None => return None,
@@ -263,20 +268,8 @@ impl Pipelines {
         self.targets.get(usize::from(target))
     }
 
-    pub(in crate::draw) fn sky(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
-        self.skies.get(usize::from(target))?.as_ref()
-    }
-
-    pub(in crate::draw) fn query(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
-        self.queries.get(usize::from(target))?.as_ref()
-    }
-
-    pub(in crate::draw) fn water(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
-        self.waters.get(usize::from(target))?.as_ref()
-    }
-
-    pub(in crate::draw) fn fill(&self, target: u8) -> Option<&wgpu::RenderPipeline> {
-        self.fills.get(usize::from(target))?.as_ref()
+    pub(in crate::draw) fn bare(&self, what: Bare, target: u8) -> Option<&wgpu::RenderPipeline> {
+        self.bare.get(usize::from(target))?[what as usize].as_ref()
     }
 
     fn module(&mut self, ctx: &GraphicsContext, label: &str, source: &'static str) -> wgpu::ShaderModule {
@@ -291,50 +284,27 @@ impl Pipelines {
         module
     }
 
-    /// Makes the sky's pipeline for a target unless it is there.
-    pub(in crate::draw) fn ensure_sky(&mut self, ctx: &GraphicsContext, target: u8) {
+    /// Makes a pipeline without a state for a target unless it is there.
+    pub(in crate::draw) fn ensure_bare(&mut self, ctx: &GraphicsContext, what: Bare, target: u8) {
         let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
-        if self.sky(target).is_none() {
-            let module = self.module(ctx, "sky", SKY_WGSL);
-            let variant = Self::bare("sky", &module, ["vs_sky", "fs_sky"], key);
-            self.skies[usize::from(target)] = self.create(ctx, &variant);
-            self.created += 1;
+        if self.bare(what, target).is_some() {
+            return;
         }
-    }
-
-    /// Makes the pipeline of backgrounds for a target unless it is there.
-    pub(in crate::draw) fn ensure_fill(&mut self, ctx: &GraphicsContext, target: u8) {
-        let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
-        if self.fill(target).is_none() {
-            let module = self.module(ctx, "fill", FILL_WGSL);
-            let variant = Self::bare("fill", &module, ["vs_fill", "fs_fill"], key);
-            self.fills[usize::from(target)] = self.create(ctx, &variant);
-            self.created += 1;
+        let (label, source, entries) = match what {
+            Bare::Sky => ("sky", SKY_WGSL, ["vs_sky", "fs_sky"]),
+            Bare::Water => ("water", WATER_WGSL, ["vs_sky", "fs_water"]),
+            Bare::Query => ("query", QUERY_WGSL, ["vs_query", "fs_query"]),
+            Bare::Fill => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
+        };
+        let module = self.module(ctx, label, source);
+        let mut variant = Self::variant(label, &module, entries, key);
+        match what {
+            Bare::Water => (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING)),
+            Bare::Query => variant.write_mask = wgpu::ColorWrites::empty(),
+            Bare::Sky | Bare::Fill => {}
         }
-    }
-
-    /// Makes the water's pipeline for a target unless it is there.
-    pub(in crate::draw) fn ensure_water(&mut self, ctx: &GraphicsContext, target: u8) {
-        let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
-        if self.water(target).is_none() {
-            let module = self.module(ctx, "water", WATER_WGSL);
-            let mut variant = Self::bare("water", &module, ["vs_sky", "fs_water"], key);
-            (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING));
-            self.waters[usize::from(target)] = self.create(ctx, &variant);
-            self.created += 1;
-        }
-    }
-
-    /// Makes the pipeline of occlusion queries for a target unless it is there.
-    pub(in crate::draw) fn ensure_query(&mut self, ctx: &GraphicsContext, target: u8) {
-        let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
-        if self.query(target).is_none() {
-            let module = self.module(ctx, "query", QUERY_WGSL);
-            let mut variant = Self::bare("query", &module, ["vs_query", "fs_query"], key);
-            variant.write_mask = wgpu::ColorWrites::empty();
-            self.queries[usize::from(target)] = self.create(ctx, &variant);
-            self.created += 1;
-        }
+        self.bare[usize::from(target)][what as usize] = self.create(ctx, &variant);
+        self.created += 1;
     }
 
     /// The index of a key's pipeline; makes it unless it is there.

@@ -32,7 +32,7 @@ pub(super) struct Variant<'a> {
 
 impl Pipelines {
     /// A pipeline without vertices or block.
-    pub(super) fn bare<'a>(
+    pub(super) fn variant<'a>(
         label: &'a str,
         shader: &'a wgpu::ShaderModule,
         [vertex, fragment]: [&'a str; 2],

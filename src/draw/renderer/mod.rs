@@ -20,7 +20,7 @@ use crate::draw::batch::Batch;
 use crate::draw::callbacks::{CameraCallbacks, RenderInfo};
 use crate::draw::composite::Composite;
 use crate::draw::environment::{Environment, Sky};
-use crate::draw::pipelines::Pipelines;
+use crate::draw::pipelines::{Bare, Pipelines};
 use crate::draw::plan::{PassTarget, StagePlan, Targets};
 use crate::draw::state::{INDIRECT_BYTES, Sources, State, Statics};
 use crate::draw::uniforms::fixed::StageUniform;
@@ -405,7 +405,7 @@ impl Renderer {
             indirect: self.indirect.as_ref(),
         };
         let mut state = State::new(&mut pass, target.dynamics(None));
-        if let (Some(leaf), Some(fill)) = (plan.fill, self.pipelines.fill(target.index)) {
+        if let (Some(leaf), Some(fill)) = (plan.fill, self.pipelines.bare(Bare::Fill, target.index)) {
             state.apply(&from, plan.statics);
             state.draw_bare(fill, 3, leaf..leaf + 1);
         }
@@ -414,7 +414,7 @@ impl Renderer {
             state.forget();
         }
         state.draw_runs(&from, plan.runs.start..plan.see_through);
-        if let (false, Some(pipeline)) = (plan.queries.is_empty(), self.pipelines.query(target.index)) {
+        if let (false, Some(pipeline)) = (plan.queries.is_empty(), self.pipelines.bare(Bare::Query, target.index)) {
             for (leaf, query, statics) in &plan.queries {
                 state.apply(&from, *statics);
                 state.pass.begin_occlusion_query(*query);
@@ -422,11 +422,11 @@ impl Renderer {
                 state.pass.end_occlusion_query();
             }
         }
-        if let (true, Some(sky)) = (plan.has_sky, self.pipelines.sky(target.index)) {
+        if let (true, Some(sky)) = (plan.has_sky, self.pipelines.bare(Bare::Sky, target.index)) {
             state.apply(&from, plan.statics);
             state.draw_bare(sky, 3, 0..1);
         }
-        if let (true, Some(water)) = (plan.has_water, self.pipelines.water(target.index)) {
+        if let (true, Some(water)) = (plan.has_water, self.pipelines.bare(Bare::Water, target.index)) {
             state.apply(&from, plan.statics);
             state.draw_bare(water, 3, 0..1);
         }

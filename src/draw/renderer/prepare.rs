@@ -9,6 +9,7 @@ use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
 use crate::draw::composite::Composite;
 use crate::draw::environment::{Environment, Sky};
+use crate::draw::pipelines::Bare;
 use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
 use crate::draw::plan::{PassTarget, StagePlan, color};
@@ -131,11 +132,11 @@ impl Renderer {
         let has_sky =
             is_outermost && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Atmosphere;
         if has_sky {
-            self.pipelines.ensure_sky(ctx, target.index);
+            self.pipelines.ensure_bare(ctx, Bare::Sky, target.index);
         }
         let has_water = is_outermost && stage.stereo.is_none() && environment.water.is_some();
         if has_water {
-            self.pipelines.ensure_water(ctx, target.index);
+            self.pipelines.ensure_bare(ctx, Bare::Water, target.index);
         }
         let eyes = self.prepare_eyes(ctx, stage, &target);
         let [width, height] = target.size_px;
@@ -225,7 +226,7 @@ impl Renderer {
         if leaf >= self.most_leaves {
             return None;
         }
-        self.pipelines.ensure_fill(ctx, target.index);
+        self.pipelines.ensure_bare(ctx, Bare::Fill, target.index);
         let color = [color.r, color.g, color.b, color.a].map(|c| c as f32);
         self.batch.push_leaf(LeafUniform { color, ..LeafUniform::EMPTY });
         Some(leaf as u32)
@@ -263,7 +264,7 @@ impl Renderer {
             queries.start_frame();
             queries
         });
-        self.pipelines.ensure_query(ctx, target.index);
+        self.pipelines.ensure_bare(ctx, Bare::Query, target.index);
         let mut asked = Vec::new();
         for query in &stage.queries {
             let Some(rows) = stage.eye_from_drawable.get(query.matrix as usize) else { continue };

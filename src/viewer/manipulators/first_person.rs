@@ -4,7 +4,7 @@ use glam::{DAffine3, DVec3};
 
 use super::inertia::{left_after, steps};
 use super::walk::{Look, Push, faster};
-use super::{CameraManipulator, ManipulatorView, carried, heading_and_pitch, looking, usage};
+use super::{CameraManipulator, ManipulatorView, carried, usage};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 
 /// In this time the eye comes 63 % nearer to its height above the ground.
@@ -36,13 +36,6 @@ impl Default for FirstPersonManipulator {
             push: Push::default(),
             is_rising: true,
         }
-    }
-}
-
-impl FirstPersonManipulator {
-    fn pose(&self, view: &ManipulatorView<'_>) -> DAffine3 {
-        let frame = view.frame_at(self.position).world_from_local.matrix3;
-        looking(&frame, self.position, self.look.heading, self.look.pitch)
     }
 }
 
@@ -80,14 +73,13 @@ impl CameraManipulator for FirstPersonManipulator {
                 self.look.heading = carried(self.look.heading, &before, &view.frame_at(moved));
             }
         }
-        self.pose(view)
+        self.look.pose(self.position, view)
     }
 
     fn set_pose(&mut self, world_from_eye: &DAffine3, view: &ManipulatorView<'_>) {
         if world_from_eye.is_finite() {
             self.position = world_from_eye.translation;
-            let frame = view.frame_at(self.position).world_from_local.matrix3;
-            self.look.set(heading_and_pitch(&frame, world_from_eye));
+            self.look.set_pose(world_from_eye, view);
             self.push.stop();
             self.is_rising = true;
         }

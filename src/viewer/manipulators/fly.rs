@@ -4,7 +4,7 @@ use glam::{DAffine3, DVec3};
 
 use super::inertia::steps;
 use super::walk::{Look, Push, faster};
-use super::{CameraManipulator, ManipulatorView, carried, heading_and_pitch, looking, usage};
+use super::{CameraManipulator, ManipulatorView, carried, usage};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 
 /// Flies like a free camera: keys move along the view, dragging looks around, the wheel changes the speed.
@@ -36,11 +36,6 @@ impl FlyManipulator {
         // Half a height a second; never so slow that crossing the set takes more than five minutes.
         self.speed_factor * (0.5 * height_m.max(outside_m)).max(radius_m / 150.0)
     }
-
-    fn pose(&self, view: &ManipulatorView<'_>) -> DAffine3 {
-        let frame = view.frame_at(self.position).world_from_local.matrix3;
-        looking(&frame, self.position, self.look.heading, self.look.pitch)
-    }
 }
 
 impl CameraManipulator for FlyManipulator {
@@ -60,20 +55,20 @@ impl CameraManipulator for FlyManipulator {
                 break;
             }
             let before = view.frame_at(self.position);
-            let moved = self.position + self.pose(view).matrix3 * push * (self.speed_m_per_s(view) * step_s);
+            let moved = self.position
+                + self.look.pose(self.position, view).matrix3 * push * (self.speed_m_per_s(view) * step_s);
             if moved.is_finite() {
                 self.position = moved;
                 self.look.heading = carried(self.look.heading, &before, &view.frame_at(moved));
             }
         }
-        self.pose(view)
+        self.look.pose(self.position, view)
     }
 
     fn set_pose(&mut self, world_from_eye: &DAffine3, view: &ManipulatorView<'_>) {
         if world_from_eye.is_finite() {
             self.position = world_from_eye.translation;
-            let frame = view.frame_at(self.position).world_from_local.matrix3;
-            self.look.set(heading_and_pitch(&frame, world_from_eye));
+            self.look.set_pose(world_from_eye, view);
             self.push.stop();
         }
     }

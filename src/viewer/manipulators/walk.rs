@@ -2,10 +2,10 @@
 
 use std::f64::consts::PI;
 
-use glam::DVec3;
+use glam::{DAffine3, DVec3};
 
-use super::ManipulatorView;
 use super::inertia::left_after;
+use super::{ManipulatorView, heading_and_pitch, looking};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Key, MouseButton, YOrientation};
 
 /// Steepest look up or down.
@@ -130,6 +130,16 @@ impl Look {
             self.heading = (self.heading + heading).rem_euclid(2.0 * PI);
             self.pitch = (self.pitch + pitch).clamp(-MOST_PITCH, MOST_PITCH);
         }
+    }
+
+    /// The pose of an eye at a position.
+    pub fn pose(&self, position: DVec3, view: &ManipulatorView<'_>) -> DAffine3 {
+        looking(&view.frame_at(position).world_from_local.matrix3, position, self.heading, self.pitch)
+    }
+
+    /// Looks as a pose does.
+    pub fn set_pose(&mut self, pose: &DAffine3, view: &ManipulatorView<'_>) {
+        self.set(heading_and_pitch(&view.frame_at(pose.translation).world_from_local.matrix3, pose));
     }
 
     pub fn set(&mut self, (heading, pitch): (f64, f64)) {
