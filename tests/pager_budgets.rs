@@ -5,50 +5,11 @@
 
 mod pager_support;
 
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
-use pager_support::{PAGE_GPU_BYTES, Run};
-use terrane::io::write::{GlbMesh, write_glb};
+use pager_support::{PAGE_GPU_BYTES, Run, WORLD_M, write_quadtree};
 use terrane::pager::{CompileContext, PagerConfig};
-
-const WORLD_M: f64 = 4096.0;
-const LEVELS: u32 = 4;
-
-/// A flat quadtree, one triangle a tile; returns the bytes of a content.
-fn write_quadtree(folder: &Path) -> u64 {
-    let glb = write_glb(&GlbMesh {
-        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
-        indices: vec![0, 1, 2],
-        base_color: [1.0; 4],
-        ..GlbMesh::default()
-    });
-    fn tile(folder: &Path, glb: &[u8], level: u32, x: u32, y: u32) -> String {
-        let side = WORLD_M / f64::from(1u32 << level);
-        let [cx, cy] = [x, y].map(|k| (f64::from(k) + 0.5) * side);
-        let name = format!("{level}_{x}_{y}.glb");
-        std::fs::write(folder.join(&name), glb).unwrap();
-        let (error, children): (f64, Vec<String>) = if level == LEVELS {
-            (0.0, Vec::new())
-        } else {
-            let child = |i: u32| tile(folder, glb, level + 1, 2 * x + i % 2, 2 * y + i / 2);
-            (side / 16.0, (0..4).map(child).collect())
-        };
-        format!(
-            r#"{{"boundingVolume":{{"box":[{cx},{cy},0,{h},0,0,0,{h},0,0,0,1]}},"geometricError":{error},"content":{{"uri":"{name}"}},"children":[{}]}}"#,
-            children.join(","),
-            h = 0.5 * side,
-        )
-    }
-    let root = tile(folder, &glb, 0, 0, 0);
-    let json = format!(
-        r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{}}}"#,
-        root.replacen('{', r#"{"refine":"REPLACE","#, 1)
-    );
-    std::fs::write(folder.join("tileset.json"), json).unwrap();
-    glb.len() as u64
-}
 
 fn over_the_world(u: f64, height_m: f64) -> DVec3 {
     DVec3::new(WORLD_M * u, 0.5 * WORLD_M + 0.3 * WORLD_M * (9.0 * u).sin(), height_m)

@@ -32,6 +32,9 @@ pub struct PagerConfig {
     pub http_in_flight_max: usize,
     /// Threads that decode; the default leaves one core to the frame.
     pub decode_threads: usize,
+    /// Contents under way at once that are wanted only later (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead));
+    /// 0 loads none.
+    pub ahead_in_flight: usize,
     /// CPU bytes of merged pages and of tile trees.
     pub max_bytes_cpu: u64,
     /// GPU bytes of merged pages.
@@ -70,6 +73,7 @@ impl Default for PagerConfig {
             http_in_flight: 32,
             http_in_flight_max: 128,
             decode_threads: (cores - 1).clamp(1, 16),
+            ahead_in_flight: 8,
             max_bytes_cpu: 512 << 20,
             max_bytes_gpu: 1 << 30,
             max_tiles: 6000,

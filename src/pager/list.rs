@@ -157,3 +157,10 @@ pub(super) struct Entry {
     pub tries: u32,
     pub progress: Progress,
 }
+
+impl Entry {
+    /// Wanted later, by no picture yet.
+    pub fn is_ahead(&self) -> bool {
+        self.priority < 0.0
+    }
+}

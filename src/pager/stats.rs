@@ -14,6 +14,8 @@ pub struct PagerStats {
     pub loaded: u64,
     /// Pages merged into the scene.
     pub merged: u64,
+    /// Those of them that were wanted only later.
+    pub merged_ahead: u64,
     /// Pages taken out of the scene.
     pub expired: u64,
     /// Contents that could not be read or decoded.

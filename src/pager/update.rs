@@ -17,6 +17,11 @@ use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
 const EXPIRY_LOOKS: usize = 256;
+/// Tenths of each budget that are kept free of what was not wanted for long.
+const EXPIRY_TENTHS: u64 = 1;
+/// Tenths of each budget that must be free before anything is loaded that is wanted only later. More than expiry makes
+/// free, so that nothing goes for it and comes again.
+const AHEAD_TENTHS: u64 = 2;
 /// How often contexts are asked for what they uploaded, between frames.
 const COMPILE_POLL: Duration = Duration::from_micros(200);
 /// Decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing is loaded.
@@ -184,9 +189,10 @@ impl DatabasePager {
         waiting.outstanding > 0 || (waiting.allowed > 0 && waiting.len() > 0)
     }
 
-    /// True when nothing is waiting, being read, decoded, compiled or merged. Failed contents do not count.
+    /// True when nothing is waiting, being read, decoded, compiled or merged. What failed does not count, nor what is
+    /// wanted only later.
     pub fn is_idle(&self) -> bool {
-        !self.entries.values().any(|e| !matches!(e.progress, Progress::Failed { .. }))
+        !self.entries.values().any(|e| !e.is_ahead() && !matches!(e.progress, Progress::Failed { .. }))
     }
 
     /// Counters up to the last update.
@@ -214,7 +220,7 @@ impl DatabasePager {
 
     /// Something will change without another request: for the blocking mode.
     fn is_busy(&self) -> bool {
-        self.entries.values().any(|e| match e.progress {
+        self.entries.values().filter(|e| !e.is_ahead()).any(|e| match e.progress {
             Progress::Waiting => !self.full,
             Progress::Loading | Progress::Arrived(_) => true,
             Progress::Failed { .. } => false,
@@ -365,6 +371,7 @@ impl DatabasePager {
                 continue;
             }
             let Some(entry) = self.entries.remove(&slot) else { continue };
+            let is_ahead = entry.is_ahead();
             let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
             let ticket = self.threads.list.ticket_source | entry.job.ticket;
             let cpu_bytes = page.size_bytes();
@@ -376,7 +383,7 @@ impl DatabasePager {
                 self.retire(page, contexts);
                 continue;
             }
-            if !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
+            if (is_ahead && !self.has_free(EXPIRY_TENTHS)) || !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
                 self.stats.declined += 1;
                 timeline::request_ends(ticket, "declined");
                 self.retire(page, contexts);
@@ -387,6 +394,7 @@ impl DatabasePager {
                 Ok(id) => {
                     let latency_s = entry.since.elapsed().as_secs_f64();
                     self.stats.merged += 1;
+                    self.stats.merged_ahead += u64::from(is_ahead);
                     timeline::request_ends(ticket, "merged");
                     self.stats.latency_sum_s += latency_s;
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
@@ -448,13 +456,20 @@ impl DatabasePager {
         true
     }
 
-    /// Takes out what was not wanted for long, while less than a tenth of a budget is free.
+    /// True while so many tenths of each budget are free.
+    fn has_free(&self, tenths: u64) -> bool {
+        let (c, used) = (&self.config, &self.residents);
+        let is_free = |used: u64, max: u64| used <= max / 10 * (10 - tenths);
+        is_free(used.cpu_bytes, c.max_bytes_cpu)
+            && is_free(used.gpu_bytes, c.max_bytes_gpu)
+            && is_free(used.len() as u64, c.max_tiles as u64)
+    }
+
+    /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free.
     fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
-        let c = &self.config;
-        let (cpu, gpu, tiles) = (c.max_bytes_cpu / 10 * 9, c.max_bytes_gpu / 10 * 9, c.max_tiles / 10 * 9);
-        let unused_frames = c.expiry_frames;
+        let unused_frames = self.config.expiry_frames;
         let mut looks = self.residents.len().min(EXPIRY_LOOKS);
-        while self.residents.cpu_bytes > cpu || self.residents.gpu_bytes > gpu || self.residents.len() > tiles {
+        while !self.has_free(EXPIRY_TENTHS) {
             let expired = self.residents.pop_expired(scene, self.frame, unused_frames, &mut looks);
             let Some((id, _)) = expired else { break };
             self.detach(scene, id, contexts);
@@ -544,6 +559,7 @@ impl DatabasePager {
     fn rewrite_list(&mut self) {
         let frame = self.frame;
         let stale_frames = self.config.stale_frames;
+        let has_free = self.has_free(AHEAD_TENTHS);
         let list = &self.threads.list;
         let mut waiting = list.lock();
         let taken: HashSet<u64> = waiting.taken.drain(..).collect();
@@ -566,7 +582,11 @@ impl DatabasePager {
         });
         self.stats.stale += stale;
         let mut jobs: Vec<(f32, &Entry)> = Vec::new();
+        let mut ahead_under_way = 0;
         for entry in self.entries.values() {
+            if entry.is_ahead() && matches!(entry.progress, Progress::Loading | Progress::Arrived(_)) {
+                ahead_under_way += 1;
+            }
             match entry.progress {
                 Progress::Waiting => jobs.push((entry.priority, entry)),
                 Progress::Loading
@@ -580,6 +600,10 @@ impl DatabasePager {
         }
         // Taken from the end: the most urgent last.
         jobs.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.job.slot.cmp(&a.1.job.slot)));
+        // Of what is wanted later as many as may be under way, the most urgent ones.
+        let ahead = jobs.partition_point(|(priority, _)| *priority < 0.0);
+        let may_start = if has_free { self.config.ahead_in_flight.saturating_sub(ahead_under_way) } else { 0 };
+        jobs.drain(..ahead.saturating_sub(may_start));
         waiting.file.clear();
         waiting.http.clear();
         for (_, entry) in &jobs {

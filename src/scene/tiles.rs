@@ -228,7 +228,7 @@ impl Tiles {
 
     /// Marks a tile as used in a frame. Any thread that culls.
     pub fn stamp(&self, tile: usize, frame: u32) {
-        if let Some(stamp) = self.last_used.get(tile) {
+        if let (Some(stamp), 1..) = (self.last_used.get(tile), frame) {
             stamp.store(frame, Ordering::Relaxed);
         }
     }

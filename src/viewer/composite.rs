@@ -70,7 +70,7 @@ impl CompositeViewer {
         let place = self.scenes.len();
         let owner = u16::try_from(place).ok().filter(|_| place < MOST_SCENES);
         let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MOST_SCENES })?;
-        self.scenes.push(PagedScene::new(owner, self.config.pager.clone(), self.config.max_contexts > 1));
+        self.scenes.push(PagedScene::new(owner, self.config.pager.clone(), self.config.keep_drawables));
         Ok(SceneId(place))
     }
 

@@ -86,6 +86,10 @@ pub(super) enum DrawCommand {
     Resize([u32; 2]),
     /// Read the last picture, offscreen; answered by [`Reply::Image`].
     ReadBack,
+    /// Wait for the screen, or not.
+    SetVsync(bool),
+    /// The device goes, as if the driver had lost it.
+    LoseDevice,
     /// Look whether the thread is to end.
     Wake,
 }
@@ -215,11 +219,29 @@ impl DrawSide {
             }
             DrawCommand::Frame(job) => return self.job = Some(job),
             DrawCommand::Resize(size_px) => return self.failed = self.context.resize(size_px).err(),
+            DrawCommand::SetVsync(vsync) => return self.context.set_vsync(vsync),
+            DrawCommand::LoseDevice => return self.context.lose_device(),
             DrawCommand::ReadBack => Reply::Image(self.renderer.read_back(&mut self.context)),
             DrawCommand::Wake => return,
         };
         // The main side may be gone while the viewer is dropped.
         let _ = self.replies.send(reply);
+    }
+
+    /// Takes a new device where the old one is lost, with nothing uploaded to it; false where it is not lost.
+    pub(super) fn renew(&mut self) -> Result<bool, GpuError> {
+        if !self.context.is_lost() {
+            return Ok(false);
+        }
+        self.context.reopen()?;
+        self.renderer = Renderer::new(&mut self.context);
+        self.failed = None;
+        #[cfg(feature = "window")]
+        {
+            self.overlay = None;
+        }
+        self.running_compiles.store(false, Ordering::Release);
+        Ok(true)
     }
 
     fn pass_on_compiled(&mut self) {
