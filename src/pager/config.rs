@@ -43,6 +43,8 @@ pub struct PagerConfig {
     pub max_tiles: usize,
     /// A page may expire once it was not wanted for so many frames.
     pub expiry_frames: u32,
+    /// And for so long, counted from when it was first found unused; in want of room it is not waited for.
+    pub expiry_time: Duration,
     /// A request not renewed for so many frames is dropped before it costs I/O.
     pub stale_frames: u32,
     /// A running HTTP request not renewed for so many frames is aborted.
@@ -78,6 +80,7 @@ impl Default for PagerConfig {
             max_bytes_gpu: 1 << 30,
             max_tiles: 6000,
             expiry_frames: 30,
+            expiry_time: Duration::ZERO,
             stale_frames: 3,
             abort_frames: 30,
             merge_time: Duration::from_millis(1),

@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use crate::io::{Fetched, IoError};
-use crate::scene::{NodeId, Page};
+use crate::scene::{NodeId, Page, PagingOptions};
 
 /// One content to load.
 #[derive(Clone, Debug)]
@@ -156,6 +156,7 @@ pub(super) struct Entry {
     pub since: Instant,
     pub tries: u32,
     pub progress: Progress,
+    pub paging: PagingOptions,
 }
 
 impl Entry {

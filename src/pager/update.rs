@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
 use super::list::{Answer, Arrived, Entry, Job, Progress};
-use super::residents::{Resident, Residents};
+use super::residents::{Resident, Residents, Unused};
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
 use crate::cull::PageRequest;
 use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
-use crate::scene::{NodeId, Page, PageId, Scene, SlotState};
+use crate::scene::{NodeId, Page, PageId, PagingOptions, Scene, SlotState};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
@@ -231,10 +231,11 @@ impl DatabasePager {
     fn accept(&mut self, scene: &Scene, requests: &[PageRequest]) {
         for request in requests {
             if let Some(entry) = self.entries.get_mut(&request.slot) {
+                let priority = entry.paging.priority(request.priority);
                 if entry.wanted_frame == self.frame {
-                    entry.priority = entry.priority.max(request.priority);
+                    entry.priority = entry.priority.max(priority);
                 } else {
-                    entry.priority = request.priority;
+                    entry.priority = priority;
                     entry.wanted_frame = self.frame;
                 }
                 continue;
@@ -255,7 +256,8 @@ impl DatabasePager {
             self.stats.requested += 1;
             let entry = Entry {
                 job,
-                priority: request.priority,
+                priority: slot.paging.priority(request.priority),
+                paging: slot.paging,
                 wanted_frame: self.frame,
                 since: Instant::now(),
                 tries: 0,
@@ -398,7 +400,7 @@ impl DatabasePager {
                     timeline::request_ends(ticket, "merged");
                     self.stats.latency_sum_s += latency_s;
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
-                    self.residents.insert(id, Resident { slot, cpu_bytes, gpu_bytes });
+                    self.residents.insert(id, Resident::new(slot, (cpu_bytes, gpu_bytes), entry.paging));
                     if tile_tree {
                         let chain = entry.job.chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
                         self.chains.insert(id, chain);
@@ -431,6 +433,7 @@ impl DatabasePager {
             since: Instant::now(),
             tries: self.config.max_tries,
             progress: Progress::Failed { retry_at: None },
+            paging: PagingOptions::default(),
         };
         self.entries.insert(slot, entry);
         scene.set_failed(slot, true);
@@ -450,7 +453,8 @@ impl DatabasePager {
             || self.residents.len() + 1 > self.config.max_tiles
         {
             // In want of room, the last two frames' tiles alone are safe.
-            let Some((id, _)) = self.residents.pop_expired(scene, self.frame, 2, &mut looks) else { return false };
+            let unused = Unused { frames: 2, time: Duration::ZERO };
+            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { return false };
             self.detach(scene, id, contexts);
         }
         true
@@ -467,11 +471,10 @@ impl DatabasePager {
 
     /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free.
     fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
-        let unused_frames = self.config.expiry_frames;
+        let unused = Unused { frames: self.config.expiry_frames, time: self.config.expiry_time };
         let mut looks = self.residents.len().min(EXPIRY_LOOKS);
         while !self.has_free(EXPIRY_TENTHS) {
-            let expired = self.residents.pop_expired(scene, self.frame, unused_frames, &mut looks);
-            let Some((id, _)) = expired else { break };
+            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { break };
             self.detach(scene, id, contexts);
         }
     }

@@ -12,7 +12,7 @@ use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{Limits, ReadOptions, root_uri};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
-use terrane::scene::{DrawSlot, Scene};
+use terrane::scene::{DrawSlot, Page, Scene};
 
 /// Bytes that the context says a page takes.
 pub const PAGE_GPU_BYTES: u64 = 1000;
@@ -66,8 +66,19 @@ impl Run {
     pub fn new(source: &str, config: PagerConfig) -> Self {
         let uri = root_uri(source).unwrap();
         let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
+        let root = pager.read_root(&uri).unwrap();
+        Self::with(pager, root)
+    }
+
+    /// A page of the test's own, with contents below a folder.
+    pub fn of_page(root: Page, folder: &str, config: PagerConfig) -> Self {
+        let options = ReadOptions::for_root(&root_uri(folder).unwrap(), Limits::default());
+        Self::with(DatabasePager::new(config, options).unwrap(), root)
+    }
+
+    fn with(pager: DatabasePager, root: Page) -> Self {
         let mut scene = Scene::new();
-        scene.add_root(pager.read_root(&uri).unwrap());
+        scene.add_root(root);
         let root_bytes = pager.stats().bytes_read;
         let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
         let max_sse_px = CullCamera::default().settings.max_sse_px;
