@@ -155,3 +155,45 @@ fn work_between_frames_loads_everything_the_last_cull_asked_for() {
     let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
     run.pager.work_until(&mut run.scene, contexts, Instant::now() + Duration::from_secs(60));
 }
+
+/// A root with a content, and below it a tileset of its own with one content.
+fn write_nested(folder: &Path) {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let tile = |error: f64, uri: &str, children: &str| {
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,20]}},"geometricError":{error},"refine":"REPLACE","content":{{"uri":"{uri}"}},"children":[{children}]}}"#
+        )
+    };
+    let set = |root: &str| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":100,"root":{root}}}"#);
+    for name in ["outer.glb", "inner.glb"] {
+        std::fs::write(folder.join(name), &glb).unwrap();
+    }
+    std::fs::write(folder.join("inner.json"), set(&tile(0.0, "inner.glb", ""))).unwrap();
+    std::fs::write(folder.join("tileset.json"), set(&tile(10.0, "outer.glb", &tile(5.0, "inner.json", "")))).unwrap();
+}
+
+/// It stayed in the list of uploads for ever, took room from what was wanted, and kept its slots.
+#[test]
+fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
+    let folder = tempfile::tempdir().unwrap();
+    write_nested(folder.path());
+    let config = PagerConfig { max_tiles: 3, expiry_frames: 2, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    let (near, far) = (DVec3::new(0.0, 0.0, 40.0), DVec3::new(0.0, 0.0, 100_000.0));
+    run.until(near, "the inner tileset does not arrive", |r| r.pager.stats().merged == 2);
+    run.context.holds = true;
+    run.until(near, "the inner content is not uploaded", |r| r.pager.stats().loaded == 3);
+    run.until(far, "the inner tileset does not expire", |r| r.pager.stats().expired >= 1);
+    run.context.holds = false;
+    run.frame(far);
+    let stats = *run.pager.stats();
+    assert_eq!((stats.dropped, stats.resident, stats.in_flight), (1, 1, 0), "{stats:?}");
+    assert_eq!(run.context.slots_out, 1, "the outer content's");
+    run.settle(near);
+    assert_eq!((run.pager.stats().resident, run.context.slots_out), (3, 2), "{:?}", run.pager.stats());
+}

@@ -330,7 +330,7 @@ impl DatabasePager {
                     continue;
                 };
                 for error in &compiled.errors {
-                    self.stats.failed += 1;
+                    self.stats.drawables_failed += 1;
                     self.errors.add_text(&entry.job.uri, error);
                 }
                 let Progress::Arrived(arrived) = &mut entry.progress else {
@@ -398,7 +398,8 @@ impl DatabasePager {
                 }
                 // The slot went with its tree.
                 Err(refused) => {
-                    timeline::request_ends(ticket, "stale");
+                    self.stats.dropped += 1;
+                    timeline::request_ends(ticket, "dropped");
                     self.retire(Box::new(refused.1), contexts);
                 }
             }
@@ -464,14 +465,7 @@ impl DatabasePager {
     fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
         // Requests for slots inside an expired tileset go with it.
         if self.chains.remove(&id).is_some() {
-            let source = self.threads.list.ticket_source;
-            self.entries.retain(|slot, entry| {
-                let stays = slot.page != id;
-                if !stays && !matches!(entry.progress, Progress::Failed { .. }) {
-                    timeline::request_ends(source | entry.job.ticket, "stale");
-                }
-                stays
-            });
+            self.drop_entries(contexts, |slot, _| slot.page == id);
         }
         match scene.detach(id) {
             Ok(page) => {
@@ -511,13 +505,23 @@ impl DatabasePager {
     /// Drops what was loaded and waits for its upload or its merge, to be asked for again. For contexts that go, whose
     /// uploads nobody would finish.
     pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        self.drop_entries(contexts, |_, entry| matches!(entry.progress, Progress::Arrived(_)));
         self.compiling.clear();
         self.ready.clear();
-        let arrived = self.entries.extract_if(|_, entry| matches!(entry.progress, Progress::Arrived(_)));
-        let arrived: Vec<_> = arrived.map(|(_, entry)| (entry.job.ticket, entry.progress)).collect();
-        for (ticket, progress) in arrived {
-            timeline::request_ends(self.threads.list.ticket_source | ticket, "declined");
+    }
+
+    /// Forgets requests, with what was loaded and uploaded for them; late answers and uploads find nobody.
+    fn drop_entries(&mut self, contexts: &mut [&mut dyn CompileContext], drops: impl Fn(&NodeId, &Entry) -> bool) {
+        let dropped: Vec<Entry> =
+            self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
+        for Entry { job, progress, .. } in dropped {
+            if matches!(progress, Progress::Failed { .. }) {
+                continue;
+            }
+            self.stats.dropped += 1;
+            timeline::request_ends(self.threads.list.ticket_source | job.ticket, "dropped");
             if let Progress::Arrived(Arrived { page, .. }) = progress {
+                self.compiling.remove(&job.ticket);
                 self.retire(page, contexts);
             }
         }
@@ -536,6 +540,7 @@ impl DatabasePager {
                 self.next_ticket += 1;
                 entry.wanted_frame = self.frame;
                 entry.progress = Progress::Waiting;
+                self.stats.retried += 1;
             }
         }
     }
