@@ -131,7 +131,11 @@ impl ViewerBase {
         views: &mut [View],
         scenes: &mut [PagedScene],
     ) -> Result<bool, ViewerError> {
-        self.absorb_all()?;
+        match self.absorb_all() {
+            // One that has died draws no more, and is to be closed all the same.
+            Ok(()) | Err(ViewerError::DrawThreadStopped) => {}
+            Err(error) => return Err(error),
+        }
         if !self.rendering.remove_context(id.0) {
             return Ok(false);
         }

@@ -274,6 +274,7 @@ impl PagedScene {
     }
 }
 
+/// Between two frames nobody else has it: whoever culls drops it before it answers, and who died had its task dropped.
 fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
     Arc::get_mut(scene).expect("culls have dropped the scene before a frame ends")
 }

@@ -187,10 +187,18 @@ impl DrawSide {
         self.meets_others = self.job.as_ref().is_some_and(|job| job.present);
     }
 
-    /// Does what was left to do when its thread ended.
+    /// Does what was left to do when its thread ended; frames that it has not drawn are forgotten.
     pub(super) fn catch_up(&mut self) {
         while let Ok(command) = self.commands.try_recv() {
             self.execute(command);
+        }
+        (self.job, self.drawn) = (None, None);
+        self.stages.clear();
+        for camera in &self.cameras {
+            while let Ok(culled) = camera.culled.try_recv() {
+                // As many fit as there are.
+                let _ = camera.available.try_send(culled.stage);
+            }
         }
     }
 
