@@ -197,3 +197,64 @@ fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
     run.settle(near);
     assert_eq!((run.pager.stats().resident, run.context.slots_out), (3, 2), "{:?}", run.pager.stats());
 }
+
+#[test]
+fn a_pager_pauses_takes_no_requests_and_is_cleared() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    let eye = over_the_world(0.5, 150.0);
+    run.pager.set_paused(true);
+    // The first update tells the threads.
+    run.frame(over_the_world(0.5, 500_000.0));
+    run.until(eye, "what was begun does not end", |r| r.pager.stats().in_flight == 0);
+    let before = *run.pager.stats();
+    for _ in 0..50 {
+        run.frame(eye);
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    let paused = *run.pager.stats();
+    assert!(paused.loaded == before.loaded && paused.waiting > 1, "{paused:?}");
+    run.pager.set_paused(false);
+    run.settle(eye);
+    let settled = *run.pager.stats();
+    assert!(settled.resident > 4 && run.context.slots_out == settled.resident, "{settled:?}");
+
+    run.pager.set_takes_requests(false);
+    let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+    run.pager.clear(&mut run.scene, contexts);
+    for _ in 0..20 {
+        run.frame(eye);
+    }
+    let s = *run.pager.stats();
+    assert_eq!((s.resident, s.cpu_bytes, s.gpu_bytes, s.waiting + s.in_flight), (0, 0, 0, 0), "{s:?}");
+    assert_eq!((s.requested, run.context.slots_out), (settled.requested, 0));
+    run.pager.set_takes_requests(true);
+    run.settle(eye);
+    assert_eq!(run.pager.stats().resident, settled.resident);
+}
+
+/// Under way when it is cleared: what comes late finds nobody.
+#[test]
+fn what_comes_after_a_clear_is_not_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    for round in 0..40 {
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+        let eye = over_the_world(0.5, 150.0);
+        for _ in 0..1 + round % 7 {
+            run.frame(eye);
+        }
+        run.pager.set_takes_requests(false);
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+        run.pager.clear(&mut run.scene, contexts);
+        for _ in 0..20 {
+            run.frame(eye);
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        let s = *run.pager.stats();
+        assert_eq!((s.resident, s.waiting + s.in_flight, run.context.slots_out), (0, 0, 0), "round {round}: {s:?}");
+        run.pager.set_takes_requests(true);
+        run.settle(eye);
+    }
+}

@@ -48,6 +48,8 @@ pub struct DatabasePager {
     mean_gpu_bytes: u64,
     /// The scene's budget is full of what is visible.
     full: bool,
+    is_paused: bool,
+    takes_requests: bool,
 }
 
 impl DatabasePager {
@@ -73,6 +75,8 @@ impl DatabasePager {
             mean_cpu_bytes: 0,
             mean_gpu_bytes: 0,
             full: false,
+            is_paused: false,
+            takes_requests: true,
         })
     }
 
@@ -184,6 +188,17 @@ impl DatabasePager {
         waiting.outstanding > 0 || (waiting.allowed > 0 && waiting.len() > 0)
     }
 
+    /// Lets the threads begin nothing while paused; what is under way goes on to its merge, and requests wait. From the
+    /// next update on.
+    pub fn set_paused(&mut self, is_paused: bool) {
+        self.is_paused = is_paused;
+    }
+
+    /// Whether requests for contents that were not asked for before are taken up; those that were go on.
+    pub fn set_takes_requests(&mut self, takes_requests: bool) {
+        self.takes_requests = takes_requests;
+    }
+
     /// True when nothing is waiting, being read, decoded, compiled or merged. Failed contents do not count.
     pub fn is_idle(&self) -> bool {
         !self.entries.values().any(|e| !matches!(e.progress, Progress::Failed { .. }))
@@ -234,7 +249,7 @@ impl DatabasePager {
                 continue;
             }
             let Some(slot) = scene.slot(request.slot) else { continue };
-            if slot.state != SlotState::Empty {
+            if slot.state != SlotState::Empty || !self.takes_requests {
                 continue;
             }
             let job = Job {
@@ -502,6 +517,17 @@ impl DatabasePager {
         }
     }
 
+    /// Takes every page out and forgets every request, also what failed: as it was before the first frame.
+    pub fn clear(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        self.page_anew(scene, contexts);
+        for (slot, _) in self.entries.iter().filter(|(_, e)| matches!(e.progress, Progress::Failed { .. })) {
+            scene.set_failed(*slot, false);
+        }
+        self.drop_entries(contexts, |_, _| true);
+        self.rewrite_list();
+        self.count();
+    }
+
     /// Drops what was loaded and waits for its upload or its merge, to be asked for again. For contexts that go, whose
     /// uploads nobody would finish.
     pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
@@ -520,9 +546,14 @@ impl DatabasePager {
             }
             self.stats.dropped += 1;
             timeline::request_ends(self.threads.list.ticket_source | job.ticket, "dropped");
-            if let Progress::Arrived(Arrived { page, .. }) = progress {
-                self.compiling.remove(&job.ticket);
-                self.retire(page, contexts);
+            match progress {
+                Progress::Arrived(Arrived { page, .. }) => {
+                    self.compiling.remove(&job.ticket);
+                    self.retire(page, contexts);
+                }
+                // Aborted, unless its answer is there already.
+                Progress::Loading if io::is_http(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
+                _ => {}
             }
         }
     }
@@ -599,6 +630,9 @@ impl DatabasePager {
 
     /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
     fn allowed_in_flight(&self, capacity: usize) -> usize {
+        if self.is_paused {
+            return 0;
+        }
         let arrived = (self.compiling.len() + self.ready.len()) as u64;
         let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
         let cpu = room(self.config.max_bytes_cpu, self.residents.cpu_bytes, self.mean_cpu_bytes);

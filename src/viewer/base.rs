@@ -468,6 +468,7 @@ impl ViewerBase {
             stats.state_changes_skipped += drawn.state_changes_skipped;
             stats.triangles += drawn.triangles;
             stats.points += drawn.points;
+            stats.gpu_bytes += done.gpu_bytes;
             stats.drawn = is_last;
         }
         let context = self.rendering.context_ids().nth(place);

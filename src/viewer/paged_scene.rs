@@ -260,6 +260,15 @@ impl PagedScene {
         alone(&mut self.scene).forget_context(context);
     }
 
+    /// Takes every paged page out, and forgets what was asked for.
+    pub(super) fn clear_pages(&mut self, rendering: &mut Rendering) {
+        self.requests.clear();
+        if let Some(pager) = &mut self.pager {
+            let scene = alone(&mut self.scene);
+            rendering.compile_for(self.owner, |contexts| pager.clear(scene, contexts));
+        }
+    }
+
     fn page_anew(&mut self, rendering: &mut Rendering) {
         if let Some(pager) = &mut self.pager {
             let scene = alone(&mut self.scene);

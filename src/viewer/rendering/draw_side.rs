@@ -62,6 +62,8 @@ pub(in crate::viewer) struct FrameDone {
     pub(in crate::viewer) read_back_ms: f64,
     /// The picture when it was asked for.
     pub(in crate::viewer) image: Option<Result<RgbaImage, GpuError>>,
+    /// Bytes that are taken in the pools.
+    pub(in crate::viewer) gpu_bytes: u64,
     /// Most bytes that the pools held so far.
     pub(in crate::viewer) gpu_bytes_peak: u64,
     /// What could not be drawn as it should, each once.
@@ -293,6 +295,7 @@ impl DrawSide {
             compile_ms: millis(compiled - start),
             read_back_ms,
             image,
+            gpu_bytes: self.context.bytes_in_use(),
             gpu_bytes_peak: self.context.bytes_peak(),
             errors,
         };
