@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
 use pager_support::{PAGE_GPU_BYTES, Run, WORLD_M, above, write_quadtree};
+use terrane::io::write::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{CompileContext, PagerConfig};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
@@ -192,4 +193,107 @@ fn work_between_frames_loads_everything_the_last_cull_asked_for() {
     // Nothing to do: it does not wait for the deadline.
     let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
     run.pager.work_until(&mut run.scene, contexts, Instant::now() + Duration::from_secs(60));
+}
+
+/// A root with a content, and below it a tileset of its own with one content.
+fn write_nested(folder: &Path) {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let tile = |error: f64, uri: &str, children: &str| {
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,20]}},"geometricError":{error},"refine":"REPLACE","content":{{"uri":"{uri}"}},"children":[{children}]}}"#
+        )
+    };
+    let set = |root: &str| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":100,"root":{root}}}"#);
+    for name in ["outer.glb", "inner.glb"] {
+        std::fs::write(folder.join(name), &glb).unwrap();
+    }
+    std::fs::write(folder.join("inner.json"), set(&tile(0.0, "inner.glb", ""))).unwrap();
+    std::fs::write(folder.join("tileset.json"), set(&tile(10.0, "outer.glb", &tile(5.0, "inner.json", "")))).unwrap();
+}
+
+/// It stayed in the list of uploads for ever, took room from what was wanted, and kept its slots.
+#[test]
+fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
+    let folder = tempfile::tempdir().unwrap();
+    write_nested(folder.path());
+    let config = PagerConfig { max_tiles: 3, expiry_frames: 2, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    let (near, far) = (DVec3::new(0.0, 0.0, 40.0), DVec3::new(0.0, 0.0, 100_000.0));
+    run.until(near, "the inner tileset does not arrive", |r| r.pager.stats().merged == 2);
+    run.context.holds = true;
+    run.until(near, "the inner content is not uploaded", |r| r.pager.stats().loaded == 3);
+    run.until(far, "the inner tileset does not expire", |r| r.pager.stats().expired >= 1);
+    run.context.holds = false;
+    run.frame(far);
+    let stats = *run.pager.stats();
+    assert_eq!((stats.dropped, stats.resident, stats.in_flight), (1, 1, 0), "{stats:?}");
+    assert_eq!(run.context.slots_out, 1, "the outer content's");
+    run.settle(near);
+    assert_eq!((run.pager.stats().resident, run.context.slots_out), (3, 2), "{:?}", run.pager.stats());
+}
+
+#[test]
+fn a_pager_pauses_takes_no_requests_and_is_cleared() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    let eye = over_the_world(0.5, 150.0);
+    run.pager.set_paused(true);
+    // The first update tells the threads.
+    run.frame(over_the_world(0.5, 500_000.0));
+    run.until(eye, "what was begun does not end", |r| r.pager.stats().in_flight == 0);
+    let before = *run.pager.stats();
+    for _ in 0..50 {
+        run.frame(eye);
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    let paused = *run.pager.stats();
+    assert!(paused.loaded == before.loaded && paused.waiting > 1, "{paused:?}");
+    run.pager.set_paused(false);
+    run.settle(eye);
+    let settled = *run.pager.stats();
+    assert!(settled.resident > 4 && run.context.slots_out == settled.resident, "{settled:?}");
+
+    run.pager.set_takes_requests(false);
+    let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+    run.pager.clear(&mut run.scene, contexts);
+    for _ in 0..20 {
+        run.frame(eye);
+    }
+    let s = *run.pager.stats();
+    assert_eq!((s.resident, s.cpu_bytes, s.gpu_bytes, s.waiting + s.in_flight), (0, 0, 0, 0), "{s:?}");
+    assert_eq!((s.requested, run.context.slots_out), (settled.requested, 0));
+    run.pager.set_takes_requests(true);
+    run.settle(eye);
+    assert_eq!(run.pager.stats().resident, settled.resident);
+}
+
+/// Under way when it is cleared: what comes late finds nobody.
+#[test]
+fn what_comes_after_a_clear_is_not_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    for round in 0..40 {
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+        let eye = over_the_world(0.5, 150.0);
+        for _ in 0..1 + round % 7 {
+            run.frame(eye);
+        }
+        run.pager.set_takes_requests(false);
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+        run.pager.clear(&mut run.scene, contexts);
+        for _ in 0..20 {
+            run.frame(eye);
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        let s = *run.pager.stats();
+        assert_eq!((s.resident, s.waiting + s.in_flight, run.context.slots_out), (0, 0, 0), "round {round}: {s:?}");
+        run.pager.set_takes_requests(true);
+        run.settle(eye);
+    }
 }

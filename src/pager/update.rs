@@ -53,6 +53,8 @@ pub struct DatabasePager {
     mean_gpu_bytes: u64,
     /// The scene's budget is full of what is visible.
     full: bool,
+    is_paused: bool,
+    takes_requests: bool,
 }
 
 impl DatabasePager {
@@ -78,6 +80,8 @@ impl DatabasePager {
             mean_cpu_bytes: 0,
             mean_gpu_bytes: 0,
             full: false,
+            is_paused: false,
+            takes_requests: true,
         })
     }
 
@@ -189,6 +193,17 @@ impl DatabasePager {
         waiting.outstanding > 0 || (waiting.allowed > 0 && waiting.len() > 0)
     }
 
+    /// Lets the threads begin nothing while paused; what is under way goes on to its merge, and requests wait. From the
+    /// next update on.
+    pub fn set_paused(&mut self, is_paused: bool) {
+        self.is_paused = is_paused;
+    }
+
+    /// Whether requests for contents that were not asked for before are taken up; those that were go on.
+    pub fn set_takes_requests(&mut self, takes_requests: bool) {
+        self.takes_requests = takes_requests;
+    }
+
     /// True when nothing is waiting, being read, decoded, compiled or merged. What failed does not count, nor what is
     /// wanted only later.
     pub fn is_idle(&self) -> bool {
@@ -241,7 +256,7 @@ impl DatabasePager {
                 continue;
             }
             let Some(slot) = scene.slot(request.slot) else { continue };
-            if slot.state != SlotState::Empty {
+            if slot.state != SlotState::Empty || !self.takes_requests {
                 continue;
             }
             let job = Job {
@@ -338,7 +353,7 @@ impl DatabasePager {
                     continue;
                 };
                 for error in &compiled.errors {
-                    self.stats.failed += 1;
+                    self.stats.drawables_failed += 1;
                     self.errors.add_text(&entry.job.uri, error);
                 }
                 let Progress::Arrived(arrived) = &mut entry.progress else {
@@ -408,7 +423,8 @@ impl DatabasePager {
                 }
                 // The slot went with its tree.
                 Err(refused) => {
-                    timeline::request_ends(ticket, "stale");
+                    self.stats.dropped += 1;
+                    timeline::request_ends(ticket, "dropped");
                     self.retire(Box::new(refused.1), contexts);
                 }
             }
@@ -482,14 +498,7 @@ impl DatabasePager {
     fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
         // Requests for slots inside an expired tileset go with it.
         if self.chains.remove(&id).is_some() {
-            let source = self.threads.list.ticket_source;
-            self.entries.retain(|slot, entry| {
-                let stays = slot.page != id;
-                if !stays && !matches!(entry.progress, Progress::Failed { .. }) {
-                    timeline::request_ends(source | entry.job.ticket, "stale");
-                }
-                stays
-            });
+            self.drop_entries(contexts, |slot, _| slot.page == id);
         }
         match scene.detach(id) {
             Ok(page) => {
@@ -526,17 +535,43 @@ impl DatabasePager {
         }
     }
 
+    /// Takes every page out and forgets every request, also what failed: as it was before the first frame.
+    pub fn clear(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        self.page_anew(scene, contexts);
+        for (slot, _) in self.entries.iter().filter(|(_, e)| matches!(e.progress, Progress::Failed { .. })) {
+            scene.set_failed(*slot, false);
+        }
+        self.drop_entries(contexts, |_, _| true);
+        self.rewrite_list();
+        self.count();
+    }
+
     /// Drops what was loaded and waits for its upload or its merge, to be asked for again. For contexts that go, whose
     /// uploads nobody would finish.
     pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        self.drop_entries(contexts, |_, entry| matches!(entry.progress, Progress::Arrived(_)));
         self.compiling.clear();
         self.ready.clear();
-        let arrived = self.entries.extract_if(|_, entry| matches!(entry.progress, Progress::Arrived(_)));
-        let arrived: Vec<_> = arrived.map(|(_, entry)| (entry.job.ticket, entry.progress)).collect();
-        for (ticket, progress) in arrived {
-            timeline::request_ends(self.threads.list.ticket_source | ticket, "declined");
-            if let Progress::Arrived(Arrived { page, .. }) = progress {
-                self.retire(page, contexts);
+    }
+
+    /// Forgets requests, with what was loaded and uploaded for them; late answers and uploads find nobody.
+    fn drop_entries(&mut self, contexts: &mut [&mut dyn CompileContext], drops: impl Fn(&NodeId, &Entry) -> bool) {
+        let dropped: Vec<Entry> =
+            self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
+        for Entry { job, progress, .. } in dropped {
+            if matches!(progress, Progress::Failed { .. }) {
+                continue;
+            }
+            self.stats.dropped += 1;
+            timeline::request_ends(self.threads.list.ticket_source | job.ticket, "dropped");
+            match progress {
+                Progress::Arrived(Arrived { page, .. }) => {
+                    self.compiling.remove(&job.ticket);
+                    self.retire(page, contexts);
+                }
+                // Aborted, unless its answer is there already.
+                Progress::Loading if io::is_http(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
+                _ => {}
             }
         }
     }
@@ -554,6 +589,7 @@ impl DatabasePager {
                 self.next_ticket += 1;
                 entry.wanted_frame = self.frame;
                 entry.progress = Progress::Waiting;
+                self.stats.retried += 1;
             }
         }
     }
@@ -621,6 +657,9 @@ impl DatabasePager {
 
     /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
     fn allowed_in_flight(&self, capacity: usize) -> usize {
+        if self.is_paused {
+            return 0;
+        }
         let arrived = (self.compiling.len() + self.ready.len()) as u64;
         let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
         let cpu = room(self.config.max_bytes_cpu, self.residents.cpu_bytes, self.mean_cpu_bytes);

@@ -139,7 +139,11 @@ impl ViewerBase {
         views: &mut [View],
         scenes: &mut [PagedScene],
     ) -> Result<bool, ViewerError> {
-        self.absorb_all()?;
+        match self.absorb_all() {
+            // One that has died draws no more, and is to be closed all the same.
+            Ok(()) | Err(ViewerError::DrawThreadStopped) => {}
+            Err(error) => return Err(error),
+        }
         if !self.rendering.remove_context(id.0) {
             return Ok(false);
         }
@@ -530,6 +534,7 @@ impl ViewerBase {
             stats.state_changes_skipped += drawn.state_changes_skipped;
             stats.triangles += drawn.triangles;
             stats.points += drawn.points;
+            stats.gpu_bytes += done.gpu_bytes;
             stats.drawn = is_last;
         }
         let context = self.rendering.context_ids().nth(place);

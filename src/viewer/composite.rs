@@ -133,6 +133,24 @@ impl CompositeViewer {
         Ok(self.paged(scene)?.pager.as_ref())
     }
 
+    /// The pager of a scene, to pause it or to have it take no new requests.
+    pub fn pager_mut(&mut self, scene: SceneId) -> Result<Option<&mut DatabasePager>, ViewerError> {
+        Ok(self.paged_mut(scene)?.pager.as_mut())
+    }
+
+    /// Takes every page that the pager of a scene merged out of it and forgets what was asked for; what is wanted is
+    /// loaded anew from the next frame on.
+    pub fn clear_pages(&mut self, scene: SceneId) -> Result<(), ViewerError> {
+        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
+        paged.clear_pages(&mut self.base.rendering);
+        Ok(())
+    }
+
+    /// What could not be drawn as it should so far, each once: what the device complained of, too.
+    pub fn draw_errors(&self) -> &[String] {
+        &self.base.draw_errors
+    }
+
     /// Extent of a scene's first root.
     pub fn bounds(&self, scene: SceneId) -> Result<Option<&SetBounds>, ViewerError> {
         Ok(self.paged(scene)?.bounds.as_ref())

@@ -273,6 +273,16 @@ impl PagedScene {
         self.context_opened(rendering, context)
     }
 
+    /// Takes every paged page out, and forgets what was asked for.
+    pub(super) fn clear_pages(&mut self, rendering: &mut Rendering) {
+        self.requests.clear();
+        self.quiet_frames = 0;
+        if let Some(pager) = &mut self.pager {
+            let scene = alone(&mut self.scene);
+            rendering.compile_for(self.owner, |contexts| pager.clear(scene, contexts));
+        }
+    }
+
     fn page_anew(&mut self, rendering: &mut Rendering) {
         self.quiet_frames = 0;
         if let Some(pager) = &mut self.pager {
@@ -288,6 +298,7 @@ impl PagedScene {
     }
 }
 
+/// Between two frames nobody else has it: whoever culls drops it before it answers, and who died had its task dropped.
 fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
     Arc::get_mut(scene).expect("culls have dropped the scene before a frame ends")
 }

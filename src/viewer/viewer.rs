@@ -236,6 +236,17 @@ impl Viewer {
         self.paged.pager.as_ref()
     }
 
+    /// The pager, to pause it or to have it take no new requests.
+    pub fn pager_mut(&mut self) -> Option<&mut DatabasePager> {
+        self.paged.pager.as_mut()
+    }
+
+    /// Takes every page that the pager merged out of the scene and forgets what was asked for; what is wanted is loaded
+    /// anew from the next frame on.
+    pub fn clear_pages(&mut self) {
+        self.paged.clear_pages(&mut self.base.rendering);
+    }
+
     /// Extent of the first root.
     pub fn bounds(&self) -> Option<&SetBounds> {
         self.paged.bounds.as_ref()

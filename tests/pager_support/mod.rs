@@ -22,6 +22,8 @@ pub const PAGE_GPU_BYTES: u64 = 1000;
 pub struct Context {
     done: Vec<Compiled>,
     pub slots_out: u64,
+    /// What is compiled is kept back.
+    pub holds: bool,
 }
 
 impl CompileContext for Context {
@@ -39,7 +41,7 @@ impl CompileContext for Context {
     fn run_compiles(&mut self, _: &CompileBudget) {}
 
     fn take_compiled(&mut self) -> Vec<Compiled> {
-        std::mem::take(&mut self.done)
+        if self.holds { Vec::new() } else { std::mem::take(&mut self.done) }
     }
 
     fn release(&mut self, slots: Vec<DrawSlot>) {
@@ -100,6 +102,17 @@ impl Run {
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
         let requests = [&self.stage.requests, others].concat();
         self.pager.update_scene_graph(&mut self.scene, self.frame, &requests, contexts);
+        self.check_counters();
+    }
+
+    /// Each request has ended in one way or is under way, and each failure is told.
+    pub fn check_counters(&self) {
+        let s = self.pager.stats();
+        let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
+        assert_eq!(s.requested + s.retried, ended + s.waiting + s.in_flight, "{s:?}");
+        assert_eq!(s.merged, s.expired + s.resident, "{s:?}");
+        let told: u64 = self.pager.errors().iter().map(|e| e.count).sum();
+        assert_eq!(told, s.failed + s.drawables_failed, "{s:?}");
     }
 
     /// Frames until something holds, for a minute at most.

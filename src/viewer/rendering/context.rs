@@ -173,6 +173,8 @@ impl ContextHandle {
             Side::Thread(thread) => match thread.join() {
                 Ok(mut side) => {
                     side.catch_up();
+                    // What its thread did not draw never comes back.
+                    self.in_flight = self.in_flight.min(self.replies.len());
                     Side::Here(Box::new(side))
                 }
                 Err(panicked) => {

@@ -62,6 +62,8 @@ pub(in crate::viewer) struct FrameDone {
     pub(in crate::viewer) read_back_ms: f64,
     /// The picture when it was asked for.
     pub(in crate::viewer) image: Option<Result<RgbaImage, GpuError>>,
+    /// Bytes that are taken in the pools.
+    pub(in crate::viewer) gpu_bytes: u64,
     /// Most bytes that the pools held so far.
     pub(in crate::viewer) gpu_bytes_peak: u64,
     /// What could not be drawn as it should, each once.
@@ -191,10 +193,18 @@ impl DrawSide {
         self.meets_others = self.job.as_ref().is_some_and(|job| job.present);
     }
 
-    /// Does what was left to do when its thread ended.
+    /// Does what was left to do when its thread ended; frames that it has not drawn are forgotten.
     pub(super) fn catch_up(&mut self) {
         while let Ok(command) = self.commands.try_recv() {
             self.execute(command);
+        }
+        (self.job, self.drawn) = (None, None);
+        self.stages.clear();
+        for camera in &self.cameras {
+            while let Ok(culled) = camera.culled.try_recv() {
+                // As many fit as there are.
+                let _ = camera.available.try_send(culled.stage);
+            }
         }
     }
 
@@ -307,6 +317,7 @@ impl DrawSide {
             compile_ms: millis(compiled - start),
             read_back_ms,
             image,
+            gpu_bytes: self.context.bytes_in_use(),
             gpu_bytes_peak: self.context.bytes_peak(),
             errors,
         };

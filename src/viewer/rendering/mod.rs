@@ -68,7 +68,8 @@ struct CameraHandle {
     /// Number of the context that it is drawn in.
     context: u32,
     side: CameraSide,
-    tasks: Sender<CullTask>,
+    /// `None` once whoever culled is gone: a channel keeps its task, and with it the scene, while one end is there.
+    tasks: Option<Sender<CullTask>>,
     outcomes: Receiver<CullOutcome>,
     /// About to be sent.
     next: Option<CullTask>,
@@ -268,6 +269,7 @@ impl Rendering {
         };
         let side = CameraSide::Here(Box::new(cull));
         let outcome = CullOutcome::default();
+        let tasks = Some(tasks);
         self.cameras.push(CameraHandle { number, context, side, tasks, outcomes, next: None, outcome });
         Some(number)
     }
@@ -313,7 +315,8 @@ impl Rendering {
         }
         for camera in &mut self.cameras {
             let Some(task) = camera.next.take() else { continue };
-            result = result.and(camera.tasks.send(task).map_err(|_| ViewerError::DrawThreadStopped));
+            let sent = camera.tasks.as_ref().is_some_and(|tasks| tasks.send(task).is_ok());
+            result = result.and(if sent { Ok(()) } else { Err(ViewerError::DrawThreadStopped) });
         }
         if let Some(barrier) = &running.start {
             let _span = timeline::span("start barrier");
@@ -346,7 +349,10 @@ impl Rendering {
         for camera in &mut self.cameras {
             match camera.outcomes.recv() {
                 Ok(outcome) => camera.outcome = outcome,
-                Err(_) => result = result.and(Err(ViewerError::DrawThreadStopped)),
+                Err(_) => {
+                    camera.tasks = None;
+                    result = result.and(Err(ViewerError::DrawThreadStopped));
+                }
             }
         }
         result
