@@ -7,12 +7,13 @@ use std::time::{Duration, Instant};
 use super::config::{CompileContext, PagerConfig, PagerError};
 use super::list::{Answer, Arrived, Entry, Job, Progress};
 use super::residents::{Resident, Residents};
+use super::shares::Shares;
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
 use crate::cull::PageRequest;
 use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
-use crate::scene::{NodeId, Page, PageId, Scene, SlotState};
+use crate::scene::{NodeId, Page, PageId, Scene, SharedStateManager, SlotState};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
@@ -36,6 +37,8 @@ pub struct DatabasePager {
     /// Arrived and compiled, waiting to be merged.
     ready: Vec<NodeId>,
     residents: Residents,
+    /// What pages share, counted once.
+    shares: Shares,
     /// Chain of tilesets for pages that are tilesets; roots have `root_chain`.
     chains: HashMap<PageId, Arc<[Arc<str>]>>,
     root_chain: Arc<[Arc<str>]>,
@@ -54,7 +57,10 @@ impl DatabasePager {
     /// Starts the threads. `options` is the scope of the tile set that is paged.
     pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
         let build_kd_trees = config.build_kd_trees || options.build_kd_trees;
-        let options = ReadOptions { limits: config.limits, build_kd_trees, ..options };
+        let sharing = options.sharing.clone();
+        let sharing =
+            sharing.or_else(|| config.sharing.any().then(|| Arc::new(SharedStateManager::new(config.sharing))));
+        let options = ReadOptions { limits: config.limits, build_kd_trees, sharing, ..options };
         let threads = Threads::start(&config, &options)?;
         Ok(Self {
             root_chain: options.chain.clone(),
@@ -65,6 +71,7 @@ impl DatabasePager {
             compiling: HashMap::new(),
             ready: Vec::new(),
             residents: Residents::new(),
+            shares: Shares::default(),
             chains: HashMap::new(),
             next_ticket: 1,
             frame: 0,
@@ -81,7 +88,8 @@ impl DatabasePager {
         let bytes = self.fetch(uri)?;
         self.stats.bytes_read += bytes.len() as u64;
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
-        let page = io::decode(content, &self.options)?;
+        // A root is the application's.
+        let page = io::decode(content, &ReadOptions { sharing: None, ..self.options.clone() })?;
         self.root_chain = self.options.below(uri).chain;
         Ok(page)
     }
@@ -202,6 +210,11 @@ impl DatabasePager {
         None
     }
 
+    /// What makes equal contents one; `None` where nothing is shared.
+    pub fn sharing(&self) -> Option<&Arc<SharedStateManager>> {
+        self.options.sharing.as_ref()
+    }
+
     /// Starts the longest latency of [`PagerStats`] anew, to measure a phase by itself.
     pub fn reset_latency_max(&mut self) {
         self.stats.latency_max_s = 0.0;
@@ -302,6 +315,7 @@ impl DatabasePager {
                 self.stats.loaded += 1;
                 self.stats.bytes_decoded += page.size_bytes();
                 let drawables = page.take_drawables();
+                self.shares.take(&page);
                 let ticket = entry.job.ticket;
                 let contexts_left = if drawables.is_empty() { 0 } else { contexts.len() };
                 entry.progress = Progress::Arrived(Arrived { page: Box::new(page), gpu_bytes: 0, contexts_left });
@@ -329,6 +343,7 @@ impl DatabasePager {
                     context.release(compiled.slots);
                     continue;
                 };
+                self.shares.uploaded(context.id(), &compiled.shared);
                 for error in &compiled.errors {
                     self.stats.failed += 1;
                     self.errors.add_text(&entry.job.uri, error);
@@ -367,18 +382,23 @@ impl DatabasePager {
             let Some(entry) = self.entries.remove(&slot) else { continue };
             let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
             let ticket = self.threads.list.ticket_source | entry.job.ticket;
-            let cpu_bytes = page.size_bytes();
-            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes);
-            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes);
-            if cpu_bytes > self.config.max_bytes_cpu || gpu_bytes > self.config.max_bytes_gpu {
+            let cpu_bytes = page.own_bytes();
+            let shared = self.shares.of(&page);
+            let alone = (cpu_bytes + shared.cpu, gpu_bytes + shared.gpu);
+            if alone.0 > self.config.max_bytes_cpu || alone.1 > self.config.max_bytes_gpu {
                 timeline::request_ends(ticket, "failed");
-                self.refuse(scene, slot, entry.job, (cpu_bytes, gpu_bytes));
+                self.refuse(scene, slot, entry.job, alone);
                 self.retire(page, contexts);
                 continue;
             }
+            // Counts before there is room, so that what goes to make room and shares with it takes nothing along.
+            let added = self.shares.merge(&page);
+            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes + added.cpu);
+            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes + added.gpu);
             if !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
                 self.stats.declined += 1;
                 timeline::request_ends(ticket, "declined");
+                self.shares.unmerge(&page);
                 self.retire(page, contexts);
                 continue;
             }
@@ -399,6 +419,7 @@ impl DatabasePager {
                 // The slot went with its tree.
                 Err(refused) => {
                     timeline::request_ends(ticket, "stale");
+                    self.shares.unmerge(&refused.1);
                     self.retire(Box::new(refused.1), contexts);
                 }
             }
@@ -428,6 +449,16 @@ impl DatabasePager {
         scene.set_failed(slot, true);
     }
 
+    /// Of merged pages, what they share once.
+    fn cpu_bytes(&self) -> u64 {
+        self.residents.cpu_bytes + self.shares.held.cpu
+    }
+
+    /// Of merged pages, what they share once.
+    fn gpu_bytes(&self) -> u64 {
+        self.residents.gpu_bytes + self.shares.held.gpu
+    }
+
     /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
     fn make_room(
         &mut self,
@@ -437,8 +468,8 @@ impl DatabasePager {
         contexts: &mut [&mut dyn CompileContext],
     ) -> bool {
         let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS);
-        while self.residents.cpu_bytes + cpu_bytes > self.config.max_bytes_cpu
-            || self.residents.gpu_bytes + gpu_bytes > self.config.max_bytes_gpu
+        while self.cpu_bytes() + cpu_bytes > self.config.max_bytes_cpu
+            || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
             || self.residents.len() + 1 > self.config.max_tiles
         {
             // In want of room, the last two frames' tiles alone are safe.
@@ -454,7 +485,7 @@ impl DatabasePager {
         let (cpu, gpu, tiles) = (c.max_bytes_cpu / 10 * 9, c.max_bytes_gpu / 10 * 9, c.max_tiles / 10 * 9);
         let unused_frames = c.expiry_frames;
         let mut looks = self.residents.len().min(EXPIRY_LOOKS);
-        while self.residents.cpu_bytes > cpu || self.residents.gpu_bytes > gpu || self.residents.len() > tiles {
+        while self.cpu_bytes() > cpu || self.gpu_bytes() > gpu || self.residents.len() > tiles {
             let expired = self.residents.pop_expired(scene, self.frame, unused_frames, &mut looks);
             let Some((id, _)) = expired else { break };
             self.detach(scene, id, contexts);
@@ -476,6 +507,7 @@ impl DatabasePager {
         match scene.detach(id) {
             Ok(page) => {
                 self.stats.expired += 1;
+                self.shares.unmerge(&page);
                 self.retire(Box::new(page), contexts);
             }
             Err(e) => log::error!("an expired page could not be taken out: {e}"),
@@ -484,6 +516,7 @@ impl DatabasePager {
 
     /// Gives a page's slots back and drops it on the reaper's thread.
     fn retire(&mut self, mut page: Box<Page>, contexts: &mut [&mut dyn CompileContext]) {
+        self.shares.give_back(&page);
         for (id, slots) in page.take_draw_slots() {
             if let Some(context) = contexts.iter_mut().find(|c| c.id() == id) {
                 context.release(slots);
@@ -596,8 +629,8 @@ impl DatabasePager {
     fn allowed_in_flight(&self, capacity: usize) -> usize {
         let arrived = (self.compiling.len() + self.ready.len()) as u64;
         let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
-        let cpu = room(self.config.max_bytes_cpu, self.residents.cpu_bytes, self.mean_cpu_bytes);
-        let gpu = room(self.config.max_bytes_gpu, self.residents.gpu_bytes, self.mean_gpu_bytes);
+        let cpu = room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes);
+        let gpu = room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes);
         let tiles = (self.config.max_tiles as u64).saturating_sub(self.residents.len() as u64 + arrived);
         // What waits for its upload holds memory besides the budgets'.
         let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).saturating_sub(arrived);
@@ -605,11 +638,18 @@ impl DatabasePager {
     }
 
     fn count(&mut self) {
+        let (cpu_bytes, gpu_bytes) = (self.cpu_bytes(), self.gpu_bytes());
         let s = &mut self.stats;
-        s.cpu_bytes = self.residents.cpu_bytes;
+        s.cpu_bytes = cpu_bytes;
         s.cpu_bytes_peak = s.cpu_bytes_peak.max(s.cpu_bytes);
-        s.gpu_bytes = self.residents.gpu_bytes;
+        s.gpu_bytes = gpu_bytes;
         s.gpu_bytes_peak = s.gpu_bytes_peak.max(s.gpu_bytes);
+        s.shared_cpu_bytes_saved = self.shares.saved.cpu;
+        s.shared_gpu_bytes_saved = self.shares.saved.gpu;
+        s.shared_gpu_bytes_saved_peak = s.shared_gpu_bytes_saved_peak.max(s.shared_gpu_bytes_saved);
+        if let Some(sharing) = &self.options.sharing {
+            s.sharing = sharing.stats();
+        }
         s.resident = self.residents.len() as u64;
         s.waiting = self.entries.values().filter(|e| matches!(e.progress, Progress::Waiting)).count() as u64;
         let flying = |e: &&Entry| matches!(e.progress, Progress::Loading | Progress::Arrived(_));
