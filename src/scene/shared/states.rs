@@ -136,3 +136,79 @@ impl States {
         *set = Arc::new(shared);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Node, Page, Scene, ShareModes, SharedStateManager};
+    use crate::state::{Mode, StateValue, TextureBinding};
+
+    fn set(texel: u8, data_variance: DataVariance) -> StateSet {
+        let texture = TextureObject::image("brick", [1, 1], vec![texel; 4]);
+        StateSet { data_variance, ..StateSet::default() }
+            .with(Attribute::Texture(0, TextureBinding::new(texture)))
+            .with_mode(Mode::Lighting, StateValue::OFF)
+    }
+
+    fn page(manager: &SharedStateManager, set: StateSet) -> Page {
+        let mut page = Page::from_node(Node::group(Vec::new()).with_state_set(Arc::new(set))).expect("one group");
+        manager.share(&mut page);
+        page
+    }
+
+    fn texture(page: &Page) -> &Arc<TextureObject> {
+        match &page.state_sets[0].attributes[0].0 {
+            Attribute::Texture(_, binding) => &binding.texture,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn equal_sets_of_pages_are_one_and_replacing_one_leaves_the_other() {
+        use DataVariance::{Dynamic, Static};
+        let manager = SharedStateManager::new(ShareModes::default());
+        let (a, b) = (page(&manager, set(7, Static)), page(&manager, set(7, Static)));
+        assert!(Arc::ptr_eq(&a.state_sets[0], &b.state_sets[0]));
+        let other = page(&manager, set(8, Static));
+        assert!(!Arc::ptr_eq(&a.state_sets[0], &other.state_sets[0]));
+        let stats = manager.stats();
+        assert_eq!((stats.state_set_hits, stats.texture_hits, stats.entries), (1, 1, 4));
+
+        let shared = a.state_sets[0].clone();
+        let mut scene = Scene::new();
+        let [a, b] = [a, b].map(|page| scene.add_root(page));
+        assert!(scene.replace_state_set(a, &shared, Arc::new(set(9, Static))));
+        let kept = |id| scene.page(id).map(|p| p.state_sets[0].clone());
+        assert_eq!(kept(b).as_ref(), Some(&shared));
+        assert_ne!(kept(a).as_ref(), Some(&shared));
+
+        // Sets that change are not shared, their textures are.
+        let (c, d) = (page(&manager, set(7, Dynamic)), page(&manager, set(7, Dynamic)));
+        assert!(!Arc::ptr_eq(&c.state_sets[0], &d.state_sets[0]) && Arc::ptr_eq(texture(&c), texture(&d)));
+        let all = SharedStateManager::new(ShareModes::ALL);
+        let (c, d) = (page(&all, set(7, Dynamic)), page(&all, set(7, Dynamic)));
+        assert!(Arc::ptr_eq(&c.state_sets[0], &d.state_sets[0]));
+        let none = SharedStateManager::new(ShareModes { textures: false, ..ShareModes::default() });
+        let (e, f) = (page(&none, set(7, Static)), page(&none, set(7, Static)));
+        assert!(!Arc::ptr_eq(texture(&e), texture(&f)));
+    }
+
+    #[test]
+    fn targets_are_never_shared_and_what_is_gone_is_forgotten() {
+        let manager = SharedStateManager::new(ShareModes::ALL);
+        let target = || {
+            let target = TextureObject::target("mirror", [4, 4], Default::default());
+            StateSet::default().with(Attribute::Texture(0, TextureBinding::new(target)))
+        };
+        let (a, b) = (page(&manager, target()), page(&manager, target()));
+        assert!(!Arc::ptr_eq(texture(&a), texture(&b)));
+        let kept = page(&manager, set(1, DataVariance::Static));
+        drop((a, b));
+        manager.prune_all();
+        let stats = manager.stats();
+        assert_eq!((stats.entries, stats.pruned), (2, 2), "a set and its texture are left");
+        drop(kept);
+        manager.prune_all();
+        assert_eq!(manager.stats().entries, 0);
+    }
+}
