@@ -53,6 +53,7 @@ fn every_field_of_the_schema_is_there() {
             "tiles",
             "bytes",
             "cache",
+            "sharing",
             "converge_s",
             "draw",
             "hitches",

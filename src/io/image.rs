@@ -6,11 +6,29 @@ use std::sync::{Arc, OnceLock};
 use image::{ImageFormat, ImageReader, Limits as ImageLimits};
 
 use super::{IoError, Limits};
-use crate::scene::Texture;
+use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
 
 /// True for the magic bytes of PNG or JPEG.
 pub(crate) fn is_image(bytes: &[u8]) -> bool {
     bytes.starts_with(b"\x89PNG") || bytes.starts_with(&[0xff, 0xd8, 0xff])
+}
+
+/// An image and, where it is shared, what stands for it.
+pub(crate) type Shared = (Arc<Texture>, Option<Arc<SharedContent>>);
+
+/// [`decode`], or the image that others decoded from the same bytes.
+pub(crate) fn decode_shared(
+    uri: &str,
+    bytes: &[u8],
+    repeat: bool,
+    limits: &Limits,
+    sharing: Option<&SharedStateManager>,
+) -> Result<Shared, IoError> {
+    let decode = || decode(uri, bytes, repeat, limits);
+    match sharing {
+        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &[u8::from(repeat)]]), decode),
+        None => Ok((decode()?, None)),
+    }
 }
 
 /// Decodes an image and builds its mips.

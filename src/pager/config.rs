@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::io::{IoError, Limits};
-use crate::scene::DrawSlot;
+use crate::scene::{DrawSlot, ShareModes};
 
 /// One graphics context's compile queue, as the pager sees it from the main thread.
 pub trait CompileContext {
@@ -65,6 +65,8 @@ pub struct PagerConfig {
     /// The decode workers build k-d trees, for intersections with what is paged; see
     /// [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees).
     pub build_kd_trees: bool,
+    /// What equal contents of different tiles share, see [`SharedStateManager`](crate::scene::SharedStateManager).
+    pub sharing: ShareModes,
 }
 
 impl Default for PagerConfig {
@@ -91,6 +93,7 @@ impl Default for PagerConfig {
             http: crate::io::HttpConfig::default(),
             blocking: false,
             build_kd_trees: false,
+            sharing: ShareModes::default(),
         }
     }
 }

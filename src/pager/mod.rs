@@ -17,6 +17,7 @@ mod flow;
 mod http;
 mod list;
 mod residents;
+mod shares;
 mod stats;
 mod threads;
 mod update;

@@ -7,12 +7,13 @@ use std::time::{Duration, Instant};
 use super::config::{CompileContext, PagerConfig, PagerError};
 use super::list::{Answer, Arrived, Entry, Job, Progress};
 use super::residents::{Resident, Residents, Unused};
+use super::shares::Shares;
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
 use crate::cull::PageRequest;
 use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
-use crate::scene::{NodeId, Page, PageId, PagingOptions, Scene, SlotState};
+use crate::scene::{NodeId, Page, PageId, PagingOptions, Scene, SharedStateManager, SlotState};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
@@ -41,6 +42,8 @@ pub struct DatabasePager {
     /// Arrived and compiled, waiting to be merged.
     ready: Vec<NodeId>,
     residents: Residents,
+    /// What pages share, counted once.
+    shares: Shares,
     /// Chain of tilesets for pages that are tilesets; roots have `root_chain`.
     chains: HashMap<PageId, Arc<[Arc<str>]>>,
     root_chain: Arc<[Arc<str>]>,
@@ -61,7 +64,10 @@ impl DatabasePager {
     /// Starts the threads. `options` is the scope of the tile set that is paged.
     pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
         let build_kd_trees = config.build_kd_trees || options.build_kd_trees;
-        let options = ReadOptions { limits: config.limits, build_kd_trees, ..options };
+        let sharing = options.sharing.clone();
+        let sharing =
+            sharing.or_else(|| config.sharing.any().then(|| Arc::new(SharedStateManager::new(config.sharing))));
+        let options = ReadOptions { limits: config.limits, build_kd_trees, sharing, ..options };
         let threads = Threads::start(&config, &options)?;
         Ok(Self {
             root_chain: options.chain.clone(),
@@ -72,6 +78,7 @@ impl DatabasePager {
             compiling: HashMap::new(),
             ready: Vec::new(),
             residents: Residents::new(),
+            shares: Shares::default(),
             chains: HashMap::new(),
             next_ticket: 1,
             frame: 0,
@@ -90,7 +97,8 @@ impl DatabasePager {
         let bytes = self.fetch(uri)?;
         self.stats.bytes_read += bytes.len() as u64;
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
-        let page = io::decode(content, &self.options)?;
+        // A root is the application's.
+        let page = io::decode(content, &ReadOptions { sharing: None, ..self.options.clone() })?;
         self.root_chain = self.options.below(uri).chain;
         Ok(page)
     }
@@ -223,6 +231,11 @@ impl DatabasePager {
         None
     }
 
+    /// What makes equal contents one; `None` where nothing is shared.
+    pub fn sharing(&self) -> Option<&Arc<SharedStateManager>> {
+        self.options.sharing.as_ref()
+    }
+
     /// Starts the longest latency of [`PagerStats`] anew, to measure a phase by itself.
     pub fn reset_latency_max(&mut self) {
         self.stats.latency_max_s = 0.0;
@@ -325,6 +338,7 @@ impl DatabasePager {
                 self.stats.loaded += 1;
                 self.stats.bytes_decoded += page.size_bytes();
                 let drawables = page.take_drawables();
+                self.shares.take(&page);
                 let ticket = entry.job.ticket;
                 let contexts_left = if drawables.is_empty() { 0 } else { contexts.len() };
                 entry.progress = Progress::Arrived(Arrived { page: Box::new(page), gpu_bytes: 0, contexts_left });
@@ -352,6 +366,7 @@ impl DatabasePager {
                     context.release(compiled.slots);
                     continue;
                 };
+                self.shares.uploaded(context.id(), &compiled.shared);
                 for error in &compiled.errors {
                     self.stats.drawables_failed += 1;
                     self.errors.add_text(&entry.job.uri, error);
@@ -391,18 +406,23 @@ impl DatabasePager {
             let is_ahead = entry.is_ahead();
             let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
             let ticket = self.threads.list.ticket_source | entry.job.ticket;
-            let cpu_bytes = page.size_bytes();
-            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes);
-            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes);
-            if cpu_bytes > self.config.max_bytes_cpu || gpu_bytes > self.config.max_bytes_gpu {
+            let cpu_bytes = page.own_bytes();
+            let shared = self.shares.of(&page);
+            let alone = (cpu_bytes + shared.cpu, gpu_bytes + shared.gpu);
+            if alone.0 > self.config.max_bytes_cpu || alone.1 > self.config.max_bytes_gpu {
                 timeline::request_ends(ticket, "failed");
-                self.refuse(scene, slot, entry.job, (cpu_bytes, gpu_bytes));
+                self.refuse(scene, slot, entry.job, alone);
                 self.retire(page, contexts);
                 continue;
             }
+            // Counts before there is room, so that what goes to make room and shares with it takes nothing along.
+            let added = self.shares.merge(&page);
+            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes + added.cpu);
+            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes + added.gpu);
             if (is_ahead && !self.has_free(EXPIRY_TENTHS)) || !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
                 self.stats.declined += 1;
                 timeline::request_ends(ticket, "declined");
+                self.shares.unmerge(&page);
                 self.retire(page, contexts);
                 continue;
             }
@@ -425,6 +445,7 @@ impl DatabasePager {
                 Err(refused) => {
                     self.stats.dropped += 1;
                     timeline::request_ends(ticket, "dropped");
+                    self.shares.unmerge(&refused.1);
                     self.retire(Box::new(refused.1), contexts);
                 }
             }
@@ -455,6 +476,16 @@ impl DatabasePager {
         scene.set_failed(slot, true);
     }
 
+    /// Of merged pages, what they share once.
+    fn cpu_bytes(&self) -> u64 {
+        self.residents.cpu_bytes + self.shares.held.cpu
+    }
+
+    /// Of merged pages, what they share once.
+    fn gpu_bytes(&self) -> u64 {
+        self.residents.gpu_bytes + self.shares.held.gpu
+    }
+
     /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
     fn make_room(
         &mut self,
@@ -464,8 +495,8 @@ impl DatabasePager {
         contexts: &mut [&mut dyn CompileContext],
     ) -> bool {
         let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS);
-        while self.residents.cpu_bytes + cpu_bytes > self.config.max_bytes_cpu
-            || self.residents.gpu_bytes + gpu_bytes > self.config.max_bytes_gpu
+        while self.cpu_bytes() + cpu_bytes > self.config.max_bytes_cpu
+            || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
             || self.residents.len() + 1 > self.config.max_tiles
         {
             // In want of room, the last two frames' tiles alone are safe.
@@ -478,11 +509,10 @@ impl DatabasePager {
 
     /// True while so many tenths of each budget are free.
     fn has_free(&self, tenths: u64) -> bool {
-        let (c, used) = (&self.config, &self.residents);
         let is_free = |used: u64, max: u64| used <= max / 10 * (10 - tenths);
-        is_free(used.cpu_bytes, c.max_bytes_cpu)
-            && is_free(used.gpu_bytes, c.max_bytes_gpu)
-            && is_free(used.len() as u64, c.max_tiles as u64)
+        is_free(self.cpu_bytes(), self.config.max_bytes_cpu)
+            && is_free(self.gpu_bytes(), self.config.max_bytes_gpu)
+            && is_free(self.residents.len() as u64, self.config.max_tiles as u64)
     }
 
     /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free.
@@ -503,6 +533,7 @@ impl DatabasePager {
         match scene.detach(id) {
             Ok(page) => {
                 self.stats.expired += 1;
+                self.shares.unmerge(&page);
                 self.retire(Box::new(page), contexts);
             }
             Err(e) => log::error!("an expired page could not be taken out: {e}"),
@@ -511,6 +542,7 @@ impl DatabasePager {
 
     /// Gives a page's slots back and drops it on the reaper's thread.
     fn retire(&mut self, mut page: Box<Page>, contexts: &mut [&mut dyn CompileContext]) {
+        self.shares.give_back(&page);
         for (id, slots) in page.take_draw_slots() {
             if let Some(context) = contexts.iter_mut().find(|c| c.id() == id) {
                 context.release(slots);
@@ -662,8 +694,8 @@ impl DatabasePager {
         }
         let arrived = (self.compiling.len() + self.ready.len()) as u64;
         let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
-        let cpu = room(self.config.max_bytes_cpu, self.residents.cpu_bytes, self.mean_cpu_bytes);
-        let gpu = room(self.config.max_bytes_gpu, self.residents.gpu_bytes, self.mean_gpu_bytes);
+        let cpu = room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes);
+        let gpu = room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes);
         let tiles = (self.config.max_tiles as u64).saturating_sub(self.residents.len() as u64 + arrived);
         // What waits for its upload holds memory besides the budgets'.
         let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).saturating_sub(arrived);
@@ -671,11 +703,18 @@ impl DatabasePager {
     }
 
     fn count(&mut self) {
+        let (cpu_bytes, gpu_bytes) = (self.cpu_bytes(), self.gpu_bytes());
         let s = &mut self.stats;
-        s.cpu_bytes = self.residents.cpu_bytes;
+        s.cpu_bytes = cpu_bytes;
         s.cpu_bytes_peak = s.cpu_bytes_peak.max(s.cpu_bytes);
-        s.gpu_bytes = self.residents.gpu_bytes;
+        s.gpu_bytes = gpu_bytes;
         s.gpu_bytes_peak = s.gpu_bytes_peak.max(s.gpu_bytes);
+        s.shared_cpu_bytes_saved = self.shares.saved.cpu;
+        s.shared_gpu_bytes_saved = self.shares.saved.gpu;
+        s.shared_gpu_bytes_saved_peak = s.shared_gpu_bytes_saved_peak.max(s.shared_gpu_bytes_saved);
+        if let Some(sharing) = &self.options.sharing {
+            s.sharing = sharing.stats();
+        }
         s.resident = self.residents.len() as u64;
         s.waiting = self.entries.values().filter(|e| matches!(e.progress, Progress::Waiting)).count() as u64;
         let flying = |e: &&Entry| matches!(e.progress, Progress::Loading | Progress::Arrived(_));

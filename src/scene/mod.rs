@@ -15,6 +15,7 @@ mod kinds;
 mod node;
 mod page;
 mod shapes;
+mod shared;
 mod slots;
 #[cfg(feature = "text")]
 mod text;
@@ -42,11 +43,14 @@ pub use kinds::{
 };
 pub use node::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 pub use page::{DrawSlot, Page};
+pub use shared::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use slots::{SlotInfo, SlotState};
 #[cfg(feature = "text")]
 pub use text::Font;
-pub use variance::DataVariance;
 pub use world::TileInfo;
 
+pub use crate::state::DataVariance;
+
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
+pub(crate) use shared::{SharedContent, SharedParts};
 pub(crate) use tiles::{TileBounds, TileRecord, flag};

@@ -35,7 +35,7 @@ impl CompileContext for Context {
         let slots = vec![DrawSlot(0); operation.drawables.len()];
         self.slots_out += slots.len() as u64;
         let ticket = operation.ticket;
-        self.done.push(Compiled { ticket, slots, bytes: PAGE_GPU_BYTES, errors: Vec::new() });
+        self.done.push(Compiled { ticket, slots, bytes: PAGE_GPU_BYTES, shared: Vec::new(), errors: Vec::new() });
     }
 
     fn run_compiles(&mut self, _: &CompileBudget) {}
