@@ -230,6 +230,7 @@ impl ViewerBase {
         let mut is_dynamic = false;
         for scene in scenes.iter_mut() {
             stats.merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
+            scene.page_images(&mut self.rendering, self.stamp.simulation_time_s)?;
             is_dynamic |= scene.send_rewritten(&mut self.rendering)?;
         }
         stats.update_ms = millis(start.elapsed()) - stats.event_ms;
