@@ -54,6 +54,7 @@ fn every_field_of_the_schema_is_there() {
             "bytes",
             "cache",
             "sharing",
+            "images",
             "converge_s",
             "draw",
             "hitches",

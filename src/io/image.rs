@@ -62,6 +62,12 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], repeat: bool, limits: &Limits) -> 
     Ok(Arc::new(Texture { width, height, mips: mips(width, height, pixels), repeat }))
 }
 
+/// [`decode`] of a file by itself, clamped; a panic of a decoder is an error of that file.
+pub(crate) fn decode_file(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Arc<Texture>, IoError> {
+    let decode = || decode(uri, bytes, false, limits);
+    std::panic::catch_unwind(decode).unwrap_or_else(|_| Err(IoError::invalid(uri, super::DECODER_PANICKED)))
+}
+
 /// The whole chain, box filtered in linear light.
 pub(crate) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec<Vec<u8>> {
     let (to_linear, to_srgb) = srgb_tables();

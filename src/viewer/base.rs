@@ -278,6 +278,7 @@ impl ViewerBase {
         self.look_ahead(views, scenes);
         for scene in scenes.iter_mut() {
             stats.merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
+            scene.page_images(&mut self.rendering, self.stamp.simulation_time_s)?;
             is_dynamic |= scene.send_rewritten(&mut self.rendering)?;
         }
         stats.update_ms = millis(start.elapsed()) - stats.event_ms;

@@ -10,7 +10,7 @@ use super::rendering::{Rendering, millis};
 use super::viewer::{FrameStamp, UpdateCallback};
 use crate::cull::PageRequest;
 use crate::io::ReadOptions;
-use crate::pager::{DatabasePager, PagerConfig};
+use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DataVariance, DrawSlot, Drawable, Geometry, Page, PageId, Scene, UpdateInfo};
 
 /// With nothing under way for this many frames, requests that remain are ones the pager declines.
@@ -30,6 +30,8 @@ pub(super) struct PagedScene {
     scene: Arc<Scene>,
     pub(super) pager: Option<DatabasePager>,
     pub(super) pager_config: PagerConfig,
+    /// Made when the first sequence comes.
+    pub(super) image_pager: Option<ImagePager>,
     /// Extent of the first root.
     pub(super) bounds: Option<SetBounds>,
     pub(super) root_uri: Option<Arc<str>>,
@@ -55,6 +57,7 @@ impl PagedScene {
             scene: Arc::new(Scene::new()),
             pager: None,
             pager_config,
+            image_pager: None,
             bounds: None,
             root_uri: None,
             root: None,
@@ -180,6 +183,40 @@ impl PagedScene {
         millis(start.elapsed())
     }
 
+    /// Takes a sequence of images, with an image pager like the pager of tiles where there is none yet.
+    pub(super) fn add_image_sequence(&mut self, sequence: &ImageSequence) -> Result<(), ViewerError> {
+        let pager = match &mut self.image_pager {
+            Some(pager) => pager,
+            None => {
+                let of = &self.pager_config;
+                let config = ImagePagerConfig {
+                    limits: of.limits,
+                    retry_after: of.retry_after,
+                    max_tries: of.max_tries,
+                    blocking: of.blocking,
+                    #[cfg(feature = "http")]
+                    http: of.http.clone(),
+                    ..ImagePagerConfig::default()
+                };
+                self.image_pager.insert(ImagePager::new(config)?)
+            }
+        };
+        pager.add(sequence);
+        Ok(())
+    }
+
+    /// The image pager's turn: tells the contexts of images that textures show from this frame on.
+    pub(super) fn page_images(&mut self, rendering: &mut Rendering, simulation_time_s: f64) -> Result<(), ViewerError> {
+        let Some(pager) = &mut self.image_pager else { return Ok(()) };
+        let _span = crate::timeline::span("images");
+        for change in pager.update(simulation_time_s) {
+            for context in rendering.contexts_mut() {
+                context.show(change.clone())?;
+            }
+        }
+        Ok(())
+    }
+
     /// True where something may arrive and be merged while the main thread waits.
     pub(super) fn is_paging(&self) -> bool {
         !self.pager_config.blocking && self.pager.as_ref().is_some_and(|pager| !pager.is_idle())
@@ -255,6 +292,9 @@ impl PagedScene {
             if !own.drawables.is_empty() {
                 rendering.compile_own_in(context, self.owner, number, own.drawables.clone())?;
             }
+        }
+        if let Some(images) = &mut self.image_pager {
+            images.show_again();
         }
         self.page_anew(rendering);
         Ok(())

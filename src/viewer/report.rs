@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::stats::{FrameStats, Samples};
 use super::{Viewer, ViewerError};
 use crate::io::CacheStats;
-use crate::pager::PagerStats;
+use crate::pager::{ErrorRecord, ImagePagerStats, PagerStats};
 
 /// The whole report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,6 +40,9 @@ pub struct Report {
     /// What equal contents shared; `null` where nothing is shared.
     #[serde(default)]
     pub sharing: Option<Sharing>,
+    /// What the image pager did; `null` without image sequences.
+    #[serde(default)]
+    pub images: Option<Images>,
     /// Seconds from the first frame to nothing wanted and nothing pending at the first camera; `null` when the
     /// camera left before.
     pub converge_s: Option<f64>,
@@ -159,6 +162,42 @@ impl Sharing {
     }
 }
 
+/// Counters of the image pager.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Images {
+    /// Read and decoded.
+    pub loaded: u64,
+    /// Reads that failed.
+    pub failed: u64,
+    /// Paged out.
+    pub paged_out: u64,
+    /// Began to be shown.
+    pub shown: u64,
+    /// Times that an earlier image stayed, because the one of the moment was not there.
+    pub late: u64,
+    /// Bytes read.
+    pub read: u64,
+    /// Most decoded images at once.
+    pub images_peak: u64,
+    /// Most bytes of decoded images at once.
+    pub bytes_peak: u64,
+}
+
+impl Images {
+    fn of(s: &ImagePagerStats) -> Self {
+        Self {
+            loaded: s.loaded,
+            failed: s.failed,
+            paged_out: s.paged_out,
+            shown: s.shown,
+            late: s.late,
+            read: s.bytes_read,
+            images_peak: s.images_peak,
+            bytes_peak: s.bytes_peak,
+        }
+    }
+}
+
 /// Medians of what a frame drew.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs, reason = "the names are the documentation")]
@@ -244,6 +283,7 @@ impl Report {
             bytes: Bytes { rss_peak: rss_peak_bytes(), ..Bytes::default() },
             cache: None,
             sharing: None,
+            images: None,
             converge_s: None,
             draw: DrawMedians {
                 leaves: median(|f| f64::from(f.leaves)),
@@ -301,6 +341,12 @@ impl Viewer {
                 .into_iter()
                 .map(|e| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count })
                 .collect();
+        }
+        if let Some(images) = self.image_pager() {
+            report.images = Some(Images::of(images.stats()));
+            let record =
+                |e: ErrorRecord| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count };
+            report.errors.extend(images.errors().into_iter().map(record));
         }
         let of_draw = |reason: &String| ReportError { uri: "draw".into(), reason: reason.clone(), count: 1 };
         report.errors.extend(self.base.draw_errors.iter().map(of_draw));

@@ -18,7 +18,7 @@ use super::stats::StatsHistory;
 use super::view::{ContextId, Slave, SlaveId, View};
 use crate::cull::{CullSettings, Stereo};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
-use crate::pager::{DatabasePager, PagerConfig};
+use crate::pager::{DatabasePager, ImagePager, ImageSequence, PagerConfig};
 use crate::scene::{Page, PageId, Scene};
 
 /// How a viewer is made.
@@ -247,6 +247,21 @@ impl Viewer {
         self.paged.clear_pages(&mut self.base.rendering);
     }
 
+    /// Lets a sequence's texture show its images over simulation time; see [`ImageSequence`].
+    pub fn add_image_sequence(&mut self, sequence: &ImageSequence) -> Result<(), ViewerError> {
+        self.paged.add_image_sequence(sequence)
+    }
+
+    /// Replaces the image pager; sequences that the one before had are to be added again.
+    pub fn set_image_pager(&mut self, pager: ImagePager) {
+        self.paged.image_pager = Some(pager);
+    }
+
+    /// The image pager, once a sequence was added.
+    pub fn image_pager(&self) -> Option<&ImagePager> {
+        self.paged.image_pager.as_ref()
+    }
+
     /// Extent of the first root.
     pub fn bounds(&self) -> Option<&SetBounds> {
         self.paged.bounds.as_ref()
@@ -406,7 +421,7 @@ impl Viewer {
     }
 
     /// For drawing on demand: false while another frame would show the same picture. True for events that wait, a
-    /// manipulator that moves, tiles that are still to come, update callbacks, what lies over the picture, and
+    /// manipulator that moves, tiles that are still to come, image sequences that play, update callbacks, what lies over the picture, and
     /// [`View::request_redraw`].
     pub fn check_need_to_do_frame(&self) -> bool {
         needs_frame(&self.base, &self.view, &self.paged)

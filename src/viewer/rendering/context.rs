@@ -9,7 +9,7 @@ use image::RgbaImage;
 
 use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
-use crate::pager::CompileContext;
+use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{DrawSlot, Drawable, Mesh};
 use crate::sync::{Operation, OperationThread};
 use crate::viewer::ViewerError;
@@ -296,6 +296,11 @@ impl ContextHandle {
     /// Puts another mesh in the place of a drawable's, from the next frame on.
     pub(in crate::viewer) fn rewrite(&mut self, slot: DrawSlot, mesh: Arc<Mesh>) -> Result<(), ViewerError> {
         self.send(DrawCommand::Rewrite { slot, mesh })
+    }
+
+    /// Another image for a texture, from the next frame on.
+    pub(in crate::viewer) fn show(&mut self, change: ImageChange) -> Result<(), ViewerError> {
+        self.send(DrawCommand::Show(change))
     }
 
     /// The target has a new size.

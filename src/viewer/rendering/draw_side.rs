@@ -16,6 +16,7 @@ use super::millis;
 use crate::cull::RenderStage;
 use crate::draw::{DrawStats, Environment, FrameClock, Picture, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
+use crate::pager::ImageChange;
 use crate::scene::{DrawSlot, Mesh};
 use crate::sync::BlockCount;
 use crate::timeline;
@@ -76,6 +77,8 @@ pub(super) enum DrawCommand {
     Compile(CompileOperation),
     /// Put another mesh in the place of a drawable's, from the next frame on.
     Rewrite { slot: DrawSlot, mesh: Arc<Mesh> },
+    /// Write an image to a texture of state sets, in the next frame's compile step.
+    Show(ImageChange),
     /// Free slots after the last frame that drew them.
     Release(Vec<DrawSlot>),
     /// Upload within a budget, between two frames.
@@ -143,6 +146,8 @@ pub(super) struct DrawSide {
     job: Option<Box<FrameJob>>,
     /// Drawn, to be shown.
     drawn: Option<(Box<FrameDone>, bool)>,
+    /// To be shown from the next frame on.
+    images: Vec<ImageChange>,
     /// Memory for the stages of a frame, with whether each completes.
     stages: Vec<Culled>,
 }
@@ -178,6 +183,7 @@ impl DrawSide {
             meets_others: false,
             job: None,
             drawn: None,
+            images: Vec::new(),
             stages: Vec::new(),
         }
     }
@@ -216,6 +222,11 @@ impl DrawSide {
                     self.errors.push(error.to_string());
                 }
                 return;
+            }
+            DrawCommand::Show(change) => {
+                // A frame that was skipped leaves its images behind.
+                self.images.retain(|earlier| !Arc::ptr_eq(&earlier.texture, &change.texture));
+                return self.images.push(change);
             }
             DrawCommand::Release(slots) => return self.context.release(&slots),
             DrawCommand::RunCompiles(budget) => {
@@ -276,6 +287,11 @@ impl DrawSide {
         let start = Instant::now();
         self.context.run_compiles(&job.budget);
         self.pass_on_compiled();
+        for ImageChange { texture, image } in self.images.drain(..) {
+            if let Err(problem) = self.renderer.show_image(&self.context, &texture, &image) {
+                self.errors.push(problem);
+            }
+        }
         let compiled = Instant::now();
         let own_stage = job.stage.is_some();
         match job.stage.take() {
