@@ -42,6 +42,8 @@ pub(super) struct PagedScene {
     pub(super) requests: Vec<PageRequest>,
     /// Tiles that the last frame's pictures lacked.
     pub(super) wanted_missing: u32,
+    /// Tiles and Lods that the last frame's pictures showed between two levels of detail.
+    pub(super) fading: u32,
     /// Frames in a row in which the pager had nothing to do.
     quiet_frames: u32,
 }
@@ -61,6 +63,7 @@ impl PagedScene {
             update_callbacks: Vec::new(),
             requests: Vec::new(),
             wanted_missing: 0,
+            fading: 0,
             quiet_frames: 0,
         }
     }
@@ -142,6 +145,11 @@ impl PagedScene {
         self.wanted_missing == 0
             && self.quiet_frames > 0
             && (self.requests.is_empty() || self.quiet_frames >= QUIET_FRAMES)
+    }
+
+    /// The last frame's pictures are those that the next ones will be.
+    pub(super) fn is_at_rest(&self) -> bool {
+        self.fading == 0 && self.is_settled()
     }
 
     /// The application's turn with the scene.
