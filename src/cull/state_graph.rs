@@ -66,7 +66,8 @@ const GONE: usize = usize::MAX;
 
 impl Default for StateGraph {
     fn default() -> Self {
-        let root = Node { parent: EMPTY, key: 0, resolved: Arc::default(), at: At::default(), met_in: 0, place: 0, set: None };
+        let root =
+            Node { parent: EMPTY, key: 0, resolved: Arc::default(), at: At::default(), met_in: 0, place: 0, set: None };
         Self { nodes: vec![root], table: vec![EMPTY; 64], stage: 0, met: 0, until_sweep: SWEEP_FRAMES }
     }
 }
