@@ -7,11 +7,11 @@ mod lookup;
 
 use std::collections::HashMap;
 
-use crate::cull::{RenderLeaf, RenderStage};
+use crate::cull::{FadeBand, RenderLeaf, RenderStage};
 use crate::draw::batch::lookup::Lookup;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
-use crate::draw::uniforms::frame::{FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
+use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
 use crate::scene::{AlphaMode, Topology};
 use crate::state::{ResolvedState, SortMode};
@@ -65,13 +65,19 @@ pub(in crate::draw) struct StateEntry {
     color: [f32; 4],
     /// Flags of leaves with a lit and with an unlit material.
     flags: [u32; 2],
+    /// Not drawn: what cannot fade changes in the middle of the fade.
+    is_hidden: bool,
 }
 
 impl StateEntry {
-    pub(in crate::draw) fn new(key: StateKey, statics: u32, state: &ResolvedState) -> Self {
-        let of_all = if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
+    pub(in crate::draw) fn new(key: StateKey, statics: u32, state: &ResolvedState, band: FadeBand) -> Self {
+        let is_whole = band.is_full() || !key.can_fade;
+        let is_hidden = !key.can_fade && !(band.from..band.to).contains(&(u8::MAX / 2));
+        let key = if is_whole { key } else { key.fading() };
+        let band = if is_whole { 0 } else { (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT };
+        let of_all = band | if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
         let flags = [false, true].map(|unlit| if state.is_lit(unlit) { of_all } else { of_all | FLAG_UNLIT });
-        Self { key, statics, class: 0, color: state.color, flags }
+        Self { key, statics, class: 0, color: state.color, flags, is_hidden }
     }
 }
 
@@ -213,7 +219,7 @@ impl Batch {
         self.run_of.clear();
         let mut last = (u64::MAX, NO_RUN);
         for leaf in leaves {
-            let Some((entry, rows)) = drawable(ctx, stage, leaf) else {
+            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|_| !self.is_hidden(leaf)) else {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
             };
@@ -287,7 +293,7 @@ impl Batch {
     ) {
         let mut last = u64::MAX;
         for leaf in leaves {
-            let Some((entry, rows)) = drawable(ctx, stage, leaf) else { continue };
+            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|_| !self.is_hidden(leaf)) else { continue };
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last {
@@ -301,6 +307,11 @@ impl Batch {
             let stride = self.buckets[bucket as usize].0.stride;
             self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize], stride));
         }
+    }
+
+    #[inline]
+    fn is_hidden(&self, leaf: &RenderLeaf) -> bool {
+        self.states[leaf.state as usize].is_hidden
     }
 
     /// Equal for leaves of a bucket that one run draws.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{FrameClock, Picture, Renderer};
-use crate::cull::RenderStage;
+use crate::cull::{FadeBand, RenderStage};
 use crate::draw::answers::Queries;
 use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
@@ -109,7 +109,8 @@ impl Renderer {
         let has_own_light = replaces_sun(stage);
         let mut states = std::mem::take(&mut self.batch.states);
         states.clear();
-        for (state, view) in stage.state_sets.iter().zip(&stage.view_of_state) {
+        let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
+        for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
             let (shading, group) = self.shading(ctx, stage, state, has_own_light, &target);
             let mut statics = Statics { group, ..base };
             statics.frame[0] = frames.get(*view as usize).copied().unwrap_or(first_frame);
@@ -122,7 +123,8 @@ impl Renderer {
                 self.statics.len() - 1
             });
             let key = self.pipelines.state_key(state, shading, target.index);
-            states.push(StateEntry::new(key, index as u32, state));
+            let band = stage.fades.get((*fade as usize).wrapping_sub(1)).copied().unwrap_or(FadeBand::FULL);
+            states.push(StateEntry::new(key, index as u32, state, band));
         }
         self.batch.states = states;
         let first_run = self.batch.runs.len();
