@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
-use super::list::{Answer, Arrived, Entry, Job, Progress};
+use super::list::{Above, Answer, Arrived, Entry, Job, Progress};
 use super::residents::{Resident, Residents};
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
@@ -36,9 +36,9 @@ pub struct DatabasePager {
     /// Arrived and compiled, waiting to be merged.
     ready: Vec<NodeId>,
     residents: Residents,
-    /// Chain of tilesets for pages that are tilesets; roots have `root_chain`.
-    chains: HashMap<PageId, Arc<[Arc<str>]>>,
-    root_chain: Arc<[Arc<str>]>,
+    /// What is above the contents of pages that are tilesets; roots have `above_roots`.
+    above: HashMap<PageId, Above>,
+    above_roots: Above,
     next_ticket: u64,
     frame: u32,
     stats: PagerStats,
@@ -59,7 +59,7 @@ impl DatabasePager {
         let options = ReadOptions { limits: config.limits, build_kd_trees, ..options };
         let threads = Threads::start(&config, &options)?;
         Ok(Self {
-            root_chain: options.chain.clone(),
+            above_roots: Above { chain: options.chain.clone(), set_from_page: options.set_from_content },
             config,
             options,
             threads,
@@ -67,7 +67,7 @@ impl DatabasePager {
             compiling: HashMap::new(),
             ready: Vec::new(),
             residents: Residents::new(),
-            chains: HashMap::new(),
+            above: HashMap::new(),
             next_ticket: 1,
             frame: 0,
             stats: PagerStats::default(),
@@ -86,7 +86,7 @@ impl DatabasePager {
         self.stats.bytes_read += bytes.len() as u64;
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         let page = io::decode(content, &self.options)?;
-        self.root_chain = self.options.below(uri).chain;
+        self.above_roots.chain = self.options.below(uri).chain;
         Ok(page)
     }
 
@@ -252,12 +252,16 @@ impl DatabasePager {
             if slot.state != SlotState::Empty || !self.takes_requests {
                 continue;
             }
+            let mut above = self.above.get(&slot.page).unwrap_or(&self.above_roots).clone();
+            if !above.chain.is_empty() {
+                above.set_from_page *= slot.content_transform;
+            }
             let job = Job {
                 ticket: self.next_ticket,
                 slot: request.slot,
                 uri: slot.uri.clone(),
                 reader_data: slot.reader_data.cloned(),
-                chain: self.chains.get(&slot.page).unwrap_or(&self.root_chain).clone(),
+                above,
             };
             timeline::request_begins(self.threads.list.ticket_source | job.ticket, &job.uri);
             self.next_ticket += 1;
@@ -407,8 +411,9 @@ impl DatabasePager {
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
                     self.residents.insert(id, Resident { slot, cpu_bytes, gpu_bytes });
                     if tile_tree {
-                        let chain = entry.job.chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
-                        self.chains.insert(id, chain);
+                        let Above { chain, set_from_page } = entry.job.above;
+                        let chain = chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
+                        self.above.insert(id, Above { chain, set_from_page });
                     }
                 }
                 // The slot went with its tree.
@@ -479,7 +484,7 @@ impl DatabasePager {
 
     fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
         // Requests for slots inside an expired tileset go with it.
-        if self.chains.remove(&id).is_some() {
+        if self.above.remove(&id).is_some() {
             self.drop_entries(contexts, |slot, _| slot.page == id);
         }
         match scene.detach(id) {

@@ -7,6 +7,8 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use glam::DAffine3;
+
 use super::graph::Scene;
 use super::page::{NONE, Page};
 use super::tiles::flag;
@@ -40,6 +42,8 @@ pub struct SlotInfo<'a> {
     pub is_proxy: bool,
     /// The page that holds the slot.
     pub page: PageId,
+    /// Maps the content to the frame of the page's tiles.
+    pub content_transform: DAffine3,
 }
 
 impl Scene {
@@ -64,6 +68,7 @@ impl Scene {
             reader_data: page.tiles.reader_data[tile].as_ref(),
             is_proxy: record.has(flag::PROXY),
             page: id.page,
+            content_transform: page.tiles.content_transform(tile),
         })
     }
 
