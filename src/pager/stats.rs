@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::io::{IoError, shown};
+use crate::scene::SharingStats;
 
 /// What the pager did since it started; main thread.
 ///
@@ -17,6 +18,8 @@ pub struct PagerStats {
     pub loaded: u64,
     /// Pages merged into the scene.
     pub merged: u64,
+    /// Those of them that were wanted only later.
+    pub merged_ahead: u64,
     /// Pages taken out of the scene.
     pub expired: u64,
     /// Failed contents taken up again.
@@ -58,6 +61,14 @@ pub struct PagerStats {
     pub latency_sum_s: f64,
     /// Longest of them.
     pub latency_max_s: f64,
+    /// Equal contents found, by kind.
+    pub sharing: SharingStats,
+    /// CPU bytes that merged pages would hold besides if each had its own; counted in no budget.
+    pub shared_cpu_bytes_saved: u64,
+    /// GPU bytes that merged pages would hold besides if each had its own.
+    pub shared_gpu_bytes_saved: u64,
+    /// Most that `shared_gpu_bytes_saved` was.
+    pub shared_gpu_bytes_saved_peak: u64,
 }
 
 /// A failure, however often it happened.

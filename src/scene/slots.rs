@@ -10,6 +10,7 @@ use std::sync::atomic::Ordering;
 use glam::DAffine3;
 
 use super::graph::Scene;
+use super::node::PagingOptions;
 use super::page::{NONE, Page};
 use super::tiles::flag;
 use super::{NodeId, PageId};
@@ -44,6 +45,8 @@ pub struct SlotInfo<'a> {
     pub page: PageId,
     /// Maps the content to the frame of the page's tiles.
     pub content_transform: DAffine3,
+    /// How the pager treats what is there.
+    pub paging: PagingOptions,
 }
 
 impl Scene {
@@ -69,6 +72,7 @@ impl Scene {
             is_proxy: record.has(flag::PROXY),
             page: id.page,
             content_transform: page.tiles.content_transform(tile),
+            paging: page.tiles.paging_of(tile as u32),
         })
     }
 

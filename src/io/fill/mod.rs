@@ -196,6 +196,7 @@ impl Fill<'_> {
             // Regions are wanted as they are.
             set_from_content: DAffine3::IDENTITY,
             build_kd_trees: false,
+            sharing: None,
         };
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         let node = decode_node(content, &options)?;

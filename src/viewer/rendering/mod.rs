@@ -93,6 +93,8 @@ pub(super) struct Rendering {
     next_context: u32,
     next_camera: u32,
     blocking: bool,
+    /// The threads stay on cores of their own.
+    keeps_cores: bool,
     /// What was asked for.
     model: ThreadingModel,
     /// `None` until the first frame, and while contexts or cameras come and go.
@@ -101,13 +103,14 @@ pub(super) struct Rendering {
 
 impl Rendering {
     /// Without contexts and cameras; `blocking` contexts finish all uploads when they are asked for them.
-    pub(super) fn new(blocking: bool) -> Self {
+    pub(super) fn new(blocking: bool, keeps_cores: bool) -> Self {
         Self {
             contexts: Vec::new(),
             cameras: Vec::new(),
             next_context: 0,
             next_camera: 0,
             blocking,
+            keeps_cores,
             model: ThreadingModel::SingleThreaded,
             running: None,
         }
@@ -213,6 +216,22 @@ impl Rendering {
         self.contexts.retain(|c| c.number() != context);
         self.cameras.retain(|c| c.context != context);
         self.contexts.len() < before
+    }
+
+    /// Gives contexts whose devices are lost new ones, with nothing uploaded to them; their numbers. Ends the threads,
+    /// and drops what is under way.
+    pub(super) fn renew_lost(&mut self) -> Result<Vec<u32>, ViewerError> {
+        for context in &mut self.contexts {
+            context.drop_frames()?;
+        }
+        self.stop_threads();
+        let mut renewed = Vec::new();
+        for context in &mut self.contexts {
+            if context.renew()? {
+                renewed.push(context.number());
+            }
+        }
+        Ok(renewed)
     }
 
     /// Drops a camera. Ends the threads.
