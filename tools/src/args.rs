@@ -29,6 +29,8 @@ pub enum Command {
     Info(InfoArgs),
     /// Serve a folder over HTTP, as well or as badly as asked
     Serve(crate::serve::ServeArgs),
+    /// Fly at random over a set that comes badly, and check what must hold in each frame
+    Stress(crate::stress::StressArgs),
     /// Look after the cache on disk
     Cache(crate::cache::CacheArgs),
     /// Measure one layer; JSON lines on stdout
