@@ -12,7 +12,7 @@ use super::threads::Threads;
 use crate::cull::PageRequest;
 use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
-use crate::scene::{NodeId, Page, PageId, Scene, SlotState};
+use crate::scene::{DrawKind, NodeId, Page, PageId, Scene, SlotState};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
@@ -301,6 +301,7 @@ impl DatabasePager {
             Some(Ok(mut page)) => {
                 self.stats.loaded += 1;
                 self.stats.bytes_decoded += page.size_bytes();
+                let kinds: Arc<[DrawKind]> = scene.draw_kinds(Some(slot), &page).into();
                 let drawables = page.take_drawables();
                 let ticket = entry.job.ticket;
                 let contexts_left = if drawables.is_empty() { 0 } else { contexts.len() };
@@ -314,6 +315,7 @@ impl DatabasePager {
                 let last = contexts.len() - 1;
                 for (i, context) in contexts.iter_mut().enumerate() {
                     let for_this = if i == last { drawables.take() } else { drawables.clone() };
+                    context.foresee(&kinds);
                     context.compile(CompileOperation { ticket, drawables: for_this.unwrap_or_default() });
                 }
             }
