@@ -21,7 +21,7 @@ pub struct CullCamera {
     pub horizon: Option<Ellipsoid>,
     /// Seconds in the application's time, by which levels of detail fade ([`CullSettings::lod_fade_s`]).
     pub simulation_time_s: f64,
-    /// Stamped on tiles that are wanted; start at 1.
+    /// Stamped on tiles that are wanted; start at 1. 0 stamps nothing: for a look that keeps nothing from expiring.
     pub frame: u32,
     /// Whose draw slots the leaves get.
     pub context: u32,
