@@ -27,6 +27,8 @@ pub struct RenderLeaf {
 pub struct RenderBin {
     /// The bins it is nested in, and itself; empty for the stage's own leaves.
     pub path: Vec<BinDetails>,
+    /// Which of them the application draws itself, in their places; may be shorter.
+    pub callbacks: Vec<Option<DrawHook>>,
     /// The order that was asked for.
     pub sort: SortMode,
     /// Leaves in draw order.

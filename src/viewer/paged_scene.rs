@@ -110,10 +110,12 @@ impl PagedScene {
         if self.pager_config.build_kd_trees {
             page.build_kd_trees();
         }
+        let kinds = self.scene.draw_kinds(None, &page).into();
         let drawables = page.take_drawables();
         let root = self.scene_mut().add_root(page);
         self.root.get_or_insert(root);
         if !drawables.is_empty() {
+            rendering.contexts_mut().for_each(|context| context.foresee(&kinds));
             let kept = if self.keeps_drawables { drawables.clone() } else { Vec::new() };
             rendering.compile_own(self.owner, self.own.len() as u32, drawables)?;
             self.own.push(Own { page: root, drawables: kept });

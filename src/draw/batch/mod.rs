@@ -13,7 +13,7 @@ use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
 use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
-use crate::scene::{AlphaMode, Topology};
+use crate::scene::{AlphaMode, SMALL_MESH_INDICES, Topology};
 use crate::state::{ResolvedState, SortMode};
 
 /// What has to be bound for a run: leaves with one bucket differ in geometry alone.
@@ -88,6 +88,8 @@ pub(in crate::draw) struct Batch {
     leaves: Vec<LeafUniform>,
     leaf_count: usize,
     pub(in crate::draw) runs: Vec<Run>,
+    /// Of all stages, the first run of each bin; behind a stage's last bin, the run behind its last.
+    pub(in crate::draw) bin_starts: Vec<u32>,
     /// Of all stages, each with the index of its pipeline.
     pub(in crate::draw) buckets: Vec<(Bucket, u32)>,
     /// By state of the current stage.
@@ -111,9 +113,6 @@ pub(in crate::draw) struct Batch {
     places: Vec<u32>,
 }
 
-/// Meshes with more indices are drawn one by one (or several by an indirect call).
-const MOST_PULLED: u32 = 48;
-
 /// How many vertices of a small mesh one call has for each: 0 for meshes that are not small, in strides of 3, 6, 12, 24
 /// and 48, so that meshes of like sizes share a call.
 #[inline]
@@ -121,7 +120,7 @@ fn stride_code(entry: &DrawableEntry, state: &StateEntry) -> u32 {
     match &entry.shape {
         Shape::Mesh { place, topology: Topology::Triangles, .. }
             if state.key.can_pull
-                && place.index_count <= MOST_PULLED
+                && place.index_count <= SMALL_MESH_INDICES
                 && place.index_count >= 3
                 && !matches!(entry.alpha, AlphaMode::Mask(_)) =>
         {
@@ -144,6 +143,7 @@ impl Batch {
         self.leaf_count = 0;
         self.last_pipeline = None;
         self.runs.clear();
+        self.bin_starts.clear();
         self.buckets.clear();
     }
 
@@ -186,6 +186,7 @@ impl Batch {
         let first_run = self.runs.len();
         let mut dropped = 0;
         for bin in &stage.bins {
+            self.bin_starts.push(self.runs.len() as u32);
             let mut rest = &bin.leaves[..];
             while !rest.is_empty() {
                 let room = most_leaves.saturating_sub(self.leaf_count);
@@ -200,6 +201,7 @@ impl Batch {
                 }
             }
         }
+        self.bin_starts.push(self.runs.len() as u32);
         let buckets = &self.buckets;
         let is_see_through = |r: &Run| !buckets[r.bucket as usize].0.pipeline.writes_depth();
         let see_through = self.runs[first_run..].iter().position(is_see_through);
