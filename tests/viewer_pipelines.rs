@@ -60,6 +60,7 @@ fn tile(folder: &Path, file: &str, range_m: f64, transform: DAffine3, children: 
         content_transform: transform,
         reader_data: None,
         request_volume: None,
+        paging: terrane::scene::PagingOptions::default(),
     };
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }
