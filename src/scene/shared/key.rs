@@ -63,37 +63,25 @@ fn keys() -> &'static Keys {
     })
 }
 
-/// One block, at most [`BLOCK`] bytes, as if filled up with zeros.
-fn nh(keys: &[u64; WORDS], block: &[u8]) -> [u128; 2] {
-    let word = |bytes: &[u8]| {
-        let mut padded = [0; 8];
-        padded[..bytes.len()].copy_from_slice(bytes);
-        u64::from_le_bytes(padded)
-    };
+/// One whole block.
+fn nh(keys: &[u64; WORDS], block: &[u8; BLOCK]) -> [u128; 2] {
     let (mut a, mut b) = (0u128, 0u128);
-    let mut add = |at: usize, m: [u64; 2]| {
-        let k: &[u64; 4] = keys[at..].first_chunk().expect("a block has no more words than there are keys");
-        let product = |k: [u64; 2]| u128::from(m[0].wrapping_add(k[0])) * u128::from(m[1].wrapping_add(k[1]));
-        a = a.wrapping_add(product([k[0], k[1]]));
-        b = b.wrapping_add(product([k[2], k[3]]));
-    };
-    let mut pairs = block.chunks_exact(16);
-    let mut at = 0;
-    for pair in &mut pairs {
-        add(at, [word(&pair[..8]), word(&pair[8..])]);
-        at += 2;
-    }
-    let rest = pairs.remainder();
-    if !rest.is_empty() {
-        let (first, second) = rest.split_at(rest.len().min(8));
-        add(at, [word(first), word(second)]);
-        at += 2;
-    }
-    while at < BLOCK / 8 {
-        add(at, [0, 0]);
-        at += 2;
+    let (words, _) = block.as_chunks::<8>();
+    let word = |i: usize| u64::from_le_bytes(words[i]);
+    let product = |m: u64, k: u64, n: u64, l: u64| u128::from(m.wrapping_add(k)) * u128::from(n.wrapping_add(l));
+    for i in (0..BLOCK / 8).step_by(2) {
+        let (m, n) = (word(i), word(i + 1));
+        a = a.wrapping_add(product(m, keys[i], n, keys[i + 1]));
+        b = b.wrapping_add(product(m, keys[i + 2], n, keys[i + 3]));
     }
     [a, b]
+}
+
+/// At most [`BLOCK`] bytes, as if filled up with zeros.
+fn nh_padded(keys: &[u64; WORDS], data: &[u8]) -> [u128; 2] {
+    let mut block = [0; BLOCK];
+    block[..data.len()].copy_from_slice(data);
+    nh(keys, &block)
 }
 
 fn digest(keys: &Keys, data: &[u8]) -> [u128; 2] {
@@ -105,17 +93,17 @@ fn digest(keys: &Keys, data: &[u8]) -> [u128; 2] {
             break;
         }
         let mut next = Vec::with_capacity(from.len().div_ceil(BLOCK) * 32);
-        for block in from.chunks(BLOCK) {
-            let [a, b] = nh(&keys[level], block);
-            next.extend(a.to_le_bytes());
-            next.extend(b.to_le_bytes());
+        let (blocks, rest) = from.as_chunks::<BLOCK>();
+        let last = (!rest.is_empty()).then(|| nh_padded(&keys[level], rest));
+        for sum in blocks.iter().map(|block| nh(&keys[level], block)).chain(last) {
+            next.extend(sum.iter().flat_map(|lane| lane.to_le_bytes()));
         }
         reduced = next;
         level += 1;
     }
     let last: &[u8] = if level == 0 { data } else { &reduced };
     // The length is a word of the last block, under a key of its own.
-    let [mut a, mut b] = nh(&keys[LEVELS - 1], last);
+    let [mut a, mut b] = nh_padded(&keys[LEVELS - 1], last);
     let [.., k0, k1, k2, k3] = keys[LEVELS - 2];
     let length = data.len() as u64;
     a = a.wrapping_add(u128::from(length.wrapping_add(k0)) * u128::from(k1));

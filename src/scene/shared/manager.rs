@@ -15,7 +15,7 @@ use crate::scene::page::Page;
 /// Tables that are locked apart, so that workers seldom meet.
 const SHARDS: usize = 16;
 /// Images that came again are kept decoded up to so many bytes, for the next tile that brings them.
-const MOST_KEPT_BYTES: u64 = 8 << 20;
+const MOST_KEPT_BYTES: u64 = 16 << 20;
 
 /// What is shared; OSG's `ShareMode`, and geometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
