@@ -41,7 +41,7 @@ pub use kinds::{
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, DrawHook, LightSource, NormalCone, OcclusionQueryNode,
     OcclusionResults, Picture, PictureSink, ReferenceFrame, RenderOrder, TexGenNode,
 };
-pub use node::{Node, NodeKind, PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine};
+pub use node::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 pub use page::{DrawSlot, Page};
 pub use shared::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use slots::{SlotInfo, SlotState};

@@ -70,7 +70,7 @@ impl CompositeViewer {
         let place = self.scenes.len();
         let owner = u16::try_from(place).ok().filter(|_| place < MOST_SCENES);
         let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MOST_SCENES })?;
-        self.scenes.push(PagedScene::new(owner, self.config.pager.clone(), self.config.max_contexts > 1));
+        self.scenes.push(PagedScene::new(owner, self.config.pager.clone(), self.config.keep_drawables));
         Ok(SceneId(place))
     }
 
@@ -131,6 +131,24 @@ impl CompositeViewer {
     /// The pager of a scene, once a set is loaded.
     pub fn pager(&self, scene: SceneId) -> Result<Option<&DatabasePager>, ViewerError> {
         Ok(self.paged(scene)?.pager.as_ref())
+    }
+
+    /// The pager of a scene, to pause it or to have it take no new requests.
+    pub fn pager_mut(&mut self, scene: SceneId) -> Result<Option<&mut DatabasePager>, ViewerError> {
+        Ok(self.paged_mut(scene)?.pager.as_mut())
+    }
+
+    /// Takes every page that the pager of a scene merged out of it and forgets what was asked for; what is wanted is
+    /// loaded anew from the next frame on.
+    pub fn clear_pages(&mut self, scene: SceneId) -> Result<(), ViewerError> {
+        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
+        paged.clear_pages(&mut self.base.rendering);
+        Ok(())
+    }
+
+    /// What could not be drawn as it should so far, each once: what the device complained of, too.
+    pub fn draw_errors(&self) -> &[String] {
+        &self.base.draw_errors
     }
 
     /// Lets a sequence's texture show its images in a scene; see [`ImageSequence`].

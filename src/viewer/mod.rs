@@ -13,6 +13,7 @@ pub mod handlers;
 mod holes;
 mod home;
 mod input;
+mod look_ahead;
 pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;

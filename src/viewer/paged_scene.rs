@@ -42,6 +42,8 @@ pub(super) struct PagedScene {
     pub(super) update_callbacks: Vec<UpdateCallback>,
     /// Of all cameras in the last frame.
     pub(super) requests: Vec<PageRequest>,
+    /// What cameras will want.
+    pub(super) requests_ahead: Vec<PageRequest>,
     /// Tiles that the last frame's pictures lacked.
     pub(super) wanted_missing: u32,
     /// Frames in a row in which the pager had nothing to do.
@@ -63,6 +65,7 @@ impl PagedScene {
             keeps_drawables,
             update_callbacks: Vec::new(),
             requests: Vec::new(),
+            requests_ahead: Vec::new(),
             wanted_missing: 0,
             quiet_frames: 0,
         }
@@ -167,8 +170,12 @@ impl PagedScene {
         let _span = crate::timeline::span("merge");
         self.merge_own(rendering);
         if let Some(pager) = &mut self.pager {
-            let (scene, requests) = (alone(&mut self.scene), &self.requests);
+            let scene = alone(&mut self.scene);
+            let wanted = self.requests.len();
+            self.requests.append(&mut self.requests_ahead);
+            let requests = &self.requests;
             rendering.compile_for(self.owner, |contexts| pager.update_scene_graph(scene, frame, requests, contexts));
+            self.requests.truncate(wanted);
             self.quiet_frames = if pager.is_idle() { self.quiet_frames.saturating_add(1) } else { 0 };
         } else {
             self.quiet_frames = QUIET_FRAMES;
@@ -300,7 +307,24 @@ impl PagedScene {
         alone(&mut self.scene).forget_context(context);
     }
 
+    /// Uploads everything to a context whose device was lost and replaced.
+    pub(super) fn context_renewed(&mut self, rendering: &mut Rendering, context: u32) -> Result<(), ViewerError> {
+        self.context_closed(rendering, context);
+        self.context_opened(rendering, context)
+    }
+
+    /// Takes every paged page out, and forgets what was asked for.
+    pub(super) fn clear_pages(&mut self, rendering: &mut Rendering) {
+        self.requests.clear();
+        self.quiet_frames = 0;
+        if let Some(pager) = &mut self.pager {
+            let scene = alone(&mut self.scene);
+            rendering.compile_for(self.owner, |contexts| pager.clear(scene, contexts));
+        }
+    }
+
     fn page_anew(&mut self, rendering: &mut Rendering) {
+        self.quiet_frames = 0;
         if let Some(pager) = &mut self.pager {
             let scene = alone(&mut self.scene);
             rendering.compile_for(self.owner, |contexts| pager.page_anew(scene, contexts));
@@ -314,6 +338,7 @@ impl PagedScene {
     }
 }
 
+/// Between two frames nobody else has it: whoever culls drops it before it answers, and who died had its task dropped.
 fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
     Arc::get_mut(scene).expect("culls have dropped the scene before a frame ends")
 }

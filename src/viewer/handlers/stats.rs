@@ -193,6 +193,7 @@ mod page {
                 ("in flight", pager.in_flight.to_string()),
                 ("requested", pager.requested.to_string()),
                 ("merged", pager.merged.to_string()),
+                ("merged ahead", pager.merged_ahead.to_string()),
                 ("expired", pager.expired.to_string()),
                 ("cancelled", pager.cancelled.to_string()),
                 ("failed", pager.failed.to_string()),
