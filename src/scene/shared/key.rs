@@ -95,8 +95,9 @@ fn digest(keys: &Keys, data: &[u8]) -> [u128; 2] {
         let mut next = Vec::with_capacity(from.len().div_ceil(BLOCK) * 32);
         let (blocks, rest) = from.as_chunks::<BLOCK>();
         let last = (!rest.is_empty()).then(|| nh_padded(&keys[level], rest));
-        for sum in blocks.iter().map(|block| nh(&keys[level], block)).chain(last) {
-            next.extend(sum.iter().flat_map(|lane| lane.to_le_bytes()));
+        for [a, b] in blocks.iter().map(|block| nh(&keys[level], block)).chain(last) {
+            next.extend_from_slice(&a.to_le_bytes());
+            next.extend_from_slice(&b.to_le_bytes());
         }
         reduced = next;
         level += 1;
