@@ -161,6 +161,7 @@ fn root(folder: &str) -> Result<Page> {
             content_transform: DAffine3::from_translation(center),
             reader_data: None,
             request_volume: None,
+            paging: Default::default(),
         })))
     };
     Ok(Page::from_node(Node::group((0..TILES).map(tile).collect()))?)
