@@ -232,6 +232,12 @@ pub enum Bench {
         #[arg(long, default_value_t = 1.0)]
         secs: f64,
     },
+    /// What equal contents share, and what looking for them costs
+    Share {
+        /// Shortest time to decode each set, seconds
+        #[arg(long, default_value_t = 10.0)]
+        secs: f64,
+    },
     /// Files to merged pages
     Page {
         /// Frames of the flight
