@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use fuzz_support::run;
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
-use terrane::io::{Content, DECODER_PANICKED, FileReader, IoError, Limits, ReadOptions, decode};
+use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode};
 use terrane::viewer::{AnimationPath, DisplaySettings};
 
 fn limits() -> Limits {
@@ -22,7 +22,7 @@ fn is_told(error: &IoError) {
     assert_ne!(error.reason(), DECODER_PANICKED);
 }
 
-fn content(bytes: &[u8], reader_data: Option<&str>, companions: Vec<(Arc<str>, Result<Vec<u8>, IoError>)>) {
+fn content(bytes: &[u8], reader_data: Option<&str>, companions: Vec<Fetched>) {
     let content =
         Content { uri: "/set/tile".into(), bytes: bytes.to_vec(), reader_data: reader_data.map(Arc::from), companions };
     let mut options = ReadOptions::for_root("/set/tileset.json", limits());
