@@ -52,7 +52,7 @@ pub use stats::{FrameStats, Samples, StatsHistory};
 pub use view::{ContextId, Slave, SlaveId, View};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 #[cfg(feature = "window")]
-pub use window::{AfterFrame, BeforeFrame, OnOpen, WindowOptions, has_display, run_window};
+pub use window::{AfterFrame, BeforeFrame, OnOpen, SlaveWindow, WindowOptions, has_display, run_window};
 pub use window_matrix::{WindowMatrix, WindowRay, camera_with_focus};
 
 /// Why a viewer cannot go on.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use glam::{DAffine3, DMat4};
 use winit::application::ApplicationHandler;
 use winit::event::{StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
@@ -15,8 +16,10 @@ use super::camera_path::AnimationPath;
 use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
+use super::view::{ContextId, Slave};
 use super::viewer::{Viewer, ViewerConfig};
 use super::window_events;
+use crate::gpu::{ContextTraits, GraphicsContext};
 
 /// Called once, when the window is there.
 pub type OnOpen = Box<dyn FnOnce(&mut Viewer) -> Result<(), ViewerError>>;
@@ -30,6 +33,21 @@ const IDLE_POLL: Duration = Duration::from_millis(30);
 /// And draws a frame so often nevertheless.
 const IDLE_FRAME: Duration = Duration::from_secs(1);
 
+/// Another window, all of which a slave camera has. Closed, it takes its camera along and the rest goes on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SlaveWindow {
+    /// Its title.
+    pub title: String,
+    /// Width and height.
+    pub size_px: [u32; 2],
+    /// Its upper left corner on the screen; `None`: where the system puts it.
+    pub position_px: Option<[i32; 2]>,
+    /// Of its camera; see [`Slave::projection_offset`].
+    pub projection_offset: DMat4,
+    /// Of its camera; see [`Slave::view_offset`].
+    pub view_offset: DAffine3,
+}
+
 /// What a window shows and when it closes.
 pub struct WindowOptions {
     /// Title of the window.
@@ -40,6 +58,8 @@ pub struct WindowOptions {
     pub overlay: bool,
     /// Where pictures and recorded paths go.
     pub output_dir: PathBuf,
+    /// More windows, each with a context of its own.
+    pub slaves: Vec<SlaveWindow>,
     /// Called once the viewer exists, to load a set and to add handlers; the viewer has no root before.
     pub on_open: OnOpen,
     /// The user moves the camera, by what [`Self::on_open`] has set or the [usual](manipulators::usual) manipulators;
@@ -62,6 +82,7 @@ impl Default for WindowOptions {
             path: None,
             overlay: false,
             output_dir: PathBuf::from("."),
+            slaves: Vec::new(),
             on_open: Box::new(|_| Ok(())),
             manipulated: true,
             on_demand: false,
@@ -112,6 +133,7 @@ struct Open {
     egui: egui_winit::State,
     last_frame: Instant,
     window: Arc<Window>,
+    slaves: Vec<(Arc<Window>, ContextId)>,
 }
 
 impl App {
@@ -124,9 +146,14 @@ impl App {
         let window = Arc::new(event_loop.create_window(attributes).map_err(window_error)?);
         let size = window.inner_size();
         self.config.size_px = [size.width.max(1), size.height.max(1)];
+        self.config.max_contexts = self.config.max_contexts.max(1 + self.options.slaves.len());
         let mut viewer = Viewer::new_window(Arc::clone(&window), &self.config)?;
         let on_open = std::mem::replace(&mut self.options.on_open, Box::new(|_| Ok(())));
         on_open(&mut viewer)?;
+        let mut slaves = Vec::new();
+        for slave in std::mem::take(&mut self.options.slaves) {
+            slaves.push(open_slave(event_loop, &mut viewer, &self.config, slave)?);
+        }
         let stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
         handlers::add_usual(&mut viewer, &self.options.output_dir, stats);
         if self.config.pager.build_kd_trees && !viewer.has_ground() {
@@ -144,7 +171,7 @@ impl App {
             None,
             None,
         );
-        Ok(Open { viewer, egui, last_frame: Instant::now(), window })
+        Ok(Open { viewer, egui, last_frame: Instant::now(), window, slaves })
     }
 
     fn fail(&mut self, event_loop: &ActiveEventLoop, error: ViewerError) {
@@ -152,8 +179,16 @@ impl App {
         event_loop.exit();
     }
 
-    fn handle(&mut self, event_loop: &ActiveEventLoop, event: &WindowEvent) -> Result<(), ViewerError> {
+    fn handle(
+        &mut self,
+        event_loop: &ActiveEventLoop,
+        window: WindowId,
+        event: &WindowEvent,
+    ) -> Result<(), ViewerError> {
         let Some(open) = &mut self.open else { return Ok(()) };
+        if let Some(place) = open.slaves.iter().position(|(slave, _)| slave.id() == window) {
+            return open.handle_slave(place, event);
+        }
         match event {
             WindowEvent::RedrawRequested => {
                 if open.frame(&mut self.options)? {
@@ -211,8 +246,8 @@ impl ApplicationHandler for App {
         }
     }
 
-    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
-        if let Err(error) = self.handle(event_loop, &event) {
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, window: WindowId, event: WindowEvent) {
+        if let Err(error) = self.handle(event_loop, window, &event) {
             self.fail(event_loop, error);
         }
     }
@@ -229,7 +264,49 @@ impl ApplicationHandler for App {
     }
 }
 
+/// Opens a window, with a context and a slave camera in it.
+fn open_slave(
+    event_loop: &ActiveEventLoop,
+    viewer: &mut Viewer,
+    config: &ViewerConfig,
+    slave: SlaveWindow,
+) -> Result<(Arc<Window>, ContextId), ViewerError> {
+    let [width, height] = slave.size_px;
+    let mut attributes = Window::default_attributes()
+        .with_title(slave.title)
+        .with_inner_size(winit::dpi::PhysicalSize::new(width.max(1), height.max(1)));
+    if let Some([x, y]) = slave.position_px {
+        attributes = attributes.with_position(winit::dpi::PhysicalPosition::new(x, y));
+    }
+    let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(e.to_string()))?;
+    let window = Arc::new(window);
+    let size = window.inner_size();
+    let traits = ContextTraits { size_px: [size.width.max(1), size.height.max(1)], ..config.traits() };
+    let context = viewer.open_context(GraphicsContext::new_window(Arc::clone(&window), &traits)?)?;
+    let SlaveWindow { projection_offset, view_offset, .. } = slave;
+    viewer.add_slave(Slave { projection_offset, view_offset, ..Slave::new(context) })?;
+    Ok((window, context))
+}
+
 impl Open {
+    /// Keys of all windows are the viewer's; the pointer is the first window's.
+    fn handle_slave(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
+        let (_, context) = self.slaves[place];
+        match event {
+            WindowEvent::CloseRequested => {
+                self.viewer.close_context(context)?;
+                self.slaves.remove(place);
+            }
+            WindowEvent::Resized(size) => self.viewer.resize_context(context, [size.width, size.height])?,
+            WindowEvent::KeyboardInput { .. } | WindowEvent::ModifiersChanged(_) => {
+                window_events::feed(self.viewer.event_queue(), event);
+            }
+            _ => {}
+        }
+        self.window.request_redraw();
+        Ok(())
+    }
+
     /// One frame; false when it was the last.
     fn frame(&mut self, options: &mut WindowOptions) -> Result<bool, ViewerError> {
         self.last_frame = Instant::now();

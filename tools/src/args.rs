@@ -124,6 +124,9 @@ pub struct FlyArgs {
     /// Frames a second at most (window only)
     #[arg(long, value_name = "FPS")]
     pub max_fps: Option<Positive>,
+    /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
+    pub beside: u32,
 }
 
 #[derive(Clone, Debug, ClapArgs)]
@@ -158,13 +161,17 @@ pub struct ViewArgs {
     /// Frames a second at most
     #[arg(long, value_name = "FPS")]
     pub max_fps: Option<Positive>,
+    /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
+    pub beside: u32,
     #[command(flatten)]
     pub net: NetArgs,
 }
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs { source, size, view, path, sse, lod_fade, threading, stats, on_demand, max_fps, net } = args;
+        let ViewArgs { source, size, view, path, sse, lod_fade, threading, stats, on_demand, max_fps, beside, net } =
+            args;
         Box::new(FlyArgs {
             source: Some(source),
             size,
@@ -176,6 +183,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             stats,
             on_demand,
             max_fps,
+            beside,
             net,
             interactive: true,
             ..FlyArgs::default()

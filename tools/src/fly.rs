@@ -8,14 +8,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
+use glam::{DAffine3, DMat4, DVec3};
 use image::RgbaImage;
 use terrane::cull::Stereo;
 use terrane::draw::{Sky, Water};
 use terrane::io::shown;
 use terrane::timeline::Recording;
 use terrane::viewer::{
-    AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, ViewFrom, Viewer,
-    ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
+    AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, SlaveWindow, ViewFrom,
+    Viewer, ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
 };
 
 use crate::args::FlyArgs;
@@ -103,6 +104,21 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
     flight.finish(&mut viewer, where_drawn)
 }
 
+/// Windows beside a first of the same size: the first on its right, the second on its left, and so on outwards.
+fn beside(count: u32, size_px: [u32; 2]) -> Vec<SlaveWindow> {
+    let window = |i: u32| {
+        let place = f64::from(i / 2 + 1) * if i.is_multiple_of(2) { 1.0 } else { -1.0 };
+        SlaveWindow {
+            title: format!("Terrane {}", i + 2),
+            size_px,
+            position_px: None,
+            projection_offset: DMat4::from_translation(DVec3::new(-2.0 * place, 0.0, 0.0)),
+            view_offset: DAffine3::IDENTITY,
+        }
+    };
+    (0..count).map(window).collect()
+}
+
 /// The same flight, a frame each time the window draws.
 fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &str) -> Result<(Viewer, Flight)> {
     let interactive = flight.args.interactive;
@@ -115,6 +131,7 @@ fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &st
         overlay: flight.args.stats,
         manipulated: interactive,
         on_demand: flight.args.on_demand,
+        slaves: beside(flight.args.beside, flight.args.size.0),
         max_frame_rate: flight.args.max_fps.map(|rate| rate.0),
         ..WindowOptions::default()
     };

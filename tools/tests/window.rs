@@ -89,10 +89,15 @@ impl Driven {
     }
 
     fn find_window(&mut self) -> Option<Window> {
+        self.find_named(b"Terrane - ")
+    }
+
+    /// A visible window whose title begins so.
+    fn find_named(&self, title: &[u8]) -> Option<Window> {
         let tree = self.x.query_tree(self.root).unwrap().reply().unwrap();
         tree.children.into_iter().find(|window| {
             let name = self.x.get_property(false, *window, AtomEnum::WM_NAME, AtomEnum::ANY, 0, 100).unwrap().reply();
-            let is_ours = name.is_ok_and(|name| name.value.starts_with(b"Terrane"));
+            let is_ours = name.is_ok_and(|name| name.value.starts_with(title));
             let seen = self.x.get_window_attributes(*window).unwrap().reply();
             is_ours && seen.is_ok_and(|a| a.map_state == x11rb::protocol::xproto::MapState::VIEWABLE)
         })
@@ -406,4 +411,40 @@ fn escape_ends_a_flight_in_a_window_and_the_report_is_written() {
     assert_eq!(w.ended().code(), Some(0));
     let report: serde_json::Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
     assert!(report["frames"].as_u64().unwrap() > 5, "{report}");
+}
+
+#[test]
+fn a_second_window_goes_on_where_the_first_ends_and_may_be_closed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let set = set.to_str().unwrap().to_owned();
+    let mut w = Driven::start(&display, &["view", &set, "--size", "320x240", "--beside", "1"], folder.path());
+    let first = w.window;
+    let second = w.wait_for("a second window", |w| w.find_named(b"Terrane 2"));
+    w.until("beside: first", |picture| colours(picture) > 200);
+    std::thread::sleep(Duration::from_secs(3));
+    let left = w.at_rest("beside: first at rest");
+    w.window = second;
+    w.until("beside: second", |picture| colours(picture) > 200);
+    let right = w.at_rest("beside: second at rest");
+    let column = |picture: &RgbImage, x: u32| -> Vec<u8> { (0..240).flat_map(|y| picture.get_pixel(x, y).0).collect() };
+    let apart =
+        |a: Vec<u8>, b: Vec<u8>| a.iter().zip(&b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64;
+    let [seam, across] = [apart(column(&left, 319), column(&right, 0)), apart(column(&left, 0), column(&right, 319))];
+    assert!(seam < 4.0 && seam < 0.5 * across, "{seam} across the seam, {across} from end to end");
+    // Keys that it gets are the viewer's.
+    w.x.set_input_focus(InputFocus::PARENT, second, x11rb::CURRENT_TIME).unwrap();
+    w.key(SPACE);
+    w.until("beside: second at home", |picture| differing(&right, picture) > 0.05);
+    w.close();
+    w.wait_for("one window", |w| w.find_named(b"Terrane 2").is_none().then_some(()));
+    // The first goes on.
+    w.window = first;
+    let home = w.at_rest("beside: alone");
+    assert!(differing(&left, &home) > 0.05);
+    w.drag(1, [160, 120], [220, 110]);
+    w.until("beside: turned alone", |picture| differing(&home, picture) > 0.1);
+    w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
+    w.key(ESCAPE);
+    assert!(w.ended().success());
 }
