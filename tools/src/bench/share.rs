@@ -79,7 +79,7 @@ fn decode_rates(contents: &[Vec<u8>]) -> [f64; 2] {
         loop {
             let i = next.fetch_add(1, Ordering::Relaxed);
             let Some(bytes) = contents.get(i) else { return spent };
-            let order = if i % 2 == 0 { [0, 1] } else { [1, 0] };
+            let order = if i.is_multiple_of(2) { [0, 1] } else { [1, 0] };
             for mode in order {
                 let uri = "/set/t.glb".into();
                 let content = Content { uri, bytes: bytes.clone(), reader_data: None, companions: Vec::new() };
