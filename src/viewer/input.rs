@@ -126,7 +126,7 @@ pub(super) fn needs_frame(base: &ViewerBase, view: &View, paged: &PagedScene) ->
         || base.stamp.frame == 0
         || !paged.update_callbacks.is_empty()
         || paged.scene().has_update_callbacks()
-        || !paged.is_settled()
+        || !paged.is_at_rest()
         || paged.image_pager.as_ref().is_some_and(|images| images.needs_frame())
 }
 
