@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::sort::Spare;
-use super::{CullCamera, StereoMode};
+use super::{CullCamera, FadeBand, StereoMode};
 use crate::scene::{CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
 use crate::state::{BinDetails, Light, ResolvedState, SortMode, TexGen};
 
@@ -27,6 +27,8 @@ pub struct RenderLeaf {
 pub struct RenderBin {
     /// The bins it is nested in, and itself; empty for the stage's own leaves.
     pub path: Vec<BinDetails>,
+    /// Which of them the application draws itself, in their places; may be shorter.
+    pub callbacks: Vec<Option<DrawHook>>,
     /// The order that was asked for.
     pub sort: SortMode,
     /// Leaves in draw order.
@@ -78,6 +80,8 @@ pub struct CullCounters {
     pub wanted_missing: u32,
     /// Nodes, drawables and tiles behind occluders.
     pub occluded: u32,
+    /// Tiles and Lods between two levels of detail.
+    pub fading: u32,
 }
 
 impl CullCounters {
@@ -89,6 +93,7 @@ impl CullCounters {
         self.tiles_drawn += other.tiles_drawn;
         self.wanted_missing += other.wanted_missing;
         self.occluded += other.occluded;
+        self.fading += other.fading;
     }
 }
 
@@ -181,6 +186,10 @@ pub struct RenderStage {
     pub state_sets: Vec<Arc<ResolvedState>>,
     /// By state: 0 is the camera's projection, others are one more than their index in `views`.
     pub view_of_state: Vec<u32>,
+    /// By state: 0 is drawn in every pixel, others are one more than their index in `fades`.
+    pub fade_of_state: Vec<u32>,
+    /// Parts of the screen's pixels in which levels of detail are drawn that give way to one another.
+    pub fades: Vec<FadeBand>,
     /// Other projections, in the order met.
     pub views: Vec<StageView>,
     /// In draw order: bins with negative numbers, a bin's own leaves, bins from 0 on; nested ones inside theirs.
@@ -228,6 +237,8 @@ impl RenderStage {
         self.eye_from_drawable.clear();
         // `state_sets` is overwritten and cut to the length of this one.
         self.view_of_state.clear();
+        self.fade_of_state.clear();
+        self.fades.clear();
         self.views.clear();
         self.requests.clear();
         self.lights.clear();

@@ -13,7 +13,7 @@ use super::threads::Threads;
 use crate::cull::PageRequest;
 use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
-use crate::scene::{NodeId, Page, PageId, PagingOptions, Scene, SharedStateManager, SlotState};
+use crate::scene::{DrawKind, NodeId, Page, PageId, PagingOptions, Scene, SharedStateManager, SlotState};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
@@ -341,6 +341,7 @@ impl DatabasePager {
             Some(Ok(mut page)) => {
                 self.stats.loaded += 1;
                 self.stats.bytes_decoded += page.size_bytes();
+                let kinds: Arc<[DrawKind]> = scene.draw_kinds(Some(slot), &page).into();
                 let drawables = page.take_drawables();
                 self.shares.take(&page);
                 let ticket = entry.job.ticket;
@@ -355,6 +356,7 @@ impl DatabasePager {
                 let last = contexts.len() - 1;
                 for (i, context) in contexts.iter_mut().enumerate() {
                     let for_this = if i == last { drawables.take() } else { drawables.clone() };
+                    context.foresee(&kinds);
                     context.compile(CompileOperation { ticket, drawables: for_this.unwrap_or_default() });
                 }
             }

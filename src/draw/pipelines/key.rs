@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units
+//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading
 //! ```
 
 use crate::scene::Topology;
@@ -40,6 +40,7 @@ const ALPHA_TO_COVERAGE: u64 = 1 << 41;
 const PROGRAM: u64 = 0x3ff << 48;
 const PULLED: u64 = 1 << 58;
 const TEXTURED: u64 = 1 << 59;
+const FADING: u64 = 1 << 60;
 
 /// Who shades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,6 +69,8 @@ pub(in crate::draw) struct StateKey {
     /// Culled faces of single-sided and of double-sided drawables.
     culled: [u64; 2],
     blends: bool,
+    /// Leaves may be drawn in a part of the pixels; those of programs are drawn wholly or not.
+    pub can_fade: bool,
     /// Meshes may fetch their vertices themselves.
     pub can_pull: bool,
     /// Leaves may change places: nearer ones hide farther ones in any order.
@@ -111,7 +114,13 @@ impl StateKey {
         let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
         let order_is_free = write && nearer_wins && !blends && parts.stencil == 0;
         let can_pull = !matches!(shading, Shading::Program(_));
-        Self { common, culled: [culled(false), culled(true)], blends, can_pull, order_is_free }
+        let can_fade = !matches!(shading, Shading::Program(_) | Shading::Fallback);
+        Self { common, culled: [culled(false), culled(true)], blends, can_fade, can_pull, order_is_free }
+    }
+
+    /// The same for leaves that are drawn in a part of the pixels.
+    pub fn fading(self) -> Self {
+        Self { common: if self.can_fade { self.common | FADING } else { self.common }, ..self }
     }
 }
 
@@ -220,6 +229,10 @@ impl PipelineKey {
         self.0 & PULLED != 0
     }
 
+    pub fn is_fading(self) -> bool {
+        self.0 & FADING != 0
+    }
+
     /// A number in the order of the keys.
     pub fn order(self) -> u64 {
         self.0
@@ -227,7 +240,7 @@ impl PipelineKey {
 
     /// The same, shaded so that a fault is seen.
     pub fn fallback(self) -> Self {
-        let plain = self.0 & !(PROGRAM | FIXED | TEXTURED);
+        let plain = self.0 & !(PROGRAM | FIXED | TEXTURED | FADING);
         Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM })
     }
 
@@ -317,6 +330,7 @@ mod tests {
         assert_eq!((key.blend(), key.offset()), (40, 50));
         assert_eq!((key.stencil(), key.target(), key.shading()), (60, 33, Shading::Program(1000)));
         assert_eq!(key.fallback().shading(), Shading::Fallback);
+        assert!(!state.can_fade && state.fading() == state);
         assert_eq!(PipelineKey::height(&state, false).shading(), Shading::Plain);
         assert!(!state.order_is_free);
         let mirrored = PipelineKey::mesh(&state, Topology::Triangles, false, true, true);
@@ -332,7 +346,10 @@ mod tests {
     fn the_defaults_are_plain() {
         let state = StateKey::new(&ResolvedState::default(), PartIndices::default(), Shading::Plain, 0);
         assert!(state.order_is_free);
+        let fading = PipelineKey::height(&state.fading(), true);
+        assert!(fading.is_fading() && fading.shading() == Shading::Plain);
         let key = PipelineKey::height(&state, true);
+        assert!(!key.is_fading());
         assert_eq!((key.kind(), key.culled(), key.blend(), key.color_mask()), (Kind::Height, 0, 0, 7));
         assert_eq!((key.depth_compare(), key.writes_depth()), (CompareFunction::Less, true));
         let off = StateSet::default().with_mode(Mode::DepthTest, StateValue::OFF);
