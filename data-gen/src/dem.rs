@@ -12,6 +12,8 @@ use crate::{ElevationSource, GenError, geotiff};
 const DEFAULT_PLACE: ([f64; 2], f64) = ([8.0, 47.0], 1.0 / 3600.0);
 /// Most samples of one raster.
 const MAX_SAMPLES: usize = 1 << 30;
+/// Samples that a byte of an EXR can hold at most: deflate packs 1,032 bytes into one.
+const MOST_COMPRESSED: u64 = 1032;
 
 /// From pixel corners to the reference system: `origin + column * dx + row * dy`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -233,6 +235,17 @@ fn terrain_rgb(path: &Path) -> Result<Raster, GenError> {
 fn exr(path: &Path) -> Result<Raster, GenError> {
     use exr::prelude::{ReadChannels as _, ReadLayers as _};
     let bad = |e: String| GenError::invalid(path, format!("EXR: {e}"));
+    // The header first: the decoder takes memory for whatever size it says.
+    let meta = exr::meta::MetaData::read_from_file(path, false).map_err(|e| bad(e.to_string()))?;
+    let file_bytes = std::fs::metadata(path).map_err(GenError::file(path))?.len();
+    let believed = file_bytes.saturating_mul(MOST_COMPRESSED).max(1 << 20).min(MAX_SAMPLES as u64);
+    for header in &meta.headers {
+        let (width, height) = (header.layer_size.width(), header.layer_size.height());
+        let channels = header.channels.list.len();
+        if width.saturating_mul(height).saturating_mul(channels) as u64 > believed {
+            return Err(bad(format!("{width} x {height} samples of {channels} channels in {file_bytes} bytes")));
+        }
+    }
     let image = exr::prelude::read()
         .no_deep_data()
         .largest_resolution_level()
