@@ -33,6 +33,7 @@ fn tile(range_m: f64, refine: Refine, children: Vec<Node>) -> Node {
         reader_data: None,
         paging: PagingOptions::default(),
         request_volume: None,
+        paging: terrane::scene::PagingOptions::default(),
     };
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }
@@ -118,6 +119,9 @@ fn assert_fades(rig: &mut Rig, scene: &Scene, at: &dyn Fn(f64, f64) -> CullCamer
     shares
 }
 
+/// A node of a colour, at a depth in metres.
+type Kind<'a> = dyn Fn([f32; 4], f32) -> Node + 'a;
+
 #[test]
 fn a_tile_gives_way_to_its_children_pixel_by_pixel() {
     let Some(mut rig) = rig("a_tile_gives_way_to_its_children_pixel_by_pixel") else { return };
@@ -128,7 +132,7 @@ fn a_tile_gives_way_to_its_children_pixel_by_pixel() {
         Arc::new(StateSet::default().with(Attribute::SurfaceMaterial(material)))
     };
     let with_alpha = |color, alpha| Material { alpha, ..unlit(color) };
-    let kinds: [(&str, &dyn Fn([f32; 4], f32) -> Node); 6] = [
+    let kinds: [(&str, &Kind<'_>); 6] = [
         ("pulled", &|color, depth| Node::geode(vec![quad([0.0, 0.0, depth], [1.2, 1.2], color)])),
         ("large", &|color, depth| Node::geode(vec![large(1.2, depth, unlit(color))])),
         ("lit", &|color, depth| Node::geode(vec![large(1.2, depth, Material { unlit: false, ..unlit(color) })])),
@@ -165,7 +169,7 @@ fn height_tiles_fade_too() {
     let center = terrain.world(0.5, 0.5, 0.0);
     let bounds = BoundingVolume::Sphere(BoundingSphere::new(center, 40_000.0));
     let lod = |range_m| PagedLod {
-        bounds: bounds.clone(),
+        bounds,
         range_mode: RangeMode::Distance { center, range_m },
         refine: Refine::Replace,
         content: Some("heights".into()),
@@ -173,6 +177,7 @@ fn height_tiles_fade_too() {
         reader_data: None,
         paging: PagingOptions::default(),
         request_volume: None,
+        paging: terrane::scene::PagingOptions::default(),
     };
     let mut root = Node::new(NodeKind::PagedLod(Box::new(lod(20_000.0))));
     root.children = (0..4).map(|_| Node::new(NodeKind::PagedLod(Box::new(lod(0.0))))).collect();

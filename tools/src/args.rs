@@ -29,6 +29,8 @@ pub enum Command {
     Info(InfoArgs),
     /// Serve a folder over HTTP, as well or as badly as asked
     Serve(crate::serve::ServeArgs),
+    /// Fly at random over a set that comes badly, and check what must hold in each frame
+    Stress(crate::stress::StressArgs),
     /// Look after the cache on disk
     Cache(crate::cache::CacheArgs),
     /// Measure one layer; JSON lines on stdout
@@ -228,6 +230,12 @@ pub enum Bench {
     Threading {
         /// Shortest time to measure each case, seconds
         #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
+    /// What equal contents share, and what looking for them costs
+    Share {
+        /// Shortest time to decode each set, seconds
+        #[arg(long, default_value_t = 10.0)]
         secs: f64,
     },
     /// Files to merged pages
