@@ -33,7 +33,6 @@ fn tile(range_m: f64, refine: Refine, children: Vec<Node>) -> Node {
         reader_data: None,
         paging: PagingOptions::default(),
         request_volume: None,
-        paging: terrane::scene::PagingOptions::default(),
     };
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }
@@ -177,7 +176,6 @@ fn height_tiles_fade_too() {
         reader_data: None,
         paging: PagingOptions::default(),
         request_volume: None,
-        paging: terrane::scene::PagingOptions::default(),
     };
     let mut root = Node::new(NodeKind::PagedLod(Box::new(lod(20_000.0))));
     root.children = (0..4).map(|_| Node::new(NodeKind::PagedLod(Box::new(lod(0.0))))).collect();

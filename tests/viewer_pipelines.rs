@@ -61,7 +61,6 @@ fn tile(folder: &Path, file: &str, range_m: f64, transform: DAffine3, children: 
         reader_data: None,
         paging: PagingOptions::default(),
         request_volume: None,
-        paging: terrane::scene::PagingOptions::default(),
     };
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }
