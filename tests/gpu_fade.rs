@@ -13,7 +13,7 @@ use terrane::cull::CullCamera;
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
     AlphaMode, Attachment, CameraNode, CameraTarget, Drawable, Geometry, Material, MeshVertex, Node, NodeId, NodeKind,
-    Page, PageId, PagedLod, RangeMode, Refine, RenderOrder, Scene,
+    Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, RenderOrder, Scene,
 };
 use terrane::state::{Attribute, Program, StateSet, SurfaceMaterial, TextureFormat, TextureObject};
 
@@ -31,8 +31,8 @@ fn tile(range_m: f64, refine: Refine, children: Vec<Node>) -> Node {
         content: Some("tile".into()),
         content_transform: DAffine3::IDENTITY,
         reader_data: None,
+        paging: PagingOptions::default(),
         request_volume: None,
-        paging: terrane::scene::PagingOptions::default(),
     };
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }
@@ -174,8 +174,8 @@ fn height_tiles_fade_too() {
         content: Some("heights".into()),
         content_transform: DAffine3::IDENTITY,
         reader_data: None,
+        paging: PagingOptions::default(),
         request_volume: None,
-        paging: terrane::scene::PagingOptions::default(),
     };
     let mut root = Node::new(NodeKind::PagedLod(Box::new(lod(20_000.0))));
     root.children = (0..4).map(|_| Node::new(NodeKind::PagedLod(Box::new(lod(0.0))))).collect();

@@ -9,7 +9,7 @@ use terrane::gpu::{AdapterChoice, GpuError};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
-use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine};
+use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
 use terrane::state::{Attribute, CullFace, StateSet, SurfaceMaterial};
 use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
@@ -59,8 +59,8 @@ fn tile(folder: &Path, file: &str, range_m: f64, transform: DAffine3, children: 
         content: Some(Arc::from(folder.join(file).display().to_string())),
         content_transform: transform,
         reader_data: None,
+        paging: PagingOptions::default(),
         request_volume: None,
-        paging: terrane::scene::PagingOptions::default(),
     };
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }

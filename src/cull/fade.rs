@@ -69,6 +69,16 @@ pub(super) struct TileMark {
     own: u16,
 }
 
+/// What a tile draws.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Turn {
+    /// Share of its children.
+    pub refined: u16,
+    /// Share of its own content, of what the children leave.
+    pub own: u16,
+    pub is_fading: bool,
+}
+
 /// A Lod as it was met last.
 #[derive(Clone, Copy, Debug, Default)]
 struct LodMark {
@@ -188,35 +198,36 @@ fn before(cull: u32) -> u32 {
 }
 
 impl TileMark {
-    /// The share of the children, of a tile that is to give way to them or not. `fades` is false where only one of the
-    /// two can be drawn.
-    pub fn turn(&mut self, step: Step, is_refined: bool, fades: bool) -> u16 {
-        let target = if is_refined { WHOLE } else { 0 };
-        if self.cull != step.cull {
-            self.refined = self.next(step, self.refined, target);
+    /// True for a tile that is what it is to be; all there is to do in a steady frame.
+    #[inline(always)]
+    pub fn stays(&mut self, step: Step, is_refined: bool, is_resident: bool) -> bool {
+        let whole = |is: bool| if is { WHOLE } else { 0 };
+        let stays = self.refined == whole(is_refined) && self.own == whole(is_resident);
+        if stays {
+            self.cull = step.cull;
         }
-        if !fades {
-            self.refined = target;
-        }
-        self.refined
+        stays
     }
 
-    /// The share of its own content that has come in; at once where nothing else is drawn in its place. Called before
-    /// [`Self::turn`].
-    pub fn come_in(&mut self, step: Step, is_resident: bool, covered: bool) -> u16 {
+    /// The shares of a tile that is to give way to its children or not. `can_fade` is false where only one of the two
+    /// can be drawn. Its own content comes in at once where it is not `covered`.
+    #[cold]
+    pub fn turn(&mut self, step: Step, is_refined: bool, can_fade: bool, is_resident: bool, covered: bool) -> Turn {
+        let target = if is_refined { WHOLE } else { 0 };
         if self.cull != step.cull {
             self.own = match (is_resident, covered) {
                 (true, true) => self.next(step, self.own, WHOLE),
                 (true, false) => WHOLE,
                 (false, _) => 0,
             };
+            self.refined = self.next(step, self.refined, target);
+            self.cull = step.cull;
         }
-        self.own
-    }
-
-    /// Ends the tile's turn in this cull.
-    pub fn met(&mut self, step: Step) {
-        self.cull = step.cull;
+        if !can_fade {
+            self.refined = target;
+        }
+        let (refined, own) = (self.refined, self.own);
+        Turn { refined, own, is_fading: (refined > 0 && refined < WHOLE) || (is_resident && own < WHOLE) }
     }
 
     fn next(&self, step: Step, share: u16, target: u16) -> u16 {
@@ -267,9 +278,9 @@ mod tests {
             let turn = |time: &f64| {
                 fades.start(*time);
                 let step = fades.step(0.25);
-                let share = mark.turn(step, is_refined, true);
-                mark.met(step);
-                assert_eq!(mark.turn(step, !is_refined, true), share, "met twice in a cull");
+                let share = mark.turn(step, is_refined, true, true, false).refined;
+                assert_eq!(mark.turn(step, !is_refined, true, true, false).refined, share, "met twice in a cull");
+                assert_eq!(mark.stays(step, is_refined, true), share == if is_refined { WHOLE } else { 0 });
                 share
             };
             times.iter().map(turn).collect()
@@ -286,7 +297,7 @@ mod tests {
         fades.start(11.8);
         fades.start(11.85);
         let step = fades.step(0.25);
-        assert_eq!(mark.turn(step, false, true), 0, "was not met in the cull before");
+        assert_eq!(mark.turn(step, false, true, true, false).refined, 0, "was not met in the cull before");
     }
 
     #[test]

@@ -155,29 +155,28 @@ impl Cull<'_> {
                     // Children in the tile's place; also where it has no content itself.
                     let gives_way = ready && record.has_children() && (wants || !resident);
                     let is_refined = if replaces { gives_way } else { wants };
-                    let (mut refined, mut own) = (if is_refined { WHOLE } else { 0 }, WHOLE);
-                    if let Some((marks, step)) = &mut fades {
-                        let mark = &mut marks[index];
-                        own = mark.come_in(*step, resident, fade.covered);
-                        refined = mark.turn(*step, is_refined, !replaces || (resident && ready));
-                        mark.met(*step);
-                        let is_fading = (refined > 0 && refined < WHOLE) || (resident && own < WHOLE);
-                        self.counters.fading += u32::from(is_fading);
+                    let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
+                    let (mut own, mut below) = (fade.band, fade.band);
+                    if let Some((marks, step)) = &mut fades
+                        && !marks[index].stays(*step, is_refined, resident)
+                    {
+                        let can_fade = !replaces || (resident && ready);
+                        let turn = marks[index].turn(*step, is_refined, can_fade, resident, fade.covered);
+                        self.counters.fading += u32::from(turn.is_fading);
+                        (below, own) = fade.band.split(turn.refined);
+                        own = if replaces { own } else { fade.band }.split(turn.own).0;
+                        (shows_own, shows_children) = (!replaces || turn.refined < WHOLE, turn.refined > 0);
                     }
-                    let (below, rest) = fade.band.split(refined);
-                    if !replaces || refined < WHOLE {
-                        let band = if replaces { rest } else { fade.band };
-                        if resident {
-                            let fade = Fade { band: band.split(own).0, ..fade };
-                            self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0, fade);
-                        }
+                    if shows_own && resident {
+                        let fade = Fade { band: own, ..fade };
+                        self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0, fade);
                     }
                     if missing && replaces && !(wants && ready) {
                         self.request(page, visit, tile, purpose, above.shown_px2, own_px2());
                     }
                     let covered = fade.covered || (!replaces && resident);
                     let leaving = fade.leaving || !is_refined;
-                    if refined > 0 {
+                    if shows_children {
                         descend = Some((purpose, replaces, below_px2(), Fade { band: below, covered, leaving }));
                     } else if wants {
                         descend = Some((Purpose::Want, true, below_px2(), fade));
