@@ -11,7 +11,8 @@
 //!   special            cameras, billboards, lights, clip planes, queries; occluders were collected before
 //!   state_graph        find-or-insert of state sets under their parent
 //!   sort               leaves to bins, in draw order
-//! then the cameras in the graph that are drawn before or after: a stage of their own each, culled alike
+//! then the shadows' cascades, each culled alike into a stage of its own
+//! and the cameras in the graph that are drawn before or after: a stage of their own each, culled alike
 //! ```
 
 mod camera;
@@ -19,6 +20,7 @@ mod horizon;
 mod nodes;
 mod occluders;
 mod planes;
+mod shadows;
 mod sort;
 mod special;
 mod stage;
@@ -29,6 +31,7 @@ mod view;
 mod visitor;
 
 pub use camera::CullCamera;
+pub use shadows::{MOST_CASCADES, ShadowCascade, ShadowError, ShadowLight, StageShadows, SunShadows};
 pub use stage::{
     ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, RenderBin, RenderLeaf, RenderStage,
     StageTarget, StageView,
