@@ -20,18 +20,46 @@ use crate::state::{PolygonMode, ResolvedState, TEXTURE_UNITS};
 const HEIGHT_WGSL: &str = concat!(
     include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/no_shadows.wgsl"),
     include_str!("../shaders/height.wgsl")
+);
+const SHADOWED_HEIGHT_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/shadows.wgsl"),
+    include_str!("../shaders/height.wgsl"),
+    include_str!("../shaders/height_shadowed.wgsl")
 );
 const MESH_WGSL: &str = concat!(
     include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/no_shadows.wgsl"),
     include_str!("../shaders/mesh_vertex.wgsl"),
     include_str!("../shaders/mesh_pull.wgsl"),
     include_str!("../shaders/mesh.wgsl")
 );
+const SHADOWED_MESH_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/shadows.wgsl"),
+    include_str!("../shaders/mesh_vertex.wgsl"),
+    include_str!("../shaders/mesh_pull.wgsl"),
+    include_str!("../shaders/mesh.wgsl"),
+    include_str!("../shaders/mesh_casters.wgsl")
+);
 const FIXED_HEIGHT_WGSL: &str = concat!(
     include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/no_shadows.wgsl"),
+    include_str!("../shaders/height.wgsl"),
+    include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_no_units.wgsl"),
+    include_str!("../shaders/fixed_height.wgsl")
+);
+const SHADOWED_FIXED_HEIGHT_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/shadows.wgsl"),
     include_str!("../shaders/height.wgsl"),
     include_str!("../shaders/fixed.wgsl"),
     include_str!("../shaders/fixed_no_units.wgsl"),
@@ -40,6 +68,16 @@ const FIXED_HEIGHT_WGSL: &str = concat!(
 const TEXTURED_HEIGHT_WGSL: &str = concat!(
     include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/no_shadows.wgsl"),
+    include_str!("../shaders/height.wgsl"),
+    include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_units.wgsl"),
+    include_str!("../shaders/fixed_height.wgsl")
+);
+const SHADOWED_TEXTURED_HEIGHT_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/shadows.wgsl"),
     include_str!("../shaders/height.wgsl"),
     include_str!("../shaders/fixed.wgsl"),
     include_str!("../shaders/fixed_units.wgsl"),
@@ -48,6 +86,18 @@ const TEXTURED_HEIGHT_WGSL: &str = concat!(
 const FIXED_MESH_WGSL: &str = concat!(
     include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/no_shadows.wgsl"),
+    include_str!("../shaders/mesh_vertex.wgsl"),
+    include_str!("../shaders/mesh_pull.wgsl"),
+    include_str!("../shaders/mesh.wgsl"),
+    include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_no_units.wgsl"),
+    include_str!("../shaders/fixed_mesh.wgsl")
+);
+const SHADOWED_FIXED_MESH_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/shadows.wgsl"),
     include_str!("../shaders/mesh_vertex.wgsl"),
     include_str!("../shaders/mesh_pull.wgsl"),
     include_str!("../shaders/mesh.wgsl"),
@@ -58,6 +108,18 @@ const FIXED_MESH_WGSL: &str = concat!(
 const TEXTURED_MESH_WGSL: &str = concat!(
     include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/no_shadows.wgsl"),
+    include_str!("../shaders/mesh_vertex.wgsl"),
+    include_str!("../shaders/mesh_pull.wgsl"),
+    include_str!("../shaders/mesh.wgsl"),
+    include_str!("../shaders/fixed.wgsl"),
+    include_str!("../shaders/fixed_units.wgsl"),
+    include_str!("../shaders/fixed_mesh.wgsl")
+);
+const SHADOWED_TEXTURED_MESH_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/shadows.wgsl"),
     include_str!("../shaders/mesh_vertex.wgsl"),
     include_str!("../shaders/mesh_pull.wgsl"),
     include_str!("../shaders/mesh.wgsl"),
@@ -78,6 +140,14 @@ const SKY_WGSL: &str = concat!(
 const WATER_WGSL: &str = concat!(
     include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/no_shadows.wgsl"),
+    include_str!("../shaders/sky.wgsl"),
+    include_str!("../shaders/water.wgsl")
+);
+const SHADOWED_WATER_WGSL: &str = concat!(
+    include_str!("../shaders/air.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/shadows.wgsl"),
     include_str!("../shaders/sky.wgsl"),
     include_str!("../shaders/water.wgsl")
 );
@@ -90,6 +160,7 @@ const QUERY_WGSL: &str = concat!(
 pub(in crate::draw) const PROGRAM_PRELUDE: &str = concat!(
     include_str!("../shaders/air.wgsl"),
     include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/shadows.wgsl"),
     include_str!("../shaders/mesh_vertex.wgsl")
 );
 
@@ -117,7 +188,12 @@ pub(in crate::draw) enum Bare {
     Query,
     /// The background of a part of a target.
     Fill,
+    /// The sea with the sun's shadows on it.
+    ShadowedWater,
 }
+
+/// How many there are.
+const BARE: usize = 5;
 
 /// Pipelines of a renderer, by key.
 pub(in crate::draw) struct Pipelines {
@@ -135,7 +211,7 @@ pub(in crate::draw) struct Pipelines {
     targets: Vec<TargetKey>,
     /// By target.
     /// Of each target, in the order of [`Bare`].
-    bare: Vec<[Option<wgpu::RenderPipeline>; 4]>,
+    bare: Vec<[Option<wgpu::RenderPipeline>; BARE]>,
     /// Modules by the address of their source.
     modules: Vec<(&'static str, wgpu::ShaderModule)>,
     features: wgpu::Features,
@@ -169,6 +245,22 @@ impl Pipelines {
             ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
             count: None,
         };
+        let shadow_maps = wgpu::BindGroupLayoutEntry {
+            binding: 8,
+            visibility: both,
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Depth,
+                view_dimension: wgpu::TextureViewDimension::D2Array,
+                multisampled: false,
+            },
+            count: None,
+        };
+        let shadow_sampler = wgpu::BindGroupLayoutEntry {
+            binding: 9,
+            visibility: both,
+            ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison),
+            count: None,
+        };
         let uniform = wgpu::BufferBindingType::Uniform;
         let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("frame"),
@@ -181,6 +273,8 @@ impl Pipelines {
                 air_texture(5, wgpu::TextureViewDimension::D2),
                 air_texture(6, wgpu::TextureViewDimension::D3),
                 air_texture(7, wgpu::TextureViewDimension::D3),
+                shadow_maps,
+                shadow_sampler,
             ],
         });
         let bare = [buffer(0, both, uniform, true)];
@@ -256,7 +350,7 @@ impl Pipelines {
             Some(place) => place,
             None if self.targets.len() < MOST_TARGETS => {
                 self.targets.push(*key);
-                self.bare.push([const { None }; 4]);
+                self.bare.push([const { None }; BARE]);
                 self.targets.len() - 1
             }
             None => return None,
@@ -293,13 +387,16 @@ impl Pipelines {
         let (label, source, entries) = match what {
             Bare::Sky => ("sky", SKY_WGSL, ["vs_sky", "fs_sky"]),
             Bare::Water => ("water", WATER_WGSL, ["vs_sky", "fs_water"]),
+            Bare::ShadowedWater => ("shadowed water", SHADOWED_WATER_WGSL, ["vs_sky", "fs_water"]),
             Bare::Query => ("query", QUERY_WGSL, ["vs_query", "fs_query"]),
             Bare::Fill => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
         };
         let module = self.module(ctx, label, source);
         let mut variant = Self::variant(label, &module, entries, key);
         match what {
-            Bare::Water => (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING)),
+            Bare::Water | Bare::ShadowedWater => {
+                (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING));
+            }
             Bare::Query => variant.write_mask = wgpu::ColorWrites::empty(),
             Bare::Sky | Bare::Fill => {}
         }
@@ -334,25 +431,34 @@ impl Pipelines {
         let layouts = ctx.layouts();
         let (fixed_layout, textured_layout) = (self.fixed_layout.clone(), self.textured_layout.clone());
         let pull_layout = key.is_pulled().then(|| self.pull_layout.clone());
+        let (is_caster, has_shadows) = (key.is_caster(), key.has_shadows());
+        // Only casters that drop parts of what they cast have a fragment shader.
+        let mut discards = is_caster;
         let (module, vertex, fragment, state_layout, constants, outputs);
         match key.shading() {
             Shading::Program(place) => {
                 let program = self.programs.get(place)?;
                 (module, vertex, fragment) = (program.module.clone(), "vs_main", "fs_main");
+                discards &= program.discards;
                 (state_layout, outputs) = (Some(program.layout.clone()), program.outputs);
                 constants = program.constants.clone();
             }
             Shading::FixedFunction | Shading::FixedTextured => {
                 let is_textured = key.shading() == Shading::FixedTextured;
-                let (height, mesh, layout) = if is_textured {
-                    (TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL, textured_layout)
-                } else {
-                    (FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, fixed_layout)
+                let (height, mesh, layout) = match (is_textured, has_shadows) {
+                    (true, false) => (TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL, textured_layout),
+                    (true, true) => (SHADOWED_TEXTURED_HEIGHT_WGSL, SHADOWED_TEXTURED_MESH_WGSL, textured_layout),
+                    (false, false) => (FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, fixed_layout),
+                    (false, true) => (SHADOWED_FIXED_HEIGHT_WGSL, SHADOWED_FIXED_MESH_WGSL, fixed_layout),
                 };
                 let vertex_of_mesh = if key.is_pulled() { "vs_fixed_mesh_pulled" } else { "vs_fixed_mesh" };
+                let [of_height, of_mesh] = match is_caster {
+                    true => ["fs_fixed_height_caster", "fs_fixed_mesh_caster"],
+                    false => ["fs_fixed_height", "fs_fixed_mesh"],
+                };
                 (module, vertex, fragment) = match key.kind() {
-                    Kind::Height => (self.module(ctx, "fixed height", height), "vs_fixed_height", "fs_fixed_height"),
-                    Kind::Triangles => (self.module(ctx, "fixed mesh", mesh), vertex_of_mesh, "fs_fixed_mesh"),
+                    Kind::Height => (self.module(ctx, "fixed height", height), "vs_fixed_height", of_height),
+                    Kind::Triangles => (self.module(ctx, "fixed mesh", mesh), vertex_of_mesh, of_mesh),
                     _ => (self.module(ctx, "fixed mesh", mesh), "vs_fixed_mesh", "fs_fixed_thin"),
                 };
                 (state_layout, outputs, constants) = (Some(layout), 1, Vec::new());
@@ -360,17 +466,36 @@ impl Pipelines {
             Shading::Fallback => {
                 let vertex_of_mesh = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
                 (module, vertex, fragment) = (self.module(ctx, "mesh", MESH_WGSL), vertex_of_mesh, "fs_fallback");
+                discards = false;
+                (state_layout, outputs, constants) = (None, 1, Vec::new());
+            }
+            Shading::Plain if is_caster => {
+                let (source, label) = if is_height {
+                    (SHADOWED_HEIGHT_WGSL, "shadowed height")
+                } else {
+                    (SHADOWED_MESH_WGSL, "shadowed mesh")
+                };
+                discards = key.alpha() == Alpha::Masked;
+                (module, fragment) = (self.module(ctx, label, source), "fs_mesh_caster_masked");
+                vertex = match () {
+                    _ if is_height => "vs_height_caster",
+                    _ if discards => "vs_mesh_caster_masked",
+                    _ if key.is_pulled() => "vs_mesh_caster_pulled",
+                    _ => "vs_mesh_caster",
+                };
                 (state_layout, outputs, constants) = (None, 1, Vec::new());
             }
             Shading::Plain => {
                 let has_alpha = key.has_alpha_to_coverage();
-                (module, vertex) = if is_height {
-                    (self.module(ctx, "height", HEIGHT_WGSL), "vs_height")
-                } else {
-                    let vertex = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
-                    (self.module(ctx, "mesh", MESH_WGSL), vertex)
+                let vertex_of_mesh = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
+                (module, vertex) = match (is_height, has_shadows) {
+                    (true, false) => (self.module(ctx, "height", HEIGHT_WGSL), "vs_height"),
+                    (true, true) => (self.module(ctx, "shadowed height", SHADOWED_HEIGHT_WGSL), "vs_height_shadowed"),
+                    (false, false) => (self.module(ctx, "mesh", MESH_WGSL), vertex_of_mesh),
+                    (false, true) => (self.module(ctx, "shadowed mesh", SHADOWED_MESH_WGSL), vertex_of_mesh),
                 };
                 fragment = match (key.kind(), key.alpha()) {
+                    (Kind::Height, _) if has_shadows => "fs_height_shadowed",
                     (Kind::Height, _) => "fs_height",
                     _ if is_thin => "fs_thin",
                     (_, Alpha::Masked) => "fs_mesh_masked",
@@ -434,6 +559,8 @@ impl Pipelines {
             write_mask,
             outputs,
             alpha_to_coverage: key.has_alpha_to_coverage() && target.samples > 1,
+            discards,
+            unclipped_depth: is_caster && self.features.contains(wgpu::Features::DEPTH_CLIP_CONTROL),
             target,
         };
         self.create(ctx, &variant)
@@ -508,6 +635,13 @@ mod tests {
             ("query", QUERY_WGSL),
             ("fill", FILL_WGSL),
             ("program", PROGRAM_PRELUDE),
+            ("shadowed height", SHADOWED_HEIGHT_WGSL),
+            ("shadowed mesh", SHADOWED_MESH_WGSL),
+            ("fixed height with shadows", SHADOWED_FIXED_HEIGHT_WGSL),
+            ("fixed mesh with shadows", SHADOWED_FIXED_MESH_WGSL),
+            ("fixed height with textures and shadows", SHADOWED_TEXTURED_HEIGHT_WGSL),
+            ("fixed mesh with textures and shadows", SHADOWED_TEXTURED_MESH_WGSL),
+            ("shadowed water", SHADOWED_WATER_WGSL),
         ];
         parse("atmosphere", crate::draw::atmosphere::ATMOSPHERE_WGSL);
         for (name, source) in all {
@@ -517,7 +651,7 @@ mod tests {
             assert_eq!(
                 fields,
                 offsets!(FrameUniform: clip_from_eye, sun_direction, sun_color, ambient_color, up, horizon_color,
-                    shape, ray, water, air, sun_top)
+                    shape, ray, water, air, sun_top, shadow_x, shadow_y, shadow, cascade_scales, cascade_offsets)
             );
             let (span, fields) = members(&module, "Leaf");
             assert_eq!(span as usize, size_of::<LeafUniform>(), "{name}");

@@ -29,10 +29,22 @@ fn vs_fixed_height(@builtin(vertex_index) index: u32, @builtin(instance_index) i
     );
 }
 
-@fragment
-fn fs_fixed_height(in: FixedHeightFragment) -> @location(0) vec4<f32> {
+fn fixed_height_surface(in: FixedHeightFragment) -> Surface {
     let base = texel(textureSample(color_layers, color_sampler, in.uv, in.layer), in.flags) * in.color;
     let is_lit = (in.flags & FLAG_UNLIT) == 0u;
     let normal = normalize(in.normal);
-    return fixed_color(Surface(in.in_eye, normal, normalize(in.up), in.in_tile, in.uv, base, is_lit, 0.0));
+    return Surface(in.in_eye, normal, normal, normalize(in.up), in.in_tile, in.uv, base, is_lit, 0.0);
+}
+
+@fragment
+fn fs_fixed_height(in: FixedHeightFragment) -> @location(0) vec4<f32> {
+    return fixed_color(fixed_height_surface(in));
+}
+
+@fragment
+fn fs_fixed_height_caster(in: FixedHeightFragment) {
+    let surface = fixed_height_surface(in);
+    if is_dropped(surface, fixed_base(surface)) {
+        discard;
+    }
 }

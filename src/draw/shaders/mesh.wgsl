@@ -57,7 +57,17 @@ fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) ->
     }
     let ground = above_ground(in.in_eye_u.xyz);
     let normal = surface_normal(in.normal_v.xyz, is_front, facet);
-    return through_air(base.rgb * light(normal, ground.xyz, ground.w), air);
+    var lit = light_of_sun(normal, ground.xyz, ground.w);
+    if dot(normal, frame.sun_direction.xyz) > 0.0 {
+        lit *= sun_shadow(in.in_eye_u.xyz, towards_sun(normal, facet));
+    }
+    return through_air(base.rgb * (lit + light_of_sky(normal, ground.xyz)), air);
+}
+
+// The normal that a shadow is looked up with: that of the facet, which is what casts; where the sun only grazes a
+// smooth surface's facets from behind, the smooth one.
+fn towards_sun(normal: vec3<f32>, facet: vec3<f32>) -> vec3<f32> {
+    return select(normal, facet, dot(facet, frame.sun_direction.xyz) > 0.0);
 }
 
 // The facet's normal, towards the eye.
