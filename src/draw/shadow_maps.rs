@@ -22,6 +22,8 @@ pub(super) struct ShadowMaps {
     /// One texel, bound where there are no shadows, and while they are drawn.
     none: wgpu::TextureView,
     maps: Option<Maps>,
+    /// Texels a side that the adapter has at most.
+    pub(super) most_px: u32,
     unused_frames: u32,
 }
 
@@ -38,6 +40,7 @@ impl ShadowMaps {
             }),
             none: whole(&texture(device, 1, 1)),
             maps: None,
+            most_px: device.limits().max_texture_dimension_2d,
             unused_frames: 0,
         }
     }

@@ -28,6 +28,10 @@ pub struct FrameStats {
     pub leaves: u32,
     /// Draw calls recorded.
     pub draw_calls: u32,
+    /// Leaves drawn into shadow maps.
+    pub shadow_leaves: u32,
+    /// Draw calls for them; `draw_calls` counts them too.
+    pub shadow_draw_calls: u32,
     /// State changes recorded.
     pub state_changes: u32,
     /// State changes found to be set already.

@@ -9,7 +9,7 @@ use super::{MARGIN_TEXELS, MOST_CASCADES, ShadowLight, SunShadows};
 use crate::cull::CullCamera;
 
 /// Of the range of depths, the nearest part that logarithmic splits leave out.
-const NEAREST_SHARE: f64 = 1e-4;
+const NEAREST_SHARE: f64 = 1e-3;
 /// Of a part's depths, the last share, over which it and the next one are mixed.
 const BLEND_SHARE: f64 = 0.12;
 /// Of the distance, the share where shadows begin to fade out.
@@ -314,7 +314,7 @@ mod tests {
     fn depths_follow_the_scene_in_powers_of_two() {
         let settings = SunShadows::default();
         let of = |near, far| span(&settings, near, far).unwrap();
-        assert_eq!(of(0.0, 1e9), ([2.0, 20_000.0], [18_000.0, 20_000.0]));
+        assert_eq!(of(0.0, 1e9), ([20.0, 20_000.0], [18_000.0, 20_000.0]));
         assert_eq!(of(700.0, 1e9).0, [512.0, 20_000.0]);
         assert_eq!(of(700.0, 1000.0), ([512.0, 1024.0], [1024.0, 2048.0]), "nothing fades where all is inside");
         assert_eq!(of(400_000.0, 1e9).0, [262_144.0, 1_048_576.0], "from orbit");

@@ -32,7 +32,7 @@ impl Renderer {
         ctx: &GraphicsContext,
         pictures: impl Iterator<Item = Picture<'a>> + Clone,
     ) {
-        let most_px = ctx.device().limits().max_texture_dimension_2d;
+        let most_px = self.shadow_maps.most_px;
         for settings in pictures.clone().filter_map(|p| p.environment.shadows) {
             if let Err(problem) = settings.check() {
                 self.complain(problem.to_string());

@@ -33,7 +33,8 @@ fn fixed_height_surface(in: FixedHeightFragment) -> Surface {
     let base = texel(textureSample(color_layers, color_sampler, in.uv, in.layer), in.flags) * in.color;
     let is_lit = (in.flags & FLAG_UNLIT) == 0u;
     let normal = normalize(in.normal);
-    return Surface(in.in_eye, normal, normal, normalize(in.up), in.in_tile, in.uv, base, is_lit, 0.0);
+    let facing = towards_sun(normal, facet_normal(in.in_eye));
+    return Surface(in.in_eye, normal, facing, normalize(in.up), in.in_tile, in.uv, base, is_lit, 0.0);
 }
 
 @fragment

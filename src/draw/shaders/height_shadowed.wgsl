@@ -35,10 +35,11 @@ fn vs_height_shadowed(@builtin(vertex_index) index: u32, @builtin(instance_index
 fn fs_height_shadowed(in: ShadowedHeightFragment) -> @location(0) vec4<f32> {
     let layer = in.layer & ((1u << FLAGS_SHIFT) - 1u);
     let base = texel(textureSample(color_layers, color_sampler, in.uv, layer), in.layer >> FLAGS_SHIFT);
+    let facet = facet_normal(in.in_eye);
     var light = in.sky;
     // Where nothing is to be taken away, nothing is looked up.
     if in.sun.r + in.sun.g + in.sun.b > 0.0 {
-        light += in.sun * sun_shadow(in.in_eye, normalize(in.normal));
+        light += in.sun * sun_shadow(in.in_eye, towards_sun(normalize(in.normal), facet));
     }
     return vec4<f32>(through_air(base.rgb * light, in.air), 1.0);
 }

@@ -64,23 +64,6 @@ fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) ->
     return through_air(base.rgb * (lit + light_of_sky(normal, ground.xyz)), air);
 }
 
-// The normal that a shadow is looked up with: that of the facet, which is what casts; where the sun only grazes a
-// smooth surface's facets from behind, the smooth one.
-fn towards_sun(normal: vec3<f32>, facet: vec3<f32>) -> vec3<f32> {
-    return select(normal, facet, dot(facet, frame.sun_direction.xyz) > 0.0);
-}
-
-// The facet's normal, towards the eye.
-fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
-    let across = cross(dpdx(in_eye), dpdy(in_eye));
-    let size = length(across);
-    if size < 1e-30 {
-        return frame.up.xyz;
-    }
-    let normal = across / size;
-    return select(normal, -normal, dot(normal, in_eye) > 0.0);
-}
-
 @fragment
 fn fs_mesh(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     let facet = facet_normal(in.in_eye_u.xyz);
