@@ -8,6 +8,7 @@ use std::sync::Arc;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
 use terrane::io::{Content, Fetched, Limits, ReadOptions, decode};
+use terrane::scene::{ShareModes, SharedStateManager};
 
 /// Vertices along a side, texels along a side.
 const SIDE: usize = 65;
@@ -63,7 +64,8 @@ fn tileset() -> Vec<u8> {
 }
 
 fn tile_decode(criterion: &mut Criterion) {
-    let options = ReadOptions::for_root("/set/tileset.json", Limits::default());
+    let plain = ReadOptions::for_root("/set/tileset.json", Limits::default());
+    let sharing = |modes| ReadOptions { sharing: Some(Arc::new(SharedStateManager::new(modes))), ..plain.clone() };
     let stride = SIDE + 2;
     let heights = (0..stride * stride).map(|k| height(k % stride, k / stride)).collect();
     let exr = write_height_exr("tile", stride, heights).unwrap_or_default();
@@ -82,17 +84,26 @@ fn tile_decode(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("tile_decode");
     for (name, content) in cases {
         group.throughput(Throughput::Bytes(content.bytes.len() as u64));
-        group.bench_function(name, |b| {
-            b.iter_batched(
-                || content.clone(),
-                |content| {
-                    let page = decode(black_box(content), &options);
-                    assert!(page.is_ok(), "a bench of something that is refused");
-                    black_box(page)
-                },
-                criterion::BatchSize::SmallInput,
-            );
-        });
+        let mut bench = |name: String, options: &ReadOptions| {
+            group.bench_function(name, |b| {
+                b.iter_batched(
+                    || content.clone(),
+                    |content| {
+                        let page = decode(black_box(content), options);
+                        assert!(page.is_ok(), "a bench of something that is refused");
+                        black_box(page)
+                    },
+                    criterion::BatchSize::PerIteration,
+                );
+            });
+        };
+        bench(name.to_owned(), &plain);
+        // Each page is dropped before the next comes: what looking for equal contents costs where there are none.
+        bench(format!("{name}, shared with nothing"), &sharing(ShareModes::default()));
+        let options = sharing(ShareModes::default());
+        let kept = decode(content.clone(), &options);
+        bench(format!("{name}, shared"), &options);
+        drop(kept);
     }
     group.finish();
 }

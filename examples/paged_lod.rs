@@ -12,7 +12,7 @@ use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
-use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine};
+use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
 use terrane::viewer::{Viewer, ViewerConfig, WindowOptions, has_display, run_window};
 
 /// File, segments, colour, and the distance in metres below which the next finer file takes over.
@@ -63,6 +63,7 @@ fn tile(folder: &Path, level: usize, center: DVec3) -> Node {
         content_transform: DAffine3::from_translation(center),
         reader_data: None,
         request_volume: None,
+        paging: PagingOptions::default(),
     };
     Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
 }

@@ -9,7 +9,7 @@ use glam::{DAffine3, DVec3};
 use scenes::{content, look_at, page, square_box};
 use terrane::cull::{CullCamera, CullSettings, CullVisitor, CullingMode, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume};
-use terrane::scene::{Node, NodeId, NodeKind, PagedLod, RangeMode, Refine, Scene};
+use terrane::scene::{Node, NodeId, NodeKind, PagedLod, PagingOptions, RangeMode, Refine, Scene};
 
 /// A globe of 6 x 12 tiles of 30 degrees: from 1,000 km up only what is on this side of the horizon is met.
 #[test]
@@ -29,6 +29,7 @@ fn the_earth_hides_what_is_behind_it() {
             content_transform: DAffine3::IDENTITY,
             reader_data: None,
             request_volume: None,
+            paging: PagingOptions::default(),
         })))
     });
     let mut scene = Scene::new();
@@ -60,6 +61,7 @@ fn flat_tile(center: DVec3, half_m: f64, geometric_error_m: f64) -> Node {
         content_transform: DAffine3::from_translation(center),
         reader_data: None,
         request_volume: None,
+        paging: PagingOptions::default(),
     })))
 }
 

@@ -11,7 +11,8 @@ use scenes::{content, look_at, page, quadtree, square_box};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume, Frustum};
 use terrane::scene::{
-    Node, NodeId, NodeKind, PageId, PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine, Scene, SlotState,
+    Node, NodeId, NodeKind, PageId, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine, Scene,
+    SlotState,
 };
 
 /// A random tile; its place is a quarter of its parent's.
@@ -79,6 +80,7 @@ fn build(tile: &Tile, center: DVec3, half_m: f64, name: &str) -> Node {
         },
         reader_data: None,
         request_volume: None,
+        paging: PagingOptions::default(),
     };
     let mut node = Node::new(NodeKind::PagedLod(Box::new(lod)));
     if tile.kind != Kind::External {
@@ -469,6 +471,7 @@ fn tile_at(center: DVec3, radius_m: f64, range_mode: RangeMode, name: &str) -> N
         content_transform: DAffine3::from_translation(center),
         reader_data: None,
         request_volume: None,
+        paging: PagingOptions::default(),
     })))
 }
 

@@ -62,6 +62,11 @@ fn paged_lod() {
 }
 
 #[test]
+fn image_sequence() {
+    run("image_sequence", &[], 300);
+}
+
+#[test]
 fn render_to_texture() {
     run("render_to_texture", &[], 100);
 }

@@ -8,47 +8,12 @@ mod pager_support;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use glam::DVec3;
-use pager_support::{PAGE_GPU_BYTES, Run};
+use glam::{DAffine3, DVec3};
+use pager_support::{PAGE_GPU_BYTES, Run, WORLD_M, above, write_quadtree};
 use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{CompileContext, PagerConfig};
-
-const WORLD_M: f64 = 4096.0;
-const LEVELS: u32 = 4;
-
-/// A flat quadtree, one triangle a tile; returns the bytes of a content.
-fn write_quadtree(folder: &Path) -> u64 {
-    let glb = write_glb(&GlbMesh {
-        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
-        indices: vec![0, 1, 2],
-        base_color: [1.0; 4],
-        ..GlbMesh::default()
-    });
-    fn tile(folder: &Path, glb: &[u8], level: u32, x: u32, y: u32) -> String {
-        let side = WORLD_M / f64::from(1u32 << level);
-        let [cx, cy] = [x, y].map(|k| (f64::from(k) + 0.5) * side);
-        let name = format!("{level}_{x}_{y}.glb");
-        std::fs::write(folder.join(&name), glb).unwrap();
-        let (error, children): (f64, Vec<String>) = if level == LEVELS {
-            (0.0, Vec::new())
-        } else {
-            let child = |i: u32| tile(folder, glb, level + 1, 2 * x + i % 2, 2 * y + i / 2);
-            (side / 16.0, (0..4).map(child).collect())
-        };
-        format!(
-            r#"{{"boundingVolume":{{"box":[{cx},{cy},0,{h},0,0,0,{h},0,0,0,1]}},"geometricError":{error},"content":{{"uri":"{name}"}},"children":[{}]}}"#,
-            children.join(","),
-            h = 0.5 * side,
-        )
-    }
-    let root = tile(folder, &glb, 0, 0, 0);
-    let json = format!(
-        r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{}}}"#,
-        root.replacen('{', r#"{"refine":"REPLACE","#, 1)
-    );
-    std::fs::write(folder.join("tileset.json"), json).unwrap();
-    glb.len() as u64
-}
+use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
 
 fn over_the_world(u: f64, height_m: f64) -> DVec3 {
     DVec3::new(WORLD_M * u, 0.5 * WORLD_M + 0.3 * WORLD_M * (9.0 * u).sin(), height_m)
@@ -111,6 +76,80 @@ fn a_page_beyond_the_whole_budget_is_one_error() {
     assert!(errors[0].uri.ends_with("0_0_0.glb") && errors[0].reason.contains("999"), "{errors:?}");
 }
 
+/// Two files beside each other, seen by turns, with room for one.
+fn two_tiles(folder: &Path, first: PagingOptions, config: PagerConfig) -> Run {
+    write_quadtree(folder);
+    let lod = |name: &str, x: f64, paging| {
+        let node = PagedLod {
+            bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::new(x, 0.0, 0.0), 10.0)),
+            range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+            refine: Refine::Replace,
+            content: Some(folder.join(name).display().to_string().into()),
+            content_transform: DAffine3::from_translation(DVec3::new(x, 0.0, 0.0)),
+            reader_data: None,
+            request_volume: None,
+            paging,
+        };
+        Node::new(NodeKind::PagedLod(Box::new(node)))
+    };
+    let tiles = vec![lod("0_0_0.glb", 0.0, first), lod("1_0_0.glb", FAR_M, PagingOptions::default())];
+    Run::of_page(Page::from_node(Node::group(tiles)).unwrap(), folder.to_str().unwrap(), config)
+}
+
+const FAR_M: f64 = 1e5;
+
+#[test]
+fn a_page_stays_as_long_as_its_options_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = PagerConfig { max_tiles: 1, expiry_frames: 2, ..PagerConfig::default() };
+    let (first, second) = (above(30.0), above(30.0) + DVec3::X * FAR_M);
+    let merged = |run: &Run| run.pager.stats().merged;
+    let frames_until_second = |options| {
+        let mut run = two_tiles(folder.path(), options, config.clone());
+        run.until(first, "the first does not come", |r| merged(r) == 1);
+        run.frame(first);
+        let (frame, start) = (run.frame, Instant::now());
+        while merged(&run) == 1 && run.frame - frame < 3000 && start.elapsed() < Duration::from_secs(2) {
+            run.frame(second);
+            std::thread::sleep(Duration::from_micros(500));
+        }
+        (merged(&run), run.frame - frame, start.elapsed())
+    };
+    let (merged, soon, _) = frames_until_second(PagingOptions::default());
+    assert_eq!(merged, 2);
+    let frames = soon + 200;
+    let (merged, later, _) = frames_until_second(PagingOptions { min_expiry_frames: frames, ..Default::default() });
+    assert!(merged == 2 && later > frames, "{later} of {frames}");
+    let (merged, _, took) = frames_until_second(PagingOptions { min_expiry_s: 0.3, ..Default::default() });
+    assert!(merged == 2 && took > Duration::from_millis(300), "{took:?}");
+    let (merged, ..) = frames_until_second(PagingOptions { cannot_expire: true, ..Default::default() });
+    assert_eq!(merged, 1, "it stays, and the other has no room");
+}
+
+#[test]
+fn options_change_the_order_of_loads() {
+    let own = |priority_scale, priority_offset| PagingOptions { priority_scale, priority_offset, ..Default::default() };
+    assert_eq!(own(2.0, 5.0).priority(10.0), 25.0);
+    assert_eq!(own(1.0, -50.0).priority(10.0), 0.0, "not below what is wanted later");
+    assert_eq!(own(9.0, 9.0).priority(-0.5), -0.5);
+    assert_eq!(own(f32::NAN, 0.0).priority(3.0), 3.0);
+    // Which of two that one picture lacks comes where there is room for one.
+    for (options, expected, other) in [(own(1.0, 1e6), 0.0, FAR_M), (own(0.0, 0.0), FAR_M, 0.0)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = two_tiles(folder.path(), options, PagerConfig { max_tiles: 1, ..PagerConfig::default() });
+        // High enough to see both.
+        let eye = DVec3::new(0.5 * FAR_M, 0.0, 2.0 * FAR_M);
+        run.frame(eye);
+        assert_eq!(run.stage.counters.wanted_missing, 2);
+        run.until(eye, "nothing comes", |r| r.pager.stats().merged == 1);
+        let drawn = [expected, other].map(|x| {
+            run.frame(DVec3::new(x, 0.0, 30.0));
+            run.stage.counters.tiles_drawn
+        });
+        assert_eq!(drawn, [1, 0]);
+    }
+}
+
 #[test]
 fn a_stale_request_reads_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -154,4 +193,107 @@ fn work_between_frames_loads_everything_the_last_cull_asked_for() {
     // Nothing to do: it does not wait for the deadline.
     let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
     run.pager.work_until(&mut run.scene, contexts, Instant::now() + Duration::from_secs(60));
+}
+
+/// A root with a content, and below it a tileset of its own with one content.
+fn write_nested(folder: &Path) {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let tile = |error: f64, uri: &str, children: &str| {
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,20]}},"geometricError":{error},"refine":"REPLACE","content":{{"uri":"{uri}"}},"children":[{children}]}}"#
+        )
+    };
+    let set = |root: &str| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":100,"root":{root}}}"#);
+    for name in ["outer.glb", "inner.glb"] {
+        std::fs::write(folder.join(name), &glb).unwrap();
+    }
+    std::fs::write(folder.join("inner.json"), set(&tile(0.0, "inner.glb", ""))).unwrap();
+    std::fs::write(folder.join("tileset.json"), set(&tile(10.0, "outer.glb", &tile(5.0, "inner.json", "")))).unwrap();
+}
+
+/// It stayed in the list of uploads for ever, took room from what was wanted, and kept its slots.
+#[test]
+fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
+    let folder = tempfile::tempdir().unwrap();
+    write_nested(folder.path());
+    let config = PagerConfig { max_tiles: 3, expiry_frames: 2, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    let (near, far) = (DVec3::new(0.0, 0.0, 40.0), DVec3::new(0.0, 0.0, 100_000.0));
+    run.until(near, "the inner tileset does not arrive", |r| r.pager.stats().merged == 2);
+    run.context.holds = true;
+    run.until(near, "the inner content is not uploaded", |r| r.pager.stats().loaded == 3);
+    run.until(far, "the inner tileset does not expire", |r| r.pager.stats().expired >= 1);
+    run.context.holds = false;
+    run.frame(far);
+    let stats = *run.pager.stats();
+    assert_eq!((stats.dropped, stats.resident, stats.in_flight), (1, 1, 0), "{stats:?}");
+    assert_eq!(run.context.slots_out, 1, "the outer content's");
+    run.settle(near);
+    assert_eq!((run.pager.stats().resident, run.context.slots_out), (3, 2), "{:?}", run.pager.stats());
+}
+
+#[test]
+fn a_pager_pauses_takes_no_requests_and_is_cleared() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    let eye = over_the_world(0.5, 150.0);
+    run.pager.set_paused(true);
+    // The first update tells the threads.
+    run.frame(over_the_world(0.5, 500_000.0));
+    run.until(eye, "what was begun does not end", |r| r.pager.stats().in_flight == 0);
+    let before = *run.pager.stats();
+    for _ in 0..50 {
+        run.frame(eye);
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    let paused = *run.pager.stats();
+    assert!(paused.loaded == before.loaded && paused.waiting > 1, "{paused:?}");
+    run.pager.set_paused(false);
+    run.settle(eye);
+    let settled = *run.pager.stats();
+    assert!(settled.resident > 4 && run.context.slots_out == settled.resident, "{settled:?}");
+
+    run.pager.set_takes_requests(false);
+    let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+    run.pager.clear(&mut run.scene, contexts);
+    for _ in 0..20 {
+        run.frame(eye);
+    }
+    let s = *run.pager.stats();
+    assert_eq!((s.resident, s.cpu_bytes, s.gpu_bytes, s.waiting + s.in_flight), (0, 0, 0, 0), "{s:?}");
+    assert_eq!((s.requested, run.context.slots_out), (settled.requested, 0));
+    run.pager.set_takes_requests(true);
+    run.settle(eye);
+    assert_eq!(run.pager.stats().resident, settled.resident);
+}
+
+/// Under way when it is cleared: what comes late finds nobody.
+#[test]
+fn what_comes_after_a_clear_is_not_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    for round in 0..40 {
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+        let eye = over_the_world(0.5, 150.0);
+        for _ in 0..1 + round % 7 {
+            run.frame(eye);
+        }
+        run.pager.set_takes_requests(false);
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+        run.pager.clear(&mut run.scene, contexts);
+        for _ in 0..20 {
+            run.frame(eye);
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        let s = *run.pager.stats();
+        assert_eq!((s.resident, s.waiting + s.in_flight, run.context.slots_out), (0, 0, 0), "round {round}: {s:?}");
+        run.pager.set_takes_requests(true);
+        run.settle(eye);
+    }
 }

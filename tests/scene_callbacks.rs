@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex};
 
 use glam::{DAffine3, DVec3};
 use terrane::scene::{
-    EventCallback, Node, NodeId, NodeKind, Page, PageId, PagedLod, RangeMode, Refine, Scene, Traverse, UpdateCallback,
-    UpdateInfo,
+    EventCallback, Node, NodeId, NodeKind, Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, Scene, Traverse,
+    UpdateCallback, UpdateInfo,
 };
 
 type Log = Arc<Mutex<Vec<String>>>;
@@ -45,6 +45,7 @@ fn tile(content: &str) -> Node {
         content_transform: DAffine3::from_translation(DVec3::X),
         reader_data: None,
         request_volume: None,
+        paging: PagingOptions::default(),
     })))
 }
 

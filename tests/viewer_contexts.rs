@@ -282,3 +282,61 @@ fn views_have_scenes_of_their_own_or_share_one() {
         assert_eq!(viewer.read_back(other).unwrap().get_pixel(100, 40).0, [255, 0, 0, 255]);
     }
 }
+
+#[test]
+fn a_lost_device_is_replaced_and_everything_is_shown_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let size = [120, 90];
+    for threading in ThreadingModel::ALL {
+        let Some(context) = context(size) else { return };
+        let mut viewer = Viewer::new(context, &config(threading, size, false)).unwrap();
+        viewer.load(&set).unwrap();
+        let own = Node::transform(
+            viewer.camera.world_from_eye,
+            vec![ball(DVec3::new(0.0, 0.0, -9.0), 2.0, [1.0, 0.0, 0.0, 1.0])],
+        );
+        viewer.add_root(Page::from_node(own).unwrap()).unwrap();
+        let settle = |viewer: &mut Viewer| {
+            let until = std::time::Instant::now() + std::time::Duration::from_secs(60);
+            // As many as may be under way when the device goes, and the one that is told.
+            for _ in 0..4 {
+                viewer.frame().unwrap();
+            }
+            while !viewer.is_settled() && std::time::Instant::now() < until {
+                viewer.frame().unwrap();
+            }
+            viewer.frame().unwrap();
+            viewer.frame().unwrap();
+            viewer.read_back().unwrap()
+        };
+        let before = settle(&mut viewer);
+        assert_eq!(before.get_pixel(60, 45).0, [255, 0, 0, 255], "the application's own");
+        let context = viewer.contexts().next().unwrap();
+        viewer.lose_device(context).unwrap();
+        let after = settle(&mut viewer);
+        assert_eq!(differing(&before, &after), 0, "{threading}");
+        // Again at once: that one is an error, and no panic.
+        viewer.lose_device(context).unwrap();
+        let failed = (0..4).find_map(|_| viewer.frame().err()).or_else(|| viewer.finish().err());
+        assert!(viewer.frame_stamp().frame > 60 || failed.is_some(), "{threading}");
+    }
+}
+
+#[test]
+fn threads_that_keep_their_cores_draw_the_same() {
+    let mut pictures = Vec::new();
+    for cpu_affinity in [false, true] {
+        let size = [96, 72];
+        let Some(context) = context(size) else { return };
+        let threading = ThreadingModel::CullThreadPerCameraDrawThreadPerContext;
+        let config = ViewerConfig { cpu_affinity, vsync: false, ..config(threading, size, true) };
+        let mut viewer = Viewer::new(context, &config).unwrap();
+        viewer.add_root(page([0.9, 0.3, 0.1, 1.0])).unwrap();
+        for _ in 0..3 {
+            viewer.frame().unwrap();
+        }
+        pictures.push(viewer.read_back().unwrap());
+    }
+    assert!(coverage(&pictures[0], KEY_COLOR) > 0.5 && pictures[0] == pictures[1]);
+}

@@ -53,6 +53,8 @@ fn every_field_of_the_schema_is_there() {
             "tiles",
             "bytes",
             "cache",
+            "sharing",
+            "images",
             "converge_s",
             "draw",
             "hitches",

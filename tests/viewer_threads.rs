@@ -248,6 +248,49 @@ fn a_thread_that_panics_is_an_error_and_nothing_waits_for_it() {
     }
 }
 
+/// The scene was taken for granted: whoever changed it, or let the pager have it, panicked too.
+#[test]
+fn a_scene_can_be_changed_after_a_thread_has_died() {
+    let folder = tempfile::tempdir().unwrap();
+    for round in 0..20 {
+        for threading in &ThreadingModel::ALL[1..] {
+            let folder = folder.path().to_owned();
+            watched(move |_| {
+                let mut viewer = Viewer::new(context(), &config(*threading)).unwrap();
+                let other = viewer.open_context(context()).unwrap();
+                viewer.add_slave(Slave::new(other)).unwrap();
+                viewer.page_files_in(&folder).unwrap();
+                viewer.on_update(Box::new(|_, _| {}));
+                let countdown = AtomicU64::new(2 + round % 7);
+                let callbacks = CameraCallbacks {
+                    final_draw: Some(Box::new(move |_, _| {
+                        assert!(countdown.fetch_sub(1, Ordering::SeqCst) != 1, "a callback that panics on purpose");
+                    })),
+                    ..CameraCallbacks::default()
+                };
+                let root = viewer.add_root(page(Some(callbacks))).unwrap();
+                let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+                assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
+                viewer.scene_mut();
+                viewer.work_until(Instant::now() + Duration::from_millis(1));
+                let _ = viewer.add_root(page(None));
+                viewer.remove_root(root);
+                assert!(viewer.frame().is_err());
+                // Whoever waits for what was being drawn is told, and does not wait for ever; without what has died
+                // the rest goes on.
+                let _ = viewer.open_context(context());
+                let _ = viewer.set_threading_model(ThreadingModel::SingleThreaded);
+                assert!(viewer.frame().is_err());
+                for id in viewer.contexts().collect::<Vec<_>>() {
+                    viewer.close_context(id).unwrap();
+                }
+                viewer.frame().unwrap();
+                viewer.scene_mut();
+            });
+        }
+    }
+}
+
 #[test]
 fn automatic_selection_depends_on_contexts_and_cores() {
     let mut viewer = Viewer::new(context(), &config(ThreadingModel::AutomaticSelection)).unwrap();

@@ -19,7 +19,7 @@ pub struct CullCamera {
     /// The body of the earth, where the world is earth-centred: tiles wholly behind its horizon are culled. It must
     /// lie below everything that is drawn as ground.
     pub horizon: Option<Ellipsoid>,
-    /// Stamped on tiles that are wanted; start at 1.
+    /// Stamped on tiles that are wanted; start at 1. 0 stamps nothing: for a look that keeps nothing from expiring.
     pub frame: u32,
     /// Whose draw slots the leaves get.
     pub context: u32,

@@ -47,10 +47,18 @@ pub struct PageRequest {
     pub slot: NodeId,
     /// Larger first: the error in pixels of what is shown instead, always below that of the tile above, so that
     /// coarse comes before fine. Tiles outside the frustum, needed so that their siblings can replace the parent,
-    /// have a quarter.
+    /// have a quarter. Below 0: wanted later, see [`Self::ahead`].
     pub priority: f32,
     /// Error of the tile itself, in pixels, were it shown.
     pub error_px: f32,
+}
+
+impl PageRequest {
+    /// The same for later, from where an eye will be: it comes after all that a picture lacks now, in the same order,
+    /// and gets only room that nothing else needs.
+    pub fn ahead(self) -> Self {
+        Self { priority: -(1.0 / (1.0 + self.priority.max(0.0))).max(f32::MIN_POSITIVE), ..self }
+    }
 }
 
 /// What a cull did.

@@ -13,7 +13,7 @@ use super::drawable::{DrawableTable, Pools, Shape};
 use super::height_pool::{TilePlace, table_vectors};
 use super::mesh_pool::Range;
 use super::texture_pool::{Rows, TextureLayer};
-use crate::scene::{DrawSlot, Drawable, Geometry, HeightTile, Mesh, MeshVertex, Texture};
+use crate::scene::{ContentKey, DrawSlot, Drawable, Geometry, HeightTile, Mesh, MeshVertex, SharedParts, Texture};
 
 /// Most bytes of one slice: about 100 us of copying, so that the time budget is met closely.
 const SLICE_BYTES: u64 = 256 << 10;
@@ -40,10 +40,21 @@ pub struct Compiled {
     pub ticket: u64,
     /// One slot a drawable, in order; [`DrawSlot::NONE`] for those that could not be made.
     pub slots: Vec<DrawSlot>,
-    /// Bytes of GPU memory that were newly taken.
+    /// Bytes of GPU memory that were newly taken by what is not shared by content.
     pub bytes: u64,
+    /// What is shared by content, with the bytes of its place, whoever took it first.
+    pub shared: Vec<(ContentKey, u64)>,
     /// What was wrong with those that could not be made.
     pub errors: Vec<String>,
+}
+
+impl Compiled {
+    fn count(&mut self, content: Option<&ContentKey>, bytes: u64, is_new: bool) {
+        match content {
+            Some(key) => self.shared.push((*key, bytes)),
+            None => self.bytes += if is_new { bytes } else { 0 },
+        }
+    }
 }
 
 /// How much of a frame uploads may take.
@@ -205,6 +216,7 @@ impl CompileQueue {
                         ticket: operation.ticket,
                         slots: Vec::with_capacity(count),
                         bytes: 0,
+                        shared: Vec::new(),
                         errors: Vec::new(),
                     },
                 });
@@ -248,7 +260,7 @@ pub(super) fn rewrite(
     let Shape::Mesh { place: old, texture, .. } = entry.shape else {
         return Err("a height tile is not to be rewritten as a mesh".into());
     };
-    let placed = pools.meshes.allocate(device, &pools.limits, mesh)?;
+    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &SharedParts::default())?;
     let vertices = placed.vertices.map(|range| Source::Vertices { range, mesh: mesh.clone() });
     let indices = placed.indices.map(|range| Source::Indices { range, mesh: mesh.clone() });
     let mut bytes = 0;
@@ -277,16 +289,8 @@ fn prepare(
 ) {
     let material = &drawable.material;
     let placed = match &drawable.geometry {
-        Geometry::Height(tile) => place_tile(device, pools, tile, uploads).map(|(place, bytes)| {
-            job.compiled.bytes += bytes;
-            Shape::Height(place)
-        }),
-        Geometry::Mesh(mesh) => {
-            place_mesh(device, queue, pools, mesh, material.texture.as_ref(), uploads).map(|(shape, bytes)| {
-                job.compiled.bytes += bytes;
-                shape
-            })
-        }
+        Geometry::Height(tile) => place_tile(device, pools, tile, &drawable, &mut job.compiled, uploads),
+        Geometry::Mesh(mesh) => place_mesh(device, queue, pools, mesh, &drawable, &mut job.compiled, uploads),
     };
     let slot = match placed {
         Ok(shape) => table.insert(DrawableEntry::new(shape, material)),
@@ -302,13 +306,20 @@ fn place_tile(
     device: &wgpu::Device,
     pools: &mut Pools,
     tile: &Arc<HeightTile>,
+    drawable: &Drawable,
+    compiled: &mut Compiled,
     uploads: &mut VecDeque<Upload>,
-) -> Result<(TilePlace, u64), String> {
-    let place = pools.heights.allocate(device, &pools.layouts, &pools.limits, tile)?;
+) -> Result<Shape, String> {
+    let content = drawable.shared.geometry.as_ref().map(|s| &s.key);
+    let (place, is_new) = pools.heights.allocate(device, &pools.layouts, &pools.limits, tile, content)?;
+    compiled.count(content, pools.heights.bytes_of(place), is_new);
+    if !is_new {
+        return Ok(Shape::Height(place));
+    }
     uploads.push_back(Upload::new(Source::Tables { place, tile: tile.clone() }));
     uploads.push_back(Upload::new(Source::Heights { place, tile: tile.clone() }));
     uploads.push_back(Upload::new(Source::TileColor { place, image: tile.texture.clone() }));
-    Ok((place, pools.heights.bytes_of(place)))
+    Ok(Shape::Height(place))
 }
 
 fn place_mesh(
@@ -316,12 +327,17 @@ fn place_mesh(
     queue: &wgpu::Queue,
     pools: &mut Pools,
     mesh: &Arc<Mesh>,
-    image: Option<&Arc<Texture>>,
+    drawable: &Drawable,
+    compiled: &mut Compiled,
     uploads: &mut VecDeque<Upload>,
-) -> Result<(Shape, u64), String> {
-    let placed = pools.meshes.allocate(device, &pools.limits, mesh)?;
+) -> Result<Shape, String> {
+    let image = drawable.material.texture.as_ref();
+    let [geometry, indices, texture_content] =
+        [&drawable.shared.geometry, &drawable.shared.indices, &drawable.shared.texture]
+            .map(|s| s.as_ref().map(|s| &s.key));
+    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &drawable.shared)?;
     let texture = match image {
-        Some(image) => pools.textures.allocate(device, &pools.layouts, &pools.limits, image),
+        Some(image) => pools.textures.allocate(device, &pools.layouts, &pools.limits, image, texture_content),
         None => pools.textures.white(device, queue, &pools.layouts, &pools.limits).map(|place| (place, false)),
     };
     let (texture, is_new_texture) = match texture {
@@ -331,7 +347,12 @@ fn place_mesh(
             return Err(error);
         }
     };
-    let mut bytes = placed.bytes;
+    let [vertex_bytes, index_bytes] = placed.place_bytes;
+    compiled.count(geometry, vertex_bytes, placed.vertices.is_some());
+    compiled.count(indices, index_bytes, placed.indices.is_some());
+    if image.is_some() {
+        compiled.count(texture_content, pools.textures.bytes_of(texture), is_new_texture);
+    }
     if let Some(range) = placed.vertices {
         uploads.push_back(Upload::new(Source::Vertices { range, mesh: mesh.clone() }));
     }
@@ -339,10 +360,9 @@ fn place_mesh(
         uploads.push_back(Upload::new(Source::Indices { range, mesh: mesh.clone() }));
     }
     if let Some(image) = image.filter(|_| is_new_texture) {
-        bytes += image.mips.iter().map(|m| m.len() as u64).sum::<u64>();
         uploads.push_back(Upload::new(Source::Texture { place: texture, image: image.clone() }));
     }
-    Ok((Shape::Mesh { place: placed.place, topology: mesh.topology, texture }, bytes))
+    Ok(Shape::Mesh { place: placed.place, topology: mesh.topology, texture })
 }
 
 impl Upload {

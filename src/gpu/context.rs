@@ -32,13 +32,15 @@ pub struct ContextTraits {
     pub adapter: AdapterChoice,
     /// Samples a pixel of the target, 1 or 4.
     pub samples: u32,
+    /// A window's images wait for the screen; without it (where the platform can) they do not, and may tear.
+    pub vsync: bool,
     /// Have the driver's validation layers check every call; ten times slower, never time with it.
     pub validation: bool,
 }
 
 impl Default for ContextTraits {
     fn default() -> Self {
-        Self { size_px: [1280, 720], adapter: AdapterChoice::Any, samples: 1, validation: false }
+        Self { size_px: [1280, 720], adapter: AdapterChoice::Any, samples: 1, vsync: true, validation: false }
     }
 }
 
@@ -57,8 +59,12 @@ pub struct GraphicsContext {
     /// Written by wgpu's error callback on the draw thread, emptied by [`Self::take_device_errors`].
     errors: Arc<Mutex<Vec<String>>>,
     bytes_peak: u64,
-    samples: u32,
+    traits: ContextTraits,
+    /// Makes the window's surface once more, on another instance; `None` offscreen.
+    make_surface: Option<MakeSurface>,
 }
+
+type MakeSurface = Arc<dyn Fn(&wgpu::Instance) -> Result<wgpu::Surface<'static>, GpuError> + Send + Sync>;
 
 struct Opened {
     adapter: wgpu::Adapter,
@@ -152,27 +158,31 @@ fn open(
 impl GraphicsContext {
     /// A context that draws into textures of its own.
     pub fn new_offscreen(traits: &ContextTraits) -> Result<Self, GpuError> {
-        let opened = open(&instance(traits), traits, None)?;
-        let target = Target::offscreen(&opened.device, traits.size_px)?;
-        Ok(Self::assemble(opened, target, traits))
+        Self::open(*traits, None)
     }
 
-    /// A context that draws into a window (an `Arc<winit::window::Window>`, say), presenting with Fifo.
+    /// A context that draws into a window (an `Arc<winit::window::Window>`, say). The window is kept, to be drawn into
+    /// again should the device be lost.
     pub fn new_window(
-        target: impl Into<wgpu::SurfaceTarget<'static>>,
+        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
         traits: &ContextTraits,
     ) -> Result<Self, GpuError> {
-        let instance = instance(traits);
-        let surface = instance.create_surface(target).map_err(|e| GpuError::Surface { reason: e.to_string() })?;
-        let opened = open(&instance, traits, Some(&surface))?;
-        let target = Target::window(&opened.adapter, &opened.device, surface, traits.size_px)?;
-        Ok(Self::assemble(opened, target, traits))
+        let make_surface = move |instance: &wgpu::Instance| {
+            instance.create_surface(target.clone()).map_err(|e| GpuError::Surface { reason: e.to_string() })
+        };
+        Self::open(*traits, Some(Arc::new(make_surface)))
     }
 
-    fn assemble(opened: Opened, target: Target, traits: &ContextTraits) -> Self {
-        let Opened { adapter, device, queue, lost, errors } = opened;
+    fn open(traits: ContextTraits, make_surface: Option<MakeSurface>) -> Result<Self, GpuError> {
+        let instance = instance(&traits);
+        let surface = make_surface.as_ref().map(|make| make(&instance)).transpose()?;
+        let Opened { adapter, device, queue, lost, errors } = open(&instance, &traits, surface.as_ref())?;
+        let target = match surface {
+            Some(surface) => Target::window(&adapter, &device, surface, traits.size_px, traits.vsync)?,
+            None => Target::offscreen(&device, traits.size_px)?,
+        };
         let pools = Pools::new(&device, Layouts::new(&device));
-        Self {
+        Ok(Self {
             adapter_info: adapter.get_info(),
             target,
             pools,
@@ -181,11 +191,43 @@ impl GraphicsContext {
             lost,
             errors,
             bytes_peak: 0,
-            // WebGPU promises 1 and 4.
-            samples: if traits.samples > 1 { 4 } else { 1 },
+            traits,
+            make_surface,
             device,
             queue,
+        })
+    }
+
+    /// True once the device was lost: nothing is drawn any more before [`Self::reopen`].
+    pub fn is_lost(&self) -> bool {
+        self.check_lost().is_err()
+    }
+
+    /// Takes a new device in the place of a lost one, of the same traits. What was uploaded is gone, and no slot is
+    /// valid any more; uploads that waited are dropped. After an error it can be tried again.
+    pub fn reopen(&mut self) -> Result<(), GpuError> {
+        let traits = ContextTraits { size_px: self.size_px(), ..self.traits };
+        // A window has one surface at a time.
+        self.target.close();
+        let opened = Self::open(traits, self.make_surface.clone())?;
+        let bytes_peak = self.bytes_peak;
+        *self = Self { bytes_peak, ..opened };
+        Ok(())
+    }
+
+    /// Loses the device, for tests of what comes after.
+    #[doc(hidden)]
+    pub fn lose_device(&self) {
+        if let Ok(mut lost) = self.lost.lock() {
+            lost.get_or_insert_with(|| "destroyed".to_owned());
         }
+        self.device.destroy();
+    }
+
+    /// Makes a window's images wait for the screen, or not.
+    pub fn set_vsync(&mut self, vsync: bool) {
+        self.traits.vsync = vsync;
+        self.target.set_vsync(&self.device, vsync);
     }
 
     /// Name of the adapter and the interface it is driven through.
@@ -210,7 +252,8 @@ impl GraphicsContext {
 
     /// Samples a pixel of the target.
     pub fn samples(&self) -> u32 {
-        self.samples
+        // WebGPU promises 1 and 4.
+        if self.traits.samples > 1 { 4 } else { 1 }
     }
 
     /// Format of the colour target.

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use super::layouts::Layouts;
 use super::slots::{SlotAllocator, block_capacity};
 use super::texture_pool::{ImageSize, Rows, array_view, insert, write_rows};
-use crate::scene::HeightTile;
+use crate::scene::{ContentKey, HeightTile};
 
 /// Bytes a block aims at.
 const BLOCK_BYTES: u64 = 24 << 20;
@@ -36,6 +36,8 @@ struct Block {
     bind_group: wgpu::BindGroup,
     slots: SlotAllocator,
     capacity: u32,
+    /// Per layer: number of drawables that use it, and what it is shared as.
+    users: Vec<(u32, Option<ContentKey>)>,
 }
 
 /// Indices of the shared grid of one side length.
@@ -50,6 +52,8 @@ pub(crate) struct HeightPool {
     blocks: Vec<Option<Block>>,
     /// By side. Only looked up, never walked.
     grids: HashMap<u32, Grid>,
+    /// Only looked up, never walked.
+    shared: HashMap<ContentKey, TilePlace>,
     bytes_in_use: u64,
     bytes_allocated: u64,
 }
@@ -83,8 +87,37 @@ fn check(tile: &HeightTile) -> Result<(), String> {
 }
 
 impl HeightPool {
-    /// A place for a tile, with the size of its colour image.
+    /// A place for a tile; true when it must be uploaded, false when it is there already.
     pub(super) fn allocate(
+        &mut self,
+        device: &wgpu::Device,
+        layouts: &Layouts,
+        limits: &wgpu::Limits,
+        tile: &HeightTile,
+        content: Option<&ContentKey>,
+    ) -> Result<(TilePlace, bool), String> {
+        if let Some(place) = content.and_then(|key| self.shared.get(key)).copied()
+            && let Some(user) = self.user_mut(place)
+        {
+            user.0 += 1;
+            return Ok((place, false));
+        }
+        let place = self.take_place(device, layouts, limits, tile)?;
+        if let Some(user) = self.user_mut(place) {
+            *user = (1, content.copied());
+        }
+        if let Some(key) = content {
+            self.shared.insert(*key, place);
+        }
+        Ok((place, true))
+    }
+
+    fn user_mut(&mut self, place: TilePlace) -> Option<&mut (u32, Option<ContentKey>)> {
+        self.blocks.get_mut(place.block as usize)?.as_mut()?.users.get_mut(place.layer as usize)
+    }
+
+    /// A place with the size of the tile's colour image.
+    fn take_place(
         &mut self,
         device: &wgpu::Device,
         layouts: &Layouts,
@@ -170,8 +203,17 @@ impl HeightPool {
         }
     }
 
-    /// Frees the tile's place, and the block when it was the last.
+    /// One drawable fewer uses the tile's place; it is free when none does, and the block when it was the last.
     pub(super) fn release(&mut self, place: TilePlace) {
+        let Some(user) = self.user_mut(place) else { return };
+        user.0 = user.0.saturating_sub(1);
+        let (count, content) = *user;
+        if count > 0 {
+            return;
+        }
+        if let Some(key) = content.filter(|key| self.shared.get(key) == Some(&place)) {
+            self.shared.remove(&key);
+        }
         if let Some(slot) = self.blocks.get_mut(place.block as usize)
             && let Some(block) = slot
         {
@@ -239,7 +281,8 @@ impl Block {
             ],
         });
         let slots = SlotAllocator::new(capacity);
-        Self { side, color_size, heights, tables, color, bind_group, slots, capacity }
+        let users = vec![(0, None); capacity as usize];
+        Self { side, color_size, heights, tables, color, bind_group, slots, capacity, users }
     }
 }
 

@@ -7,9 +7,9 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
-use super::slots::{SlotAllocator, block_capacity, size_class};
+use super::slots::{Identity, SlotAllocator, block_capacity, size_class};
 use super::texture_pool::insert;
-use crate::scene::{Mesh, MeshVertex};
+use crate::scene::{Mesh, MeshVertex, SharedParts};
 
 /// Bytes a buffer aims at.
 const CHUNK_BYTES: u64 = 8 << 20;
@@ -116,14 +116,16 @@ impl Arena {
 struct MeshRecord {
     /// Keeps the address from being used for another mesh while the record stands.
     source: Weak<Mesh>,
+    identity: Identity,
     vertices: Range,
     indices: u32,
     users: u32,
 }
 
 struct IndexRecord {
-    /// Set while the list is shared between meshes; its address is then the key.
+    /// Set while the list is shared by its address.
     source: Option<Weak<[u32]>>,
+    identity: Identity,
     range: Range,
     /// Largest index, to check further meshes that share the list.
     largest: u32,
@@ -147,8 +149,8 @@ pub(super) struct MeshUploads {
     pub(super) place: MeshPlace,
     pub(super) vertices: Option<Range>,
     pub(super) indices: Option<Range>,
-    /// Bytes of the new places.
-    pub(super) bytes: u64,
+    /// Bytes of the vertices' place and of the indices', new or not.
+    pub(super) place_bytes: [u64; 2],
 }
 
 /// All meshes of a context.
@@ -157,9 +159,9 @@ pub(crate) struct MeshPool {
     indices: Arena,
     meshes: Vec<Option<MeshRecord>>,
     index_lists: Vec<Option<IndexRecord>>,
-    /// By address. Only looked up, never walked.
-    mesh_by_address: HashMap<usize, u32>,
-    index_list_by_address: HashMap<usize, u32>,
+    /// Only looked up, never walked.
+    mesh_by_identity: HashMap<Identity, u32>,
+    index_list_by_identity: HashMap<Identity, u32>,
 }
 
 impl Default for MeshPool {
@@ -169,8 +171,8 @@ impl Default for MeshPool {
             indices: Arena::new("indices", wgpu::BufferUsages::INDEX, 4),
             meshes: Vec::new(),
             index_lists: Vec::new(),
-            mesh_by_address: HashMap::new(),
-            index_list_by_address: HashMap::new(),
+            mesh_by_identity: HashMap::new(),
+            index_list_by_identity: HashMap::new(),
         }
     }
 }
@@ -190,21 +192,24 @@ impl MeshPool {
         device: &wgpu::Device,
         limits: &wgpu::Limits,
         mesh: &Arc<Mesh>,
+        shared: &SharedParts,
     ) -> Result<MeshUploads, String> {
-        let address = Arc::as_ptr(mesh) as usize;
-        if let Some(&id) = self.mesh_by_address.get(&address)
+        let content = shared.geometry.as_ref().map(|s| &s.key);
+        let identity = Identity::new(content, Arc::as_ptr(mesh));
+        if let Some(&id) = self.mesh_by_identity.get(&identity)
             && let Some(Some(record)) = self.meshes.get_mut(id as usize)
-            && std::ptr::eq(record.source.as_ptr(), Arc::as_ptr(mesh))
+            && (content.is_some() || std::ptr::eq(record.source.as_ptr(), Arc::as_ptr(mesh)))
         {
             record.users += 1;
             let (vertices, indices) = (record.vertices, record.indices);
             let place = self.place(id, vertices, indices, mesh)?;
-            return Ok(MeshUploads { place, vertices: None, indices: None, bytes: 0 });
+            let place_bytes = [self.vertices.bytes_of(vertices), self.index_bytes(indices)];
+            return Ok(MeshUploads { place, vertices: None, indices: None, place_bytes });
         }
         if mesh.vertices.is_empty() || mesh.indices.is_empty() {
             return Err("a mesh without vertices or indices".into());
         }
-        let (index_list, new_indices) = self.allocate_indices(device, limits, mesh)?;
+        let (index_list, new_indices) = self.allocate_indices(device, limits, mesh, shared)?;
         let vertices = match self.vertices.allocate(device, limits, mesh.vertices.len()) {
             Ok(range) => range,
             Err(e) => {
@@ -212,12 +217,12 @@ impl MeshPool {
                 return Err(e);
             }
         };
-        let record = MeshRecord { source: Arc::downgrade(mesh), vertices, indices: index_list, users: 1 };
+        let record = MeshRecord { source: Arc::downgrade(mesh), identity, vertices, indices: index_list, users: 1 };
         let id = insert(&mut self.meshes, record);
-        self.mesh_by_address.insert(address, id);
-        let bytes = self.vertices.bytes_of(vertices) + new_indices.map_or(0, |r| self.indices.bytes_of(r));
+        self.mesh_by_identity.insert(identity, id);
+        let place_bytes = [self.vertices.bytes_of(vertices), self.index_bytes(index_list)];
         let place = self.place(id, vertices, index_list, mesh)?;
-        Ok(MeshUploads { place, vertices: Some(vertices), indices: new_indices, bytes })
+        Ok(MeshUploads { place, vertices: Some(vertices), indices: new_indices, place_bytes })
     }
 
     fn place(&self, mesh_id: u32, vertices: Range, index_list: u32, mesh: &Mesh) -> Result<MeshPlace, String> {
@@ -238,11 +243,17 @@ impl MeshPool {
         device: &wgpu::Device,
         limits: &wgpu::Limits,
         mesh: &Mesh,
+        shared: &SharedParts,
     ) -> Result<(u32, Option<Range>), String> {
-        let address = Arc::as_ptr(&mesh.indices) as *const u32 as usize;
-        if let Some(&id) = self.index_list_by_address.get(&address)
+        let content = shared.indices.as_ref().map(|s| &s.key);
+        let identity = Identity::new(content, Arc::as_ptr(&mesh.indices));
+        let address = Arc::as_ptr(&mesh.indices);
+        let is_same = |r: &IndexRecord| {
+            content.is_some() || r.source.as_ref().is_some_and(|s| std::ptr::addr_eq(s.as_ptr(), address))
+        };
+        if let Some(&id) = self.index_list_by_identity.get(&identity)
             && let Some(Some(record)) = self.index_lists.get_mut(id as usize)
-            && record.source.as_ref().is_some_and(|s| std::ptr::addr_eq(s.as_ptr(), Arc::as_ptr(&mesh.indices)))
+            && is_same(record)
         {
             check_indices(record.largest, mesh)?;
             record.users += 1;
@@ -252,13 +263,18 @@ impl MeshPool {
         check_indices(largest, mesh)?;
         let range = self.indices.allocate(device, limits, mesh.indices.len())?;
         // A weak pointer keeps the list's memory, so it is kept for lists that others hold as well.
-        let source = (Arc::strong_count(&mesh.indices) > 1).then(|| Arc::downgrade(&mesh.indices));
-        let is_shared = source.is_some();
-        let id = insert(&mut self.index_lists, IndexRecord { source, range, largest, users: 1 });
-        if is_shared {
-            self.index_list_by_address.insert(address, id);
+        let by_address = content.is_none() && Arc::strong_count(&mesh.indices) > 1;
+        let source = by_address.then(|| Arc::downgrade(&mesh.indices));
+        let id = insert(&mut self.index_lists, IndexRecord { source, identity, range, largest, users: 1 });
+        if by_address || content.is_some() {
+            self.index_list_by_identity.insert(identity, id);
         }
         Ok((id, Some(range)))
+    }
+
+    fn index_bytes(&self, id: u32) -> u64 {
+        let record = self.index_lists.get(id as usize).and_then(Option::as_ref);
+        record.map_or(0, |r| self.indices.bytes_of(r.range))
     }
 
     pub(super) fn write_vertices(&self, queue: &wgpu::Queue, range: Range, first: usize, data: &[MeshVertex]) {
@@ -278,9 +294,8 @@ impl MeshPool {
             return;
         }
         let Some(record) = slot.take() else { return };
-        let address = record.source.as_ptr() as usize;
-        if self.mesh_by_address.get(&address) == Some(&place.mesh) {
-            self.mesh_by_address.remove(&address);
+        if self.mesh_by_identity.get(&record.identity) == Some(&place.mesh) {
+            self.mesh_by_identity.remove(&record.identity);
         }
         self.vertices.release(record.vertices);
         self.release_indices(record.indices);
@@ -294,11 +309,8 @@ impl MeshPool {
             return;
         }
         let Some(record) = slot.take() else { return };
-        if let Some(source) = record.source {
-            let address = source.as_ptr() as *const u32 as usize;
-            if self.index_list_by_address.get(&address) == Some(&id) {
-                self.index_list_by_address.remove(&address);
-            }
+        if self.index_list_by_identity.get(&record.identity) == Some(&id) {
+            self.index_list_by_identity.remove(&record.identity);
         }
         self.indices.release(record.range);
     }

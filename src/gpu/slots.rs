@@ -1,4 +1,22 @@
-//! Free lists for pools whose places all have one size. Plain values; used on the draw thread.
+//! Free lists for pools whose places all have one size, and what places are known by. Plain values; used on the draw
+//! thread.
+
+use crate::scene::ContentKey;
+
+/// What a payload's place is found by again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Identity {
+    /// Whatever has the same content: the payload may be gone.
+    Content(ContentKey),
+    /// The payload itself.
+    Address(usize),
+}
+
+impl Identity {
+    pub(super) fn new<T: ?Sized>(content: Option<&ContentKey>, payload: *const T) -> Self {
+        content.map_or(Self::Address(payload as *const () as usize), |key| Self::Content(*key))
+    }
+}
 
 /// Hands out the places `0..capacity`, last freed first.
 #[derive(Debug)]

@@ -6,6 +6,8 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
+use super::texture_pool::{ImageSize, Rows, write_rows};
+use crate::scene::Texture;
 use crate::state::{CompareFunction, FilterMode, Sampler, TextureDimension, TextureFormat, TextureObject, WrapMode};
 
 struct Entry {
@@ -100,6 +102,44 @@ impl StateTextures {
         };
         self.entries.insert(key, Entry { object: Arc::downgrade(object), made, serial });
         result
+    }
+
+    /// Writes an image to a texture, which takes its size; true when it is another texture than before, whose bind
+    /// groups are to be made anew.
+    pub(crate) fn show(
+        &mut self,
+        device: &wgpu::Device,
+        queue: &wgpu::Queue,
+        object: &Arc<TextureObject>,
+        image: &Texture,
+    ) -> Result<bool, String> {
+        let limits = device.limits();
+        let size = ImageSize::of(image, &limits).map_err(|problem| format!("texture {:?}: {problem}", object.name))?;
+        let fits = |made: &Made| {
+            let t = &made.texture;
+            [t.width(), t.height(), t.mip_level_count()] == [size.width, size.height, size.mips]
+                && t.format() == wgpu::TextureFormat::Rgba8UnormSrgb
+                && t.usage().contains(wgpu::TextureUsages::COPY_DST)
+        };
+        let key = Arc::as_ptr(object) as usize;
+        let known = self.entries.get(&key).and_then(|e| e.made.as_ref()).is_some_and(fits);
+        if !known {
+            let texture = size.create(device, &object.name, 1);
+            let view = texture.create_view(&wgpu::TextureViewDescriptor {
+                label: Some(&object.name),
+                dimension: Some(wgpu::TextureViewDimension::D2),
+                ..Default::default()
+            });
+            let made = Some(Made { texture, view, attachments: Vec::new() });
+            self.entries.insert(key, Entry { object: Arc::downgrade(object), made, serial: self.next_serial });
+            self.next_serial += 1;
+        }
+        let Some(made) = self.entries.get(&key).and_then(|e| e.made.as_ref()) else { return Ok(!known) };
+        for (level, texels) in (0u32..).zip(&image.mips) {
+            let [width, height] = size.level(level);
+            write_rows(queue, &made.texture, &Rows { layer: 0, level, first: 0, count: height, width }, texels);
+        }
+        Ok(!known)
     }
 
     fn made(&self, object: &Arc<TextureObject>) -> Option<&Made> {

@@ -17,8 +17,17 @@ pub enum Acquired {
 }
 
 enum Color {
-    Offscreen { texture: wgpu::Texture, view: wgpu::TextureView },
-    Window { surface: wgpu::Surface<'static>, config: wgpu::SurfaceConfiguration, frame: Option<Frame> },
+    Offscreen {
+        texture: wgpu::Texture,
+        view: wgpu::TextureView,
+    },
+    Window {
+        surface: wgpu::Surface<'static>,
+        config: wgpu::SurfaceConfiguration,
+        frame: Option<Frame>,
+    },
+    /// Its device is lost.
+    Closed,
 }
 
 struct Frame {
@@ -62,6 +71,11 @@ fn offscreen_color(device: &wgpu::Device, size_px: [u32; 2]) -> Color {
     Color::Offscreen { texture, view }
 }
 
+/// Every platform has Fifo; what has no mode without waiting waits.
+fn present_mode(vsync: bool) -> wgpu::PresentMode {
+    if vsync { wgpu::PresentMode::Fifo } else { wgpu::PresentMode::AutoNoVsync }
+}
+
 impl Target {
     pub(super) fn offscreen(device: &wgpu::Device, size_px: [u32; 2]) -> Result<Self, GpuError> {
         check_size(device, size_px)?;
@@ -73,6 +87,7 @@ impl Target {
         device: &wgpu::Device,
         surface: wgpu::Surface<'static>,
         size_px: [u32; 2],
+        vsync: bool,
     ) -> Result<Self, GpuError> {
         check_size(device, size_px)?;
         let capabilities = surface.get_capabilities(adapter);
@@ -91,8 +106,7 @@ impl Target {
             color_space: wgpu::SurfaceColorSpace::Auto,
             width: size_px[0],
             height: size_px[1],
-            // Every platform has Fifo; wgpu's own default is Immediate on software Vulkan.
-            present_mode: wgpu::PresentMode::Fifo,
+            present_mode: present_mode(vsync),
             desired_maximum_frame_latency: 2,
             alpha_mode: wgpu::CompositeAlphaMode::Auto,
             view_formats: Vec::new(),
@@ -106,9 +120,25 @@ impl Target {
         self.size_px
     }
 
+    /// Frees what it has of its device, and of its window, for another to come.
+    pub(super) fn close(&mut self) {
+        self.color = Color::Closed;
+    }
+
+    /// Waits for the screen, or not; nothing offscreen.
+    pub(super) fn set_vsync(&mut self, device: &wgpu::Device, vsync: bool) {
+        if let Color::Window { surface, config, frame } = &mut self.color
+            && config.present_mode != present_mode(vsync)
+        {
+            *frame = None;
+            config.present_mode = present_mode(vsync);
+            surface.configure(device, config);
+        }
+    }
+
     pub(super) fn format(&self) -> wgpu::TextureFormat {
         match &self.color {
-            Color::Offscreen { .. } => OFFSCREEN_FORMAT,
+            Color::Offscreen { .. } | Color::Closed => OFFSCREEN_FORMAT,
             Color::Window { config, .. } => config.format,
         }
     }
@@ -125,6 +155,7 @@ impl Target {
                 [config.width, config.height] = size_px;
                 surface.configure(device, config);
             }
+            Color::Closed => {}
         }
         self.size_px = size_px;
         Ok(())
@@ -168,6 +199,7 @@ impl Target {
         match &self.color {
             Color::Offscreen { view, .. } => Some(view),
             Color::Window { frame, .. } => frame.as_ref().map(|f| &f.view),
+            Color::Closed => None,
         }
     }
 
@@ -175,6 +207,7 @@ impl Target {
         match &self.color {
             Color::Offscreen { texture, .. } => Some(texture),
             Color::Window { frame, .. } => frame.as_ref().map(|f| &f.image.texture),
+            Color::Closed => None,
         }
     }
 

@@ -7,8 +7,8 @@ use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
 use super::layouts::Layouts;
-use super::slots::{SlotAllocator, block_capacity};
-use crate::scene::Texture;
+use super::slots::{Identity, SlotAllocator, block_capacity};
+use crate::scene::{ContentKey, Texture};
 
 /// Bytes a block aims at; larger images get blocks of one layer.
 const BLOCK_BYTES: u64 = 32 << 20;
@@ -115,8 +115,8 @@ struct Block {
     bind_group: wgpu::BindGroup,
     slots: SlotAllocator,
     capacity: u32,
-    /// Per layer: number of drawables that use it, and the key it is shared under.
-    users: Vec<(u32, usize)>,
+    /// Per layer: number of drawables that use it, and what it is shared as.
+    users: Vec<(u32, Identity)>,
 }
 
 struct Shared {
@@ -129,8 +129,8 @@ struct Shared {
 #[derive(Default)]
 pub(crate) struct TexturePool {
     blocks: Vec<Option<Block>>,
-    /// By the image's address. Only looked up, never walked.
-    shared: HashMap<usize, Shared>,
+    /// Only looked up, never walked.
+    shared: HashMap<Identity, Shared>,
     white: Option<TextureLayer>,
     bytes_in_use: u64,
     bytes_allocated: u64,
@@ -144,9 +144,11 @@ impl TexturePool {
         layouts: &Layouts,
         limits: &wgpu::Limits,
         image: &Arc<Texture>,
+        content: Option<&ContentKey>,
     ) -> Result<(TextureLayer, bool), String> {
-        let key = Arc::as_ptr(image) as usize;
-        if let Some(shared) = self.shared.get(&key).filter(|s| std::ptr::eq(s.image.as_ptr(), Arc::as_ptr(image))) {
+        let key = Identity::new(content, Arc::as_ptr(image));
+        let is_same = |s: &&Shared| content.is_some() || std::ptr::eq(s.image.as_ptr(), Arc::as_ptr(image));
+        if let Some(shared) = self.shared.get(&key).filter(is_same) {
             let place = shared.place;
             if let Some(user) = self.user_mut(place) {
                 user.0 += 1;
@@ -180,7 +182,14 @@ impl TexturePool {
         Ok(place)
     }
 
-    fn user_mut(&mut self, place: TextureLayer) -> Option<&mut (u32, usize)> {
+    pub(super) fn bytes_of(&self, place: TextureLayer) -> u64 {
+        match self.blocks.get(place.block as usize) {
+            Some(Some(block)) => block.size.bytes(),
+            _ => 0,
+        }
+    }
+
+    fn user_mut(&mut self, place: TextureLayer) -> Option<&mut (u32, Identity)> {
         self.blocks.get_mut(place.block as usize)?.as_mut()?.users.get_mut(place.layer as usize)
     }
 
@@ -221,7 +230,7 @@ impl TexturePool {
         });
         let mut slots = SlotAllocator::new(capacity);
         let layer = slots.allocate().ok_or("a texture block without layers")?;
-        let users = vec![(0, 0); capacity as usize];
+        let users = vec![(0, Identity::Address(0)); capacity as usize];
         let block = Block { size, repeat, texture, bind_group, slots, capacity, users };
         self.bytes_allocated += size.bytes() * u64::from(capacity);
         self.bytes_in_use += size.bytes();

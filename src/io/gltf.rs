@@ -4,7 +4,6 @@
 //! of what is returned turns it, as 3D Tiles asks.
 
 use std::collections::HashMap;
-use std::hash::{Hash as _, Hasher as _};
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
@@ -16,7 +15,10 @@ use lru::LruCache;
 
 use super::{IoError, Limits, image};
 use crate::math::Aabb;
-use crate::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Texture, Topology};
+use crate::scene::{
+    AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Node, SharedParts, SharedStateManager,
+    Topology,
+};
 
 /// Extensions that may be required.
 const KNOWN_EXTENSIONS: &[&str] =
@@ -26,7 +28,13 @@ const KNOWN_EXTENSIONS: &[&str] =
 const Z_UP_FROM_Y_UP: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
 
 /// A binary glTF. `rtc_center` is z-up and added after the turn (b3dm's RTC_CENTER).
-pub(crate) fn read_glb(uri: &str, bytes: &[u8], rtc_center: Option<DVec3>, limits: &Limits) -> Result<Node, IoError> {
+pub(crate) fn read_glb(
+    uri: &str,
+    bytes: &[u8],
+    rtc_center: Option<DVec3>,
+    limits: &Limits,
+    sharing: Option<&SharedStateManager>,
+) -> Result<Node, IoError> {
     let bad = |reason: &str| IoError::invalid(uri, format!("glb: {reason}"));
     let u32_at = |at: usize| -> Option<u32> { Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?)) };
     if !bytes.starts_with(b"glTF") {
@@ -54,12 +62,17 @@ pub(crate) fn read_glb(uri: &str, bytes: &[u8], rtc_center: Option<DVec3>, limit
         }
         at = end.next_multiple_of(4);
     }
-    read(uri, json.ok_or_else(|| bad("no JSON chunk"))?, binary, rtc_center, limits)
+    read(uri, json.ok_or_else(|| bad("no JSON chunk"))?, binary, rtc_center, limits, sharing)
 }
 
 /// A glTF in JSON; its buffers and images must be data: URIs.
-pub(crate) fn read_gltf(uri: &str, json: &[u8], limits: &Limits) -> Result<Node, IoError> {
-    read(uri, json, None, None, limits)
+pub(crate) fn read_gltf(
+    uri: &str,
+    json: &[u8],
+    limits: &Limits,
+    sharing: Option<&SharedStateManager>,
+) -> Result<Node, IoError> {
+    read(uri, json, None, None, limits, sharing)
 }
 
 fn read(
@@ -68,6 +81,7 @@ fn read(
     binary: Option<&[u8]>,
     rtc_center: Option<DVec3>,
     limits: &Limits,
+    sharing: Option<&SharedStateManager>,
 ) -> Result<Node, IoError> {
     let mut root: gltf::json::Root =
         gltf::json::Root::from_slice(json).map_err(|e| IoError::invalid(uri, format!("glTF JSON: {e}")))?;
@@ -101,6 +115,7 @@ fn read(
         uri,
         buffers: Vec::new(),
         limits,
+        sharing,
         nodes: 0,
         vertices: 0,
         textures: HashMap::new(),
@@ -165,12 +180,13 @@ struct Reader<'a> {
     uri: &'a str,
     buffers: Vec<std::borrow::Cow<'a, [u8]>>,
     limits: &'a Limits,
+    sharing: Option<&'a SharedStateManager>,
     nodes: usize,
     vertices: usize,
     /// Decoded once a file: image index and wrap.
-    textures: HashMap<(usize, bool), Arc<Texture>>,
+    textures: HashMap<(usize, bool), image::Shared>,
     /// Index accessors shared by primitives.
-    indices: HashMap<usize, Arc<[u32]>>,
+    indices: HashMap<usize, (Arc<[u32]>, ContentKey)>,
 }
 
 /// A checked view of an accessor's elements.
@@ -298,13 +314,17 @@ impl<'a> Reader<'a> {
             }
             vertices.push(vertex);
         }
-        let listed = match primitive.indices() {
-            Some(accessor) => self.indices(&accessor, count)?,
-            None => (0..count as u32).collect(),
+        let (listed, list_key) = match primitive.indices() {
+            Some(accessor) => self.indices(&accessor, count).map(|(list, key)| (list, Some(key)))?,
+            None => ((0..count as u32).collect(), None),
         };
-        let (topology, indices) = assemble(primitive.mode(), listed);
+        let (topology, indices) = assemble(primitive.mode(), listed.clone());
+        let list_key = list_key.filter(|_| Arc::ptr_eq(&listed, &indices));
         let bounds = if count == 0 { Aabb::EMPTY } else { Aabb { min: min.as_dvec3(), max: max.as_dvec3() } };
-        let texture = base_texture.map(|t| self.texture(&t.texture())).transpose()?;
+        let (texture, shared_texture) = match base_texture {
+            Some(t) => self.texture(&t.texture()).map(|(image, shared)| (Some(image), shared))?,
+            None => (None, None),
+        };
         let material = Material {
             base_color: pbr.base_color_factor(),
             texture,
@@ -316,8 +336,17 @@ impl<'a> Reader<'a> {
             double_sided: material.double_sided(),
             unlit: material.unlit(),
         };
-        let mesh = Mesh { vertices, indices, topology, bounds };
-        Ok(Drawable::new(Geometry::Mesh(Arc::new(mesh)), material))
+        let mut mesh = Arc::new(Mesh { vertices, indices, topology, bounds });
+        let (geometry, indices) = match self.sharing {
+            Some(sharing) => {
+                let list_key = list_key.unwrap_or_else(|| list_key_of(&mesh.indices));
+                sharing.mesh(&mut mesh, &list_key)
+            }
+            None => (None, None),
+        };
+        let mut drawable = Drawable::new(Geometry::Mesh(mesh), material);
+        drawable.shared = SharedParts { geometry, indices, texture: shared_texture };
+        Ok(drawable)
     }
 
     fn attribute(
@@ -374,7 +403,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    fn indices(&mut self, accessor: &gltf::Accessor<'_>, vertices: usize) -> Result<Arc<[u32]>, IoError> {
+    fn indices(&mut self, accessor: &gltf::Accessor<'_>, vertices: usize) -> Result<(Arc<[u32]>, ContentKey), IoError> {
         let known = self.indices.get(&accessor.index()).cloned();
         let indices = match known {
             Some(indices) => indices,
@@ -399,13 +428,13 @@ impl<'a> Reader<'a> {
                 list
             }
         };
-        match indices.iter().max() {
+        match indices.0.iter().max() {
             Some(&max) if max as usize >= vertices => Err(self.bad(format!("index {max} of {vertices} vertices"))),
             _ => Ok(indices),
         }
     }
 
-    fn texture(&mut self, texture: &gltf::Texture<'_>) -> Result<Arc<Texture>, IoError> {
+    fn texture(&mut self, texture: &gltf::Texture<'_>) -> Result<image::Shared, IoError> {
         use gltf::texture::WrappingMode::ClampToEdge;
         let sampler = texture.sampler();
         let repeat = sampler.wrap_s() != ClampToEdge || sampler.wrap_t() != ClampToEdge;
@@ -419,10 +448,11 @@ impl<'a> Reader<'a> {
                 let outside = || self.bad("image reaches beyond its buffer");
                 let buffer = self.buffers.get(view.buffer().index()).ok_or_else(outside)?;
                 let end = view.offset().checked_add(view.length()).ok_or_else(outside)?;
-                image::decode(self.uri, buffer.get(view.offset()..end).ok_or_else(outside)?, repeat, self.limits)?
+                let bytes = buffer.get(view.offset()..end).ok_or_else(outside)?;
+                image::decode_shared(self.uri, bytes, repeat, self.limits, self.sharing)?
             }
             gltf::image::Source::Uri { uri, .. } => {
-                image::decode(self.uri, &data_uri(self.uri, uri)?, repeat, self.limits)?
+                image::decode_shared(self.uri, &data_uri(self.uri, uri)?, repeat, self.limits, self.sharing)?
             }
         };
         self.textures.insert(key, decoded.clone());
@@ -432,19 +462,21 @@ impl<'a> Reader<'a> {
 
 /// The same list as one read before, where there is one: tiles of a terrain often share their grid, and what is one
 /// `Arc` is uploaded once. Decode workers share the few lists that are kept; the lock is held for a comparison.
-fn shared(list: Arc<[u32]>) -> Arc<[u32]> {
-    static LISTS: OnceLock<Mutex<LruCache<u64, Weak<[u32]>>>> = OnceLock::new();
+fn shared(list: Arc<[u32]>) -> (Arc<[u32]>, ContentKey) {
+    static LISTS: OnceLock<Mutex<LruCache<ContentKey, Weak<[u32]>>>> = OnceLock::new();
     const KEPT: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
-    let mut hasher = std::hash::DefaultHasher::new();
-    list.hash(&mut hasher);
-    let key = hasher.finish();
+    let key = list_key_of(&list);
     let lists = LISTS.get_or_init(|| Mutex::new(LruCache::new(KEPT)));
     let mut lists = lists.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(known) = lists.get(&key).and_then(Weak::upgrade).filter(|known| *known == list) {
-        return known;
+        return (known, key);
     }
     lists.put(key, Arc::downgrade(&list));
-    list
+    (list, key)
+}
+
+fn list_key_of(list: &[u32]) -> ContentKey {
+    ContentKey::of(&[bytemuck::cast_slice(list)])
 }
 
 /// Strips, fans and loops as lists.

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Fetched, IoError, Limits, RootScope, image, resolve};
 use crate::math::{Aabb, BoundingVolume, WGS84};
-use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, Texture};
+use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, SharedParts, SharedStateManager, Texture};
 
 /// What `asset.extras.terrane` says about a height tile set.
 pub(crate) struct HeightSet {
@@ -122,6 +122,7 @@ pub(crate) fn read(
     reader_data: Option<&str>,
     companions: Vec<Fetched>,
     limits: &Limits,
+    sharing: Option<&SharedStateManager>,
 ) -> Result<Node, IoError> {
     let data: TileData = match reader_data {
         Some(text) => serde_json::from_str(text).map_err(|e| IoError::invalid(uri, format!("tile data: {e}")))?,
@@ -129,11 +130,17 @@ pub(crate) fn read(
     };
     let stride = data.side as usize + 2 * data.border as usize;
     let heights = heights(uri, bytes, stride, limits)?;
-    let mut texture: Option<Arc<Texture>> = None;
+    let (mut texture, mut shared): (Option<Arc<Texture>>, _) = (None, None);
     for (companion, bytes) in companions {
-        texture = Some(image::decode(&companion, &bytes?, false, limits)?);
+        let (image, content) = image::decode_shared(&companion, &bytes?, false, limits, sharing)?;
+        (texture, shared) = (Some(image), content);
     }
-    Ok(build(&data, heights, texture))
+    let (world_from_tile, tile) = build(&data, heights, texture);
+    let mut tile = Arc::new(tile);
+    let geometry = sharing.and_then(|sharing| sharing.height_tile(&mut tile, shared.as_ref().map(|s| &s.key)));
+    let mut drawable = Drawable::new(Geometry::Height(tile), Material::default());
+    drawable.shared = SharedParts { geometry, indices: None, texture: shared };
+    Ok(Node::transform(world_from_tile, vec![Node::geode(vec![drawable])]))
 }
 
 /// `stride * stride` heights, south-west first.
@@ -246,7 +253,7 @@ fn on_plane([x_0, y_0, x_1, y_1]: [f64; 4], side: usize) -> Layout {
 }
 
 /// The tile and its place.
-fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> Node {
+fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> (DAffine3, HeightTile) {
     let side = data.side as usize;
     let Layout { rows, columns, p0_m, cell_m, world_from_tile } = data.place.layout(side);
     let stride = side + 2 * data.border as usize;
@@ -284,8 +291,7 @@ fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> N
         texture,
         bounds: Aabb { min, max },
     };
-    let drawable = Drawable::new(Geometry::Height(Arc::new(tile)), Material::default());
-    Node::transform(world_from_tile, vec![Node::geode(vec![drawable])])
+    (world_from_tile, tile)
 }
 
 #[cfg(test)]
@@ -297,10 +303,7 @@ mod tests {
     fn the_small_differences_are_the_plane() {
         let place = Place::Plane([4000.0, -3000.0, 5000.0, -1000.0]);
         let data = TileData { place, side: 5, border: 1, level: 0, errors_m: vec![10.0], imagery: None };
-        let node = build(&data, (0..49).map(|i| i as f32 * 37.5).collect(), None);
-        let crate::scene::NodeKind::Transform(world_from_tile) = node.kind else { panic!("a transform") };
-        let crate::scene::NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
-        let Geometry::Height(tile) = &drawables[0].geometry else { panic!("heights") };
+        let (world_from_tile, tile) = build(&data, (0..49).map(|i| i as f32 * 37.5).collect(), None);
         for j in 0..5 {
             for i in 0..5 {
                 let h = tile.heights[(j + 1) * 7 + i + 1];
@@ -325,10 +328,7 @@ mod tests {
             errors_m: vec![10.0],
             imagery: None,
         };
-        let node = build(&data, (0..49).map(|i| i as f32 * 37.5).collect(), None);
-        let crate::scene::NodeKind::Transform(ecef_from_tile) = node.kind else { panic!("a transform") };
-        let crate::scene::NodeKind::Geode(drawables) = &node.children[0].kind else { panic!("a geode") };
-        let Geometry::Height(tile) = &drawables[0].geometry else { panic!("heights") };
+        let (ecef_from_tile, tile) = build(&data, (0..49).map(|i| i as f32 * 37.5).collect(), None);
         for j in 0..5 {
             for i in 0..5 {
                 let h = tile.heights[(j + 1) * 7 + i + 1];

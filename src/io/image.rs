@@ -6,11 +6,29 @@ use std::sync::{Arc, OnceLock};
 use image::{ImageFormat, ImageReader, Limits as ImageLimits};
 
 use super::{IoError, Limits};
-use crate::scene::Texture;
+use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
 
 /// True for the magic bytes of PNG or JPEG.
 pub(crate) fn is_image(bytes: &[u8]) -> bool {
     bytes.starts_with(b"\x89PNG") || bytes.starts_with(&[0xff, 0xd8, 0xff])
+}
+
+/// An image and, where it is shared, what stands for it.
+pub(crate) type Shared = (Arc<Texture>, Option<Arc<SharedContent>>);
+
+/// [`decode`], or the image that others decoded from the same bytes.
+pub(crate) fn decode_shared(
+    uri: &str,
+    bytes: &[u8],
+    repeat: bool,
+    limits: &Limits,
+    sharing: Option<&SharedStateManager>,
+) -> Result<Shared, IoError> {
+    let decode = || decode(uri, bytes, repeat, limits);
+    match sharing {
+        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &[u8::from(repeat)]]), decode),
+        None => Ok((decode()?, None)),
+    }
 }
 
 /// Decodes an image and builds its mips.
@@ -42,6 +60,12 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], repeat: bool, limits: &Limits) -> 
     reader.limits(image_limits);
     let pixels = reader.decode().map_err(bad)?.into_rgba8().into_raw();
     Ok(Arc::new(Texture { width, height, mips: mips(width, height, pixels), repeat }))
+}
+
+/// [`decode`] of a file by itself, clamped; a panic of a decoder is an error of that file.
+pub(crate) fn decode_file(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Arc<Texture>, IoError> {
+    let decode = || decode(uri, bytes, false, limits);
+    std::panic::catch_unwind(decode).unwrap_or_else(|_| Err(IoError::invalid(uri, super::DECODER_PANICKED)))
 }
 
 /// The whole chain, box filtered in linear light.

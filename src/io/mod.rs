@@ -35,6 +35,7 @@ pub use fill::{FillOptions, Filled, fill};
 pub use http::{Credential, HttpBody, HttpClient, HttpConfig};
 #[cfg(feature = "http")]
 pub(crate) use http::{HttpHere, runtime};
+pub(crate) use image::decode_file as decode_image;
 #[cfg(feature = "http")]
 pub use info::inspect_with;
 pub use info::{BoundsInfo, Info, InfoError, LevelInfo, inspect};

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{IoError, Limits, RootScope, b3dm, file, gltf, height, image, pnts, tileset};
-use crate::scene::{Node, Page};
+use crate::scene::{Node, Page, SharedStateManager};
 
 /// What every read of a tile set shares.
 #[derive(Clone, Debug)]
@@ -17,12 +17,14 @@ pub struct ReadOptions {
     /// Pages get a [`KdTree`](crate::scene::KdTree) for each drawable, so that lines and volumes can be intersected with
     /// them after their payloads went to the GPU. Off by default: it costs memory and time of the decode workers.
     pub build_kd_trees: bool,
+    /// Shares what is equal between contents; `None` by default. A pager has one of its own.
+    pub sharing: Option<Arc<SharedStateManager>>,
 }
 
 impl ReadOptions {
     /// Options for a tile set whose root is `root_uri`, as [`super::root_uri`] returned it.
     pub fn for_root(root_uri: &str, limits: Limits) -> Self {
-        Self { root: RootScope::of(root_uri), limits, chain: Arc::new([]), build_kd_trees: false }
+        Self { root: RootScope::of(root_uri), limits, chain: Arc::new([]), build_kd_trees: false, sharing: None }
     }
 
     /// The same for what a tileset names.
@@ -65,6 +67,10 @@ pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> 
         if options.build_kd_trees {
             page.build_kd_trees();
         }
+        if let Some(sharing) = &options.sharing {
+            sharing.share_states(&mut page);
+            page.hold_shared();
+        }
         Ok(page)
     };
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(read))
@@ -78,18 +84,19 @@ pub const DECODER_PANICKED: &str = "the decoder panicked";
 pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoError> {
     let Content { uri, bytes, reader_data, companions } = content;
     let limits = &options.limits;
+    let sharing = options.sharing.as_deref();
     let bytes = file::gunzip(&uri, bytes, limits)?;
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     let first = text.iter().find(|b| !b.is_ascii_whitespace()).copied();
     if bytes.starts_with(b"glTF") {
-        return gltf::read_glb(&uri, &bytes, None, limits);
+        return gltf::read_glb(&uri, &bytes, None, limits, sharing);
     }
     if bytes.starts_with(b"b3dm") {
         let (glb, center) = b3dm::unwrap(&uri, &bytes)?;
-        return gltf::read_glb(&uri, glb, center, limits);
+        return gltf::read_glb(&uri, glb, center, limits, sharing);
     }
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-        return height::read(&uri, &bytes, reader_data.as_deref(), companions, limits);
+        return height::read(&uri, &bytes, reader_data.as_deref(), companions, limits, sharing);
     }
     if bytes.starts_with(b"pnts") {
         return pnts::read(&uri, &bytes, limits);
@@ -114,7 +121,7 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
         return if probe.root.is_some() || probe.geometric_error.is_some() {
             tileset::read(&uri, text, options)
         } else {
-            gltf::read_gltf(&uri, text, limits)
+            gltf::read_gltf(&uri, text, limits, sharing)
         };
     }
     if first == Some(b'<') {

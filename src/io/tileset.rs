@@ -11,7 +11,7 @@ use serde::Deserialize;
 use super::height::HeightSet;
 use super::{IoError, ReadOptions, resolve};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
-use crate::scene::{Node, NodeKind, PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine};
+use crate::scene::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 
 /// Extensions that a tileset may require and that are read (or change nothing for drawing).
 const KNOWN_EXTENSIONS: &[&str] = &["3DTILES_content_gltf"];
@@ -192,6 +192,7 @@ impl Reader<'_> {
                     content_transform: world,
                     reader_data: None,
                     request_volume,
+                    paging: PagingOptions::default(),
                 })))
             })
             .collect();
@@ -208,6 +209,7 @@ impl Reader<'_> {
                 content_transform: world,
                 reader_data,
                 request_volume,
+                paging: PagingOptions::default(),
             })))
         };
         if extra.is_empty() {
@@ -227,6 +229,7 @@ impl Reader<'_> {
                     content_transform: world,
                     reader_data: None,
                     request_volume,
+                    paging: PagingOptions::default(),
                 })))
             });
         }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::io::{IoError, Limits};
-use crate::scene::DrawSlot;
+use crate::scene::{DrawSlot, ShareModes};
 
 /// One graphics context's compile queue, as the pager sees it from the main thread.
 pub trait CompileContext {
@@ -32,6 +32,9 @@ pub struct PagerConfig {
     pub http_in_flight_max: usize,
     /// Threads that decode; the default leaves one core to the frame.
     pub decode_threads: usize,
+    /// Contents under way at once that are wanted only later (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead));
+    /// 0 loads none.
+    pub ahead_in_flight: usize,
     /// CPU bytes of merged pages and of tile trees.
     pub max_bytes_cpu: u64,
     /// GPU bytes of merged pages.
@@ -40,6 +43,8 @@ pub struct PagerConfig {
     pub max_tiles: usize,
     /// A page may expire once it was not wanted for so many frames.
     pub expiry_frames: u32,
+    /// And for so long, counted from when it was first found unused; in want of room it is not waited for.
+    pub expiry_time: Duration,
     /// A request not renewed for so many frames is dropped before it costs I/O.
     pub stale_frames: u32,
     /// A running HTTP request not renewed for so many frames is aborted.
@@ -60,6 +65,8 @@ pub struct PagerConfig {
     /// The decode workers build k-d trees, for intersections with what is paged; see
     /// [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees).
     pub build_kd_trees: bool,
+    /// What equal contents of different tiles share, see [`SharedStateManager`](crate::scene::SharedStateManager).
+    pub sharing: ShareModes,
 }
 
 impl Default for PagerConfig {
@@ -70,10 +77,12 @@ impl Default for PagerConfig {
             http_in_flight: 32,
             http_in_flight_max: 128,
             decode_threads: (cores - 1).clamp(1, 16),
+            ahead_in_flight: 8,
             max_bytes_cpu: 512 << 20,
             max_bytes_gpu: 1 << 30,
             max_tiles: 6000,
             expiry_frames: 30,
+            expiry_time: Duration::ZERO,
             stale_frames: 3,
             abort_frames: 30,
             merge_time: Duration::from_millis(1),
@@ -84,6 +93,7 @@ impl Default for PagerConfig {
             http: crate::io::HttpConfig::default(),
             blocking: false,
             build_kd_trees: false,
+            sharing: ShareModes::default(),
         }
     }
 }

@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use crate::io::{Fetched, IoError};
-use crate::scene::{NodeId, Page};
+use crate::scene::{NodeId, Page, PagingOptions};
 
 /// One content to load.
 #[derive(Clone, Debug)]
@@ -156,4 +156,12 @@ pub(super) struct Entry {
     pub since: Instant,
     pub tries: u32,
     pub progress: Progress,
+    pub paging: PagingOptions,
+}
+
+impl Entry {
+    /// Wanted later, by no picture yet.
+    pub fn is_ahead(&self) -> bool {
+        self.priority < 0.0
+    }
 }

@@ -15,12 +15,20 @@ mod config;
 mod flow;
 #[cfg(feature = "http")]
 mod http;
+mod images;
 mod list;
 mod residents;
+mod shares;
 mod stats;
 mod threads;
 mod update;
 
 pub use config::{CompileContext, PagerConfig, PagerError};
+pub use images::{
+    ImagePager, ImagePagerConfig, ImagePagerStats, ImageSequence, LoopingMode, SequenceImage, SequenceMode,
+    StreamStatus,
+};
 pub use stats::{ErrorRecord, PagerStats};
 pub use update::DatabasePager;
+
+pub(crate) use images::ImageChange;

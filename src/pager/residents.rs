@@ -1,15 +1,53 @@
 //! Merged pages in the order they were last wanted, and what they hold. Main thread.
 
+use std::time::{Duration, Instant};
+
 use lru::LruCache;
 
-use crate::scene::{NodeId, PageId, Scene};
+use crate::scene::{NodeId, PageId, PagingOptions, Scene};
 
 /// What a merged page holds.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Resident {
-    pub slot: NodeId,
-    pub cpu_bytes: u64,
-    pub gpu_bytes: u64,
+    slot: NodeId,
+    cpu_bytes: u64,
+    gpu_bytes: u64,
+    paging: PagingOptions,
+    /// Frame in which it was last wanted and when that was noticed.
+    noticed: Option<(u32, Instant)>,
+}
+
+impl Resident {
+    pub fn new(slot: NodeId, (cpu_bytes, gpu_bytes): (u64, u64), paging: PagingOptions) -> Self {
+        Self { slot, cpu_bytes, gpu_bytes, paging, noticed: None }
+    }
+
+    /// Not wanted for as long as is asked for, by the pager and by its own options.
+    fn is_unused(&mut self, last_used: u32, frame: u32, unused: Unused) -> bool {
+        let frames = unused.frames.max(self.paging.min_expiry_frames);
+        if self.paging.cannot_expire || frame.saturating_sub(last_used) <= frames {
+            return false;
+        }
+        let own = Duration::try_from_secs_f32(self.paging.min_expiry_s).unwrap_or_default();
+        let time = unused.time.max(own);
+        if time.is_zero() {
+            return true;
+        }
+        match self.noticed {
+            Some((noticed, since)) if noticed == last_used => since.elapsed() >= time,
+            _ => {
+                self.noticed = Some((last_used, Instant::now()));
+                false
+            }
+        }
+    }
+}
+
+/// How long a page must not have been wanted.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unused {
+    pub frames: u32,
+    pub time: Duration,
 }
 
 /// Least recently wanted first.
@@ -44,25 +82,19 @@ impl Residents {
         taken
     }
 
-    /// The page that was not wanted for longest, if it was not wanted for `unused_frames` and can go: nothing hangs
-    /// in it and nothing finer is shown instead of it. Pages found in use move to the young end, at most `looks`.
-    pub fn pop_expired(
-        &mut self,
-        scene: &Scene,
-        frame: u32,
-        unused_frames: u32,
-        looks: &mut usize,
-    ) -> Option<(PageId, Resident)> {
+    /// The page that was not wanted for longest, if it was not wanted for long enough and can go: nothing hangs in it
+    /// and nothing finer is shown instead of it. Pages found in use move to the young end, at most `looks`.
+    pub fn pop_expired(&mut self, scene: &Scene, frame: u32, unused: Unused, looks: &mut usize) -> Option<PageId> {
         while *looks > 0 {
             *looks -= 1;
-            let (&id, resident) = self.pages.peek_lru()?;
+            let id = *self.pages.peek_lru()?.0;
+            let resident = self.pages.peek_mut(&id)?;
             let last_used = scene.slot(resident.slot).map_or(0, |s| s.last_used_frame);
-            let unused = frame.saturating_sub(last_used) > unused_frames;
-            if unused && scene.is_expirable(id) {
-                let (id, resident) = self.pages.pop_lru()?;
+            if resident.is_unused(last_used, frame, unused) && scene.is_expirable(id) {
+                let resident = self.pages.pop(&id)?;
                 self.cpu_bytes -= resident.cpu_bytes;
                 self.gpu_bytes -= resident.gpu_bytes;
-                return Some((id, resident));
+                return Some(id);
             }
             self.pages.promote(&id);
         }

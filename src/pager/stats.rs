@@ -4,8 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::io::{IoError, shown};
+use crate::scene::SharingStats;
 
 /// What the pager did since it started; main thread.
+///
+/// Every request ends in one way: after an update `requested + retried` is the sum of `merged`, `failed`, `cancelled`,
+/// `stale`, `declined`, `dropped`, `waiting` and `in_flight`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PagerStats {
     /// Requests taken up.
@@ -14,16 +18,25 @@ pub struct PagerStats {
     pub loaded: u64,
     /// Pages merged into the scene.
     pub merged: u64,
+    /// Those of them that were wanted only later.
+    pub merged_ahead: u64,
     /// Pages taken out of the scene.
     pub expired: u64,
-    /// Contents that could not be read or decoded.
+    /// Failed contents taken up again.
+    pub retried: u64,
+    /// Contents that could not be read or decoded, or that are beyond a whole budget.
     pub failed: u64,
+    /// Drawables of merged pages that a context could not make.
+    pub drawables_failed: u64,
     /// Running requests that were aborted because nobody wanted them any more.
     pub cancelled: u64,
     /// Requests dropped before they cost I/O.
     pub stale: u64,
     /// Loads put off because the budget was full of what is visible.
     pub declined: u64,
+    /// Requests given up under way: their tileset expired, or contexts came or went and what was loaded is to be
+    /// uploaded anew.
+    pub dropped: u64,
     /// Bytes read from files and servers.
     pub bytes_read: u64,
     /// Those of them from servers.
@@ -48,6 +61,14 @@ pub struct PagerStats {
     pub latency_sum_s: f64,
     /// Longest of them.
     pub latency_max_s: f64,
+    /// Equal contents found, by kind.
+    pub sharing: SharingStats,
+    /// CPU bytes that merged pages would hold besides if each had its own; counted in no budget.
+    pub shared_cpu_bytes_saved: u64,
+    /// GPU bytes that merged pages would hold besides if each had its own.
+    pub shared_gpu_bytes_saved: u64,
+    /// Most that `shared_gpu_bytes_saved` was.
+    pub shared_gpu_bytes_saved_peak: u64,
 }
 
 /// A failure, however often it happened.

@@ -18,6 +18,9 @@ use crate::timeline;
 /// Pages that the reaper may have before it; more are dropped where they are.
 const REAPER_QUEUE: usize = 256;
 
+/// After so many dropped pages a part of what is shared is looked through for what nobody uses.
+const PAGES_BETWEEN_PRUNES: usize = 16;
+
 /// Servers that may each have as many requests as one may.
 pub(super) const SERVERS_AT_ONCE: usize = 4;
 
@@ -79,10 +82,14 @@ impl Threads {
             };
             threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options, &forget))?;
         }
+        let sharing = options.sharing.clone();
         threads.spawn("pager-reaper".to_owned(), move || {
-            for page in doomed {
+            for (count, page) in doomed.into_iter().enumerate() {
                 let _span = timeline::span("drop page");
                 drop(page);
+                if let Some(sharing) = sharing.as_ref().filter(|_| count % PAGES_BETWEEN_PRUNES == 0) {
+                    sharing.prune();
+                }
             }
         })?;
         Ok(threads)

@@ -6,17 +6,23 @@ use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
 use super::list::{Answer, Arrived, Entry, Job, Progress};
-use super::residents::{Resident, Residents};
+use super::residents::{Resident, Residents, Unused};
+use super::shares::Shares;
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
 use crate::cull::PageRequest;
 use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
-use crate::scene::{NodeId, Page, PageId, Scene, SlotState};
+use crate::scene::{NodeId, Page, PageId, PagingOptions, Scene, SharedStateManager, SlotState};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
 const EXPIRY_LOOKS: usize = 256;
+/// Tenths of each budget that are kept free of what was not wanted for long.
+const EXPIRY_TENTHS: u64 = 1;
+/// Tenths of each budget that must be free before anything is loaded that is wanted only later. More than expiry makes
+/// free, so that nothing goes for it and comes again.
+const AHEAD_TENTHS: u64 = 2;
 /// How often contexts are asked for what they uploaded, between frames.
 const COMPILE_POLL: Duration = Duration::from_micros(200);
 /// Decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing is loaded.
@@ -36,6 +42,8 @@ pub struct DatabasePager {
     /// Arrived and compiled, waiting to be merged.
     ready: Vec<NodeId>,
     residents: Residents,
+    /// What pages share, counted once.
+    shares: Shares,
     /// Chain of tilesets for pages that are tilesets; roots have `root_chain`.
     chains: HashMap<PageId, Arc<[Arc<str>]>>,
     root_chain: Arc<[Arc<str>]>,
@@ -48,13 +56,18 @@ pub struct DatabasePager {
     mean_gpu_bytes: u64,
     /// The scene's budget is full of what is visible.
     full: bool,
+    is_paused: bool,
+    takes_requests: bool,
 }
 
 impl DatabasePager {
     /// Starts the threads. `options` is the scope of the tile set that is paged.
     pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
         let build_kd_trees = config.build_kd_trees || options.build_kd_trees;
-        let options = ReadOptions { limits: config.limits, build_kd_trees, ..options };
+        let sharing = options.sharing.clone();
+        let sharing =
+            sharing.or_else(|| config.sharing.any().then(|| Arc::new(SharedStateManager::new(config.sharing))));
+        let options = ReadOptions { limits: config.limits, build_kd_trees, sharing, ..options };
         let threads = Threads::start(&config, &options)?;
         Ok(Self {
             root_chain: options.chain.clone(),
@@ -65,6 +78,7 @@ impl DatabasePager {
             compiling: HashMap::new(),
             ready: Vec::new(),
             residents: Residents::new(),
+            shares: Shares::default(),
             chains: HashMap::new(),
             next_ticket: 1,
             frame: 0,
@@ -73,6 +87,8 @@ impl DatabasePager {
             mean_cpu_bytes: 0,
             mean_gpu_bytes: 0,
             full: false,
+            is_paused: false,
+            takes_requests: true,
         })
     }
 
@@ -81,7 +97,8 @@ impl DatabasePager {
         let bytes = self.fetch(uri)?;
         self.stats.bytes_read += bytes.len() as u64;
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
-        let page = io::decode(content, &self.options)?;
+        // A root is the application's.
+        let page = io::decode(content, &ReadOptions { sharing: None, ..self.options.clone() })?;
         self.root_chain = self.options.below(uri).chain;
         Ok(page)
     }
@@ -184,9 +201,21 @@ impl DatabasePager {
         waiting.outstanding > 0 || (waiting.allowed > 0 && waiting.len() > 0)
     }
 
-    /// True when nothing is waiting, being read, decoded, compiled or merged. Failed contents do not count.
+    /// Lets the threads begin nothing while paused; what is under way goes on to its merge, and requests wait. From the
+    /// next update on.
+    pub fn set_paused(&mut self, is_paused: bool) {
+        self.is_paused = is_paused;
+    }
+
+    /// Whether requests for contents that were not asked for before are taken up; those that were go on.
+    pub fn set_takes_requests(&mut self, takes_requests: bool) {
+        self.takes_requests = takes_requests;
+    }
+
+    /// True when nothing is waiting, being read, decoded, compiled or merged. What failed does not count, nor what is
+    /// wanted only later.
     pub fn is_idle(&self) -> bool {
-        !self.entries.values().any(|e| !matches!(e.progress, Progress::Failed { .. }))
+        !self.entries.values().any(|e| !e.is_ahead() && !matches!(e.progress, Progress::Failed { .. }))
     }
 
     /// Counters up to the last update.
@@ -202,6 +231,11 @@ impl DatabasePager {
         None
     }
 
+    /// What makes equal contents one; `None` where nothing is shared.
+    pub fn sharing(&self) -> Option<&Arc<SharedStateManager>> {
+        self.options.sharing.as_ref()
+    }
+
     /// Starts the longest latency of [`PagerStats`] anew, to measure a phase by itself.
     pub fn reset_latency_max(&mut self) {
         self.stats.latency_max_s = 0.0;
@@ -214,7 +248,7 @@ impl DatabasePager {
 
     /// Something will change without another request: for the blocking mode.
     fn is_busy(&self) -> bool {
-        self.entries.values().any(|e| match e.progress {
+        self.entries.values().filter(|e| !e.is_ahead()).any(|e| match e.progress {
             Progress::Waiting => !self.full,
             Progress::Loading | Progress::Arrived(_) => true,
             Progress::Failed { .. } => false,
@@ -225,16 +259,17 @@ impl DatabasePager {
     fn accept(&mut self, scene: &Scene, requests: &[PageRequest]) {
         for request in requests {
             if let Some(entry) = self.entries.get_mut(&request.slot) {
+                let priority = entry.paging.priority(request.priority);
                 if entry.wanted_frame == self.frame {
-                    entry.priority = entry.priority.max(request.priority);
+                    entry.priority = entry.priority.max(priority);
                 } else {
-                    entry.priority = request.priority;
+                    entry.priority = priority;
                     entry.wanted_frame = self.frame;
                 }
                 continue;
             }
             let Some(slot) = scene.slot(request.slot) else { continue };
-            if slot.state != SlotState::Empty {
+            if slot.state != SlotState::Empty || !self.takes_requests {
                 continue;
             }
             let job = Job {
@@ -249,7 +284,8 @@ impl DatabasePager {
             self.stats.requested += 1;
             let entry = Entry {
                 job,
-                priority: request.priority,
+                priority: slot.paging.priority(request.priority),
+                paging: slot.paging,
                 wanted_frame: self.frame,
                 since: Instant::now(),
                 tries: 0,
@@ -302,6 +338,7 @@ impl DatabasePager {
                 self.stats.loaded += 1;
                 self.stats.bytes_decoded += page.size_bytes();
                 let drawables = page.take_drawables();
+                self.shares.take(&page);
                 let ticket = entry.job.ticket;
                 let contexts_left = if drawables.is_empty() { 0 } else { contexts.len() };
                 entry.progress = Progress::Arrived(Arrived { page: Box::new(page), gpu_bytes: 0, contexts_left });
@@ -329,8 +366,9 @@ impl DatabasePager {
                     context.release(compiled.slots);
                     continue;
                 };
+                self.shares.uploaded(context.id(), &compiled.shared);
                 for error in &compiled.errors {
-                    self.stats.failed += 1;
+                    self.stats.drawables_failed += 1;
                     self.errors.add_text(&entry.job.uri, error);
                 }
                 let Progress::Arrived(arrived) = &mut entry.progress else {
@@ -365,20 +403,26 @@ impl DatabasePager {
                 continue;
             }
             let Some(entry) = self.entries.remove(&slot) else { continue };
+            let is_ahead = entry.is_ahead();
             let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
             let ticket = self.threads.list.ticket_source | entry.job.ticket;
-            let cpu_bytes = page.size_bytes();
-            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes);
-            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes);
-            if cpu_bytes > self.config.max_bytes_cpu || gpu_bytes > self.config.max_bytes_gpu {
+            let cpu_bytes = page.own_bytes();
+            let shared = self.shares.of(&page);
+            let alone = (cpu_bytes + shared.cpu, gpu_bytes + shared.gpu);
+            if alone.0 > self.config.max_bytes_cpu || alone.1 > self.config.max_bytes_gpu {
                 timeline::request_ends(ticket, "failed");
-                self.refuse(scene, slot, entry.job, (cpu_bytes, gpu_bytes));
+                self.refuse(scene, slot, entry.job, alone);
                 self.retire(page, contexts);
                 continue;
             }
-            if !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
+            // Counts before there is room, so that what goes to make room and shares with it takes nothing along.
+            let added = self.shares.merge(&page);
+            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes + added.cpu);
+            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes + added.gpu);
+            if (is_ahead && !self.has_free(EXPIRY_TENTHS)) || !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
                 self.stats.declined += 1;
                 timeline::request_ends(ticket, "declined");
+                self.shares.unmerge(&page);
                 self.retire(page, contexts);
                 continue;
             }
@@ -387,10 +431,11 @@ impl DatabasePager {
                 Ok(id) => {
                     let latency_s = entry.since.elapsed().as_secs_f64();
                     self.stats.merged += 1;
+                    self.stats.merged_ahead += u64::from(is_ahead);
                     timeline::request_ends(ticket, "merged");
                     self.stats.latency_sum_s += latency_s;
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
-                    self.residents.insert(id, Resident { slot, cpu_bytes, gpu_bytes });
+                    self.residents.insert(id, Resident::new(slot, (cpu_bytes, gpu_bytes), entry.paging));
                     if tile_tree {
                         let chain = entry.job.chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
                         self.chains.insert(id, chain);
@@ -398,7 +443,9 @@ impl DatabasePager {
                 }
                 // The slot went with its tree.
                 Err(refused) => {
-                    timeline::request_ends(ticket, "stale");
+                    self.stats.dropped += 1;
+                    timeline::request_ends(ticket, "dropped");
+                    self.shares.unmerge(&refused.1);
                     self.retire(Box::new(refused.1), contexts);
                 }
             }
@@ -423,9 +470,20 @@ impl DatabasePager {
             since: Instant::now(),
             tries: self.config.max_tries,
             progress: Progress::Failed { retry_at: None },
+            paging: PagingOptions::default(),
         };
         self.entries.insert(slot, entry);
         scene.set_failed(slot, true);
+    }
+
+    /// Of merged pages, what they share once.
+    fn cpu_bytes(&self) -> u64 {
+        self.residents.cpu_bytes + self.shares.held.cpu
+    }
+
+    /// Of merged pages, what they share once.
+    fn gpu_bytes(&self) -> u64 {
+        self.residents.gpu_bytes + self.shares.held.gpu
     }
 
     /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
@@ -437,26 +495,32 @@ impl DatabasePager {
         contexts: &mut [&mut dyn CompileContext],
     ) -> bool {
         let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS);
-        while self.residents.cpu_bytes + cpu_bytes > self.config.max_bytes_cpu
-            || self.residents.gpu_bytes + gpu_bytes > self.config.max_bytes_gpu
+        while self.cpu_bytes() + cpu_bytes > self.config.max_bytes_cpu
+            || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
             || self.residents.len() + 1 > self.config.max_tiles
         {
             // In want of room, the last two frames' tiles alone are safe.
-            let Some((id, _)) = self.residents.pop_expired(scene, self.frame, 2, &mut looks) else { return false };
+            let unused = Unused { frames: 2, time: Duration::ZERO };
+            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { return false };
             self.detach(scene, id, contexts);
         }
         true
     }
 
-    /// Takes out what was not wanted for long, while less than a tenth of a budget is free.
+    /// True while so many tenths of each budget are free.
+    fn has_free(&self, tenths: u64) -> bool {
+        let is_free = |used: u64, max: u64| used <= max / 10 * (10 - tenths);
+        is_free(self.cpu_bytes(), self.config.max_bytes_cpu)
+            && is_free(self.gpu_bytes(), self.config.max_bytes_gpu)
+            && is_free(self.residents.len() as u64, self.config.max_tiles as u64)
+    }
+
+    /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free.
     fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
-        let c = &self.config;
-        let (cpu, gpu, tiles) = (c.max_bytes_cpu / 10 * 9, c.max_bytes_gpu / 10 * 9, c.max_tiles / 10 * 9);
-        let unused_frames = c.expiry_frames;
+        let unused = Unused { frames: self.config.expiry_frames, time: self.config.expiry_time };
         let mut looks = self.residents.len().min(EXPIRY_LOOKS);
-        while self.residents.cpu_bytes > cpu || self.residents.gpu_bytes > gpu || self.residents.len() > tiles {
-            let expired = self.residents.pop_expired(scene, self.frame, unused_frames, &mut looks);
-            let Some((id, _)) = expired else { break };
+        while !self.has_free(EXPIRY_TENTHS) {
+            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { break };
             self.detach(scene, id, contexts);
         }
     }
@@ -464,18 +528,12 @@ impl DatabasePager {
     fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
         // Requests for slots inside an expired tileset go with it.
         if self.chains.remove(&id).is_some() {
-            let source = self.threads.list.ticket_source;
-            self.entries.retain(|slot, entry| {
-                let stays = slot.page != id;
-                if !stays && !matches!(entry.progress, Progress::Failed { .. }) {
-                    timeline::request_ends(source | entry.job.ticket, "stale");
-                }
-                stays
-            });
+            self.drop_entries(contexts, |slot, _| slot.page == id);
         }
         match scene.detach(id) {
             Ok(page) => {
                 self.stats.expired += 1;
+                self.shares.unmerge(&page);
                 self.retire(Box::new(page), contexts);
             }
             Err(e) => log::error!("an expired page could not be taken out: {e}"),
@@ -484,6 +542,7 @@ impl DatabasePager {
 
     /// Gives a page's slots back and drops it on the reaper's thread.
     fn retire(&mut self, mut page: Box<Page>, contexts: &mut [&mut dyn CompileContext]) {
+        self.shares.give_back(&page);
         for (id, slots) in page.take_draw_slots() {
             if let Some(context) = contexts.iter_mut().find(|c| c.id() == id) {
                 context.release(slots);
@@ -508,17 +567,43 @@ impl DatabasePager {
         }
     }
 
+    /// Takes every page out and forgets every request, also what failed: as it was before the first frame.
+    pub fn clear(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        self.page_anew(scene, contexts);
+        for (slot, _) in self.entries.iter().filter(|(_, e)| matches!(e.progress, Progress::Failed { .. })) {
+            scene.set_failed(*slot, false);
+        }
+        self.drop_entries(contexts, |_, _| true);
+        self.rewrite_list();
+        self.count();
+    }
+
     /// Drops what was loaded and waits for its upload or its merge, to be asked for again. For contexts that go, whose
     /// uploads nobody would finish.
     pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        self.drop_entries(contexts, |_, entry| matches!(entry.progress, Progress::Arrived(_)));
         self.compiling.clear();
         self.ready.clear();
-        let arrived = self.entries.extract_if(|_, entry| matches!(entry.progress, Progress::Arrived(_)));
-        let arrived: Vec<_> = arrived.map(|(_, entry)| (entry.job.ticket, entry.progress)).collect();
-        for (ticket, progress) in arrived {
-            timeline::request_ends(self.threads.list.ticket_source | ticket, "declined");
-            if let Progress::Arrived(Arrived { page, .. }) = progress {
-                self.retire(page, contexts);
+    }
+
+    /// Forgets requests, with what was loaded and uploaded for them; late answers and uploads find nobody.
+    fn drop_entries(&mut self, contexts: &mut [&mut dyn CompileContext], drops: impl Fn(&NodeId, &Entry) -> bool) {
+        let dropped: Vec<Entry> =
+            self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
+        for Entry { job, progress, .. } in dropped {
+            if matches!(progress, Progress::Failed { .. }) {
+                continue;
+            }
+            self.stats.dropped += 1;
+            timeline::request_ends(self.threads.list.ticket_source | job.ticket, "dropped");
+            match progress {
+                Progress::Arrived(Arrived { page, .. }) => {
+                    self.compiling.remove(&job.ticket);
+                    self.retire(page, contexts);
+                }
+                // Aborted, unless its answer is there already.
+                Progress::Loading if io::is_http(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
+                _ => {}
             }
         }
     }
@@ -536,6 +621,7 @@ impl DatabasePager {
                 self.next_ticket += 1;
                 entry.wanted_frame = self.frame;
                 entry.progress = Progress::Waiting;
+                self.stats.retried += 1;
             }
         }
     }
@@ -544,6 +630,7 @@ impl DatabasePager {
     fn rewrite_list(&mut self) {
         let frame = self.frame;
         let stale_frames = self.config.stale_frames;
+        let has_free = self.has_free(AHEAD_TENTHS);
         let list = &self.threads.list;
         let mut waiting = list.lock();
         let taken: HashSet<u64> = waiting.taken.drain(..).collect();
@@ -566,7 +653,11 @@ impl DatabasePager {
         });
         self.stats.stale += stale;
         let mut jobs: Vec<(f32, &Entry)> = Vec::new();
+        let mut ahead_under_way = 0;
         for entry in self.entries.values() {
+            if entry.is_ahead() && matches!(entry.progress, Progress::Loading | Progress::Arrived(_)) {
+                ahead_under_way += 1;
+            }
             match entry.progress {
                 Progress::Waiting => jobs.push((entry.priority, entry)),
                 Progress::Loading
@@ -580,6 +671,10 @@ impl DatabasePager {
         }
         // Taken from the end: the most urgent last.
         jobs.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.job.slot.cmp(&a.1.job.slot)));
+        // Of what is wanted later as many as may be under way, the most urgent ones.
+        let ahead = jobs.partition_point(|(priority, _)| *priority < 0.0);
+        let may_start = if has_free { self.config.ahead_in_flight.saturating_sub(ahead_under_way) } else { 0 };
+        jobs.drain(..ahead.saturating_sub(may_start));
         waiting.file.clear();
         waiting.http.clear();
         for (_, entry) in &jobs {
@@ -594,10 +689,13 @@ impl DatabasePager {
 
     /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
     fn allowed_in_flight(&self, capacity: usize) -> usize {
+        if self.is_paused {
+            return 0;
+        }
         let arrived = (self.compiling.len() + self.ready.len()) as u64;
         let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
-        let cpu = room(self.config.max_bytes_cpu, self.residents.cpu_bytes, self.mean_cpu_bytes);
-        let gpu = room(self.config.max_bytes_gpu, self.residents.gpu_bytes, self.mean_gpu_bytes);
+        let cpu = room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes);
+        let gpu = room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes);
         let tiles = (self.config.max_tiles as u64).saturating_sub(self.residents.len() as u64 + arrived);
         // What waits for its upload holds memory besides the budgets'.
         let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).saturating_sub(arrived);
@@ -605,11 +703,18 @@ impl DatabasePager {
     }
 
     fn count(&mut self) {
+        let (cpu_bytes, gpu_bytes) = (self.cpu_bytes(), self.gpu_bytes());
         let s = &mut self.stats;
-        s.cpu_bytes = self.residents.cpu_bytes;
+        s.cpu_bytes = cpu_bytes;
         s.cpu_bytes_peak = s.cpu_bytes_peak.max(s.cpu_bytes);
-        s.gpu_bytes = self.residents.gpu_bytes;
+        s.gpu_bytes = gpu_bytes;
         s.gpu_bytes_peak = s.gpu_bytes_peak.max(s.gpu_bytes);
+        s.shared_cpu_bytes_saved = self.shares.saved.cpu;
+        s.shared_gpu_bytes_saved = self.shares.saved.gpu;
+        s.shared_gpu_bytes_saved_peak = s.shared_gpu_bytes_saved_peak.max(s.shared_gpu_bytes_saved);
+        if let Some(sharing) = &self.options.sharing {
+            s.sharing = sharing.stats();
+        }
         s.resident = self.residents.len() as u64;
         s.waiting = self.entries.values().filter(|e| matches!(e.progress, Progress::Waiting)).count() as u64;
         let flying = |e: &&Entry| matches!(e.progress, Progress::Loading | Progress::Arrived(_));

@@ -87,6 +87,8 @@ impl Flattener {
                 payload_bytes: 0,
                 kd_trees: Vec::new(),
                 draw_slots: Vec::new(),
+                shared: Vec::new(),
+                shared_tree_bytes: 0,
                 attached_pages: 0,
             },
             path_of: HashMap::new(),

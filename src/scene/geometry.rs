@@ -6,6 +6,7 @@
 use std::sync::Arc;
 
 use super::kinds::NormalCone;
+use super::shared::SharedParts;
 use crate::math::Aabb;
 
 /// One vertex of a [`Mesh`], as the GPU reads it (28 bytes).
@@ -192,12 +193,14 @@ pub struct Drawable {
     pub material: Material,
     /// Where its faces look, for [`CullingMode::CLUSTER`](super::CullingMode::CLUSTER).
     pub cluster: Option<NormalCone>,
+    /// What others have too, if a [`SharedStateManager`](super::SharedStateManager) has looked.
+    pub(crate) shared: SharedParts,
 }
 
 impl Drawable {
     /// A shape with a surface.
     pub fn new(geometry: Geometry, material: Material) -> Self {
-        Self { geometry, material, cluster: None }
+        Self { geometry, material, cluster: None, shared: SharedParts::default() }
     }
 
     /// The same with the cone of its triangles' normals, unless they look too far apart for one.

@@ -15,6 +15,7 @@ mod kinds;
 mod node;
 mod page;
 mod shapes;
+mod shared;
 mod slots;
 #[cfg(feature = "text")]
 mod text;
@@ -40,13 +41,16 @@ pub use kinds::{
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, DrawHook, LightSource, NormalCone, OcclusionQueryNode,
     OcclusionResults, Picture, PictureSink, ReferenceFrame, RenderOrder, TexGenNode,
 };
-pub use node::{Node, NodeKind, PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine};
+pub use node::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 pub use page::{DrawSlot, Page};
+pub use shared::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use slots::{SlotInfo, SlotState};
 #[cfg(feature = "text")]
 pub use text::Font;
-pub use variance::DataVariance;
 pub use world::TileInfo;
 
+pub use crate::state::DataVariance;
+
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
+pub(crate) use shared::{SharedContent, SharedParts};
 pub(crate) use tiles::{TileBounds, TileRecord, flag};

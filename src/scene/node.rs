@@ -127,6 +127,44 @@ pub struct PagedLod {
     /// Where the eye must be for the tile and what is below it to be drawn or asked for (3D Tiles'
     /// `viewerRequestVolume`), in the frame of `bounds`; `None` is anywhere.
     pub request_volume: Option<BoundingVolume>,
+    /// How the pager treats the content.
+    pub paging: PagingOptions,
+}
+
+/// How the pager treats a tile's content: what OSG's PagedLOD has besides ranges and files.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PagingOptions {
+    /// The priority, pixels of error, is multiplied by it; OSG's priority scale.
+    pub priority_scale: f32,
+    /// And this is added; OSG's priority offset. The sum is not below 0.
+    pub priority_offset: f32,
+    /// Frames that it stays at least after it was last wanted, however little room there is.
+    pub min_expiry_frames: u32,
+    /// Seconds of the same.
+    pub min_expiry_s: f32,
+    /// Once loaded it stays; OSG's children that cannot be expired. It counts in the budgets all the same.
+    pub cannot_expire: bool,
+}
+
+impl Default for PagingOptions {
+    /// Nothing is special.
+    fn default() -> Self {
+        Self {
+            priority_scale: 1.0,
+            priority_offset: 0.0,
+            min_expiry_frames: 0,
+            min_expiry_s: 0.0,
+            cannot_expire: false,
+        }
+    }
+}
+
+impl PagingOptions {
+    /// What a cull asked for with a priority. What is wanted only later (below 0) stays so, in its order.
+    pub fn priority(&self, asked: f32) -> f32 {
+        let priority = asked * self.priority_scale + self.priority_offset;
+        if asked < 0.0 || !priority.is_finite() { asked } else { priority.max(0.0) }
+    }
 }
 
 /// A place for a page that is read from `uri`.

@@ -15,6 +15,7 @@ use super::kinds::{
     BillboardMode, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, NormalCone,
     OcclusionQueryNode, ReferenceFrame, TexGenNode,
 };
+use super::shared::SharedContent;
 use super::tiles::Tiles;
 use super::transforms::Transforms;
 use crate::math::{Aabb, BoundingSphere};
@@ -133,6 +134,14 @@ pub(crate) struct LodRecord {
     pub ranges_m: Box<[[f64; 2]]>,
 }
 
+/// A shared content that a page uses.
+#[derive(Debug)]
+pub(crate) struct SharedUse {
+    pub content: Arc<SharedContent>,
+    /// Of its k-d tree, where the page has it.
+    pub tree_bytes: u64,
+}
+
 /// What one load produces: nodes, drawables and tile trees in flat depth-first arrays.
 #[derive(Debug)]
 pub struct Page {
@@ -180,6 +189,10 @@ pub struct Page {
     /// By drawable; empty where none were built.
     pub(crate) kd_trees: Vec<Option<Arc<KdTree>>>,
     pub(crate) draw_slots: Vec<(u32, Vec<DrawSlot>)>,
+    /// What the page shares with others, each once.
+    pub(crate) shared: Vec<SharedUse>,
+    /// Of the bytes of the k-d trees, those of shared ones.
+    pub(crate) shared_tree_bytes: u64,
     /// Pages in this page's slots.
     pub(crate) attached_pages: u32,
 }
@@ -220,8 +233,37 @@ impl Page {
     /// triangle, 3 a triangle of a height tile. Without one a drawable is met only while its payload is in the page.
     pub fn build_kd_trees(&mut self) {
         if self.drawables.len() == self.drawable_refs.len() {
-            self.kd_trees = self.drawables.iter().map(|d| KdTree::build(&d.geometry).map(Arc::new)).collect();
+            let tree = |d: &Drawable| match &d.shared.geometry {
+                Some(shared) => shared.tree(&d.geometry),
+                None => KdTree::build(&d.geometry).map(Arc::new),
+            };
+            self.kd_trees = self.drawables.iter().map(tree).collect();
+            self.hold_shared();
         }
+    }
+
+    /// Notes what its drawables share, so that it stays shared when the payloads are taken.
+    pub(crate) fn hold_shared(&mut self) {
+        let mut uses: Vec<SharedUse> = Vec::new();
+        self.shared_tree_bytes = 0;
+        for (i, drawable) in self.drawables.iter().enumerate() {
+            for content in drawable.shared.iter() {
+                let is_geometry = drawable.shared.geometry.as_ref().is_some_and(|g| Arc::ptr_eq(g, content));
+                let tree = self.kd_trees.get(i).and_then(Option::as_ref).filter(|_| is_geometry);
+                let tree_bytes = tree.map_or(0, |t| t.size_bytes());
+                self.shared_tree_bytes += tree_bytes;
+                uses.push(SharedUse { content: content.clone(), tree_bytes });
+            }
+        }
+        uses.sort_by_key(|u| Arc::as_ptr(&u.content));
+        uses.dedup_by(|a, b| Arc::ptr_eq(&a.content, &b.content));
+        uses.shrink_to_fit();
+        self.shared = uses;
+    }
+
+    /// [`Self::size_bytes`] without what it shares with other pages.
+    pub(crate) fn own_bytes(&self) -> u64 {
+        self.size_bytes().saturating_sub(self.shared_tree_bytes)
     }
 
     /// The tree of a drawable, where one was built.

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use super::graph::Scene;
+use super::node::PagingOptions;
 use super::page::{NONE, Page};
 use super::tiles::flag;
 use super::{NodeId, PageId};
@@ -40,6 +41,8 @@ pub struct SlotInfo<'a> {
     pub is_proxy: bool,
     /// The page that holds the slot.
     pub page: PageId,
+    /// How the pager treats what is there.
+    pub paging: PagingOptions,
 }
 
 impl Scene {
@@ -64,6 +67,7 @@ impl Scene {
             reader_data: page.tiles.reader_data[tile].as_ref(),
             is_proxy: record.has(flag::PROXY),
             page: id.page,
+            paging: page.tiles.paging_of(tile as u32),
         })
     }
 

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::node::{PagedLod, ProxyLoading, ProxyNode, RangeMode, Refine};
+use super::node::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 use super::page::{NONE, UNBOUNDED};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox};
 
@@ -102,6 +102,8 @@ pub(crate) struct Tiles {
     pub distance_centers: Vec<(u32, DVec3)>,
     /// By tile, for tiles with [`flag::REQUEST_VOLUME`].
     pub request_volumes: Vec<(u32, BoundingVolume)>,
+    /// By tile, where they are not the default.
+    pub paging: Vec<(u32, PagingOptions)>,
     pub roots: Vec<TileRoot>,
     /// Top tiles that are not ready.
     pub not_ready_roots: u32,
@@ -140,6 +142,9 @@ impl Tiles {
         if let Some(volume) = tile.request_volume {
             flags |= flag::REQUEST_VOLUME;
             self.request_volumes.push((self.records.len() as u32, volume));
+        }
+        if tile.paging != PagingOptions::default() {
+            self.paging.push((self.records.len() as u32, tile.paging));
         }
         let sphere = tile.bounds.bounding_sphere();
         let oriented_box = tile.bounds.oriented_box();
@@ -228,8 +233,16 @@ impl Tiles {
 
     /// Marks a tile as used in a frame. Any thread that culls.
     pub fn stamp(&self, tile: usize, frame: u32) {
-        if let Some(stamp) = self.last_used.get(tile) {
+        if let (Some(stamp), 1..) = (self.last_used.get(tile), frame) {
             stamp.store(frame, Ordering::Relaxed);
+        }
+    }
+
+    /// How the pager treats a tile.
+    pub fn paging_of(&self, tile: u32) -> PagingOptions {
+        match self.paging.binary_search_by_key(&tile, |(t, _)| *t) {
+            Ok(place) => self.paging[place].1,
+            Err(_) => PagingOptions::default(),
         }
     }
 

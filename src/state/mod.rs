@@ -8,6 +8,7 @@ mod attributes;
 mod program;
 mod resolved;
 mod texture;
+mod variance;
 
 pub use attributes::{
     AlphaFunc, Attribute, BlendEquation, BlendFactor, BlendFunc, CLIP_PLANES, ColorMask, CompareFunction, CullFace,
@@ -17,6 +18,7 @@ pub use attributes::{
 pub use program::{Program, Uniform, UniformValue};
 pub use resolved::ResolvedState;
 pub use texture::{FilterMode, Sampler, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode};
+pub use variance::DataVariance;
 
 /// State for a node and below.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,6 +39,9 @@ pub struct StateSet {
     pub attributes: Vec<(Attribute, StateValue)>,
     /// Values for programs, see [`Self::set_uniform`].
     pub uniforms: Vec<(Uniform, StateValue)>,
+    /// [`DataVariance::Dynamic`] where another set is soon to take its place: such sets are not shared between pages
+    /// unless a pager's [`ShareModes`](crate::scene::ShareModes) say so.
+    pub data_variance: DataVariance,
 }
 
 impl Default for StateSet {
@@ -50,6 +55,7 @@ impl Default for StateSet {
             modes: Vec::new(),
             attributes: Vec::new(),
             uniforms: Vec::new(),
+            data_variance: DataVariance::Static,
         }
     }
 }

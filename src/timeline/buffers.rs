@@ -212,7 +212,7 @@ pub fn request_begins(ticket: u64, uri: &Arc<str>) {
     }
 }
 
-/// A request came to its end: `merged`, `failed`, `cancelled`, `stale`, `declined`.
+/// A request came to its end: `merged`, `failed`, `cancelled`, `stale`, `declined`, `dropped`.
 #[inline]
 pub fn request_ends(ticket: u64, outcome: &'static str) {
     let recording = RECORDING.load(Ordering::Relaxed);

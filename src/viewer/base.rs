@@ -7,6 +7,7 @@ use image::RgbaImage;
 
 use super::ViewerError;
 use super::input::OnPicture;
+use super::look_ahead::LookFrom;
 use super::paged_scene::PagedScene;
 use super::rendering::{CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rendering, millis};
 use super::stats::{FrameStats, StatsHistory};
@@ -14,11 +15,13 @@ use super::view::{ContextId, Place, Slave, SlaveId, View};
 use super::viewer::{FrameStamp, ViewerConfig};
 use crate::cull::{CullVisitor, RenderStage};
 use crate::draw::FrameClock;
-use crate::gpu::{CompileBudget, GraphicsContext};
+use crate::gpu::{CompileBudget, GpuError, GraphicsContext};
 use crate::timeline::{self, Span};
 
 /// How often arrivals are looked for while the draw thread is busy.
 const ARRIVAL_POLL: Duration = Duration::from_micros(300);
+/// A device that is lost within so many frames of the last loss is not replaced.
+const FRAMES_TO_RENEW: u32 = 60;
 /// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
 const MAX_BLOCKING_ROUNDS: u32 = 256;
 
@@ -27,6 +30,7 @@ pub(super) struct ViewerBase {
     max_contexts: usize,
     min_stencil_bits: u32,
     blocking: bool,
+    look_ahead_s: f64,
     pub(super) compile_budget: CompileBudget,
     #[cfg(feature = "window")]
     pub(super) overlay: Option<super::overlay::OverlayPaint>,
@@ -36,6 +40,8 @@ pub(super) struct ViewerBase {
     pub(super) first_frame: Option<Instant>,
     last_frame: Option<Instant>,
     pub(super) stamp: FrameStamp,
+    /// Frame in which a lost device was last replaced; 0 where none was.
+    renewed: u32,
     /// Seconds between the last two frames.
     delta_s: f64,
     pub(super) history: StatsHistory,
@@ -74,13 +80,14 @@ impl FrameUnderWay {
 
 impl ViewerBase {
     pub(super) fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
-        let mut rendering = Rendering::new(config.pager.blocking);
+        let mut rendering = Rendering::new(config.pager.blocking, config.cpu_affinity);
         rendering.set_model(config.threading)?;
         Ok(Self {
             rendering,
             max_contexts: config.max_contexts,
             min_stencil_bits: config.min_stencil_bits,
             blocking: config.pager.blocking,
+            look_ahead_s: config.look_ahead_s.max(0.0),
             compile_budget: config.compile_budget,
             #[cfg(feature = "window")]
             overlay: None,
@@ -89,6 +96,7 @@ impl ViewerBase {
             first_frame: None,
             last_frame: None,
             stamp: FrameStamp::default(),
+            renewed: 0,
             delta_s: 0.0,
             history: StatsHistory::new(config.history_frames),
             gpu_bytes_peak: 0,
@@ -131,7 +139,11 @@ impl ViewerBase {
         views: &mut [View],
         scenes: &mut [PagedScene],
     ) -> Result<bool, ViewerError> {
-        self.absorb_all()?;
+        match self.absorb_all() {
+            // One that has died draws no more, and is to be closed all the same.
+            Ok(()) | Err(ViewerError::DrawThreadStopped) => {}
+            Err(error) => return Err(error),
+        }
         if !self.rendering.remove_context(id.0) {
             return Ok(false);
         }
@@ -193,6 +205,14 @@ impl ViewerBase {
         self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?.read_back()
     }
 
+    pub(super) fn set_vsync(&mut self, context: ContextId, vsync: bool) -> Result<(), ViewerError> {
+        self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?.set_vsync(vsync)
+    }
+
+    pub(super) fn lose_device(&mut self, context: ContextId) -> Result<(), ViewerError> {
+        self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?.lose_device()
+    }
+
     pub(super) fn resize(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
         let handle = self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?;
         handle.resize(size_px.map(|side| side.max(1)))
@@ -214,8 +234,35 @@ impl ViewerBase {
         Ok(FrameUnderWay { start, dt_s, stats, phase: Some(timeline::span("event")), _frame })
     }
 
-    /// Update after the application's own, and rendering.
+    /// Update after the application's own, and rendering. Where a device is lost the frame is, and another device takes
+    /// its place for the next one.
     pub(super) fn end_frame(
+        &mut self,
+        frame: FrameUnderWay,
+        views: &mut [View],
+        scenes: &mut [PagedScene],
+    ) -> Result<(), ViewerError> {
+        match self.update_and_render(frame, views, scenes) {
+            Err(ViewerError::Gpu(error @ GpuError::DeviceLost { .. })) if self.may_renew() => {
+                log::warn!("{error}; another takes its place");
+                self.renewed = self.stamp.frame;
+                for context in self.rendering.renew_lost()? {
+                    for scene in scenes.iter_mut() {
+                        scene.context_renewed(&mut self.rendering, context)?;
+                    }
+                }
+                Ok(())
+            }
+            ended => ended,
+        }
+    }
+
+    /// Not again and again.
+    fn may_renew(&self) -> bool {
+        self.renewed == 0 || self.stamp.frame - self.renewed >= FRAMES_TO_RENEW
+    }
+
+    fn update_and_render(
         &mut self,
         frame: FrameUnderWay,
         views: &mut [View],
@@ -228,8 +275,10 @@ impl ViewerBase {
             self.absorb_all()?;
         }
         let mut is_dynamic = false;
+        self.look_ahead(views, scenes);
         for scene in scenes.iter_mut() {
             stats.merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
+            scene.page_images(&mut self.rendering, self.stamp.simulation_time_s)?;
             is_dynamic |= scene.send_rewritten(&mut self.rendering)?;
         }
         stats.update_ms = millis(start.elapsed()) - stats.event_ms;
@@ -253,6 +302,28 @@ impl ViewerBase {
             stats.frame_ms = frame_ms;
         }
         Ok(())
+    }
+
+    /// Finds what cameras will want.
+    fn look_ahead(&mut self, views: &mut [View], scenes: &mut [PagedScene]) {
+        for scene in scenes.iter_mut() {
+            scene.requests_ahead.clear();
+        }
+        if self.blocking || self.look_ahead_s == 0.0 {
+            return;
+        }
+        let _span = timeline::span("look ahead");
+        let FrameStamp { frame, reference_time_s, simulation_time_s } = self.stamp;
+        let from = LookFrom { frame, reference_time_s, simulation_time_s, ahead_s: self.look_ahead_s };
+        for view in views {
+            let scene = &mut scenes[view.scene];
+            if scene.pager.is_some() {
+                let mut looks = std::mem::take(&mut view.look_ahead);
+                looks.look(view, scene, from, &mut self.probe, &mut self.probe_stage);
+                scene.requests_ahead.extend(looks.requests());
+                view.look_ahead = looks;
+            }
+        }
     }
 
     fn advance(&mut self, now: Instant, simulation_time_s: f64) -> f64 {
@@ -466,6 +537,7 @@ impl ViewerBase {
             stats.state_changes_skipped += drawn.state_changes_skipped;
             stats.triangles += drawn.triangles;
             stats.points += drawn.points;
+            stats.gpu_bytes += done.gpu_bytes;
             stats.drawn = is_last;
         }
         let context = self.rendering.context_ids().nth(place);

@@ -17,7 +17,7 @@ use super::view::{ContextId, Slave, SlaveId, View};
 use super::viewer::{FrameStamp, UpdateCallback, ViewerConfig};
 use super::window_matrix::{WindowMatrix, camera_with_focus};
 use crate::gpu::GraphicsContext;
-use crate::pager::DatabasePager;
+use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
 
 /// A scene of a [`CompositeViewer`].
@@ -70,7 +70,7 @@ impl CompositeViewer {
         let place = self.scenes.len();
         let owner = u16::try_from(place).ok().filter(|_| place < MOST_SCENES);
         let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MOST_SCENES })?;
-        self.scenes.push(PagedScene::new(owner, self.config.pager.clone(), self.config.max_contexts > 1));
+        self.scenes.push(PagedScene::new(owner, self.config.pager.clone(), self.config.keep_drawables));
         Ok(SceneId(place))
     }
 
@@ -131,6 +131,34 @@ impl CompositeViewer {
     /// The pager of a scene, once a set is loaded.
     pub fn pager(&self, scene: SceneId) -> Result<Option<&DatabasePager>, ViewerError> {
         Ok(self.paged(scene)?.pager.as_ref())
+    }
+
+    /// The pager of a scene, to pause it or to have it take no new requests.
+    pub fn pager_mut(&mut self, scene: SceneId) -> Result<Option<&mut DatabasePager>, ViewerError> {
+        Ok(self.paged_mut(scene)?.pager.as_mut())
+    }
+
+    /// Takes every page that the pager of a scene merged out of it and forgets what was asked for; what is wanted is
+    /// loaded anew from the next frame on.
+    pub fn clear_pages(&mut self, scene: SceneId) -> Result<(), ViewerError> {
+        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
+        paged.clear_pages(&mut self.base.rendering);
+        Ok(())
+    }
+
+    /// What could not be drawn as it should so far, each once: what the device complained of, too.
+    pub fn draw_errors(&self) -> &[String] {
+        &self.base.draw_errors
+    }
+
+    /// Lets a sequence's texture show its images in a scene; see [`ImageSequence`].
+    pub fn add_image_sequence(&mut self, scene: SceneId, sequence: &ImageSequence) -> Result<(), ViewerError> {
+        self.paged_mut(scene)?.add_image_sequence(sequence)
+    }
+
+    /// The image pager of a scene, once a sequence was added.
+    pub fn image_pager(&self, scene: SceneId) -> Result<Option<&ImagePager>, ViewerError> {
+        Ok(self.paged(scene)?.image_pager.as_ref())
     }
 
     /// Extent of a scene's first root.

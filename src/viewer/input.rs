@@ -127,6 +127,7 @@ pub(super) fn needs_frame(base: &ViewerBase, view: &View, paged: &PagedScene) ->
         || !paged.update_callbacks.is_empty()
         || paged.scene().has_update_callbacks()
         || !paged.is_settled()
+        || paged.image_pager.as_ref().is_some_and(|images| images.needs_frame())
 }
 
 /// What has to do with input and needs no scene.

@@ -13,6 +13,7 @@ pub mod handlers;
 mod holes;
 mod home;
 mod input;
+mod look_ahead;
 pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;
@@ -46,7 +47,7 @@ pub use manipulators::{CameraManipulator, GroundHeight, ManipulatorView};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
 pub use rendering::{THREADING_VARIABLE, ThreadingModel};
-pub use report::{Bytes, DrawMedians, FrameTimes, Phases, Report, ReportError, Settled, Tiles, Times};
+pub use report::{Bytes, DrawMedians, FrameTimes, Images, Phases, Report, ReportError, Settled, Sharing, Tiles, Times};
 pub use stats::{FrameStats, Samples, StatsHistory};
 pub use view::{ContextId, Slave, SlaveId, View};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};

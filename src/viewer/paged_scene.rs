@@ -10,7 +10,7 @@ use super::rendering::{Rendering, millis};
 use super::viewer::{FrameStamp, UpdateCallback};
 use crate::cull::PageRequest;
 use crate::io::ReadOptions;
-use crate::pager::{DatabasePager, PagerConfig};
+use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DataVariance, DrawSlot, Drawable, Geometry, Page, PageId, Scene, UpdateInfo};
 
 /// With nothing under way for this many frames, requests that remain are ones the pager declines.
@@ -30,6 +30,8 @@ pub(super) struct PagedScene {
     scene: Arc<Scene>,
     pub(super) pager: Option<DatabasePager>,
     pub(super) pager_config: PagerConfig,
+    /// Made when the first sequence comes.
+    pub(super) image_pager: Option<ImagePager>,
     /// Extent of the first root.
     pub(super) bounds: Option<SetBounds>,
     pub(super) root_uri: Option<Arc<str>>,
@@ -40,6 +42,8 @@ pub(super) struct PagedScene {
     pub(super) update_callbacks: Vec<UpdateCallback>,
     /// Of all cameras in the last frame.
     pub(super) requests: Vec<PageRequest>,
+    /// What cameras will want.
+    pub(super) requests_ahead: Vec<PageRequest>,
     /// Tiles that the last frame's pictures lacked.
     pub(super) wanted_missing: u32,
     /// Frames in a row in which the pager had nothing to do.
@@ -53,6 +57,7 @@ impl PagedScene {
             scene: Arc::new(Scene::new()),
             pager: None,
             pager_config,
+            image_pager: None,
             bounds: None,
             root_uri: None,
             root: None,
@@ -60,6 +65,7 @@ impl PagedScene {
             keeps_drawables,
             update_callbacks: Vec::new(),
             requests: Vec::new(),
+            requests_ahead: Vec::new(),
             wanted_missing: 0,
             quiet_frames: 0,
         }
@@ -164,13 +170,51 @@ impl PagedScene {
         let _span = crate::timeline::span("merge");
         self.merge_own(rendering);
         if let Some(pager) = &mut self.pager {
-            let (scene, requests) = (alone(&mut self.scene), &self.requests);
+            let scene = alone(&mut self.scene);
+            let wanted = self.requests.len();
+            self.requests.append(&mut self.requests_ahead);
+            let requests = &self.requests;
             rendering.compile_for(self.owner, |contexts| pager.update_scene_graph(scene, frame, requests, contexts));
+            self.requests.truncate(wanted);
             self.quiet_frames = if pager.is_idle() { self.quiet_frames.saturating_add(1) } else { 0 };
         } else {
             self.quiet_frames = QUIET_FRAMES;
         }
         millis(start.elapsed())
+    }
+
+    /// Takes a sequence of images, with an image pager like the pager of tiles where there is none yet.
+    pub(super) fn add_image_sequence(&mut self, sequence: &ImageSequence) -> Result<(), ViewerError> {
+        let pager = match &mut self.image_pager {
+            Some(pager) => pager,
+            None => {
+                let of = &self.pager_config;
+                let config = ImagePagerConfig {
+                    limits: of.limits,
+                    retry_after: of.retry_after,
+                    max_tries: of.max_tries,
+                    blocking: of.blocking,
+                    #[cfg(feature = "http")]
+                    http: of.http.clone(),
+                    ..ImagePagerConfig::default()
+                };
+                self.image_pager.insert(ImagePager::new(config)?)
+            }
+        };
+        pager.add(sequence);
+        Ok(())
+    }
+
+    /// The image pager's turn: tells the contexts of images that textures show from this frame on.
+    pub(super) fn page_images(&mut self, rendering: &mut Rendering, simulation_time_s: f64) -> Result<(), ViewerError> {
+        let Some(pager) = &mut self.image_pager else { return Ok(()) };
+        let _span = crate::timeline::span("images");
+        for change in pager.update(simulation_time_s) {
+            for context in rendering.contexts_mut() {
+                context.show(change.clone())?;
+            }
+        }
+        Ok(())
     }
 
     /// True where something may arrive and be merged while the main thread waits.
@@ -249,6 +293,9 @@ impl PagedScene {
                 rendering.compile_own_in(context, self.owner, number, own.drawables.clone())?;
             }
         }
+        if let Some(images) = &mut self.image_pager {
+            images.show_again();
+        }
         self.page_anew(rendering);
         Ok(())
     }
@@ -260,7 +307,24 @@ impl PagedScene {
         alone(&mut self.scene).forget_context(context);
     }
 
+    /// Uploads everything to a context whose device was lost and replaced.
+    pub(super) fn context_renewed(&mut self, rendering: &mut Rendering, context: u32) -> Result<(), ViewerError> {
+        self.context_closed(rendering, context);
+        self.context_opened(rendering, context)
+    }
+
+    /// Takes every paged page out, and forgets what was asked for.
+    pub(super) fn clear_pages(&mut self, rendering: &mut Rendering) {
+        self.requests.clear();
+        self.quiet_frames = 0;
+        if let Some(pager) = &mut self.pager {
+            let scene = alone(&mut self.scene);
+            rendering.compile_for(self.owner, |contexts| pager.clear(scene, contexts));
+        }
+    }
+
     fn page_anew(&mut self, rendering: &mut Rendering) {
+        self.quiet_frames = 0;
         if let Some(pager) = &mut self.pager {
             let scene = alone(&mut self.scene);
             rendering.compile_for(self.owner, |contexts| pager.page_anew(scene, contexts));
@@ -274,6 +338,7 @@ impl PagedScene {
     }
 }
 
+/// Between two frames nobody else has it: whoever culls drops it before it answers, and who died had its task dropped.
 fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
     Arc::get_mut(scene).expect("culls have dropped the scene before a frame ends")
 }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::stats::{FrameStats, Samples};
 use super::{Viewer, ViewerError};
 use crate::io::CacheStats;
+use crate::pager::{ErrorRecord, ImagePagerStats, PagerStats};
 
 /// The whole report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,6 +37,12 @@ pub struct Report {
     /// What the cache on disk did; `null` without one.
     #[serde(default)]
     pub cache: Option<CacheStats>,
+    /// What equal contents shared; `null` where nothing is shared.
+    #[serde(default)]
+    pub sharing: Option<Sharing>,
+    /// What the image pager did; `null` without image sequences.
+    #[serde(default)]
+    pub images: Option<Images>,
     /// Seconds from the first frame to nothing wanted and nothing pending at the first camera; `null` when the
     /// camera left before.
     pub converge_s: Option<f64>,
@@ -110,6 +117,85 @@ pub struct Bytes {
     pub cpu_peak: u64,
     /// Most that the system gave the process; 0 where the system does not say.
     pub rss_peak: u64,
+}
+
+/// Equal contents of tiles: how often they were found, and what it saved.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sharing {
+    /// Images and textures that another tile had already.
+    pub texture_hits: u64,
+    /// Meshes and height tiles that another tile had already.
+    pub geometry_hits: u64,
+    /// State sets that another tile had already.
+    pub state_set_hits: u64,
+    /// Images that were not decoded again.
+    pub decodes_spared: u64,
+    /// Payloads that were dropped at once or never made.
+    pub payload_bytes_spared: u64,
+    /// What merged tiles would hold besides on the CPU at the end.
+    pub cpu_bytes_saved: u64,
+    /// What merged tiles would hold besides on the GPU at the end.
+    pub gpu_bytes_saved: u64,
+    /// Most that `gpu_bytes_saved` was.
+    pub gpu_bytes_saved_peak: u64,
+    /// Shared contents at the end.
+    pub entries: u64,
+    /// Contents that were forgotten because nobody shared them any more.
+    pub pruned: u64,
+}
+
+impl Sharing {
+    fn of(pager: &PagerStats) -> Self {
+        let s = &pager.sharing;
+        Self {
+            texture_hits: s.texture_hits,
+            geometry_hits: s.geometry_hits,
+            state_set_hits: s.state_set_hits,
+            decodes_spared: s.decodes_spared,
+            payload_bytes_spared: s.payload_bytes_spared,
+            cpu_bytes_saved: pager.shared_cpu_bytes_saved,
+            gpu_bytes_saved: pager.shared_gpu_bytes_saved,
+            gpu_bytes_saved_peak: pager.shared_gpu_bytes_saved_peak,
+            entries: s.entries,
+            pruned: s.pruned,
+        }
+    }
+}
+
+/// Counters of the image pager.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Images {
+    /// Read and decoded.
+    pub loaded: u64,
+    /// Reads that failed.
+    pub failed: u64,
+    /// Paged out.
+    pub paged_out: u64,
+    /// Began to be shown.
+    pub shown: u64,
+    /// Times that an earlier image stayed, because the one of the moment was not there.
+    pub late: u64,
+    /// Bytes read.
+    pub read: u64,
+    /// Most decoded images at once.
+    pub images_peak: u64,
+    /// Most bytes of decoded images at once.
+    pub bytes_peak: u64,
+}
+
+impl Images {
+    fn of(s: &ImagePagerStats) -> Self {
+        Self {
+            loaded: s.loaded,
+            failed: s.failed,
+            paged_out: s.paged_out,
+            shown: s.shown,
+            late: s.late,
+            read: s.bytes_read,
+            images_peak: s.images_peak,
+            bytes_peak: s.bytes_peak,
+        }
+    }
 }
 
 /// Medians of what a frame drew.
@@ -200,6 +286,8 @@ impl Report {
             tiles: Tiles::default(),
             bytes: Bytes { rss_peak: rss_peak_bytes(), ..Bytes::default() },
             cache: None,
+            sharing: None,
+            images: None,
             converge_s: None,
             draw: DrawMedians {
                 leaves: median(|f| f64::from(f.leaves)),
@@ -253,11 +341,18 @@ impl Viewer {
                 ..report.bytes
             };
             report.cache = pager.cache_stats();
+            report.sharing = pager.sharing().map(|_| Sharing::of(s));
             report.errors = pager
                 .errors()
                 .into_iter()
                 .map(|e| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count })
                 .collect();
+        }
+        if let Some(images) = self.image_pager() {
+            report.images = Some(Images::of(images.stats()));
+            let record =
+                |e: ErrorRecord| ReportError { uri: e.uri.to_string(), reason: e.reason.to_string(), count: e.count };
+            report.errors.extend(images.errors().into_iter().map(record));
         }
         let of_draw = |reason: &String| ReportError { uri: "draw".into(), reason: reason.clone(), count: 1 };
         report.errors.extend(self.base.draw_errors.iter().map(of_draw));

@@ -48,6 +48,8 @@ pub struct FrameStats {
     pub occluded: u32,
     /// Tiles wanted but not drawn at the wanted level.
     pub wanted_missing: u32,
+    /// GPU bytes that are taken in the pools of all contexts, after the frame was drawn.
+    pub gpu_bytes: u64,
     /// False until the draw thread has answered.
     pub drawn: bool,
 }

@@ -5,8 +5,10 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4};
 
 use super::camera::Camera;
+use super::camera_path::AnimationPath;
 use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for};
 use super::input::Input;
+use super::look_ahead::LookAhead;
 use super::paged_scene::PagedScene;
 use super::rendering::{CullTask, Lens, Rendering};
 use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo};
@@ -76,8 +78,12 @@ pub struct View {
     pub camera: Camera,
     /// Sun, sky and fog.
     pub environment: Environment,
+    /// The path that the camera will take, in simulation time, where the application knows: what will be wanted along
+    /// it is loaded ahead (see [`ViewerConfig::look_ahead_s`](super::ViewerConfig::look_ahead_s)).
+    pub announced: Option<AnimationPath>,
     /// Place of the scene in the viewer's.
     pub(super) scene: usize,
+    pub(super) look_ahead: LookAhead,
     /// Where the master camera is drawn; `None`: nowhere, only its slaves are.
     pub(super) master: Option<Place>,
     slaves: Vec<SlaveCamera>,
@@ -94,7 +100,9 @@ impl View {
         Self {
             camera: Camera { settings, ..Camera::default() },
             environment: Environment::default(),
+            announced: None,
             scene,
+            look_ahead: LookAhead::default(),
             master: None,
             slaves: Vec::new(),
             size_px,
@@ -201,6 +209,15 @@ impl View {
         }
         if let (Some(stereo), None) = (&self.stereo, &self.eyes) {
             self.eyes = Some(eye_targets(stereo.eye_size_px(size_px), self.samples));
+        }
+    }
+
+    /// Where the master camera will be some seconds after a simulation time that passes at a rate, where that was
+    /// announced.
+    pub(super) fn pose_after(&self, simulation_time_s: f64, rate: f64, seconds: f64) -> Option<DAffine3> {
+        match &self.announced {
+            Some(path) => Some(path.world_from_eye(simulation_time_s + rate * seconds)),
+            None => self.manipulator()?.pose_after(seconds),
         }
     }
 

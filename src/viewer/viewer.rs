@@ -18,7 +18,7 @@ use super::stats::StatsHistory;
 use super::view::{ContextId, Slave, SlaveId, View};
 use crate::cull::{CullSettings, Stereo};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
-use crate::pager::{DatabasePager, PagerConfig};
+use crate::pager::{DatabasePager, ImagePager, ImageSequence, PagerConfig};
 use crate::scene::{Page, PageId, Scene};
 
 /// How a viewer is made.
@@ -28,14 +28,22 @@ pub struct ViewerConfig {
     pub size_px: [u32; 2],
     /// Who culls and who draws.
     pub threading: ThreadingModel,
+    /// The threads of the model each stay on a core, in turn, leaving the first to the main thread; OSG's processor
+    /// affinity. Where the system cannot, they do not.
+    pub cpu_affinity: bool,
     /// Which adapter draws.
     pub adapter: AdapterChoice,
     /// Samples a pixel, 1 or 4.
     pub samples: u32,
+    /// Windows wait for the screen; see [`ContextTraits::vsync`].
+    pub vsync: bool,
     /// The GPU driver checks every call: for tests, never for timing.
     pub validation: bool,
     /// The pager; with `blocking` each frame waits until everything it wants is there.
     pub pager: PagerConfig,
+    /// Seconds for which cameras are thought on: what they will lack by then, as they move now or as was announced, is
+    /// loaded after all that pictures lack. 0: nothing is. The blocking mode does without.
+    pub look_ahead_s: f64,
     /// A tile whose error projects to more pixels is refined.
     pub max_sse_px: f64,
     /// Uploads between two frames: more fills the picture sooner, less keeps frames even.
@@ -46,9 +54,11 @@ pub struct ViewerConfig {
     pub stereo: Option<Stereo>,
     /// Bits of stencil that the adapter must have; 8 at most.
     pub min_stencil_bits: u32,
-    /// Contexts that may be open at once. With more than one the geometry of pages that the application made is kept
-    /// after its upload, for contexts that are opened later.
+    /// Contexts that may be open at once.
     pub max_contexts: usize,
+    /// Keep the geometry of pages that the application made after its upload: for contexts that are opened later, and
+    /// for a device that takes the place of a lost one. Without it those show such pages no more.
+    pub keep_drawables: bool,
 }
 
 impl Default for ViewerConfig {
@@ -56,16 +66,20 @@ impl Default for ViewerConfig {
         Self {
             size_px: [1280, 720],
             threading: ThreadingModel::default(),
+            cpu_affinity: false,
             adapter: AdapterChoice::Any,
             samples: 1,
+            vsync: true,
             validation: cfg!(debug_assertions),
             pager: PagerConfig::default(),
+            look_ahead_s: 1.0,
             max_sse_px: 16.0,
             compile_budget: CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
             history_frames: 100_000,
             stereo: None,
             min_stencil_bits: 0,
             max_contexts: 1,
+            keep_drawables: true,
         }
     }
 }
@@ -77,6 +91,7 @@ impl ViewerConfig {
             size_px: self.size_px,
             adapter: self.adapter,
             samples: self.samples,
+            vsync: self.vsync,
             validation: self.validation,
         }
     }
@@ -143,7 +158,7 @@ impl Viewer {
 
     /// A viewer that draws into a window; called on the thread of the event loop.
     pub fn new_window(
-        target: impl Into<wgpu::SurfaceTarget<'static>>,
+        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
         config: &ViewerConfig,
     ) -> Result<Self, ViewerError> {
         Self::new(GraphicsContext::new_window(target, &config.traits())?, config)
@@ -156,7 +171,7 @@ impl Viewer {
         let mut view = View::new(0, config.cull_settings(), config.size_px, config.samples);
         view.master = Some(base.add_camera(context, None)?);
         view.set_stereo(config.stereo);
-        let paged = PagedScene::new(0, config.pager.clone(), config.max_contexts > 1);
+        let paged = PagedScene::new(0, config.pager.clone(), config.keep_drawables);
         let compile_budget = config.compile_budget;
         Ok(Self { compile_budget, base, view, paged, context, converge_s: None, first_pose: None })
     }
@@ -219,6 +234,32 @@ impl Viewer {
     /// The pager, once a set is loaded.
     pub fn pager(&self) -> Option<&DatabasePager> {
         self.paged.pager.as_ref()
+    }
+
+    /// The pager, to pause it or to have it take no new requests.
+    pub fn pager_mut(&mut self) -> Option<&mut DatabasePager> {
+        self.paged.pager.as_mut()
+    }
+
+    /// Takes every page that the pager merged out of the scene and forgets what was asked for; what is wanted is loaded
+    /// anew from the next frame on.
+    pub fn clear_pages(&mut self) {
+        self.paged.clear_pages(&mut self.base.rendering);
+    }
+
+    /// Lets a sequence's texture show its images over simulation time; see [`ImageSequence`].
+    pub fn add_image_sequence(&mut self, sequence: &ImageSequence) -> Result<(), ViewerError> {
+        self.paged.add_image_sequence(sequence)
+    }
+
+    /// Replaces the image pager; sequences that the one before had are to be added again.
+    pub fn set_image_pager(&mut self, pager: ImagePager) {
+        self.paged.image_pager = Some(pager);
+    }
+
+    /// The image pager, once a sequence was added.
+    pub fn image_pager(&self) -> Option<&ImagePager> {
+        self.paged.image_pager.as_ref()
     }
 
     /// Extent of the first root.
@@ -330,6 +371,17 @@ impl Viewer {
         Ok(())
     }
 
+    /// A context's window waits for the screen, or not; see [`ContextTraits::vsync`].
+    pub fn set_vsync(&mut self, context: ContextId, vsync: bool) -> Result<(), ViewerError> {
+        self.base.set_vsync(context, vsync)
+    }
+
+    /// Loses a context's device, for tests of what comes after.
+    #[doc(hidden)]
+    pub fn lose_device(&mut self, context: ContextId) -> Result<(), ViewerError> {
+        self.base.lose_device(context)
+    }
+
     /// What handlers are given.
     pub fn actions(&mut self) -> GuiActionAdapter<'_> {
         GuiActionAdapter { base: &mut self.base, view: &mut self.view, paged: &mut self.paged }
@@ -369,7 +421,7 @@ impl Viewer {
     }
 
     /// For drawing on demand: false while another frame would show the same picture. True for events that wait, a
-    /// manipulator that moves, tiles that are still to come, update callbacks, what lies over the picture, and
+    /// manipulator that moves, tiles that are still to come, image sequences that play, update callbacks, what lies over the picture, and
     /// [`View::request_redraw`].
     pub fn check_need_to_do_frame(&self) -> bool {
         needs_frame(&self.base, &self.view, &self.paged)

@@ -3,14 +3,16 @@
 #![allow(clippy::unwrap_used, reason = "test code")]
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
-use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
 use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
+use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{Limits, ReadOptions, root_uri};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
-use terrane::scene::{DrawSlot, Scene};
+use terrane::scene::{DrawSlot, Page, Scene};
 
 /// Bytes that the context says a page takes.
 pub const PAGE_GPU_BYTES: u64 = 1000;
@@ -20,6 +22,8 @@ pub const PAGE_GPU_BYTES: u64 = 1000;
 pub struct Context {
     done: Vec<Compiled>,
     pub slots_out: u64,
+    /// What is compiled is kept back.
+    pub holds: bool,
 }
 
 impl CompileContext for Context {
@@ -31,13 +35,13 @@ impl CompileContext for Context {
         let slots = vec![DrawSlot(0); operation.drawables.len()];
         self.slots_out += slots.len() as u64;
         let ticket = operation.ticket;
-        self.done.push(Compiled { ticket, slots, bytes: PAGE_GPU_BYTES, errors: Vec::new() });
+        self.done.push(Compiled { ticket, slots, bytes: PAGE_GPU_BYTES, shared: Vec::new(), errors: Vec::new() });
     }
 
     fn run_compiles(&mut self, _: &CompileBudget) {}
 
     fn take_compiled(&mut self) -> Vec<Compiled> {
-        std::mem::take(&mut self.done)
+        if self.holds { Vec::new() } else { std::mem::take(&mut self.done) }
     }
 
     fn release(&mut self, slots: Vec<DrawSlot>) {
@@ -64,8 +68,19 @@ impl Run {
     pub fn new(source: &str, config: PagerConfig) -> Self {
         let uri = root_uri(source).unwrap();
         let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
+        let root = pager.read_root(&uri).unwrap();
+        Self::with(pager, root)
+    }
+
+    /// A page of the test's own, with contents below a folder.
+    pub fn of_page(root: Page, folder: &str, config: PagerConfig) -> Self {
+        let options = ReadOptions::for_root(&root_uri(folder).unwrap(), Limits::default());
+        Self::with(DatabasePager::new(config, options).unwrap(), root)
+    }
+
+    fn with(pager: DatabasePager, root: Page) -> Self {
         let mut scene = Scene::new();
-        scene.add_root(pager.read_root(&uri).unwrap());
+        scene.add_root(root);
         let root_bytes = pager.stats().bytes_read;
         let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
         let max_sse_px = CullCamera::default().settings.max_sse_px;
@@ -74,13 +89,30 @@ impl Run {
 
     /// A frame that looks straight down.
     pub fn frame(&mut self, eye: DVec3) {
+        self.frame_with(eye, &[]);
+    }
+
+    /// As [`Self::frame`], with requests besides the cull's.
+    pub fn frame_with(&mut self, eye: DVec3, others: &[PageRequest]) {
         self.frame += 1;
         let eye_from_world = DAffine3::from_translation(-eye);
         let mut camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
         camera.settings.max_sse_px = self.max_sse_px;
         self.visitor.cull(&self.scene, &camera, &mut self.stage);
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
-        self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, contexts);
+        let requests = [&self.stage.requests, others].concat();
+        self.pager.update_scene_graph(&mut self.scene, self.frame, &requests, contexts);
+        self.check_counters();
+    }
+
+    /// Each request has ended in one way or is under way, and each failure is told.
+    pub fn check_counters(&self) {
+        let s = self.pager.stats();
+        let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
+        assert_eq!(s.requested + s.retried, ended + s.waiting + s.in_flight, "{s:?}");
+        assert_eq!(s.merged, s.expired + s.resident, "{s:?}");
+        let told: u64 = self.pager.errors().iter().map(|e| e.count).sum();
+        assert_eq!(told, s.failed + s.drawables_failed, "{s:?}");
     }
 
     /// Frames until something holds, for a minute at most.
@@ -104,4 +136,43 @@ impl Run {
 /// Above the origin.
 pub fn above(height_m: f64) -> DVec3 {
     DVec3::new(0.0, 0.0, height_m)
+}
+
+/// Side of [`write_quadtree`]'s world, metres.
+pub const WORLD_M: f64 = 4096.0;
+/// Of its tiles below the root.
+const LEVELS: u32 = 4;
+
+/// A flat quadtree, one triangle a tile; returns the bytes of a content.
+pub fn write_quadtree(folder: &Path) -> u64 {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    fn tile(folder: &Path, glb: &[u8], level: u32, x: u32, y: u32) -> String {
+        let side = WORLD_M / f64::from(1u32 << level);
+        let [cx, cy] = [x, y].map(|k| (f64::from(k) + 0.5) * side);
+        let name = format!("{level}_{x}_{y}.glb");
+        std::fs::write(folder.join(&name), glb).unwrap();
+        let (error, children): (f64, Vec<String>) = if level == LEVELS {
+            (0.0, Vec::new())
+        } else {
+            let child = |i: u32| tile(folder, glb, level + 1, 2 * x + i % 2, 2 * y + i / 2);
+            (side / 16.0, (0..4).map(child).collect())
+        };
+        format!(
+            r#"{{"boundingVolume":{{"box":[{cx},{cy},0,{h},0,0,0,{h},0,0,0,1]}},"geometricError":{error},"content":{{"uri":"{name}"}},"children":[{}]}}"#,
+            children.join(","),
+            h = 0.5 * side,
+        )
+    }
+    let root = tile(folder, &glb, 0, 0, 0);
+    let json = format!(
+        r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{}}}"#,
+        root.replacen('{', r#"{"refine":"REPLACE","#, 1)
+    );
+    std::fs::write(folder.join("tileset.json"), json).unwrap();
+    glb.len() as u64
 }

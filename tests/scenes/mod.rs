@@ -8,7 +8,8 @@ use glam::{DAffine3, DMat3, DVec3};
 use terrane::cull::{CullCamera, CullingMode};
 use terrane::math::{Aabb, BoundingVolume, OrientedBox};
 use terrane::scene::{
-    DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeKind, Page, PagedLod, RangeMode, Refine, Topology,
+    DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine,
+    Topology,
 };
 use terrane::state::StateSet;
 
@@ -123,6 +124,7 @@ fn quad(levels: u32, center: DVec3, half_m: f64, error_m: f64, refine: Refine, n
         content_transform: DAffine3::from_translation(center),
         reader_data: None,
         request_volume: None,
+        paging: PagingOptions::default(),
     })));
     if levels > 1 {
         for (i, (x, y)) in [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].into_iter().enumerate() {

@@ -65,6 +65,12 @@ pub struct FlyArgs {
     /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
+    /// Load what the camera will lack in so many seconds, after all that it lacks now; 0: nothing [default: 1]
+    #[arg(long, value_name = "SECONDS")]
+    pub look_ahead: Option<f64>,
+    /// Do not wait for the screen (window only); pictures may tear
+    #[arg(long)]
+    pub no_vsync: bool,
     /// Load everything a frame wants before drawing it, so that equal paths give equal pictures
     #[arg(long)]
     pub blocking: bool,

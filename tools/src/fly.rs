@@ -70,6 +70,8 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
         ViewerConfig { size_px: args.size.0, threading: args.threading, validation: false, ..ViewerConfig::default() };
     settings.configure(&mut config);
     config.pager.blocking = args.blocking;
+    config.vsync = !args.no_vsync;
+    config.look_ahead_s = args.look_ahead.unwrap_or(config.look_ahead_s);
     // Manipulators stay above the ground.
     config.pager.build_kd_trees = args.interactive;
     config.pager.http = args.net.http(&source)?;
@@ -81,6 +83,8 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
     let mut viewer = if offscreen {
         let mut viewer = Viewer::new_offscreen(&config)?;
         flight.open(&mut viewer, root)?;
+        // Frames have the path's time.
+        viewer.announced = flight.path.clone();
         while flight.before_frame(&mut viewer)? {
             viewer.frame_at(flight.time_s())?;
             flight.after_frame(&mut viewer)?;

@@ -73,6 +73,11 @@ pub fn lines(report: &Report, notes: &Notes) -> String {
         let kept = cache.hits + cache.revalidated;
         results.push(format!("{kept} of {} answers from the cache", kept + cache.misses));
     }
+    if let Some(sharing) = report.sharing.filter(|s| s.gpu_bytes_saved_peak > 0) {
+        let saved = mebibytes(sharing.gpu_bytes_saved_peak);
+        let hits = sharing.geometry_hits + sharing.texture_hits + sharing.state_set_hits;
+        results.push(format!("{hits} shared contents saved {saved:.1} MiB of the GPU"));
+    }
     if let Some(error) = report.errors.first() {
         let more = report.errors.len() - 1;
         let rest = if more > 0 { format!(" and {more} more") } else { String::new() };

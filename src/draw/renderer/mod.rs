@@ -12,6 +12,7 @@ pub(super) mod prepare;
 pub(super) mod shadows;
 
 use std::collections::{HashSet, VecDeque};
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::cull::RenderStage;
@@ -30,6 +31,8 @@ use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
+use crate::scene::Texture;
+use crate::state::TextureObject;
 
 /// Frames the processor may be ahead of the adapter.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -219,6 +222,16 @@ impl Renderer {
             errors: Vec::new(),
             said: HashSet::new(),
         }
+    }
+
+    /// Writes an image to a texture of state sets, which takes its size: what is drawn from now on shows it.
+    pub(crate) fn show_image(
+        &mut self,
+        ctx: &GraphicsContext,
+        texture: &Arc<TextureObject>,
+        image: &Texture,
+    ) -> Result<(), String> {
+        self.groups.show(ctx, texture, image)
     }
 
     /// What could not be drawn as it should since the last call, each said (and logged) once: programs that do not

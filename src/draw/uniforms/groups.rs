@@ -7,7 +7,8 @@ use super::fixed::FixedUniform;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::Shading;
 use crate::gpu::{GraphicsContext, StateTextures, White, view_dimension};
-use crate::state::{ResolvedState, Sampler, TEXTURE_UNITS, TextureBinding, TextureDimension};
+use crate::scene::Texture;
+use crate::state::{ResolvedState, Sampler, TEXTURE_UNITS, TextureBinding, TextureDimension, TextureObject};
 
 /// Of the fixed function without textures.
 const BARE: u16 = u16::MAX;
@@ -75,6 +76,19 @@ impl Groups {
         if self.textures.prune() {
             self.forget_groups();
         }
+    }
+
+    /// Writes an image to a texture.
+    pub(in crate::draw) fn show(
+        &mut self,
+        ctx: &GraphicsContext,
+        texture: &Arc<TextureObject>,
+        image: &Texture,
+    ) -> Result<(), String> {
+        if self.textures.show(ctx.device(), ctx.queue(), texture, image)? {
+            self.forget_groups();
+        }
+        Ok(())
     }
 
     fn forget_groups(&mut self) {

@@ -194,6 +194,7 @@ impl Fill<'_> {
             limits: self.options.limits,
             chain: tileset.chain.clone(),
             build_kd_trees: false,
+            sharing: None,
         };
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         let node = decode_node(content, &options)?;

@@ -194,6 +194,7 @@ mod page {
                 ("in flight", pager.in_flight.to_string()),
                 ("requested", pager.requested.to_string()),
                 ("merged", pager.merged.to_string()),
+                ("merged ahead", pager.merged_ahead.to_string()),
                 ("expired", pager.expired.to_string()),
                 ("cancelled", pager.cancelled.to_string()),
                 ("failed", pager.failed.to_string()),
@@ -203,6 +204,10 @@ mod page {
                 ("tiles on GPU", mebibytes(pager.gpu_bytes)),
                 ("read", mebibytes(pager.bytes_read)),
                 ("pages", viewer.scene().page_count().to_string()),
+                ("shared images", pager.sharing.texture_hits.to_string()),
+                ("shared shapes", pager.sharing.geometry_hits.to_string()),
+                ("saved on CPU", mebibytes(pager.shared_cpu_bytes_saved)),
+                ("saved on GPU", mebibytes(pager.shared_gpu_bytes_saved)),
             ],
         );
     }

@@ -69,6 +69,11 @@ impl CameraManipulator for AnimationPathManipulator {
         !self.is_paused && !self.is_finished()
     }
 
+    fn pose_after(&self, seconds: f64) -> Option<DAffine3> {
+        let step_s = if self.is_paused { 0.0 } else { seconds * self.time_scale };
+        Some(self.path.world_from_eye(self.path.first_s() + self.at_s + step_s))
+    }
+
     fn usage(&self) -> Vec<Usage> {
         vec![usage("P", "pause the path"), usage("( )", "play it at half or double speed")]
     }

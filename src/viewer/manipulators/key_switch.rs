@@ -97,6 +97,10 @@ impl CameraManipulator for KeySwitchManipulator {
         self.choices.get(self.current).is_some_and(|(.., chosen)| chosen.is_moving())
     }
 
+    fn pose_after(&self, seconds: f64) -> Option<DAffine3> {
+        self.choices.get(self.current).and_then(|(.., chosen)| chosen.pose_after(seconds))
+    }
+
     fn take_notice(&mut self) -> Option<String> {
         std::mem::take(&mut self.announced).then(|| self.current_name().to_owned())
     }

@@ -134,6 +134,12 @@ pub trait CameraManipulator: Send {
         true
     }
 
+    /// Where the eye will be (world from eye) after `seconds` more without events, where that is known: what will be
+    /// wanted there is loaded ahead. `None`: as it moves now.
+    fn pose_after(&self, _seconds: f64) -> Option<DAffine3> {
+        None
+    }
+
     /// Something to say to the user, once.
     fn take_notice(&mut self) -> Option<String> {
         None

@@ -9,7 +9,7 @@ use image::RgbaImage;
 
 use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
-use crate::pager::CompileContext;
+use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{DrawSlot, Drawable, Mesh};
 use crate::sync::{Operation, OperationThread};
 use crate::viewer::ViewerError;
@@ -19,6 +19,9 @@ const COMMAND_QUEUE: usize = 1024;
 
 /// Most time for uploads between two frames at once, so that a frame sent after them does not wait longer.
 const MOST_COMPILING: Duration = Duration::from_millis(2);
+
+/// A frame that takes longer does not come.
+const MOST_WAIT: Duration = Duration::from_secs(5);
 
 /// Set in the tickets of pages that the application made; the rest are the pagers'.
 const OWN_TICKET: u64 = 1 << 63;
@@ -170,6 +173,8 @@ impl ContextHandle {
             Side::Thread(thread) => match thread.join() {
                 Ok(mut side) => {
                     side.catch_up();
+                    // What its thread did not draw never comes back.
+                    self.in_flight = self.in_flight.min(self.replies.len());
                     Side::Here(Box::new(side))
                 }
                 Err(panicked) => {
@@ -293,10 +298,44 @@ impl ContextHandle {
         self.send(DrawCommand::Rewrite { slot, mesh })
     }
 
+    /// Another image for a texture, from the next frame on.
+    pub(in crate::viewer) fn show(&mut self, change: ImageChange) -> Result<(), ViewerError> {
+        self.send(DrawCommand::Show(change))
+    }
+
     /// The target has a new size.
     pub(in crate::viewer) fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
         self.size_px = size_px;
         self.send(DrawCommand::Resize(size_px))
+    }
+
+    /// Frames wait for the screen, or not.
+    pub(in crate::viewer) fn set_vsync(&mut self, vsync: bool) -> Result<(), ViewerError> {
+        self.send(DrawCommand::SetVsync(vsync))
+    }
+
+    /// The device goes.
+    pub(in crate::viewer) fn lose_device(&mut self) -> Result<(), ViewerError> {
+        self.send(DrawCommand::LoseDevice)
+    }
+
+    /// Waits for the frames under way, whatever becomes of them. One whose threads have ended never comes.
+    pub(super) fn drop_frames(&mut self) -> Result<(), ViewerError> {
+        while self.in_flight > 0 && self.wait_done_for(MOST_WAIT)?.is_some() {}
+        self.in_flight = 0;
+        Ok(())
+    }
+
+    /// Takes a new device where the old one is lost, with no thread and no frame under way; false where it is not.
+    pub(super) fn renew(&mut self) -> Result<bool, ViewerError> {
+        let renewed = self.here().ok_or(ViewerError::DrawThreadStopped)?.renew()?;
+        if renewed {
+            // What was uploaded to the old one is of no use.
+            while self.compiled.try_recv().is_ok() {}
+            self.arrived.clear();
+            self.compiling = 0;
+        }
+        Ok(renewed)
     }
 
     /// The picture of the last frame; the caller has taken all frames in flight before.

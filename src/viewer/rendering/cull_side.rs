@@ -114,7 +114,8 @@ pub(super) struct CullSide {
     /// Number of the camera.
     pub(super) camera: u32,
     pub(super) visitor: CullVisitor,
-    /// From the main thread; holds one at most.
+    /// From the main thread; holds one at most. Dropped before `outcomes`: who finds that gone has the scene back once
+    /// it drops its own end of this.
     pub(super) tasks: Receiver<CullTask>,
     /// To the main thread, which takes each before it sends another task.
     pub(super) outcomes: Sender<CullOutcome>,

@@ -16,6 +16,7 @@ use super::millis;
 use crate::cull::RenderStage;
 use crate::draw::{DrawStats, Environment, FrameClock, Picture, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
+use crate::pager::ImageChange;
 use crate::scene::{DrawSlot, Mesh};
 use crate::sync::BlockCount;
 use crate::timeline;
@@ -62,6 +63,8 @@ pub(in crate::viewer) struct FrameDone {
     pub(in crate::viewer) read_back_ms: f64,
     /// The picture when it was asked for.
     pub(in crate::viewer) image: Option<Result<RgbaImage, GpuError>>,
+    /// Bytes that are taken in the pools.
+    pub(in crate::viewer) gpu_bytes: u64,
     /// Most bytes that the pools held so far.
     pub(in crate::viewer) gpu_bytes_peak: u64,
     /// What could not be drawn as it should, each once.
@@ -74,6 +77,8 @@ pub(super) enum DrawCommand {
     Compile(CompileOperation),
     /// Put another mesh in the place of a drawable's, from the next frame on.
     Rewrite { slot: DrawSlot, mesh: Arc<Mesh> },
+    /// Write an image to a texture of state sets, in the next frame's compile step.
+    Show(ImageChange),
     /// Free slots after the last frame that drew them.
     Release(Vec<DrawSlot>),
     /// Upload within a budget, between two frames.
@@ -86,6 +91,10 @@ pub(super) enum DrawCommand {
     Resize([u32; 2]),
     /// Read the last picture, offscreen; answered by [`Reply::Image`].
     ReadBack,
+    /// Wait for the screen, or not.
+    SetVsync(bool),
+    /// The device goes, as if the driver had lost it.
+    LoseDevice,
     /// Look whether the thread is to end.
     Wake,
 }
@@ -137,6 +146,8 @@ pub(super) struct DrawSide {
     job: Option<Box<FrameJob>>,
     /// Drawn, to be shown.
     drawn: Option<(Box<FrameDone>, bool)>,
+    /// To be shown from the next frame on.
+    images: Vec<ImageChange>,
     /// Memory for the stages of a frame, with whether each completes.
     stages: Vec<Culled>,
 }
@@ -172,6 +183,7 @@ impl DrawSide {
             meets_others: false,
             job: None,
             drawn: None,
+            images: Vec::new(),
             stages: Vec::new(),
         }
     }
@@ -187,10 +199,18 @@ impl DrawSide {
         self.meets_others = self.job.as_ref().is_some_and(|job| job.present);
     }
 
-    /// Does what was left to do when its thread ended.
+    /// Does what was left to do when its thread ended; frames that it has not drawn are forgotten.
     pub(super) fn catch_up(&mut self) {
         while let Ok(command) = self.commands.try_recv() {
             self.execute(command);
+        }
+        (self.job, self.drawn) = (None, None);
+        self.stages.clear();
+        for camera in &self.cameras {
+            while let Ok(culled) = camera.culled.try_recv() {
+                // As many fit as there are.
+                let _ = camera.available.try_send(culled.stage);
+            }
         }
     }
 
@@ -202,6 +222,11 @@ impl DrawSide {
                     self.errors.push(error.to_string());
                 }
                 return;
+            }
+            DrawCommand::Show(change) => {
+                // A frame that was skipped leaves its images behind.
+                self.images.retain(|earlier| !Arc::ptr_eq(&earlier.texture, &change.texture));
+                return self.images.push(change);
             }
             DrawCommand::Release(slots) => return self.context.release(&slots),
             DrawCommand::RunCompiles(budget) => {
@@ -215,11 +240,29 @@ impl DrawSide {
             }
             DrawCommand::Frame(job) => return self.job = Some(job),
             DrawCommand::Resize(size_px) => return self.failed = self.context.resize(size_px).err(),
+            DrawCommand::SetVsync(vsync) => return self.context.set_vsync(vsync),
+            DrawCommand::LoseDevice => return self.context.lose_device(),
             DrawCommand::ReadBack => Reply::Image(self.renderer.read_back(&mut self.context)),
             DrawCommand::Wake => return,
         };
         // The main side may be gone while the viewer is dropped.
         let _ = self.replies.send(reply);
+    }
+
+    /// Takes a new device where the old one is lost, with nothing uploaded to it; false where it is not lost.
+    pub(super) fn renew(&mut self) -> Result<bool, GpuError> {
+        if !self.context.is_lost() {
+            return Ok(false);
+        }
+        self.context.reopen()?;
+        self.renderer = Renderer::new(&mut self.context);
+        self.failed = None;
+        #[cfg(feature = "window")]
+        {
+            self.overlay = None;
+        }
+        self.running_compiles.store(false, Ordering::Release);
+        Ok(true)
     }
 
     fn pass_on_compiled(&mut self) {
@@ -244,6 +287,11 @@ impl DrawSide {
         let start = Instant::now();
         self.context.run_compiles(&job.budget);
         self.pass_on_compiled();
+        for ImageChange { texture, image } in self.images.drain(..) {
+            if let Err(problem) = self.renderer.show_image(&self.context, &texture, &image) {
+                self.errors.push(problem);
+            }
+        }
         let compiled = Instant::now();
         let own_stage = job.stage.is_some();
         match job.stage.take() {
@@ -285,6 +333,7 @@ impl DrawSide {
             compile_ms: millis(compiled - start),
             read_back_ms,
             image,
+            gpu_bytes: self.context.bytes_in_use(),
             gpu_bytes_peak: self.context.bytes_peak(),
             errors,
         };

@@ -68,7 +68,8 @@ struct CameraHandle {
     /// Number of the context that it is drawn in.
     context: u32,
     side: CameraSide,
-    tasks: Sender<CullTask>,
+    /// `None` once whoever culled is gone: a channel keeps its task, and with it the scene, while one end is there.
+    tasks: Option<Sender<CullTask>>,
     outcomes: Receiver<CullOutcome>,
     /// About to be sent.
     next: Option<CullTask>,
@@ -92,6 +93,8 @@ pub(super) struct Rendering {
     next_context: u32,
     next_camera: u32,
     blocking: bool,
+    /// The threads stay on cores of their own.
+    keeps_cores: bool,
     /// What was asked for.
     model: ThreadingModel,
     /// `None` until the first frame, and while contexts or cameras come and go.
@@ -100,13 +103,14 @@ pub(super) struct Rendering {
 
 impl Rendering {
     /// Without contexts and cameras; `blocking` contexts finish all uploads when they are asked for them.
-    pub(super) fn new(blocking: bool) -> Self {
+    pub(super) fn new(blocking: bool, keeps_cores: bool) -> Self {
         Self {
             contexts: Vec::new(),
             cameras: Vec::new(),
             next_context: 0,
             next_camera: 0,
             blocking,
+            keeps_cores,
             model: ThreadingModel::SingleThreaded,
             running: None,
         }
@@ -214,6 +218,22 @@ impl Rendering {
         self.contexts.len() < before
     }
 
+    /// Gives contexts whose devices are lost new ones, with nothing uploaded to them; their numbers. Ends the threads,
+    /// and drops what is under way.
+    pub(super) fn renew_lost(&mut self) -> Result<Vec<u32>, ViewerError> {
+        for context in &mut self.contexts {
+            context.drop_frames()?;
+        }
+        self.stop_threads();
+        let mut renewed = Vec::new();
+        for context in &mut self.contexts {
+            if context.renew()? {
+                renewed.push(context.number());
+            }
+        }
+        Ok(renewed)
+    }
+
     /// Drops a camera. Ends the threads.
     pub(super) fn remove_camera(&mut self, number: u32) {
         self.stop_threads();
@@ -249,6 +269,7 @@ impl Rendering {
         };
         let side = CameraSide::Here(Box::new(cull));
         let outcome = CullOutcome::default();
+        let tasks = Some(tasks);
         self.cameras.push(CameraHandle { number, context, side, tasks, outcomes, next: None, outcome });
         Some(number)
     }
@@ -294,7 +315,8 @@ impl Rendering {
         }
         for camera in &mut self.cameras {
             let Some(task) = camera.next.take() else { continue };
-            result = result.and(camera.tasks.send(task).map_err(|_| ViewerError::DrawThreadStopped));
+            let sent = camera.tasks.as_ref().is_some_and(|tasks| tasks.send(task).is_ok());
+            result = result.and(if sent { Ok(()) } else { Err(ViewerError::DrawThreadStopped) });
         }
         if let Some(barrier) = &running.start {
             let _span = timeline::span("start barrier");
@@ -327,7 +349,10 @@ impl Rendering {
         for camera in &mut self.cameras {
             match camera.outcomes.recv() {
                 Ok(outcome) => camera.outcome = outcome,
-                Err(_) => result = result.and(Err(ViewerError::DrawThreadStopped)),
+                Err(_) => {
+                    camera.tasks = None;
+                    result = result.and(Err(ViewerError::DrawThreadStopped));
+                }
             }
         }
         result

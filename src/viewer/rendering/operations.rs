@@ -45,6 +45,28 @@ impl Operation<DrawSide> for Step {
     }
 }
 
+/// Keeps a thread on a core, once, as its first operation.
+pub(super) struct Pin(pub(super) core_affinity::CoreId);
+
+impl<T> Operation<T> for Pin {
+    fn name(&self) -> &str {
+        "pin to core"
+    }
+
+    fn run(&self, _: &mut T) {
+        if !core_affinity::set_for_current(self.0) {
+            log::warn!("the system does not keep a thread on core {}", self.0.id);
+        }
+    }
+}
+
+/// The cores for the threads of a model in turn, leaving the first to the main thread; none where there is but one.
+pub(super) fn pins() -> impl Iterator<Item = core_affinity::CoreId> {
+    let cores = core_affinity::get_core_ids().unwrap_or_default();
+    let spare: Vec<_> = cores.into_iter().skip(1).collect();
+    (0..).map_while(move |i: usize| spare.get(i % spare.len().max(1)).copied())
+}
+
 /// A barrier that threads meet at.
 pub(super) struct BarrierOperation {
     pub(super) name: &'static str,

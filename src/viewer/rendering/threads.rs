@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::cull_side::CullSide;
 use super::draw_side::DrawSide;
-use super::operations::{BarrierOperation, Cull, StartOfCull, Step};
+use super::operations::{BarrierOperation, Cull, Pin, StartOfCull, Step, pins};
 use super::{CameraSide, ContextHandle, Rendering, Running, ThreadingModel};
 use crate::sync::{Barrier, BlockCount, Operation, OperationThread};
 use crate::viewer::ViewerError;
@@ -100,6 +100,7 @@ impl Rendering {
         end_of_dynamic: Option<&Arc<BlockCount>>,
     ) -> Result<(), ViewerError> {
         let swap_ready = Arc::new(Barrier::new(self.contexts.len()));
+        let mut cores = self.keeps_cores.then(pins).into_iter().flatten();
         for context in &mut self.contexts {
             let step = |name, run: fn(&mut DrawSide)| -> Arc<dyn Operation<DrawSide>> {
                 Arc::new(Step { name, run, end_of_dynamic: end_of_dynamic.cloned() })
@@ -107,7 +108,9 @@ impl Rendering {
             let meet = |name, barrier: &Arc<Barrier>| -> Arc<dyn Operation<DrawSide>> {
                 Arc::new(BarrierOperation { name, barrier: barrier.clone() })
             };
-            let mut operations = vec![step("await frame", DrawSide::await_frame)];
+            let mut operations: Vec<Arc<dyn Operation<DrawSide>>> = Vec::new();
+            operations.extend(cores.next().map(|core| -> Arc<dyn Operation<DrawSide>> { Arc::new(Pin(core)) }));
+            operations.push(step("await frame", DrawSide::await_frame));
             operations.extend(start.map(|barrier| meet("start barrier", barrier)));
             operations.push(step("render", DrawSide::render));
             operations.push(meet("swap ready", &swap_ready));
@@ -123,10 +126,13 @@ impl Rendering {
         start: Option<&Arc<Barrier>>,
         end_of_dynamic: Option<&Arc<BlockCount>>,
     ) -> Result<(), ViewerError> {
+        // After the contexts' cores.
+        let mut cores = self.keeps_cores.then(pins).into_iter().flatten().skip(self.contexts.len());
         for camera in &mut self.cameras {
             camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
                 CameraSide::Here(side) => {
                     let mut operations: Vec<Arc<dyn Operation<CullSide>>> = Vec::new();
+                    operations.extend(cores.next().map(|core| -> Arc<dyn Operation<CullSide>> { Arc::new(Pin(core)) }));
                     if let Some(barrier) = start {
                         operations.push(Arc::new(StartOfCull(barrier.clone())));
                     }

@@ -16,7 +16,7 @@ use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
 use terrane::io::{Limits, ReadOptions};
 use terrane::math::{BoundingSphere, BoundingVolume, OrientedBox};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
-use terrane::scene::{DrawSlot, Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene};
+use terrane::scene::{DrawSlot, Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, Scene};
 
 use glam::{DAffine3, DMat3, DVec3};
 
@@ -135,6 +135,7 @@ impl Tile {
             content_transform: DAffine3::from_translation(DVec3::new(center.x, center.y, 0.0)),
             reader_data,
             request_volume: None,
+            paging: PagingOptions::default(),
         };
         let children = self.children().map(|c| c.node(base, content)).collect();
         Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }

@@ -9,7 +9,8 @@ use serde_json::json;
 use terrane::math::{Aabb, BoundingVolume, OrientedBox};
 use terrane::scene::{
     Drawable, Geometry, HeightQuery, HeightTile, IntersectionLimit, IntersectionVisitor, LineSegmentIntersector,
-    Material, Mesh, MeshVertex, Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, Topology, Vertical,
+    Material, Mesh, MeshVertex, Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, Scene, Topology,
+    Vertical,
 };
 
 use super::percentile;
@@ -161,6 +162,7 @@ fn tile(levels: u32, center: DVec3, half_m: f64) -> Node {
         content_transform: DAffine3::from_translation(center),
         reader_data: None,
         request_volume: None,
+        paging: PagingOptions::default(),
     })));
     if levels > 1 {
         let quarter = |(x, y): (f64, f64)| tile(levels - 1, center + DVec3::new(x, y, 0.0) * half_m, 0.5 * half_m);

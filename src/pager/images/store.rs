@@ -1,0 +1,400 @@
+//! [`ImagePager`]: which images are wanted, loaded, shown and paged out. Update thread.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::config::{ImagePagerConfig, ImagePagerStats};
+use super::sequence::{ImageSequence, SequenceImage};
+use super::threads::{Loaded, Threads};
+use crate::io::IoError;
+use crate::pager::stats::Errors;
+use crate::pager::{ErrorRecord, PagerError};
+use crate::scene::Texture;
+use crate::state::TextureObject;
+
+/// Failures that are remembered; with more, those that nobody wants are forgotten.
+const MOST_FAILURES: usize = 4096;
+
+/// Another image for a texture, for every context.
+#[derive(Clone, Debug)]
+pub(crate) struct ImageChange {
+    pub(crate) texture: Arc<TextureObject>,
+    pub(crate) image: Arc<Texture>,
+}
+
+/// A sequence, and which of its images its texture shows.
+struct Track {
+    sequence: ImageSequence,
+    shown: Option<usize>,
+    is_playing: bool,
+    /// The image of the moment is not there, and may come.
+    is_late: bool,
+}
+
+enum State {
+    Waiting,
+    Loading,
+    Loaded(Arc<Texture>),
+    /// Not asked for again before this; `None` for never.
+    Failed {
+        retry_at: Option<Instant>,
+    },
+}
+
+/// An image from a file, for all sequences that name it.
+struct Slot {
+    state: State,
+    tries: u32,
+    /// Number of the update that last wanted it.
+    wanted: u64,
+    wanted_at: Instant,
+    due_s: f64,
+    /// Goes as soon as it is not wanted.
+    discards: bool,
+    /// Within the budgets of this update.
+    admitted: bool,
+}
+
+/// Loads images of sequences ahead of their time and pages them out.
+pub struct ImagePager {
+    config: ImagePagerConfig,
+    threads: Threads,
+    tracks: Vec<Track>,
+    /// By URI.
+    slots: HashMap<Arc<str>, Slot>,
+    /// Of decoded images.
+    bytes: u64,
+    images: usize,
+    /// Of the last images.
+    mean_bytes: u64,
+    updates: u64,
+    stats: ImagePagerStats,
+    errors: Errors,
+}
+
+fn bytes_of(image: &Texture) -> u64 {
+    image.mips.iter().map(|m| m.len() as u64).sum()
+}
+
+impl ImagePager {
+    /// Starts the threads.
+    pub fn new(config: ImagePagerConfig) -> Result<Self, PagerError> {
+        let threads = Threads::start(&config)?;
+        Ok(Self {
+            config,
+            threads,
+            tracks: Vec::new(),
+            slots: HashMap::new(),
+            bytes: 0,
+            images: 0,
+            mean_bytes: 0,
+            updates: 0,
+            stats: ImagePagerStats::default(),
+            errors: Errors::default(),
+        })
+    }
+
+    /// Takes a sequence, until nobody else has it or its texture.
+    pub fn add(&mut self, sequence: &ImageSequence) {
+        let known = |t: &Track| Arc::ptr_eq(t.sequence.shared_texture(), sequence.shared_texture());
+        if !self.tracks.iter().any(known) {
+            let sequence = sequence.clone();
+            self.tracks.push(Track { sequence, shown: None, is_playing: false, is_late: true });
+        }
+    }
+
+    /// Counters up to the last update.
+    pub fn stats(&self) -> &ImagePagerStats {
+        &self.stats
+    }
+
+    /// What failed so far, by URI and reason.
+    pub fn errors(&self) -> Vec<ErrorRecord> {
+        self.errors.list()
+    }
+
+    /// True while another frame would show another image: something plays, or an image of the moment is to come.
+    pub fn needs_frame(&self) -> bool {
+        self.tracks.iter().any(|t| t.sequence.is_used() && (t.is_late || t.is_playing))
+    }
+
+    /// Shows everything again: for contexts that have not got it.
+    pub(crate) fn show_again(&mut self) {
+        for track in &mut self.tracks {
+            track.shown = None;
+        }
+    }
+
+    /// The pager's turn once a frame: what textures show from this frame on.
+    pub(crate) fn update(&mut self, simulation_time_s: f64) -> Vec<ImageChange> {
+        self.updates += 1;
+        let now = Instant::now();
+        self.tracks.retain(|t| !t.sequence.is_forgotten());
+        while let Some(loaded) = self.threads.try_loaded() {
+            self.arrive(loaded);
+        }
+        let present = self.want(simulation_time_s, now);
+        self.admit();
+        self.page_out(now);
+        self.request(now);
+        while self.config.blocking && present.iter().any(|(_, image)| self.is_coming(image)) {
+            if let Some(loaded) = self.threads.wait_loaded(Duration::from_millis(20)) {
+                self.arrive(loaded);
+                self.page_out(now);
+                self.request(now);
+            }
+        }
+        let changes = self.changes(&present);
+        self.count();
+        changes
+    }
+
+    /// Moves time on and notes which files it needs; the present image of each used sequence.
+    fn want(&mut self, simulation_time_s: f64, now: Instant) -> Vec<(usize, (usize, SequenceImage))> {
+        let mut present = Vec::with_capacity(self.tracks.len());
+        for slot in self.slots.values_mut() {
+            slot.due_s = f64::INFINITY;
+        }
+        for (place, track) in self.tracks.iter_mut().enumerate() {
+            let moment = track.sequence.advance(simulation_time_s);
+            track.is_playing = moment.is_playing && track.sequence.image_count() > 1;
+            if !track.sequence.is_used() {
+                continue;
+            }
+            for (k, wanted) in moment.wanted.iter().enumerate() {
+                let Some(image) = track.sequence.image(wanted.index) else { continue };
+                if let SequenceImage::File(uri) = &image {
+                    let slot = self.slots.entry(uri.clone()).or_insert_with(|| Slot {
+                        state: State::Waiting,
+                        tries: 0,
+                        wanted: 0,
+                        wanted_at: now,
+                        due_s: f64::INFINITY,
+                        discards: true,
+                        admitted: false,
+                    });
+                    (slot.wanted, slot.wanted_at) = (self.updates, now);
+                    slot.due_s = slot.due_s.min(wanted.due_s);
+                    slot.discards = moment.discards;
+                }
+                if k == 0 {
+                    present.push((place, (wanted.index, image)));
+                }
+            }
+        }
+        present
+    }
+
+    /// Chooses among the wanted files those that the budgets have room for, the most urgent first.
+    fn admit(&mut self) {
+        let mut wanted: Vec<(f64, Arc<str>)> = Vec::new();
+        for (uri, slot) in &mut self.slots {
+            slot.admitted = false;
+            let is_hopeless = matches!(slot.state, State::Failed { retry_at: None });
+            if slot.wanted == self.updates && !is_hopeless {
+                wanted.push((slot.due_s, uri.clone()));
+            }
+        }
+        wanted.sort_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)));
+        let mut bytes = 0;
+        for (_, uri) in wanted.iter().take(self.config.max_images.max(1)) {
+            let Some(slot) = self.slots.get_mut(uri) else { continue };
+            let size = match &slot.state {
+                State::Loaded(image) => bytes_of(image),
+                _ => self.mean_bytes,
+            };
+            bytes += size;
+            if bytes > self.config.max_bytes && bytes > size {
+                break;
+            }
+            slot.admitted = true;
+        }
+    }
+
+    /// Lets go of what expired, and of what was not wanted for longest while something admitted has no room.
+    fn page_out(&mut self, now: Instant) {
+        let is_loaded = |s: &Slot| matches!(s.state, State::Loaded(_));
+        let updates = self.updates;
+        let expiry = self.config.expiry;
+        let gone = |s: &Slot| {
+            let unwanted = is_loaded(s) && s.wanted != updates;
+            unwanted && (s.discards || now.saturating_duration_since(s.wanted_at) > expiry)
+        };
+        let expired: Vec<Arc<str>> = self.slots.iter().filter(|(_, s)| gone(s)).map(|(uri, _)| uri.clone()).collect();
+        for uri in expired {
+            self.let_go(&uri);
+        }
+        let to_come = self.slots.values().filter(|s| s.admitted && matches!(s.state, State::Waiting)).count();
+        let mut spare: Vec<(u64, f64, Arc<str>)> = Vec::new();
+        if self.is_beyond(to_come) {
+            let spared = self.slots.iter().filter(|(_, s)| is_loaded(s) && !s.admitted);
+            spare.extend(spared.map(|(uri, s)| (s.wanted, s.due_s, uri.clone())));
+            // Wanted longest ago first; of those wanted now, the latest due.
+            spare.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then_with(|| a.2.cmp(&b.2)));
+        }
+        for (_, _, uri) in spare {
+            if !self.is_beyond(to_come) {
+                break;
+            }
+            self.let_go(&uri);
+        }
+        let is_kept = |s: &Slot| match s.state {
+            State::Loaded(_) | State::Loading => true,
+            State::Waiting => s.wanted == updates,
+            State::Failed { .. } => true,
+        };
+        self.slots.retain(|_, s| is_kept(s));
+        if self.slots.len() > MOST_FAILURES + self.config.max_images {
+            self.slots.retain(|_, s| s.wanted == updates || !matches!(s.state, State::Failed { .. }));
+        }
+    }
+
+    /// The budgets have no room for what is there, under way, and so many images more.
+    fn is_beyond(&self, more: usize) -> bool {
+        let loading = self.slots.values().filter(|s| matches!(s.state, State::Loading)).count();
+        let to_come = (loading + more) as u64;
+        self.images + loading + more > self.config.max_images.max(1)
+            || self.bytes + to_come * self.mean_bytes > self.config.max_bytes
+    }
+
+    fn let_go(&mut self, uri: &Arc<str>) {
+        let Some(slot) = self.slots.get_mut(uri) else { return };
+        if let State::Loaded(image) = std::mem::replace(&mut slot.state, State::Waiting) {
+            self.bytes -= bytes_of(&image);
+            self.images -= 1;
+            self.stats.paged_out += 1;
+        }
+    }
+
+    /// Writes the request list: what is admitted and not there, as far as there is room.
+    fn request(&mut self, now: Instant) {
+        let mut waiting = self.threads.lock();
+        for uri in waiting.taken.drain(..) {
+            if let Some(slot) = self.slots.get_mut(&uri).filter(|s| matches!(s.state, State::Waiting)) {
+                slot.state = State::Loading;
+            }
+        }
+        let mut wanted: Vec<(f64, &Arc<str>)> = Vec::new();
+        let mut loading = 0;
+        for (uri, slot) in &mut self.slots {
+            if let State::Failed { retry_at: Some(at) } = slot.state
+                && at <= now
+            {
+                slot.state = State::Waiting;
+            }
+            match slot.state {
+                State::Waiting if slot.admitted => wanted.push((slot.due_s, uri)),
+                State::Loading => loading += 1,
+                _ => {}
+            }
+        }
+        // Taken from the end: the most urgent last.
+        wanted.sort_by(|a, b| b.0.total_cmp(&a.0).then_with(|| b.1.cmp(a.1)));
+        let room = self.config.max_images.max(1).saturating_sub(self.images + loading);
+        let first = wanted.len().saturating_sub(room);
+        waiting.uris.clear();
+        waiting.uris.extend(wanted[first..].iter().map(|(_, uri)| (*uri).clone()));
+        let is_empty = waiting.uris.is_empty();
+        drop(waiting);
+        if !is_empty {
+            self.threads.ring();
+        }
+    }
+
+    fn arrive(&mut self, loaded: Loaded) {
+        let Loaded { uri, image, bytes_read } = loaded;
+        self.stats.bytes_read += bytes_read;
+        let max_bytes = self.config.max_bytes;
+        let image = image.and_then(|image| match bytes_of(&image) {
+            got if got > max_bytes => {
+                Err(IoError::TooLarge { uri: uri.to_string(), what: "image", got, limit: max_bytes })
+            }
+            _ => Ok(image),
+        });
+        let Some(slot) = self.slots.get_mut(&uri) else { return };
+        match image {
+            Ok(image) => {
+                let bytes = bytes_of(&image);
+                slot.tries = 0;
+                if matches!(slot.state, State::Loaded(_)) {
+                    return;
+                }
+                slot.state = State::Loaded(image);
+                self.stats.loaded += 1;
+                self.bytes += bytes;
+                self.images += 1;
+                self.mean_bytes = if self.mean_bytes == 0 { bytes } else { (7 * self.mean_bytes + bytes) / 8 };
+                self.make_room(&uri);
+                self.stats.images_peak = self.stats.images_peak.max(self.images as u64);
+                self.stats.bytes_peak = self.stats.bytes_peak.max(self.bytes);
+            }
+            Err(error) => {
+                self.stats.failed += 1;
+                self.errors.add(&error);
+                slot.tries += 1;
+                let again = error.is_transient() && slot.tries < self.config.max_tries;
+                let wait = self.config.retry_after * 2u32.saturating_pow(slot.tries.min(10) - 1);
+                let wait = wait.max(error.retry_after().unwrap_or_default());
+                slot.state = State::Failed { retry_at: again.then(|| Instant::now() + wait) };
+            }
+        }
+    }
+
+    /// An image may be larger than those before it: others go, those last that are shown soonest.
+    fn make_room(&mut self, arrived: &Arc<str>) {
+        while self.bytes > self.config.max_bytes || self.images > self.config.max_images.max(1) {
+            let others = self.slots.iter().filter(|(uri, s)| *uri != arrived && matches!(s.state, State::Loaded(_)));
+            let least = others.max_by(|(a, s), (b, t)| {
+                let unwanted = |s: &Slot| s.wanted < self.updates;
+                (unwanted(s), s.due_s).partial_cmp(&(unwanted(t), t.due_s)).unwrap_or(a.cmp(b))
+            });
+            let Some(least) = least.map(|(uri, _)| uri.clone()) else { break };
+            self.let_go(&least);
+        }
+    }
+
+    /// Not there, but asked for and not failed.
+    fn is_coming(&self, (_, image): &(usize, SequenceImage)) -> bool {
+        let SequenceImage::File(uri) = image else { return false };
+        self.slots.get(uri).is_some_and(|s| s.admitted && matches!(s.state, State::Waiting | State::Loading))
+    }
+
+    fn changes(&mut self, present: &[(usize, (usize, SequenceImage))]) -> Vec<ImageChange> {
+        let mut changes = Vec::new();
+        for track in &mut self.tracks {
+            track.is_late = false;
+        }
+        for (place, image_now) in present {
+            let (index, image) = image_now;
+            let found = match image {
+                SequenceImage::Image(image) => Some(image.clone()),
+                SequenceImage::File(uri) => match self.slots.get(uri).map(|s| &s.state) {
+                    Some(State::Loaded(image)) => Some(image.clone()),
+                    _ => None,
+                },
+            };
+            let is_coming = self.is_coming(image_now);
+            let Some(track) = self.tracks.get_mut(*place).filter(|t| t.shown != Some(*index)) else { continue };
+            match found {
+                Some(image) => {
+                    track.shown = Some(*index);
+                    self.stats.shown += 1;
+                    changes.push(ImageChange { texture: track.sequence.texture(), image });
+                }
+                None => {
+                    track.is_late = is_coming;
+                    self.stats.late += 1;
+                }
+            }
+        }
+        changes
+    }
+
+    fn count(&mut self) {
+        let s = &mut self.stats;
+        (s.images, s.bytes) = (self.images as u64, self.bytes);
+        s.in_flight = self.slots.values().filter(|slot| matches!(slot.state, State::Loading)).count() as u64;
+        s.waiting = self.threads.lock().uris.len() as u64;
+    }
+}

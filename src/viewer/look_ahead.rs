@@ -1,0 +1,195 @@
+//! Looking ahead: where the cameras will be, and what they will want there. Main thread, in update.
+//!
+//! Every few frames one camera is culled from where it will be in a while: along the path that the application or the
+//! manipulator has announced, or else as it moves and turns now. What is missing there is asked of the pager after all
+//! that the pictures lack (see [`PageRequest::ahead`]).
+
+use glam::{DAffine3, DQuat, DVec3};
+
+use super::paged_scene::PagedScene;
+use super::view::View;
+use crate::cull::{CullVisitor, PageRequest, RenderStage};
+
+/// Frames from one look to the next.
+const LOOK_EVERY: u32 = 4;
+/// A camera's looks: shares of the time that is looked ahead.
+const SHARES: [f64; 3] = [1.0 / 3.0, 2.0 / 3.0, 1.0];
+/// Requests kept of a look, the most urgent.
+const MOST_REQUESTS: usize = 128;
+/// A turn is not followed farther than this, radians.
+const MOST_TURN: f64 = 1.0;
+/// Slower turns are none, radians per second: rounding of a standing camera.
+const LEAST_TURN: f64 = 1e-6;
+
+/// How an eye moves, in the world.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Motion {
+    /// Metres per second.
+    velocity: DVec3,
+    /// Axis times radians per second.
+    turn: DVec3,
+}
+
+impl Motion {
+    fn between(from: &DAffine3, to: &DAffine3, dt_s: f64) -> Self {
+        let turn = DQuat::from_mat3(&(to.matrix3 * from.matrix3.transpose()));
+        let motion = Self {
+            velocity: (to.translation - from.translation) / dt_s,
+            turn: turn.normalize().to_scaled_axis() / dt_s,
+        };
+        let is_finite = dt_s > 0.0 && motion.velocity.is_finite() && motion.turn.is_finite();
+        if is_finite { motion } else { Self::default() }
+    }
+
+    /// The slower of two: one frame's jump to another place is no motion.
+    fn slower(self, other: Self) -> Self {
+        let slower = |a: DVec3, b: DVec3| if a.length_squared() <= b.length_squared() { a } else { b };
+        Self { velocity: slower(self.velocity, other.velocity), turn: slower(self.turn, other.turn) }
+    }
+
+    fn is_rest(&self) -> bool {
+        self.velocity == DVec3::ZERO && self.turn.length() <= LEAST_TURN
+    }
+
+    /// The pose after some seconds.
+    fn moved(&self, world_from_eye: &DAffine3, seconds: f64) -> DAffine3 {
+        let turn = DQuat::from_scaled_axis((self.turn * seconds).clamp_length_max(MOST_TURN));
+        DAffine3 {
+            matrix3: glam::DMat3::from_quat(turn) * world_from_eye.matrix3,
+            translation: world_from_eye.translation + self.velocity * seconds,
+        }
+    }
+}
+
+/// An eye's last places.
+#[derive(Clone, Copy, Debug)]
+struct Track {
+    at_s: f64,
+    simulation_s: f64,
+    world_from_eye: DAffine3,
+    /// Over the last two frames.
+    last: [Motion; 2],
+    /// Seconds of the application's time a second, over the last frame.
+    rate: f64,
+}
+
+impl Track {
+    fn new(at_s: f64, simulation_s: f64, world_from_eye: DAffine3) -> Self {
+        Self { at_s, simulation_s, world_from_eye, last: [Motion::default(); 2], rate: 0.0 }
+    }
+
+    fn go_on(&mut self, at_s: f64, simulation_s: f64, world_from_eye: DAffine3) {
+        let dt_s = at_s - self.at_s;
+        let motion = Motion::between(&self.world_from_eye, &world_from_eye, dt_s);
+        let rate = (simulation_s - self.simulation_s) / dt_s;
+        let rate = if rate.is_finite() { rate } else { 0.0 };
+        *self = Self { at_s, simulation_s, world_from_eye, last: [motion, self.last[0]], rate };
+    }
+
+    fn motion(&self) -> Motion {
+        self.last[0].slower(self.last[1])
+    }
+}
+
+/// The looks ahead of a view's cameras.
+#[derive(Debug, Default)]
+pub(super) struct LookAhead {
+    track: Option<Track>,
+    /// Numbers the looks.
+    turn: usize,
+    /// What the last looks found, in their turn.
+    found: Vec<Vec<PageRequest>>,
+}
+
+/// The frame that looks ahead.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LookFrom {
+    pub frame: u32,
+    pub reference_time_s: f64,
+    pub simulation_time_s: f64,
+    /// How far to look, in seconds of the wall's clock.
+    pub ahead_s: f64,
+}
+
+impl LookAhead {
+    /// Follows the master camera, and looks with one of the cameras when it is time to.
+    pub fn look(
+        &mut self,
+        view: &View,
+        scene: &PagedScene,
+        from: LookFrom,
+        visitor: &mut CullVisitor,
+        stage: &mut RenderStage,
+    ) {
+        let now = view.camera.world_from_eye;
+        let track = self.track.get_or_insert_with(|| Track::new(from.reference_time_s, from.simulation_time_s, now));
+        track.go_on(from.reference_time_s, from.simulation_time_s, now);
+        if !from.frame.is_multiple_of(LOOK_EVERY) {
+            return;
+        }
+        let (motion, rate) = (track.motion(), track.rate);
+        self.found.resize(SHARES.len() * view.cameras().count().max(1), Vec::new());
+        let turn = self.turn % self.found.len();
+        self.turn = turn + 1;
+        let seconds = from.ahead_s * SHARES[turn % SHARES.len()];
+        let announced = view.pose_after(from.simulation_time_s, rate, seconds);
+        let then = announced.unwrap_or_else(|| if motion.is_rest() { now } else { motion.moved(&now, seconds) });
+        let found = &mut self.found[turn];
+        found.clear();
+        let camera = view.cameras().nth(turn / SHARES.len()).filter(|_| then != now && then.is_finite());
+        // Frame 0: what is met is not in use.
+        let Some(mut task) = camera.and_then(|camera| view.task(camera, scene, 0, std::mem::take(found))) else {
+            return;
+        };
+        // Slaves keep their place beside the master.
+        task.camera.eye_from_world = task.camera.eye_from_world * now * then.inverse();
+        *found = task.run(visitor, stage).requests;
+        found.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
+        found.truncate(MOST_REQUESTS);
+        found.iter_mut().for_each(|request| *request = request.ahead());
+    }
+
+    /// What is wanted later, of all looks that count.
+    pub fn requests(&self) -> impl Iterator<Item = PageRequest> {
+        self.found.iter().flatten().copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pose(x: f64, heading: f64) -> DAffine3 {
+        DAffine3::from_rotation_translation(DQuat::from_rotation_z(heading), DVec3::new(x, 0.0, 100.0))
+    }
+
+    #[test]
+    fn a_steady_motion_goes_on() {
+        let mut track = Track::new(0.0, 0.0, pose(0.0, 0.0));
+        for i in 1..4 {
+            track.go_on(0.1 * f64::from(i), 0.0, pose(f64::from(i), 0.05 * f64::from(i)));
+        }
+        let then = track.motion().moved(&track.world_from_eye, 2.0);
+        assert!(then.abs_diff_eq(pose(23.0, 1.15), 1e-9), "{then}");
+    }
+
+    #[test]
+    fn a_jump_is_no_motion() {
+        let mut track = Track::new(0.0, 0.0, pose(0.0, 0.0));
+        track.go_on(0.1, 0.0, pose(0.0, 0.0));
+        track.go_on(0.2, 0.0, pose(1e6, 3.0));
+        assert!(track.motion().is_rest());
+        track.go_on(0.3, 0.0, pose(1e6 + 1.0, 3.0));
+        let velocity = track.motion().velocity;
+        assert!((velocity.x - 10.0).abs() < 1e-6, "{velocity}");
+    }
+
+    #[test]
+    fn a_turn_is_followed_to_a_limit_and_nonsense_is_rest() {
+        let spin = Motion { turn: DVec3::Z * 100.0, ..Motion::default() };
+        assert!(spin.moved(&pose(0.0, 0.0), 5.0).abs_diff_eq(pose(0.0, MOST_TURN), 1e-12));
+        assert!(Motion::between(&pose(0.0, 0.0), &pose(1.0, 0.0), 0.0).is_rest());
+        let odd = DAffine3::from_translation(DVec3::NAN);
+        assert!(Motion::between(&pose(0.0, 0.0), &odd, 0.1).is_rest());
+    }
+}

@@ -1,0 +1,279 @@
+//! Image sequences: the right picture at the right time, whatever loads slowly, fails or is paged out. Needs a GPU (a
+//! software one will do).
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::DVec3;
+use terrane::draw::{Environment, Sky};
+use terrane::gpu::AdapterChoice;
+use terrane::pager::{
+    ImagePager, ImagePagerConfig, ImageSequence, LoopingMode, SequenceImage, SequenceMode, StreamStatus,
+};
+use terrane::scene::{Drawable, Material, Mesh, Node, Page, PageId, Texture};
+use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding};
+use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
+
+/// What image `k` is filled with.
+fn shade(k: usize) -> [u8; 3] {
+    [(20 + 7 * (k % 32)) as u8, (30 + 5 * (k / 32)) as u8, 200]
+}
+
+fn write_images(folder: &Path, count: usize, side: u32) -> Vec<String> {
+    let write = |k: usize| {
+        let file = folder.join(format!("{k:04}.png"));
+        image::RgbImage::from_pixel(side, side, image::Rgb(shade(k))).save(&file).unwrap();
+        file.display().to_string()
+    };
+    (0..count).map(write).collect()
+}
+
+/// Sequences beside each other, each on a square of the picture.
+struct Theatre {
+    viewer: Viewer,
+    root: PageId,
+    count: u32,
+}
+
+const SIDE_PX: u32 = 64;
+
+impl Theatre {
+    /// `None`, said aloud, where nothing can draw; with REQUIRE_GPU=1 that is a failure.
+    fn open(sequences: &[&ImageSequence], pager: ImagePagerConfig, threading: ThreadingModel) -> Option<Self> {
+        let count = sequences.len() as u32;
+        let config = ViewerConfig {
+            size_px: [SIDE_PX * count, SIDE_PX],
+            adapter: AdapterChoice::Software,
+            threading,
+            ..ViewerConfig::default()
+        };
+        let mut viewer = match Viewer::new_offscreen(&config) {
+            Ok(viewer) => viewer,
+            Err(error) => {
+                assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+                eprintln!("SKIPPED: {error}");
+                return None;
+            }
+        };
+        viewer.set_image_pager(ImagePager::new(pager).unwrap());
+        let mut screens = Vec::new();
+        for (place, sequence) in sequences.iter().enumerate() {
+            viewer.add_image_sequence(sequence).unwrap();
+            let shows = StateSet::default()
+                .with_mode(Mode::Lighting, StateValue::OFF)
+                .with_mode(Mode::Fog, StateValue::OFF)
+                .with(Attribute::Texture(0, TextureBinding::new(sequence.texture())));
+            let corner = DVec3::new(2.0 * place as f64 - f64::from(count), 0.0, -1.0);
+            let mesh = Mesh::rectangle(corner, DVec3::new(2.0, 0.0, 0.0), DVec3::new(0.0, 0.0, 2.0));
+            let screen = Node::geode(vec![Drawable::new(mesh.into(), Material { unlit: true, ..Material::default() })]);
+            screens.push(screen.with_state_set(Arc::new(shows)));
+        }
+        let root = viewer.add_root(Page::from_node(Node::group(screens)).unwrap()).unwrap();
+        viewer.camera.look_at(DVec3::new(0.0, -1.5, 0.0), DVec3::ZERO, DVec3::Z);
+        viewer.environment = Environment { sky: Sky::Background([0, 0, 0]), exposure: None, ..Environment::default() };
+        // The screens are uploaded with the first frame and drawn from the second on.
+        viewer.frame_at(0.0).unwrap();
+        viewer.finish().unwrap();
+        Some(Self { viewer, root, count })
+    }
+
+    /// What the middle of each square shows at a time.
+    fn look(&mut self, time_s: f64) -> Vec<[u8; 3]> {
+        self.viewer.frame_at(time_s).unwrap();
+        let picture = self.viewer.read_back().unwrap();
+        (0..self.count)
+            .map(|k| {
+                let [r, g, b, _] = picture.get_pixel(SIDE_PX * k + SIDE_PX / 2, SIDE_PX / 2).0;
+                [r, g, b]
+            })
+            .collect()
+    }
+
+    /// Which image the first square shows, of `count`.
+    fn shown(&mut self, time_s: f64, count: usize) -> Option<usize> {
+        let seen = self.look(time_s)[0];
+        (0..count).find(|k| shade(*k).iter().zip(seen).all(|(a, b)| a.abs_diff(b) <= 2))
+    }
+
+    fn pager(&self) -> &ImagePager {
+        self.viewer.image_pager().unwrap()
+    }
+}
+
+fn blocking() -> ImagePagerConfig {
+    ImagePagerConfig { blocking: true, ..ImagePagerConfig::default() }
+}
+
+fn playing(files: Vec<String>, looping: LoopingMode, length_s: f64) -> ImageSequence {
+    let sequence = ImageSequence::from_files("test", files);
+    sequence.set_looping_mode(looping);
+    sequence.set_length(length_s);
+    sequence.play();
+    sequence
+}
+
+#[test]
+fn each_looping_mode_shows_the_right_image_at_the_right_time_in_all_threading_models() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = write_images(folder.path(), 4, 8);
+    let expected: [(LoopingMode, [usize; 10]); 3] = [
+        (LoopingMode::Looping, [0, 1, 2, 3, 0, 1, 2, 3, 0, 1]),
+        (LoopingMode::NoLooping, [0, 1, 2, 3, 3, 3, 3, 3, 3, 3]),
+        (LoopingMode::Swing, [0, 1, 2, 3, 3, 2, 1, 0, 0, 1]),
+    ];
+    for threading in ThreadingModel::ALL {
+        for (looping, images) in expected {
+            let sequence = playing(files.clone(), looping, 4.0);
+            sequence.seek(0.5);
+            let Some(mut theatre) = Theatre::open(&[&sequence], blocking(), threading) else { return };
+            let seen: Vec<_> = (0..10).map(|k| theatre.shown(f64::from(k), 4).unwrap_or(99)).collect();
+            assert_eq!(seen, images, "{looping:?} {threading}");
+        }
+    }
+}
+
+#[test]
+fn pause_seek_and_the_multiplier_of_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let sequence = playing(write_images(folder.path(), 10, 8), LoopingMode::Looping, 10.0);
+    let Some(mut theatre) = Theatre::open(&[&sequence], blocking(), ThreadingModel::default()) else { return };
+    sequence.seek(0.5);
+    assert_eq!([0.0, 2.0].map(|t| theatre.shown(t, 10)), [Some(0), Some(2)]);
+    assert!(theatre.viewer.check_need_to_do_frame(), "a sequence that plays asks for frames");
+    sequence.pause();
+    assert_eq!([3.0, 60.0].map(|t| theatre.shown(t, 10)), [Some(2), Some(2)]);
+    assert!(!theatre.viewer.check_need_to_do_frame(), "one that stands does not");
+    sequence.seek(7.5);
+    assert_eq!(theatre.shown(61.0, 10), Some(7));
+    sequence.play();
+    sequence.set_time_multiplier(-2.0);
+    assert_eq!([61.0, 62.0, 63.0].map(|t| theatre.shown(t, 10)), [Some(7), Some(5), Some(3)]);
+    sequence.rewind();
+    assert_eq!(theatre.shown(64.0, 10), Some(0));
+    assert_eq!(sequence.status(), StreamStatus::Playing);
+}
+
+#[test]
+fn a_missing_file_leaves_the_last_image_and_is_one_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut files = write_images(folder.path(), 4, 8);
+    files[2] = folder.path().join("missing.png").display().to_string();
+    std::fs::write(folder.path().join("0003.png"), b"<html>not found</html>").unwrap();
+    let sequence = playing(files, LoopingMode::Looping, 4.0);
+    sequence.seek(0.5);
+    let Some(mut theatre) = Theatre::open(&[&sequence], blocking(), ThreadingModel::default()) else { return };
+    let seen: Vec<_> = (0..9).map(|k| theatre.shown(f64::from(k), 4)).collect();
+    assert_eq!(seen, [0, 1, 1, 1, 0, 1, 1, 1, 0].map(Some));
+    let (stats, errors) = (*theatre.pager().stats(), theatre.pager().errors());
+    assert_eq!((stats.failed, stats.loaded, errors.len()), (2, 2, 2), "read once each: {stats:?} {errors:?}");
+    assert!(errors.iter().any(|e| e.uri.ends_with("missing.png") && e.count == 1), "{errors:?}");
+    let report = theatre.viewer.report().unwrap();
+    assert_eq!(report.images.map(|i| (i.loaded, i.failed)), Some((2, 2)));
+    assert_eq!(report.errors.len(), 2);
+}
+
+#[test]
+fn a_thousand_images_stay_within_a_budget_of_eight() {
+    let folder = tempfile::tempdir().unwrap();
+    let sequence = playing(write_images(folder.path(), 1000, 16), LoopingMode::NoLooping, 1000.0);
+    sequence.set_pre_load_frames(5);
+    let one: u64 = [16u64, 8, 4, 2, 1].iter().map(|s| s * s * 4).sum();
+    let config = ImagePagerConfig { max_images: 8, ..blocking() };
+    let Some(mut theatre) = Theatre::open(&[&sequence], config, ThreadingModel::SingleThreaded) else { return };
+    for k in 0..1000usize {
+        let time_s = k as f64 + 0.5;
+        if k % 50 == 0 {
+            assert_eq!(theatre.shown(time_s, 1000), Some(k));
+        } else {
+            theatre.viewer.frame_at(time_s).unwrap();
+        }
+        let stats = *theatre.pager().stats();
+        assert!(stats.images + stats.in_flight <= 8 && stats.bytes <= 8 * one, "image {k}: {stats:?}");
+    }
+    let stats = *theatre.pager().stats();
+    assert!(stats.loaded >= 1000 && stats.loaded <= 1100, "hardly any is read twice: {stats:?}");
+    assert!(stats.images_peak <= 8 && stats.bytes_peak <= 8 * one && stats.paged_out >= 992, "{stats:?}");
+    assert_eq!((stats.shown, stats.late, stats.failed), (1000, 0, 0));
+
+    // Bytes bound as well as numbers do, and what preloads all is bound too.
+    let sequence = playing(write_images(folder.path(), 100, 16), LoopingMode::Looping, 100.0);
+    sequence.set_mode(SequenceMode::PreLoadAllImages);
+    let config = ImagePagerConfig { max_bytes: 10 * one, ..blocking() };
+    let Some(mut theatre) = Theatre::open(&[&sequence], config, ThreadingModel::SingleThreaded) else { return };
+    for k in 0..250usize {
+        theatre.viewer.frame_at(k as f64 + 0.5).unwrap();
+        let stats = *theatre.pager().stats();
+        assert!(stats.bytes <= 10 * one, "{stats:?}");
+    }
+    assert_eq!(theatre.shown(250.5, 100), Some(50));
+}
+
+#[test]
+fn sequences_go_in_step_share_files_and_stop_loading_when_nobody_looks() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = write_images(folder.path(), 6, 8);
+    let sequences = [(); 3].map(|()| playing(files.clone(), LoopingMode::Looping, 6.0));
+    sequences[2].set_mode(SequenceMode::PageAndDiscardUsedImages);
+    let all: Vec<_> = sequences.iter().collect();
+    let Some(mut theatre) = Theatre::open(&all, blocking(), ThreadingModel::default()) else { return };
+    for k in 0..12 {
+        let seen = theatre.look(f64::from(k));
+        assert!(seen[0] == seen[1] && seen[1] == seen[2], "at {k}: {seen:?}");
+    }
+    assert_eq!(theatre.pager().stats().loaded, 6, "a file is read once for all");
+    theatre.viewer.remove_root(theatre.root);
+    for k in 12..16 {
+        theatre.viewer.frame_at(f64::from(k)).unwrap();
+    }
+    let until = Instant::now() + Duration::from_secs(10);
+    while theatre.viewer.check_need_to_do_frame() {
+        assert!(Instant::now() < until, "what nobody sees asks for frames");
+        theatre.viewer.frame_at(20.0).unwrap();
+    }
+}
+
+#[test]
+fn images_of_the_application_and_of_other_sizes_are_shown() {
+    let image = |k: usize, side: u32| {
+        let [r, g, b] = shade(k);
+        let texels = [r, g, b, 255].repeat((side * side) as usize);
+        SequenceImage::Image(Arc::new(Texture { width: side, height: side, mips: vec![texels], repeat: false }))
+    };
+    let sequence = ImageSequence::new("own", vec![image(0, 4), image(1, 16), image(2, 2)]);
+    sequence.set_frame_rate(1.0);
+    sequence.play();
+    let Some(mut theatre) = Theatre::open(&[&sequence], blocking(), ThreadingModel::default()) else { return };
+    assert_eq!([0.0, 1.0, 2.0, 3.0].map(|t| theatre.shown(t, 3)), [Some(0), Some(1), Some(2), Some(0)]);
+    // Not what the adapter can take: an error, and the last image stays.
+    let broken = Texture { width: 4, height: 4, mips: vec![vec![0; 3]], repeat: false };
+    sequence.add_image(SequenceImage::Image(Arc::new(broken)));
+    sequence.set_frame_rate(1.0);
+    sequence.seek(2.5);
+    assert_eq!([10.0, 11.0].map(|t| theatre.shown(t, 3)), [Some(2), Some(2)]);
+    assert_eq!(theatre.viewer.report().unwrap().errors.len(), 1);
+}
+
+#[test]
+fn without_blocking_frames_go_on_and_the_images_come() {
+    let folder = tempfile::tempdir().unwrap();
+    let sequence = playing(write_images(folder.path(), 30, 8), LoopingMode::Looping, 30.0);
+    let config = ImagePagerConfig::default();
+    let Some(mut theatre) = Theatre::open(&[&sequence], config, ThreadingModel::default()) else { return };
+    let until = Instant::now() + Duration::from_secs(30);
+    let mut time_s = 0.0;
+    while theatre.pager().stats().shown < 30 {
+        assert!(Instant::now() < until, "{:?}", theatre.pager().stats());
+        theatre.viewer.frame_at(time_s).unwrap();
+        time_s += 0.25;
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    sequence.pause();
+    let expected = |position_s: f64| Some((position_s.rem_euclid(30.0) + 1e-6) as usize);
+    while theatre.viewer.check_need_to_do_frame() {
+        theatre.viewer.frame_at(time_s).unwrap();
+    }
+    assert_eq!(theatre.shown(time_s, 30), expected(sequence.position()));
+}

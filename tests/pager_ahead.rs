@@ -1,0 +1,173 @@
+//! What is wanted later is loaded before it is, into room that nothing needs. Real files; no GPU.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod pager_support;
+
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use pager_support::{Run, WORLD_M, write_quadtree};
+use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
+use terrane::gpu::AdapterChoice;
+use terrane::pager::PagerConfig;
+use terrane::scene::{Node, NodeId, Page, Scene};
+use terrane::viewer::{AnimationPath, ControlPoint, Viewer, ViewerConfig};
+
+const HERE: DVec3 = DVec3::new(0.2 * WORLD_M, 0.2 * WORLD_M, 150.0);
+const THERE: DVec3 = DVec3::new(0.8 * WORLD_M, 0.8 * WORLD_M, 150.0);
+
+/// What an eye will lack, as requests for later; keeps nothing from expiring.
+fn ahead(run: &Run, eye: DVec3) -> Vec<PageRequest> {
+    let camera = CullCamera { eye_from_world: DAffine3::from_translation(-eye), frame: 0, ..CullCamera::default() };
+    let mut stage = RenderStage::new();
+    CullVisitor::new().cull(&run.scene, &camera, &mut stage);
+    stage.requests.iter().map(|request| request.ahead()).collect()
+}
+
+/// A frame here that looks ahead to there.
+fn frame(run: &mut Run) {
+    let requests = ahead(run, THERE);
+    run.frame_with(HERE, &requests);
+}
+
+#[test]
+fn later_is_below_now_in_the_same_order() {
+    let page = Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap());
+    let slot = NodeId { page, index: 0 };
+    let request = |priority| PageRequest { slot, priority, error_px: 0.0 }.ahead().priority;
+    let ahead: Vec<f32> = [0.0, 1.0, 16.0, 1e6, f32::MAX, f32::INFINITY].map(request).to_vec();
+    assert!(ahead.iter().all(|p| *p < 0.0) && ahead.is_sorted(), "{ahead:?}");
+    assert!(request(f32::NAN) < 0.0);
+}
+
+#[test]
+fn nothing_is_missing_where_the_pager_was_told_to_go() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    run.settle(HERE);
+    let (before, drawn) = (*run.pager.stats(), run.stage.counters.tiles_drawn);
+    assert!(!ahead(&run, THERE).is_empty());
+    let end = Instant::now() + Duration::from_secs(60);
+    while !ahead(&run, THERE).is_empty() {
+        assert!(Instant::now() < end, "{:?}", run.pager.stats());
+        frame(&mut run);
+        assert!(run.pager.is_idle(), "no picture lacks anything");
+        assert_eq!((run.stage.counters.wanted_missing, run.stage.counters.tiles_drawn), (0, drawn));
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    let after = *run.pager.stats();
+    assert!(after.merged_ahead > 0 && after.merged - before.merged == after.merged_ahead, "{after:?}");
+    run.frame(THERE);
+    assert_eq!(run.stage.counters.wanted_missing, 0);
+    run.frame(THERE);
+    assert_eq!(run.pager.stats().loaded, after.loaded, "nothing is loaded twice");
+}
+
+#[test]
+fn what_is_wanted_now_comes_first_and_later_takes_no_room() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    // Room for here and little else.
+    let mut free = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    free.settle(HERE);
+    let needed = free.pager.stats().resident as usize;
+    let config = PagerConfig { max_tiles: needed + needed / 2, ..PagerConfig::default() };
+    let max_tiles = config.max_tiles as u64;
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    run.settle(HERE);
+    for _ in 0..300 {
+        frame(&mut run);
+        assert_eq!(run.stage.counters.wanted_missing, 0, "what is seen stays");
+        assert!(run.pager.stats().resident <= max_tiles);
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    let stats = *run.pager.stats();
+    assert!(stats.loaded < 3 * max_tiles, "loads go round in a circle: {stats:?}");
+    for _ in 0..100 {
+        frame(&mut run);
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    assert_eq!(run.pager.stats().loaded, stats.loaded, "it comes to rest");
+    // The same place wanted now gets the room at once.
+    run.settle(THERE);
+    assert_eq!(run.stage.counters.wanted_missing, 0);
+}
+
+#[test]
+fn no_more_are_under_way_than_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let mut run =
+        Run::new(folder.path().to_str().unwrap(), PagerConfig { ahead_in_flight: 2, ..PagerConfig::default() });
+    run.settle(HERE);
+    for _ in 0..50 {
+        frame(&mut run);
+        assert!(run.pager.stats().in_flight <= 2, "{:?}", run.pager.stats());
+    }
+    let off = PagerConfig { ahead_in_flight: 0, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), off);
+    run.settle(HERE);
+    let loaded = run.pager.stats().loaded;
+    for _ in 0..50 {
+        frame(&mut run);
+    }
+    assert_eq!(run.pager.stats().loaded, loaded);
+}
+
+#[test]
+fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let pose = DAffine3::from_translation;
+    for announced in [true, false] {
+        let config = ViewerConfig {
+            size_px: [64, 64],
+            adapter: AdapterChoice::Noop,
+            validation: false,
+            // Far enough for the motion below.
+            look_ahead_s: if announced { 1e3 } else { 1e6 },
+            ..ViewerConfig::default()
+        };
+        let mut viewer = Viewer::new_offscreen(&config).unwrap();
+        viewer.load(folder.path().to_str().unwrap()).unwrap();
+        viewer.camera.world_from_eye = pose(HERE);
+        if announced {
+            let points =
+                [HERE, THERE].map(|eye| ControlPoint::from_pose(if eye == HERE { 0.0 } else { 0.5 }, &pose(eye)));
+            viewer.announced = Some(AnimationPath::new(points.to_vec()).unwrap());
+        }
+        let end = Instant::now() + Duration::from_secs(60);
+        let ahead = |viewer: &Viewer| viewer.pager().unwrap().stats().merged_ahead;
+        while ahead(&viewer) == 0 {
+            assert!(Instant::now() < end, "nothing is loaded ahead: {:?}", viewer.pager().unwrap().stats());
+            if !announced {
+                // A crawl: in the long run it is far.
+                let crawled_m = 1.5e-3 * viewer.frame_stamp().reference_time_s;
+                viewer.camera.world_from_eye = pose(HERE + DVec3::X * crawled_m);
+            }
+            // The path's time goes as the wall's, and is as good as at its start.
+            let time_s = 1e-3 * viewer.frame_stamp().reference_time_s;
+            viewer.frame_at(time_s).unwrap();
+        }
+        // It stands still: nothing more is asked for, and it comes to rest.
+        viewer.announced = None;
+        while !viewer.is_settled() {
+            assert!(Instant::now() < end);
+            viewer.frame_at(0.0).unwrap();
+        }
+    }
+    let still =
+        ViewerConfig { size_px: [64, 64], adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
+    let mut viewer = Viewer::new_offscreen(&still).unwrap();
+    viewer.load(folder.path().to_str().unwrap()).unwrap();
+    viewer.camera.world_from_eye = pose(HERE);
+    while !viewer.is_settled() {
+        viewer.frame_at(0.0).unwrap();
+    }
+    for _ in 0..30 {
+        viewer.frame_at(0.0).unwrap();
+    }
+    assert_eq!(viewer.pager().unwrap().stats().merged_ahead, 0);
+}
