@@ -96,23 +96,6 @@ fn above_ground(point: vec3<f32>) -> vec4<f32> {
     return vec4<f32>(((radius + height) * frame.up.xyz + across) / from_center, height + over);
 }
 
-// The facet's normal, towards the eye.
-fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
-    let across = cross(dpdx(in_eye), dpdy(in_eye));
-    let size = length(across);
-    if size < 1e-30 {
-        return frame.up.xyz;
-    }
-    let normal = across / size;
-    return select(normal, -normal, dot(normal, in_eye) > 0.0);
-}
-
-// The normal that a shadow is looked up with: that of the facet, which is what casts; where the sun only grazes a
-// smooth surface's facets from behind, the smooth one.
-fn towards_sun(normal: vec3<f32>, facet: vec3<f32>) -> vec3<f32> {
-    return select(normal, facet, dot(facet, frame.sun_direction.xyz) > 0.0);
-}
-
 // What the sun's irradiance is at a place, on a surface that faces it.
 fn sun_at(up: vec3<f32>, height_m: f32) -> vec3<f32> {
     let height = height_m * 1e-3;
@@ -130,13 +113,13 @@ fn light(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
 fn light_of_sun(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
     let facing = max(dot(normal, frame.sun_direction.xyz), 0.0);
     if frame.shape.z <= 0.0 {
-        return frame.sun_color.rgb * facing * daylight(dot(up, frame.sun_direction.xyz));
+        return frame.sun_color.rgb * facing * sun_daylight(dot(up, frame.sun_direction.xyz));
     }
     return sun_at(up, height_m) * (facing / 3.14159265);
 }
 
 // A sun below the local horizon (the night side of a globe) shines on nothing.
-fn daylight(cosine: f32) -> f32 {
+fn sun_daylight(cosine: f32) -> f32 {
     return clamp(cosine * 5.0 + 0.5, 0.0, 1.0);
 }
 
@@ -146,7 +129,7 @@ fn light_of_sky(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
     let ground = frame.ambient_color.rgb * vec3<f32>(0.45, 0.40, 0.34);
     let ambient = mix(ground, frame.ambient_color.rgb, 0.5 + 0.5 * dot(normal, up));
     if frame.shape.z <= 0.0 {
-        return ambient * (0.15 + 0.85 * daylight(cosine));
+        return ambient * (0.15 + 0.85 * sun_daylight(cosine));
     }
     // The ambient light is that of a high sun; it falls with the sky's, and some is left at night.
     let last = i32(textureDimensions(sky_light).x) - 1;
