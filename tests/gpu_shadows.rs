@@ -239,7 +239,8 @@ fn shadows_fall_on_everything_the_sun_lights() {
         diffuse: [1.0; 4],
         ..SurfaceMaterial::default()
     }));
-    let blended = Drawable { material: Material { alpha: AlphaMode::Blend, ..Material::default() }, ..ground(200.0) };
+    let mut blended = ground(200.0);
+    blended.material.alpha = AlphaMode::Blend;
     let grounds = [("pooled", many(200.0), None), ("fixed", ground(200.0), Some(material)), ("blended", blended, None)];
     for (name, ground, state) in grounds {
         let ground = Node::geode(vec![ground]);

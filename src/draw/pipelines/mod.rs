@@ -3,12 +3,15 @@
 pub(in crate::draw) mod convert;
 pub(in crate::draw) mod key;
 pub(in crate::draw) mod programs;
+mod sources;
 mod variant;
 
 use std::collections::HashMap;
 
 use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::programs::Programs;
+pub(in crate::draw) use sources::PROGRAM_PRELUDE;
+use sources::*;
 use variant::Variant;
 
 use convert::{bias, factor, operation, reversed, stencil_face};
@@ -16,165 +19,6 @@ use convert::{bias, factor, operation, reversed, stencil_face};
 use crate::gpu::GraphicsContext;
 use crate::scene::MeshVertex;
 use crate::state::{PolygonMode, ResolvedState, TEXTURE_UNITS};
-
-const HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/no_shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/height.wgsl")
-);
-const SHADOWED_HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/height.wgsl"),
-    include_str!("../shaders/height_shadowed.wgsl")
-);
-const MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/no_shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl")
-);
-const SHADOWED_MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl"),
-    include_str!("../shaders/mesh_casters.wgsl")
-);
-const FIXED_HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/no_shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/height.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_no_units.wgsl"),
-    include_str!("../shaders/fixed_height.wgsl")
-);
-const SHADOWED_FIXED_HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/height.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_no_units.wgsl"),
-    include_str!("../shaders/fixed_height.wgsl")
-);
-const TEXTURED_HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/no_shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/height.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_units.wgsl"),
-    include_str!("../shaders/fixed_height.wgsl")
-);
-const SHADOWED_TEXTURED_HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/height.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_units.wgsl"),
-    include_str!("../shaders/fixed_height.wgsl")
-);
-const FIXED_MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/no_shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_no_units.wgsl"),
-    include_str!("../shaders/fixed_mesh.wgsl")
-);
-const SHADOWED_FIXED_MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_no_units.wgsl"),
-    include_str!("../shaders/fixed_mesh.wgsl")
-);
-const TEXTURED_MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/no_shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_units.wgsl"),
-    include_str!("../shaders/fixed_mesh.wgsl")
-);
-const SHADOWED_TEXTURED_MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/shadows.wgsl"),
-    include_str!("../shaders/facets.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_units.wgsl"),
-    include_str!("../shaders/fixed_mesh.wgsl")
-);
-const FILL_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/fill.wgsl")
-);
-const SKY_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/sky.wgsl")
-);
-const WATER_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/no_shadows.wgsl"),
-    include_str!("../shaders/sky.wgsl"),
-    include_str!("../shaders/water.wgsl")
-);
-const SHADOWED_WATER_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/shadows.wgsl"),
-    include_str!("../shaders/sky.wgsl"),
-    include_str!("../shaders/water.wgsl")
-);
-const QUERY_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/query.wgsl")
-);
-/// What stands before the source of a program.
-pub(in crate::draw) const PROGRAM_PRELUDE: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/shadows.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl")
-);
 
 /// Most colour attachments of a target.
 pub(in crate::draw) const MOST_COLORS: usize = 4;
