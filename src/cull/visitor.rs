@@ -277,8 +277,7 @@ impl CullVisitor {
         let to_sun = fit.light_from_eye.row(2);
         for cascade in &fit.cascades[..fit.count] {
             let mut casters = stage.spare.stages.pop().unwrap_or_default();
-            let box_from_eye = cascade.clip_from_eye(&fit.light_from_eye, f64::INFINITY);
-            let view = View::casting(camera, &box_from_eye, to_sun, light.shadows.caster_mask);
+            let view = View::casting(camera, &cascade.casters_from_eye, to_sun, light.shadows.caster_mask);
             self.traverse_stage(scene, camera, view, None, None, &mut casters);
             if casters.state_sets.iter().any(|s| !s.casts_shadow()) {
                 self.leaves.retain(|leaf| casters.state_sets[leaf.state as usize].casts_shadow());

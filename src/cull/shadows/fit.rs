@@ -43,6 +43,8 @@ pub(in crate::cull) struct CascadeFit {
     pub half_m: f64,
     /// Of the sphere around what it covers.
     pub radius_m: f64,
+    /// Maps what casts into what is seen to -1 to 1 across the rays, and above 0 along them; from eye space.
+    pub casters_from_eye: DMat4,
 }
 
 impl CascadeFit {
@@ -97,7 +99,14 @@ impl Fit {
             let texels = f64::from(settings.resolution_px);
             let texel_m = 2.0 * radius_m / (texels - 2.0 * MARGIN_TEXELS);
             let in_light = snapped(&light_from_world, &light_from_eye, &world_from_eye, center, texel_m);
-            *cascade = CascadeFit { depths_m, texel_m, center: in_light, half_m: 0.5 * texels * texel_m, radius_m };
+            *cascade = CascadeFit {
+                depths_m,
+                texel_m,
+                center: in_light,
+                half_m: 0.5 * texels * texel_m,
+                radius_m,
+                casters_from_eye: rays.casters(&light_from_eye, depths_m, MARGIN_TEXELS * texel_m),
+            };
         }
         let is_finite =
             cascades[..count].iter().all(|c| c.center.is_finite() && c.texel_m > 0.0 && c.half_m.is_finite());
@@ -175,6 +184,29 @@ impl Rays {
 
     fn at(&self, depth_m: f64) -> [DVec3; 4] {
         self.0.map(|(start, step)| (start + step * depth_m).extend(-depth_m))
+    }
+
+    /// The box along the sun's rays around what is seen between two depths, with some room: smaller than the map.
+    fn casters(&self, light_from_eye: &DMat3, [near_m, far_m]: [f64; 2], room_m: f64) -> DMat4 {
+        // Across the rays it lies as the picture's depth does.
+        let [x, y, z] = [0, 1, 2].map(|row| light_from_eye.row(row));
+        let ahead = DVec2::new(-x.z, -y.z).normalize_or(DVec2::X);
+        let axes = [x * ahead.x + y * ahead.y, y * ahead.x - x * ahead.y, z];
+        let corners = [self.at(near_m), self.at(far_m)];
+        let [u, v, w] = axes.map(|axis| {
+            let places = corners.iter().flatten().map(|corner| axis.dot(*corner));
+            let (low, high) = places.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+            let half = 0.5 * (high - low) + room_m;
+            (axis / half, -0.5 * (high + low) / half)
+        });
+        let along = (w.0, w.1 + 1.0);
+        DMat4::from_cols_array_2d(&[
+            u.0.extend(u.1).to_array(),
+            v.0.extend(v.1).to_array(),
+            along.0.extend(along.1).to_array(),
+            [0.0, 0.0, 0.0, 1.0],
+        ])
+        .transpose()
     }
 
     /// A sphere in eye space around what is seen between two depths; the smallest one of a symmetric picture.
@@ -260,6 +292,12 @@ mod tests {
                     let clip = clip_from_eye.project_point3(point);
                     prop_assert!(clip.x.abs() < inside && clip.y.abs() < inside, "{clip}");
                     prop_assert!(clip.z > 0.0 && clip.z < 1.0, "{clip}");
+                    // What stands between the point and the sun is among the casters.
+                    let to_sun = fit.light_from_eye.row(2);
+                    for towards_m in [0.0, 1.0, 1e5] {
+                        let place = cascade.casters_from_eye.project_point3(point + to_sun * towards_m);
+                        prop_assert!(place.x.abs() < 1.0 && place.y.abs() < 1.0 && place.z > 0.0, "{place}");
+                    }
                 }
             }
         }
