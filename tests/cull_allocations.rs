@@ -42,25 +42,29 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 /// Flies a circle twice and counts the allocations of the second time around.
-fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCamera) -> u64 {
+fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCamera) -> (u64, u32) {
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
     let to_sun = DVec3::new(0.6, 0.0, 0.8);
     visitor.shadow_light = Some(ShadowLight { to_sun, up: to_sun, shadows: SunShadows::default() });
     let mut casters = 0;
     let mut before = 0;
-    let mut leaves = 0;
+    let (mut leaves, mut fading) = (0, 0);
     for round in 0..2 {
         before = ALLOCATIONS.load(Ordering::Relaxed);
         for frame in 0..100 {
-            let camera = CullCamera { frame: 1 + round * 100 + frame, ..camera_at(frame) };
+            let number = 1 + round * 100 + frame;
+            // Levels of detail fade while the eye moves.
+            let simulation_time_s = 0.016 * f64::from(number);
+            let camera = CullCamera { frame: number, simulation_time_s, ..camera_at(frame) };
             visitor.cull(scene, &camera, &mut stage);
             leaves += stage.counters.leaves;
             casters += stage.counters.shadow_leaves;
+            fading += stage.counters.fading;
         }
     }
     let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
     assert!(leaves > 1_000 && casters > 1_000);
-    allocations
+    (allocations, fading)
 }
 
 // One test, so that no other thread of the harness counts in between.
@@ -79,7 +83,7 @@ fn a_steady_cull_allocates_nothing() {
             .collect();
         let mut scene = Scene::new();
         scene.add_root(page(grid.build(&sets), 0));
-        let round = allocations_of_second_round(&scene, |frame| {
+        let (round, _) = allocations_of_second_round(&scene, |frame| {
             let angle = f64::from(frame) * 0.0628;
             let center = DVec3::new(50.0, 50.0, 0.0);
             look_at(center + DVec3::new(60.0 * angle.cos(), 60.0 * angle.sin(), 40.0), center, DVec3::Z)
@@ -96,10 +100,11 @@ fn a_steady_cull_allocates_nothing() {
             assert!(scene.attach(slot, content(50.0, i as u32)).is_ok());
         }
     }
-    let round = allocations_of_second_round(&scene, |frame| {
+    let (round, fading) = allocations_of_second_round(&scene, |frame| {
         let angle = f64::from(frame) * 0.0628;
         let eye = DVec3::new(1500.0 * angle.cos(), 1500.0 * angle.sin(), 100.0 + f64::from(frame));
         look_at(eye, DVec3::new(0.0, 0.0, 1.0), DVec3::Z)
     });
     assert_eq!(round, 0);
+    assert!(fading > 200, "{fading}");
 }

@@ -3,19 +3,22 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[cfg(feature = "http")]
+mod http_support;
+
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use glam::DVec3;
 use terrane::draw::{Environment, Sky};
-use terrane::gpu::AdapterChoice;
+use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::pager::{
     ImagePager, ImagePagerConfig, ImageSequence, LoopingMode, SequenceImage, SequenceMode, StreamStatus,
 };
 use terrane::scene::{Drawable, Material, Mesh, Node, Page, PageId, Texture};
 use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding};
-use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
+use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
 
 /// What image `k` is filled with.
 fn shade(k: usize) -> [u8; 3] {
@@ -276,4 +279,86 @@ fn without_blocking_frames_go_on_and_the_images_come() {
         theatre.viewer.frame_at(time_s).unwrap();
     }
     assert_eq!(theatre.shown(time_s, 30), expected(sequence.position()));
+}
+
+#[cfg(feature = "http")]
+#[test]
+fn images_come_over_http_and_a_server_that_hangs_holds_nobody_up() {
+    use http_support::{How, Reply, Request, Server};
+    use terrane::io::HttpConfig;
+    let folder = tempfile::tempdir().unwrap();
+    let bodies: Vec<Vec<u8>> = write_images(folder.path(), 4, 8).iter().map(|f| std::fs::read(f).unwrap()).collect();
+    let server = Server::start(move |request: &Request| {
+        let number = request.path().trim_matches(|c: char| !c.is_ascii_digit()).parse::<usize>().unwrap_or(9);
+        match bodies.get(number) {
+            // The third never answers.
+            Some(_) if number == 2 => Reply::ok("").how(How::Silent),
+            Some(body) => Reply::ok(body.clone()),
+            None => Reply::new(404, ""),
+        }
+    });
+    let sequence = playing((0..4).map(|k| format!("{}/{k}.png", server.url)).collect(), LoopingMode::Looping, 4.0);
+    let http = HttpConfig { first_byte_timeout: Duration::from_secs(60), ..HttpConfig::default() };
+    let config = ImagePagerConfig { http, ..ImagePagerConfig::default() };
+    let Some(mut theatre) = Theatre::open(&[&sequence], config, ThreadingModel::default()) else { return };
+    sequence.pause();
+    let until = Instant::now() + Duration::from_secs(30);
+    for (position_s, shown) in [(0.5, 0), (1.5, 1), (3.5, 3), (0.5, 0)] {
+        sequence.seek(position_s);
+        while theatre.shown(1.0, 4) != Some(shown) {
+            assert!(Instant::now() < until, "{:?} {:?}", theatre.pager().stats(), theatre.pager().errors());
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+    sequence.seek(2.5);
+    let start = Instant::now();
+    for _ in 0..20 {
+        assert_eq!(theatre.shown(1.0, 4), Some(0), "the last good image stays");
+    }
+    let stats = *theatre.pager().stats();
+    assert!(stats.late >= 20 && stats.in_flight == 1 && stats.loaded == 3, "{stats:?}");
+    drop(theatre);
+    assert!(start.elapsed() < Duration::from_secs(20), "dropping waits for nobody: {:?}", start.elapsed());
+}
+
+#[test]
+fn a_context_opened_later_shows_what_the_others_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let sequence = playing(write_images(folder.path(), 4, 8), LoopingMode::Looping, 4.0);
+    let config = ViewerConfig {
+        size_px: [SIDE_PX, SIDE_PX],
+        adapter: AdapterChoice::Software,
+        max_contexts: 2,
+        ..ViewerConfig::default()
+    };
+    let Some(theatre) = Theatre::open(&[&sequence], blocking(), ThreadingModel::default()) else { return };
+    drop(theatre);
+    let mut viewer = Viewer::new_offscreen(&config).unwrap();
+    viewer.set_image_pager(ImagePager::new(blocking()).unwrap());
+    viewer.add_image_sequence(&sequence).unwrap();
+    let shows = StateSet::default()
+        .with_mode(Mode::Lighting, StateValue::OFF)
+        .with(Attribute::Texture(0, TextureBinding::new(sequence.texture())));
+    let mesh = Mesh::rectangle(DVec3::new(-1.0, 0.0, -1.0), DVec3::new(2.0, 0.0, 0.0), DVec3::new(0.0, 0.0, 2.0));
+    let screen = Node::geode(vec![Drawable::new(mesh.into(), Material { unlit: true, ..Material::default() })]);
+    viewer.add_root(Page::from_node(screen.with_state_set(Arc::new(shows))).unwrap()).unwrap();
+    viewer.camera.look_at(DVec3::new(0.0, -1.5, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer.environment = Environment { sky: Sky::Background([0, 0, 0]), exposure: None, ..Environment::default() };
+    sequence.rewind();
+    for time_s in [0.0, 1.5] {
+        viewer.frame_at(time_s).unwrap();
+    }
+    sequence.pause();
+    viewer.frame_at(2.0).unwrap();
+    let second = viewer.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
+    viewer.add_slave(Slave::new(second)).unwrap();
+    for _ in 0..5 {
+        viewer.frame_at(2.0).unwrap();
+        viewer.finish().unwrap();
+    }
+    let middle = |picture: image::RgbaImage| picture.get_pixel(SIDE_PX / 2, SIDE_PX / 2).0;
+    let (first, other) = (middle(viewer.read_back().unwrap()), middle(viewer.read_back_of(second).unwrap()));
+    assert_eq!(first, other);
+    let [r, g, b] = shade(1);
+    assert!([r, g, b].iter().zip(first).all(|(a, b)| a.abs_diff(b) <= 2), "{first:?}");
 }

@@ -77,6 +77,38 @@ fn what_is_not_wanted_expires_within_the_tile_budget() {
     assert_eq!(run.context.slots_out, run.pager.stats().resident, "slots go back with their pages");
 }
 
+/// Regions are where they are on the earth, whatever transforms the tiles above have: what is below was taken to be
+/// elsewhere, culled, and left a hole.
+#[test]
+fn regions_in_a_tileset_below_a_transform_are_not_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-900.0, 0.0, 900.0], [900.0, 0.0, 900.0], [0.0, 0.0, -900.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    // The pole: up is z.
+    let top = 6_356_752.314_245;
+    let region = r#""boundingVolume":{"region":[-3.14,1.57,3.14,1.5707963,-100,100]}"#;
+    let set = |root: &str| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":9000,"root":{root}}}"#);
+    let tile = |error: f64, uri: &str, more: &str| {
+        format!(r#"{{{region},"refine":"REPLACE","geometricError":{error},"content":{{"uri":"{uri}"}}{more}}}"#)
+    };
+    let transform = format!(r#","transform":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,{top},1]"#);
+    let write = |name: &str, text: String| std::fs::write(folder.path().join(name), text).unwrap();
+    std::fs::write(folder.path().join("outer.glb"), &glb).unwrap();
+    std::fs::write(folder.path().join("inner.glb"), &glb).unwrap();
+    write("innermost.json", set(&tile(0.0, "inner.glb", "")));
+    write("inner.json", set(&tile(300.0, "innermost.json", "")));
+    let below = tile(400.0, "inner.json", "");
+    write("tileset.json", set(&tile(500.0, "outer.glb", &format!(r#"{transform},"children":[{below}]"#))));
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    run.settle(above(top + 4000.0));
+    assert_eq!(run.pager.stats().merged, 4, "{:?}", run.pager.errors());
+    assert_eq!((run.stage.counters.tiles_drawn, run.stage.counters.leaves), (1, 1));
+}
+
 #[test]
 fn blocking_loads_the_same_each_time_and_pagers_stop() {
     let folder = tempfile::tempdir().unwrap();

@@ -19,6 +19,8 @@ pub struct CullCamera {
     /// The body of the earth, where the world is earth-centred: tiles wholly behind its horizon are culled. It must
     /// lie below everything that is drawn as ground.
     pub horizon: Option<Ellipsoid>,
+    /// Seconds in the application's time, by which levels of detail fade ([`CullSettings::lod_fade_s`]).
+    pub simulation_time_s: f64,
     /// Stamped on tiles that are wanted; start at 1. 0 stamps nothing: for a look that keeps nothing from expiring.
     pub frame: u32,
     /// Whose draw slots the leaves get.
@@ -38,6 +40,7 @@ impl Default for CullCamera {
             viewport_px: [1024, 1024],
             settings: CullSettings::default(),
             horizon: None,
+            simulation_time_s: 0.0,
             frame: 1,
             context: 0,
         }

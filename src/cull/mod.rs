@@ -9,6 +9,7 @@
 //!   nodes              flat depth-first scan of a page; subtrees wholly inside become two ranges
 //!   tiles              tile trees: REPLACE and ADD, screen-space error, requests; horizon: what the earth hides
 //!   special            cameras, billboards, lights, clip planes, queries; occluders were collected before
+//!   fade               what is drawn beside what takes its place, for a short time
 //!   state_graph        find-or-insert of state sets under their parent
 //!   sort               leaves to bins, in draw order
 //! then the shadows' cascades, each culled alike into a stage of its own
@@ -16,6 +17,7 @@
 //! ```
 
 mod camera;
+mod fade;
 mod horizon;
 mod nodes;
 mod occluders;
@@ -31,6 +33,7 @@ mod view;
 mod visitor;
 
 pub use camera::CullCamera;
+pub use fade::FadeBand;
 pub use shadows::{MOST_CASCADES, ShadowCascade, ShadowError, ShadowLight, StageShadows, SunShadows};
 pub use stage::{
     ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, RenderBin, RenderLeaf, RenderStage,

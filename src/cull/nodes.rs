@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DVec3, Vec4};
 
+use super::fade::{Fade, LodShares, WHOLE};
 use super::stage::RenderLeaf;
 use super::visitor::{Cull, DepthRange, PageContext, Purpose};
 use crate::scene::{CALLBACK, CullAction, CullInfo, CullingMode, DrawSlot, INACTIVE, PLAIN, UNBOUNDED, kind};
@@ -16,6 +17,9 @@ pub(super) struct Open {
     /// Planes above the subtree.
     mask: u8,
 }
+
+/// Children of a Lod that can fade; those beyond change at once.
+const MOST_FADING: usize = 64;
 
 /// Subtrees of so few nodes are scanned: setting up the ranges would cost more.
 const SMALL_SUBTREE: u32 = 4;
@@ -159,14 +163,21 @@ impl Cull<'_> {
                     let enclosing = self.enclosing_transform(context, node);
                     let eye = page.transforms.point_in_node(enclosing, context.eye);
                     let distance_m = eye.distance(lod.center) * self.view.settings.lod_scale;
+                    let in_range = |r: &[f64; 2]| r[0] <= distance_m && distance_m < r[1];
+                    let shares = self.lod_shares(context, node, lod.ranges_m.iter().map(in_range));
                     let mut child = node + 1;
                     for index in 0.. {
                         if child >= node + skip {
                             break;
                         }
                         let next = child + page.nodes[child as usize].skip;
-                        if lod.ranges_m.get(index).is_some_and(|r| r[0] <= distance_m && distance_m < r[1]) {
-                            self.scan_nodes(context, child, next, mask, above.matrix);
+                        let is_in_range = lod.ranges_m.get(index).is_some_and(in_range);
+                        match shares.filter(|_| index < MOST_FADING) {
+                            Some(shares) => {
+                                self.scan_fading(context, child..next, mask, above.matrix, shares, 1 << index);
+                            }
+                            None if is_in_range => self.scan_nodes(context, child, next, mask, above.matrix),
+                            None => {}
                         }
                         child = next;
                     }
@@ -174,6 +185,58 @@ impl Cull<'_> {
                 }
             }
         }
+    }
+
+    /// What a Lod draws while it changes between its children; `None` while it does not.
+    fn lod_shares(
+        &mut self,
+        context: &PageContext,
+        node: u32,
+        in_range: impl Iterator<Item = bool>,
+    ) -> Option<LodShares> {
+        let fade_s = self.view.settings.lod_fade_s;
+        if fade_s.is_nan() || fade_s <= 0.0 {
+            return None;
+        }
+        let (page, place) = (context.page, context.visit.place);
+        let active = in_range.take(MOST_FADING).enumerate().map(|(i, is)| u64::from(is) << i).sum();
+        let lod = (page.payloads[node as usize] as usize, page.lods.len());
+        let generation = self.scene.page_id_at(place).generation;
+        let shares = self.fades.turn_lod(place, generation, lod, active, self.fades.step(fade_s));
+        let is_fading = shares.share < WHOLE;
+        self.counters.fading += u32::from(is_fading);
+        is_fading.then_some(shares)
+    }
+
+    /// Visits a child of a Lod, whose bit is given, in its part of the pixels.
+    #[cold]
+    fn scan_fading(
+        &mut self,
+        context: &PageContext,
+        nodes: std::ops::Range<u32>,
+        mask: u8,
+        matrix: u32,
+        shares: LodShares,
+        bit: u64,
+    ) {
+        let above = context.visit.fade;
+        let (new, old) = above.band.split(shares.share);
+        let (band, leaving) = match (shares.old & bit != 0, shares.new & bit != 0) {
+            (true, true) => return self.scan_nodes(context, nodes.start, nodes.end, mask, matrix),
+            (true, false) => (old, true),
+            (false, true) => (new, above.leaving),
+            (false, false) => return,
+        };
+        if band.is_empty() {
+            return;
+        }
+        // The states of the page's chains under another root, until the end of the child.
+        let mut below = *context;
+        below.visit.fade = Fade { band, leaving, ..above };
+        below.visit.state = self.faded_state(context.visit.state, band);
+        self.open_page(context.page, below.visit.state);
+        self.scan_nodes(&below, nodes.start, nodes.end, mask, matrix);
+        self.open_page(context.page, context.visit.state);
     }
 
     /// Keeps the tiles of a culled subtree: the page can only replace what is above it as a whole.

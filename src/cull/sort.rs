@@ -6,7 +6,7 @@
 use std::cmp::Ordering;
 
 use super::stage::{RenderBin, RenderLeaf, RenderStage};
-use crate::state::{BinDetails, SortKey, SortLeaf, SortMode};
+use crate::state::{BinDetails, DrawHook, SortKey, SortLeaf, SortMode};
 
 /// Memory of bins and stages that a frame did not need.
 #[derive(Debug, Default)]
@@ -45,19 +45,39 @@ fn bin_order(a: &[BinDetails], b: &[BinDetails]) -> Ordering {
     Ordering::Equal
 }
 
+impl RenderBin {
+    /// Takes callbacks where there are none yet.
+    fn called_by(&mut self, callbacks: &[Option<DrawHook>]) {
+        for (place, callback) in callbacks.iter().enumerate().filter(|(_, c)| c.is_some()) {
+            if self.callbacks.len() <= place {
+                self.callbacks.resize(place + 1, None);
+            }
+            if let Some(own @ None) = self.callbacks.get_mut(place) {
+                own.clone_from(callback);
+            }
+        }
+    }
+}
+
 impl Sorter {
     /// Moves the leaves (in traversal order) to the bins of the stage, each in its order.
     pub fn fill_bins(&mut self, leaves: &mut Vec<RenderLeaf>, stage: &mut RenderStage) {
         stage.spare.bins.append(&mut stage.bins);
         for state in &stage.state_sets {
-            if !stage.bins.iter().any(|b| bin_order(&b.path, &state.bins) == Ordering::Equal) {
+            let known = stage.bins.iter_mut().find(|b| bin_order(&b.path, &state.bins) == Ordering::Equal);
+            if let Some(bin) = known {
+                bin.called_by(&state.bin_callbacks);
+            } else {
                 let mut new = stage.spare.bins.pop().unwrap_or(RenderBin {
                     path: Vec::new(),
+                    callbacks: Vec::new(),
                     sort: SortMode::ByState,
                     leaves: Vec::new(),
                 });
                 new.path.clear();
                 new.path.extend_from_slice(&state.bins);
+                new.callbacks.clear();
+                new.called_by(&state.bin_callbacks);
                 new.sort = state.bin().sort;
                 stage.bins.push(new);
             }
@@ -94,10 +114,16 @@ impl Sorter {
         stage.spare.bins.extend(stage.bins.drain(1.min(stage.bins.len())..));
         if stage.bins.is_empty() {
             let bin = stage.spare.bins.pop();
-            stage.bins.push(bin.unwrap_or(RenderBin { path: Vec::new(), sort: SortMode::ByState, leaves: Vec::new() }));
+            stage.bins.push(bin.unwrap_or(RenderBin {
+                path: Vec::new(),
+                sort: SortMode::ByState,
+                leaves: Vec::new(),
+                callbacks: Vec::new(),
+            }));
         }
         if let Some(bin) = stage.bins.first_mut() {
             bin.path.clear();
+            bin.callbacks.clear();
             bin.sort = SortMode::ByState;
             std::mem::swap(leaves, &mut bin.leaves);
         }

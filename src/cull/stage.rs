@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::sort::Spare;
-use super::{CullCamera, StageShadows, StereoMode};
+use super::{CullCamera, FadeBand, StageShadows, StereoMode};
 use crate::scene::{CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
 use crate::state::{BinDetails, Light, ResolvedState, SortMode, TexGen};
 
@@ -27,6 +27,8 @@ pub struct RenderLeaf {
 pub struct RenderBin {
     /// The bins it is nested in, and itself; empty for the stage's own leaves.
     pub path: Vec<BinDetails>,
+    /// Which of them the application draws itself, in their places; may be shorter.
+    pub callbacks: Vec<Option<DrawHook>>,
     /// The order that was asked for.
     pub sort: SortMode,
     /// Leaves in draw order.
@@ -80,6 +82,8 @@ pub struct CullCounters {
     pub occluded: u32,
     /// Leaves that cast shadows, once for each cascade.
     pub shadow_leaves: u32,
+    /// Tiles and Lods between two levels of detail.
+    pub fading: u32,
 }
 
 impl CullCounters {
@@ -92,6 +96,7 @@ impl CullCounters {
         self.wanted_missing += other.wanted_missing;
         self.occluded += other.occluded;
         self.shadow_leaves += other.shadow_leaves;
+        self.fading += other.fading;
     }
 }
 
@@ -184,6 +189,10 @@ pub struct RenderStage {
     pub state_sets: Vec<Arc<ResolvedState>>,
     /// By state: 0 is the camera's projection, others are one more than their index in `views`.
     pub view_of_state: Vec<u32>,
+    /// By state: 0 is drawn in every pixel, others are one more than their index in `fades`.
+    pub fade_of_state: Vec<u32>,
+    /// Parts of the screen's pixels in which levels of detail are drawn that give way to one another.
+    pub fades: Vec<FadeBand>,
     /// Other projections, in the order met.
     pub views: Vec<StageView>,
     /// In draw order: bins with negative numbers, a bin's own leaves, bins from 0 on; nested ones inside theirs.
@@ -233,6 +242,8 @@ impl RenderStage {
         self.eye_from_drawable.clear();
         // `state_sets` is overwritten and cut to the length of this one.
         self.view_of_state.clear();
+        self.fade_of_state.clear();
+        self.fades.clear();
         self.views.clear();
         self.requests.clear();
         self.lights.clear();

@@ -14,14 +14,26 @@ use crate::state::{ResolvedState, StateSet};
 const BLEND_KEY: usize = 1;
 /// Keys of the pseudo state sets of other views: odd numbers from here.
 const VIEW_KEY: usize = 3;
+/// Keys of the pseudo state sets of fades: even numbers that are no multiples of 4, from here.
+const FADE_KEY: usize = 2;
+// Addresses of state sets are multiples of 4.
+const _: () = assert!(align_of::<StateSet>() >= 4);
+
+/// What leaves have that no state set says.
+#[derive(Clone, Copy, Debug, Default)]
+struct At {
+    /// Projection.
+    view: u32,
+    /// One more than the index of a fade of the stage.
+    fade: u32,
+}
 
 #[derive(Debug)]
 struct Node {
     parent: u32,
     key: usize,
     resolved: Arc<ResolvedState>,
-    /// Projection of the leaves below.
-    view: u32,
+    at: At,
     /// The stage in which it was last met, and its place there.
     met_in: u32,
     place: u32,
@@ -54,7 +66,8 @@ const GONE: usize = usize::MAX;
 
 impl Default for StateGraph {
     fn default() -> Self {
-        let root = Node { parent: EMPTY, key: 0, resolved: Arc::default(), view: 0, met_in: 0, place: 0, set: None };
+        let root =
+            Node { parent: EMPTY, key: 0, resolved: Arc::default(), at: At::default(), met_in: 0, place: 0, set: None };
         Self { nodes: vec![root], table: vec![EMPTY; 64], stage: 0, met: 0, until_sweep: SWEEP_FRAMES }
     }
 }
@@ -99,7 +112,8 @@ impl StateGraph {
             self.met += 1;
             let place = stage.view_of_state.len();
             (node.met_in, node.place) = (self.stage, place as u32);
-            stage.view_of_state.push(node.view);
+            stage.view_of_state.push(node.at.view);
+            stage.fade_of_state.push(node.at.fade);
             // Mostly the same as in the frame before: then nothing is counted up and down.
             match stage.state_sets.get_mut(place) {
                 Some(held) if Arc::ptr_eq(held, &node.resolved) => {}
@@ -115,8 +129,8 @@ impl StateGraph {
         let key = Arc::as_ptr(set) as usize;
         self.find(parent, key).unwrap_or_else(|place| {
             let above = &self.nodes[parent as usize];
-            let (resolved, view) = (Arc::new(above.resolved.below(set)), above.view);
-            self.insert(place, parent, key, resolved, view, Some(Arc::downgrade(set)))
+            let (resolved, at) = (Arc::new(above.resolved.below(set)), above.at);
+            self.insert(place, parent, key, resolved, at, Some(Arc::downgrade(set)))
         })
     }
 
@@ -124,8 +138,8 @@ impl StateGraph {
     pub fn find_or_insert_blend(&mut self, parent: u32) -> u32 {
         self.find(parent, BLEND_KEY).unwrap_or_else(|place| {
             let above = &self.nodes[parent as usize];
-            let (resolved, view) = (Arc::new(above.resolved.blended()), above.view);
-            self.insert(place, parent, BLEND_KEY, resolved, view, None)
+            let (resolved, at) = (Arc::new(above.resolved.blended()), above.at);
+            self.insert(place, parent, BLEND_KEY, resolved, at, None)
         })
     }
 
@@ -133,8 +147,19 @@ impl StateGraph {
     pub fn find_or_insert_view(&mut self, parent: u32, view: u32) -> u32 {
         let key = VIEW_KEY + 2 * view as usize;
         self.find(parent, key).unwrap_or_else(|place| {
-            let resolved = self.nodes[parent as usize].resolved.clone();
-            self.insert(place, parent, key, resolved, view, None)
+            let Node { resolved, at, .. } = &self.nodes[parent as usize];
+            let (resolved, at) = (resolved.clone(), At { view, ..*at });
+            self.insert(place, parent, key, resolved, at, None)
+        })
+    }
+
+    /// The state of what is drawn in a part of the pixels under a parent: one more than the index of a fade.
+    pub fn find_or_insert_fade(&mut self, parent: u32, fade: u32) -> u32 {
+        let key = FADE_KEY + 4 * fade as usize;
+        self.find(parent, key).unwrap_or_else(|place| {
+            let Node { resolved, at, .. } = &self.nodes[parent as usize];
+            let (resolved, at) = (resolved.clone(), At { fade, ..*at });
+            self.insert(place, parent, key, resolved, at, None)
         })
     }
 
@@ -144,12 +169,12 @@ impl StateGraph {
         parent: u32,
         key: usize,
         resolved: Arc<ResolvedState>,
-        view: u32,
+        at: At,
         set: Option<Weak<StateSet>>,
     ) -> u32 {
         let node = self.nodes.len() as u32;
         let met_in = self.stage.wrapping_sub(1);
-        self.nodes.push(Node { parent, key, resolved, view, met_in, place: 0, set });
+        self.nodes.push(Node { parent, key, resolved, at, met_in, place: 0, set });
         self.table[place] = node;
         if self.nodes.len() * 2 > self.table.len() {
             self.grow();
@@ -272,16 +297,19 @@ mod tests {
         let b = graph.find_or_insert(a, &write);
         let blended_below = graph.find_or_insert_blend(b);
         let other_view = graph.find_or_insert_view(b, 2);
+        let fading = graph.find_or_insert_fade(other_view, 3);
+        assert_ne!(graph.find_or_insert_fade(other_view, 4), fading);
         graph.start_stage();
-        let places = [blended, blended_below, b, other_view].map(|s| graph.meet(s, &mut stage));
-        assert_eq!(places, [0, 1, 2, 3]);
+        let places = [blended, blended_below, b, other_view, fading].map(|s| graph.meet(s, &mut stage));
+        assert_eq!(places, [0, 1, 2, 3, 4]);
         let [blended, below, b, other] = [0, 1, 2, 3].map(|i: usize| stage.state_sets[i].clone());
         assert!(!blended.writes_depth());
         assert_eq!(blended.bin(), BinDetails::TRANSPARENT);
         assert!(below.writes_depth());
         assert_eq!(b.color, [0.25, 0.0, 0.0, 0.5]);
         assert!(b.mode(Mode::DepthTest) && Arc::ptr_eq(&b, &other));
-        assert_eq!(stage.view_of_state, [0, 0, 0, 2]);
+        assert_eq!((stage.view_of_state, stage.fade_of_state), (vec![0, 0, 0, 2, 2], vec![0, 0, 0, 0, 3]));
+        assert!(Arc::ptr_eq(&other, &stage.state_sets[4]));
         assert_ne!(StateValue::ON, StateValue::OFF);
     }
 }

@@ -6,6 +6,7 @@
 
 use glam::{DAffine3, DVec3};
 
+use super::fade::{Fade, Step, TileMark, WHOLE};
 use super::horizon::Horizon;
 use super::planes::Planes;
 use super::stage::PageRequest;
@@ -22,6 +23,7 @@ pub(super) struct TileFrame {
     required: bool,
     /// Squared error in pixels of what is shown while tiles here are missing.
     shown_px2: f32,
+    fade: Fade,
 }
 
 /// A frame with tile trees, seen from the eye.
@@ -38,6 +40,27 @@ pub(super) struct TileView {
 impl Cull<'_> {
     /// Walks one tile tree of a page.
     pub(super) fn scan_tiles(&mut self, page: &Page, visit: &PageVisit, root: usize, mask: u8, purpose: Purpose) {
+        let fade_s = self.view.settings.lod_fade_s;
+        if fade_s > 0.0 && purpose == Purpose::Draw {
+            let generation = self.scene.page_id_at(visit.place).generation;
+            let mut marks = self.fades.take_tiles(visit.place, generation, page.tiles.len());
+            let step = self.fades.step(fade_s);
+            self.walk_tiles(page, visit, root, mask, purpose, Some((&mut marks, step)));
+            self.fades.give_back_tiles(visit.place, marks);
+        } else {
+            self.walk_tiles(page, visit, root, mask, purpose, None);
+        }
+    }
+
+    fn walk_tiles(
+        &mut self,
+        page: &Page,
+        visit: &PageVisit,
+        root: usize,
+        mask: u8,
+        purpose: Purpose,
+        mut fades: Option<(&mut [TileMark], Step)>,
+    ) {
         let Some(tile_root) = page.tiles.roots.get(root) else { return };
         let view = self.tile_view(page, visit, tile_root.transform);
         let eye_from_tile = view.eye_from_tile;
@@ -49,7 +72,8 @@ impl Cull<'_> {
         let asks = !self.view.casts;
         let mut tile = tile_root.tile;
         let last = tile + tiles.records[tile as usize].skip;
-        let mut above = TileFrame { end: last, mask, purpose, required: visit.required, shown_px2: visit.shown_px2 };
+        let (required, shown_px2, fade) = (visit.required, visit.shown_px2, visit.fade);
+        let mut above = TileFrame { end: last, mask, purpose, required, shown_px2, fade };
         self.tile_stack.clear();
         loop {
             while tile >= above.end {
@@ -103,7 +127,9 @@ impl Cull<'_> {
             let per = (self.view.range_per_error, self.view.range_per_metre);
             let (range2, distance2) = tiles.range_and_distance(tile, &record, bounds, offset, view.eye, per);
             let ready = record.not_ready_children == 0;
-            let missing = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
+            let fade = above.fade;
+            let missing =
+                record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER) && !fade.leaving;
             let px2 = self.view.max_sse_px * self.view.max_sse_px;
             let own_px2 = || px2 * range2 / distance2;
             // Never as large as what is shown above it: coarse comes first whatever the bounds are.
@@ -115,47 +141,58 @@ impl Cull<'_> {
             let resident = record.has(flag::RESIDENT);
             if record.has(flag::PROXY | flag::EXTERNAL) {
                 if resident {
-                    self.enter(page, &eye_from_tile, tile, mask, purpose, above.required, above.shown_px2);
+                    self.enter(page, &eye_from_tile, tile, mask, purpose, above.required, above.shown_px2, fade);
                 }
                 if purpose != Purpose::Keep {
-                    descend = Some((purpose, false, above.shown_px2));
+                    descend = Some((purpose, false, above.shown_px2, fade));
                 }
             } else if !record.has(flag::CONTENT) {
-                descend = Some((purpose, above.required, above.shown_px2));
+                descend = Some((purpose, above.required, above.shown_px2, fade));
             } else if purpose != Purpose::Keep {
                 let wants = record.has_children() && distance2 < range2;
                 let replaces = !record.has(flag::ADD);
                 if purpose == Purpose::Want {
                     if wants {
-                        descend = Some((purpose, replaces, below_px2()));
+                        descend = Some((purpose, replaces, below_px2(), fade));
                     }
-                } else if !replaces {
-                    if resident {
-                        self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0);
-                    }
-                    if wants {
-                        descend = Some((purpose, false, below_px2()));
-                    }
-                } else if wants && ready {
-                    descend = Some((purpose, true, below_px2()));
                 } else {
-                    if resident {
-                        self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0);
-                    } else if missing {
+                    // Children in the tile's place; also where it has no content itself.
+                    let gives_way = ready && record.has_children() && (wants || !resident);
+                    let is_refined = if replaces { gives_way } else { wants };
+                    let (mut refined, mut own) = (if is_refined { WHOLE } else { 0 }, WHOLE);
+                    if let Some((marks, step)) = &mut fades {
+                        let mark = &mut marks[index];
+                        own = mark.come_in(*step, resident, fade.covered);
+                        refined = mark.turn(*step, is_refined, !replaces || (resident && ready));
+                        mark.met(*step);
+                        let is_fading = (refined > 0 && refined < WHOLE) || (resident && own < WHOLE);
+                        self.counters.fading += u32::from(is_fading);
+                    }
+                    let (below, rest) = fade.band.split(refined);
+                    if !replaces || refined < WHOLE {
+                        let band = if replaces { rest } else { fade.band };
+                        if resident {
+                            let fade = Fade { band: band.split(own).0, ..fade };
+                            self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0, fade);
+                        }
+                    }
+                    if missing && replaces && !(wants && ready) {
                         self.request(page, visit, tile, purpose, above.shown_px2, own_px2());
                     }
-                    if wants {
-                        descend = Some((Purpose::Want, true, below_px2()));
-                    } else if !resident && record.has_children() && ready {
-                        descend = Some((purpose, true, below_px2()));
+                    let covered = fade.covered || (!replaces && resident);
+                    let leaving = fade.leaving || !is_refined;
+                    if refined > 0 {
+                        descend = Some((purpose, replaces, below_px2(), Fade { band: below, covered, leaving }));
+                    } else if wants {
+                        descend = Some((Purpose::Want, true, below_px2(), fade));
                     }
                 }
             }
             match descend {
-                Some((purpose, required, shown_px2)) if skip > 1 && (asks || purpose == Purpose::Draw) => {
+                Some((purpose, required, shown_px2, fade)) if skip > 1 && (asks || purpose == Purpose::Draw) => {
                     let required = required && asks;
                     self.tile_stack.push(above);
-                    above = TileFrame { end: tile + skip, mask, purpose, required, shown_px2 };
+                    above = TileFrame { end: tile + skip, mask, purpose, required, shown_px2, fade };
                     tile += 1;
                 }
                 _ => tile += skip,
@@ -208,16 +245,21 @@ impl Cull<'_> {
         purpose: Purpose,
         required: bool,
         shown_px2: f32,
+        fade: Fade,
     ) {
         let tiles = &page.tiles;
         let index = tile as usize;
         let record = &tiles.records[index];
         if purpose == Purpose::Draw && !record.has(flag::EXTERNAL) {
+            if fade.band.is_empty() {
+                return;
+            }
             self.counters.tiles_drawn += 1;
         } else if purpose != Purpose::Draw && !record.has(flag::EXTERNAL) {
             return; // plain content: nothing in it to ask for
         }
         let state = self.chain_state(page, tiles.state_paths[index]);
+        let state = self.faded_state(state, fade.band);
         let view = self.view.index;
         let content = &tiles.content_transforms[tiles.content_transform_of[index] as usize];
         self.queue.push(PageVisit {
@@ -229,6 +271,7 @@ impl Cull<'_> {
             state,
             view,
             shown_px2,
+            fade,
         });
     }
 

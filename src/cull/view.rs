@@ -66,6 +66,8 @@ impl View {
         view.settings.culling = culling;
         view.settings.cull_mask &= caster_mask;
         view.settings.compute_near_far = ComputeNearFar::Off;
+        // What comes in casts as a whole, what goes out no longer.
+        view.settings.lod_fade_s = 0.0;
         view.horizon = None;
         view.planes = EyePlanes::new(light_clip_from_eye, culling);
         view.small_feature = 0.0;

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec4};
 
+use super::fade::{Fade, FadeBand, LodFades};
 use super::occluders::{FrameOccluders, Occluders};
 use super::planes::{Planes, depth_row};
 use super::shadows::{Fit, ShadowCascade};
@@ -45,6 +46,7 @@ pub(super) struct PageVisit {
     pub view: u32,
     /// Squared error in pixels of what is shown while the page's top tiles are missing.
     pub shown_px2: f32,
+    pub fade: Fade,
 }
 
 /// The nearest and farthest depth met; NaN never enters.
@@ -107,6 +109,10 @@ pub struct CullVisitor {
     page_occluders: FrameOccluders,
     tile_occluders: FrameOccluders,
     sorter: Sorter,
+    /// Of the eyes.
+    fades: [LodFades; 2],
+    /// The eye that is culled for.
+    eye: usize,
     visits_all: bool,
     /// Changes near and far of the outermost stage when its settings have them computed.
     pub clamp_projection: Option<ClampProjection>,
@@ -138,6 +144,7 @@ pub(super) struct Cull<'a> {
     pub occluders: &'a Occluders,
     pub page_occluders: &'a mut FrameOccluders,
     pub tile_occluders: &'a mut FrameOccluders,
+    pub fades: &'a mut LodFades,
     pub range: DepthRange,
     /// The last linear part of the current page that was multiplied, and the product as rows.
     pub linear_rows: (u32, [[f32; 4]; 3]),
@@ -191,9 +198,11 @@ impl CullVisitor {
         stage.stereo_gap_px = stereo.separation_px;
         stage.counters = CullCounters::default();
         (stage.near_m, stage.far_m) = (f64::INFINITY, 0.0);
-        for (eye, target) in stereo.eyes(camera).iter().zip(targets) {
+        for (place, (eye, target)) in stereo.eyes(camera).iter().zip(targets).enumerate() {
             let mut of_eye = stage.spare.stages.pop().unwrap_or_default();
+            self.eye = place;
             self.cull(scene, eye, &mut of_eye);
+            self.eye = 0;
             of_eye.target.camera = Some(target.clone());
             stage.requests.append(&mut of_eye.requests);
             stage.counters.add(&of_eye.counters);
@@ -209,6 +218,7 @@ impl CullVisitor {
     pub fn traverse(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage) {
         let _span = crate::timeline::span("traverse");
         self.graph.start_frame();
+        self.fades[self.eye].start(camera.simulation_time_s);
         self.deferred.clear();
         let clamp = self.clamp_projection;
         self.traverse_stage(scene, camera, View::new(camera), None, clamp, stage);
@@ -259,6 +269,7 @@ impl CullVisitor {
             occluders: &self.occluders,
             page_occluders: &mut self.page_occluders,
             tile_occluders: &mut self.tile_occluders,
+            fades: &mut self.fades[self.eye],
             range: DepthRange::EMPTY,
             linear_rows: (NONE, [[0.0; 4]; 3]),
             tile_view: None,
@@ -343,6 +354,7 @@ impl<'a> Cull<'a> {
                         state: self.root_state,
                         view: 0,
                         shown_px2: f32::MAX,
+                        fade: Fade::NONE,
                     });
                 }
             }
@@ -374,7 +386,7 @@ impl<'a> Cull<'a> {
     }
 
     /// Forgets what was known of the page before.
-    fn open_page(&mut self, page: &Page, state: u32) {
+    pub(super) fn open_page(&mut self, page: &Page, state: u32) {
         self.tile_view = None;
         self.memo.clear();
         self.memo.resize(page.paths.len(), NONE);
@@ -413,7 +425,8 @@ impl<'a> Cull<'a> {
         if let Some(state) = self.chains.get_mut(met.path as usize) {
             *state = self.graph.find_or_insert_view(met.state, 0);
         }
-        let visit = PageVisit { mask: self.view.planes.mask, view: 0, required: false, ..met.visit };
+        let fade = Fade::NONE;
+        let visit = PageVisit { mask: self.view.planes.mask, view: 0, required: false, fade, ..met.visit };
         let context = self.page_context(page, visit);
         let transform = self.enclosing_transform(&context, met.node);
         let map = visit.eye_from_page * page.transforms.page_from_node(transform);
@@ -471,6 +484,19 @@ impl<'a> Cull<'a> {
             *known = state;
         }
         state
+    }
+
+    /// A state, drawn in a part of the pixels.
+    pub(super) fn faded_state(&mut self, state: u32, band: FadeBand) -> u32 {
+        if band.is_full() {
+            return state;
+        }
+        let fades = &mut self.stage.fades;
+        let place = fades.iter().position(|b| *b == band).unwrap_or_else(|| {
+            fades.push(band);
+            fades.len() - 1
+        });
+        self.graph.find_or_insert_fade(state, place as u32 + 1)
     }
 
     /// The state below one of the page's chains, whether or not it has leaves.

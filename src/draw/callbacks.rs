@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::bins::BinDrawing;
 use crate::cull::RenderStage;
 use crate::scene::{DataVariance, DrawHook};
 
@@ -46,5 +47,41 @@ impl CameraCallbacks {
 
     pub(super) fn of(hook: &Option<DrawHook>) -> Option<&Self> {
         hook.as_ref()?.0.downcast_ref()
+    }
+}
+
+type OnBin = Box<dyn Fn(&RenderInfo<'_>, &mut BinDrawing<'_, '_, '_>) + Send + Sync>;
+
+/// Draws a render bin in place of the renderer, or around it; OSG's `RenderBin::DrawCallback`. To be put into the
+/// state set that names the bin ([`StateSet::bin_callback`](crate::state::StateSet::bin_callback)).
+///
+/// It is called once for each stage in which the bin has leaves, at the bin's place in the pass; where the bin holds
+/// leaves that write no depth, that is after the sky. Bins nested in it are its to draw too.
+pub struct BinCallback {
+    /// Draws the bin.
+    pub draw: OnBin,
+    /// [`DataVariance::Dynamic`] where update changes what it reads.
+    pub data_variance: DataVariance,
+}
+
+impl BinCallback {
+    /// A callback that reads nothing that update changes in place.
+    pub fn new(draw: impl Fn(&RenderInfo<'_>, &mut BinDrawing<'_, '_, '_>) + Send + Sync + 'static) -> Self {
+        Self { draw: Box::new(draw), data_variance: DataVariance::Static }
+    }
+
+    /// To be put into a [`StateSet`](crate::state::StateSet).
+    pub fn hook(self) -> DrawHook {
+        DrawHook(Arc::new(self))
+    }
+
+    /// Of what is hooked to the bins of a stage.
+    pub(crate) fn are_dynamic(stage: &RenderStage) -> bool {
+        let mut hooks = stage.bins.iter().flat_map(|bin| bin.callbacks.iter().flatten());
+        hooks.any(|hook| Self::of(hook).is_some_and(|c| c.data_variance == DataVariance::Dynamic))
+    }
+
+    pub(super) fn of(hook: &DrawHook) -> Option<&Self> {
+        hook.0.downcast_ref()
     }
 }

@@ -14,6 +14,7 @@
 mod answers;
 mod atmosphere;
 mod batch;
+mod bins;
 mod callbacks;
 mod composite;
 mod environment;
@@ -24,6 +25,7 @@ mod shadow_maps;
 mod state;
 mod uniforms;
 
-pub use callbacks::{CameraCallbacks, RenderInfo};
+pub use bins::BinDrawing;
+pub use callbacks::{BinCallback, CameraCallbacks, RenderInfo};
 pub use environment::{Environment, Fog, Sky, Water};
 pub use renderer::{DrawStats, FrameClock, Picture, Renderer};

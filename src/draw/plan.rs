@@ -17,6 +17,8 @@ pub(super) struct StagePlan {
     /// `None`: cannot be drawn.
     pub(super) target: Option<PassTarget>,
     pub(super) runs: std::ops::Range<usize>,
+    /// In the batch, the first runs of its bins, where some of them are drawn by callbacks.
+    pub(super) bin_starts: Option<std::ops::Range<usize>>,
     /// First run that writes no depth.
     pub(super) see_through: usize,
     /// Index of the statics without any state set.
@@ -97,7 +99,7 @@ impl Targets {
             .then(|| "the adapter has no stencil beside float depth; stencil tests pass everywhere".into())
     }
 
-    fn depth_format(&self) -> wgpu::TextureFormat {
+    pub(super) fn depth_format(&self) -> wgpu::TextureFormat {
         if self.has_stencil { wgpu::TextureFormat::Depth32FloatStencil8 } else { crate::gpu::DEPTH_FORMAT }
     }
 

@@ -35,6 +35,16 @@ pub(crate) fn decode(uri: &str, mut bytes: Vec<u8>, encodings: &str, limits: &Li
     file::gunzip(uri, bytes, limits)
 }
 
+/// Undoes whatever is said of any bytes: for tests.
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub fn fuzz_encoding(encodings: &str, bytes: &[u8], limits: &Limits) {
+    match decode("fuzz", bytes.to_vec(), encodings, limits) {
+        Ok(plain) => assert!(plain.len() as u64 <= limits.max_file_bytes.max(bytes.len() as u64)),
+        Err(error) => assert!(!error.uri().is_empty() && !error.reason().is_empty()),
+    }
+}
+
 /// All frames of a zstd stream.
 pub(crate) fn unzstd(uri: &str, mut bytes: &[u8], limit: u64) -> Result<Vec<u8>, IoError> {
     use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};

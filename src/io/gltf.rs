@@ -314,6 +314,8 @@ impl<'a> Reader<'a> {
             }
             vertices.push(vertex);
         }
+        // Now, while they are in the cache.
+        let vertices_key = self.sharing.map(|_| ContentKey::of(&[bytemuck::cast_slice(&vertices)]));
         let (listed, list_key) = match primitive.indices() {
             Some(accessor) => self.indices(&accessor, count).map(|(list, key)| (list, Some(key)))?,
             None => ((0..count as u32).collect(), None),
@@ -337,12 +339,12 @@ impl<'a> Reader<'a> {
             unlit: material.unlit(),
         };
         let mut mesh = Arc::new(Mesh { vertices, indices, topology, bounds });
-        let (geometry, indices) = match self.sharing {
-            Some(sharing) => {
+        let (geometry, indices) = match (self.sharing, vertices_key) {
+            (Some(sharing), Some(vertices_key)) => {
                 let list_key = list_key.unwrap_or_else(|| list_key_of(&mesh.indices));
-                sharing.mesh(&mut mesh, &list_key)
+                sharing.mesh(&mut mesh, &vertices_key, &list_key)
             }
-            None => (None, None),
+            _ => (None, None),
         };
         let mut drawable = Drawable::new(Geometry::Mesh(mesh), material);
         drawable.shared = SharedParts { geometry, indices, texture: shared_texture };
@@ -412,20 +414,26 @@ impl<'a> Reader<'a> {
                 if e.count > self.limits.max_elements {
                     return Err(self.bad(format!("{} indices", e.count)));
                 }
+                let layout = [e.stride as u64, e.count as u64, e.data_type.size() as u64];
+                let key = ContentKey::of(&[e.bytes, bytemuck::cast_slice(&layout)]);
                 let at = |i: usize, n: usize| e.bytes.get(i * e.stride + n).copied().unwrap_or(0);
-                let list: Arc<[u32]> = match e.data_type {
-                    DataType::U8 => (0..e.count).map(|i| u32::from(at(i, 0))).collect(),
-                    DataType::U16 => {
-                        (0..e.count).map(|i| u32::from(u16::from_le_bytes([at(i, 0), at(i, 1)]))).collect()
-                    }
-                    DataType::U32 => {
-                        (0..e.count).map(|i| u32::from_le_bytes([at(i, 0), at(i, 1), at(i, 2), at(i, 3)])).collect()
-                    }
-                    _ => return Err(self.bad("indices of a signed or float type")),
+                let read = || -> Option<Arc<[u32]>> {
+                    Some(match e.data_type {
+                        DataType::U8 => (0..e.count).map(|i| u32::from(at(i, 0))).collect(),
+                        DataType::U16 => {
+                            (0..e.count).map(|i| u32::from(u16::from_le_bytes([at(i, 0), at(i, 1)]))).collect()
+                        }
+                        DataType::U32 => {
+                            (0..e.count).map(|i| u32::from_le_bytes([at(i, 0), at(i, 1), at(i, 2), at(i, 3)])).collect()
+                        }
+                        _ => return None,
+                    })
                 };
-                let list = shared(list);
-                self.indices.insert(accessor.index(), list.clone());
-                list
+                let is_unsigned = matches!(e.data_type, DataType::U8 | DataType::U16 | DataType::U32);
+                let list = if is_unsigned { shared(key, read) } else { None };
+                let list = list.ok_or_else(|| self.bad("indices of a signed or float type"))?;
+                self.indices.insert(accessor.index(), (list.clone(), key));
+                (list, key)
             }
         };
         match indices.0.iter().max() {
@@ -460,19 +468,25 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// The same list as one read before, where there is one: tiles of a terrain often share their grid, and what is one
-/// `Arc` is uploaded once. Decode workers share the few lists that are kept; the lock is held for a comparison.
-fn shared(list: Arc<[u32]>) -> (Arc<[u32]>, ContentKey) {
+/// The same list as one read before from equal bytes, where there is one: tiles of a terrain often share their grid, and
+/// what is one `Arc` is uploaded once. Decode workers share the few lists that are kept.
+fn shared(key: ContentKey, read: impl FnOnce() -> Option<Arc<[u32]>>) -> Option<Arc<[u32]>> {
     static LISTS: OnceLock<Mutex<LruCache<ContentKey, Weak<[u32]>>>> = OnceLock::new();
     const KEPT: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
-    let key = list_key_of(&list);
     let lists = LISTS.get_or_init(|| Mutex::new(LruCache::new(KEPT)));
-    let mut lists = lists.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(known) = lists.get(&key).and_then(Weak::upgrade).filter(|known| *known == list) {
-        return (known, key);
+    let lock = || lists.lock().unwrap_or_else(PoisonError::into_inner);
+    let known = lock().get(&key).and_then(Weak::upgrade);
+    if known.is_some() {
+        return known;
+    }
+    let list = read()?;
+    let mut lists = lock();
+    // Another worker may have read it meanwhile.
+    if let Some(known) = lists.get(&key).and_then(Weak::upgrade) {
+        return Some(known);
     }
     lists.put(key, Arc::downgrade(&list));
-    (list, key)
+    Some(list)
 }
 
 fn list_key_of(list: &[u32]) -> ContentKey {

@@ -26,11 +26,20 @@ pub mod write;
 
 pub use cache::CacheStats;
 #[cfg(feature = "http")]
+#[doc(hidden)]
+pub use cache::fuzz_cache_entry;
+#[cfg(feature = "http")]
 pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub use encoding::fuzz_encoding;
 pub use error::{IoError, Limits};
 pub use file::{FileReader, read_file};
 #[cfg(feature = "http")]
 pub use fill::{FillOptions, Filled, fill};
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub use http::fuzz_headers;
 #[cfg(feature = "http")]
 pub use http::{Credential, HttpBody, HttpClient, HttpConfig};
 #[cfg(feature = "http")]

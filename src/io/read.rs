@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use glam::DAffine3;
+
 use super::{IoError, Limits, RootScope, b3dm, file, gltf, height, image, pnts, tileset};
 use crate::scene::{Node, Page, SharedStateManager};
 
@@ -14,6 +16,9 @@ pub struct ReadOptions {
     pub limits: Limits,
     /// URIs of the tilesets above, root first; a tileset among them is a cycle.
     pub chain: Arc<[Arc<str>]>,
+    /// Maps what is read to the frame of the whole set: the product of the transforms of the tiles above. Regions, which no
+    /// transform moves, need it.
+    pub set_from_content: DAffine3,
     /// Pages get a [`KdTree`](crate::scene::KdTree) for each drawable, so that lines and volumes can be intersected with
     /// them after their payloads went to the GPU. Off by default: it costs memory and time of the decode workers.
     pub build_kd_trees: bool,
@@ -24,7 +29,14 @@ pub struct ReadOptions {
 impl ReadOptions {
     /// Options for a tile set whose root is `root_uri`, as [`super::root_uri`] returned it.
     pub fn for_root(root_uri: &str, limits: Limits) -> Self {
-        Self { root: RootScope::of(root_uri), limits, chain: Arc::new([]), build_kd_trees: false, sharing: None }
+        Self {
+            root: RootScope::of(root_uri),
+            limits,
+            chain: Arc::new([]),
+            set_from_content: DAffine3::IDENTITY,
+            build_kd_trees: false,
+            sharing: None,
+        }
     }
 
     /// The same for what a tileset names.

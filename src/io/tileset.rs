@@ -269,7 +269,16 @@ impl Reader<'_> {
             if !finite || !angles || south > north || min_height_m > max_height_m {
                 return Err(bad("region", v));
             }
-            return Ok(BoundingVolume::Region(Region { west, south, east, north, min_height_m, max_height_m }));
+            let region = BoundingVolume::Region(Region { west, south, east, north, min_height_m, max_height_m });
+            // A region stays where it is, whatever transforms the tiles above this tileset have.
+            let content_from_set = self.options.set_from_content.inverse();
+            if self.options.set_from_content == DAffine3::IDENTITY || !content_from_set.is_finite() {
+                return Ok(region);
+            }
+            let placed = region.oriented_box().map(|b| BoundingVolume::Box(b.transformed(&content_from_set)));
+            return Ok(
+                placed.unwrap_or(BoundingVolume::Sphere(region.bounding_sphere().transformed(&content_from_set)))
+            );
         }
         if let Some(v) = &json.sphere {
             let &[x, y, z, radius_m] = v.as_slice() else { return Err(bad("sphere", v)) };

@@ -1,15 +1,19 @@
 //! What a pager is told, and what it needs of a graphics context.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::gpu::{CompileBudget, CompileOperation, Compiled};
 use crate::io::{IoError, Limits};
-use crate::scene::{DrawSlot, ShareModes};
+use crate::scene::{DrawKind, DrawSlot, ShareModes};
 
 /// One graphics context's compile queue, as the pager sees it from the main thread.
 pub trait CompileContext {
     /// Number of the context; pages keep their draw slots by it.
     fn id(&self) -> u32;
+    /// Told before [`Self::compile`]: what the drawables that come are, so that what draws them can be made before they
+    /// are drawn.
+    fn foresee(&mut self, _kinds: &Arc<[DrawKind]>) {}
     /// Queues drawables for upload; done within the context's budget a frame.
     fn compile(&mut self, operation: CompileOperation);
     /// Uploads within a budget, now or on the context's own thread: for the time between two frames. What a frame

@@ -7,6 +7,8 @@
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+use glam::DAffine3;
+
 use crate::io::{Fetched, IoError};
 use crate::scene::{NodeId, Page, PagingOptions};
 
@@ -18,8 +20,17 @@ pub(super) struct Job {
     pub slot: NodeId,
     pub uri: Arc<str>,
     pub reader_data: Option<Arc<str>>,
-    /// Tilesets above, for cycles.
+    /// Tilesets above.
+    pub above: Above,
+}
+
+/// The tilesets above what is in a page.
+#[derive(Clone, Debug)]
+pub(super) struct Above {
+    /// Their URIs, for cycles; empty where the page is no tileset's.
     pub chain: Arc<[Arc<str>]>,
+    /// The product of their tiles' transforms.
+    pub set_from_page: DAffine3,
 }
 
 /// Bytes on their way to a decode worker.

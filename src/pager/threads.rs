@@ -10,7 +10,7 @@ use super::config::{PagerConfig, PagerError};
 use super::flow::Range;
 #[cfg(feature = "http")]
 use super::http::Door;
-use super::list::{Answer, Job, Loaded, RequestList};
+use super::list::{Above, Answer, Job, Loaded, RequestList};
 use crate::io::{self, Content, ReadOptions};
 use crate::scene::Page;
 use crate::timeline;
@@ -177,6 +177,7 @@ fn decode_one(
     options: &ReadOptions,
 ) -> Result<Page, io::IoError> {
     let content = Content { uri: job.uri.clone(), bytes, reader_data: job.reader_data.clone(), companions };
-    let options = ReadOptions { chain: job.chain.clone(), ..options.clone() };
+    let Above { chain, set_from_page } = job.above.clone();
+    let options = ReadOptions { chain, set_from_content: set_from_page, ..options.clone() };
     io::decode(content, &options)
 }

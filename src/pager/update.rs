@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
-use super::list::{Answer, Arrived, Entry, Job, Progress};
+use super::list::{Above, Answer, Arrived, Entry, Job, Progress};
 use super::residents::{Resident, Residents, Unused};
 use super::shares::Shares;
 use super::stats::{ErrorRecord, Errors, PagerStats};
@@ -13,7 +13,7 @@ use super::threads::Threads;
 use crate::cull::PageRequest;
 use crate::gpu::{CompileBudget, CompileOperation};
 use crate::io::{self, Content, IoError, ReadOptions};
-use crate::scene::{NodeId, Page, PageId, PagingOptions, Scene, SharedStateManager, SlotState};
+use crate::scene::{DrawKind, NodeId, Page, PageId, PagingOptions, Scene, SharedStateManager, SlotState};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
@@ -44,9 +44,9 @@ pub struct DatabasePager {
     residents: Residents,
     /// What pages share, counted once.
     shares: Shares,
-    /// Chain of tilesets for pages that are tilesets; roots have `root_chain`.
-    chains: HashMap<PageId, Arc<[Arc<str>]>>,
-    root_chain: Arc<[Arc<str>]>,
+    /// What is above the contents of pages that are tilesets; roots have `above_roots`.
+    above: HashMap<PageId, Above>,
+    above_roots: Above,
     next_ticket: u64,
     frame: u32,
     stats: PagerStats,
@@ -70,7 +70,7 @@ impl DatabasePager {
         let options = ReadOptions { limits: config.limits, build_kd_trees, sharing, ..options };
         let threads = Threads::start(&config, &options)?;
         Ok(Self {
-            root_chain: options.chain.clone(),
+            above_roots: Above { chain: options.chain.clone(), set_from_page: options.set_from_content },
             config,
             options,
             threads,
@@ -78,8 +78,8 @@ impl DatabasePager {
             compiling: HashMap::new(),
             ready: Vec::new(),
             residents: Residents::new(),
+            above: HashMap::new(),
             shares: Shares::default(),
-            chains: HashMap::new(),
             next_ticket: 1,
             frame: 0,
             stats: PagerStats::default(),
@@ -99,7 +99,7 @@ impl DatabasePager {
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         // A root is the application's.
         let page = io::decode(content, &ReadOptions { sharing: None, ..self.options.clone() })?;
-        self.root_chain = self.options.below(uri).chain;
+        self.above_roots.chain = self.options.below(uri).chain;
         Ok(page)
     }
 
@@ -272,12 +272,16 @@ impl DatabasePager {
             if slot.state != SlotState::Empty || !self.takes_requests {
                 continue;
             }
+            let mut above = self.above.get(&slot.page).unwrap_or(&self.above_roots).clone();
+            if !above.chain.is_empty() {
+                above.set_from_page *= slot.content_transform;
+            }
             let job = Job {
                 ticket: self.next_ticket,
                 slot: request.slot,
                 uri: slot.uri.clone(),
                 reader_data: slot.reader_data.cloned(),
-                chain: self.chains.get(&slot.page).unwrap_or(&self.root_chain).clone(),
+                above,
             };
             timeline::request_begins(self.threads.list.ticket_source | job.ticket, &job.uri);
             self.next_ticket += 1;
@@ -337,6 +341,7 @@ impl DatabasePager {
             Some(Ok(mut page)) => {
                 self.stats.loaded += 1;
                 self.stats.bytes_decoded += page.size_bytes();
+                let kinds: Arc<[DrawKind]> = scene.draw_kinds(Some(slot), &page).into();
                 let drawables = page.take_drawables();
                 self.shares.take(&page);
                 let ticket = entry.job.ticket;
@@ -351,6 +356,7 @@ impl DatabasePager {
                 let last = contexts.len() - 1;
                 for (i, context) in contexts.iter_mut().enumerate() {
                     let for_this = if i == last { drawables.take() } else { drawables.clone() };
+                    context.foresee(&kinds);
                     context.compile(CompileOperation { ticket, drawables: for_this.unwrap_or_default() });
                 }
             }
@@ -437,8 +443,9 @@ impl DatabasePager {
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
                     self.residents.insert(id, Resident::new(slot, (cpu_bytes, gpu_bytes), entry.paging));
                     if tile_tree {
-                        let chain = entry.job.chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
-                        self.chains.insert(id, chain);
+                        let Above { chain, set_from_page } = entry.job.above;
+                        let chain = chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
+                        self.above.insert(id, Above { chain, set_from_page });
                     }
                 }
                 // The slot went with its tree.
@@ -527,7 +534,7 @@ impl DatabasePager {
 
     fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
         // Requests for slots inside an expired tileset go with it.
-        if self.chains.remove(&id).is_some() {
+        if self.above.remove(&id).is_some() {
             self.drop_entries(contexts, |slot, _| slot.page == id);
         }
         match scene.detach(id) {

@@ -80,6 +80,11 @@ pub struct CullSettings {
     pub lod_scale: f64,
     /// A tile is refined where its error projects to more pixels.
     pub max_sse_px: f64,
+    /// Seconds of the application's time in which a level of detail gives way to another, both dithered, so that
+    /// neither pops: tiles with their children, and children of Lods. 0 changes them at once. So does a frame that
+    /// comes later after the one before than this, and one at the same time: pictures that are meant to be
+    /// the same whenever they are made are. What comes into the view is there at once.
+    pub lod_fade_s: f64,
     /// Nodes whose mask shares no bit with it are skipped.
     pub cull_mask: u32,
     /// As `cull_mask`, for the left eye where stereo is drawn.
@@ -99,6 +104,7 @@ impl Default for CullSettings {
             small_feature_px: SMALL_FEATURE_PX,
             lod_scale: 1.0,
             max_sse_px: 16.0,
+            lod_fade_s: 0.25,
             cull_mask: u32::MAX,
             cull_mask_left: u32::MAX,
             cull_mask_right: u32::MAX,
@@ -117,7 +123,7 @@ impl Inherit {
     pub const NONE: Self = Self(0);
     /// Culling mode and small feature size.
     pub const CULLING: Self = Self(1);
-    /// LOD scale and largest error.
+    /// LOD scale, largest error and length of fades.
     pub const LOD_SCALE: Self = Self(2);
     /// Cull masks.
     pub const CULL_MASK: Self = Self(4);
@@ -146,6 +152,7 @@ impl CullSettings {
         }
         if mask.has(Inherit::LOD_SCALE) {
             (self.lod_scale, self.max_sse_px) = (above.lod_scale, above.max_sse_px);
+            self.lod_fade_s = above.lod_fade_s;
         }
         if mask.has(Inherit::CULL_MASK) {
             self.cull_mask = above.cull_mask;

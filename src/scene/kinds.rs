@@ -240,15 +240,7 @@ impl CameraNode {
     }
 }
 
-/// Something for the draw phase that the scene only carries: made by and given back to `draw`.
-#[derive(Clone)]
-pub struct DrawHook(pub Arc<dyn std::any::Any + Send + Sync>);
-
-impl std::fmt::Debug for DrawHook {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("DrawHook")
-    }
-}
+pub use crate::state::DrawHook;
 
 /// A convex planar polygon that hides what is behind it; OSG's `ConvexPlanarOccluder`.
 #[derive(Clone, Debug, Default)]

@@ -5,6 +5,7 @@
 
 mod callbacks;
 mod cull_settings;
+mod draw_kinds;
 mod error;
 mod flatten;
 mod geometry;
@@ -26,6 +27,7 @@ mod world;
 
 pub use callbacks::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
 pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMALL_FEATURE_PX};
+pub use draw_kinds::DrawKind;
 pub use error::SceneError;
 pub use flatten::MAX_DEPTH;
 pub use geometry::{AlphaMode, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology};
@@ -51,6 +53,7 @@ pub use world::TileInfo;
 
 pub use crate::state::DataVariance;
 
+pub(crate) use draw_kinds::SMALL_MESH_INDICES;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use shared::{SharedContent, SharedParts};
 pub(crate) use tiles::{TileBounds, TileRecord, flag};

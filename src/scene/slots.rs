@@ -7,6 +7,8 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use glam::DAffine3;
+
 use super::graph::Scene;
 use super::node::PagingOptions;
 use super::page::{NONE, Page};
@@ -41,6 +43,8 @@ pub struct SlotInfo<'a> {
     pub is_proxy: bool,
     /// The page that holds the slot.
     pub page: PageId,
+    /// Maps the content to the frame of the page's tiles.
+    pub content_transform: DAffine3,
     /// How the pager treats what is there.
     pub paging: PagingOptions,
 }
@@ -67,6 +71,7 @@ impl Scene {
             reader_data: page.tiles.reader_data[tile].as_ref(),
             is_proxy: record.has(flag::PROXY),
             page: id.page,
+            content_transform: page.tiles.content_transform(tile),
             paging: page.tiles.paging_of(tile as u32),
         })
     }

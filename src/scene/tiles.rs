@@ -231,6 +231,12 @@ impl Tiles {
         }
     }
 
+    /// Maps a tile's content to the tile's frame.
+    pub fn content_transform(&self, tile: usize) -> DAffine3 {
+        let place = self.content_transform_of.get(tile).map(|of| *of as usize);
+        place.and_then(|place| self.content_transforms.get(place)).copied().unwrap_or_default()
+    }
+
     /// Marks a tile as used in a frame. Any thread that culls.
     pub fn stamp(&self, tile: usize, frame: u32) {
         if let (Some(stamp), 1..) = (self.last_used.get(tile), frame) {

@@ -44,6 +44,15 @@ impl Scene {
         Some(world_from_page)
     }
 
+    /// Maps the frame of what hangs in a slot, or would, to the world.
+    pub(super) fn world_from_slot(&self, slot: NodeId) -> Option<DAffine3> {
+        let holder = self.page(slot.page)?;
+        let tile = holder.tile_of(slot.index)?;
+        let content = *holder.tiles.content_transform_of.get(tile)?;
+        let tile_from_content = *holder.tiles.content_transforms.get(content as usize)?;
+        Some(self.world_from_page(slot.page)? * holder.page_from_tile(tile)? * tile_from_content)
+    }
+
     /// Maps the frame of a node's children (of a Transform: below its own map) to the world.
     pub fn world_from_node(&self, node: NodeId) -> Option<DAffine3> {
         let page = self.page(node.page)?;

@@ -5,6 +5,7 @@
 //! of what comes out. Knows no wgpu.
 
 mod attributes;
+mod hook;
 mod program;
 mod resolved;
 mod texture;
@@ -15,6 +16,7 @@ pub use attributes::{
     Depth, Fog, FogMode, FrontFace, LIGHTS, Light, LightModel, Mode, PolygonMode, PolygonOffset, Scissor, StateValue,
     Stencil, StencilFace, StencilOperation, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
 };
+pub use hook::DrawHook;
 pub use program::{Program, Uniform, UniformValue};
 pub use resolved::ResolvedState;
 pub use texture::{FilterMode, Sampler, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode};
@@ -31,6 +33,9 @@ pub struct StateSet {
     pub bin_value: StateValue,
     /// The bin is a bin inside that of the state sets above, and not one of the stage.
     pub nest_bins: bool,
+    /// Draws that bin in place of the renderer (`draw::BinCallback`); of the state sets that name the same bin, the
+    /// first met that has one counts.
+    pub bin_callback: Option<DrawHook>,
     /// Linear colour factor multiplied into every drawable below; `None` inherits.
     pub color: Option<[f32; 4]>,
     /// What is switched, see [`Self::set_mode`].
@@ -51,6 +56,7 @@ impl Default for StateSet {
             bin: None,
             bin_value: StateValue::ON,
             nest_bins: true,
+            bin_callback: None,
             color: None,
             modes: Vec::new(),
             attributes: Vec::new(),

@@ -7,7 +7,7 @@ use super::attributes::{
     AlphaFunc, Attribute, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, Fog, FrontFace, LightModel, Mode,
     PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
 };
-use super::{BinDetails, Program, StateSet, TextureBinding, Uniform};
+use super::{BinDetails, DrawHook, Program, StateSet, TextureBinding, Uniform};
 
 /// A value as the chain above left it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -73,6 +73,8 @@ pub struct ResolvedState {
     pub color: [f32; 4],
     /// The bin the leaves are in, from the outermost to the innermost; the stage's own without any.
     pub bins: Vec<BinDetails>,
+    /// Those of `bins` that the application draws itself, in their places; may be shorter.
+    pub bin_callbacks: Vec<Option<DrawHook>>,
     bins_overridden: bool,
     /// The drawables' materials blend.
     blended_material: bool,
@@ -111,6 +113,7 @@ impl Default for ResolvedState {
             name: String::new(),
             color: [1.0; 4],
             bins: Vec::new(),
+            bin_callbacks: Vec::new(),
             bins_overridden: false,
             blended_material: false,
             modes: Modes { on: Mode::ON_BY_DEFAULT, overrides: 0 },
@@ -155,6 +158,11 @@ impl ResolvedState {
         {
             if !set.nest_bins {
                 below.bins.clear();
+                below.bin_callbacks.clear();
+            }
+            if set.bin_callback.is_some() {
+                below.bin_callbacks.resize(below.bins.len(), None);
+                below.bin_callbacks.push(set.bin_callback.clone());
             }
             below.bins.push(bin);
         }

@@ -13,7 +13,7 @@ use super::rendering::{CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rende
 use super::stats::{FrameStats, StatsHistory};
 use super::view::{ContextId, Place, Slave, SlaveId, View};
 use super::viewer::{FrameStamp, ViewerConfig};
-use crate::cull::{CullVisitor, RenderStage};
+use crate::cull::{CullCamera, CullVisitor, RenderStage};
 use crate::draw::FrameClock;
 use crate::gpu::{CompileBudget, GpuError, GraphicsContext};
 use crate::timeline::{self, Span};
@@ -379,7 +379,7 @@ impl ViewerBase {
         #[cfg(feature = "window")]
         let mut overlay = self.overlay.take();
         let view_of = |camera| views.iter().find(|view| view.has_camera(camera));
-        let frame = self.stamp.frame;
+        let FrameStamp { frame, simulation_time_s, .. } = self.stamp;
         self.asked.extend(wanted.iter().map(|context| (*context, frame)));
         let captures = &self.captures;
         let captured = |context| captures.iter().any(|(c, f, _)| (*c, *f) == (context, frame));
@@ -393,7 +393,8 @@ impl ViewerBase {
             |camera, last| {
                 let view = view_of(camera)?;
                 let task = view.task(camera, &scenes[view.scene], frame, last.requests)?;
-                Some(super::rendering::CullTask { is_dynamic, ..task })
+                let camera = CullCamera { simulation_time_s, ..task.camera };
+                Some(super::rendering::CullTask { camera, is_dynamic, ..task })
             },
         );
         self.wanted = wanted;
@@ -402,12 +403,14 @@ impl ViewerBase {
         for scene in scenes.iter_mut() {
             scene.requests.clear();
             scene.wanted_missing = 0;
+            scene.fading = 0;
         }
         for (camera, CullOutcome { requests, counters, cull_ms }) in self.rendering.outcomes() {
             let Some(view) = view_of(camera) else { continue };
             let scene = &mut scenes[view.scene];
             scene.requests.extend_from_slice(requests);
             scene.wanted_missing += counters.wanted_missing;
+            scene.fading += counters.fading;
             stats.tiles_drawn += counters.tiles_drawn;
             stats.tiles_visited += counters.tiles_visited;
             stats.occluded += counters.occluded;
@@ -533,6 +536,7 @@ impl ViewerBase {
             stats.draw_calls += drawn.draw_calls;
             stats.shadow_leaves += drawn.shadow_leaves;
             stats.shadow_draw_calls += drawn.shadow_draw_calls;
+            stats.pipelines_created += drawn.pipelines_created;
             stats.state_changes += drawn.state_changes;
             stats.state_changes_skipped += drawn.state_changes_skipped;
             stats.triangles += drawn.triangles;

@@ -92,6 +92,7 @@ impl Camera {
             viewport_px: size_px,
             settings: self.settings,
             horizon: None,
+            simulation_time_s: 0.0,
             frame,
             context,
         }

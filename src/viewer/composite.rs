@@ -174,7 +174,7 @@ impl CompositeViewer {
 
     /// True when the last frame showed everything its views wanted and no pager has anything to do.
     pub fn is_settled(&self) -> bool {
-        self.scenes.iter().all(PagedScene::is_settled)
+        self.scenes.iter().all(PagedScene::is_at_rest)
     }
 
     /// Adds a view of a scene, drawn in a part of a context (x, y, width, height; `None`: all of it) after those that

@@ -21,7 +21,7 @@ use super::view::View;
 use super::viewer::FrameStamp;
 use super::window_matrix::{WindowMatrix, WindowRay};
 use crate::math::BoundingSphere;
-use crate::pager::DatabasePager;
+use crate::pager::{DatabasePager, ImagePager};
 use crate::scene::{EventCallback, NodeId, Scene, Traverse};
 use crate::state::StateSet;
 
@@ -126,7 +126,7 @@ pub(super) fn needs_frame(base: &ViewerBase, view: &View, paged: &PagedScene) ->
         || base.stamp.frame == 0
         || !paged.update_callbacks.is_empty()
         || paged.scene().has_update_callbacks()
-        || !paged.is_settled()
+        || !paged.is_at_rest()
         || paged.image_pager.as_ref().is_some_and(|images| images.needs_frame())
 }
 
@@ -297,6 +297,11 @@ impl GuiActionAdapter<'_> {
     /// The scene, to be changed.
     pub fn scene_mut(&mut self) -> &mut Scene {
         self.paged.scene_mut()
+    }
+
+    /// The image pager, once a sequence was added.
+    pub fn image_pager(&self) -> Option<&ImagePager> {
+        self.paged.image_pager.as_ref()
     }
 
     /// The pager, once a set is loaded.

@@ -141,6 +141,8 @@ impl LookAhead {
         let Some(mut task) = camera.and_then(|camera| view.task(camera, scene, 0, std::mem::take(found))) else {
             return;
         };
+        // Nothing is drawn of it.
+        task.camera.settings.lod_fade_s = 0.0;
         // Slaves keep their place beside the master.
         task.camera.eye_from_world = task.camera.eye_from_world * now * then.inverse();
         // Shadows ask for nothing.

@@ -46,6 +46,8 @@ pub(super) struct PagedScene {
     pub(super) requests_ahead: Vec<PageRequest>,
     /// Tiles that the last frame's pictures lacked.
     pub(super) wanted_missing: u32,
+    /// Tiles and Lods that the last frame's pictures showed between two levels of detail.
+    pub(super) fading: u32,
     /// Frames in a row in which the pager had nothing to do.
     quiet_frames: u32,
 }
@@ -67,6 +69,7 @@ impl PagedScene {
             requests: Vec::new(),
             requests_ahead: Vec::new(),
             wanted_missing: 0,
+            fading: 0,
             quiet_frames: 0,
         }
     }
@@ -107,10 +110,12 @@ impl PagedScene {
         if self.pager_config.build_kd_trees {
             page.build_kd_trees();
         }
+        let kinds = self.scene.draw_kinds(None, &page).into();
         let drawables = page.take_drawables();
         let root = self.scene_mut().add_root(page);
         self.root.get_or_insert(root);
         if !drawables.is_empty() {
+            rendering.contexts_mut().for_each(|context| context.foresee(&kinds));
             let kept = if self.keeps_drawables { drawables.clone() } else { Vec::new() };
             rendering.compile_own(self.owner, self.own.len() as u32, drawables)?;
             self.own.push(Own { page: root, drawables: kept });
@@ -148,6 +153,11 @@ impl PagedScene {
         self.wanted_missing == 0
             && self.quiet_frames > 0
             && (self.requests.is_empty() || self.quiet_frames >= QUIET_FRAMES)
+    }
+
+    /// The last frame's pictures are those that the next ones will be.
+    pub(super) fn is_at_rest(&self) -> bool {
+        self.fading == 0 && self.is_settled()
     }
 
     /// The application's turn with the scene.

@@ -298,9 +298,10 @@ impl Viewer {
         self.converge_s
     }
 
-    /// True when the last frame showed everything it wanted and the pager has nothing to do.
+    /// True when the last frame showed everything it wanted, no level of detail gave way to another, and the pager
+    /// has nothing to do.
     pub fn is_settled(&self) -> bool {
-        self.paged.is_settled()
+        self.paged.is_at_rest()
     }
 
     /// Adds something to do in each update phase.
@@ -477,7 +478,7 @@ impl Viewer {
     fn note_convergence(&mut self, now: Instant) {
         let pose = self.view.camera.world_from_eye;
         let first_pose = *self.first_pose.get_or_insert(pose);
-        if self.converge_s.is_none() && first_pose == pose && self.is_settled() {
+        if self.converge_s.is_none() && first_pose == pose && self.paged.is_settled() {
             self.converge_s = self.base.first_frame.map(|first| now.max(first).duration_since(first).as_secs_f64());
         }
     }

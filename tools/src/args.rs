@@ -29,6 +29,8 @@ pub enum Command {
     Info(InfoArgs),
     /// Serve a folder over HTTP, as well or as badly as asked
     Serve(crate::serve::ServeArgs),
+    /// Fly at random over a set that comes badly, and check what must hold in each frame
+    Stress(crate::stress::StressArgs),
     /// Look after the cache on disk
     Cache(crate::cache::CacheArgs),
     /// Measure one layer; JSON lines on stdout
@@ -61,6 +63,9 @@ pub struct FlyArgs {
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
+    /// Seconds in which levels of detail fade into one another; 0 changes them at once
+    #[arg(long, value_name = "SECONDS", default_value = "0.25")]
+    pub lod_fade: NotNegative,
     /// Which threads cull and draw: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
     /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
@@ -143,6 +148,9 @@ pub struct ViewArgs {
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
+    /// Seconds in which levels of detail fade into one another; 0 changes them at once
+    #[arg(long, value_name = "SECONDS", default_value = "0.25")]
+    pub lod_fade: NotNegative,
     /// Which threads cull and draw: SingleThreaded, CullDrawThreadPerContext, DrawThreadPerContext,
     /// CullThreadPerCameraDrawThreadPerContext, or AutomaticSelection: what TERRANE_THREADING names, else the best
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
@@ -162,13 +170,14 @@ pub struct ViewArgs {
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs { source, size, view, path, sse, threading, stats, on_demand, max_fps, net } = args;
+        let ViewArgs { source, size, view, path, sse, lod_fade, threading, stats, on_demand, max_fps, net } = args;
         Box::new(FlyArgs {
             source: Some(source),
             size,
             view,
             path,
             sse,
+            lod_fade,
             threading,
             stats,
             on_demand,
@@ -227,6 +236,12 @@ pub enum Bench {
     Threading {
         /// Shortest time to measure each case, seconds
         #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
+    /// What equal contents share, and what looking for them costs
+    Share {
+        /// Shortest time to decode each set, seconds
+        #[arg(long, default_value_t = 10.0)]
         secs: f64,
     },
     /// Files to merged pages
@@ -297,6 +312,28 @@ impl FromStr for Positive {
         match text.parse::<f64>() {
             Ok(value) if value.is_finite() && value > 0.0 => Ok(Self(value)),
             _ => Err("expected a number above zero".to_owned()),
+        }
+    }
+}
+
+/// A number that is not below zero.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NotNegative(pub f64);
+
+impl Default for NotNegative {
+    /// As the command line's.
+    fn default() -> Self {
+        Self(0.25)
+    }
+}
+
+impl FromStr for NotNegative {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse::<f64>() {
+            Ok(value) if value.is_finite() && value >= 0.0 => Ok(Self(value)),
+            _ => Err("expected a number that is not below zero".to_owned()),
         }
     }
 }

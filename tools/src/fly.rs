@@ -219,6 +219,7 @@ impl Flight {
             None if viewer.is_height_set() => HEIGHT_SSE_PX,
             None => FOREIGN_SSE_PX,
         };
+        viewer.camera.settings.lod_fade_s = self.args.lod_fade.0;
         if let Some(color) = self.args.background {
             viewer.environment.sky = Sky::Background(color.0);
             viewer.environment.fog.enabled = false;

@@ -9,6 +9,7 @@ mod info;
 mod net;
 mod pictures;
 mod serve;
+mod stress;
 mod summary;
 
 use std::process::ExitCode;
@@ -26,6 +27,7 @@ fn main() -> ExitCode {
         }
         args::Command::Info(args) => ("info", info::run(&args)),
         args::Command::Serve(args) => ("serve", serve::run(args)),
+        args::Command::Stress(args) => ("stress", stress::run(args)),
         args::Command::Cache(args) => ("cache", cache::run(&args)),
         args::Command::Bench(args) => ("bench", bench::run(&args)),
     };

@@ -6,8 +6,10 @@
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, ErrorKind, Read, Seek as _, SeekFrom, Write};
+use std::net::SocketAddr;
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::{Component, Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, UNIX_EPOCH};
 
@@ -102,44 +104,131 @@ impl ServeArgs {
     }
 }
 
+impl ServeArgs {
+    /// The defaults for a folder, on any free port of this machine alone.
+    pub fn new(folder: impl Into<PathBuf>) -> Self {
+        Self {
+            folder: folder.into(),
+            port: 0,
+            bind: "127.0.0.1".to_owned(),
+            latency_ms: 0.0,
+            jitter_ms: 0.0,
+            bandwidth: 0.0,
+            error_rate: 0.0,
+            truncate_rate: 0.0,
+            corrupt_rate: 0.0,
+            stall_rate: 0.0,
+            reset_rate: 0.0,
+            silent_rate: 0.0,
+            page_rate: 0.0,
+            retry_after: 0,
+            max_age: None,
+            seed: 1,
+        }
+    }
+}
+
 struct Server {
     args: ServeArgs,
     folder: PathBuf,
     /// Requests so far by path.
     counts: Mutex<HashMap<String, u64>>,
+    /// Answers meet what chance has for them; set by whoever runs the server, read by its connections.
+    is_faulty: AtomicBool,
+    /// Set when the server is dropped, read where connections are taken.
+    is_over: AtomicBool,
+}
+
+/// A server whose address is known and whose connections are not taken yet.
+struct Listening {
+    server: Arc<Server>,
+    listener: TcpListener,
+    address: SocketAddr,
+}
+
+impl Listening {
+    fn new(args: ServeArgs) -> Result<Self> {
+        let rates: Vec<f64> = args.rates().into_iter().map(|(rate, _)| rate).collect();
+        ensure!(rates.iter().all(|r| (0.0..=1.0).contains(r)), "rates are shares from 0 to 1");
+        ensure!(rates.iter().sum::<f64>() <= 1.0, "the rates are more than 1 together");
+        for (name, value) in
+            [("--latency-ms", args.latency_ms), ("--jitter-ms", args.jitter_ms), ("--bandwidth", args.bandwidth)]
+        {
+            ensure!(value == 0.0 || (1e-3..1e12).contains(&value), "{name} must be zero or above");
+        }
+        let folder = args.folder.canonicalize().with_context(|| args.folder.display().to_string())?;
+        ensure!(folder.is_dir(), "{}: is not a folder", folder.display());
+        let address = format!("{}:{}", args.bind, args.port);
+        let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
+        let address = listener.local_addr()?;
+        let (is_faulty, is_over) = (AtomicBool::new(true), AtomicBool::new(false));
+        let server = Arc::new(Server { args, folder, counts: Mutex::default(), is_faulty, is_over });
+        Ok(Self { server, listener, address })
+    }
+
+    fn run(self) {
+        for stream in self.listener.incoming() {
+            if self.server.is_over.load(Ordering::Acquire) {
+                return;
+            }
+            let Ok(stream) = stream else {
+                // Out of descriptors, for example: others may end meanwhile.
+                std::thread::sleep(Duration::from_millis(20));
+                continue;
+            };
+            let server = self.server.clone();
+            let spawned = std::thread::Builder::new().name("connection".to_owned()).spawn(move || {
+                // A client that goes is not an error.
+                let _ = server.connection(stream);
+            });
+            if let Err(error) = spawned {
+                eprintln!("terrane serve: a connection was refused: {error}");
+            }
+        }
+    }
 }
 
 pub fn run(args: ServeArgs) -> Result<()> {
-    let rates: Vec<f64> = args.rates().into_iter().map(|(rate, _)| rate).collect();
-    ensure!(rates.iter().all(|r| (0.0..=1.0).contains(r)), "rates are shares from 0 to 1");
-    ensure!(rates.iter().sum::<f64>() <= 1.0, "the rates are more than 1 together");
-    for (name, value) in
-        [("--latency-ms", args.latency_ms), ("--jitter-ms", args.jitter_ms), ("--bandwidth", args.bandwidth)]
-    {
-        ensure!(value == 0.0 || (1e-3..1e12).contains(&value), "{name} must be zero or above");
+    let listening = Listening::new(args)?;
+    println!("serving {} at http://{}/", listening.server.folder.display(), listening.address);
+    listening.run();
+    Ok(())
+}
+
+/// A server on a thread of this process; takes no more connections once dropped.
+pub struct Background {
+    server: Arc<Server>,
+    address: SocketAddr,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Background {
+    pub fn start(args: ServeArgs) -> Result<Self> {
+        let listening = Listening::new(args)?;
+        let (server, address) = (listening.server.clone(), listening.address);
+        let thread = std::thread::Builder::new().name("serve".to_owned()).spawn(move || listening.run())?;
+        Ok(Self { server, address, thread: Some(thread) })
     }
-    let folder = args.folder.canonicalize().with_context(|| args.folder.display().to_string())?;
-    ensure!(folder.is_dir(), "{}: is not a folder", folder.display());
-    let address = format!("{}:{}", args.bind, args.port);
-    let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
-    println!("serving {} at http://{}/", folder.display(), listener.local_addr()?);
-    let server = Arc::new(Server { args, folder, counts: Mutex::default() });
-    for stream in listener.incoming() {
-        let Ok(stream) = stream else {
-            // Out of descriptors, for example: others may end meanwhile.
-            std::thread::sleep(Duration::from_millis(20));
-            continue;
-        };
-        let server = server.clone();
-        let spawned = std::thread::Builder::new().name("connection".to_owned()).spawn(move || {
-            // A client that goes is not an error.
-            let _ = server.connection(stream);
-        });
-        if let Err(error) = spawned {
-            eprintln!("terrane serve: a connection was refused: {error}");
+
+    /// Where it listens, with a slash at the end.
+    pub fn url(&self) -> String {
+        format!("http://{}/", self.address)
+    }
+
+    /// Whether answers meet what chance has for them; latency and bandwidth stay.
+    pub fn set_faulty(&self, is_faulty: bool) {
+        self.server.is_faulty.store(is_faulty, Ordering::Release);
+    }
+}
+
+impl Drop for Background {
+    fn drop(&mut self) {
+        self.server.is_over.store(true, Ordering::Release);
+        // It looks when somebody comes; where nobody can, its thread is left to the end of the process.
+        if let (Ok(_), Some(thread)) = (TcpStream::connect(self.address), self.thread.take()) {
+            let _ = thread.join();
         }
     }
-    Ok(())
 }
 
 /// The parts of a request that count.
@@ -314,6 +403,9 @@ impl Server {
 
     fn fate(&self, chance: &mut Chance) -> Fate {
         let mut share = chance.share();
+        if !self.is_faulty.load(Ordering::Acquire) {
+            return Fate::Whole;
+        }
         for (rate, fate) in self.args.rates() {
             if share < rate {
                 return fate;

@@ -7,13 +7,13 @@ mod lookup;
 
 use std::collections::HashMap;
 
-use crate::cull::{RenderLeaf, RenderStage};
+use crate::cull::{FadeBand, RenderLeaf, RenderStage};
 use crate::draw::batch::lookup::Lookup;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
-use crate::draw::uniforms::frame::{FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
+use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
-use crate::scene::{AlphaMode, Topology};
+use crate::scene::{AlphaMode, SMALL_MESH_INDICES, Topology};
 use crate::state::{ResolvedState, SortMode};
 
 /// What has to be bound for a run: leaves with one bucket differ in geometry alone.
@@ -65,13 +65,19 @@ pub(in crate::draw) struct StateEntry {
     color: [f32; 4],
     /// Flags of leaves with a lit and with an unlit material.
     flags: [u32; 2],
+    /// Not drawn: what cannot fade changes in the middle of the fade.
+    is_hidden: bool,
 }
 
 impl StateEntry {
-    pub(in crate::draw) fn new(key: StateKey, statics: u32, state: &ResolvedState) -> Self {
-        let of_all = if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
+    pub(in crate::draw) fn new(key: StateKey, statics: u32, state: &ResolvedState, band: FadeBand) -> Self {
+        let is_whole = band.is_full() || !key.can_fade;
+        let is_hidden = !key.can_fade && !(band.from..band.to).contains(&(u8::MAX / 2));
+        let key = if is_whole { key } else { key.fading() };
+        let band = if is_whole { 0 } else { (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT };
+        let of_all = band | if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
         let flags = [false, true].map(|unlit| if state.is_lit(unlit) { of_all } else { of_all | FLAG_UNLIT });
-        Self { key, statics, class: 0, color: state.color, flags }
+        Self { key, statics, class: 0, color: state.color, flags, is_hidden }
     }
 }
 
@@ -82,6 +88,8 @@ pub(in crate::draw) struct Batch {
     leaves: Vec<LeafUniform>,
     leaf_count: usize,
     pub(in crate::draw) runs: Vec<Run>,
+    /// Of all stages, the first run of each bin; behind a stage's last bin, the run behind its last.
+    pub(in crate::draw) bin_starts: Vec<u32>,
     /// Of all stages, each with the index of its pipeline.
     pub(in crate::draw) buckets: Vec<(Bucket, u32)>,
     /// By state of the current stage.
@@ -105,9 +113,6 @@ pub(in crate::draw) struct Batch {
     places: Vec<u32>,
 }
 
-/// Meshes with more indices are drawn one by one (or several by an indirect call).
-const MOST_PULLED: u32 = 48;
-
 /// How many vertices of a small mesh one call has for each: 0 for meshes that are not small, in strides of 3, 6, 12, 24
 /// and 48, so that meshes of like sizes share a call.
 #[inline]
@@ -115,7 +120,7 @@ fn stride_code(entry: &DrawableEntry, state: &StateEntry) -> u32 {
     match &entry.shape {
         Shape::Mesh { place, topology: Topology::Triangles, .. }
             if state.key.can_pull
-                && place.index_count <= MOST_PULLED
+                && place.index_count <= SMALL_MESH_INDICES
                 && place.index_count >= 3
                 && !matches!(entry.alpha, AlphaMode::Mask(_)) =>
         {
@@ -138,6 +143,7 @@ impl Batch {
         self.leaf_count = 0;
         self.last_pipeline = None;
         self.runs.clear();
+        self.bin_starts.clear();
         self.buckets.clear();
     }
 
@@ -180,6 +186,7 @@ impl Batch {
         let first_run = self.runs.len();
         let mut dropped = 0;
         for bin in &stage.bins {
+            self.bin_starts.push(self.runs.len() as u32);
             let mut rest = &bin.leaves[..];
             while !rest.is_empty() {
                 let room = most_leaves.saturating_sub(self.leaf_count);
@@ -194,6 +201,7 @@ impl Batch {
                 }
             }
         }
+        self.bin_starts.push(self.runs.len() as u32);
         let buckets = &self.buckets;
         let is_see_through = |r: &Run| !buckets[r.bucket as usize].0.pipeline.writes_depth();
         let see_through = self.runs[first_run..].iter().position(is_see_through);
@@ -213,7 +221,8 @@ impl Batch {
         self.run_of.clear();
         let mut last = (u64::MAX, NO_RUN);
         for leaf in leaves {
-            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|(entry, _)| self.takes(leaf, entry)) else {
+            let is_drawn = |entry: &DrawableEntry| self.takes(leaf, entry) && !self.is_hidden(leaf);
+            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(entry)) else {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
             };
@@ -294,7 +303,7 @@ impl Batch {
     ) {
         let mut last = u64::MAX;
         for leaf in leaves {
-            let Some((entry, rows)) = drawable(ctx, stage, leaf) else { continue };
+            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|_| !self.is_hidden(leaf)) else { continue };
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last {
@@ -308,6 +317,11 @@ impl Batch {
             let stride = self.buckets[bucket as usize].0.stride;
             self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize], stride));
         }
+    }
+
+    #[inline]
+    fn is_hidden(&self, leaf: &RenderLeaf) -> bool {
+        self.states[leaf.state as usize].is_hidden
     }
 
     /// Equal for leaves of a bucket that one run draws.

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   62 receives shadows   63 casts
+//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading   62 receives shadows   63 casts
 //! ```
 
 use crate::scene::Topology;
@@ -40,6 +40,7 @@ const ALPHA_TO_COVERAGE: u64 = 1 << 41;
 const PROGRAM: u64 = 0x3ff << 48;
 const PULLED: u64 = 1 << 58;
 const TEXTURED: u64 = 1 << 59;
+const FADING: u64 = 1 << 60;
 const SHADOWED: u64 = 1 << 62;
 const CASTER: u64 = 1 << 63;
 
@@ -70,6 +71,8 @@ pub(in crate::draw) struct StateKey {
     /// Culled faces of single-sided and of double-sided drawables.
     culled: [u64; 2],
     blends: bool,
+    /// Leaves may be drawn in a part of the pixels; those of programs are drawn wholly or not.
+    pub can_fade: bool,
     /// Meshes may fetch their vertices themselves.
     pub can_pull: bool,
     /// Leaves may change places: nearer ones hide farther ones in any order.
@@ -117,8 +120,14 @@ impl StateKey {
         let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
         let order_is_free = write && nearer_wins && !blends && parts.stencil == 0;
         let can_pull = !matches!(shading, Shading::Program(_));
+        let can_fade = !matches!(shading, Shading::Program(_) | Shading::Fallback);
         let culled = [culled(false), culled(true)];
-        Self { common, culled, blends, can_pull, order_is_free, casts: false, drops: false }
+        Self { common, culled, blends, can_fade, can_pull, order_is_free, casts: false, drops: false }
+    }
+
+    /// The same for leaves that are drawn in a part of the pixels.
+    pub fn fading(self) -> Self {
+        Self { common: if self.can_fade { self.common | FADING } else { self.common }, ..self }
     }
 
     /// The same where the sun's shadows fall.
@@ -132,7 +141,7 @@ impl StateKey {
         let mut key = Self::new(state, PartIndices::default(), shading, target);
         let kept = 3 << 11 | FIXED | TEXTURED | PROGRAM | 63 << 42;
         key.common = key.common & kept | CASTER | 1 << 6 | (CompareFunction::LessOrEqual as u64) << 7;
-        Self { culled: [0, 0], blends: false, order_is_free: true, casts: true, drops, ..key }
+        Self { culled: [0, 0], blends: false, can_fade: false, order_is_free: true, casts: true, drops, ..key }
     }
 }
 
@@ -260,6 +269,10 @@ impl PipelineKey {
         self.0 & PULLED != 0
     }
 
+    pub fn is_fading(self) -> bool {
+        self.0 & FADING != 0
+    }
+
     /// A number in the order of the keys.
     pub fn order(self) -> u64 {
         self.0
@@ -267,7 +280,7 @@ impl PipelineKey {
 
     /// The same, shaded so that a fault is seen.
     pub fn fallback(self) -> Self {
-        let plain = self.0 & !(PROGRAM | FIXED | TEXTURED);
+        let plain = self.0 & !(PROGRAM | FIXED | TEXTURED | FADING);
         Self(if self.kind() == Kind::Height { plain } else { plain | PROGRAM })
     }
 
@@ -357,6 +370,7 @@ mod tests {
         assert_eq!((key.blend(), key.offset()), (40, 50));
         assert_eq!((key.stencil(), key.target(), key.shading()), (60, 33, Shading::Program(1000)));
         assert_eq!(key.fallback().shading(), Shading::Fallback);
+        assert!(!state.can_fade && state.fading() == state);
         assert_eq!(PipelineKey::height(&state, false).shading(), Shading::Plain);
         assert!(!state.order_is_free);
         let mirrored = PipelineKey::mesh(&state, Topology::Triangles, false, true, true);
@@ -372,7 +386,10 @@ mod tests {
     fn the_defaults_are_plain() {
         let state = StateKey::new(&ResolvedState::default(), PartIndices::default(), Shading::Plain, 0);
         assert!(state.order_is_free);
+        let fading = PipelineKey::height(&state.fading(), true);
+        assert!(fading.is_fading() && fading.shading() == Shading::Plain);
         let key = PipelineKey::height(&state, true);
+        assert!(!key.is_fading());
         assert_eq!((key.kind(), key.culled(), key.blend(), key.color_mask()), (Kind::Height, 0, 0, 7));
         assert_eq!((key.depth_compare(), key.writes_depth()), (CompareFunction::Less, true));
         let off = StateSet::default().with_mode(Mode::DepthTest, StateValue::OFF);

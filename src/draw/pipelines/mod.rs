@@ -361,6 +361,7 @@ impl Pipelines {
                 (state_layout, outputs, constants) = (None, 1, Vec::new());
             }
         }
+        let fragment = if key.is_fading() { fading(fragment) } else { fragment };
         let constants: Vec<(&str, f64)> = constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let topology = match key.kind() {
             Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
@@ -444,6 +445,23 @@ impl Pipelines {
                 write_mask: u32::from(stencil.write_mask),
             },
         }
+    }
+}
+
+/// The fragment shader that does the same in a part of the pixels. Apart, so that where nothing fades nothing is
+/// discarded, and depth is tested before shading.
+fn fading(fragment: &'static str) -> &'static str {
+    match fragment {
+        "fs_height" => "fs_height_fading",
+        "fs_height_shadowed" => "fs_height_shadowed_fading",
+        "fs_mesh" => "fs_mesh_fading",
+        "fs_mesh_masked" => "fs_mesh_masked_fading",
+        "fs_mesh_blended" => "fs_mesh_blended_fading",
+        "fs_thin" => "fs_thin_fading",
+        "fs_fixed_height" => "fs_fixed_height_fading",
+        "fs_fixed_mesh" => "fs_fixed_mesh_fading",
+        "fs_fixed_thin" => "fs_fixed_thin_fading",
+        other => other,
     }
 }
 
@@ -537,7 +555,30 @@ mod tests {
         let header = crate::gpu::TABLE_HEADER_VECTORS;
         assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
-        use crate::draw::uniforms::frame::{FLAG_UNLIT, FLAG_UNTEXTURED};
+        use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED};
+        assert!(MESH_WGSL.contains(&format!("const BAND_SHIFT: u32 = {BAND_SHIFT}u;")));
+        for source in [HEIGHT_WGSL, MESH_WGSL, FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, SHADOWED_HEIGHT_WGSL] {
+            let entries = parse("fading", source).entry_points;
+            let fragments = entries.iter().filter(|e| e.stage == naga::ShaderStage::Fragment);
+            for name in fragments
+                .map(|e| e.name.as_str())
+                .filter(|n| !n.ends_with("_fading") && !n.contains("_caster") && *n != "fs_fallback")
+            {
+                let name = match name {
+                    "fs_height" => fading("fs_height"),
+                    "fs_height_shadowed" => fading("fs_height_shadowed"),
+                    "fs_mesh" => fading("fs_mesh"),
+                    "fs_mesh_masked" => fading("fs_mesh_masked"),
+                    "fs_mesh_blended" => fading("fs_mesh_blended"),
+                    "fs_thin" => fading("fs_thin"),
+                    "fs_fixed_height" => fading("fs_fixed_height"),
+                    "fs_fixed_mesh" => fading("fs_fixed_mesh"),
+                    "fs_fixed_thin" => fading("fs_fixed_thin"),
+                    other => panic!("{other} does not fade"),
+                };
+                assert!(entries.iter().any(|e| e.name == name), "{name}");
+            }
+        }
         assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {FLAG_UNLIT}u;")));
         assert!(MESH_WGSL.contains(&format!("const FLAG_UNTEXTURED: u32 = {FLAG_UNTEXTURED}u;")));
         let shift = crate::draw::uniforms::frame::INDEX_COUNT_SHIFT;

@@ -8,6 +8,7 @@
 //!         pass    clear, pre callback, opaque runs, occlusion queries, sky, what writes no depth, post callback
 //! ```
 
+mod foresee;
 pub(super) mod prepare;
 pub(super) mod shadows;
 
@@ -19,6 +20,7 @@ use crate::cull::RenderStage;
 use crate::draw::answers::{PictureReads, Queries};
 use crate::draw::atmosphere::{Air, Atmosphere};
 use crate::draw::batch::Batch;
+use crate::draw::bins::{Bins, draw_bins};
 use crate::draw::callbacks::{CameraCallbacks, RenderInfo};
 use crate::draw::composite::Composite;
 use crate::draw::environment::{Environment, Sky};
@@ -125,6 +127,8 @@ pub struct Renderer {
     batch: Batch,
     pulls: Pulls,
     statics: Vec<Statics>,
+    /// Targets of the last frame, each with whether a light replaces the sun there.
+    drawn_into: Vec<(u8, bool)>,
     plans: Vec<StagePlan>,
     timer: Option<FrameTimer>,
     queries: Option<Queries>,
@@ -212,6 +216,7 @@ impl Renderer {
             batch: Batch::default(),
             pulls: Pulls::default(),
             statics: Vec::new(),
+            drawn_into: Vec::new(),
             plans: Vec::new(),
             timer: FrameTimer::new(device, ctx.queue()),
             queries: None,
@@ -449,7 +454,12 @@ impl Renderer {
             pre_draw(info, state.pass);
             state.forget();
         }
-        state.draw_runs(&from, plan.runs.start..plan.see_through);
+        let starts = plan.bin_starts.clone().and_then(|range| self.batch.bin_starts.get(range));
+        let bins = starts.map(|starts| Bins { bins: &stage.bins, starts }.split_before(plan.see_through));
+        match bins {
+            Some((before_sky, _)) => draw_bins(&mut state, &from, info, before_sky, 0),
+            None => state.draw_runs(&from, plan.runs.start..plan.see_through),
+        }
         if let (false, Some(pipeline)) = (plan.queries.is_empty(), self.pipelines.bare(Bare::Query, target.index)) {
             for (leaf, query, statics) in &plan.queries {
                 state.apply(&from, *statics);
@@ -466,7 +476,10 @@ impl Renderer {
             state.apply(&from, plan.statics);
             state.draw_bare(water, 3, 0..1);
         }
-        state.draw_runs(&from, plan.see_through..plan.runs.end);
+        match bins {
+            Some((_, after_sky)) => draw_bins(&mut state, &from, info, after_sky, 0),
+            None => state.draw_runs(&from, plan.see_through..plan.runs.end),
+        }
         if let (Some([left, right]), Some(composite), Some(key)) =
             (&plan.eyes, &self.composite, self.pipelines.target_key(target.index))
             && let (Some(left), Some(right)) = (self.groups.textures.view(left), self.groups.textures.view(right))

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{FrameClock, Picture, Renderer};
-use crate::cull::RenderStage;
+use crate::cull::{FadeBand, RenderStage};
 use crate::draw::answers::Queries;
 use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
@@ -24,6 +24,7 @@ impl Renderer {
         self.batch.start_frame();
         self.groups.start_frame();
         self.statics.clear();
+        self.drawn_into.clear();
         self.plans.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
@@ -119,9 +120,13 @@ impl Renderer {
         let first_statics = self.statics.len() as u32;
         self.statics.push(base);
         let has_own_light = replaces_sun(stage);
+        if !self.drawn_into.contains(&(target.index, has_own_light)) {
+            self.drawn_into.push((target.index, has_own_light));
+        }
         let mut states = std::mem::take(&mut self.batch.states);
         states.clear();
-        for (state, view) in stage.state_sets.iter().zip(&stage.view_of_state) {
+        let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
+        for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
             let (shading, group) = self.shading(ctx, stage, state, has_own_light, &target);
             let mut statics = Statics { group, ..base };
             statics.frame[0] = frames.get(*view as usize).copied().unwrap_or(first_frame);
@@ -135,13 +140,16 @@ impl Renderer {
             });
             let key = self.pipelines.state_key(state, shading, target.index);
             let key = if has_shadows { key.shadowed() } else { key };
-            states.push(StateEntry::new(key, index as u32, state));
+            let band = stage.fades.get((*fade as usize).wrapping_sub(1)).copied().unwrap_or(FadeBand::FULL);
+            states.push(StateEntry::new(key, index as u32, state, band));
         }
         self.batch.states = states;
-        let first_run = self.batch.runs.len();
+        let (first_run, first_bin) = (self.batch.runs.len(), self.batch.bin_starts.len());
         let (too_many, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
         dropped += too_many;
         let runs = first_run..self.batch.runs.len();
+        let is_called = stage.bins.iter().any(|bin| !bin.callbacks.is_empty());
+        let bin_starts = is_called.then_some(first_bin..self.batch.bin_starts.len());
         let queries = self.prepare_queries(ctx, stage, &target, &frames, base);
         let has_sky =
             is_outermost && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Atmosphere;
@@ -167,6 +175,7 @@ impl Renderer {
             eyes,
             target: Some(target),
             runs,
+            bin_starts,
             see_through,
             statics: first_statics,
             queries,
@@ -180,6 +189,24 @@ impl Renderer {
         dropped
     }
 
+    /// Who shades the leaves of a state; what is wrong with its program, only once.
+    pub(super) fn shading_of(
+        &mut self,
+        ctx: &GraphicsContext,
+        state: &ResolvedState,
+        has_own_light: bool,
+    ) -> Result<Shading, String> {
+        Ok(match state.program() {
+            Some(program) => match self.pipelines.programs.ensure(ctx.device(), program)? {
+                Some(place) => Shading::Program(place),
+                None => Shading::Fallback,
+            },
+            None if (0..TEXTURE_UNITS).any(|unit| state.texture(unit).is_some()) => Shading::FixedTextured,
+            None if has_own_light || state.is_fixed_function() => Shading::FixedFunction,
+            None => Shading::Plain,
+        })
+    }
+
     /// Who shades the leaves of a state, and with what.
     pub(super) fn shading(
         &mut self,
@@ -190,19 +217,10 @@ impl Renderer {
         target: &PassTarget,
     ) -> (Shading, Option<(u32, Option<u32>)>) {
         let mut wrong: Vec<String> = Vec::new();
-        let shading = match state.program() {
-            Some(program) => match self.pipelines.programs.ensure(ctx.device(), program) {
-                Ok(Some(place)) => Shading::Program(place),
-                Ok(None) => Shading::Fallback,
-                Err(problem) => {
-                    wrong.push(problem);
-                    Shading::Fallback
-                }
-            },
-            None if (0..TEXTURE_UNITS).any(|unit| state.texture(unit).is_some()) => Shading::FixedTextured,
-            None if has_own_light || state.is_fixed_function() => Shading::FixedFunction,
-            None => Shading::Plain,
-        };
+        let shading = self.shading_of(ctx, state, has_own_light).unwrap_or_else(|problem| {
+            wrong.push(problem);
+            Shading::Fallback
+        });
         let group = match shading {
             Shading::Plain | Shading::Fallback => None,
             Shading::FixedFunction | Shading::FixedTextured => Some(self.groups.push(&FixedUniform::new(state, stage))),

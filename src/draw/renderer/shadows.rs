@@ -2,7 +2,7 @@
 
 use super::Picture;
 use super::Renderer;
-use crate::cull::{MOST_CASCADES, RenderStage};
+use crate::cull::{FadeBand, MOST_CASCADES, RenderStage};
 use crate::draw::DrawStats;
 use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
@@ -98,7 +98,12 @@ impl Renderer {
                         self.statics.len() as u32 - 1
                     }
                 };
-                states.push(StateEntry::new(StateKey::caster(state, shading, drops, into), index, state));
+                states.push(StateEntry::new(
+                    StateKey::caster(state, shading, drops, into),
+                    index,
+                    state,
+                    FadeBand::FULL,
+                ));
             }
             self.batch.states = states;
             let first_run = self.batch.runs.len();

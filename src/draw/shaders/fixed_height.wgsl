@@ -38,14 +38,23 @@ fn fixed_height_surface(in: FixedHeightFragment) -> Surface {
 }
 
 @fragment
-fn fs_fixed_height(in: FixedHeightFragment) -> @location(0) vec4<f32> {
-    return fixed_color(fixed_height_surface(in));
-}
-
-@fragment
 fn fs_fixed_height_caster(in: FixedHeightFragment) {
     let surface = fixed_height_surface(in);
     if is_dropped(surface, fixed_base(surface)) {
         discard;
     }
+}
+
+@fragment
+fn fs_fixed_height(in: FixedHeightFragment) -> @location(0) vec4<f32> {
+    return fixed_color(fixed_height_surface(in));
+}
+
+@fragment
+fn fs_fixed_height_fading(in: FixedHeightFragment) -> @location(0) vec4<f32> {
+    let color = fixed_color(fixed_height_surface(in));
+    if is_faded_out(in.position.xy, in.flags) {
+        discard;
+    }
+    return color;
 }

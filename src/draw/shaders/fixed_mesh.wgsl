@@ -35,11 +35,24 @@ fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>, facing: vec3<f32>) -> 
     return Surface(in.in_eye_u.xyz, normal, facing, up, in.object, uv, base, is_lit, cutoff);
 }
 
-@fragment
-fn fs_fixed_mesh(in: FixedMeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+fn fixed_mesh_color(in: FixedMeshFragment, is_front: bool) -> vec4<f32> {
     let facet = facet_normal(in.in_eye_u.xyz);
     let normal = surface_normal(in.normal_v.xyz, is_front, facet);
     return fixed_color(mesh_surface(in, normal, towards_sun(normal, facet)));
+}
+
+@fragment
+fn fs_fixed_mesh(in: FixedMeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    return fixed_mesh_color(in, is_front);
+}
+
+@fragment
+fn fs_fixed_mesh_fading(in: FixedMeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let color = fixed_mesh_color(in, is_front);
+    if is_faded_out(in.position.xy, in.leaf.y) {
+        discard;
+    }
+    return color;
 }
 
 @fragment
@@ -54,4 +67,13 @@ fn fs_fixed_mesh_caster(in: FixedMeshFragment, @builtin(front_facing) is_front: 
     if is_dropped(surface, fixed_base(surface)) {
         discard;
     }
+}
+
+@fragment
+fn fs_fixed_thin_fading(in: FixedMeshFragment) -> @location(0) vec4<f32> {
+    let color = fixed_color(mesh_surface(in, frame.up.xyz, frame.up.xyz));
+    if is_faded_out(in.position.xy, in.leaf.y) {
+        discard;
+    }
+    return color;
 }

@@ -49,6 +49,7 @@ struct Stage {
 const FLAG_UNLIT: u32 = 1u;
 const FLAG_UNTEXTURED: u32 = 2u;
 const INDEX_COUNT_SHIFT: u32 = 8u;
+const BAND_SHIFT: u32 = 16u;
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> leaves: array<Leaf>;
@@ -62,6 +63,14 @@ const INDEX_COUNT_SHIFT: u32 = 8u;
 // What a drawable's texture gives; where textures are switched off, its alpha alone.
 fn texel(sampled: vec4<f32>, flags: u32) -> vec4<f32> {
     return select(sampled, vec4<f32>(1.0, 1.0, 1.0, sampled.a), (flags & FLAG_UNTEXTURED) != 0u);
+}
+
+// True where a leaf that fades leaves a pixel to what takes its place: interleaved gradient noise (J. Jimenez, Next
+// Generation Post Processing in Call of Duty: Advanced Warfare, 2014) as a number from 0 to 254, the same in every frame.
+fn is_faded_out(pixel: vec2<f32>, flags: u32) -> bool {
+    let noise = fract(52.9829189 * fract(dot(floor(pixel), vec2<f32>(0.06711056, 0.00583715))));
+    let value = min(u32(noise * 255.0), 254u);
+    return value < (flags >> BAND_SHIFT & 255u) || value >= flags >> (BAND_SHIFT + 8u);
 }
 
 fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {

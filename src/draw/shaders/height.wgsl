@@ -22,10 +22,11 @@ struct HeightFragment {
     @location(1) light: vec3<f32>,  // times the leaf's color
     @location(2) air: vec4<f32>,
     // By value, not by leaf: a load from a buffer for each pixel is dear on software adapters.
-    @location(3) @interpolate(flat) layer: u32,  // and the flags above
+    // Layer, two flags from FLAGS_SHIFT on, and the band of a fade where the leaf has it.
+    @location(3) @interpolate(flat) layer: u32,
 }
 
-const FLAGS_SHIFT: u32 = 24u;
+const FLAGS_SHIFT: u32 = 14u;
 const HEADER: u32 = 3u;
 
 fn row_of(table: u32, j: i32) -> vec4<f32> {
@@ -166,13 +167,27 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
     }
     out.light *= leaf.color.rgb;
     out.air = aerial(point.in_eye);
-    out.layer = leaf.layer | (leaf.flags << FLAGS_SHIFT);
+    let flags = leaf.flags & (FLAG_UNLIT | FLAG_UNTEXTURED);
+    out.layer = leaf.layer | flags << FLAGS_SHIFT | (leaf.flags >> BAND_SHIFT) << BAND_SHIFT;
     return out;
+}
+
+fn height_color(in: HeightFragment) -> vec4<f32> {
+    let layer = in.layer & ((1u << FLAGS_SHIFT) - 1u);
+    let base = texel(textureSample(color_layers, color_sampler, in.uv, layer), in.layer >> FLAGS_SHIFT);
+    return vec4<f32>(through_air(base.rgb * in.light, in.air), 1.0);
 }
 
 @fragment
 fn fs_height(in: HeightFragment) -> @location(0) vec4<f32> {
-    let layer = in.layer & ((1u << FLAGS_SHIFT) - 1u);
-    let base = texel(textureSample(color_layers, color_sampler, in.uv, layer), in.layer >> FLAGS_SHIFT);
-    return vec4<f32>(through_air(base.rgb * in.light, in.air), 1.0);
+    return height_color(in);
+}
+
+@fragment
+fn fs_height_fading(in: HeightFragment) -> @location(0) vec4<f32> {
+    let color = height_color(in);
+    if is_faded_out(in.position.xy, in.layer) {
+        discard;
+    }
+    return color;
 }

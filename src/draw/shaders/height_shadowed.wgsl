@@ -27,12 +27,12 @@ fn vs_height_shadowed(@builtin(vertex_index) index: u32, @builtin(instance_index
     out.air = aerial(point.in_eye);
     out.in_eye = point.in_eye;
     out.normal = point.normal;
-    out.layer = leaf.layer | (leaf.flags << FLAGS_SHIFT);
+    let flags = leaf.flags & (FLAG_UNLIT | FLAG_UNTEXTURED);
+    out.layer = leaf.layer | flags << FLAGS_SHIFT | (leaf.flags >> BAND_SHIFT) << BAND_SHIFT;
     return out;
 }
 
-@fragment
-fn fs_height_shadowed(in: ShadowedHeightFragment) -> @location(0) vec4<f32> {
+fn shadowed_height_color(in: ShadowedHeightFragment) -> vec4<f32> {
     let layer = in.layer & ((1u << FLAGS_SHIFT) - 1u);
     let base = texel(textureSample(color_layers, color_sampler, in.uv, layer), in.layer >> FLAGS_SHIFT);
     let facet = facet_normal(in.in_eye);
@@ -42,6 +42,20 @@ fn fs_height_shadowed(in: ShadowedHeightFragment) -> @location(0) vec4<f32> {
         light += in.sun * sun_shadow(in.in_eye, towards_sun(normalize(in.normal), facet));
     }
     return vec4<f32>(through_air(base.rgb * light, in.air), 1.0);
+}
+
+@fragment
+fn fs_height_shadowed(in: ShadowedHeightFragment) -> @location(0) vec4<f32> {
+    return shadowed_height_color(in);
+}
+
+@fragment
+fn fs_height_shadowed_fading(in: ShadowedHeightFragment) -> @location(0) vec4<f32> {
+    let color = shadowed_height_color(in);
+    if is_faded_out(in.position.xy, in.layer) {
+        discard;
+    }
+    return color;
 }
 
 @vertex

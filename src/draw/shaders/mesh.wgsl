@@ -64,11 +64,30 @@ fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) ->
     return through_air(base.rgb * (lit + light_of_sky(normal, ground.xyz)), air);
 }
 
-@fragment
-fn fs_mesh(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+fn mesh_color(in: MeshFragment, is_front: bool) -> vec4<f32> {
     let facet = facet_normal(in.in_eye_u.xyz);
     let base = base_color(in);
-    return vec4<f32>(shade(in, is_front, facet, base), 1.0);
+    return vec4<f32>(shade(in, is_front, facet, base), base.a);
+}
+
+// Lines and points have no facets: without a normal they face up.
+fn thin_color(in: MeshFragment) -> vec4<f32> {
+    let base = base_color(in);
+    return vec4<f32>(shade(in, true, frame.up.xyz, base), base.a);
+}
+
+@fragment
+fn fs_mesh(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    return vec4<f32>(mesh_color(in, is_front).rgb, 1.0);
+}
+
+@fragment
+fn fs_mesh_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let color = mesh_color(in, is_front);
+    if is_faded_out(in.position.xy, in.leaf.y) {
+        discard;
+    }
+    return vec4<f32>(color.rgb, 1.0);
 }
 
 @fragment
@@ -82,17 +101,40 @@ fn fs_mesh_masked(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @l
 }
 
 @fragment
-fn fs_mesh_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
-    let facet = facet_normal(in.in_eye_u.xyz);
-    let base = base_color(in);
-    return vec4<f32>(shade(in, is_front, facet, base), base.a);
+fn fs_mesh_masked_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let color = mesh_color(in, is_front);
+    if color.a < bitcast<f32>(in.leaf.z) || is_faded_out(in.position.xy, in.leaf.y) {
+        discard;
+    }
+    return vec4<f32>(color.rgb, 1.0);
 }
 
-// Lines and points have no facets: without a normal they face up.
+@fragment
+fn fs_mesh_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    return mesh_color(in, is_front);
+}
+
+@fragment
+fn fs_mesh_blended_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let color = mesh_color(in, is_front);
+    if is_faded_out(in.position.xy, in.leaf.y) {
+        discard;
+    }
+    return color;
+}
+
 @fragment
 fn fs_thin(in: MeshFragment) -> @location(0) vec4<f32> {
-    let base = base_color(in);
-    return vec4<f32>(shade(in, true, frame.up.xyz, base), base.a);
+    return thin_color(in);
+}
+
+@fragment
+fn fs_thin_fading(in: MeshFragment) -> @location(0) vec4<f32> {
+    let color = thin_color(in);
+    if is_faded_out(in.position.xy, in.leaf.y) {
+        discard;
+    }
+    return color;
 }
 
 // What cannot be drawn as it should is drawn like this.

@@ -5,7 +5,7 @@
 
 // Beyond the mesh's last index: that index again, a triangle without an area.
 fn pulled_vertex(leaf: Leaf, k: u32) -> MeshVertex {
-    let count = leaf.flags >> INDEX_COUNT_SHIFT;
+    let count = leaf.flags >> INDEX_COUNT_SHIFT & 255u;
     let at = 7u * (leaf.alpha_cutoff + pulled_indices[leaf.side + min(k, count - 1u)]);
     return MeshVertex(
         bitcast<vec3<f32>>(vec3<u32>(pulled_vertices[at], pulled_vertices[at + 1u], pulled_vertices[at + 2u])),

@@ -75,8 +75,11 @@ impl LeafUniform {
         Self { eye_from_drawable: [[0.0; 4]; 3], color: [0.0; 4], layer: 0, flags: 0, alpha_cutoff: 0, side: 0 };
 }
 
-/// Where the number of indices of pulled meshes begins in the flags.
+/// Where the number of indices of pulled meshes, 8 bits, begins in the flags.
 pub(in crate::draw) const INDEX_COUNT_SHIFT: u32 = 8;
+
+/// Where the part of the pixels begins in the flags: its first value, and 8 bits above that behind its last.
+pub(in crate::draw) const BAND_SHIFT: u32 = 16;
 
 /// Not lit.
 pub(in crate::draw) const FLAG_UNLIT: u32 = 1;

@@ -67,6 +67,22 @@ impl Entry {
     }
 }
 
+/// Takes any bytes as an entry whose hash is right, looks at it, and writes what it has read: for tests.
+#[doc(hidden)]
+pub fn fuzz_cache_entry(json: &[u8]) {
+    let mut bytes = files::hex(&files::hash(json)).into_bytes();
+    bytes.push(b'\n');
+    bytes.extend_from_slice(json);
+    if let Some(mut entry) = Entry::from_bytes(&bytes) {
+        let now = SystemTime::now();
+        let _ = (entry.is_fresh(now), entry.is_fresh(UNIX_EPOCH), entry.blob_hash());
+        assert_eq!(Entry::from_bytes(&entry.to_bytes()).as_ref(), Some(&entry), "what is written is read");
+        entry.checked(now, None);
+        assert!(entry.fresh_for_s == 0 || entry.is_fresh(now));
+    }
+    let _ = Entry::from_bytes(json);
+}
+
 fn seconds(time: SystemTime) -> u64 {
     time.duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }

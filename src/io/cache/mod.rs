@@ -30,6 +30,9 @@ pub use check::{CacheInfo, CacheVerified};
 #[cfg(feature = "http")]
 pub(crate) use entry::Entry;
 #[cfg(feature = "http")]
+#[doc(hidden)]
+pub use entry::fuzz_cache_entry;
+#[cfg(feature = "http")]
 pub(crate) use freshness::Freshness;
 pub use stats::CacheStats;
 #[cfg(feature = "http")]

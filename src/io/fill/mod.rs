@@ -193,6 +193,8 @@ impl Fill<'_> {
             root: self.scope.clone(),
             limits: self.options.limits,
             chain: tileset.chain.clone(),
+            // Regions are wanted as they are.
+            set_from_content: DAffine3::IDENTITY,
             build_kd_trees: false,
             sharing: None,
         };

@@ -238,7 +238,7 @@ fn range(Span { offset, size }: Span) -> String {
 }
 
 /// First and last byte and length of the whole.
-fn content_range(text: &str) -> Option<(u64, u64, u64)> {
+pub(super) fn content_range(text: &str) -> Option<(u64, u64, u64)> {
     let (span, length) = text.trim().strip_prefix("bytes ")?.split_once('/')?;
     let (first, last) = span.split_once('-')?;
     Some((first.trim().parse().ok()?, last.trim().parse().ok()?, length.trim().parse().ok()?))

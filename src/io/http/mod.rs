@@ -13,6 +13,29 @@ use reqwest::header::{ACCEPT_ENCODING, CONTENT_ENCODING, HeaderMap, HeaderValue}
 
 use archive::Archives;
 pub use config::{Credential, HttpConfig};
+
+/// Reads any text as each header that is read here: for tests.
+#[doc(hidden)]
+pub fn fuzz_headers(text: &str) {
+    use reqwest::header::{AGE, CACHE_CONTROL, DATE, EXPIRES, HeaderMap, HeaderValue, RETRY_AFTER, VARY};
+    let Ok(value) = HeaderValue::from_str(text) else { return };
+    let now = std::time::SystemTime::now();
+    for now in [now, std::time::UNIX_EPOCH] {
+        let headers: HeaderMap = [RETRY_AFTER, CACHE_CONTROL, AGE, EXPIRES, DATE, VARY]
+            .map(|name| (name, value.clone()))
+            .into_iter()
+            .collect();
+        let _ = retry::retry_after(&headers, now);
+        for one in [CACHE_CONTROL, AGE, EXPIRES, DATE, VARY] {
+            let alone: HeaderMap = [(one, value.clone())].into_iter().collect();
+            super::cache::Freshness::of(&alone, now);
+        }
+        super::cache::Freshness::of(&headers, now);
+    }
+    if let Some((first, last, length)) = archive::content_range(text) {
+        let _ = (first, last, length);
+    }
+}
 use exchange::Exchange;
 use retry::{Backoff, Pauses};
 use tokio::sync::Semaphore;

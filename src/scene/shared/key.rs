@@ -1,43 +1,35 @@
 //! [`ContentKey`]: what stands for the bytes of an image or a mesh. Any thread.
 //!
-//! A keyed universal hash: NH (Black, Halevi, Krawczyk, Krovetz, Rogaway: "UMAC") over blocks of 1 KiB, two Toeplitz
-//! lanes of 128 bits, then over what comes out of the blocks until one is left. The key is drawn once a process, so
-//! that two different contents get equal keys with a probability below 2^-120, whoever made them. It reads some
-//! 10 GB/s, where a cryptographic hash would double the time to decode a mesh.
+//! HighwayHash (Alakuijala, Cox, Wassenberg: "Fast keyed hash/pseudo-random function using SIMD multiply and
+//! permute"), 256 bits under a key that is drawn once a process: who makes contents cannot make two that get equal
+//! keys, and by chance two do not. It reads some GB/s, where a cryptographic hash would double the time to decode a mesh.
 
 use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::sync::OnceLock;
 
-/// Bytes of a block.
-const BLOCK: usize = 1024;
-/// Words of key for a block, its length and the second lane.
-const WORDS: usize = BLOCK / 8 + 4;
-/// Each level makes 32 bytes of a block: seven take more than any memory holds.
-const LEVELS: usize = 8;
+use highway::{HighwayHash as _, HighwayHasher, Key};
 
 /// Stands for content: equal where the content is, in this process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct ContentKey([u128; 2]);
+pub struct ContentKey([u64; 4]);
 
 impl ContentKey {
     /// The key of some parts in order; where one ends and the next begins counts.
     pub fn of(parts: &[&[u8]]) -> Self {
-        let keys = keys();
-        if let [one] = parts {
-            return Self(digest(keys, one));
-        }
-        let mut joined = Vec::with_capacity(parts.len() * 32);
+        let mut hasher = HighwayHasher::new(key());
         for part in parts {
-            joined.extend(Self(digest(keys, part)).bytes());
+            hasher.append(&(part.len() as u64).to_le_bytes());
+            hasher.append(part);
         }
-        Self(digest(keys, &joined))
+        Self(hasher.finalize256())
     }
 
     /// As bytes, to be part of another key.
     pub(crate) fn bytes(&self) -> [u8; 32] {
         let mut bytes = [0; 32];
-        bytes[..16].copy_from_slice(&self.0[0].to_le_bytes());
-        bytes[16..].copy_from_slice(&self.0[1].to_le_bytes());
+        for (to, word) in bytes.chunks_exact_mut(8).zip(self.0) {
+            to.copy_from_slice(&word.to_le_bytes());
+        }
         bytes
     }
 
@@ -47,80 +39,16 @@ impl ContentKey {
     }
 }
 
-type Keys = [[u64; WORDS]; LEVELS];
-
-fn keys() -> &'static Keys {
-    static KEYS: OnceLock<Box<Keys>> = OnceLock::new();
-    KEYS.get_or_init(|| {
+fn key() -> Key {
+    static KEY: OnceLock<Key> = OnceLock::new();
+    *KEY.get_or_init(|| {
         let random = RandomState::new();
-        let mut keys = Box::new([[0; WORDS]; LEVELS]);
-        for (i, word) in keys.iter_mut().flatten().enumerate() {
+        Key([0u8, 1, 2, 3].map(|i| {
             let mut hasher = random.build_hasher();
-            hasher.write_usize(i);
-            *word = hasher.finish();
-        }
-        keys
+            hasher.write_u8(i);
+            hasher.finish()
+        }))
     })
-}
-
-/// One block, at most [`BLOCK`] bytes, as if filled up with zeros.
-fn nh(keys: &[u64; WORDS], block: &[u8]) -> [u128; 2] {
-    let word = |bytes: &[u8]| {
-        let mut padded = [0; 8];
-        padded[..bytes.len()].copy_from_slice(bytes);
-        u64::from_le_bytes(padded)
-    };
-    let (mut a, mut b) = (0u128, 0u128);
-    let mut add = |at: usize, m: [u64; 2]| {
-        let k: &[u64; 4] = keys[at..].first_chunk().expect("a block has no more words than there are keys");
-        let product = |k: [u64; 2]| u128::from(m[0].wrapping_add(k[0])) * u128::from(m[1].wrapping_add(k[1]));
-        a = a.wrapping_add(product([k[0], k[1]]));
-        b = b.wrapping_add(product([k[2], k[3]]));
-    };
-    let mut pairs = block.chunks_exact(16);
-    let mut at = 0;
-    for pair in &mut pairs {
-        add(at, [word(&pair[..8]), word(&pair[8..])]);
-        at += 2;
-    }
-    let rest = pairs.remainder();
-    if !rest.is_empty() {
-        let (first, second) = rest.split_at(rest.len().min(8));
-        add(at, [word(first), word(second)]);
-        at += 2;
-    }
-    while at < BLOCK / 8 {
-        add(at, [0, 0]);
-        at += 2;
-    }
-    [a, b]
-}
-
-fn digest(keys: &Keys, data: &[u8]) -> [u128; 2] {
-    let mut level = 0;
-    let mut reduced: Vec<u8> = Vec::new();
-    while level + 1 < LEVELS {
-        let from: &[u8] = if level == 0 { data } else { &reduced };
-        if from.len() <= BLOCK {
-            break;
-        }
-        let mut next = Vec::with_capacity(from.len().div_ceil(BLOCK) * 32);
-        for block in from.chunks(BLOCK) {
-            let [a, b] = nh(&keys[level], block);
-            next.extend(a.to_le_bytes());
-            next.extend(b.to_le_bytes());
-        }
-        reduced = next;
-        level += 1;
-    }
-    let last: &[u8] = if level == 0 { data } else { &reduced };
-    // The length is a word of the last block, under a key of its own.
-    let [mut a, mut b] = nh(&keys[LEVELS - 1], last);
-    let [.., k0, k1, k2, k3] = keys[LEVELS - 2];
-    let length = data.len() as u64;
-    a = a.wrapping_add(u128::from(length.wrapping_add(k0)) * u128::from(k1));
-    b = b.wrapping_add(u128::from(length.wrapping_add(k2)) * u128::from(k3));
-    [a, b]
 }
 
 #[cfg(test)]
@@ -154,9 +82,9 @@ mod tests {
 
     #[test]
     fn blocks_change_places_not_unseen() {
-        let mut data: Vec<u8> = (0..8 * BLOCK as u32).map(|i| (i / 7) as u8).collect();
+        let mut data: Vec<u8> = (0..8 * 1024).map(|i| (i / 7) as u8).collect();
         let key = ContentKey::of(&[&data]);
-        data[..2 * BLOCK].rotate_left(BLOCK);
+        data[..2048].rotate_left(1024);
         assert_ne!(key, ContentKey::of(&[&data]));
     }
 }

@@ -15,7 +15,7 @@ use crate::scene::page::Page;
 /// Tables that are locked apart, so that workers seldom meet.
 const SHARDS: usize = 16;
 /// Images that came again are kept decoded up to so many bytes, for the next tile that brings them.
-const MOST_KEPT_BYTES: u64 = 8 << 20;
+const MOST_KEPT_BYTES: u64 = 16 << 20;
 
 /// What is shared; OSG's `ShareMode`, and geometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -345,7 +345,8 @@ impl SharedStateManager {
         match &mut drawable.geometry {
             Geometry::Mesh(mesh) => {
                 let indices = ContentKey::of(&[bytemuck::cast_slice(&mesh.indices)]);
-                (drawable.shared.geometry, drawable.shared.indices) = self.mesh(mesh, &indices);
+                let vertices = ContentKey::of(&[bytemuck::cast_slice(&mesh.vertices)]);
+                (drawable.shared.geometry, drawable.shared.indices) = self.mesh(mesh, &vertices, &indices);
             }
             Geometry::Height(tile) => {
                 let texture = tile.texture.as_ref().map(|t| texels_key(t));
@@ -405,10 +406,11 @@ impl SharedStateManager {
         }
     }
 
-    /// A mesh whose index list has the key `indices`.
+    /// A mesh by the keys of its vertices and of its index list.
     pub(crate) fn mesh(
         &self,
         mesh: &mut Arc<Mesh>,
+        vertices: &ContentKey,
         indices: &ContentKey,
     ) -> (Option<Arc<SharedContent>>, Option<Arc<SharedContent>>) {
         if !self.modes.geometry {
@@ -417,9 +419,8 @@ impl SharedStateManager {
         let list = self.lists.intern(*indices, Arc::new(())).content;
         let b = mesh.bounds;
         let bounds = [b.min.to_array(), b.max.to_array()];
-        let vertices = bytemuck::cast_slice(&mesh.vertices);
         let shape: &[u8] = &[mesh.topology as u8];
-        let key = ContentKey::of(&[vertices, &indices.bytes(), shape, bytemuck::cast_slice(&bounds)]);
+        let key = ContentKey::of(&[&vertices.bytes(), &indices.bytes(), shape, bytemuck::cast_slice(&bounds)]);
         let interned = self.meshes.intern(key, mesh.clone());
         self.count(&self.counters.geometry_hits, &interned, mesh, |m| {
             size_of_val::<[_]>(&m.vertices) as u64 + size_of_val::<[u32]>(&m.indices) as u64

@@ -181,6 +181,7 @@ mod page {
     }
 
     pub fn pager(ui: &mut Ui, viewer: &GuiActionAdapter<'_>) {
+        images(ui, viewer);
         let Some(pager) = viewer.pager().map(|p| p.stats()) else { return };
         let wanted = viewer.stats().last().map_or(0, |s| s.wanted_missing);
         let mean_ms = 1e3 * pager.latency_sum_s / pager.merged.max(1) as f64;
@@ -208,6 +209,23 @@ mod page {
                 ("shared shapes", pager.sharing.geometry_hits.to_string()),
                 ("saved on CPU", mebibytes(pager.shared_cpu_bytes_saved)),
                 ("saved on GPU", mebibytes(pager.shared_gpu_bytes_saved)),
+            ],
+        );
+    }
+
+    fn images(ui: &mut Ui, viewer: &GuiActionAdapter<'_>) {
+        let Some(images) = viewer.image_pager().map(|p| p.stats()) else { return };
+        ui.separator();
+        grid(
+            ui,
+            "images",
+            &[
+                ("images loaded", images.loaded.to_string()),
+                ("kept", images.images.to_string()),
+                ("late", images.late.to_string()),
+                ("failed", images.failed.to_string()),
+                ("paged out", images.paged_out.to_string()),
+                ("bytes", mebibytes(images.bytes)),
             ],
         );
     }

@@ -10,7 +10,7 @@ use image::RgbaImage;
 use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
 use crate::pager::{CompileContext, ImageChange};
-use crate::scene::{DrawSlot, Drawable, Mesh};
+use crate::scene::{DrawKind, DrawSlot, Drawable, Mesh};
 use crate::sync::{Operation, OperationThread};
 use crate::viewer::ViewerError;
 
@@ -252,6 +252,14 @@ impl ContextHandle {
         self.send(DrawCommand::Compile(CompileOperation { ticket, drawables }))
     }
 
+    /// Makes what drawables that come need to be drawn, before the frames that draw them.
+    pub(in crate::viewer) fn foresee(&mut self, kinds: &Arc<[DrawKind]>) {
+        if !kinds.is_empty() {
+            // A draw thread that has ended shows at the next frame.
+            let _ = self.send(DrawCommand::Foresee(kinds.clone()));
+        }
+    }
+
     /// Uploads what a scene's pager asks for.
     pub(super) fn compile(&mut self, owner: u16, operation: CompileOperation) {
         let ticket = owner_bits(owner, false) | (operation.ticket & TICKET_MASK);
@@ -370,6 +378,10 @@ pub(super) struct ContextOfScene<'a> {
 impl CompileContext for ContextOfScene<'_> {
     fn id(&self) -> u32 {
         self.handle.id
+    }
+
+    fn foresee(&mut self, kinds: &Arc<[DrawKind]>) {
+        self.handle.foresee(kinds);
     }
 
     fn compile(&mut self, operation: CompileOperation) {

@@ -12,7 +12,7 @@ use glam::DMat4;
 
 use super::millis;
 use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo};
-use crate::draw::{CameraCallbacks, Environment};
+use crate::draw::{BinCallback, CameraCallbacks, Environment};
 use crate::scene::{CameraTarget, ComputeNearFar, DataVariance, Scene};
 use crate::state::StateSet;
 use crate::sync::BlockCount;
@@ -165,5 +165,6 @@ impl CullSide {
 /// True when callbacks of the stage or of one around it read what update changes.
 fn has_dynamic_callbacks(stage: &RenderStage) -> bool {
     CameraCallbacks::variance_of(&stage.target.callbacks) == DataVariance::Dynamic
+        || BinCallback::are_dynamic(stage)
         || stage.pre_render.iter().chain(&stage.post_render).any(has_dynamic_callbacks)
 }

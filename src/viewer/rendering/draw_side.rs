@@ -17,7 +17,7 @@ use crate::cull::RenderStage;
 use crate::draw::{DrawStats, Environment, FrameClock, Picture, Renderer};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
 use crate::pager::ImageChange;
-use crate::scene::{DrawSlot, Mesh};
+use crate::scene::{DrawKind, DrawSlot, Mesh};
 use crate::sync::BlockCount;
 use crate::timeline;
 
@@ -73,6 +73,8 @@ pub(in crate::viewer) struct FrameDone {
 
 /// What the thread that owns the context does, in the order sent.
 pub(super) enum DrawCommand {
+    /// Make what the drawables that come need to be drawn.
+    Foresee(Arc<[DrawKind]>),
     /// Put drawables into the compile queue.
     Compile(CompileOperation),
     /// Put another mesh in the place of a drawable's, from the next frame on.
@@ -216,6 +218,7 @@ impl DrawSide {
 
     pub(super) fn execute(&mut self, command: DrawCommand) {
         let reply = match command {
+            DrawCommand::Foresee(kinds) => return self.renderer.foresee(&self.context, &kinds),
             DrawCommand::Compile(operation) => return self.context.compile(operation),
             DrawCommand::Rewrite { slot, mesh } => {
                 if let Err(error) = self.context.rewrite(slot, &mesh) {

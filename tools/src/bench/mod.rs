@@ -4,6 +4,7 @@ pub mod cull;
 pub mod frame;
 pub mod page;
 pub mod pick;
+pub mod share;
 pub mod submit;
 pub mod threading;
 
@@ -24,6 +25,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         Bench::Submit { secs } => submit::run(*secs),
         Bench::Frame { secs } => frame::run(*secs),
         Bench::Threading { secs } => threading::run(*secs),
+        Bench::Share { secs } => share::run(*secs),
         Bench::Page { frames, pace, draw, tiles, content, url, net } => page::run(page::Options {
             frames: *frames,
             pace_hz: *pace,

@@ -1,0 +1,124 @@
+//! What has to be made before the drawables of a page can be drawn: their states and kinds, told before they are
+//! uploaded. Main thread, when a page has arrived.
+
+use std::sync::Arc;
+
+use super::NodeId;
+use super::geometry::{AlphaMode, Geometry, Topology};
+use super::graph::Scene;
+use super::page::{BLEND, NONE, Page, VIEW};
+use crate::state::ResolvedState;
+
+/// Triangles of so few indices are drawn many meshes at once.
+pub(crate) const SMALL_MESH_INDICES: u32 = 48;
+/// Kinds of a page that are told; those beyond are made when they are drawn.
+const MOST_KINDS: usize = 256;
+
+/// A kind of drawable under a state: what its pipeline follows from.
+#[derive(Clone, Debug)]
+pub struct DrawKind {
+    /// What the state sets above it come to.
+    pub state: Arc<ResolvedState>,
+    /// `None` for height tiles.
+    pub topology: Option<Topology>,
+    /// Fragments below a cutoff are dropped.
+    pub is_masked: bool,
+    /// Of its material.
+    pub double_sided: bool,
+    /// Its transform mirrors.
+    pub mirrored: bool,
+    /// A mesh of a few triangles.
+    pub is_small: bool,
+}
+
+impl Scene {
+    /// The kinds of drawables of a page that is to hang in a slot, or to be a root; each once. Its drawables must not
+    /// have been taken.
+    pub fn draw_kinds(&self, slot: Option<NodeId>, page: &Page) -> Vec<DrawKind> {
+        let above = slot.map_or_else(Arc::default, |slot| self.state_above(slot));
+        let world_from_page =
+            slot.map_or(1.0, |slot| self.world_from_slot(slot).map_or(1.0, |map| map.matrix3.determinant()));
+        let mut states = Resolving::new(page, above);
+        let mut met: Vec<(u32, DrawKind)> = Vec::new();
+        for (drawable, of) in page.drawables.iter().zip(&page.drawable_refs) {
+            let (topology, indices) = match &drawable.geometry {
+                Geometry::Height(_) => (None, 0),
+                Geometry::Mesh(mesh) => (Some(mesh.topology), mesh.indices.len()),
+            };
+            let linear = page.transforms.page_from_node(of.transform).matrix3;
+            let kind = (
+                topology,
+                matches!(drawable.material.alpha, AlphaMode::Mask(_)),
+                drawable.material.double_sided,
+                world_from_page * linear.determinant() < 0.0,
+                (3..=SMALL_MESH_INDICES as usize).contains(&indices),
+            );
+            let of_kind = |k: &DrawKind| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small);
+            if met.iter().rev().any(|(path, known)| *path == of.state_path && of_kind(known) == kind) {
+                continue;
+            }
+            if met.len() >= MOST_KINDS {
+                break;
+            }
+            let (topology, is_masked, double_sided, mirrored, is_small) = kind;
+            let state = states.at(of.state_path);
+            met.push((of.state_path, DrawKind { state, topology, is_masked, double_sided, mirrored, is_small }));
+        }
+        met.into_iter().map(|(_, kind)| kind).collect()
+    }
+
+    /// What the state sets above the content of a slot come to, those of cameras apart.
+    fn state_above(&self, slot: NodeId) -> Arc<ResolvedState> {
+        let mut slots = vec![slot];
+        while let Some(above) = slots.last().and_then(|slot| self.slot_at(slot.page.slot)) {
+            slots.push(above);
+        }
+        let mut state = Arc::default();
+        for slot in slots.into_iter().rev() {
+            let Some(page) = self.page(slot.page) else { continue };
+            let path = page.tile_of(slot.index).and_then(|tile| page.tiles.state_paths.get(tile));
+            state = Resolving::new(page, state).at(path.copied().unwrap_or(0));
+        }
+        state
+    }
+}
+
+/// The states of a page's paths, as they are asked for.
+struct Resolving<'a> {
+    page: &'a Page,
+    known: Vec<Option<Arc<ResolvedState>>>,
+    root: Arc<ResolvedState>,
+}
+
+impl<'a> Resolving<'a> {
+    fn new(page: &'a Page, root: Arc<ResolvedState>) -> Self {
+        Self { page, known: vec![None; page.paths.len()], root }
+    }
+
+    fn at(&mut self, path: u32) -> Arc<ResolvedState> {
+        // Down again from the first path that is known.
+        let mut below = Vec::new();
+        let (mut at, mut state) = (path, self.root.clone());
+        while at != 0 && at != NONE {
+            if let Some(Some(known)) = self.known.get(at as usize) {
+                state = known.clone();
+                break;
+            }
+            let Some(link) = self.page.paths.get(at as usize) else { break };
+            below.push((at, link.set));
+            at = link.parent;
+        }
+        for (path, set) in below.into_iter().rev() {
+            state = match self.page.state_sets.get(set as usize) {
+                _ if set == BLEND => Arc::new(state.blended()),
+                _ if set == VIEW => state,
+                Some(set) => Arc::new(state.below(set)),
+                None => state,
+            };
+            if let Some(known) = self.known.get_mut(path as usize) {
+                *known = Some(state.clone());
+            }
+        }
+        state
+    }
+}

@@ -1,0 +1,161 @@
+//! Bins that the application draws itself: the order of the calls, and the pixels.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod gpu_support;
+
+use std::sync::{Arc, Mutex};
+
+use gpu_support::{MAGENTA, Rig, count, plain, quad, rig, unit_camera};
+use image::RgbaImage;
+use terrane::draw::{BinCallback, BinDrawing, RenderInfo};
+use terrane::scene::Node;
+use terrane::state::{BinDetails, DrawHook, SortMode, StateSet};
+
+const SIZE: u32 = 64;
+const ALL: usize = (SIZE * SIZE) as usize;
+const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
+const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
+const BLUE: [f32; 4] = [0.0, 0.0, 1.0, 1.0];
+
+type Said = Arc<Mutex<Vec<String>>>;
+
+fn bin(number: i32, callback: Option<DrawHook>) -> Arc<StateSet> {
+    let bin = Some(BinDetails { number, sort: SortMode::ByState });
+    Arc::new(StateSet { bin, bin_callback: callback, ..StateSet::default() })
+}
+
+fn hook(
+    said: &Said,
+    name: &'static str,
+    draw: impl Fn(&RenderInfo<'_>, &mut BinDrawing<'_, '_, '_>) + Send + Sync + 'static,
+) -> DrawHook {
+    let said = said.clone();
+    let say = move |what: String| said.lock().unwrap().push(format!("{name} {what}"));
+    BinCallback::new(move |info, bin| {
+        let numbers: Vec<i32> = bin.bins().iter().map(|b| b.number()).collect();
+        let leaves: usize = bin.bins().iter().map(|b| b.leaves.len()).sum();
+        say(format!("begins {numbers:?} with {leaves}"));
+        draw(info, bin);
+        say("ends".into());
+    })
+    .hook()
+}
+
+/// A square of the picture at a depth: the left or the right half, or all.
+fn square(left: bool, right: bool, depth: f32, color: [f32; 4]) -> Node {
+    let (center, half) = match (left, right) {
+        (true, true) => (0.0, 1.2),
+        (true, false) => (-0.6, 0.6),
+        _ => (0.6, 0.6),
+    };
+    Node::geode(vec![quad([center, 0.0, depth], [half, 1.2], color)])
+}
+
+fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
+    let scene = rig.scene(Node::group(nodes));
+    let picture = rig.picture(&scene, &unit_camera(SIZE), &plain());
+    rig.release(scene);
+    assert!(rig.renderer.take_errors().is_empty());
+    picture
+}
+
+#[test]
+fn a_bin_is_drawn_when_and_as_often_as_its_callback_likes() {
+    let Some(mut rig) = rig("a_bin_is_drawn_when_and_as_often_as_its_callback_likes") else { return };
+    let rig = &mut *rig;
+    let said = Said::default();
+    let scissored = |x: u32| {
+        move |_: &RenderInfo<'_>, bin: &mut BinDrawing<'_, '_, '_>| {
+            // What the callback sets is set again by `draw`.
+            bin.pass().set_scissor_rect(x, 0, 1, 1);
+            bin.pass().set_viewport(0.0, 0.0, 3.0, 3.0, 0.0, 0.1);
+            bin.draw();
+        }
+    };
+    let nodes = |callback: Option<DrawHook>| {
+        vec![
+            square(true, true, -0.5, RED),
+            square(true, false, 0.0, GREEN).with_state_set(bin(5, callback)),
+            square(false, true, 0.0, BLUE).with_state_set(bin(7, None)),
+        ]
+    };
+    let usual = draw(rig, nodes(None));
+    assert_eq!([[0, 255, 0], [0, 0, 255]].map(|c| count(&usual, c)), [ALL / 2; 2]);
+    assert_eq!(draw(rig, nodes(Some(hook(&said, "around", scissored(3))))), usual);
+    assert_eq!(draw(rig, nodes(Some(hook(&said, "twice", |_, bin| (bin.draw(), bin.draw()).0)))), usual);
+    let without = draw(rig, nodes(Some(hook(&said, "instead", |_, _| {}))));
+    assert_eq!([[255, 0, 0], [0, 0, 255]].map(|c| count(&without, c)), [ALL / 2; 2]);
+    let expected = ["around", "twice", "instead"].map(|n| [format!("{n} begins [5] with 1"), format!("{n} ends")]);
+    assert_eq!(*said.lock().unwrap(), expected.concat());
+}
+
+#[test]
+fn bins_are_called_in_their_order_with_those_nested_in_them() {
+    let Some(mut rig) = rig("bins_are_called_in_their_order_with_those_nested_in_them") else { return };
+    let rig = &mut *rig;
+    let said = Said::default();
+    let usual = |name| hook(&said, name, |_, bin| bin.draw());
+    let outer = |child: Node| Node::group(vec![child]).with_state_set(bin(2, Some(usual("outer"))));
+    let picture = draw(
+        rig,
+        vec![
+            square(true, true, 0.3, BLUE).with_state_set(bin(9, Some(usual("last")))),
+            outer(Node::group(vec![
+                square(true, true, 0.0, RED),
+                square(false, true, 0.1, GREEN).with_state_set(bin(4, Some(usual("nested")))),
+                square(true, false, 0.1, GREEN).with_state_set(bin(-4, None)),
+            ])),
+            square(true, true, -0.6, RED).with_state_set(bin(-1, Some(usual("first")))),
+            square(true, true, -0.7, RED),
+        ],
+    );
+    assert_eq!(count(&picture, [0, 0, 255]), ALL);
+    let expected = [
+        "first begins [-1] with 1",
+        "first ends",
+        "outer begins [-4, 2, 4] with 3",
+        "nested begins [4] with 1",
+        "nested ends",
+        "outer ends",
+        "last begins [9] with 1",
+        "last ends",
+    ];
+    assert_eq!(*said.lock().unwrap(), expected);
+
+    // The outer bin left out takes the nested ones with it; the one in front of all too.
+    said.lock().unwrap().clear();
+    let nothing = |name| hook(&said, name, |_, _| {});
+    let picture = draw(
+        rig,
+        vec![
+            Node::group(vec![
+                square(true, true, 0.0, RED),
+                square(true, true, 0.1, BLUE).with_state_set(bin(4, Some(usual("nested")))),
+            ])
+            .with_state_set(bin(2, Some(nothing("outer")))),
+            square(true, true, -0.7, GREEN),
+        ],
+    );
+    assert_eq!(count(&picture, [0, 255, 0]), ALL);
+    assert_eq!(*said.lock().unwrap(), ["outer begins [2, 4] with 2", "outer ends"]);
+}
+
+#[test]
+fn bins_that_blend_are_called_after_what_is_opaque() {
+    let Some(mut rig) = rig("bins_that_blend_are_called_after_what_is_opaque") else { return };
+    let rig = &mut *rig;
+    let said = Said::default();
+    let glass = |callback| {
+        let mut drawable = quad([0.0, 0.0, 0.5], [1.2, 1.2], [0.0, 1.0, 0.0, 0.5]);
+        drawable.material.alpha = terrane::scene::AlphaMode::Blend;
+        let set = StateSet { bin: Some(BinDetails::TRANSPARENT), bin_callback: callback, ..StateSet::default() };
+        Node::geode(vec![drawable]).with_state_set(Arc::new(set))
+    };
+    let nodes = |callback| vec![glass(callback), square(true, false, 0.0, RED)];
+    let usual = draw(rig, nodes(None));
+    assert_eq!(count(&usual, [255, 0, 0]) + count(&usual, MAGENTA), 0, "all under glass");
+    assert_eq!(draw(rig, nodes(Some(hook(&said, "glass", |_, bin| bin.draw())))), usual);
+    let without = draw(rig, nodes(Some(hook(&said, "none", |_, _| {}))));
+    assert_eq!((count(&without, [255, 0, 0]), count(&without, MAGENTA)), (ALL / 2, ALL / 2));
+    assert_eq!(said.lock().unwrap().len(), 4);
+}

@@ -1,0 +1,130 @@
+//! Pipelines are made when content is loaded, not when it is first drawn.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use terrane::gpu::{AdapterChoice, GpuError};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::{BoundingSphere, BoundingVolume};
+use terrane::pager::PagerConfig;
+use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine};
+use terrane::state::{Attribute, CullFace, StateSet, SurfaceMaterial};
+use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
+
+fn viewer(threading: ThreadingModel, blocking: bool) -> Option<Viewer> {
+    let config = ViewerConfig {
+        size_px: [64, 64],
+        threading,
+        adapter: AdapterChoice::Software,
+        validation: false,
+        pager: PagerConfig { blocking, ..PagerConfig::default() },
+        ..ViewerConfig::default()
+    };
+    match Viewer::new_offscreen(&config) {
+        Ok(viewer) => Some(viewer),
+        Err(ViewerError::Gpu(GpuError::NoAdapter { reason })) => {
+            assert!(std::env::var("REQUIRE_GPU").is_err(), "REQUIRE_GPU is set, but: {reason}");
+            eprintln!("skipped: no adapter");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// A fan of some triangles around the origin, facing +z after glTF's axes are turned.
+fn fan(triangles: u16, base_color: [f32; 4]) -> GlbMesh {
+    let at = |i: u16| {
+        let angle = std::f32::consts::TAU * f32::from(i) / f32::from(triangles);
+        [2.0 * angle.cos(), 0.0, -2.0 * angle.sin()]
+    };
+    let positions: Vec<[f32; 3]> = std::iter::once([0.0; 3]).chain((0..=triangles).map(at)).collect();
+    let indices = (0..triangles).flat_map(|i| [0, i + 1, i + 2]).collect();
+    GlbMesh {
+        normals: vec![[0.0, 1.0, 0.0]; positions.len()],
+        positions,
+        uvs: vec![],
+        indices,
+        image: None,
+        base_color,
+    }
+}
+
+fn tile(folder: &Path, file: &str, range_m: f64, transform: DAffine3, children: Vec<Node>) -> Node {
+    let lod = PagedLod {
+        bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 3.0)),
+        range_mode: RangeMode::Distance { center: DVec3::ZERO, range_m },
+        refine: Refine::Replace,
+        content: Some(Arc::from(folder.join(file).display().to_string())),
+        content_transform: transform,
+        reader_data: None,
+        request_volume: None,
+        paging: terrane::scene::PagingOptions::default(),
+    };
+    Node { children, ..Node::new(NodeKind::PagedLod(Box::new(lod))) }
+}
+
+fn frames(viewer: &mut Viewer, time_s: &mut f64, lod_scale: f64) {
+    viewer.camera.settings.lod_scale = lod_scale;
+    let before = viewer.frame_stamp().frame;
+    loop {
+        *time_s += 0.05;
+        viewer.frame_at(*time_s).unwrap();
+        let done = viewer.frame_stamp().frame - before;
+        assert!(done < 5_000, "does not settle");
+        if done > 8 && viewer.is_settled() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    viewer.finish().unwrap();
+}
+
+#[test]
+fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
+    let folder = std::env::temp_dir().join(format!("terrane-pipelines-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    for (file, triangles) in [("coarse.glb", 6), ("medium.glb", 8), ("mirrored.glb", 9), ("fine.glb", 200)] {
+        std::fs::write(folder.join(file), write_glb(&fan(triangles, [0.5, 0.5, 0.5, 1.0]))).unwrap();
+    }
+    for (model, blocking) in [
+        (ThreadingModel::SingleThreaded, true),
+        (ThreadingModel::SingleThreaded, false),
+        (ThreadingModel::CullThreadPerCameraDrawThreadPerContext, false),
+    ] {
+        let Some(mut viewer) = viewer(model, blocking) else { return };
+        viewer.page_files_in(&folder).unwrap();
+        let under = |set: StateSet, node: Node| node.with_state_set(Arc::new(set));
+        let material = StateSet::default().with(Attribute::SurfaceMaterial(SurfaceMaterial::default()));
+        let front = StateSet::default().with(Attribute::CullFace(CullFace::Front));
+        let mirror = DAffine3::from_scale(DVec3::new(1.0, -1.0, 1.0));
+        let whole = DAffine3::IDENTITY;
+        // Each with another pipeline: small, small under the fixed function, mirrored, large under both.
+        let fine = under(material.clone(), tile(&folder, "fine.glb", 0.0, whole, vec![]));
+        let mirrored = under(front, tile(&folder, "mirrored.glb", 3.0, mirror, vec![fine]));
+        let medium = under(material, tile(&folder, "medium.glb", 5.0, whole, vec![mirrored]));
+        let root = tile(&folder, "coarse.glb", 8.0, whole, vec![medium]);
+        viewer.add_root(Page::from_node(Node::group(vec![root])).unwrap()).unwrap();
+        viewer.camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
+        let mut time_s = 0.0;
+        frames(&mut viewer, &mut time_s, 1.0);
+        let created = |viewer: &Viewer, from: u32| -> u32 {
+            viewer.stats().iter().filter(|s| s.frame > from).map(|s| s.pipelines_created).sum()
+        };
+        assert!(created(&viewer, 0) > 0, "the sky's comes with the first frame");
+        let mut triangles = viewer.stats().last().unwrap().triangles;
+        assert!(triangles > 0);
+        for (lod_scale, expected) in [(0.6, 8), (0.4, 9), (0.2, 200)] {
+            let before = viewer.frame_stamp().frame;
+            frames(&mut viewer, &mut time_s, lod_scale);
+            let now = viewer.stats().last().unwrap().triangles;
+            assert!(now != triangles, "{model}: {lod_scale}");
+            triangles = now;
+            assert_eq!(triangles, expected, "{model}");
+            assert_eq!(created(&viewer, before), 0, "{model}, blocking {blocking}: {lod_scale}");
+        }
+        assert_eq!(viewer.pager().unwrap().stats().merged, 4);
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}

@@ -1,0 +1,240 @@
+//! What sharing equal contents saves, and what looking for them costs where there are none.
+//!
+//! Two sets of 1,024 tiles beside each other: in one all differ, the other repeats 32 of them. First the decoders
+//! alone, on all cores, without and with sharing in turn; then a pager that loads everything from files and uploads to
+//! the adapter that does nothing.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, ensure};
+use glam::{DAffine3, DMat3, DVec3};
+use serde_json::json;
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::io::{Content, Limits, ReadOptions, decode};
+use terrane::math::{BoundingVolume, OrientedBox};
+use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
+use terrane::scene::{
+    DrawSlot, Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, ShareModes, SharedStateManager,
+};
+
+use super::percentile;
+
+const TILES: usize = 1024;
+/// Contents of the set that repeats.
+const REPEATED: usize = 32;
+/// Metres, vertices and texels along a tile's side.
+const TILE_M: f64 = 100.0;
+const SIDE: usize = 65;
+const TEXELS: u32 = 256;
+const TIMEOUT: Duration = Duration::from_secs(120);
+
+fn glb(seed: usize) -> Result<Vec<u8>> {
+    let texel = |x: u32, y: u32| {
+        let [x, y, s] = [x as f32, y as f32, seed as f32];
+        let wave = |f: f32| (127.0 + 100.0 * (f * x + s).sin() * (0.7 * f * y + s).cos()) as u8;
+        image::Rgb([wave(0.05), wave(0.031), wave(0.013)])
+    };
+    let mut picture = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_fn(TEXELS, TEXELS, texel).write_to(&mut picture, image::ImageFormat::Jpeg)?;
+    let mut mesh = GlbMesh { image: Some(picture.into_inner()), base_color: [1.0; 4], ..GlbMesh::default() };
+    for j in 0..SIDE {
+        for i in 0..SIDE {
+            let [u, v] = [i, j].map(|k| k as f32 / (SIDE - 1) as f32);
+            let h = 5.0 * (6.0 * u + seed as f32).sin() * (5.0 * v).cos();
+            mesh.positions.push([(u - 0.5) * TILE_M as f32, h, (v - 0.5) * TILE_M as f32]);
+            mesh.normals.push([0.0, 1.0, 0.0]);
+            mesh.uvs.push([u, v]);
+        }
+    }
+    for j in 0..SIDE - 1 {
+        for i in 0..SIDE - 1 {
+            let a = (j * SIDE + i) as u16;
+            let (b, c, d) = (a + 1, a + SIDE as u16, a + SIDE as u16 + 1);
+            mesh.indices.extend([a, c, b, b, c, d]);
+        }
+    }
+    Ok(write_glb(&mesh))
+}
+
+fn sharing(modes: ShareModes) -> Option<Arc<SharedStateManager>> {
+    modes.any().then(|| Arc::new(SharedStateManager::new(modes)))
+}
+
+/// Tiles a second that the decoders make of contents in memory, without and with sharing: each worker decodes each of
+/// its tiles in both ways, so that what else the machine does weighs on both alike. It keeps the last 32 payloads, as
+/// of tiles that wait for their upload, and what pages share of all.
+fn decode_rates(contents: &[Vec<u8>]) -> [f64; 2] {
+    let options =
+        |modes| ReadOptions { sharing: sharing(modes), ..ReadOptions::for_root("/set/t.json", Limits::default()) };
+    let options = [options(ShareModes::NONE), options(ShareModes::default())];
+    let next = AtomicUsize::new(0);
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let work = || {
+        let mut spent = [Duration::ZERO; 2];
+        let (mut pages, mut waiting) = (Vec::new(), std::collections::VecDeque::new());
+        loop {
+            let i = next.fetch_add(1, Ordering::Relaxed);
+            let Some(bytes) = contents.get(i) else { return spent };
+            let order = if i.is_multiple_of(2) { [0, 1] } else { [1, 0] };
+            for mode in order {
+                let uri = "/set/t.glb".into();
+                let content = Content { uri, bytes: bytes.clone(), reader_data: None, companions: Vec::new() };
+                let start = Instant::now();
+                let decoded = decode(content, &options[mode]);
+                spent[mode] += start.elapsed();
+                let Ok(mut page) = decoded else { continue };
+                waiting.push_back(page.take_drawables());
+                if waiting.len() > 64 {
+                    waiting.pop_front();
+                }
+                pages.push(page);
+            }
+        }
+    };
+    let spent = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(work)).collect();
+        let spent = workers.into_iter().filter_map(|w| w.join().ok());
+        spent.fold([Duration::ZERO; 2], |sum, s| [sum[0] + s[0], sum[1] + s[1]])
+    });
+    spent.map(|spent| (contents.len() * cores) as f64 / spent.as_secs_f64())
+}
+
+/// A folder for this run alone, which goes with it.
+struct Folder(std::path::PathBuf);
+
+impl Folder {
+    fn new() -> Result<Self> {
+        let path = std::env::temp_dir().join(format!("terrane-bench-share-{}", std::process::id()));
+        std::fs::create_dir_all(&path)?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // What is left in a folder for what is temporary harms nobody.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+struct Context(GraphicsContext);
+
+impl CompileContext for Context {
+    fn id(&self) -> u32 {
+        0
+    }
+
+    fn compile(&mut self, operation: CompileOperation) {
+        self.0.compile(operation);
+    }
+
+    fn run_compiles(&mut self, budget: &CompileBudget) {
+        self.0.run_compiles(budget);
+    }
+
+    fn take_compiled(&mut self) -> Vec<Compiled> {
+        self.0.run_compiles(&CompileBudget::UNLIMITED);
+        self.0.take_compiled()
+    }
+
+    fn release(&mut self, slots: Vec<DrawSlot>) {
+        self.0.release(&slots);
+    }
+}
+
+/// A square of tiles beside each other.
+fn root(folder: &str) -> Result<Page> {
+    let across = TILES.isqrt();
+    let tile = |n: usize| {
+        let [x, y] = [n % across, n / across].map(|k| (k as f64 + 0.5) * TILE_M);
+        let center = DVec3::new(x, y, 0.0);
+        let half_axes = DMat3::from_diagonal(DVec3::new(0.5 * TILE_M, 0.5 * TILE_M, 10.0));
+        Node::new(NodeKind::PagedLod(Box::new(PagedLod {
+            bounds: BoundingVolume::Box(OrientedBox { center, half_axes }),
+            range_mode: RangeMode::Distance { center, range_m: 0.0 },
+            refine: Refine::Replace,
+            content: Some(format!("{folder}/{n}.glb").into()),
+            content_transform: DAffine3::from_translation(center),
+            reader_data: None,
+            request_volume: None,
+            paging: Default::default(),
+        })))
+    };
+    Ok(Page::from_node(Node::group((0..TILES).map(tile).collect()))?)
+}
+
+/// Loads and uploads everything; seconds, GPU bytes that were taken, and the pager's counters.
+fn load_all(folder: &str, modes: ShareModes) -> Result<(f64, u64, terrane::pager::PagerStats)> {
+    let traits = ContextTraits { adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() };
+    let mut context = Context(GraphicsContext::new_offscreen(&traits)?);
+    let config = PagerConfig { sharing: modes, ..PagerConfig::default() };
+    let options = ReadOptions::for_root(&format!("{folder}/tileset.json"), Limits::default());
+    let mut pager = DatabasePager::new(config, options)?;
+    let mut scene = Scene::new();
+    scene.add_root(root(folder)?);
+    let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+    let reach_m = TILES.isqrt() as f64 * TILE_M;
+    let eye = DVec3::new(0.5 * reach_m, 0.5 * reach_m, 2.0 * reach_m);
+    let start = Instant::now();
+    for frame in 1.. {
+        let eye_from_world = DAffine3::from_translation(-eye);
+        let camera = CullCamera { eye_from_world, frame, ..CullCamera::default() };
+        visitor.cull(&scene, &camera, &mut stage);
+        pager.update_scene_graph(&mut scene, frame, &stage.requests, &mut [&mut context]);
+        if pager.stats().merged as usize == TILES {
+            break;
+        }
+        ensure!(start.elapsed() < TIMEOUT, "not everything was loaded: {:?} {:?}", pager.stats(), pager.errors());
+        pager.work_until(&mut scene, &mut [&mut context], Instant::now() + Duration::from_millis(5));
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    pager.update_scene_graph(&mut scene, u32::MAX, &[], &mut [&mut context]);
+    Ok((seconds, context.0.bytes_in_use(), *pager.stats()))
+}
+
+/// Prints a line for each set, without and with sharing.
+pub fn run(secs: f64) -> Result<()> {
+    for (set, different) in [("unique", TILES), ("repeated", REPEATED)] {
+        let distinct: Vec<Vec<u8>> = (0..different).map(glb).collect::<Result<_>>()?;
+        let contents: Vec<Vec<u8>> = (0..TILES).map(|n| distinct[n % different].clone()).collect();
+        let end = Instant::now() + Duration::from_secs_f64(secs.max(0.0));
+        let (mut off, mut on, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
+        decode_rates(&contents);
+        while ratios.len() < 3 || Instant::now() < end {
+            let [without, with] = decode_rates(&contents);
+            off.push(without);
+            on.push(with);
+            ratios.push(with / without);
+        }
+        let ratio = percentile(&mut ratios, 0.5);
+        let folder = Folder::new()?;
+        for (n, bytes) in contents.iter().enumerate() {
+            std::fs::write(folder.0.join(format!("{n}.glb")), bytes)?;
+        }
+        let path = folder.0.display().to_string();
+        for (name, modes, rates) in [("off", ShareModes::NONE, &mut off), ("on", ShareModes::default(), &mut on)] {
+            let mut loads = (0..3).map(|_| load_all(&path, modes)).collect::<Result<Vec<_>>>()?;
+            loads.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let (seconds, gpu_bytes, stats) = loads[1];
+            let mb = |bytes: u64| (bytes as f64 / f64::from(1 << 20) * 10.0).round() / 10.0;
+            println!(
+                "{}",
+                json!({
+                    "bench": "share", "set": set, "sharing": name, "tiles": TILES, "different": different,
+                    "decode_tiles_per_s": percentile(rates, 0.5).round(),
+                    "decode_ratio_on_to_off": (ratio * 1e3).round() / 1e3, "rounds": rates.len(),
+                    "load_all_s": (seconds * 1e3).round() / 1e3,
+                    "gpu_mb": mb(gpu_bytes), "gpu_saved_mb": mb(stats.shared_gpu_bytes_saved),
+                    "payload_spared_mb": mb(stats.sharing.payload_bytes_spared),
+                    "decodes_spared": stats.sharing.decodes_spared,
+                    "geometry_hits": stats.sharing.geometry_hits, "texture_hits": stats.sharing.texture_hits,
+                })
+            );
+        }
+    }
+    Ok(())
+}

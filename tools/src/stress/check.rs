@@ -1,0 +1,143 @@
+//! What must hold in each frame, whatever the flight and the faults.
+
+use std::collections::VecDeque;
+
+use image::RgbaImage;
+use terrane::pager::{DatabasePager, PagerConfig, PagerStats};
+use terrane::scene::{PageId, Scene, SlotState};
+use terrane::viewer::{Camera, HoleCheck, KEY_COLOR};
+
+/// Failures that are kept of a seed; the first says most.
+const MOST_FAILURES: usize = 20;
+
+/// What did not hold, each kind once.
+#[derive(Debug, Default)]
+pub struct Failures {
+    list: Vec<String>,
+    kinds: Vec<&'static str>,
+}
+
+impl Failures {
+    /// Notes what did not hold.
+    pub fn add(&mut self, kind: &'static str, frame: u32, what: impl FnOnce() -> String) {
+        if !self.kinds.contains(&kind) && self.list.len() < MOST_FAILURES {
+            self.kinds.push(kind);
+            self.list.push(format!("frame {frame}: {kind}: {}", what()));
+        }
+    }
+
+    pub fn check(&mut self, holds: bool, kind: &'static str, frame: u32, what: impl FnOnce() -> String) {
+        if !holds {
+            self.add(kind, frame, what);
+        }
+    }
+
+    pub fn into_list(self) -> Vec<String> {
+        self.list
+    }
+}
+
+/// Loads that may be under way at once: what the threads and servers get, and what was uploaded but not merged.
+fn most_in_flight(config: &PagerConfig) -> u64 {
+    let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
+    let of_servers = 4 * start + most.saturating_sub(start);
+    (of_servers + 4 * config.file_threads.max(1) + 2 * config.decode_threads.max(1)) as u64
+}
+
+/// Counters, budgets and reports of a pager, after an update.
+pub fn pager(failures: &mut Failures, frame: u32, scene: usize, pager: &DatabasePager, config: &PagerConfig) {
+    let s = *pager.stats();
+    let told = || format!("scene {scene}: {s:?}");
+    failures.check(s.cpu_bytes <= config.max_bytes_cpu, "CPU bytes over the budget", frame, told);
+    failures.check(s.gpu_bytes <= config.max_bytes_gpu, "GPU bytes over the budget", frame, told);
+    failures.check(s.resident <= config.max_tiles as u64, "pages over the budget", frame, told);
+    let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
+    let has_end = s.requested + s.retried == ended + s.waiting + s.in_flight;
+    failures.check(has_end, "requests that have no end or two", frame, told);
+    failures.check(s.merged == s.expired + s.resident, "pages merged twice or lost", frame, told);
+    failures.check(s.merged <= s.loaded, "more merged than loaded", frame, told);
+    let reported: u64 = pager.errors().iter().map(|e| e.count).sum();
+    let of_all = s.failed + s.drawables_failed;
+    failures.check(reported == of_all, "failures not reported", frame, || format!("{reported} reported, {}", told()));
+    let most = most_in_flight(config) + config.max_tiles as u64;
+    failures.check(s.in_flight + s.resident <= most, "more under way than may be", frame, told);
+    let named = pager.errors().iter().all(|e| !e.reason.is_empty());
+    failures.check(named, "a failure without a reason", frame, told);
+}
+
+/// Pages that hang in the scene, roots left out; each is found once.
+pub fn pages_in(scene: &Scene) -> u64 {
+    let mut open: Vec<PageId> = scene.roots().to_vec();
+    let mut count = 0;
+    while let Some(page) = open.pop() {
+        for slot in scene.slots_of_page(page) {
+            if let Some(SlotState::Resident(content)) = scene.slot(slot).map(|s| s.state) {
+                count += 1;
+                open.push(content);
+            }
+        }
+    }
+    count
+}
+
+/// The coarsest contents are there: from now on no pixel that must show terrain may lack it.
+pub fn has_ground(scene: &Scene) -> bool {
+    scene.roots().iter().all(|root| {
+        // Depth first: the first slot is the top tile's.
+        let top = scene.slots_of_page(*root).next().and_then(|slot| scene.slot(slot));
+        top.is_none_or(|slot| slot.depth == 0 && !slot.is_proxy && matches!(slot.state, SlotState::Resident(_)))
+    })
+}
+
+/// Numbers that change while a pager gets anywhere.
+pub fn progress(s: &PagerStats) -> [u64; 6] {
+    [s.loaded, s.merged, s.failed, s.expired, s.declined, s.bytes_read]
+}
+
+/// A picture that was asked for: its frame, the camera, and whether there was ground then.
+pub struct Asked {
+    pub frame: u32,
+    pub camera: Camera,
+    pub has_ground: bool,
+    /// Its middle must show ground.
+    pub must_show: bool,
+}
+
+/// Pictures of the first view, against the cameras they were taken with.
+pub struct Pictures {
+    pub asked: VecDeque<Asked>,
+    pub holes: Option<HoleCheck>,
+    /// Looked at so far.
+    pub seen: u64,
+    pub hole_px: u64,
+}
+
+impl Pictures {
+    pub fn look(&mut self, failures: &mut Failures, frame: u32, picture: &RgbaImage) {
+        while let Some(asked) = self.asked.pop_front() {
+            if asked.frame != frame {
+                continue;
+            }
+            self.seen += 1;
+            match &self.holes {
+                Some(check) if asked.has_ground => {
+                    let holes = check.count(picture, &asked.camera, KEY_COLOR);
+                    self.hole_px += holes;
+                    let size = picture.dimensions();
+                    failures.check(holes == 0, "a hole", frame, || format!("{holes} pixels of {size:?}"));
+                }
+                Some(_) => {}
+                None => {
+                    // A driver makes black of what is not a number, and of what was not drawn; so is space.
+                    let (width, height) = picture.dimensions();
+                    let middle = picture.get_pixel(width / 2, height / 2).0;
+                    let is_lit = !asked.must_show || middle[..3] != [0, 0, 0];
+                    failures.check(is_lit, "black ground", frame, || format!("{middle:?} of {width} x {height}"));
+                    let opaque = picture.pixels().all(|p| p.0[3] == 255);
+                    failures.check(opaque, "a transparent picture", frame, || format!("{width} x {height}"));
+                }
+            }
+            return;
+        }
+    }
+}

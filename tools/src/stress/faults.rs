@@ -1,0 +1,65 @@
+//! `--faults`: what the server does wrong, from the command line.
+
+use std::str::FromStr;
+
+use super::plan::Faults;
+
+/// As `error=0.1,latency-ms=20`, or `none`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FaultSpec(pub Faults);
+
+impl FromStr for FaultSpec {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut faults = Faults::default();
+        for part in text.split(',').filter(|part| !part.is_empty() && *part != "none") {
+            let (name, value) = part.split_once('=').ok_or("expected name=value")?;
+            let value: f64 = value.parse().map_err(|_| format!("{name}: expected a number"))?;
+            let is_share = !matches!(name, "latency-ms" | "jitter-ms" | "bandwidth");
+            let most = if is_share { 1.0 } else { 1e9 };
+            if !(0.0..=most).contains(&value) {
+                return Err(format!("{name} must be from 0 to {most}"));
+            }
+            let place = match name {
+                "latency-ms" => &mut faults.latency_ms,
+                "jitter-ms" => &mut faults.jitter_ms,
+                "bandwidth" => &mut faults.bandwidth,
+                "error" => &mut faults.error,
+                "truncate" => &mut faults.truncate,
+                "corrupt" => &mut faults.corrupt,
+                "stall" => &mut faults.stall,
+                "reset" => &mut faults.reset,
+                "silent" => &mut faults.silent,
+                "page" => &mut faults.page,
+                _ => return Err(format!("{name} is no fault")),
+            };
+            *place = value;
+        }
+        Ok(Self(faults))
+    }
+}
+
+impl std::fmt::Display for FaultSpec {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Faults { latency_ms, jitter_ms, bandwidth, error, truncate, corrupt, stall, reset, silent, page } = self.0;
+        write!(f, "latency-ms={latency_ms},jitter-ms={jitter_ms},bandwidth={bandwidth},error={error},")?;
+        write!(f, "truncate={truncate},corrupt={corrupt},stall={stall},reset={reset},silent={silent},page={page}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn specs() {
+        let spec: FaultSpec = "error=0.25,latency-ms=20".parse().unwrap();
+        assert_eq!((spec.0.error, spec.0.latency_ms, spec.0.loses()), (0.25, 20.0, true));
+        assert_eq!(spec.to_string().parse(), Ok(spec));
+        assert_eq!("none".parse(), Ok(FaultSpec(Faults::default())));
+        for bad in ["error", "error=x", "error=2", "error=-1", "rain=0.1", "latency-ms=nan"] {
+            assert!(bad.parse::<FaultSpec>().is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,503 @@
+//! A seed, flown: a viewer with its scenes, views and contexts, the server with its faults, and the checks.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, ensure};
+use glam::{DMat4, DVec3};
+use terrane::draw::Sky;
+use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
+use terrane::io::{CacheConfig, is_http};
+use terrane::pager::PagerConfig;
+use terrane::viewer::{
+    CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, Slave, SlaveId, ViewId, ViewerConfig,
+    world_from_eye,
+};
+
+use super::check::{self, Asked, Failures, Pictures};
+use super::plan::{Drawing, Event, Faults, MOST_CONTEXTS, MOST_VIEWS, Plan, Pose, Way};
+use super::watch;
+use crate::serve::{Background, ServeArgs};
+
+/// Frames within which everything comes to rest once faults have ceased.
+const MOST_SETTLING: u32 = 3000;
+/// The time of a frame while it settles: what requests wait for is given in time, not in frames.
+const SETTLING_FRAME: Duration = Duration::from_millis(5);
+/// A pager with budgets that are too small is at rest once nothing has changed for so many frames.
+const AT_REST: u32 = 60;
+/// The end of a viewer, its threads and requests included.
+const MOST_CLOSING: Duration = Duration::from_secs(10);
+
+/// What a seed came to.
+#[derive(Debug, Default)]
+pub struct Outcome {
+    pub failures: Vec<String>,
+    pub frames: u32,
+    pub settling: u32,
+    pub pictures: u64,
+    /// Sums over the scenes.
+    pub requested: u64,
+    pub merged: u64,
+    pub failed: u64,
+    pub cancelled: u64,
+    pub expired: u64,
+    pub adapter: String,
+}
+
+/// Flies a seed over a set.
+pub fn fly(plan: &Plan, source: &str) -> Result<Outcome> {
+    let mut flight = Flight::new(plan, source)?;
+    flight.all()
+}
+
+/// A folder for the cache of a seed; goes with it.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(seed: u64) -> Result<Self> {
+        let folder = std::env::temp_dir().join(format!("terrane-stress-{}-{seed}", std::process::id()));
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        Ok(Self(folder))
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+struct Flight<'a> {
+    plan: &'a Plan,
+    // Dropped in this order: the server outlives its clients.
+    viewer: Option<CompositeViewer>,
+    server: Option<Background>,
+    _scratch: Scratch,
+    pager: PagerConfig,
+    config: ViewerConfig,
+    scenes: Vec<SceneId>,
+    /// The first stays in the first context, all of it.
+    views: Vec<(ViewId, ContextId)>,
+    slaves: Vec<(ViewId, SlaveId, ContextId)>,
+    contexts: Vec<ContextId>,
+    bounds: SetBounds,
+    pictures: Pictures,
+    failures: Failures,
+    /// The plan's frames so far; the viewer's own count begins at one.
+    frame: u32,
+    outcome: Outcome,
+    /// Bytes in the pools before anything was loaded.
+    empty_gpu_bytes: u64,
+}
+
+fn faulty(folder: &Path, faults: &Faults, seed: u64) -> ServeArgs {
+    ServeArgs {
+        latency_ms: faults.latency_ms,
+        jitter_ms: faults.jitter_ms,
+        bandwidth: faults.bandwidth,
+        error_rate: faults.error,
+        truncate_rate: faults.truncate,
+        corrupt_rate: faults.corrupt,
+        stall_rate: faults.stall,
+        reset_rate: faults.reset,
+        silent_rate: faults.silent,
+        page_rate: faults.page,
+        seed,
+        ..ServeArgs::new(folder)
+    }
+}
+
+/// A local source as the folder to serve and the path in it.
+fn served(source: &str) -> Result<(PathBuf, String)> {
+    let path = std::path::absolute(source)?;
+    if path.is_dir() {
+        return Ok((path, String::new()));
+    }
+    let name = path.file_name().and_then(|n| n.to_str()).with_context(|| source.to_owned())?.to_owned();
+    let folder = path.parent().with_context(|| source.to_owned())?.to_owned();
+    Ok((folder, name))
+}
+
+impl<'a> Flight<'a> {
+    fn new(plan: &'a Plan, source: &str) -> Result<Self> {
+        watch::step(format_args!("start"));
+        let scratch = Scratch::new(plan.seed)?;
+        let mut pager = plan.pager.clone();
+        if plan.has_cache && plan.way == Way::Http {
+            pager.http.cache = Some(CacheConfig::new(scratch.0.join("cache")));
+        }
+        let (server, source) = if plan.way == Way::Http && !is_http(source) {
+            let (folder, name) = served(source)?;
+            let server = Background::start(faulty(&folder, &plan.faults, plan.seed))?;
+            let url = format!("{}{name}", server.url());
+            (Some(server), url)
+        } else {
+            (None, source.to_owned())
+        };
+        let config = ViewerConfig {
+            size_px: plan.size_px,
+            threading: plan.model,
+            adapter: if plan.drawing == Drawing::None { AdapterChoice::Noop } else { AdapterChoice::Any },
+            validation: false,
+            pager: pager.clone(),
+            max_sse_px: plan.sse_px,
+            compile_budget: plan.compile_budget,
+            history_frames: 64,
+            max_contexts: MOST_CONTEXTS,
+            ..ViewerConfig::default()
+        };
+        let mut flight = Self {
+            plan,
+            viewer: None,
+            server,
+            _scratch: scratch,
+            pager,
+            config,
+            scenes: Vec::new(),
+            views: Vec::new(),
+            slaves: Vec::new(),
+            contexts: Vec::new(),
+            bounds: SetBounds::from_sphere(terrane::math::BoundingSphere::new(DVec3::ZERO, 1.0)),
+            pictures: Pictures { asked: VecDeque::new(), holes: None, seen: 0, hole_px: 0 },
+            failures: Failures::default(),
+            frame: 0,
+            outcome: Outcome::default(),
+            empty_gpu_bytes: 0,
+        };
+        flight.open(&source)?;
+        Ok(flight)
+    }
+
+    /// A context of the seed's adapter, or of none where there is no adapter.
+    fn context(&mut self) -> Result<GraphicsContext> {
+        match GraphicsContext::new_offscreen(&self.config.traits()) {
+            Ok(context) => Ok(context),
+            Err(GpuError::NoAdapter { .. }) => {
+                self.config.adapter = AdapterChoice::Noop;
+                Ok(GraphicsContext::new_offscreen(&self.config.traits())?)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn open(&mut self, source: &str) -> Result<()> {
+        let first = self.context()?;
+        self.outcome.adapter = first.adapter_name();
+        let mut viewer = CompositeViewer::new(&self.config)?;
+        self.contexts.push(viewer.open_context(first)?);
+        // The root must come; what is below it may not.
+        if let Some(server) = &self.server {
+            server.set_faulty(false);
+        }
+        for _ in 0..self.plan.scenes {
+            let scene = viewer.add_scene()?;
+            viewer.load(scene, source)?;
+            self.scenes.push(scene);
+        }
+        if let Some(server) = &self.server {
+            server.set_faulty(true);
+        }
+        self.bounds = *viewer.bounds(self.scenes[0])?.context("the set has no bounds")?;
+        self.viewer = Some(viewer);
+        self.add_view(0, 0, false)?;
+        if self.plan.drawing == Drawing::Holes && self.config.adapter != AdapterChoice::Noop {
+            self.pictures.holes = HoleCheck::new(&self.bounds);
+        }
+        Ok(())
+    }
+
+    fn viewer(&mut self) -> Result<&mut CompositeViewer> {
+        self.viewer.as_mut().context("the viewer is gone")
+    }
+
+    fn is_drawn(&self) -> bool {
+        self.plan.drawing != Drawing::None && self.config.adapter != AdapterChoice::Noop
+    }
+
+    fn add_view(&mut self, scene: usize, context: usize, part: bool) -> Result<()> {
+        let (scene, context) = (self.scenes[scene % self.scenes.len()], self.contexts[context % self.contexts.len()]);
+        let part = part.then_some([3, 5, 40, 30]);
+        let on_key = self.plan.drawing == Drawing::Holes;
+        let viewer = self.viewer()?;
+        let id = viewer.add_view(scene, context, part)?;
+        if on_key {
+            let view = viewer.view_mut(id)?;
+            view.environment.sky = Sky::Background(KEY_COLOR);
+            view.environment.fog.enabled = false;
+        }
+        self.views.push((id, context));
+        Ok(())
+    }
+
+    fn all(&mut self) -> Result<Outcome> {
+        for frame in 0..self.plan.frames {
+            self.frame = frame;
+            let plan = self.plan;
+            for (_, event) in plan.events.iter().filter(|(of, _)| *of == frame) {
+                watch::step(format_args!("frame {frame}, before it {event:?}"));
+                self.happen(*event).with_context(|| format!("frame {frame}, {event:?}"))?;
+            }
+            for (place, (view, _)) in self.views.clone().into_iter().enumerate() {
+                let pose = plan.poses[place % plan.poses.len()][frame as usize];
+                self.place_camera(view, &pose)?;
+            }
+            self.one_frame().with_context(|| format!("frame {frame}"))?;
+            let until = Instant::now() + Duration::from_micros(plan.between_us);
+            self.viewer()?.work_until(until);
+            self.check()?;
+        }
+        self.settle()?;
+        self.clear()?;
+        self.close()?;
+        Ok(std::mem::take(&mut self.outcome))
+    }
+
+    fn place_camera(&mut self, view: ViewId, pose: &Pose) -> Result<()> {
+        let bounds = self.bounds;
+        let frame = bounds.frame;
+        let local = DVec3::new(
+            bounds.middle_m.x + pose.east * bounds.half_size_m.x,
+            bounds.middle_m.y + pose.north * bounds.half_size_m.y,
+            bounds.middle_m.z + bounds.half_size_m.z + pose.height * bounds.sphere.radius_m,
+        );
+        let eye = frame.world_from_local.transform_point3(local);
+        let pose = world_from_eye(eye, frame.direction(pose.heading, pose.pitch), frame.up());
+        self.viewer()?.view_mut(view)?.camera.world_from_eye = pose;
+        Ok(())
+    }
+
+    fn one_frame(&mut self) -> Result<()> {
+        let number = self.frame;
+        watch::step(format_args!("frame {number}"));
+        let wants_picture = self.is_drawn() && number.is_multiple_of(self.plan.picture_every) && self.views.len() == 1;
+        let (first_view, first_context) = self.views[0];
+        let slaves_there = self.slaves.iter().any(|(_, _, context)| *context == first_context);
+        let wants_picture = wants_picture && !slaves_there;
+        let viewer = self.viewer()?;
+        if wants_picture {
+            viewer.want_picture(first_context);
+        }
+        // A synthetic clock: what is animated is the same in each run.
+        viewer.frame_at(f64::from(number) / 60.0)?;
+        let (frame, camera) = (viewer.frame_stamp().frame, viewer.view_mut(first_view)?.camera);
+        let pictures = viewer.take_pictures(first_context);
+        // As cull has seen it: nothing is merged or expired between cull and here.
+        let first_scene = self.scenes[0];
+        let has_ground = check::has_ground(self.viewer()?.scene(first_scene)?);
+        // Something is drawn wherever the middle of the first view must show ground.
+        let must_show = has_ground
+            && HoleCheck::new(&self.bounds).is_some_and(|check| check.must_hit(camera.eye(), camera.direction()));
+        if wants_picture {
+            self.pictures.asked.push_back(Asked { frame, camera, has_ground, must_show });
+        }
+        for (frame, picture) in pictures {
+            self.pictures.look(&mut self.failures, frame, &picture);
+        }
+        let stats = self.viewer()?.stats().last().copied().unwrap_or_default();
+        let drawn = stats.tiles_drawn;
+        self.failures.check(!must_show || drawn > 0, "nothing where ground is", number, || format!("{stats:?}"));
+        self.outcome.frames += 1;
+        Ok(())
+    }
+
+    /// Everything that holds in each frame.
+    fn check(&mut self) -> Result<()> {
+        let number = self.frame;
+        let viewer = self.viewer.as_ref().context("the viewer is gone")?;
+        for (place, scene) in self.scenes.iter().enumerate() {
+            let Some(pager) = viewer.pager(*scene)? else { continue };
+            check::pager(&mut self.failures, number, place, pager, &self.pager);
+            let (there, resident) = (check::pages_in(viewer.scene(*scene)?), pager.stats().resident);
+            let says = || format!("scene {place}: {there} hang in it, {resident} are counted");
+            self.failures.check(there == resident, "pages that are not counted", number, says);
+            let lost = self.server.is_none() && pager.stats().failed > 0 && !self.pager_is_too_small();
+            let says = || format!("{:?}", pager.errors());
+            self.failures.check(!lost, "a good file that failed", number, says);
+        }
+        let errors = viewer.draw_errors();
+        self.failures.check(errors.is_empty(), "an error of the device", number, || format!("{errors:?}"));
+        let said = watch::take_said();
+        self.failures.check(said.is_empty(), "an error in the log", number, || format!("{said:?}"));
+        Ok(())
+    }
+
+    /// A single page may be beyond a tiny budget, which is its failure.
+    fn pager_is_too_small(&self) -> bool {
+        self.plan.is_tiny
+    }
+
+    fn happen(&mut self, event: Event) -> Result<()> {
+        let (scenes, scene_count) = (self.scenes.clone(), self.scenes.len());
+        let at = |list: usize, any: usize| any % list.max(1);
+        match event {
+            Event::Model(model) => self.viewer()?.set_threading_model(model)?,
+            Event::StopThreads => self.viewer()?.stop_threading()?,
+            Event::Resize { context, size_px } => {
+                let context = self.contexts[at(self.contexts.len(), context)];
+                self.viewer()?.resize_context(context, size_px)?;
+            }
+            Event::OpenContext if self.contexts.len() < MOST_CONTEXTS => {
+                let context = self.context()?;
+                let opened = self.viewer()?.open_context(context)?;
+                self.contexts.push(opened);
+            }
+            // The first one stays, for the pictures.
+            Event::CloseContext(any) if self.contexts.len() > 1 => {
+                let place = 1 + at(self.contexts.len() - 1, any);
+                let closed = self.contexts.remove(place);
+                ensure!(self.viewer()?.close_context(closed)?, "an open context is not there");
+                self.slaves.retain(|(_, _, context)| *context != closed);
+                for (view, context) in self.views.clone() {
+                    if context == closed {
+                        self.viewer()?.remove_view(view)?;
+                        self.views.retain(|(of, _)| *of != view);
+                        self.slaves.retain(|(of, _, _)| *of != view);
+                    }
+                }
+            }
+            Event::AddView { context, scene, part } if self.views.len() < MOST_VIEWS => {
+                self.add_view(scene, context, part)?;
+            }
+            Event::RemoveView(any) if self.views.len() > 1 => {
+                let (view, _) = self.views.remove(1 + at(self.views.len() - 1, any));
+                self.slaves.retain(|(of, _, _)| *of != view);
+                self.viewer()?.remove_view(view)?;
+            }
+            Event::AddSlave { view, context, shift } if self.slaves.len() < MOST_VIEWS => {
+                let view = self.views[at(self.views.len(), view)].0;
+                let context = self.contexts[at(self.contexts.len(), context)];
+                let offset = DMat4::from_translation(DVec3::new(shift, 0.0, 0.0));
+                let slave = Slave { projection_offset: offset, ..Slave::new(context) };
+                let id = self.viewer()?.add_slave(view, slave)?;
+                self.slaves.push((view, id, context));
+            }
+            Event::RemoveSlave(any) if !self.slaves.is_empty() => {
+                let (view, slave, _) = self.slaves.remove(at(self.slaves.len(), any));
+                ensure!(self.viewer()?.remove_slave(view, slave)?, "a slave is not there");
+            }
+            Event::Pause { scene, is_paused } => {
+                if let Some(pager) = self.viewer()?.pager_mut(scenes[at(scene_count, scene)])? {
+                    pager.set_paused(is_paused);
+                }
+            }
+            Event::TakeRequests { scene, takes } => {
+                if let Some(pager) = self.viewer()?.pager_mut(scenes[at(scene_count, scene)])? {
+                    pager.set_takes_requests(takes);
+                }
+            }
+            Event::Clear(scene) => self.viewer()?.clear_pages(scenes[at(scene_count, scene)])?,
+            Event::Sse { view, px } => {
+                let view = self.views[at(self.views.len(), view)].0;
+                self.viewer()?.view_mut(view)?.camera.settings.max_sse_px = px;
+            }
+            Event::Sleep(ms) => std::thread::sleep(Duration::from_millis(ms)),
+            Event::Finish => self.viewer()?.finish()?,
+            Event::OpenContext
+            | Event::CloseContext(_)
+            | Event::AddView { .. }
+            | Event::RemoveView(_)
+            | Event::AddSlave { .. }
+            | Event::RemoveSlave(_) => {}
+        }
+        Ok(())
+    }
+
+    /// Faults cease and cameras stay: everything comes to rest.
+    fn settle(&mut self) -> Result<()> {
+        if let Some(server) = &self.server {
+            server.set_faulty(false);
+        }
+        for scene in self.scenes.clone() {
+            if let Some(pager) = self.viewer()?.pager_mut(scene)? {
+                pager.set_paused(false);
+                pager.set_takes_requests(true);
+            }
+        }
+        for (place, (view, _)) in self.views.clone().into_iter().enumerate() {
+            let pose = self.plan.last_poses[place % self.plan.last_poses.len()];
+            self.place_camera(view, &pose)?;
+        }
+        let (mut quiet, mut last) = (0, Vec::new());
+        for settling in 0..MOST_SETTLING {
+            self.frame = self.plan.frames + settling;
+            self.outcome.settling = settling + 1;
+            self.one_frame()?;
+            let until = Instant::now() + SETTLING_FRAME;
+            self.viewer()?.work_until(until);
+            self.check()?;
+            let viewer = self.viewer.as_ref().context("the viewer is gone")?;
+            let stats: Vec<_> = self.scenes.iter().filter_map(|s| Some(*viewer.pager(*s).ok()??.stats())).collect();
+            let now: Vec<_> = stats.iter().map(check::progress).collect();
+            let in_flight: u64 = stats.iter().map(|s| s.in_flight).sum();
+            quiet = if now == last && in_flight == 0 { quiet + 1 } else { 0 };
+            last = now;
+            if (viewer.is_settled() && quiet > 4) || (self.plan.is_tiny && quiet >= AT_REST) {
+                return Ok(());
+            }
+        }
+        let viewer = self.viewer.as_ref().context("the viewer is gone")?;
+        let missing = viewer.stats().last().map_or(0, |s| s.wanted_missing);
+        let stats: Vec<_> = self.scenes.iter().filter_map(|s| Some(*viewer.pager(*s).ok()??.stats())).collect();
+        self.failures.add("does not come to rest", self.frame, || format!("{missing} missing, {stats:?}"));
+        Ok(())
+    }
+
+    /// Nothing is left of what was loaded.
+    fn clear(&mut self) -> Result<()> {
+        watch::step(format_args!("clear"));
+        for (place, scene) in self.scenes.clone().into_iter().enumerate() {
+            let viewer = self.viewer()?;
+            let Some(pager) = viewer.pager_mut(scene)? else { continue };
+            pager.set_takes_requests(false);
+            let before = *pager.stats();
+            self.outcome.requested += before.requested;
+            self.outcome.merged += before.merged;
+            self.outcome.failed += before.failed;
+            self.outcome.cancelled += before.cancelled;
+            self.outcome.expired += before.expired;
+            let viewer = self.viewer()?;
+            viewer.clear_pages(scene)?;
+            let there = check::pages_in(viewer.scene(scene)?);
+            let Some(s) = viewer.pager(scene)?.map(|pager| *pager.stats()) else { continue };
+            let left = [there, s.resident, s.cpu_bytes, s.gpu_bytes, s.waiting, s.in_flight];
+            let says = || format!("scene {place}: {s:?}");
+            self.failures.check(left == [0; 6], "something is left after a clear", self.frame, says);
+        }
+        for _ in 0..4 {
+            self.frame += 1;
+            self.one_frame()?;
+            let until = Instant::now() + SETTLING_FRAME;
+            self.viewer()?.work_until(until);
+            self.check()?;
+        }
+        self.viewer()?.finish()?;
+        let bytes = self.viewer()?.stats().last().map_or(0, |s| s.gpu_bytes);
+        let empty = self.empty_gpu_bytes;
+        let says = || format!("{bytes} bytes, {empty} before anything was loaded");
+        self.failures.check(bytes <= empty, "GPU memory is left after a clear", self.frame, says);
+        Ok(())
+    }
+
+    /// The viewer ends in time, whatever its server does.
+    fn close(&mut self) -> Result<()> {
+        watch::step(format_args!("close"));
+        // Its last pictures.
+        let first = self.views[0].1;
+        for (frame, picture) in self.viewer()?.take_pictures(first) {
+            self.pictures.look(&mut self.failures, frame, &picture);
+        }
+        if let Some(server) = &self.server {
+            server.set_faulty(true);
+        }
+        let start = Instant::now();
+        self.viewer = None;
+        let took = start.elapsed();
+        self.failures.check(took < MOST_CLOSING, "the viewer is slow to end", self.frame, || format!("{took:?}"));
+        let said = watch::take_said();
+        self.failures.check(said.is_empty(), "an error in the log", self.frame, || format!("{said:?}"));
+        self.outcome.pictures = self.pictures.seen;
+        self.outcome.failures = std::mem::take(&mut self.failures).into_list();
+        Ok(())
+    }
+}

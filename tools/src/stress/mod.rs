@@ -1,0 +1,241 @@
+//! `terrane stress`: flights at random over a tile set that comes badly, and every invariant in each frame.
+//!
+//! ```text
+//! seed -> plan (settings, faults, poses, events) -> flight -> checks in each frame
+//!                                                          -> faults cease: it comes to rest
+//!                                                          -> cleared: nothing is left
+//!                                                          -> closed: in time
+//! ```
+//! A seed is a process: what panics, hangs or leaks takes no other seed with it. The plan is drawn before anything
+//! begins, so that a seed's flight, events and settings are the same each time, and so is what the server does to the
+//! first, second and third request for a file. How many requests there are by some frame depends on how quick threads
+//! and network are, and with it which of them meets what.
+
+mod check;
+mod faults;
+mod flight;
+mod plan;
+mod random;
+mod runner;
+mod set;
+mod watch;
+
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail, ensure};
+use clap::Args as ClapArgs;
+use serde::{Deserialize, Serialize};
+
+use self::plan::{Plan, Way};
+
+#[derive(Clone, Debug, ClapArgs)]
+pub struct StressArgs {
+    /// Folder, tileset.json, archive or http(s) URL; without it small sets are made in a temporary folder
+    pub source: Option<String>,
+    /// How many seeds
+    #[arg(long, default_value_t = 200)]
+    pub seeds: u64,
+    /// The first of them
+    #[arg(long, default_value_t = 1)]
+    pub first_seed: u64,
+    /// Seeds for so many minutes, instead of a number of them
+    #[arg(long)]
+    pub minutes: Option<f64>,
+    /// This seed alone, in this process: the flight of a seed that failed, once more
+    #[arg(long, conflicts_with_all = ["seeds", "first_seed", "minutes"])]
+    pub seed: Option<u64>,
+    /// Seeds at once [default: as many as there are cores]
+    #[arg(long)]
+    pub jobs: Option<usize>,
+    /// Frames of each flight [default: 40 to 120, by seed]
+    #[arg(long)]
+    pub frames: Option<u32>,
+    /// Seeds of a hundred that are drawn by an adapter and looked at; the rest is drawn by a backend that does nothing
+    #[arg(long, value_name = "PERCENT", default_value_t = 20)]
+    pub drawn: u64,
+    /// Faults of the server for all seeds, as error=0.1,latency-ms=20, or none [default: by seed]
+    #[arg(long, value_name = "SPEC")]
+    pub faults: Option<faults::FaultSpec>,
+    /// A frame that takes so many seconds hangs
+    #[arg(long, value_name = "SECONDS", default_value_t = 60)]
+    pub patience: u64,
+    /// Write what each seed came to, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// One line of JSON instead of text
+    #[arg(long, hide = true)]
+    pub as_json: bool,
+}
+
+/// What a seed came to.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct SeedReport {
+    pub seed: u64,
+    pub failures: Vec<String>,
+    /// Disk or server.
+    pub way: String,
+    /// Names the plan: the same plan, the same number.
+    pub plan: String,
+    pub drawing: String,
+    pub adapter: String,
+    pub frames: u32,
+    /// Frames from the end of the faults to rest.
+    pub settling: u32,
+    pub pictures: u64,
+    pub requested: u64,
+    pub merged: u64,
+    pub failed: u64,
+    pub cancelled: u64,
+    pub expired: u64,
+    pub seconds: f64,
+}
+
+impl SeedReport {
+    /// One line.
+    fn line(&self) -> String {
+        let verdict = if self.failures.is_empty() { "ok    " } else { "FAILED" };
+        format!(
+            "seed {:<5} {verdict} {:<4} {:<5} {:>4} frames, at rest after {:>4}, {:>3} pictures, {:>5} requests: {} merged, \
+             {} failed, {} cancelled, {} expired; {:.1} s",
+            self.seed,
+            self.way,
+            self.drawing,
+            self.frames,
+            self.settling,
+            self.pictures,
+            self.requested,
+            self.merged,
+            self.failed,
+            self.cancelled,
+            self.expired,
+            self.seconds
+        )
+    }
+}
+
+/// All of a run.
+#[derive(Serialize)]
+struct Report<'a> {
+    tool: &'static str,
+    version: &'static str,
+    source: &'a str,
+    seeds: &'a [SeedReport],
+    failed: usize,
+    frames: u64,
+    seconds: f64,
+}
+
+pub fn run(args: StressArgs) -> Result<()> {
+    ensure!(args.drawn <= 100, "--drawn is a share of a hundred");
+    ensure!(args.frames.is_none_or(|f| (1..1_000_000).contains(&f)), "--frames must be at least 1");
+    match args.seed {
+        Some(seed) => one(&args, seed),
+        None => many(&args),
+    }
+}
+
+/// Flies a seed in this process.
+fn one(args: &StressArgs, seed: u64) -> Result<()> {
+    let start = Instant::now();
+    watch::start(Duration::from_secs(args.patience.max(1)))?;
+    let mut plan = Plan::new(seed, args.frames, args.drawn);
+    if let Some(spec) = &args.faults {
+        plan.faults = spec.0.clone();
+    }
+    let made = if args.source.is_none() { Some(set::Sets::make()?) } else { None };
+    let source = match (&args.source, &made) {
+        (Some(source), _) => source.clone(),
+        (None, Some(sets)) => sets.of(seed),
+        (None, None) => bail!("no source"),
+    };
+    let flown = flight::fly(&plan, &source);
+    let mut outcome = match flown {
+        Ok(outcome) => outcome,
+        Err(error) => flight::Outcome { failures: vec![format!("{error:#}")], ..flight::Outcome::default() },
+    };
+    outcome.failures.extend(watch::take_said());
+    let way = if terrane::io::is_http(&source) { Way::Http } else { plan.way };
+    let report = SeedReport {
+        seed,
+        failures: outcome.failures,
+        way: format!("{way:?}").to_lowercase(),
+        plan: format!("{:016x}", plan.digest()),
+        drawing: format!("{:?}", plan.drawing).to_lowercase(),
+        adapter: outcome.adapter,
+        frames: outcome.frames,
+        settling: outcome.settling,
+        pictures: outcome.pictures,
+        requested: outcome.requested,
+        merged: outcome.merged,
+        failed: outcome.failed,
+        cancelled: outcome.cancelled,
+        expired: outcome.expired,
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    if args.as_json {
+        writeln!(std::io::stdout(), "{}", serde_json::to_string(&report)?).context("stdout")?;
+        return Ok(());
+    }
+    tell(&report, None)?;
+    write_report(args, &source, std::slice::from_ref(&report), start)?;
+    ensure!(report.failures.is_empty(), "seed {seed} failed");
+    Ok(())
+}
+
+/// Flies seeds in processes of their own.
+fn many(args: &StressArgs) -> Result<()> {
+    ensure!(args.minutes.is_none_or(|m| m > 0.0 && m < 1e6), "--minutes must be above 0");
+    let start = Instant::now();
+    let made = if args.source.is_none() { Some(set::Sets::make()?) } else { None };
+    let mut reports: Vec<SeedReport> = Vec::new();
+    runner::run(args, made.as_ref(), |report| {
+        tell(&report, args.source.as_deref().or(Some("")))?;
+        reports.push(report);
+        Ok(())
+    })?;
+    reports.sort_by_key(|r| r.seed);
+    let source = args.source.as_deref().unwrap_or("generated");
+    write_report(args, source, &reports, start)?;
+    let failed = reports.iter().filter(|r| !r.failures.is_empty()).count();
+    let frames: u64 = reports.iter().map(|r| u64::from(r.frames)).sum();
+    let requests: u64 = reports.iter().map(|r| r.requested).sum();
+    let lost: u64 = reports.iter().map(|r| r.failed).sum();
+    let (seeds, seconds) = (reports.len(), start.elapsed().as_secs_f64());
+    let summary = format!(
+        "{seeds} seeds, {failed} failed; {frames} frames, {requests} requests of which {lost} failed, in {seconds:.0} s"
+    );
+    writeln!(std::io::stdout(), "{summary}").context("stdout")?;
+    ensure!(failed == 0, "{failed} of {seeds} seeds failed");
+    Ok(())
+}
+
+/// A seed's line, what failed, and how it is flown again.
+fn tell(report: &SeedReport, source: Option<&str>) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    writeln!(out, "{}", report.line()).context("stdout")?;
+    for failure in &report.failures {
+        writeln!(out, "    {failure}").context("stdout")?;
+    }
+    if let (Some(source), false) = (source, report.failures.is_empty()) {
+        let space = if source.is_empty() { "" } else { " " };
+        writeln!(out, "    again: terrane stress{space}{source} --seed {}", report.seed).context("stdout")?;
+    }
+    Ok(())
+}
+
+fn write_report(args: &StressArgs, source: &str, seeds: &[SeedReport], start: Instant) -> Result<()> {
+    let Some(file) = &args.report else { return Ok(()) };
+    let report = Report {
+        tool: "terrane stress",
+        version: env!("CARGO_PKG_VERSION"),
+        source,
+        seeds,
+        failed: seeds.iter().filter(|r| !r.failures.is_empty()).count(),
+        frames: seeds.iter().map(|r| u64::from(r.frames)).sum(),
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    let text = serde_json::to_string_pretty(&report)? + "\n";
+    std::fs::write(file, text).with_context(|| file.display().to_string())
+}

@@ -1,0 +1,376 @@
+//! What a seed does: settings, faults, the flight and everything that happens on it, drawn before anything begins, so
+//! that no thread's timing has a say in it.
+
+use std::time::Duration;
+
+use terrane::gpu::CompileBudget;
+use terrane::pager::PagerConfig;
+use terrane::viewer::ThreadingModel;
+
+use super::random::Random;
+
+/// Views that may be there at once.
+pub const MOST_VIEWS: usize = 4;
+/// Contexts that may be open at once.
+pub const MOST_CONTEXTS: usize = 3;
+
+/// How tiles come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    Disk,
+    /// From our own server.
+    Http,
+}
+
+/// What is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Drawing {
+    /// Nothing: wgpu's backend that does nothing.
+    None,
+    /// On a key colour, to look for holes.
+    Holes,
+    /// Under the sky, to look for pictures that are none.
+    Sky,
+}
+
+/// What the server does wrong.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Faults {
+    pub latency_ms: f64,
+    pub jitter_ms: f64,
+    /// Bytes a second of a connection; 0 for as many as go.
+    pub bandwidth: f64,
+    pub error: f64,
+    pub truncate: f64,
+    pub corrupt: f64,
+    pub stall: f64,
+    pub reset: f64,
+    pub silent: f64,
+    pub page: f64,
+}
+
+impl Faults {
+    /// Some contents may not come.
+    #[cfg(test)]
+    pub fn loses(&self) -> bool {
+        self.error + self.truncate + self.corrupt + self.stall + self.reset + self.silent + self.page > 0.0
+    }
+
+    fn random(random: &mut Random) -> Self {
+        let mut faults = Self {
+            latency_ms: if random.percent(60) { random.between(0.1, 25.0) } else { 0.0 },
+            jitter_ms: if random.percent(40) { random.between(0.1, 25.0) } else { 0.0 },
+            bandwidth: if random.percent(30) { random.between(2e5, 5e6) } else { 0.0 },
+            ..Self::default()
+        };
+        if random.percent(65) {
+            let mut rate = || if random.percent(50) { random.between(0.0, 0.12) } else { 0.0 };
+            faults.error = rate();
+            faults.truncate = rate();
+            faults.corrupt = rate();
+            faults.reset = rate();
+            faults.page = rate();
+            faults.stall = 0.3 * rate();
+            faults.silent = 0.3 * rate();
+        }
+        faults
+    }
+}
+
+/// Where a camera is and looks, relative to the set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// From the middle, in half extents.
+    pub east: f64,
+    pub north: f64,
+    /// Above the highest ground, in radii of the set.
+    pub height: f64,
+    /// Radians clockwise from north, and above the horizon.
+    pub heading: f64,
+    pub pitch: f64,
+}
+
+impl Pose {
+    fn random(random: &mut Random) -> Self {
+        Self {
+            east: random.between(-1.0, 1.0),
+            north: random.between(-1.0, 1.0),
+            // As often low as high.
+            height: 10f64.powf(random.between(-2.5, 0.6)),
+            heading: random.between(0.0, std::f64::consts::TAU),
+            pitch: if random.percent(90) { random.between(-1.5, -0.1) } else { random.between(0.0, 1.5) },
+        }
+    }
+
+    /// Where there is something to see.
+    fn over_it(random: &mut Random) -> Self {
+        Self {
+            east: random.between(-0.8, 0.8),
+            north: random.between(-0.8, 0.8),
+            height: 10f64.powf(random.between(-2.0, 0.0)),
+            heading: random.between(0.0, std::f64::consts::TAU),
+            pitch: random.between(-1.5, -0.5),
+        }
+    }
+
+    fn towards(&self, other: &Self, share: f64) -> Self {
+        let mix = |a: f64, b: f64| a + (b - a) * share;
+        Self {
+            east: mix(self.east, other.east),
+            north: mix(self.north, other.north),
+            // A dive is as quick at each height.
+            height: self.height.powf(1.0 - share) * other.height.powf(share),
+            heading: mix(self.heading, other.heading),
+            pitch: mix(self.pitch, other.pitch),
+        }
+    }
+}
+
+/// Something that happens before a frame. Numbers choose among what there is by then.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    Model(ThreadingModel),
+    StopThreads,
+    Resize {
+        context: usize,
+        size_px: [u32; 2],
+    },
+    OpenContext,
+    CloseContext(usize),
+    AddView {
+        context: usize,
+        scene: usize,
+        part: bool,
+    },
+    RemoveView(usize),
+    AddSlave {
+        view: usize,
+        context: usize,
+        shift: f64,
+    },
+    RemoveSlave(usize),
+    Pause {
+        scene: usize,
+        is_paused: bool,
+    },
+    TakeRequests {
+        scene: usize,
+        takes: bool,
+    },
+    Clear(usize),
+    Sse {
+        view: usize,
+        px: f64,
+    },
+    /// Milliseconds without a frame.
+    Sleep(u64),
+    Finish,
+}
+
+/// All of a seed.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    pub seed: u64,
+    pub way: Way,
+    pub drawing: Drawing,
+    pub faults: Faults,
+    pub pager: PagerConfig,
+    /// Budgets are smaller than what the views want.
+    pub is_tiny: bool,
+    pub has_cache: bool,
+    pub model: ThreadingModel,
+    pub compile_budget: CompileBudget,
+    pub size_px: [u32; 2],
+    pub scenes: usize,
+    pub sse_px: f64,
+    pub frames: u32,
+    /// By view, by frame.
+    pub poses: Vec<Vec<Pose>>,
+    /// By view, where cameras stay in the end.
+    pub last_poses: Vec<Pose>,
+    /// With the frame that they come before.
+    pub events: Vec<(u32, Event)>,
+    /// Microseconds until the next frame.
+    pub between_us: u64,
+    /// Pictures are looked at every so many frames.
+    pub picture_every: u32,
+}
+
+impl Plan {
+    /// `draws` in so many of a hundred seeds something is drawn.
+    pub fn new(seed: u64, frames: Option<u32>, draws: u64) -> Self {
+        let mut random = Random::new(seed);
+        let r = &mut random;
+        let way = if r.percent(70) { Way::Http } else { Way::Disk };
+        let faults = Faults::random(r);
+        let drawing = match (r.percent(draws), r.percent(70)) {
+            (false, _) => Drawing::None,
+            (true, true) => Drawing::Holes,
+            (true, false) => Drawing::Sky,
+        };
+        let frames = frames.unwrap_or(r.whole(40, 120) as u32);
+        let is_tiny = r.percent(35);
+        let blocking = r.percent(6);
+        let pager = pager(r, is_tiny, blocking);
+        let model = r.one_of(&ThreadingModel::ALL);
+        let compile_budget = r.one_of(&[
+            CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
+            CompileBudget { time: Duration::ZERO, bytes: 0 },
+            CompileBudget { time: Duration::from_micros(200), bytes: 64 << 10 },
+        ]);
+        let poses = (0..MOST_VIEWS).map(|_| flight(r, frames)).collect();
+        let last_poses = (0..MOST_VIEWS).map(|_| Pose::over_it(r)).collect();
+        let events = events(r, frames);
+        Self {
+            seed,
+            way,
+            drawing,
+            faults,
+            pager,
+            is_tiny,
+            has_cache: r.percent(30),
+            model,
+            compile_budget,
+            size_px: [r.whole(48, 160) as u32, r.whole(32, 120) as u32],
+            scenes: r.whole(1, 2) as usize,
+            sse_px: 10f64.powf(r.between(-0.7, 0.9)),
+            frames,
+            poses,
+            last_poses,
+            events,
+            between_us: r.one_of(&[0, 300, 2000, 5000]),
+            picture_every: r.whole(1, 6) as u32,
+        }
+    }
+
+    /// A number that is the same where the plan is.
+    pub fn digest(&self) -> u64 {
+        // FNV-1a of all that was decided.
+        format!("{self:?}")
+            .bytes()
+            .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
+    }
+}
+
+fn pager(r: &mut Random, is_tiny: bool, blocking: bool) -> PagerConfig {
+    let mut config = PagerConfig {
+        file_threads: r.whole(1, 3) as usize,
+        decode_threads: r.whole(1, 3) as usize,
+        http_in_flight: r.whole(1, 24) as usize,
+        http_in_flight_max: r.one_of(&[0, 32, 128]),
+        expiry_frames: r.whole(1, 30) as u32,
+        stale_frames: r.whole(1, 4) as u32,
+        abort_frames: r.whole(2, 30) as u32,
+        merge_time: r.one_of(&[Duration::ZERO, Duration::from_millis(1), Duration::from_millis(20)]),
+        retry_after: Duration::from_millis(r.whole(5, 40)),
+        max_tries: r.whole(1, 4) as u32,
+        build_kd_trees: r.percent(20),
+        blocking,
+        ..PagerConfig::default()
+    };
+    if is_tiny {
+        match r.whole(0, 2) {
+            0 => config.max_tiles = r.whole(1, 30) as usize,
+            1 => config.max_bytes_gpu = r.whole(200_000, 6_000_000),
+            _ => config.max_bytes_cpu = r.whole(2_000, 400_000),
+        }
+    }
+    config.http.connect_timeout = Duration::from_millis(1500);
+    config.http.first_byte_timeout = Duration::from_millis(400);
+    config.http.read_timeout = Duration::from_millis(400);
+    config.http.total_timeout = Duration::from_millis(3000);
+    config.http.max_retries = r.whole(0, 2) as u32;
+    config.http.retry_backoff = Duration::from_millis(5);
+    config.http.max_wait = Duration::from_millis(50);
+    config.http.seed = r.next();
+    config
+}
+
+/// Legs of a flight: stays, leaps, spins, dives, and ways straight over it.
+fn flight(r: &mut Random, frames: u32) -> Vec<Pose> {
+    let mut poses: Vec<Pose> = Vec::new();
+    let mut at = Pose::random(r);
+    while poses.len() < frames as usize {
+        let length = r.whole(1, 30) as usize;
+        let to = match r.whole(0, 9) {
+            // Stays.
+            0 | 1 => at,
+            // Leaps, each frame elsewhere.
+            2 => {
+                for _ in 0..length.min(6) {
+                    poses.push(Pose::random(r));
+                }
+                at = Pose::random(r);
+                at
+            }
+            3 => Pose { heading: at.heading + r.between(-12.0, 12.0), ..at },
+            4 | 5 => Pose { height: 10f64.powf(r.between(-3.0, 0.6)), pitch: r.between(-1.5, -0.3), ..at },
+            // Off and away, and back later.
+            6 => Pose { height: 60.0, ..at },
+            _ => Pose::random(r),
+        };
+        let from = at;
+        poses.extend((1..=length).map(|i| from.towards(&to, i as f64 / length as f64)));
+        at = to;
+    }
+    poses.truncate(frames as usize);
+    poses
+}
+
+fn events(r: &mut Random, frames: u32) -> Vec<(u32, Event)> {
+    let mut events = Vec::new();
+    let often = r.one_of(&[2, 8, 25]);
+    for frame in 2..frames {
+        if !r.percent(often) {
+            continue;
+        }
+        let any = r.whole(0, 99) as usize;
+        let event = match r.whole(0, 21) {
+            0..=3 => Event::Model(r.one_of(&ThreadingModel::ALL)),
+            4 => Event::StopThreads,
+            5 | 6 => Event::Resize { context: any, size_px: [r.whole(1, 200) as u32, r.whole(1, 150) as u32] },
+            7 => Event::OpenContext,
+            8 => Event::CloseContext(any),
+            9 | 10 => Event::AddView { context: any, scene: r.whole(0, 9) as usize, part: r.percent(50) },
+            11 => Event::RemoveView(any),
+            12 => Event::AddSlave { view: any, context: r.whole(0, 9) as usize, shift: r.between(-2.0, 2.0) },
+            13 => Event::RemoveSlave(any),
+            14 | 15 => Event::Pause { scene: any, is_paused: r.percent(50) },
+            16 => Event::TakeRequests { scene: any, takes: r.percent(60) },
+            17 => Event::Clear(any),
+            18 => Event::Sse { view: any, px: 10f64.powf(r.between(-0.7, 1.5)) },
+            19 | 20 => Event::Sleep(r.whole(1, 30)),
+            _ => Event::Finish,
+        };
+        events.push((frame, event));
+    }
+    events
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_is_one_plan() {
+        for seed in 0..50 {
+            let (a, b) = (Plan::new(seed, None, 30), Plan::new(seed, None, 30));
+            assert_eq!(a.digest(), b.digest());
+            assert_ne!(a.digest(), Plan::new(seed + 1, None, 30).digest());
+            assert!(a.poses.iter().all(|p| p.len() == a.frames as usize), "seed {seed}");
+            assert!(a.poses.iter().flatten().all(|p| p.height > 0.0 && p.heading.is_finite()), "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn seeds_are_of_all_kinds() {
+        let plans: Vec<Plan> = (0..200).map(|seed| Plan::new(seed, None, 25)).collect();
+        let count = |holds: &dyn Fn(&Plan) -> bool| plans.iter().filter(|p| holds(p)).count();
+        assert!(count(&|p| p.way == Way::Http && p.faults.loses()) > 60);
+        assert!(count(&|p| p.is_tiny) > 40 && count(&|p| p.pager.blocking) > 4 && count(&|p| p.scenes == 2) > 60);
+        assert!(count(&|p| p.drawing == Drawing::Holes) > 15 && count(&|p| p.drawing == Drawing::Sky) > 5);
+        let events: Vec<Event> = plans.iter().flat_map(|p| p.events.iter().map(|(_, e)| *e)).collect();
+        assert!(events.iter().filter(|e| matches!(e, Event::Model(_))).count() > 100);
+        assert!(events.iter().any(|e| matches!(e, Event::CloseContext(_))));
+    }
+}

@@ -1,0 +1,85 @@
+//! `terrane stress` from outside: some seeds hold, a seed is the same flight each time, and what goes wrong is said.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn stress(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_terrane")).arg("stress").args(arguments).output().unwrap()
+}
+
+/// A small set; its folder goes with the first.
+fn set() -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("set");
+    let args = terrane_data_gen::GenArgs { levels: Some(4), size: 20_000.0, ..terrane_data_gen::GenArgs::new(&out) };
+    terrane_data_gen::run(&args).unwrap();
+    let out = out.display().to_string();
+    (folder, out)
+}
+
+#[test]
+fn some_seeds_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = folder.path().join("report.json");
+    let out = stress(&["--seeds", "12", "--frames", "50", "--report", report.to_str().unwrap()]);
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(out.status.success(), "{said}{}", String::from_utf8_lossy(&out.stderr));
+    assert!(said.lines().count() == 13 && said.contains("12 seeds, 0 failed"), "{said}");
+    let report: Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
+    let seeds = report["seeds"].as_array().unwrap();
+    assert_eq!((seeds.len(), report["failed"].as_u64()), (12, Some(0)));
+    assert!(seeds.iter().all(|s| s["frames"].as_u64().unwrap() > 50), "{report}");
+    assert!(seeds.iter().map(|s| s["merged"].as_u64().unwrap()).sum::<u64>() > 50, "{report}");
+}
+
+#[test]
+fn a_seed_is_the_same_flight_each_time() {
+    let (_folder, set) = set();
+    let fly = |seed: &str| -> Value {
+        let out = stress(&[&set, "--seed", seed, "--frames", "20", "--drawn", "0", "--as-json"]);
+        assert!(out.status.success());
+        serde_json::from_slice(&out.stdout).unwrap()
+    };
+    let (first, again, other) = (fly("7"), fly("7"), fly("8"));
+    assert_eq!(first["failures"], Value::Array(Vec::new()), "{first}");
+    for what in ["plan", "way", "drawing"] {
+        assert_eq!(first[what], again[what], "{what}");
+    }
+    assert_ne!(first["plan"], other["plan"]);
+}
+
+#[test]
+fn what_goes_wrong_is_said() {
+    // A set whose contents are broken on disk: each is a failure that no fault explains.
+    let (_folder, set) = set();
+    let tiles = std::fs::read_dir(&set).unwrap().map(|entry| entry.unwrap().path());
+    let mut broken = 0;
+    let mut open: Vec<_> = tiles.collect();
+    while let Some(path) = open.pop() {
+        if path.is_dir() {
+            open.extend(std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path()));
+        } else if path.extension().is_some_and(|e| e == "exr") {
+            std::fs::write(path, b"no heights").unwrap();
+            broken += 1;
+        }
+    }
+    assert!(broken > 4);
+    // The first seed that reads from disk.
+    let out = stress(&[&set, "--seeds", "12", "--frames", "20", "--drawn", "0", "--faults", "none"]);
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert_eq!(out.status.code(), Some(1), "{said}");
+    assert!(said.contains("FAILED disk") && said.contains("a good file that failed"), "{said}");
+    assert!(said.contains(&format!("again: terrane stress {set} --seed ")), "{said}");
+
+    let out = stress(&["/no/such/set", "--seed", "1"]);
+    let said = String::from_utf8_lossy(&out.stderr).into_owned() + &String::from_utf8_lossy(&out.stdout);
+    assert!(out.status.code() == Some(1) && said.contains("/no/such"), "{said}");
+    for (arguments, word) in [(&["--drawn", "101"][..], "--drawn"), (&["--minutes", "-1"], "--minutes")] {
+        let out = stress(arguments);
+        assert!(!out.status.success() && String::from_utf8_lossy(&out.stderr).contains(word));
+    }
+    assert_eq!(stress(&["--faults", "rain=1"]).status.code(), Some(2));
+}
