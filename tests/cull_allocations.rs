@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 use scenes::{Grid, content, look_at, page, quadtree, state_sets};
-use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage, ShadowLight, SunShadows};
 use terrane::scene::{Refine, Scene};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
@@ -44,6 +44,9 @@ static ALLOCATOR: Counting = Counting;
 /// Flies a circle twice and counts the allocations of the second time around.
 fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCamera) -> (u64, u32) {
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+    let to_sun = DVec3::new(0.6, 0.0, 0.8);
+    visitor.shadow_light = Some(ShadowLight { to_sun, up: to_sun, shadows: SunShadows::default() });
+    let mut casters = 0;
     let mut before = 0;
     let (mut leaves, mut fading) = (0, 0);
     for round in 0..2 {
@@ -55,11 +58,12 @@ fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCam
             let camera = CullCamera { frame: number, simulation_time_s, ..camera_at(frame) };
             visitor.cull(scene, &camera, &mut stage);
             leaves += stage.counters.leaves;
+            casters += stage.counters.shadow_leaves;
             fading += stage.counters.fading;
         }
     }
     let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
-    assert!(leaves > 1_000);
+    assert!(leaves > 1_000 && casters > 1_000);
     (allocations, fading)
 }
 

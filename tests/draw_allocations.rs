@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use gpu_support::{Rig, Terrain, camera, quad};
-use terrane::cull::{CullVisitor, RenderStage};
+use terrane::cull::{CullVisitor, RenderStage, SunShadows};
 use terrane::draw::{Environment, Renderer};
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::scene::Node;
@@ -125,7 +125,7 @@ fn a_steady_frame_allocates_nothing_of_its_own() {
             .with_state_set(Arc::new(set))
     }));
     let scene = rig.scene(Node::group(nodes));
-    let environment = Environment::default();
+    let environment = Environment { shadows: Some(SunShadows::default()), ..Environment::default() };
     let mut leaves = 0;
     let mut fly = |rig: &mut Rig, frames: std::ops::Range<u32>| {
         for frame in frames {
@@ -144,6 +144,8 @@ fn a_steady_frame_allocates_nothing_of_its_own() {
     assert!(wgpu > 0, "the call stacks say nothing: are there symbols?");
     assert!(own.is_empty(), "{} allocations, the first:\n{}", own.len(), own[0]);
     assert!(leaves > 1_000);
+    assert_eq!(rig.stage.shadows.cascades.len(), 4);
+    assert!(rig.stage.counters.shadow_leaves > 100);
     let (own, _) = allocations(|| drop((CullVisitor::new(), Box::new(RenderStage::new()))));
     assert!(!own.is_empty(), "a box is an allocation that is seen");
 }

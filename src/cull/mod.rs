@@ -12,7 +12,8 @@
 //!   fade               what is drawn beside what takes its place, for a short time
 //!   state_graph        find-or-insert of state sets under their parent
 //!   sort               leaves to bins, in draw order
-//! then the cameras in the graph that are drawn before or after: a stage of their own each, culled alike
+//! then the shadows' cascades, each culled alike into a stage of its own
+//! and the cameras in the graph that are drawn before or after: a stage of their own each, culled alike
 //! ```
 
 mod camera;
@@ -21,6 +22,7 @@ mod horizon;
 mod nodes;
 mod occluders;
 mod planes;
+mod shadows;
 mod sort;
 mod special;
 mod stage;
@@ -32,6 +34,7 @@ mod visitor;
 
 pub use camera::CullCamera;
 pub use fade::FadeBand;
+pub use shadows::{MOST_CASCADES, ShadowCascade, ShadowError, ShadowLight, StageShadows, SunShadows};
 pub use stage::{
     ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, RenderBin, RenderLeaf, RenderStage,
     StageTarget, StageView,

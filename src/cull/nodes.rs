@@ -336,7 +336,7 @@ impl Cull<'_> {
         let depth = row.x * center[0] + row.y * center[1] + row.z * center[2] + row.w;
         let reach = row.x.abs() * half[0] + row.y.abs() * half[1] + row.z.abs() * half[2];
         if half[0] < UNBOUNDED {
-            if depth + reach < 0.0 {
+            if depth + reach < self.view.least_depth {
                 return None; // wholly behind the eye
             }
             if !self.occluders.is_empty() {
@@ -401,6 +401,7 @@ impl Cull<'_> {
         self.take_singly(context, first..head_end, &matrix_of);
         let row = context.depth;
         let abs = row.abs();
+        let least_depth = Vec4::splat(self.view.least_depth);
         let (mut near, mut far) = (Vec4::splat(self.range.near), Vec4::splat(self.range.far));
         for (block, four) in page.boxes.iter().enumerate().take(blocks.end).skip(blocks.start) {
             let start = 4 * block;
@@ -408,7 +409,7 @@ impl Cull<'_> {
             let [hx, hy, hz] = four.half;
             let depth = cx * row.x + cy * row.y + cz * row.z + Vec4::splat(row.w);
             let reach = hx * abs.x + hy * abs.y + hz * abs.z;
-            let behind = (depth + reach).cmplt(Vec4::ZERO) | hx.cmpge(Vec4::splat(UNBOUNDED));
+            let behind = (depth + reach).cmplt(least_depth) | hx.cmpge(Vec4::splat(UNBOUNDED));
             if behind.any() {
                 self.take_singly(context, start..start + 4, &matrix_of);
                 continue;

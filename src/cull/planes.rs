@@ -182,9 +182,9 @@ impl Planes {
     }
 }
 
-/// The third row of `eye_from_frame`, negated: depth in front of the eye of a point relative to `origin`.
-pub(super) fn depth_row(eye_from_frame: &DAffine3, origin: DVec3) -> Vec4 {
-    let row = -eye_from_frame.matrix3.row(2);
-    let at_origin = -eye_from_frame.transform_point3(origin).z;
+/// Depth along an axis of eye space, of a point relative to `origin`.
+pub(super) fn depth_row(eye_from_frame: &DAffine3, origin: DVec3, axis: DVec3) -> Vec4 {
+    let row = eye_from_frame.matrix3.transpose() * axis;
+    let at_origin = axis.dot(eye_from_frame.transform_point3(origin));
     row.extend(at_origin).as_vec4()
 }

@@ -109,6 +109,26 @@ impl Sorter {
         self.parts = parts;
     }
 
+    /// Moves the leaves to one bin, whatever bins their states name: for passes in which no order can be seen.
+    pub fn fill_one_bin(&mut self, leaves: &mut Vec<RenderLeaf>, stage: &mut RenderStage) {
+        stage.spare.bins.extend(stage.bins.drain(1.min(stage.bins.len())..));
+        if stage.bins.is_empty() {
+            let bin = stage.spare.bins.pop();
+            stage.bins.push(bin.unwrap_or(RenderBin {
+                path: Vec::new(),
+                sort: SortMode::ByState,
+                leaves: Vec::new(),
+                callbacks: Vec::new(),
+            }));
+        }
+        if let Some(bin) = stage.bins.first_mut() {
+            bin.path.clear();
+            bin.callbacks.clear();
+            bin.sort = SortMode::ByState;
+            std::mem::swap(leaves, &mut bin.leaves);
+        }
+    }
+
     /// Fills one bin; `leaves` is used up.
     fn fill_bin(&mut self, leaves: &mut Vec<RenderLeaf>, bin: &mut RenderBin, states: usize) {
         match bin.sort {

@@ -21,6 +21,13 @@ impl Cull<'_> {
     pub(super) fn visit_special(&mut self, context: &PageContext, node: u32, mask: u8) -> bool {
         let page = context.page;
         let Some(special) = page.specials.get(page.payloads[node as usize] as usize) else { return false };
+        if self.view.casts {
+            match special {
+                Special::Camera { .. } | Special::Projection { .. } => return true,
+                Special::OcclusionQuery(_) => return false,
+                _ => {}
+            }
+        }
         match special {
             Special::Billboard { mode, positions } => {
                 self.billboard(context, node, *mode, positions, mask);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::sort::Spare;
-use super::{CullCamera, FadeBand, StereoMode};
+use super::{CullCamera, FadeBand, StageShadows, StereoMode};
 use crate::scene::{CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
 use crate::state::{BinDetails, Light, ResolvedState, SortMode, TexGen};
 
@@ -80,6 +80,8 @@ pub struct CullCounters {
     pub wanted_missing: u32,
     /// Nodes, drawables and tiles behind occluders.
     pub occluded: u32,
+    /// Leaves that cast shadows, once for each cascade.
+    pub shadow_leaves: u32,
     /// Tiles and Lods between two levels of detail.
     pub fading: u32,
 }
@@ -93,6 +95,7 @@ impl CullCounters {
         self.tiles_drawn += other.tiles_drawn;
         self.wanted_missing += other.wanted_missing;
         self.occluded += other.occluded;
+        self.shadow_leaves += other.shadow_leaves;
         self.fading += other.fading;
     }
 }
@@ -216,6 +219,8 @@ pub struct RenderStage {
     pub stereo: Option<StereoMode>,
     /// Pixels between the pictures of split modes.
     pub stereo_gap_px: u32,
+    /// What casts shadows into its picture.
+    pub shadows: StageShadows,
     /// Nearest depth of any leaf's bound, at least 0; 0 without leaves.
     pub near_m: f64,
     /// Farthest depth of any leaf's bound; 0 without leaves.
@@ -249,7 +254,8 @@ impl RenderStage {
         self.stereo_gap_px = 0;
         self.queries.clear();
         self.target = StageTarget::default();
-        for mut stage in self.pre_render.drain(..).chain(self.post_render.drain(..)) {
+        let cascades = self.shadows.cascades.drain(..).map(|c| c.stage);
+        for mut stage in self.pre_render.drain(..).chain(self.post_render.drain(..)).chain(cascades) {
             // Memory is kept, what it holds is not.
             stage.clear(camera);
             stage.state_sets.clear();

@@ -68,6 +68,8 @@ impl Cull<'_> {
         let frame = self.camera.frame;
         let cull_mask = self.view.settings.cull_mask;
         let has_occluders = !self.occluders.is_empty();
+        // Shadows take what is there.
+        let asks = !self.view.casts;
         let mut tile = tile_root.tile;
         let last = tile + tiles.records[tile as usize].skip;
         let (required, shown_px2, fade) = (visit.required, visit.shown_px2, visit.fade);
@@ -119,7 +121,9 @@ impl Cull<'_> {
                 }
                 purpose = Purpose::Keep;
             }
-            tiles.stamp(index, frame);
+            if asks {
+                tiles.stamp(index, frame);
+            }
             let per = (self.view.range_per_error, self.view.range_per_metre);
             let (range2, distance2) = tiles.range_and_distance(tile, &record, bounds, offset, view.eye, per);
             let ready = record.not_ready_children == 0;
@@ -184,7 +188,8 @@ impl Cull<'_> {
                 }
             }
             match descend {
-                Some((purpose, required, shown_px2, fade)) if skip > 1 => {
+                Some((purpose, required, shown_px2, fade)) if skip > 1 && (asks || purpose == Purpose::Draw) => {
+                    let required = required && asks;
                     self.tile_stack.push(above);
                     above = TileFrame { end: tile + skip, mask, purpose, required, shown_px2, fade };
                     tile += 1;
@@ -270,6 +275,9 @@ impl Cull<'_> {
     }
 
     fn request(&mut self, page: &Page, visit: &PageVisit, tile: u32, purpose: Purpose, shown_px2: f32, own_px2: f32) {
+        if self.view.casts {
+            return;
+        }
         let slot = NodeId { page: self.scene.page_id_at(visit.place), index: page.tiles.nodes[tile as usize] };
         // Squares, until the end of the cull: roots are cheaper one after the other.
         let share = if purpose == Purpose::Keep { KEPT_SHARE * KEPT_SHARE } else { 1.0 };

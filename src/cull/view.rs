@@ -1,7 +1,7 @@
 //! A view during cull: where the eye is, what it sees, and what follows from both. A stage has one; Projection nodes
 //! and nested cameras add others for what is below them.
 
-use glam::{DAffine3, DMat4};
+use glam::{DAffine3, DMat4, DVec3};
 
 use super::camera::px_per_radian;
 use super::planes::EyePlanes;
@@ -27,6 +27,12 @@ pub(super) struct View {
     pub max_sse_px: f32,
     /// Radius over depth below which a bound is too small; 0 when off.
     pub small_feature: f32,
+    /// Along which depths are counted, in eye space.
+    pub depth_axis: DVec3,
+    /// What is nearer as a whole is not there: 0, what is behind the eye.
+    pub least_depth: f32,
+    /// Of a shadow's cascade: nothing is asked for, nothing positioned, nothing below other projections is there.
+    pub casts: bool,
 }
 
 impl View {
@@ -44,8 +50,30 @@ impl View {
             range_per_metre: 0.0,
             max_sse_px: 0.0,
             small_feature: 0.0,
+            depth_axis: DVec3::NEG_Z,
+            least_depth: 0.0,
+            casts: false,
         };
         view.derive();
+        view
+    }
+
+    /// The same eye with the same levels of detail, where its picture's shadows come from: inside a box along the sun's
+    /// rays, from below up to the sun.
+    pub fn casting(camera: &CullCamera, light_clip_from_eye: &DMat4, to_sun: DVec3, caster_mask: u32) -> Self {
+        let mut view = Self::new(camera);
+        let culling = CullingMode::VIEW_FRUSTUM_SIDES | CullingMode::FAR_PLANE;
+        view.settings.culling = culling;
+        view.settings.cull_mask &= caster_mask;
+        view.settings.compute_near_far = ComputeNearFar::Off;
+        // What comes in casts as a whole, what goes out no longer.
+        view.settings.lod_fade_s = 0.0;
+        view.horizon = None;
+        view.planes = EyePlanes::new(light_clip_from_eye, culling);
+        view.small_feature = 0.0;
+        view.depth_axis = -to_sun;
+        view.least_depth = f32::NEG_INFINITY;
+        view.casts = true;
         view
     }
 

@@ -7,13 +7,14 @@ use glam::{DAffine3, DVec3, Vec4};
 use super::fade::{Fade, FadeBand, LodFades};
 use super::occluders::{FrameOccluders, Occluders};
 use super::planes::{Planes, depth_row};
+use super::shadows::{Fit, ShadowCascade};
 use super::sort::Sorter;
 use super::special::MOST_NESTED;
 use super::stage::{CullCounters, RenderLeaf, RenderStage, StageTarget};
 use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{TileFrame, TileView};
 use super::view::{View, clamp};
-use super::{CullCamera, Stereo};
+use super::{CullCamera, ShadowLight, Stereo};
 use crate::scene::{BLEND, CameraTarget, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene, VIEW};
 use crate::state::StateSet;
 
@@ -117,6 +118,9 @@ pub struct CullVisitor {
     pub clamp_projection: Option<ClampProjection>,
     /// State above all roots; OSG's state set of a camera.
     pub state_set: Option<Arc<StateSet>>,
+    /// The sun whose shadows the pictures have; as [`Environment::shadow_light`](crate::draw::Environment::shadow_light)
+    /// says.
+    pub shadow_light: Option<ShadowLight>,
 }
 
 /// A cull under way.
@@ -170,6 +174,9 @@ impl CullVisitor {
         let _span = crate::timeline::span("cull");
         self.traverse(scene, camera, stage);
         self.sort(stage);
+        if let Some(light) = self.shadow_light {
+            self.cull_shadows(scene, camera, &light, stage);
+        }
         if !self.deferred.is_empty() {
             self.cull_deferred(scene, camera, stage, 0, 0);
         }
@@ -272,6 +279,31 @@ impl CullVisitor {
         cull.run(met, clamp_projection);
     }
 
+    /// Culls what casts shadows into each cascade of a stage that is culled.
+    fn cull_shadows(&mut self, scene: &Scene, camera: &CullCamera, light: &ShadowLight, stage: &mut RenderStage) {
+        let _span = crate::timeline::span("cull shadows");
+        let Some(fit) = Fit::new(camera, light, stage.near_m, stage.far_m) else { return };
+        (stage.shadows.settings, stage.shadows.fade_m) = (light.shadows, fit.fade_m);
+        stage.shadows.light_from_eye = fit.light_from_eye;
+        let to_sun = fit.light_from_eye.row(2);
+        for cascade in &fit.cascades[..fit.count] {
+            let mut casters = stage.spare.stages.pop().unwrap_or_default();
+            let view = View::casting(camera, &cascade.casters_from_eye, to_sun, light.shadows.caster_mask);
+            self.traverse_stage(scene, camera, view, None, None, &mut casters);
+            if casters.state_sets.iter().any(|s| !s.casts_shadow()) {
+                self.leaves.retain(|leaf| casters.state_sets[leaf.state as usize].casts_shadow());
+            }
+            stage.counters.shadow_leaves += self.leaves.len() as u32;
+            self.sorter.fill_one_bin(&mut self.leaves, &mut casters);
+            stage.shadows.cascades.push(ShadowCascade {
+                depths_m: cascade.depths_m,
+                texel_m: cascade.texel_m,
+                clip_from_eye: cascade.clip_from_eye(&fit.light_from_eye, -casters.near_m),
+                stage: casters,
+            });
+        }
+    }
+
     /// Culls the cameras that were met from `first` on, and those met in their stages. What is drawn before comes
     /// out in `pre_render`, what is drawn after in `post_render`, each in the order of its numbers.
     fn cull_deferred(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage, first: usize, depth: u32) {
@@ -338,7 +370,8 @@ impl<'a> Cull<'a> {
         self.counters.leaves = self.leaves.len() as u32;
         self.stage.counters = self.counters;
         let DepthRange { near, far } = self.range;
-        let (near, far) = if near <= far { (near.max(0.0), far.max(0.0)) } else { (0.0, 0.0) };
+        let least = self.views[0].least_depth;
+        let (near, far) = if near <= far { (near.max(least), far.max(least)) } else { (0.0, 0.0) };
         (self.stage.near_m, self.stage.far_m) = (f64::from(near), f64::from(far));
         let view = &self.views[0];
         if view.settings.compute_near_far != ComputeNearFar::Off && far > 0.0 {
@@ -414,7 +447,7 @@ impl<'a> Cull<'a> {
             } else {
                 self.view.planes.in_frame(&visit.eye_from_page, page.origin)
             },
-            depth: depth_row(&visit.eye_from_page, page.origin),
+            depth: depth_row(&visit.eye_from_page, page.origin, self.view.depth_axis),
             slots: page.draw_slots_of(self.camera.context),
             visit,
         }

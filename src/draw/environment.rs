@@ -2,6 +2,8 @@
 
 use glam::DVec3;
 
+use crate::cull::{ShadowLight, SunShadows};
+
 /// What is behind everything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sky {
@@ -55,6 +57,8 @@ pub struct Environment {
     pub sky: Sky,
     /// A sea around the ground, drawn after what is opaque; seen from above it only.
     pub water: Option<Water>,
+    /// What stands in the sun's light throws shadows; `None` costs nothing.
+    pub shadows: Option<SunShadows>,
     /// Lit colours are multiplied by it and their highlights rolled off (Khronos PBR Neutral); `None` cuts them at
     /// white. What is not lit keeps its colours.
     pub exposure: Option<f32>,
@@ -73,8 +77,18 @@ impl Default for Environment {
             fog: Fog { enabled: true, density_per_m: 1.2e-5 },
             sky: Sky::Atmosphere,
             water: None,
+            shadows: None,
             exposure: Some(1.5),
             up_in_world: DVec3::Z,
         }
+    }
+}
+
+impl Environment {
+    /// What a cull must know for the shadows of its picture: for [`CullVisitor::shadow_light`].
+    ///
+    /// [`CullVisitor::shadow_light`]: crate::cull::CullVisitor::shadow_light
+    pub fn shadow_light(&self) -> Option<ShadowLight> {
+        self.shadows.map(|shadows| ShadowLight { to_sun: self.sun_direction, up: self.up_in_world, shadows })
     }
 }

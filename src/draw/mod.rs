@@ -21,6 +21,7 @@ mod environment;
 mod pipelines;
 mod plan;
 mod renderer;
+mod shadow_maps;
 mod state;
 mod uniforms;
 

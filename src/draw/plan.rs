@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use crate::cull::{RenderStage, StageTarget};
-use crate::draw::pipelines::{MOST_COLORS, Pipelines, TargetKey};
+use crate::draw::pipelines::{Bare, MOST_COLORS, Pipelines, TargetKey};
 use crate::draw::renderer::prepare::clamped;
+use crate::draw::renderer::shadows::CasterPlan;
 use crate::draw::state::Dynamics;
 use crate::gpu::{GraphicsContext, StateTextures, Transients, texture_format};
 use crate::scene::{Attachment, CameraTarget};
@@ -25,7 +26,10 @@ pub(super) struct StagePlan {
     /// Leaf, query and statics of boxes to be tested.
     pub(super) queries: Vec<(u32, u32, u32)>,
     pub(super) has_sky: bool,
-    pub(super) has_water: bool,
+    /// The sea, if there is one.
+    pub(super) water: Option<Bare>,
+    /// What casts shadows into it.
+    pub(super) casters: Option<CasterPlan>,
     /// The textures of two eyes to be put together.
     pub(super) eyes: Option<[Arc<TextureObject>; 2]>,
     pub(super) background: wgpu::Color,

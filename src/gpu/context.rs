@@ -122,6 +122,7 @@ fn open(
         | wgpu::Features::POLYGON_MODE_POINT
         | wgpu::Features::DEPTH32FLOAT_STENCIL8
         | wgpu::Features::FLOAT32_FILTERABLE
+        | wgpu::Features::DEPTH_CLIP_CONTROL
         | wgpu::Features::INDIRECT_FIRST_INSTANCE;
     let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
         label: Some("terrane"),

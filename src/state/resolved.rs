@@ -283,6 +283,11 @@ impl ResolvedState {
         self.depth().is_some_and(|d| d.write)
     }
 
+    /// True when drawables of it cast shadows: they hide what is behind them, and are not seen through.
+    pub fn casts_shadow(&self) -> bool {
+        self.writes_depth() && !self.blends()
+    }
+
     /// The faces that are culled, of a drawable whose material is double-sided or not.
     pub fn culled_face(&self, double_sided: bool) -> Option<CullFace> {
         let on = if double_sided { self.modes.by_drawable(Mode::CullFace, false) } else { self.mode(Mode::CullFace) };

@@ -534,6 +534,8 @@ impl ViewerBase {
             stats.gpu_ms = drawn.gpu_ms.map(|ms| ms.max(stats.gpu_ms.unwrap_or(0.0))).or(stats.gpu_ms);
             stats.leaves += drawn.leaves;
             stats.draw_calls += drawn.draw_calls;
+            stats.shadow_leaves += drawn.shadow_leaves;
+            stats.shadow_draw_calls += drawn.shadow_draw_calls;
             stats.pipelines_created += drawn.pipelines_created;
             stats.state_changes += drawn.state_changes;
             stats.state_changes_skipped += drawn.state_changes_skipped;

@@ -145,6 +145,8 @@ impl LookAhead {
         task.camera.settings.lod_fade_s = 0.0;
         // Slaves keep their place beside the master.
         task.camera.eye_from_world = task.camera.eye_from_world * now * then.inverse();
+        // Shadows ask for nothing.
+        task.environment.shadows = None;
         *found = task.run(visitor, stage).requests;
         found.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
         found.truncate(MOST_REQUESTS);

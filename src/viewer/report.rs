@@ -206,6 +206,10 @@ pub struct DrawMedians {
     pub draw_calls: u64,
     pub state_changes: u64,
     pub triangles: u64,
+    #[serde(default)]
+    pub shadow_leaves: u64,
+    #[serde(default)]
+    pub shadow_draw_calls: u64,
 }
 
 /// The settled picture.
@@ -290,6 +294,8 @@ impl Report {
                 draw_calls: median(|f| f64::from(f.draw_calls)),
                 state_changes: median(|f| f64::from(f.state_changes)),
                 triangles: median(|f| f.triangles as f64),
+                shadow_leaves: median(|f| f64::from(f.shadow_leaves)),
+                shadow_draw_calls: median(|f| f64::from(f.shadow_draw_calls)),
             },
             hitches: whole.above(2.0 * whole.median()) as u32,
             holes: None,

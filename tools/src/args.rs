@@ -103,6 +103,12 @@ pub struct FlyArgs {
     /// A sea at this height above the ellipsoid, metres
     #[arg(long, value_name = "M", allow_hyphen_values = true)]
     pub water: Option<f32>,
+    /// Shadows of the sun
+    #[arg(long)]
+    pub shadows: bool,
+    /// Where the sun stands: degrees clockwise from north, and above the horizon
+    #[arg(long, value_name = "AZIMUTH,HEIGHT", allow_hyphen_values = true)]
+    pub sun: Option<SunFrom>,
     /// Draw for two eyes: ANAGLYPHIC, HORIZONTAL_SPLIT, VERTICAL_SPLIT, LEFT_EYE, RIGHT_EYE, HORIZONTAL_INTERLACE,
     /// VERTICAL_INTERLACE or CHECKERBOARD; things as far as the middle of the set seem to lie in the screen
     #[arg(long, value_name = "MODE")]
@@ -357,6 +363,29 @@ impl FromStr for View {
                 Ok(Self(ViewFrom { heading, pitch, range_m: Some(*range_m) }))
             }
             _ => Err("expected HEADING_DEG,PITCH_DEG,RANGE_M with a pitch of -90 to 90 and a range above zero".into()),
+        }
+    }
+}
+
+/// Where the sun stands, radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SunFrom {
+    /// Clockwise from north.
+    pub azimuth: f64,
+    /// Above the horizon.
+    pub height: f64,
+}
+
+impl FromStr for SunFrom {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let angles: Vec<f64> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
+        match angles[..] {
+            [azimuth, height] if azimuth.is_finite() && (-90.0..=90.0).contains(&height) => {
+                Ok(Self { azimuth: azimuth.to_radians(), height: height.to_radians() })
+            }
+            _ => Err(format!("`{text}` is not AZIMUTH,HEIGHT in degrees, the height -90 to 90")),
         }
     }
 }

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, anyhow, bail};
 use glam::{DAffine3, DMat4, DVec3};
 use image::RgbaImage;
-use terrane::cull::Stereo;
+use terrane::cull::{Stereo, SunShadows};
 use terrane::draw::{Sky, Water};
 use terrane::io::shown;
 use terrane::timeline::Recording;
@@ -252,6 +252,10 @@ impl Flight {
             (view, _) => bounds.first_camera(&view.map_or(ViewFrom::default(), |v| v.0)),
         };
         viewer.camera.world_from_eye = first;
+        if let Some(sun) = self.args.sun {
+            viewer.environment.sun_direction = bounds.frame.direction(sun.azimuth, sun.height);
+        }
+        viewer.environment.shadows = self.args.shadows.then(SunShadows::default);
         viewer.environment.water = self.args.water.filter(|h| h.is_finite()).map(Water::at);
         if let Some(stereo) = self.eyes {
             let fusion_distance_m = first.translation.distance(bounds.sphere.center);

@@ -221,7 +221,8 @@ impl Batch {
         self.run_of.clear();
         let mut last = (u64::MAX, NO_RUN);
         for leaf in leaves {
-            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|_| !self.is_hidden(leaf)) else {
+            let is_drawn = |entry: &DrawableEntry| self.takes(leaf, entry) && !self.is_hidden(leaf);
+            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(entry)) else {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
             };
@@ -255,6 +256,13 @@ impl Batch {
                 run.first_leaf += 1;
             }
         }
+    }
+
+    /// False for lines and points where shadows are cast.
+    #[inline]
+    fn takes(&self, leaf: &RenderLeaf, entry: &DrawableEntry) -> bool {
+        let is_thin = matches!(&entry.shape, Shape::Mesh { topology: Topology::Lines | Topology::Points, .. });
+        !(is_thin && self.states[leaf.state as usize].key.casts)
     }
 
     /// Leaves in `order` the runs of the group by the order of their buckets; those of one bucket as first met.

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading
+//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading   62 receives shadows   63 casts
 //! ```
 
 use crate::scene::Topology;
@@ -41,6 +41,8 @@ const PROGRAM: u64 = 0x3ff << 48;
 const PULLED: u64 = 1 << 58;
 const TEXTURED: u64 = 1 << 59;
 const FADING: u64 = 1 << 60;
+const SHADOWED: u64 = 1 << 62;
+const CASTER: u64 = 1 << 63;
 
 /// Who shades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +77,10 @@ pub(in crate::draw) struct StateKey {
     pub can_pull: bool,
     /// Leaves may change places: nearer ones hide farther ones in any order.
     pub order_is_free: bool,
+    /// Of a shadow map: casters' states differ in little.
+    pub casts: bool,
+    /// The state itself drops parts of what is drawn.
+    drops: bool,
 }
 
 impl StateKey {
@@ -115,12 +121,27 @@ impl StateKey {
         let order_is_free = write && nearer_wins && !blends && parts.stencil == 0;
         let can_pull = !matches!(shading, Shading::Program(_));
         let can_fade = !matches!(shading, Shading::Program(_) | Shading::Fallback);
-        Self { common, culled: [culled(false), culled(true)], blends, can_fade, can_pull, order_is_free }
+        let culled = [culled(false), culled(true)];
+        Self { common, culled, blends, can_fade, can_pull, order_is_free, casts: false, drops: false }
     }
 
     /// The same for leaves that are drawn in a part of the pixels.
     pub fn fading(self) -> Self {
         Self { common: if self.can_fade { self.common | FADING } else { self.common }, ..self }
+    }
+
+    /// The same where the sun's shadows fall.
+    pub fn shadowed(self) -> Self {
+        Self { common: self.common | SHADOWED, ..self }
+    }
+
+    /// What casts shadows under a state: both sides, whatever the state's order. `drops` is whether the state has an
+    /// alpha test or clip planes.
+    pub fn caster(state: &ResolvedState, shading: Shading, drops: bool, target: u8) -> Self {
+        let mut key = Self::new(state, PartIndices::default(), shading, target);
+        let kept = 3 << 11 | FIXED | TEXTURED | PROGRAM | 63 << 42;
+        key.common = key.common & kept | CASTER | 1 << 6 | (CompareFunction::LessOrEqual as u64) << 7;
+        Self { culled: [0, 0], blends: false, can_fade: false, order_is_free: true, casts: true, drops, ..key }
     }
 }
 
@@ -128,6 +149,10 @@ impl PipelineKey {
     /// Height tiles: as of a double-sided material. `mirrored` is whether the transform mirrors; the frame of a tile
     /// is left-handed, so that its own does.
     pub fn height(state: &StateKey, mirrored: bool) -> Self {
+        if state.casts {
+            let fixed = if state.drops { 0 } else { FIXED | TEXTURED };
+            return Self(state.common & !PROGRAM & !fixed);
+        }
         let alpha = if state.blends { 2 << 2 } else { 0 };
         let front = if mirrored { 0 } else { CLOCKWISE };
         Self(((state.common & !PROGRAM) | state.culled[1] | alpha) ^ front)
@@ -135,6 +160,11 @@ impl PipelineKey {
 
     /// Meshes, lines and points.
     pub fn mesh(state: &StateKey, topology: Topology, is_masked: bool, double_sided: bool, mirrored: bool) -> Self {
+        if state.casts {
+            let masked = if is_masked { 1 << 2 } else { 0 };
+            let fixed = if state.drops || is_masked { 0 } else { FIXED | TEXTURED };
+            return Self(state.common & !fixed | masked | 1);
+        }
         let kind = match topology {
             Topology::Triangles => 1,
             Topology::Lines => 2,
@@ -223,6 +253,16 @@ impl PipelineKey {
     /// The same for meshes that fetch their vertices themselves. Not for programs, which are given theirs.
     pub fn pulled(self) -> Self {
         Self(self.0 | PULLED)
+    }
+
+    /// The sun's shadows fall on it.
+    pub fn has_shadows(self) -> bool {
+        self.0 & (SHADOWED | CASTER) != 0
+    }
+
+    /// It casts shadows: depth alone.
+    pub fn is_caster(self) -> bool {
+        self.0 & CASTER != 0
     }
 
     pub fn is_pulled(self) -> bool {

@@ -3,12 +3,15 @@
 pub(in crate::draw) mod convert;
 pub(in crate::draw) mod key;
 pub(in crate::draw) mod programs;
+mod sources;
 mod variant;
 
 use std::collections::HashMap;
 
 use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::programs::Programs;
+pub(in crate::draw) use sources::PROGRAM_PRELUDE;
+use sources::*;
 use variant::Variant;
 
 use convert::{bias, factor, operation, reversed, stencil_face};
@@ -16,82 +19,6 @@ use convert::{bias, factor, operation, reversed, stencil_face};
 use crate::gpu::GraphicsContext;
 use crate::scene::MeshVertex;
 use crate::state::{PolygonMode, ResolvedState, TEXTURE_UNITS};
-
-const HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/height.wgsl")
-);
-const MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl")
-);
-const FIXED_HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/height.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_no_units.wgsl"),
-    include_str!("../shaders/fixed_height.wgsl")
-);
-const TEXTURED_HEIGHT_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/height.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_units.wgsl"),
-    include_str!("../shaders/fixed_height.wgsl")
-);
-const FIXED_MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_no_units.wgsl"),
-    include_str!("../shaders/fixed_mesh.wgsl")
-);
-const TEXTURED_MESH_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl"),
-    include_str!("../shaders/mesh_pull.wgsl"),
-    include_str!("../shaders/mesh.wgsl"),
-    include_str!("../shaders/fixed.wgsl"),
-    include_str!("../shaders/fixed_units.wgsl"),
-    include_str!("../shaders/fixed_mesh.wgsl")
-);
-const FILL_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/fill.wgsl")
-);
-const SKY_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/sky.wgsl")
-);
-const WATER_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/sky.wgsl"),
-    include_str!("../shaders/water.wgsl")
-);
-const QUERY_WGSL: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/query.wgsl")
-);
-/// What stands before the source of a program.
-pub(in crate::draw) const PROGRAM_PRELUDE: &str = concat!(
-    include_str!("../shaders/air.wgsl"),
-    include_str!("../shaders/frame.wgsl"),
-    include_str!("../shaders/mesh_vertex.wgsl")
-);
 
 /// Most colour attachments of a target.
 pub(in crate::draw) const MOST_COLORS: usize = 4;
@@ -117,7 +44,12 @@ pub(in crate::draw) enum Bare {
     Query,
     /// The background of a part of a target.
     Fill,
+    /// The sea with the sun's shadows on it.
+    ShadowedWater,
 }
+
+/// How many there are.
+const BARE: usize = 5;
 
 /// Pipelines of a renderer, by key.
 pub(in crate::draw) struct Pipelines {
@@ -135,7 +67,7 @@ pub(in crate::draw) struct Pipelines {
     targets: Vec<TargetKey>,
     /// By target.
     /// Of each target, in the order of [`Bare`].
-    bare: Vec<[Option<wgpu::RenderPipeline>; 4]>,
+    bare: Vec<[Option<wgpu::RenderPipeline>; BARE]>,
     /// Modules by the address of their source.
     modules: Vec<(&'static str, wgpu::ShaderModule)>,
     features: wgpu::Features,
@@ -169,6 +101,22 @@ impl Pipelines {
             ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
             count: None,
         };
+        let shadow_maps = wgpu::BindGroupLayoutEntry {
+            binding: 8,
+            visibility: both,
+            ty: wgpu::BindingType::Texture {
+                sample_type: wgpu::TextureSampleType::Depth,
+                view_dimension: wgpu::TextureViewDimension::D2Array,
+                multisampled: false,
+            },
+            count: None,
+        };
+        let shadow_sampler = wgpu::BindGroupLayoutEntry {
+            binding: 9,
+            visibility: both,
+            ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison),
+            count: None,
+        };
         let uniform = wgpu::BufferBindingType::Uniform;
         let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("frame"),
@@ -181,6 +129,8 @@ impl Pipelines {
                 air_texture(5, wgpu::TextureViewDimension::D2),
                 air_texture(6, wgpu::TextureViewDimension::D3),
                 air_texture(7, wgpu::TextureViewDimension::D3),
+                shadow_maps,
+                shadow_sampler,
             ],
         });
         let bare = [buffer(0, both, uniform, true)];
@@ -256,7 +206,7 @@ impl Pipelines {
             Some(place) => place,
             None if self.targets.len() < MOST_TARGETS => {
                 self.targets.push(*key);
-                self.bare.push([const { None }; 4]);
+                self.bare.push([const { None }; BARE]);
                 self.targets.len() - 1
             }
             None => return None,
@@ -293,13 +243,16 @@ impl Pipelines {
         let (label, source, entries) = match what {
             Bare::Sky => ("sky", SKY_WGSL, ["vs_sky", "fs_sky"]),
             Bare::Water => ("water", WATER_WGSL, ["vs_sky", "fs_water"]),
+            Bare::ShadowedWater => ("shadowed water", SHADOWED_WATER_WGSL, ["vs_sky", "fs_water"]),
             Bare::Query => ("query", QUERY_WGSL, ["vs_query", "fs_query"]),
             Bare::Fill => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
         };
         let module = self.module(ctx, label, source);
         let mut variant = Self::variant(label, &module, entries, key);
         match what {
-            Bare::Water => (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING)),
+            Bare::Water | Bare::ShadowedWater => {
+                (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING));
+            }
             Bare::Query => variant.write_mask = wgpu::ColorWrites::empty(),
             Bare::Sky | Bare::Fill => {}
         }
@@ -334,25 +287,34 @@ impl Pipelines {
         let layouts = ctx.layouts();
         let (fixed_layout, textured_layout) = (self.fixed_layout.clone(), self.textured_layout.clone());
         let pull_layout = key.is_pulled().then(|| self.pull_layout.clone());
+        let (is_caster, has_shadows) = (key.is_caster(), key.has_shadows());
+        // Only casters that drop parts of what they cast have a fragment shader.
+        let mut discards = is_caster;
         let (module, vertex, fragment, state_layout, constants, outputs);
         match key.shading() {
             Shading::Program(place) => {
                 let program = self.programs.get(place)?;
                 (module, vertex, fragment) = (program.module.clone(), "vs_main", "fs_main");
+                discards &= program.discards;
                 (state_layout, outputs) = (Some(program.layout.clone()), program.outputs);
                 constants = program.constants.clone();
             }
             Shading::FixedFunction | Shading::FixedTextured => {
                 let is_textured = key.shading() == Shading::FixedTextured;
-                let (height, mesh, layout) = if is_textured {
-                    (TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL, textured_layout)
-                } else {
-                    (FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, fixed_layout)
+                let (height, mesh, layout) = match (is_textured, has_shadows) {
+                    (true, false) => (TEXTURED_HEIGHT_WGSL, TEXTURED_MESH_WGSL, textured_layout),
+                    (true, true) => (SHADOWED_TEXTURED_HEIGHT_WGSL, SHADOWED_TEXTURED_MESH_WGSL, textured_layout),
+                    (false, false) => (FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, fixed_layout),
+                    (false, true) => (SHADOWED_FIXED_HEIGHT_WGSL, SHADOWED_FIXED_MESH_WGSL, fixed_layout),
                 };
                 let vertex_of_mesh = if key.is_pulled() { "vs_fixed_mesh_pulled" } else { "vs_fixed_mesh" };
+                let [of_height, of_mesh] = match is_caster {
+                    true => ["fs_fixed_height_caster", "fs_fixed_mesh_caster"],
+                    false => ["fs_fixed_height", "fs_fixed_mesh"],
+                };
                 (module, vertex, fragment) = match key.kind() {
-                    Kind::Height => (self.module(ctx, "fixed height", height), "vs_fixed_height", "fs_fixed_height"),
-                    Kind::Triangles => (self.module(ctx, "fixed mesh", mesh), vertex_of_mesh, "fs_fixed_mesh"),
+                    Kind::Height => (self.module(ctx, "fixed height", height), "vs_fixed_height", of_height),
+                    Kind::Triangles => (self.module(ctx, "fixed mesh", mesh), vertex_of_mesh, of_mesh),
                     _ => (self.module(ctx, "fixed mesh", mesh), "vs_fixed_mesh", "fs_fixed_thin"),
                 };
                 (state_layout, outputs, constants) = (Some(layout), 1, Vec::new());
@@ -360,17 +322,36 @@ impl Pipelines {
             Shading::Fallback => {
                 let vertex_of_mesh = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
                 (module, vertex, fragment) = (self.module(ctx, "mesh", MESH_WGSL), vertex_of_mesh, "fs_fallback");
+                discards = false;
+                (state_layout, outputs, constants) = (None, 1, Vec::new());
+            }
+            Shading::Plain if is_caster => {
+                let (source, label) = if is_height {
+                    (SHADOWED_HEIGHT_WGSL, "shadowed height")
+                } else {
+                    (SHADOWED_MESH_WGSL, "shadowed mesh")
+                };
+                discards = key.alpha() == Alpha::Masked;
+                (module, fragment) = (self.module(ctx, label, source), "fs_mesh_caster_masked");
+                vertex = match () {
+                    _ if is_height => "vs_height_caster",
+                    _ if discards => "vs_mesh_caster_masked",
+                    _ if key.is_pulled() => "vs_mesh_caster_pulled",
+                    _ => "vs_mesh_caster",
+                };
                 (state_layout, outputs, constants) = (None, 1, Vec::new());
             }
             Shading::Plain => {
                 let has_alpha = key.has_alpha_to_coverage();
-                (module, vertex) = if is_height {
-                    (self.module(ctx, "height", HEIGHT_WGSL), "vs_height")
-                } else {
-                    let vertex = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
-                    (self.module(ctx, "mesh", MESH_WGSL), vertex)
+                let vertex_of_mesh = if key.is_pulled() { "vs_mesh_pulled" } else { "vs_mesh" };
+                (module, vertex) = match (is_height, has_shadows) {
+                    (true, false) => (self.module(ctx, "height", HEIGHT_WGSL), "vs_height"),
+                    (true, true) => (self.module(ctx, "shadowed height", SHADOWED_HEIGHT_WGSL), "vs_height_shadowed"),
+                    (false, false) => (self.module(ctx, "mesh", MESH_WGSL), vertex_of_mesh),
+                    (false, true) => (self.module(ctx, "shadowed mesh", SHADOWED_MESH_WGSL), vertex_of_mesh),
                 };
                 fragment = match (key.kind(), key.alpha()) {
+                    (Kind::Height, _) if has_shadows => "fs_height_shadowed",
                     (Kind::Height, _) => "fs_height",
                     _ if is_thin => "fs_thin",
                     (_, Alpha::Masked) => "fs_mesh_masked",
@@ -435,6 +416,8 @@ impl Pipelines {
             write_mask,
             outputs,
             alpha_to_coverage: key.has_alpha_to_coverage() && target.samples > 1,
+            discards,
+            unclipped_depth: is_caster && self.features.contains(wgpu::Features::DEPTH_CLIP_CONTROL),
             target,
         };
         self.create(ctx, &variant)
@@ -470,6 +453,7 @@ impl Pipelines {
 fn fading(fragment: &'static str) -> &'static str {
     match fragment {
         "fs_height" => "fs_height_fading",
+        "fs_height_shadowed" => "fs_height_shadowed_fading",
         "fs_mesh" => "fs_mesh_fading",
         "fs_mesh_masked" => "fs_mesh_masked_fading",
         "fs_mesh_blended" => "fs_mesh_blended_fading",
@@ -525,6 +509,13 @@ mod tests {
             ("query", QUERY_WGSL),
             ("fill", FILL_WGSL),
             ("program", PROGRAM_PRELUDE),
+            ("shadowed height", SHADOWED_HEIGHT_WGSL),
+            ("shadowed mesh", SHADOWED_MESH_WGSL),
+            ("fixed height with shadows", SHADOWED_FIXED_HEIGHT_WGSL),
+            ("fixed mesh with shadows", SHADOWED_FIXED_MESH_WGSL),
+            ("fixed height with textures and shadows", SHADOWED_TEXTURED_HEIGHT_WGSL),
+            ("fixed mesh with textures and shadows", SHADOWED_TEXTURED_MESH_WGSL),
+            ("shadowed water", SHADOWED_WATER_WGSL),
         ];
         parse("atmosphere", crate::draw::atmosphere::ATMOSPHERE_WGSL);
         for (name, source) in all {
@@ -534,7 +525,7 @@ mod tests {
             assert_eq!(
                 fields,
                 offsets!(FrameUniform: clip_from_eye, sun_direction, sun_color, ambient_color, up, horizon_color,
-                    shape, ray, water, air, sun_top)
+                    shape, ray, water, air, sun_top, shadow_x, shadow_y, shadow, cascade_scales, cascade_offsets)
             );
             let (span, fields) = members(&module, "Leaf");
             assert_eq!(span as usize, size_of::<LeafUniform>(), "{name}");
@@ -566,12 +557,16 @@ mod tests {
         assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
         use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED};
         assert!(MESH_WGSL.contains(&format!("const BAND_SHIFT: u32 = {BAND_SHIFT}u;")));
-        for source in [HEIGHT_WGSL, MESH_WGSL, FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL] {
+        for source in [HEIGHT_WGSL, MESH_WGSL, FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, SHADOWED_HEIGHT_WGSL] {
             let entries = parse("fading", source).entry_points;
             let fragments = entries.iter().filter(|e| e.stage == naga::ShaderStage::Fragment);
-            for name in fragments.map(|e| e.name.as_str()).filter(|n| !n.ends_with("_fading") && *n != "fs_fallback") {
+            for name in fragments
+                .map(|e| e.name.as_str())
+                .filter(|n| !n.ends_with("_fading") && !n.contains("_caster") && *n != "fs_fallback")
+            {
                 let name = match name {
                     "fs_height" => fading("fs_height"),
+                    "fs_height_shadowed" => fading("fs_height_shadowed"),
                     "fs_mesh" => fading("fs_mesh"),
                     "fs_mesh_masked" => fading("fs_mesh_masked"),
                     "fs_mesh_blended" => fading("fs_mesh_blended"),

@@ -42,6 +42,8 @@ pub(in crate::draw) struct Compiled {
     pub(in crate::draw) constants: Vec<(String, f64)>,
     /// Bits of the locations that the fragment shader writes.
     pub(in crate::draw) outputs: u32,
+    /// The fragment shader may drop fragments.
+    pub(in crate::draw) discards: bool,
 }
 
 struct Entry {
@@ -177,7 +179,9 @@ fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String>
         label: Some(&program.name),
         source: wgpu::ShaderSource::Wgsl(source.into()),
     });
-    Ok(Compiled { module, layout, members, uniform_bytes, units, constants, outputs })
+    // A keyword: in comments it only costs a little.
+    let discards = program.wgsl.contains("discard");
+    Ok(Compiled { module, layout, members, uniform_bytes, units, constants, outputs, discards })
 }
 
 /// Errors of naga point into the source over several lines.

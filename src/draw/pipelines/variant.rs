@@ -27,6 +27,10 @@ pub(super) struct Variant<'a> {
     /// Bits of the attachments that the fragment shader writes.
     pub(super) outputs: u32,
     pub(super) alpha_to_coverage: bool,
+    /// Without colours: there is a fragment shader all the same, which drops some.
+    pub(super) discards: bool,
+    /// What is before the near plane has its depth.
+    pub(super) unclipped_depth: bool,
     pub(super) target: TargetKey,
 }
 
@@ -61,6 +65,8 @@ impl Pipelines {
             write_mask: wgpu::ColorWrites::COLOR,
             outputs: 1,
             alpha_to_coverage: false,
+            discards: false,
+            unclipped_depth: false,
             target,
         }
     }
@@ -102,6 +108,7 @@ impl Pipelines {
                 front_face: variant.front_face,
                 cull_mode: variant.culled,
                 polygon_mode: variant.polygon_mode,
+                unclipped_depth: variant.unclipped_depth,
                 ..Default::default()
             },
             depth_stencil: Some(wgpu::DepthStencilState {
@@ -116,7 +123,7 @@ impl Pipelines {
                 alpha_to_coverage_enabled: variant.alpha_to_coverage,
                 ..Default::default()
             },
-            fragment: (colors > 0).then(|| wgpu::FragmentState {
+            fragment: (colors > 0 || variant.discards).then(|| wgpu::FragmentState {
                 module: variant.shader,
                 entry_point: Some(variant.fragment),
                 compilation_options: options,

@@ -4,12 +4,13 @@
 //! passes are recorded into one encoder:
 //!
 //! ```text
-//! record(stage)   initial callback, stages before, pass, copies to be read back, stages after, final callback
+//! record(stage)   initial callback, stages before, casters of shadows, pass, copies to be read back, stages after, final callback
 //!         pass    clear, pre callback, opaque runs, occlusion queries, sky, what writes no depth, post callback
 //! ```
 
 mod foresee;
 pub(super) mod prepare;
+pub(super) mod shadows;
 
 use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
@@ -25,6 +26,7 @@ use crate::draw::composite::Composite;
 use crate::draw::environment::{Environment, Sky};
 use crate::draw::pipelines::{Bare, Pipelines};
 use crate::draw::plan::{PassTarget, StagePlan, Targets};
+use crate::draw::shadow_maps::ShadowMaps;
 use crate::draw::state::{INDIRECT_BYTES, Sources, State, Statics};
 use crate::draw::uniforms::fixed::StageUniform;
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
@@ -44,8 +46,12 @@ const MOST_ERRORS: usize = 64;
 /// What a draw did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DrawStats {
-    /// Leaves drawn.
+    /// Leaves drawn, those that cast shadows apart.
     pub leaves: u32,
+    /// Leaves drawn into shadow maps, once for each cascade.
+    pub shadow_leaves: u32,
+    /// Draw calls for them, which [`Self::draw_calls`] counts too.
+    pub shadow_draw_calls: u32,
     /// Draw calls, the sky's among them; several runs drawn by one indirect call count once.
     pub draw_calls: u32,
     /// Pipelines, bind groups, buffers, viewports, scissors and references set.
@@ -108,6 +114,13 @@ pub struct Renderer {
     airs: Vec<Air>,
     leaf_buffer: wgpu::Buffer,
     frame_bind_group: wgpu::BindGroup,
+    /// The same for passes that draw into the shadow maps.
+    caster_bind_group: wgpu::BindGroup,
+    shadow_maps: ShadowMaps,
+    /// The bind groups have another shadow map.
+    binds_shadows: bool,
+    /// Of this frame.
+    shadow_leaves: u32,
     indirect: Option<wgpu::Buffer>,
     indirect_bytes: Vec<u8>,
     most_leaves: usize,
@@ -145,6 +158,7 @@ fn frame_bind_group(
     uniforms: &wgpu::Buffer,
     leaves: &wgpu::Buffer,
     atmosphere: &Atmosphere,
+    [shadow_maps, shadow_sampler]: [wgpu::BindGroupEntry<'_>; 2],
 ) -> wgpu::BindGroup {
     let uniform = |size: usize| {
         let size = wgpu::BufferSize::new(size as u64);
@@ -163,6 +177,8 @@ fn frame_bind_group(
             sky_light,
             scattered,
             mie,
+            shadow_maps,
+            shadow_sampler,
         ],
     })
 }
@@ -178,14 +194,16 @@ impl Renderer {
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
         let has_indirect = device.features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE);
         let atmosphere = Atmosphere::new(device);
+        let shadow_maps = ShadowMaps::new(device);
+        let layout = &pipelines.frame_layout;
+        let none = shadow_maps.entries(true);
+        let frame_bind_group = frame_bind_group(device, layout, groups.buffer(), &leaf_buffer, &atmosphere, none);
         Self {
-            frame_bind_group: frame_bind_group(
-                device,
-                &pipelines.frame_layout,
-                groups.buffer(),
-                &leaf_buffer,
-                &atmosphere,
-            ),
+            caster_bind_group: frame_bind_group.clone(),
+            frame_bind_group,
+            shadow_maps,
+            binds_shadows: false,
+            shadow_leaves: 0,
             atmosphere,
             airs: Vec::new(),
             pipelines,
@@ -272,7 +290,8 @@ impl Renderer {
         self.prepare(ctx, pictures.clone());
         self.upload(ctx);
         let mut stats = self.record(ctx, pictures);
-        stats.leaves = self.batch.leaves().len() as u32;
+        stats.leaves = self.batch.leaves().len() as u32 - self.shadow_leaves;
+        stats.shadow_leaves = self.shadow_leaves;
         stats.pipelines_created = self.pipelines.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
@@ -291,7 +310,7 @@ impl Renderer {
     fn upload(&mut self, ctx: &GraphicsContext) {
         let device = ctx.device();
         let bytes: &[u8] = bytemuck::cast_slice(self.batch.leaves());
-        let mut is_new = self.groups.finish(ctx, &self.pipelines);
+        let mut is_new = self.groups.finish(ctx, &self.pipelines) | std::mem::take(&mut self.binds_shadows);
         if bytes.len() as u64 > self.leaf_buffer.size() {
             let leaves = self.batch.leaves().len().next_power_of_two().min(self.most_leaves);
             self.leaf_buffer = leaf_buffer(device, leaves);
@@ -299,8 +318,11 @@ impl Renderer {
         }
         if is_new {
             let layout = &self.pipelines.frame_layout;
-            self.frame_bind_group =
-                frame_bind_group(device, layout, self.groups.buffer(), &self.leaf_buffer, &self.atmosphere);
+            let bind_group = |is_drawn| {
+                let shadows = self.shadow_maps.entries(is_drawn);
+                frame_bind_group(device, layout, self.groups.buffer(), &self.leaf_buffer, &self.atmosphere, shadows)
+            };
+            (self.frame_bind_group, self.caster_bind_group) = (bind_group(false), bind_group(true));
         }
         if !bytes.is_empty() {
             ctx.queue().write_buffer(&self.leaf_buffer, 0, bytes);
@@ -378,6 +400,7 @@ impl Renderer {
         if let Some(plan) = plans.get(*next)
             && let Some(target) = &plan.target
         {
+            self.record_casters(ctx, encoder, plan, stats);
             let of_pass = self.record_pass(ctx, encoder, stage, plan, target, callbacks, &info);
             stats.add(&of_pass);
             self.copy_picture(ctx, encoder, stage);
@@ -449,7 +472,7 @@ impl Renderer {
             state.apply(&from, plan.statics);
             state.draw_bare(sky, 3, 0..1);
         }
-        if let (true, Some(water)) = (plan.has_water, self.pipelines.bare(Bare::Water, target.index)) {
+        if let Some(water) = plan.water.and_then(|water| self.pipelines.bare(water, target.index)) {
             state.apply(&from, plan.statics);
             state.draw_bare(water, 3, 0..1);
         }

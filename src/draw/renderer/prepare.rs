@@ -36,6 +36,8 @@ impl Renderer {
         if let Some(problem) = self.targets.start_frame(pictures.clone().map(|p| p.stage)) {
             self.complain(problem);
         }
+        self.shadow_leaves = 0;
+        self.prepare_shadow_maps(ctx, pictures.clone());
         self.airs.clear();
         let mut dropped = 0;
         for Picture { stage, environment } in pictures {
@@ -92,7 +94,11 @@ impl Renderer {
                 return 0;
             }
         };
-        let uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment, air);
+        let mut uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment, air);
+        let has_shadows = self.has_shadows(stage, environment, is_outermost);
+        if has_shadows {
+            uniform = uniform.with_shadows(&stage.shadows, self.shadow_maps.size_px());
+        }
         let clear = clear_color(environment, &uniform);
         let first_frame = self.groups.push(&uniform);
         let positioned = self.groups.push(&StageUniform::new(stage));
@@ -100,6 +106,12 @@ impl Renderer {
         for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
             *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment, air));
         }
+        let (casters, mut dropped) = if has_shadows {
+            let (plan, dropped) = self.prepare_casters(ctx, stage, environment, air, &target, positioned);
+            (Some(plan), dropped)
+        } else {
+            (None, 0)
+        };
         let base = Statics {
             dynamics: target.dynamics(stage.target.viewport_px),
             frame: [first_frame, positioned],
@@ -127,12 +139,14 @@ impl Renderer {
                 self.statics.len() - 1
             });
             let key = self.pipelines.state_key(state, shading, target.index);
+            let key = if has_shadows { key.shadowed() } else { key };
             let band = stage.fades.get((*fade as usize).wrapping_sub(1)).copied().unwrap_or(FadeBand::FULL);
             states.push(StateEntry::new(key, index as u32, state, band));
         }
         self.batch.states = states;
         let (first_run, first_bin) = (self.batch.runs.len(), self.batch.bin_starts.len());
-        let (dropped, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
+        let (too_many, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
+        dropped += too_many;
         let runs = first_run..self.batch.runs.len();
         let is_called = stage.bins.iter().any(|bin| !bin.callbacks.is_empty());
         let bin_starts = is_called.then_some(first_bin..self.batch.bin_starts.len());
@@ -143,8 +157,9 @@ impl Renderer {
             self.pipelines.ensure_bare(ctx, Bare::Sky, target.index);
         }
         let has_water = is_outermost && stage.stereo.is_none() && environment.water.is_some();
-        if has_water {
-            self.pipelines.ensure_bare(ctx, Bare::Water, target.index);
+        let water = has_water.then_some(if has_shadows { Bare::ShadowedWater } else { Bare::Water });
+        if let Some(water) = water {
+            self.pipelines.ensure_bare(ctx, water, target.index);
         }
         let eyes = self.prepare_eyes(ctx, stage, &target);
         let [width, height] = target.size_px;
@@ -165,7 +180,8 @@ impl Renderer {
             statics: first_statics,
             queries,
             has_sky,
-            has_water,
+            water,
+            casters,
             background: clear,
             fill,
             is_part,
@@ -192,7 +208,7 @@ impl Renderer {
     }
 
     /// Who shades the leaves of a state, and with what.
-    fn shading(
+    pub(super) fn shading(
         &mut self,
         ctx: &GraphicsContext,
         stage: &RenderStage,
@@ -310,7 +326,7 @@ impl Renderer {
 const STATICS_COMPARED: usize = 4;
 
 /// Projections of a stage that can be told apart; those beyond have the stage's own.
-const MOST_VIEWS: usize = 64;
+pub(super) const MOST_VIEWS: usize = 64;
 
 fn builtins(stage: &RenderStage, clock: &FrameClock) -> Builtins {
     let view = glam::DMat4::from(stage.camera.eye_from_world);

@@ -21,6 +21,7 @@ struct Fixed {
 struct Surface {
     in_eye: vec3<f32>,
     normal: vec3<f32>,
+    facing: vec3<f32>,  // the normal that shadows are looked up with
     up: vec3<f32>,
     object: vec3<f32>,
     uv: vec2<f32>,
@@ -34,7 +35,11 @@ fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {
     let diffuse = base.rgb * fixed_state.diffuse.rgb;
     var color = fixed_state.emission.rgb + fixed_state.model_ambient.rgb * ambient;
     if (fixed_state.flags.x & 1u) != 0u && fixed_state.flags.w == 0u {
-        color += diffuse * light(s.normal, s.up, above_ground(s.in_eye).w);
+        var sun = light_of_sun(s.normal, s.up, above_ground(s.in_eye).w);
+        if dot(s.normal, frame.sun_direction.xyz) > 0.0 {
+            sun *= sun_shadow(s.in_eye, s.facing);
+        }
+        color += diffuse * (sun + light_of_sky(s.normal, s.up));
     }
     let to_eye = normalize(-s.in_eye);
     for (var i = 0u; i < 8u; i++) {
@@ -116,18 +121,27 @@ fn is_clipped(in_eye: vec3<f32>) -> bool {
     return false;
 }
 
-fn fixed_color(s: Surface) -> vec4<f32> {
-    // All samples are taken before anything is dropped: the mip levels need the neighbours.
+// The colour before light. All samples are taken before anything is dropped: the mip levels need the neighbours.
+fn fixed_base(s: Surface) -> vec4<f32> {
     var base = s.base;
     for (var unit = 0u; unit < 4u; unit++) {
         base *= unit_color(unit, s);
     }
     base.a *= fixed_state.diffuse.a;
+    return base;
+}
+
+fn is_dropped(s: Surface, base: vec4<f32>) -> bool {
+    return is_clipped(s.in_eye) || base.a < s.alpha_cutoff || !passes_alpha_test(base.a);
+}
+
+fn fixed_color(s: Surface) -> vec4<f32> {
+    let base = fixed_base(s);
     var color = base.rgb;
     if s.is_lit {
         color = lit(s, base);
     }
-    if is_clipped(s.in_eye) || base.a < s.alpha_cutoff || !passes_alpha_test(base.a) {
+    if is_dropped(s, base) {
         discard;
     }
     return vec4<f32>(fogged(s, color), base.a);

@@ -29,21 +29,30 @@ fn vs_fixed_height(@builtin(vertex_index) index: u32, @builtin(instance_index) i
     );
 }
 
-fn fixed_height_color(in: FixedHeightFragment) -> vec4<f32> {
+fn fixed_height_surface(in: FixedHeightFragment) -> Surface {
     let base = texel(textureSample(color_layers, color_sampler, in.uv, in.layer), in.flags) * in.color;
     let is_lit = (in.flags & FLAG_UNLIT) == 0u;
     let normal = normalize(in.normal);
-    return fixed_color(Surface(in.in_eye, normal, normalize(in.up), in.in_tile, in.uv, base, is_lit, 0.0));
+    let facing = towards_sun(normal, facet_normal(in.in_eye));
+    return Surface(in.in_eye, normal, facing, normalize(in.up), in.in_tile, in.uv, base, is_lit, 0.0);
+}
+
+@fragment
+fn fs_fixed_height_caster(in: FixedHeightFragment) {
+    let surface = fixed_height_surface(in);
+    if is_dropped(surface, fixed_base(surface)) {
+        discard;
+    }
 }
 
 @fragment
 fn fs_fixed_height(in: FixedHeightFragment) -> @location(0) vec4<f32> {
-    return fixed_height_color(in);
+    return fixed_color(fixed_height_surface(in));
 }
 
 @fragment
 fn fs_fixed_height_fading(in: FixedHeightFragment) -> @location(0) vec4<f32> {
-    let color = fixed_height_color(in);
+    let color = fixed_color(fixed_height_surface(in));
     if is_faded_out(in.position.xy, in.flags) {
         discard;
     }

@@ -26,17 +26,19 @@ fn vs_fixed_mesh_pulled(@builtin(vertex_index) index: u32, @builtin(instance_ind
     return fixed_mesh_fragment(pulled_vertex(leaf, index % stride), leaf, 0u);
 }
 
-fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>) -> Surface {
+fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>, facing: vec3<f32>) -> Surface {
     let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
     let base = texel(textureSample(color_layers, color_sampler, uv, in.leaf.x), in.leaf.y) * in.color;
     let is_lit = (in.leaf.y & FLAG_UNLIT) == 0u;
     let cutoff = bitcast<f32>(in.leaf.z);
-    return Surface(in.in_eye_u.xyz, normal, above_ground(in.in_eye_u.xyz).xyz, in.object, uv, base, is_lit, cutoff);
+    let up = above_ground(in.in_eye_u.xyz).xyz;
+    return Surface(in.in_eye_u.xyz, normal, facing, up, in.object, uv, base, is_lit, cutoff);
 }
 
 fn fixed_mesh_color(in: FixedMeshFragment, is_front: bool) -> vec4<f32> {
-    let normal = surface_normal(in.normal_v.xyz, is_front, facet_normal(in.in_eye_u.xyz));
-    return fixed_color(mesh_surface(in, normal));
+    let facet = facet_normal(in.in_eye_u.xyz);
+    let normal = surface_normal(in.normal_v.xyz, is_front, facet);
+    return fixed_color(mesh_surface(in, normal, towards_sun(normal, facet)));
 }
 
 @fragment
@@ -55,12 +57,21 @@ fn fs_fixed_mesh_fading(in: FixedMeshFragment, @builtin(front_facing) is_front: 
 
 @fragment
 fn fs_fixed_thin(in: FixedMeshFragment) -> @location(0) vec4<f32> {
-    return fixed_color(mesh_surface(in, frame.up.xyz));
+    return fixed_color(mesh_surface(in, frame.up.xyz, frame.up.xyz));
+}
+
+@fragment
+fn fs_fixed_mesh_caster(in: FixedMeshFragment, @builtin(front_facing) is_front: bool) {
+    let facet = facet_normal(in.in_eye_u.xyz);
+    let surface = mesh_surface(in, surface_normal(in.normal_v.xyz, is_front, facet), facet);
+    if is_dropped(surface, fixed_base(surface)) {
+        discard;
+    }
 }
 
 @fragment
 fn fs_fixed_thin_fading(in: FixedMeshFragment) -> @location(0) vec4<f32> {
-    let color = fixed_color(mesh_surface(in, frame.up.xyz));
+    let color = fixed_color(mesh_surface(in, frame.up.xyz, frame.up.xyz));
     if is_faded_out(in.position.xy, in.leaf.y) {
         discard;
     }

@@ -13,6 +13,11 @@ struct Frame {
     water: vec4<f32>,          // linear colour of deep water; w: its height, metres
     air: vec4<f32>,            // of the eye: kilometres from the earth's centre, cosines of horizon and limb (air.wgsl)
     sun_top: vec4<f32>,        // linear irradiance of the sun before any air
+    shadow_x: vec4<f32>,       // in eye space, across the sun's rays; w: how far points are moved along normals, texels
+    shadow_y: vec4<f32>,       // the other axis; w: how far points are moved towards the sun, texels
+    shadow: vec4<f32>,         // how many cascades; 1 / texels a side; depths between which shadows fade out, metres
+    cascade_scales: array<vec4<f32>, 4>,   // metres to the map across and along the rays; depths: its end, start of the next
+    cascade_offsets: array<vec4<f32>, 4>,  // of the eye in the map; w: width of a texel, metres
 }
 
 struct Leaf {
@@ -110,20 +115,36 @@ fn sun_at(up: vec3<f32>, height_m: f32) -> vec3<f32> {
 
 // Sun and sky on a surface, over pi; `up` is the direction away from the ground there.
 fn light(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
+    return light_of_sun(normal, up, height_m) + light_of_sky(normal, up);
+}
+
+// The sun's part of it, without shadows.
+fn light_of_sun(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
     let facing = max(dot(normal, frame.sun_direction.xyz), 0.0);
+    if frame.shape.z <= 0.0 {
+        return frame.sun_color.rgb * facing * sun_daylight(dot(up, frame.sun_direction.xyz));
+    }
+    return sun_at(up, height_m) * (facing / 3.14159265);
+}
+
+// A sun below the local horizon (the night side of a globe) shines on nothing.
+fn sun_daylight(cosine: f32) -> f32 {
+    return clamp(cosine * 5.0 + 0.5, 0.0, 1.0);
+}
+
+// The sky's part.
+fn light_of_sky(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
     let cosine = dot(up, frame.sun_direction.xyz);
     let ground = frame.ambient_color.rgb * vec3<f32>(0.45, 0.40, 0.34);
     let ambient = mix(ground, frame.ambient_color.rgb, 0.5 + 0.5 * dot(normal, up));
     if frame.shape.z <= 0.0 {
-        // A sun below the local horizon (the night side of a globe) shines on nothing.
-        let day = clamp(cosine * 5.0 + 0.5, 0.0, 1.0);
-        return frame.sun_color.rgb * facing * day + ambient * (0.15 + 0.85 * day);
+        return ambient * (0.15 + 0.85 * sun_daylight(cosine));
     }
     // The ambient light is that of a high sun; it falls with the sky's, and some is left at night.
     let last = i32(textureDimensions(sky_light).x) - 1;
     let place = vec2<f32>((clamp((cosine + 0.3) / 1.3, 0.0, 1.0) * f32(last) + 0.5) / f32(last + 1), 0.5);
     let sky = textureSampleLevel(sky_light, air_sampler, place, 0.0).rgb / textureLoad(sky_light, vec2<i32>(last, 0), 0).rgb;
-    return sun_at(up, height_m) * (facing / 3.14159265) + ambient * max(sky, vec3<f32>(0.03));
+    return ambient * max(sky, vec3<f32>(0.03));
 }
 
 // Lit colours for a display: times the exposure, highlights rolled off towards white, what is below 0.76 as it is.

@@ -57,18 +57,11 @@ fn shade(in: MeshFragment, is_front: bool, facet: vec3<f32>, base: vec4<f32>) ->
     }
     let ground = above_ground(in.in_eye_u.xyz);
     let normal = surface_normal(in.normal_v.xyz, is_front, facet);
-    return through_air(base.rgb * light(normal, ground.xyz, ground.w), air);
-}
-
-// The facet's normal, towards the eye.
-fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
-    let across = cross(dpdx(in_eye), dpdy(in_eye));
-    let size = length(across);
-    if size < 1e-30 {
-        return frame.up.xyz;
+    var lit = light_of_sun(normal, ground.xyz, ground.w);
+    if dot(normal, frame.sun_direction.xyz) > 0.0 {
+        lit *= sun_shadow(in.in_eye_u.xyz, towards_sun(normal, facet));
     }
-    let normal = across / size;
-    return select(normal, -normal, dot(normal, in_eye) > 0.0);
+    return through_air(base.rgb * (lit + light_of_sky(normal, ground.xyz)), air);
 }
 
 fn mesh_color(in: MeshFragment, is_front: bool) -> vec4<f32> {

@@ -37,8 +37,9 @@ fn fs_water(in: SkyVertex) -> WaterFragment {
     let half_way = normalize(frame.sun_direction.xyz - ray);
     // Waves too small to be seen spread the sun's image: a lobe of their slopes.
     let glitter = 6.0 * pow(max(dot(normal, half_way), 0.0), 400.0) * step(0.0, dot(normal, frame.sun_direction.xyz));
-    let deep = frame.water.rgb * light(normal, normal, frame.water.w);
-    let reflected = sky_color(mirrored) + sun_at(normal, frame.water.w) * (glitter / 3.14159265);
+    let lit = sun_shadow(point, normal);
+    let deep = frame.water.rgb * (light_of_sun(normal, normal, frame.water.w) * lit + light_of_sky(normal, normal));
+    let reflected = sky_color(mirrored) + sun_at(normal, frame.water.w) * (lit * glitter / 3.14159265);
     let color = mix(deep, reflected, fresnel);
     let opacity = mix(0.88, 1.0, fresnel);
     return WaterFragment(

@@ -2,7 +2,7 @@
 
 use glam::{DMat4, DVec3, Mat4, Vec3};
 
-use crate::cull::RenderStage;
+use crate::cull::{MOST_CASCADES, RenderStage, StageShadows};
 use crate::draw::atmosphere::Air;
 use crate::draw::environment::{Environment, Sky};
 use crate::math::WGS84;
@@ -40,6 +40,16 @@ pub(in crate::draw) struct FrameUniform {
     pub(in crate::draw) air: [f32; 4],
     /// Linear irradiance of the sun before any air.
     pub(in crate::draw) sun_top: [f32; 4],
+    /// Axis across the sun's rays in eye space; w: bias along the normal in texels.
+    pub(in crate::draw) shadow_x: [f32; 4],
+    /// The other axis; w: bias towards the sun in texels.
+    pub(in crate::draw) shadow_y: [f32; 4],
+    /// How many cascades, 0 without shadows; 1 / texels a side; depths between which they fade out.
+    pub(in crate::draw) shadow: [f32; 4],
+    /// Of each cascade, metres to the map across and along the rays; greatest depth, depth where the next begins.
+    pub(in crate::draw) cascade_scales: [[f32; 4]; MOST_CASCADES],
+    /// Place of the eye in the map; w: width of a texel in metres.
+    pub(in crate::draw) cascade_offsets: [[f32; 4]; MOST_CASCADES],
 }
 
 /// Per leaf; `Leaf` in frame.wgsl.
@@ -159,7 +169,34 @@ impl FrameUniform {
             water: environment.water.map_or([0.0; 4], |w| with_w(w.color, w.height_m)),
             air: [air.eye_km, air.horizon_cosine, air.limb_cosine, 0.0],
             sun_top: with_w(air.sun_irradiance(environment.sun_color), 0.0),
+            shadow_x: [0.0; 4],
+            shadow_y: [0.0; 4],
+            shadow: [0.0; 4],
+            cascade_scales: [[0.0; 4]; MOST_CASCADES],
+            cascade_offsets: [[0.0; 4]; MOST_CASCADES],
         }
+    }
+
+    /// The same where shadows fall; the maps have `map_px` texels a side, of which the cascades use the first.
+    pub(in crate::draw) fn with_shadows(mut self, shadows: &StageShadows, map_px: u32) -> Self {
+        let [x, y] = [0, 1].map(|row| shadows.light_from_eye.row(row).to_array());
+        let settings = &shadows.settings;
+        self.shadow_x = vec4(x, f64::from(settings.normal_bias_texels));
+        self.shadow_y = vec4(y, f64::from(settings.depth_bias_texels));
+        let count = shadows.cascades.len().min(MOST_CASCADES);
+        let [fade_start, fade_end] = shadows.fade_m.map(|d| d as f32);
+        self.shadow = [count as f32, 1.0 / map_px as f32, fade_start, fade_end];
+        let used = f64::from(settings.resolution_px) / f64::from(map_px);
+        let uniforms = self.cascade_scales.iter_mut().zip(&mut self.cascade_offsets);
+        for (place, (cascade, (scales, offsets))) in shadows.cascades.iter().zip(uniforms).enumerate() {
+            let [across, down, along] = [0, 1, 2].map(|row| cascade.clip_from_eye.row(row));
+            let next = shadows.cascades.get(place + 1).map_or(cascade.depths_m[1], |c| c.depths_m[0]);
+            let scale = 0.5 * used * across.truncate().length();
+            *scales = [scale, along.truncate().length(), cascade.depths_m[1], next].map(|v| v as f32);
+            let [u, v] = [used * (0.5 + 0.5 * across.w), used * (0.5 - 0.5 * down.w)];
+            *offsets = [u, v, along.w, cascade.texel_m].map(|v| v as f32);
+        }
+        self
     }
 }
 

@@ -170,6 +170,7 @@ mod page {
                 ("leaves", last.leaves.to_string()),
                 ("draw calls", last.draw_calls.to_string()),
                 ("triangles", thousands(last.triangles)),
+                ("shadow leaves", last.shadow_leaves.to_string()),
                 ("state changes", last.state_changes.to_string()),
                 ("tiles drawn", last.tiles_drawn.to_string()),
                 ("tiles visited", last.tiles_visited.to_string()),

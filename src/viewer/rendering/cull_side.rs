@@ -77,8 +77,9 @@ impl CullTask {
     /// Culls into a stage; the scene is dropped.
     pub(in crate::viewer) fn run(self, visitor: &mut CullVisitor, stage: &mut RenderStage) -> CullOutcome {
         let start = Instant::now();
-        let Self { scene, camera, lens, stereo, state_set, viewport_px, mut requests, .. } = self;
+        let Self { scene, camera, lens, stereo, environment, state_set, viewport_px, mut requests, .. } = self;
         visitor.state_set = state_set;
+        visitor.shadow_light = environment.shadow_light();
         let fits_itself = camera.settings.compute_near_far != ComputeNearFar::Off;
         match &stereo {
             None => {

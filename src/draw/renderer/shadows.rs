@@ -1,0 +1,177 @@
+//! Shadows of the sun: what the cascades of a stage come to, and their passes, which come right before the stage's.
+
+use super::Picture;
+use super::Renderer;
+use crate::cull::{FadeBand, MOST_CASCADES, RenderStage};
+use crate::draw::DrawStats;
+use crate::draw::atmosphere::Air;
+use crate::draw::batch::StateEntry;
+use crate::draw::environment::Environment;
+use crate::draw::pipelines::key::{Shading, StateKey};
+use crate::draw::pipelines::{MOST_COLORS, TargetKey};
+use crate::draw::plan::{PassTarget, StagePlan};
+use crate::draw::shadow_maps::FORMAT;
+use crate::draw::state::{Dynamics, Sources, State, Statics};
+use crate::draw::uniforms::frame::FrameUniform;
+use crate::gpu::{FrameTimer, GraphicsContext};
+use crate::state::{CLIP_PLANES, Mode, ResolvedState, TEXTURE_UNITS};
+
+/// What the cascades of a stage come to.
+#[derive(Clone, Default)]
+pub(in crate::draw) struct CasterPlan {
+    /// Of the batch, by cascade.
+    runs: [std::ops::Range<usize>; MOST_CASCADES],
+    count: usize,
+    size_px: u32,
+}
+
+impl Renderer {
+    /// Makes room for the maps of a frame's pictures.
+    pub(super) fn prepare_shadow_maps<'a>(
+        &mut self,
+        ctx: &GraphicsContext,
+        pictures: impl Iterator<Item = Picture<'a>> + Clone,
+    ) {
+        let most_px = self.shadow_maps.most_px;
+        for settings in pictures.clone().filter_map(|p| p.environment.shadows) {
+            if let Err(problem) = settings.check() {
+                self.complain(problem.to_string());
+            } else if settings.resolution_px > most_px {
+                self.complain(format!("the adapter has no shadow maps of more than {most_px} texels a side"));
+            }
+        }
+        // The eyes of a stereo picture have shadows of their own.
+        let wanted = pictures.filter(|p| p.environment.shadows.is_some()).flat_map(|p| {
+            let eyes = if p.stage.stereo.is_some() { &p.stage.pre_render[..] } else { &[] };
+            std::iter::once(&p.stage.shadows).chain(eyes.iter().map(|eye| &eye.shadows))
+        });
+        let wanted = wanted.filter(|s| s.settings.resolution_px <= most_px);
+        self.binds_shadows |= self.shadow_maps.ensure(ctx.device(), wanted);
+    }
+
+    /// True when a stage is drawn with shadows.
+    pub(super) fn has_shadows(&self, stage: &RenderStage, environment: &Environment, is_outermost: bool) -> bool {
+        let shadows = &stage.shadows;
+        is_outermost
+            && environment.shadows.is_some()
+            && !shadows.cascades.is_empty()
+            && self.shadow_maps.size_px() >= shadows.settings.resolution_px
+    }
+
+    /// Prepares the casters of a stage's cascades; how many leaves there was no room for.
+    #[allow(clippy::too_many_arguments, reason = "what a stage is prepared with")]
+    pub(super) fn prepare_casters(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        environment: &Environment,
+        air: &Air,
+        target: &PassTarget,
+        positioned: u32,
+    ) -> (CasterPlan, usize) {
+        let key = TargetKey { colors: [None; MOST_COLORS], depth: FORMAT, samples: 1, writes_alpha: false };
+        let Some(into) = self.pipelines.target(&key) else { return Default::default() };
+        let size_px = stage.shadows.settings.resolution_px;
+        let mut plan =
+            CasterPlan { count: stage.shadows.cascades.len().min(MOST_CASCADES), size_px, ..Default::default() };
+        let mut dropped = 0;
+        let before = self.batch.leaves().len();
+        for (runs, cascade) in plan.runs.iter_mut().zip(&stage.shadows.cascades) {
+            // The picture's own eye and levels of detail, seen along the sun's rays.
+            let frame = self.groups.push(&FrameUniform::new(stage, &cascade.clip_from_eye, environment, air));
+            let base = Statics { dynamics: of_map(size_px), frame: [frame, positioned], group: None };
+            let plain = self.statics.len() as u32;
+            self.statics.push(base);
+            let mut states = std::mem::take(&mut self.batch.states);
+            states.clear();
+            for state in &cascade.stage.state_sets {
+                let drops = state.alpha_func().is_some() || state.mode_bits(Mode::ClipPlane(0), CLIP_PLANES) != 0;
+                let (shading, group) = if drops || has_own_shader(state) {
+                    self.shading(ctx, stage, state, drops, target)
+                } else {
+                    (Shading::Plain, None)
+                };
+                let index = match group {
+                    None => plain,
+                    Some(_) => {
+                        self.statics.push(Statics { group, ..base });
+                        self.statics.len() as u32 - 1
+                    }
+                };
+                states.push(StateEntry::new(
+                    StateKey::caster(state, shading, drops, into),
+                    index,
+                    state,
+                    FadeBand::FULL,
+                ));
+            }
+            self.batch.states = states;
+            let first_run = self.batch.runs.len();
+            dropped += self.batch.build(ctx, &mut self.pipelines, &cascade.stage, self.most_leaves).0;
+            *runs = first_run..self.batch.runs.len();
+        }
+        self.shadow_leaves += (self.batch.leaves().len() - before) as u32;
+        (plan, dropped)
+    }
+
+    /// Draws the casters of a stage's cascades, a pass each.
+    pub(super) fn record_casters(
+        &mut self,
+        ctx: &GraphicsContext,
+        encoder: &mut wgpu::CommandEncoder,
+        plan: &StagePlan,
+        stats: &mut DrawStats,
+    ) {
+        let Some(casters) = &plan.casters else { return };
+        for (cascade, runs) in casters.runs.iter().enumerate().take(casters.count) {
+            let Some(layer) = self.shadow_maps.layer(cascade) else { return };
+            let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("shadows"),
+                color_attachments: &[],
+                depth_stencil_attachment: Some(wgpu::RenderPassDepthStencilAttachment {
+                    view: layer,
+                    // Reversed-Z: nothing is in the sun's way.
+                    depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
+                    stencil_ops: None,
+                }),
+                timestamp_writes: self.timer.as_mut().and_then(FrameTimer::pass),
+                occlusion_query_set: None,
+                multiview_mask: None,
+            });
+            let from = Sources {
+                ctx,
+                pipelines: &self.pipelines,
+                groups: &self.groups,
+                batch: &self.batch,
+                statics: &self.statics,
+                frame_group: &self.caster_bind_group,
+                pulls: &self.pulls,
+                indirect: self.indirect.as_ref(),
+            };
+            let mut state = State::new(&mut pass, of_map(self.shadow_maps.size_px()));
+            state.draw_runs(&from, runs.clone());
+            stats.shadow_draw_calls += state.stats.draw_calls;
+            stats.draw_calls += state.stats.draw_calls;
+            stats.state_changes += state.stats.state_changes;
+            stats.state_changes_skipped += state.stats.state_changes_skipped;
+            stats.passes += 1;
+        }
+        debug_assert!(casters.size_px <= self.shadow_maps.size_px());
+    }
+}
+
+/// All of a map.
+fn of_map(size_px: u32) -> Dynamics {
+    let side = size_px as f32;
+    Dynamics {
+        viewport: [0.0, 0.0, side, side, 0.0, 1.0],
+        scissor: [0, 0, size_px, size_px],
+        stencil_reference: 0,
+        blend_color: None,
+    }
+}
+
+/// True where a state's own vertices or alphas decide what casts.
+fn has_own_shader(state: &ResolvedState) -> bool {
+    state.program().is_some() || (0..TEXTURE_UNITS).any(|unit| state.texture(unit).is_some())
+}

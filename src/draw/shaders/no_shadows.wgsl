@@ -1,0 +1,5 @@
+// Pictures without shadows of the sun.
+
+fn sun_shadow(in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
+    return 1.0;
+}

@@ -1,0 +1,61 @@
+// Shadows of the sun: how much of its light reaches a point. Depths are reversed: 1 is nearest to the sun.
+
+@group(0) @binding(8) var sun_shadow_maps: texture_depth_2d_array;
+@group(0) @binding(9) var sun_shadow_sampler: sampler_comparison;
+
+// Share of the sun's light that reaches a point in eye space, of a surface with a normal; programs may call it too.
+fn sun_shadow(in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
+    let depth = -in_eye.z;
+    let last = i32(frame.shadow.x) - 1;
+    if last < 0 || depth >= frame.shadow.w {
+        return 1.0;
+    }
+    var cascade = 0;
+    while cascade < last && depth > frame.cascade_scales[cascade].z {
+        cascade++;
+    }
+    var share = sun_shadow_in(cascade, in_eye, normal);
+    let scales = frame.cascade_scales[cascade];
+    let into_next = (depth - scales.w) / (scales.z - scales.w);
+    if into_next > 0.0 && cascade < last {
+        share = mix(share, sun_shadow_in(cascade + 1, in_eye, normal), into_next);
+    }
+    return mix(share, 1.0, clamp((depth - frame.shadow.z) / (frame.shadow.w - frame.shadow.z), 0.0, 1.0));
+}
+
+// A texel of the map is one depth for a piece of surface that lies slantwise to it. A point moved along the normal by
+// what the filter reaches times the sine of the sun's angle comes to lie before the piece's nearest end.
+fn sun_shadow_in(cascade: i32, in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
+    let sun = frame.sun_direction.xyz;
+    let scales = frame.cascade_scales[cascade];
+    let offsets = frame.cascade_offsets[cascade];
+    let cosine = dot(normal, sun);
+    let slant = sqrt(max(1.0 - cosine * cosine, 0.0));
+    let moved = in_eye + (frame.shadow_x.w * slant * normal + frame.shadow_y.w * sun) * offsets.w;
+    let across = vec2<f32>(dot(frame.shadow_x.xyz, moved), -dot(frame.shadow_y.xyz, moved));
+    return sun_shadow_filtered(cascade, across * scales.x + offsets.xy, dot(sun, moved) * scales.y + offsets.z);
+}
+
+// A tent over 5 x 5 texels from nine comparisons of 2 x 2 texels each, their places and weights chosen so that the
+// sampler's own weights come out right (I. Castano, Shadow Mapping Summary, 2013).
+fn sun_shadow_filtered(cascade: i32, place: vec2<f32>, depth: f32) -> f32 {
+    let texel = frame.shadow.y;
+    let corner = floor(place / texel + 0.5);
+    let part = place / texel + 0.5 - corner;
+    let base = (corner - 0.5) * texel;
+    let weights_x = vec3<f32>(4.0 - 3.0 * part.x, 7.0, 1.0 + 3.0 * part.x);
+    let weights_y = vec3<f32>(4.0 - 3.0 * part.y, 7.0, 1.0 + 3.0 * part.y);
+    let x = (vec3<f32>(3.0 - 2.0 * part.x, 3.0 + part.x, part.x) / weights_x + vec3<f32>(-2.0, 0.0, 2.0)) * texel;
+    let y = (vec3<f32>(3.0 - 2.0 * part.y, 3.0 + part.y, part.y) / weights_y + vec3<f32>(-2.0, 0.0, 2.0)) * texel;
+    var sum = 0.0;
+    for (var row = 0; row < 3; row++) {
+        let at = base + vec2<f32>(0.0, y[row]);
+        let lit = vec3<f32>(
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.x, 0.0), cascade, depth),
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.y, 0.0), cascade, depth),
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.z, 0.0), cascade, depth),
+        );
+        sum += weights_y[row] * dot(weights_x, lit);
+    }
+    return sum / 144.0;
+}
