@@ -81,7 +81,9 @@ fn check(rig: &mut Rig, camera: &CullCamera, casters: &[Aabb], hiders: &[Aabb], 
         let pixel_m = length / 192.0 / along.z.abs().max(0.05);
         let across = to_sun.cross(DVec3::Z).normalize() * (pixel_m + 4.0 * texel_m);
         let along = to_sun.with_z(0.0).normalize() * (pixel_m + 5.5 * texel_m / height);
-        let around = (0..16).map(|i| f64::from(i) * 0.3927).map(|a| at + across * a.cos() + along * a.sin());
+        let around = (0..16)
+            .map(|i| f64::from(i) * std::f64::consts::FRAC_PI_8)
+            .map(|a| at + across * a.cos() + along * a.sin());
         let expected = is_dark(at);
         if around.into_iter().any(|p| is_dark(p) != expected) {
             continue;
