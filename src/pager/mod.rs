@@ -10,13 +10,16 @@
 //! Cull takes no lock: its requests are data. The threads share one request list behind one mutex, rewritten by
 //! update once a frame; every other hand-over is a bounded channel that cannot fill (see `list.rs`).
 
+mod arrivals;
 mod config;
+mod expiry;
 #[cfg(feature = "http")]
 mod flow;
 #[cfg(feature = "http")]
 mod http;
 mod images;
 mod list;
+mod requests;
 mod residents;
 mod shares;
 mod stats;

@@ -1,0 +1,210 @@
+//! What comes: answers of the threads go to the contexts' compile queues, what they have compiled into the scene. Update
+//! thread.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::DatabasePager;
+use super::config::CompileContext;
+use super::expiry::EXPIRY_TENTHS;
+use super::list::{Above, Answer, Arrived, Entry, Job, Progress};
+use super::residents::Resident;
+use crate::gpu::CompileOperation;
+use crate::io::IoError;
+use crate::scene::{DrawKind, NodeId, PagingOptions, Scene};
+use crate::timeline;
+
+impl DatabasePager {
+    pub(super) fn take_answers(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        while let Some(answer) = self.threads.answers.as_ref().and_then(|a| a.try_recv().ok()) {
+            self.answer(scene, answer, contexts);
+        }
+    }
+
+    pub(super) fn answer(&mut self, scene: &mut Scene, answer: Answer, contexts: &mut [&mut dyn CompileContext]) {
+        {
+            let mut waiting = self.threads.list.lock();
+            waiting.outstanding = waiting.outstanding.saturating_sub(1);
+        }
+        self.stats.bytes_read += answer.bytes_read;
+        self.stats.bytes_http += answer.bytes_http;
+        let slot = answer.job.slot;
+        let known = self.entries.get_mut(&slot).filter(|e| e.job.ticket == answer.job.ticket);
+        let Some(entry) = known else {
+            // The tree that held the slot is gone.
+            if let Some(Ok(page)) = answer.page {
+                self.threads.reap(Box::new(page));
+            }
+            return;
+        };
+        match answer.page {
+            None => {
+                self.stats.cancelled += 1;
+                timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "cancelled");
+                self.entries.remove(&slot);
+            }
+            Some(Err(error)) => {
+                self.stats.failed += 1;
+                timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "failed");
+                self.errors.add(&error);
+                entry.tries += 1;
+                let again = error.is_transient() && entry.tries < self.config.max_tries;
+                let wait = self.config.retry_after * 2u32.saturating_pow(entry.tries.min(10) - 1);
+                let wait = wait.max(error.retry_after().unwrap_or_default()).mul_f64(spread(entry.job.ticket));
+                entry.progress = Progress::Failed { retry_at: again.then(|| Instant::now() + wait) };
+                scene.set_failed(slot, true);
+            }
+            Some(Ok(mut page)) => {
+                self.stats.loaded += 1;
+                self.stats.bytes_decoded += page.size_bytes();
+                let kinds: Arc<[DrawKind]> = scene.draw_kinds(Some(slot), &page).into();
+                let drawables = page.take_drawables();
+                self.shares.take(&page);
+                let ticket = entry.job.ticket;
+                let contexts_left = if drawables.is_empty() { 0 } else { contexts.len() };
+                entry.progress = Progress::Arrived(Arrived { page: Box::new(page), gpu_bytes: 0, contexts_left });
+                if contexts_left == 0 {
+                    self.ready.push(slot);
+                    return;
+                }
+                self.compiling.insert(ticket, slot);
+                let mut drawables = Some(drawables);
+                let last = contexts.len() - 1;
+                for (i, context) in contexts.iter_mut().enumerate() {
+                    let for_this = if i == last { drawables.take() } else { drawables.clone() };
+                    context.foresee(&kinds);
+                    context.compile(CompileOperation { ticket, drawables: for_this.unwrap_or_default() });
+                }
+            }
+        }
+    }
+
+    pub(super) fn take_compiled(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        for context in contexts.iter_mut() {
+            for compiled in context.take_compiled() {
+                let slot = self.compiling.get(&compiled.ticket).copied();
+                let entry = slot.and_then(|s| self.entries.get_mut(&s));
+                let (Some(slot), Some(entry)) = (slot, entry) else {
+                    context.release(compiled.slots);
+                    continue;
+                };
+                self.shares.uploaded(context.id(), &compiled.shared);
+                for error in &compiled.errors {
+                    self.stats.drawables_failed += 1;
+                    self.errors.add_text(&entry.job.uri, error);
+                }
+                let Progress::Arrived(arrived) = &mut entry.progress else {
+                    context.release(compiled.slots);
+                    continue;
+                };
+                arrived.gpu_bytes += compiled.bytes;
+                arrived.page.set_draw_slots(context.id(), compiled.slots);
+                arrived.contexts_left = arrived.contexts_left.saturating_sub(1);
+                if arrived.contexts_left == 0 {
+                    self.compiling.remove(&compiled.ticket);
+                    self.ready.push(slot);
+                }
+            }
+        }
+    }
+
+    /// Hangs pages into their slots, coarse before fine, within the time budget. What does not fit into the byte
+    /// budgets, with everything else in use, is dropped and asked for again when there is room.
+    pub(super) fn merge(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        if self.ready.is_empty() {
+            return;
+        }
+        let _span = timeline::span("merge pages");
+        let start = Instant::now();
+        let priority = |s: &NodeId| self.entries.get(s).map_or(f32::MIN, |e| e.priority);
+        self.ready.sort_by(|a, b| priority(b).total_cmp(&priority(a)).then(a.cmp(b)));
+        let mut done = 0;
+        for slot in std::mem::take(&mut self.ready) {
+            if done > 0 && !self.config.blocking && start.elapsed() >= self.config.merge_time {
+                self.ready.push(slot);
+                continue;
+            }
+            let Some(entry) = self.entries.remove(&slot) else { continue };
+            let is_ahead = entry.is_ahead();
+            let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
+            let ticket = self.threads.list.ticket_source | entry.job.ticket;
+            let cpu_bytes = page.own_bytes();
+            let shared = self.shares.of(&page);
+            let alone = (cpu_bytes + shared.cpu, gpu_bytes + shared.gpu);
+            if alone.0 > self.config.max_bytes_cpu || alone.1 > self.config.max_bytes_gpu {
+                timeline::request_ends(ticket, "failed");
+                self.refuse(scene, slot, entry.job, alone);
+                self.retire(page, contexts);
+                continue;
+            }
+            // Counts before there is room, so that what goes to make room and shares with it takes nothing along.
+            let added = self.shares.merge(&page);
+            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes + added.cpu);
+            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes + added.gpu);
+            if (is_ahead && !self.has_free(EXPIRY_TENTHS)) || !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
+                self.stats.declined += 1;
+                timeline::request_ends(ticket, "declined");
+                self.shares.unmerge(&page);
+                self.retire(page, contexts);
+                continue;
+            }
+            let tile_tree = page.is_tile_tree();
+            match scene.attach(slot, *page) {
+                Ok(id) => {
+                    let latency_s = entry.since.elapsed().as_secs_f64();
+                    self.stats.merged += 1;
+                    self.stats.merged_ahead += u64::from(is_ahead);
+                    timeline::request_ends(ticket, "merged");
+                    self.stats.latency_sum_s += latency_s;
+                    self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
+                    self.residents.insert(id, Resident::new(slot, (cpu_bytes, gpu_bytes), entry.paging));
+                    if tile_tree {
+                        let Above { chain, set_from_page } = entry.job.above;
+                        let chain = chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
+                        self.above.insert(id, Above { chain, set_from_page });
+                    }
+                }
+                // The slot went with its tree.
+                Err(refused) => {
+                    self.stats.dropped += 1;
+                    timeline::request_ends(ticket, "dropped");
+                    self.shares.unmerge(&refused.1);
+                    self.retire(Box::new(refused.1), contexts);
+                }
+            }
+            done += 1;
+        }
+    }
+
+    /// A page that alone is beyond a budget: an error, and not asked for again.
+    pub(super) fn refuse(&mut self, scene: &mut Scene, slot: NodeId, job: Job, (cpu_bytes, gpu_bytes): (u64, u64)) {
+        let config = &self.config;
+        let (what, got, limit) = if cpu_bytes > config.max_bytes_cpu {
+            ("memory of the page", cpu_bytes, config.max_bytes_cpu)
+        } else {
+            ("GPU memory of the page", gpu_bytes, config.max_bytes_gpu)
+        };
+        self.stats.failed += 1;
+        self.errors.add(&IoError::TooLarge { uri: job.uri.to_string(), what, got, limit });
+        let entry = Entry {
+            job,
+            priority: 0.0,
+            wanted_frame: self.frame,
+            since: Instant::now(),
+            tries: self.config.max_tries,
+            progress: Progress::Failed { retry_at: None },
+            paging: PagingOptions::default(),
+        };
+        self.entries.insert(slot, entry);
+        scene.set_failed(slot, true);
+    }
+}
+
+/// From 1 to 1.25 by the number of a load: what failed together is not asked for again together.
+fn spread(ticket: u64) -> f64 {
+    1.0 + (ticket.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / (1u64 << 26) as f64
+}
+
+fn moving_mean(mean: u64, value: u64) -> u64 {
+    if mean == 0 { value } else { (7 * mean + value) / 8 }
+}

@@ -1,0 +1,157 @@
+//! What goes: room in the budgets, pages that are not wanted any more, and requests that are given up. Update thread.
+
+use std::time::Duration;
+
+use super::DatabasePager;
+use super::config::CompileContext;
+use super::list::{Arrived, Entry, Progress};
+use super::residents::Unused;
+use crate::io;
+use crate::scene::{NodeId, Page, PageId, Scene};
+use crate::timeline;
+
+/// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
+const EXPIRY_LOOKS: usize = 256;
+/// Tenths of each budget that are kept free of what was not wanted for long.
+pub(super) const EXPIRY_TENTHS: u64 = 1;
+/// Tenths of each budget that must be free before anything is loaded that is wanted only later. More than expiry makes
+/// free, so that nothing goes for it and comes again.
+pub(super) const AHEAD_TENTHS: u64 = 2;
+
+impl DatabasePager {
+    /// Of merged pages, what they share once.
+    pub(super) fn cpu_bytes(&self) -> u64 {
+        self.residents.cpu_bytes + self.shares.held.cpu
+    }
+
+    /// Of merged pages, what they share once.
+    pub(super) fn gpu_bytes(&self) -> u64 {
+        self.residents.gpu_bytes + self.shares.held.gpu
+    }
+
+    /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
+    pub(super) fn make_room(
+        &mut self,
+        scene: &mut Scene,
+        cpu_bytes: u64,
+        gpu_bytes: u64,
+        contexts: &mut [&mut dyn CompileContext],
+    ) -> bool {
+        let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS);
+        while self.cpu_bytes() + cpu_bytes > self.config.max_bytes_cpu
+            || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
+            || self.residents.len() + 1 > self.config.max_tiles
+        {
+            // In want of room, the last two frames' tiles alone are safe.
+            let unused = Unused { frames: 2, time: Duration::ZERO };
+            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { return false };
+            self.detach(scene, id, contexts);
+        }
+        true
+    }
+
+    /// True while so many tenths of each budget are free.
+    pub(super) fn has_free(&self, tenths: u64) -> bool {
+        let is_free = |used: u64, max: u64| used <= max / 10 * (10 - tenths);
+        is_free(self.cpu_bytes(), self.config.max_bytes_cpu)
+            && is_free(self.gpu_bytes(), self.config.max_bytes_gpu)
+            && is_free(self.residents.len() as u64, self.config.max_tiles as u64)
+    }
+
+    /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free.
+    pub(super) fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        let unused = Unused { frames: self.config.expiry_frames, time: self.config.expiry_time };
+        let mut looks = self.residents.len().min(EXPIRY_LOOKS);
+        while !self.has_free(EXPIRY_TENTHS) {
+            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { break };
+            self.detach(scene, id, contexts);
+        }
+    }
+
+    pub(super) fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
+        // Requests for slots inside an expired tileset go with it.
+        if self.above.remove(&id).is_some() {
+            self.drop_entries(contexts, |slot, _| slot.page == id);
+        }
+        match scene.detach(id) {
+            Ok(page) => {
+                self.stats.expired += 1;
+                self.shares.unmerge(&page);
+                self.retire(Box::new(page), contexts);
+            }
+            Err(e) => log::error!("an expired page could not be taken out: {e}"),
+        }
+    }
+
+    /// Gives a page's slots back and drops it on the reaper's thread.
+    pub(super) fn retire(&mut self, mut page: Box<Page>, contexts: &mut [&mut dyn CompileContext]) {
+        self.shares.give_back(&page);
+        for (id, slots) in page.take_draw_slots() {
+            if let Some(context) = contexts.iter_mut().find(|c| c.id() == id) {
+                context.release(slots);
+            }
+        }
+        self.threads.reap(page);
+    }
+
+    /// Takes every page out that nothing else hangs in, and what was loaded and not merged: all of it is loaded and
+    /// uploaded again when it is wanted. For contexts that come later.
+    pub fn page_anew(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        self.drop_uploads(contexts);
+        // What hangs deepest goes first; each round takes a level.
+        loop {
+            let expirable = self.residents.take_if(|id| scene.is_expirable(id));
+            if expirable.is_empty() {
+                break;
+            }
+            for id in expirable {
+                self.detach(scene, id, contexts);
+            }
+        }
+    }
+
+    /// Takes every page out and forgets every request, also what failed: as it was before the first frame.
+    pub fn clear(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+        self.page_anew(scene, contexts);
+        for (slot, _) in self.entries.iter().filter(|(_, e)| matches!(e.progress, Progress::Failed { .. })) {
+            scene.set_failed(*slot, false);
+        }
+        self.drop_entries(contexts, |_, _| true);
+        self.rewrite_list();
+        self.count();
+    }
+
+    /// Drops what was loaded and waits for its upload or its merge, to be asked for again. For contexts that go, whose
+    /// uploads nobody would finish.
+    pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        self.drop_entries(contexts, |_, entry| matches!(entry.progress, Progress::Arrived(_)));
+        self.compiling.clear();
+        self.ready.clear();
+    }
+
+    /// Forgets requests, with what was loaded and uploaded for them; late answers and uploads find nobody.
+    pub(super) fn drop_entries(
+        &mut self,
+        contexts: &mut [&mut dyn CompileContext],
+        drops: impl Fn(&NodeId, &Entry) -> bool,
+    ) {
+        let dropped: Vec<Entry> =
+            self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
+        for Entry { job, progress, .. } in dropped {
+            if matches!(progress, Progress::Failed { .. }) {
+                continue;
+            }
+            self.stats.dropped += 1;
+            timeline::request_ends(self.threads.list.ticket_source | job.ticket, "dropped");
+            match progress {
+                Progress::Arrived(Arrived { page, .. }) => {
+                    self.compiling.remove(&job.ticket);
+                    self.retire(page, contexts);
+                }
+                // Aborted, unless its answer is there already.
+                Progress::Loading if io::is_http(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
+                _ => {}
+            }
+        }
+    }
+}

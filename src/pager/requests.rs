@@ -1,0 +1,167 @@
+//! What is asked for: requests of culls become entries, and entries the list that the threads take from. Update thread.
+
+use std::collections::HashSet;
+use std::time::Instant;
+
+use super::DatabasePager;
+use super::expiry::AHEAD_TENTHS;
+use super::list::{Entry, Job, Progress};
+use crate::cull::PageRequest;
+use crate::io;
+use crate::scene::{Scene, SlotState};
+use crate::timeline;
+
+/// Decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing is loaded.
+const MOST_PENDING_BYTES: u64 = 24 << 20;
+
+impl DatabasePager {
+    /// Takes up new requests and renews those that are known.
+    pub(super) fn accept(&mut self, scene: &Scene, requests: &[PageRequest]) {
+        for request in requests {
+            if let Some(entry) = self.entries.get_mut(&request.slot) {
+                let priority = entry.paging.priority(request.priority);
+                if entry.wanted_frame == self.frame {
+                    entry.priority = entry.priority.max(priority);
+                } else {
+                    entry.priority = priority;
+                    entry.wanted_frame = self.frame;
+                }
+                continue;
+            }
+            let Some(slot) = scene.slot(request.slot) else { continue };
+            if slot.state != SlotState::Empty || !self.takes_requests {
+                continue;
+            }
+            let mut above = self.above.get(&slot.page).unwrap_or(&self.above_roots).clone();
+            if !above.chain.is_empty() {
+                above.set_from_page *= slot.content_transform;
+            }
+            let job = Job {
+                ticket: self.next_ticket,
+                slot: request.slot,
+                uri: slot.uri.clone(),
+                reader_data: slot.reader_data.cloned(),
+                above,
+            };
+            timeline::request_begins(self.threads.list.ticket_source | job.ticket, &job.uri);
+            self.next_ticket += 1;
+            self.stats.requested += 1;
+            let entry = Entry {
+                job,
+                priority: slot.paging.priority(request.priority),
+                paging: slot.paging,
+                wanted_frame: self.frame,
+                since: Instant::now(),
+                tries: 0,
+                progress: Progress::Waiting,
+            };
+            self.entries.insert(request.slot, entry);
+        }
+    }
+
+    /// Lets failures whose wait is over be requested again.
+    pub(super) fn retry(&mut self, scene: &mut Scene) {
+        let now = Instant::now();
+        for entry in self.entries.values_mut() {
+            if let Progress::Failed { retry_at: Some(at) } = entry.progress
+                && at <= now
+            {
+                scene.set_failed(entry.job.slot, false);
+                entry.job.ticket = self.next_ticket;
+                timeline::request_begins(self.threads.list.ticket_source | self.next_ticket, &entry.job.uri);
+                self.next_ticket += 1;
+                entry.wanted_frame = self.frame;
+                entry.progress = Progress::Waiting;
+                self.stats.retried += 1;
+            }
+        }
+    }
+
+    /// Drops what is stale, aborts what nobody wants, and writes the waiting jobs in order of priority.
+    pub(super) fn rewrite_list(&mut self) {
+        let frame = self.frame;
+        let stale_frames = self.config.stale_frames;
+        let has_free = self.has_free(AHEAD_TENTHS);
+        let list = &self.threads.list;
+        let mut waiting = list.lock();
+        let taken: HashSet<u64> = waiting.taken.drain(..).collect();
+        if !taken.is_empty() {
+            for entry in self.entries.values_mut() {
+                // What was taken and answered since the last look is further already.
+                if matches!(entry.progress, Progress::Waiting) && taken.contains(&entry.job.ticket) {
+                    entry.progress = Progress::Loading;
+                }
+            }
+        }
+        let mut stale = 0;
+        self.entries.retain(|_, e| {
+            let old = frame.saturating_sub(e.wanted_frame) > stale_frames && matches!(e.progress, Progress::Waiting);
+            stale += u64::from(old);
+            if old {
+                timeline::request_ends(self.threads.list.ticket_source | e.job.ticket, "stale");
+            }
+            !old
+        });
+        self.stats.stale += stale;
+        let mut jobs: Vec<(f32, &Entry)> = Vec::new();
+        let mut ahead_under_way = 0;
+        for entry in self.entries.values() {
+            if entry.is_ahead() && matches!(entry.progress, Progress::Loading | Progress::Arrived(_)) {
+                ahead_under_way += 1;
+            }
+            match entry.progress {
+                Progress::Waiting => jobs.push((entry.priority, entry)),
+                Progress::Loading
+                    if io::is_http(&entry.job.uri)
+                        && frame.saturating_sub(entry.wanted_frame) > self.config.abort_frames =>
+                {
+                    waiting.abort.push(entry.job.ticket);
+                }
+                _ => {}
+            }
+        }
+        // Taken from the end: the most urgent last.
+        jobs.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.job.slot.cmp(&a.1.job.slot)));
+        // Of what is wanted later as many as may be under way, the most urgent ones.
+        let ahead = jobs.partition_point(|(priority, _)| *priority < 0.0);
+        let may_start = if has_free { self.config.ahead_in_flight.saturating_sub(ahead_under_way) } else { 0 };
+        jobs.drain(..ahead.saturating_sub(may_start));
+        waiting.file.clear();
+        waiting.http.clear();
+        for (_, entry) in &jobs {
+            let to = if io::is_http(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
+            to.push(entry.job.clone());
+        }
+        waiting.allowed = self.allowed_in_flight(list.capacity);
+        self.full = waiting.allowed == 0 && !jobs.is_empty();
+        drop(waiting);
+        list.ring();
+    }
+
+    /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
+    pub(super) fn allowed_in_flight(&self, capacity: usize) -> usize {
+        if self.is_paused {
+            return 0;
+        }
+        let arrived = (self.compiling.len() + self.ready.len()) as u64;
+        let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
+        let cpu = room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes);
+        let gpu = room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes);
+        let tiles = (self.config.max_tiles as u64).saturating_sub(self.residents.len() as u64 + arrived);
+        // What waits for its upload holds memory besides the budgets'.
+        let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).saturating_sub(arrived);
+        cpu.min(gpu).min(tiles).min(pending).min(capacity as u64) as usize
+    }
+
+    /// Lets the threads go on when there is more room than the list last said.
+    pub(super) fn allow_more(&self) {
+        let allowed = self.allowed_in_flight(self.threads.list.capacity);
+        let mut waiting = self.threads.list.lock();
+        waiting.allowed = allowed;
+        let go_on = waiting.outstanding < allowed && waiting.len() > 0;
+        drop(waiting);
+        if go_on {
+            self.threads.list.ring();
+        }
+    }
+}
