@@ -77,7 +77,7 @@ fn what_goes_wrong_is_said() {
     let out = stress(&["/no/such/set", "--seed", "1"]);
     let said = String::from_utf8_lossy(&out.stderr).into_owned() + &String::from_utf8_lossy(&out.stdout);
     assert!(out.status.code() == Some(1) && said.contains("/no/such"), "{said}");
-    for (arguments, word) in [(&["--drawn", "101"][..], "--drawn"), (&["--minutes", "-1"], "--minutes")] {
+    for (arguments, word) in [(&["--drawn", "101"][..], "--drawn"), (&["--minutes=-1"], "--minutes")] {
         let out = stress(arguments);
         assert!(!out.status.success() && String::from_utf8_lossy(&out.stderr).contains(word));
     }
