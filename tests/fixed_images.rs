@@ -6,7 +6,7 @@ mod gpu_support;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, DVec4};
-use gpu_support::{MAGENTA, Rig, Terrain, camera, count, plain, quad, rig, unit_camera};
+use gpu_support::{MAGENTA, Rig, Terrain, camera, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::scene::{ClipNode, Drawable, LightSource, Node, NodeKind, ReferenceFrame, TexGenNode};
 use terrane::state::{
@@ -223,11 +223,6 @@ fn nearest(texture: Arc<TextureObject>) -> TextureBinding {
 
 fn unlit() -> StateSet {
     StateSet::default().with_mode(Mode::Lighting, StateValue::OFF)
-}
-
-fn pixel(picture: &RgbaImage, x: u32, y: u32) -> [u8; 3] {
-    let [r, g, b, _] = picture.get_pixel(x, y).0;
-    [r, g, b]
 }
 
 #[test]

@@ -8,7 +8,10 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 use gpu_support::{MAGENTA, Terrain, camera, count, mesh, plain, quad, rig, unit_camera, with_mips};
 use terrane::draw::{Environment, Fog, Sky};
-use terrane::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Texture, Topology};
+use terrane::scene::{
+    AlphaMode, Billboard, BillboardMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Texture,
+    Topology,
+};
 use terrane::state::StateSet;
 
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
@@ -373,4 +376,40 @@ fn textures_have_their_north_at_the_top() {
     assert_eq!(picture.get_pixel(128, 90).0[..3], [255, 0, 0]);
     assert_eq!(picture.get_pixel(128, 166).0[..3], [0, 255, 0]);
     rig.release(scene);
+}
+
+#[test]
+fn billboards_show_their_whole_face() {
+    let Some(mut rig) = rig("billboards_show_their_whole_face") else { return };
+    let rig = &mut *rig;
+    let flat = || {
+        let mesh = Mesh::rectangle(DVec3::new(-0.5, 0.0, -0.5), DVec3::X, DVec3::Z);
+        let mut drawable = quad([0.0; 3], [0.5; 2], RED);
+        drawable.geometry = mesh.into();
+        drawable
+    };
+    // From aside and above, 8 m away: a metre is 256 / (2 * 8 * tan(0.5)) pixels.
+    let eye = DVec3::new(1.0, -1.0, 0.9).normalize() * 8.0;
+    let view = camera([256, 256], eye, DVec3::ZERO, DVec3::Z);
+    let metre_px = 128.0 / (8.0 * 0.5f64.tan());
+    let mut covered = |node: Node| {
+        let scene = rig.scene(node);
+        let picture = rig.picture(&scene, &view, &plain());
+        rig.release(scene);
+        count(&picture, [255, 0, 0]) as f64 / (metre_px * metre_px)
+    };
+    let turned = |mode| {
+        let billboard = Billboard { mode, drawables: vec![(DVec3::ZERO, flat())] };
+        Node::new(NodeKind::Billboard(Box::new(billboard)))
+    };
+    let still = covered(Node::geode(vec![flat()]));
+    assert!(still < 0.65, "{still}");
+    for mode in [BillboardMode::PointRotEye, BillboardMode::PointRotWorld] {
+        let whole = covered(turned(mode));
+        assert!((0.95..1.05).contains(&whole), "{mode:?}: {whole}");
+    }
+    // About the upright axis alone: foreshortened by the height of the eye only.
+    let upright = covered(turned(BillboardMode::AxialRot { axis: DVec3::Z }));
+    let expected = (1.0f64 - (0.9 * 0.9) / (2.0 + 0.9 * 0.9)).sqrt();
+    assert!((upright - expected).abs() < 0.06, "{upright} instead of {expected}");
 }

@@ -1,5 +1,5 @@
 //! What cameras in the graph draw: into textures and over the picture, in their order; targets of every kind;
-//! callbacks, queries, programs.
+//! callbacks, queries.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 mod gpu_support;
@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec3};
-use gpu_support::{MAGENTA, Rig, count, new_rig, plain, quad, rig, unit_camera};
+use gpu_support::{MAGENTA, Rig, count, new_rig, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::cull::CullCamera;
 use terrane::draw::{CameraCallbacks, Renderer};
@@ -19,7 +19,7 @@ use terrane::scene::{
 };
 use terrane::state::{
     Attribute, BlendFactor, BlendFunc, CompareFunction, Mode, Program, Sampler, StateSet, StateValue, TextureBinding,
-    TextureDimension, TextureFormat, TextureObject, UniformValue,
+    TextureDimension, TextureFormat, TextureObject,
 };
 
 const SIDE: u32 = 64;
@@ -65,11 +65,6 @@ fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
     let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
     rig.release(scene);
     picture
-}
-
-fn pixel(picture: &RgbaImage, x: u32, y: u32) -> [u8; 3] {
-    let [r, g, b, _] = picture.get_pixel(x, y).0;
-    [r, g, b]
 }
 
 fn no_errors(rig: &mut Rig) {
@@ -535,102 +530,6 @@ fn queries_hide_what_is_not_seen_and_show_it_again() {
 }
 
 #[test]
-fn programs_have_uniforms_and_defines() {
-    let Some(mut rig) = rig("programs_have_uniforms_and_defines") else { return };
-    let rig = &mut *rig;
-    let wgsl = "
-        struct Uniforms {
-            tint: vec3<f32>, factor: f32, turned: mat3x3<f32>, count: u32, osg_FrameNumber: u32,
-            osg_SimulationTime: f32, table: array<vec4<f32>, 3>, osg_ViewMatrixInverse: mat4x4<f32>,
-        }
-        @group(2) @binding(0) var<uniform> uniforms: Uniforms;
-        override FANCY: bool = false;
-        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
-            return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0);
-        }
-        @fragment fn fs_main() -> @location(0) vec4<f32> {
-            var color = uniforms.tint * uniforms.factor;
-            if FANCY { color = uniforms.turned * color; }
-            if uniforms.count != 7u || uniforms.osg_FrameNumber != 5u || uniforms.osg_SimulationTime != 2.5 {
-                color = vec3<f32>(1.0, 1.0, 0.0);
-            }
-            if uniforms.table[2].y != 4.0 || uniforms.osg_ViewMatrixInverse[3].z != 10.0 {
-                color = vec3<f32>(0.0, 1.0, 1.0);
-            }
-            return vec4<f32>(color, 1.0);
-        }";
-    rig.renderer.clock = terrane::draw::FrameClock { simulation_time_s: 2.5, ..Default::default() };
-    let set = |fancy: bool, tint: UniformValue| {
-        let defines = if fancy { vec![("FANCY".to_string(), 1.0), ("UNKNOWN".into(), 3.0)] } else { vec![] };
-        let program = Arc::new(Program { name: "tinted".into(), wgsl: wgsl.into(), defines });
-        StateSet::default()
-            .with(Attribute::Program(program))
-            .with_uniform("tint", tint)
-            .with_uniform("factor", UniformValue::Float(0.5))
-            // Red becomes blue.
-            .with_uniform("turned", UniformValue::Mat3([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
-            .with_uniform("count", UniformValue::Uint(7))
-            .with_uniform("table", UniformValue::Vec4Array([[0.0; 4], [1.0; 4], [0.0, 4.0, 0.0, 0.0]].into()))
-    };
-    let mut middle = |set: StateSet| {
-        let scene = rig.scene(Node::geode(vec![square(0.0, [255; 3])]).with_state_set(Arc::new(set)));
-        let picture = rig.picture(&scene, &CullCamera { frame: 5, ..unit_camera(SIDE) }, &plain());
-        rig.release(scene);
-        (pixel(&picture, 32, 32), rig.renderer.take_errors())
-    };
-    let red = UniformValue::Vec3([2.0, 0.0, 0.0]);
-    assert_eq!(middle(set(false, red.clone())), (RED, vec![]));
-    assert_eq!(middle(set(true, red)), (BLUE, vec![]));
-    let (color, errors) = middle(set(false, UniformValue::Vec2([1.0, 0.0])));
-    assert_eq!(color, BLACK);
-    assert!(
-        matches!(&errors[..], [e] if e.contains("tint") && e.contains("vec2<f32> instead of vec3<f32>")),
-        "{errors:?}"
-    );
-}
-
-#[test]
-fn broken_programs_are_seen_and_said_once() {
-    let Some(mut rig) = rig("broken_programs_are_seen_and_said_once") else { return };
-    let rig = &mut *rig;
-    let vertex =
-        "@vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
-            return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0); }";
-    for (name, wgsl, says) in [
-        ("syntax", "this is no WGSL".to_string(), "expected"),
-        ("types", format!("{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return 1; }}"), "types"),
-        ("half", vertex.to_string(), "no fragment entry point"),
-        (
-            "other",
-            format!(
-                "{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return vec4(1.0); }}
-            @group(3) @binding(0) var t: texture_2d<f32>;"
-            ),
-            "group 3",
-        ),
-    ] {
-        let set = StateSet { name: format!("set of {name}"), ..StateSet::default() }
-            .with(Attribute::Program(Program::new(name, &wgsl)));
-        let broken = Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25; 2], [1.0; 4])]).with_state_set(Arc::new(set));
-        let scene = rig.scene(Node::group(vec![
-            broken,
-            Node::geode(vec![quad([0.5, 0.0, 0.0], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]),
-        ]));
-        let black = terrane::draw::Environment { sky: terrane::draw::Sky::Background([0; 3]), ..plain() };
-        for frame in 0..3 {
-            let picture = rig.picture(&scene, &unit_camera(SIDE), &black);
-            assert_eq!((pixel(&picture, 16, 32), pixel(&picture, 48, 32)), (MAGENTA, GREEN), "{name}");
-            let errors = rig.renderer.take_errors();
-            assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
-            for e in errors {
-                assert!(e.contains(&format!("set of {name}")) && e.contains(says), "{e:?} instead of {says}");
-            }
-        }
-        rig.release(scene);
-    }
-}
-
-#[test]
 fn a_context_has_several_samples() {
     if new_rig([8, 8]).is_none() {
         eprintln!("a_context_has_several_samples: skipped: no adapter");
@@ -668,41 +567,4 @@ fn a_context_has_several_samples() {
     let errors = rig.renderer.take_errors();
     assert!(errors.is_empty(), "{errors:?}");
     let _ = DVec3::ZERO;
-}
-
-#[test]
-fn billboards_show_their_whole_face() {
-    use terrane::scene::{Billboard, BillboardMode, Mesh};
-    let Some(mut rig) = rig("billboards_show_their_whole_face") else { return };
-    let rig = &mut *rig;
-    let flat = || {
-        let mesh = Mesh::rectangle(DVec3::new(-0.5, 0.0, -0.5), DVec3::X, DVec3::Z);
-        let mut drawable = square(0.0, RED);
-        drawable.geometry = mesh.into();
-        drawable
-    };
-    // From aside and above, 8 m away: a metre is 256 / (2 * 8 * tan(0.5)) pixels.
-    let eye = DVec3::new(1.0, -1.0, 0.9).normalize() * 8.0;
-    let view = gpu_support::camera([256, 256], eye, DVec3::ZERO, DVec3::Z);
-    let metre_px = 128.0 / (8.0 * 0.5f64.tan());
-    let mut covered = |node: Node| {
-        let scene = rig.scene(node);
-        let picture = rig.picture(&scene, &view, &plain());
-        rig.release(scene);
-        count(&picture, RED) as f64 / (metre_px * metre_px)
-    };
-    let turned = |mode| {
-        let billboard = Billboard { mode, drawables: vec![(DVec3::ZERO, flat())] };
-        Node::new(NodeKind::Billboard(Box::new(billboard)))
-    };
-    let still = covered(Node::geode(vec![flat()]));
-    assert!(still < 0.65, "{still}");
-    for mode in [BillboardMode::PointRotEye, BillboardMode::PointRotWorld] {
-        let whole = covered(turned(mode));
-        assert!((0.95..1.05).contains(&whole), "{mode:?}: {whole}");
-    }
-    // About the upright axis alone: foreshortened by the height of the eye only.
-    let upright = covered(turned(BillboardMode::AxialRot { axis: DVec3::Z }));
-    let expected = (1.0f64 - (0.9 * 0.9) / (2.0 + 0.9 * 0.9)).sqrt();
-    assert!((upright - expected).abs() < 0.06, "{upright} instead of {expected}");
 }

@@ -6,7 +6,7 @@ mod gpu_support;
 use std::sync::Arc;
 
 use glam::DVec3;
-use gpu_support::{Rig, plain, quad, rig, unit_camera};
+use gpu_support::{Rig, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::cull::{CullCamera, Stereo, StereoMode};
 use terrane::scene::{Attachment, CameraTarget, Node, Page};
@@ -41,11 +41,6 @@ fn picture(rig: &mut Rig, stereo: &Stereo) -> RgbaImage {
     let picture = rig.read_back();
     rig.release(scene);
     picture
-}
-
-fn pixel(picture: &RgbaImage, x: u32, y: u32) -> [u8; 3] {
-    let [r, g, b, _] = picture.get_pixel(x, y).0;
-    [r, g, b]
 }
 
 #[test]

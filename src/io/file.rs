@@ -11,7 +11,7 @@ use super::archive::{LocalArchive, split_path};
 use super::{IoError, Limits};
 
 /// Archives whose directories are kept.
-const KEPT_ARCHIVES: NonZeroUsize = NonZeroUsize::new(64).unwrap();
+const KEPT_ARCHIVES: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
 
 /// Reads files, and files inside archives, whose directories it keeps. Shared by the file threads.
 #[derive(Debug)]

@@ -2,7 +2,7 @@
 //!
 //! Every few frames one camera is culled from where it will be in a while: along the path that the application or the
 //! manipulator has announced, or else as it moves and turns now. What is missing there is asked of the pager after all
-//! that the pictures lack (see [`PageRequest::ahead`]).
+//! that the pictures lack (see [`PageRequest::ahead`]). Cameras in the graph are not thought on.
 
 use glam::{DAffine3, DQuat, DVec3};
 
@@ -138,16 +138,17 @@ impl LookAhead {
         found.clear();
         let camera = view.cameras().nth(turn / SHARES.len()).filter(|_| then != now && then.is_finite());
         // Frame 0: what is met is not in use.
-        let Some(mut task) = camera.and_then(|camera| view.task(camera, scene, 0, std::mem::take(found))) else {
+        let Some(task) = camera.and_then(|camera| view.task(camera, scene, 0, std::mem::take(found))) else {
             return;
         };
-        // Nothing is drawn of it.
-        task.camera.settings.lod_fade_s = 0.0;
+        let mut camera = task.camera;
         // Slaves keep their place beside the master.
-        task.camera.eye_from_world = task.camera.eye_from_world * now * then.inverse();
-        // Shadows ask for nothing.
-        task.environment.shadows = None;
-        *found = task.run(visitor, stage).requests;
+        camera.eye_from_world = camera.eye_from_world * now * then.inverse();
+        // Nothing is drawn of it: no fades, no shadows, no order of leaves.
+        camera.settings.lod_fade_s = 0.0;
+        visitor.traverse(&task.scene, &camera, stage);
+        *found = task.requests;
+        found.append(&mut stage.requests);
         found.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
         found.truncate(MOST_REQUESTS);
         found.iter_mut().for_each(|request| *request = request.ahead());

@@ -20,6 +20,12 @@ use terrane::scene::{
 /// Pixels of a color that no test draws on purpose.
 pub const MAGENTA: [u8; 3] = [255, 0, 255];
 
+/// Red, green and blue of a pixel.
+pub fn pixel(picture: &RgbaImage, x: u32, y: u32) -> [u8; 3] {
+    let [r, g, b, _] = picture.get_pixel(x, y).0;
+    [r, g, b]
+}
+
 /// A context, its renderer and a visitor.
 pub struct Rig {
     pub ctx: GraphicsContext,

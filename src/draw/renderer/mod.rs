@@ -10,6 +10,7 @@
 
 mod foresee;
 pub(super) mod prepare;
+mod record;
 pub(super) mod shadows;
 
 use std::collections::{HashSet, VecDeque};
@@ -20,14 +21,12 @@ use crate::cull::RenderStage;
 use crate::draw::answers::{PictureReads, Queries};
 use crate::draw::atmosphere::{Air, Atmosphere};
 use crate::draw::batch::Batch;
-use crate::draw::bins::{Bins, draw_bins};
-use crate::draw::callbacks::{CameraCallbacks, RenderInfo};
 use crate::draw::composite::Composite;
-use crate::draw::environment::{Environment, Sky};
-use crate::draw::pipelines::{Bare, Pipelines};
-use crate::draw::plan::{PassTarget, StagePlan, Targets};
+use crate::draw::environment::Environment;
+use crate::draw::pipelines::Pipelines;
+use crate::draw::plan::{StagePlan, Targets};
 use crate::draw::shadow_maps::ShadowMaps;
-use crate::draw::state::{INDIRECT_BYTES, Sources, State, Statics};
+use crate::draw::state::{INDIRECT_BYTES, Statics};
 use crate::draw::uniforms::fixed::StageUniform;
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 use crate::draw::uniforms::groups::Groups;
@@ -348,153 +347,6 @@ impl Renderer {
         }
     }
 
-    fn record<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>>) -> DrawStats {
-        let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("frame") });
-        let mut stats = DrawStats::default();
-        let mut next = 0;
-        let plans = std::mem::take(&mut self.plans);
-        let airs = std::mem::take(&mut self.airs);
-        for (place, (picture, air)) in pictures.zip(&airs).enumerate() {
-            if picture.environment.sky == Sky::Atmosphere {
-                self.atmosphere.record(ctx, &mut encoder, place as u64, air);
-            }
-            self.record_all(ctx, &mut encoder, picture.stage, &plans, &mut next, &mut stats);
-        }
-        (self.plans, self.airs) = (plans, airs);
-        if let Some(timer) = &self.timer {
-            timer.resolve(&mut encoder);
-        }
-        if let Some(queries) = &self.queries {
-            queries.resolve(&mut encoder);
-        }
-        let submission = ctx.queue().submit([encoder.finish()]);
-        if let Some(timer) = &mut self.timer {
-            timer.submitted();
-        }
-        if let Some(queries) = &mut self.queries {
-            queries.submitted();
-        }
-        self.pictures.submitted();
-        self.in_flight.push_back(submission);
-        stats
-    }
-
-    #[allow(clippy::too_many_arguments, reason = "the walk over the stages carries what every pass needs")]
-    fn record_all(
-        &mut self,
-        ctx: &GraphicsContext,
-        encoder: &mut wgpu::CommandEncoder,
-        stage: &RenderStage,
-        plans: &[StagePlan],
-        next: &mut usize,
-        stats: &mut DrawStats,
-    ) {
-        let callbacks = CameraCallbacks::of(&stage.target.callbacks);
-        let info = RenderInfo { device: ctx.device(), queue: ctx.queue(), stage };
-        if let Some(initial) = callbacks.and_then(|c| c.initial.as_ref()) {
-            initial(&info, encoder);
-        }
-        for before in &stage.pre_render {
-            self.record_all(ctx, encoder, before, plans, next, stats);
-        }
-        if let Some(plan) = plans.get(*next)
-            && let Some(target) = &plan.target
-        {
-            self.record_casters(ctx, encoder, plan, stats);
-            let of_pass = self.record_pass(ctx, encoder, stage, plan, target, callbacks, &info);
-            stats.add(&of_pass);
-            self.copy_picture(ctx, encoder, stage);
-        }
-        *next += 1;
-        for after in &stage.post_render {
-            self.record_all(ctx, encoder, after, plans, next, stats);
-        }
-        if let Some(final_draw) = callbacks.and_then(|c| c.final_draw.as_ref()) {
-            final_draw(&info, encoder);
-        }
-    }
-
-    #[allow(clippy::too_many_arguments, reason = "see record_all")]
-    fn record_pass(
-        &mut self,
-        ctx: &GraphicsContext,
-        encoder: &mut wgpu::CommandEncoder,
-        stage: &RenderStage,
-        plan: &StagePlan,
-        target: &PassTarget,
-        callbacks: Option<&CameraCallbacks>,
-        info: &RenderInfo<'_>,
-    ) -> DrawStats {
-        let colors = target.color_attachments(stage, plan);
-        let count = target.color_count();
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("stage"),
-            color_attachments: &colors[..count],
-            depth_stencil_attachment: Some(target.depth_attachment(stage)),
-            timestamp_writes: self.timer.as_mut().and_then(FrameTimer::pass),
-            occlusion_query_set: if plan.queries.is_empty() { None } else { self.queries.as_ref().map(|q| &q.set) },
-            multiview_mask: None,
-        });
-        let from = Sources {
-            ctx,
-            pipelines: &self.pipelines,
-            groups: &self.groups,
-            batch: &self.batch,
-            statics: &self.statics,
-            frame_group: &self.frame_bind_group,
-            pulls: &self.pulls,
-            indirect: self.indirect.as_ref(),
-        };
-        let mut state = State::new(&mut pass, target.dynamics(None));
-        if let (Some(leaf), Some(fill)) = (plan.fill, self.pipelines.bare(Bare::Fill, target.index)) {
-            state.apply(&from, plan.statics);
-            state.draw_bare(fill, 3, leaf..leaf + 1);
-        }
-        if let Some(pre_draw) = callbacks.and_then(|c| c.pre_draw.as_ref()) {
-            pre_draw(info, state.pass);
-            state.forget();
-        }
-        let starts = plan.bin_starts.clone().and_then(|range| self.batch.bin_starts.get(range));
-        let bins = starts.map(|starts| Bins { bins: &stage.bins, starts }.split_before(plan.see_through));
-        match bins {
-            Some((before_sky, _)) => draw_bins(&mut state, &from, info, before_sky, 0),
-            None => state.draw_runs(&from, plan.runs.start..plan.see_through),
-        }
-        if let (false, Some(pipeline)) = (plan.queries.is_empty(), self.pipelines.bare(Bare::Query, target.index)) {
-            for (leaf, query, statics) in &plan.queries {
-                state.apply(&from, *statics);
-                state.pass.begin_occlusion_query(*query);
-                state.draw_bare(pipeline, 36, *leaf..leaf + 1);
-                state.pass.end_occlusion_query();
-            }
-        }
-        if let (true, Some(sky)) = (plan.has_sky, self.pipelines.bare(Bare::Sky, target.index)) {
-            state.apply(&from, plan.statics);
-            state.draw_bare(sky, 3, 0..1);
-        }
-        if let Some(water) = plan.water.and_then(|water| self.pipelines.bare(water, target.index)) {
-            state.apply(&from, plan.statics);
-            state.draw_bare(water, 3, 0..1);
-        }
-        match bins {
-            Some((_, after_sky)) => draw_bins(&mut state, &from, info, after_sky, 0),
-            None => state.draw_runs(&from, plan.see_through..plan.runs.end),
-        }
-        if let (Some([left, right]), Some(composite), Some(key)) =
-            (&plan.eyes, &self.composite, self.pipelines.target_key(target.index))
-            && let (Some(left), Some(right)) = (self.groups.textures.view(left), self.groups.textures.view(right))
-        {
-            composite.draw(ctx.device(), state.pass, key, [left, right]);
-            state.stats.draw_calls += 1;
-            state.stats.state_changes += 2;
-            state.forget();
-        }
-        if let Some(post_draw) = callbacks.and_then(|c| c.post_draw.as_ref()) {
-            post_draw(info, state.pass);
-        }
-        state.stats
-    }
-
     /// Copies what a camera has drawn to whoever wants it.
     fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
         let Some(camera) = &stage.target.camera else { return };
@@ -616,7 +468,7 @@ mod tests {
         scene.add_root(page);
         let mut stage = RenderStage::new();
         CullVisitor::new().cull(&scene, &CullCamera::default(), &mut stage);
-        let environment = Environment { sky: Sky::Background([0; 3]), ..Environment::default() };
+        let environment = Environment { sky: crate::draw::Sky::Background([0; 3]), ..Environment::default() };
         renderer.draw(&mut ctx, &stage, &environment).unwrap();
         let stats = renderer.draw(&mut ctx, &stage, &environment).unwrap();
         assert!(renderer.take_errors().is_empty());

@@ -1,4 +1,5 @@
-//! Shadows of the sun: what the cascades of a stage come to, and their passes, which come right before the stage's.
+//! Shadows of the sun: what the cascades of a stage come to, and their passes, which come right before the stage's. Draw
+//! thread.
 
 use super::Picture;
 use super::Renderer;
@@ -11,7 +12,7 @@ use crate::draw::pipelines::key::{Shading, StateKey};
 use crate::draw::pipelines::{MOST_COLORS, TargetKey};
 use crate::draw::plan::{PassTarget, StagePlan};
 use crate::draw::shadow_maps::FORMAT;
-use crate::draw::state::{Dynamics, Sources, State, Statics};
+use crate::draw::state::{Dynamics, State, Statics};
 use crate::draw::uniforms::frame::FrameUniform;
 use crate::gpu::{FrameTimer, GraphicsContext};
 use crate::state::{CLIP_PLANES, Mode, ResolvedState, TEXTURE_UNITS};
@@ -138,16 +139,7 @@ impl Renderer {
                 occlusion_query_set: None,
                 multiview_mask: None,
             });
-            let from = Sources {
-                ctx,
-                pipelines: &self.pipelines,
-                groups: &self.groups,
-                batch: &self.batch,
-                statics: &self.statics,
-                frame_group: &self.caster_bind_group,
-                pulls: &self.pulls,
-                indirect: self.indirect.as_ref(),
-            };
+            let from = self.sources(ctx, &self.caster_bind_group);
             let mut state = State::new(&mut pass, of_map(self.shadow_maps.size_px()));
             state.draw_runs(&from, runs.clone());
             stats.shadow_draw_calls += state.stats.draw_calls;

@@ -19,10 +19,10 @@ use crate::io::{IoError, Limits};
 /// A use is written to disk at most so often.
 const TOUCH_EVERY: Duration = Duration::from_secs(60);
 /// Uses remembered.
-const TOUCHES: NonZeroUsize = NonZeroUsize::new(1 << 14).unwrap();
+const TOUCHES: NonZeroUsize = NonZeroUsize::new(1 << 14).expect("not zero");
 
 /// URIs remembered that are not to be kept.
-const REFUSED: NonZeroUsize = NonZeroUsize::new(1 << 10).unwrap();
+const REFUSED: NonZeroUsize = NonZeroUsize::new(1 << 10).expect("not zero");
 
 /// Where a cache is, and how large it may become.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -16,7 +16,7 @@ use crate::io::cache::{Entry, Freshness};
 use crate::io::{DiskCache, IoError, Limits, file, shown};
 
 /// Archives whose directories are kept.
-const KEPT: NonZeroUsize = NonZeroUsize::new(64).unwrap();
+const KEPT: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
 
 /// Directories by URL. Whoever needs one first reads it, the others wait for that.
 #[derive(Debug)]

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
 use glam::{DMat4, DVec3};
+use serde::{Deserialize, Serialize};
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
 use terrane::io::{CacheConfig, is_http};
@@ -29,11 +30,12 @@ const AT_REST: u32 = 60;
 /// The end of a viewer, its threads and requests included.
 const MOST_CLOSING: Duration = Duration::from_secs(10);
 
-/// What a seed came to.
-#[derive(Debug, Default)]
+/// What a flight came to.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
 pub struct Outcome {
     pub failures: Vec<String>,
     pub frames: u32,
+    /// Frames from the end of the faults to rest.
     pub settling: u32,
     pub pictures: u64,
     /// Sums over the scenes.

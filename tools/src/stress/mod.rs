@@ -28,6 +28,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args as ClapArgs;
 use serde::{Deserialize, Serialize};
 
+use self::flight::Outcome;
 use self::plan::{Plan, Way};
 
 #[derive(Clone, Debug, ClapArgs)]
@@ -73,43 +74,34 @@ pub struct StressArgs {
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct SeedReport {
     pub seed: u64,
-    pub failures: Vec<String>,
     /// Disk or server.
     pub way: String,
     /// Names the plan: the same plan, the same number.
     pub plan: String,
     pub drawing: String,
-    pub adapter: String,
-    pub frames: u32,
-    /// Frames from the end of the faults to rest.
-    pub settling: u32,
-    pub pictures: u64,
-    pub requested: u64,
-    pub merged: u64,
-    pub failed: u64,
-    pub cancelled: u64,
-    pub expired: u64,
+    #[serde(flatten)]
+    pub outcome: Outcome,
     pub seconds: f64,
 }
 
 impl SeedReport {
     /// One line.
     fn line(&self) -> String {
-        let verdict = if self.failures.is_empty() { "ok    " } else { "FAILED" };
+        let verdict = if self.outcome.failures.is_empty() { "ok    " } else { "FAILED" };
         format!(
             "seed {:<5} {verdict} {:<4} {:<5} {:>4} frames, at rest after {:>4}, {:>3} pictures, {:>5} requests: {} merged, \
              {} failed, {} cancelled, {} expired; {:.1} s",
             self.seed,
             self.way,
             self.drawing,
-            self.frames,
-            self.settling,
-            self.pictures,
-            self.requested,
-            self.merged,
-            self.failed,
-            self.cancelled,
-            self.expired,
+            self.outcome.frames,
+            self.outcome.settling,
+            self.outcome.pictures,
+            self.outcome.requested,
+            self.outcome.merged,
+            self.outcome.failed,
+            self.outcome.cancelled,
+            self.outcome.expired,
             self.seconds
         )
     }
@@ -153,25 +145,16 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
     let flown = flight::fly(&plan, &source);
     let mut outcome = match flown {
         Ok(outcome) => outcome,
-        Err(error) => flight::Outcome { failures: vec![format!("{error:#}")], ..flight::Outcome::default() },
+        Err(error) => Outcome { failures: vec![format!("{error:#}")], ..Outcome::default() },
     };
     outcome.failures.extend(watch::take_said());
     let way = if terrane::io::is_http(&source) { Way::Http } else { plan.way };
     let report = SeedReport {
         seed,
-        failures: outcome.failures,
         way: format!("{way:?}").to_lowercase(),
         plan: format!("{:016x}", plan.digest()),
         drawing: format!("{:?}", plan.drawing).to_lowercase(),
-        adapter: outcome.adapter,
-        frames: outcome.frames,
-        settling: outcome.settling,
-        pictures: outcome.pictures,
-        requested: outcome.requested,
-        merged: outcome.merged,
-        failed: outcome.failed,
-        cancelled: outcome.cancelled,
-        expired: outcome.expired,
+        outcome,
         seconds: start.elapsed().as_secs_f64(),
     };
     if args.as_json {
@@ -180,7 +163,7 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
     }
     tell(&report, None)?;
     write_report(args, &source, std::slice::from_ref(&report), start)?;
-    ensure!(report.failures.is_empty(), "seed {seed} failed");
+    ensure!(report.outcome.failures.is_empty(), "seed {seed} failed");
     Ok(())
 }
 
@@ -198,10 +181,10 @@ fn many(args: &StressArgs) -> Result<()> {
     reports.sort_by_key(|r| r.seed);
     let source = args.source.as_deref().unwrap_or("generated");
     write_report(args, source, &reports, start)?;
-    let failed = reports.iter().filter(|r| !r.failures.is_empty()).count();
-    let frames: u64 = reports.iter().map(|r| u64::from(r.frames)).sum();
-    let requests: u64 = reports.iter().map(|r| r.requested).sum();
-    let lost: u64 = reports.iter().map(|r| r.failed).sum();
+    let failed = reports.iter().filter(|r| !r.outcome.failures.is_empty()).count();
+    let frames: u64 = reports.iter().map(|r| u64::from(r.outcome.frames)).sum();
+    let requests: u64 = reports.iter().map(|r| r.outcome.requested).sum();
+    let lost: u64 = reports.iter().map(|r| r.outcome.failed).sum();
     let (seeds, seconds) = (reports.len(), start.elapsed().as_secs_f64());
     let summary = format!(
         "{seeds} seeds, {failed} failed; {frames} frames, {requests} requests of which {lost} failed, in {seconds:.0} s"
@@ -215,10 +198,10 @@ fn many(args: &StressArgs) -> Result<()> {
 fn tell(report: &SeedReport, source: Option<&str>) -> Result<()> {
     let mut out = std::io::stdout().lock();
     writeln!(out, "{}", report.line()).context("stdout")?;
-    for failure in &report.failures {
+    for failure in &report.outcome.failures {
         writeln!(out, "    {failure}").context("stdout")?;
     }
-    if let (Some(source), false) = (source, report.failures.is_empty()) {
+    if let (Some(source), false) = (source, report.outcome.failures.is_empty()) {
         let space = if source.is_empty() { "" } else { " " };
         writeln!(out, "    again: terrane stress{space}{source} --seed {}", report.seed).context("stdout")?;
     }
@@ -232,8 +215,8 @@ fn write_report(args: &StressArgs, source: &str, seeds: &[SeedReport], start: In
         version: env!("CARGO_PKG_VERSION"),
         source,
         seeds,
-        failed: seeds.iter().filter(|r| !r.failures.is_empty()).count(),
-        frames: seeds.iter().map(|r| u64::from(r.frames)).sum(),
+        failed: seeds.iter().filter(|r| !r.outcome.failures.is_empty()).count(),
+        frames: seeds.iter().map(|r| u64::from(r.outcome.frames)).sum(),
         seconds: start.elapsed().as_secs_f64(),
     };
     let text = serde_json::to_string_pretty(&report)? + "\n";

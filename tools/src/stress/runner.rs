@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 
+use super::flight::Outcome;
 use super::set::Sets;
 use super::{SeedReport, StressArgs, watch};
 
@@ -87,21 +88,13 @@ fn report(seed: u64, output: &Output) -> SeedReport {
     let lines: Vec<&str> = errors.lines().filter(|line| !line.trim().is_empty()).collect();
     let how = if output.status.code() == Some(watch::HUNG) { "hangs" } else { "died" };
     let last = lines[lines.len().saturating_sub(LAST_LINES)..].join("\n    ");
+    let failures = vec![format!("the process {how} ({}): {last}", output.status)];
     SeedReport {
         seed,
-        failures: vec![format!("the process {how} ({}): {last}", output.status)],
         way: "?".to_owned(),
         plan: String::new(),
         drawing: "?".to_owned(),
-        adapter: String::new(),
-        frames: 0,
-        settling: 0,
-        pictures: 0,
-        requested: 0,
-        merged: 0,
-        failed: 0,
-        cancelled: 0,
-        expired: 0,
+        outcome: Outcome { failures, ..Outcome::default() },
         seconds: 0.0,
     }
 }

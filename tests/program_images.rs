@@ -1,0 +1,114 @@
+//! Programs of the application: their uniforms and defines, and what is seen and said of broken ones. Needs a GPU (a
+//! software one will do).
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod gpu_support;
+
+use std::sync::Arc;
+
+use gpu_support::{MAGENTA, pixel, plain, quad, rig, unit_camera};
+use terrane::cull::CullCamera;
+use terrane::scene::Node;
+use terrane::state::{Attribute, Program, StateSet, UniformValue};
+
+const SIDE: u32 = 64;
+const RED: [u8; 3] = [255, 0, 0];
+const GREEN: [u8; 3] = [0, 255, 0];
+const BLUE: [u8; 3] = [0, 0, 255];
+const BLACK: [u8; 3] = [0, 0, 0];
+
+#[test]
+fn programs_have_uniforms_and_defines() {
+    let Some(mut rig) = rig("programs_have_uniforms_and_defines") else { return };
+    let rig = &mut *rig;
+    let wgsl = "
+        struct Uniforms {
+            tint: vec3<f32>, factor: f32, turned: mat3x3<f32>, count: u32, osg_FrameNumber: u32,
+            osg_SimulationTime: f32, table: array<vec4<f32>, 3>, osg_ViewMatrixInverse: mat4x4<f32>,
+        }
+        @group(2) @binding(0) var<uniform> uniforms: Uniforms;
+        override FANCY: bool = false;
+        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
+            return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0);
+        }
+        @fragment fn fs_main() -> @location(0) vec4<f32> {
+            var color = uniforms.tint * uniforms.factor;
+            if FANCY { color = uniforms.turned * color; }
+            if uniforms.count != 7u || uniforms.osg_FrameNumber != 5u || uniforms.osg_SimulationTime != 2.5 {
+                color = vec3<f32>(1.0, 1.0, 0.0);
+            }
+            if uniforms.table[2].y != 4.0 || uniforms.osg_ViewMatrixInverse[3].z != 10.0 {
+                color = vec3<f32>(0.0, 1.0, 1.0);
+            }
+            return vec4<f32>(color, 1.0);
+        }";
+    rig.renderer.clock = terrane::draw::FrameClock { simulation_time_s: 2.5, ..Default::default() };
+    let set = |fancy: bool, tint: UniformValue| {
+        let defines = if fancy { vec![("FANCY".to_string(), 1.0), ("UNKNOWN".into(), 3.0)] } else { vec![] };
+        let program = Arc::new(Program { name: "tinted".into(), wgsl: wgsl.into(), defines });
+        StateSet::default()
+            .with(Attribute::Program(program))
+            .with_uniform("tint", tint)
+            .with_uniform("factor", UniformValue::Float(0.5))
+            // Red becomes blue.
+            .with_uniform("turned", UniformValue::Mat3([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
+            .with_uniform("count", UniformValue::Uint(7))
+            .with_uniform("table", UniformValue::Vec4Array([[0.0; 4], [1.0; 4], [0.0, 4.0, 0.0, 0.0]].into()))
+    };
+    let mut middle = |set: StateSet| {
+        let scene = rig.scene(Node::geode(vec![quad([0.0; 3], [0.5; 2], [1.0; 4])]).with_state_set(Arc::new(set)));
+        let picture = rig.picture(&scene, &CullCamera { frame: 5, ..unit_camera(SIDE) }, &plain());
+        rig.release(scene);
+        (pixel(&picture, 32, 32), rig.renderer.take_errors())
+    };
+    let red = UniformValue::Vec3([2.0, 0.0, 0.0]);
+    assert_eq!(middle(set(false, red.clone())), (RED, vec![]));
+    assert_eq!(middle(set(true, red)), (BLUE, vec![]));
+    let (color, errors) = middle(set(false, UniformValue::Vec2([1.0, 0.0])));
+    assert_eq!(color, BLACK);
+    assert!(
+        matches!(&errors[..], [e] if e.contains("tint") && e.contains("vec2<f32> instead of vec3<f32>")),
+        "{errors:?}"
+    );
+}
+
+#[test]
+fn broken_programs_are_seen_and_said_once() {
+    let Some(mut rig) = rig("broken_programs_are_seen_and_said_once") else { return };
+    let rig = &mut *rig;
+    let vertex =
+        "@vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
+            return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0); }";
+    for (name, wgsl, says) in [
+        ("syntax", "this is no WGSL".to_string(), "expected"),
+        ("types", format!("{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return 1; }}"), "types"),
+        ("half", vertex.to_string(), "no fragment entry point"),
+        (
+            "other",
+            format!(
+                "{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return vec4(1.0); }}
+            @group(3) @binding(0) var t: texture_2d<f32>;"
+            ),
+            "group 3",
+        ),
+    ] {
+        let set = StateSet { name: format!("set of {name}"), ..StateSet::default() }
+            .with(Attribute::Program(Program::new(name, &wgsl)));
+        let broken = Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+        let scene = rig.scene(Node::group(vec![
+            broken,
+            Node::geode(vec![quad([0.5, 0.0, 0.0], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]),
+        ]));
+        let black = terrane::draw::Environment { sky: terrane::draw::Sky::Background([0; 3]), ..plain() };
+        for frame in 0..3 {
+            let picture = rig.picture(&scene, &unit_camera(SIDE), &black);
+            assert_eq!((pixel(&picture, 16, 32), pixel(&picture, 48, 32)), (MAGENTA, GREEN), "{name}");
+            let errors = rig.renderer.take_errors();
+            assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
+            for e in errors {
+                assert!(e.contains(&format!("set of {name}")) && e.contains(says), "{e:?} instead of {says}");
+            }
+        }
+        rig.release(scene);
+    }
+}
