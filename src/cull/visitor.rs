@@ -114,6 +114,8 @@ pub struct CullVisitor {
     /// The eye that is culled for.
     eye: usize,
     visits_all: bool,
+    /// Only the pages that hang at the scene's root are visited.
+    walks_only: bool,
     /// Changes near and far of the outermost stage when its settings have them computed.
     pub clamp_projection: Option<ClampProjection>,
     /// State above all roots; OSG's state set of a camera.
@@ -153,6 +155,8 @@ pub(super) struct Cull<'a> {
     pub counters: CullCounters,
     /// Subtrees are taken as ranges where they are wholly inside, unless small features or occluders are looked for.
     pub takes_ranges: bool,
+    /// Pages of the queue that are visited.
+    pub most_pages: usize,
 }
 
 impl CullVisitor {
@@ -166,6 +170,12 @@ impl CullVisitor {
     #[doc(hidden)]
     pub fn visiting_all() -> Self {
         Self { visits_all: true, ..Self::default() }
+    }
+
+    /// A visitor that leaves out what tiles draw, so that the walk of a tile tree can be timed by itself.
+    #[doc(hidden)]
+    pub fn walking_tiles() -> Self {
+        Self { walks_only: true, ..Self::default() }
     }
 
     /// Culls a scene for a camera: clears and refills the stage, and makes the stages of the cameras met. Allocates
@@ -275,6 +285,7 @@ impl CullVisitor {
             tile_view: None,
             counters: CullCounters::default(),
             takes_ranges: !self.visits_all && self.occluders.is_empty(),
+            most_pages: if self.walks_only { scene.roots().len() } else { usize::MAX },
         };
         cull.run(met, clamp_projection);
     }
@@ -361,7 +372,7 @@ impl<'a> Cull<'a> {
             Some(met) => self.visit_camera(met),
         }
         let mut next = 0;
-        while let Some(visit) = self.queue.get(next).copied() {
+        while let Some(visit) = self.queue.get(next).copied().filter(|_| next < self.most_pages) {
             next += 1;
             self.visit_page(visit);
         }

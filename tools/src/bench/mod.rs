@@ -7,6 +7,7 @@ pub mod pick;
 pub mod share;
 pub mod submit;
 pub mod threading;
+pub mod tiles;
 
 use anyhow::Result;
 
@@ -16,6 +17,10 @@ pub fn run(args: &BenchArgs) -> Result<()> {
     match &args.bench {
         Bench::Cull { secs } => {
             cull::run(*secs);
+            Ok(())
+        }
+        Bench::Tiles { secs } => {
+            tiles::run(*secs);
             Ok(())
         }
         Bench::Pick { secs } => {
