@@ -222,6 +222,12 @@ pub enum Bench {
         #[arg(long, default_value_t = 1.0)]
         secs: f64,
     },
+    /// The walk of a tile tree, without a GPU
+    Tiles {
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
     /// Lines through a terrain of a million triangles, without a GPU
     Pick {
         /// Shortest time to measure each case, seconds

@@ -8,6 +8,7 @@ pub mod resident;
 pub mod share;
 pub mod submit;
 pub mod threading;
+pub mod tiles;
 
 use anyhow::Result;
 use terrane::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
@@ -20,6 +21,10 @@ pub fn run(args: &BenchArgs) -> Result<()> {
     match &args.bench {
         Bench::Cull { secs } => {
             cull::run(*secs);
+            Ok(())
+        }
+        Bench::Tiles { secs } => {
+            tiles::run(*secs);
             Ok(())
         }
         Bench::Pick { secs } => {
