@@ -1,7 +1,7 @@
 //! Puts the pictures of two eyes together. Draw thread.
 
 use crate::cull::StereoMode;
-use crate::draw::pipelines::TargetKey;
+use crate::draw::pipelines::TargetFormats;
 
 const COMPOSITE_WGSL: &str = include_str!("shaders/composite.wgsl");
 
@@ -10,7 +10,7 @@ pub(super) struct Composite {
     module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
     uniforms: wgpu::Buffer,
-    pipelines: Vec<(TargetKey, wgpu::RenderPipeline)>,
+    pipelines: Vec<(TargetFormats, wgpu::RenderPipeline)>,
 }
 
 /// The number of a mode in composite.wgsl.
@@ -69,7 +69,7 @@ impl Composite {
         &mut self,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
-        target: &TargetKey,
+        target: &TargetFormats,
         mode: StereoMode,
         gap_px: u32,
     ) {
@@ -120,7 +120,7 @@ impl Composite {
         &self,
         device: &wgpu::Device,
         pass: &mut wgpu::RenderPass<'_>,
-        target: &TargetKey,
+        target: &TargetFormats,
         [left, right]: [&wgpu::TextureView; 2],
     ) {
         let Some((_, pipeline)) = self.pipelines.iter().find(|(key, _)| key == target) else { return };

@@ -8,7 +8,7 @@ use super::compile::{self, CompileBudget, CompileOperation, CompileQueue, Compil
 use super::drawable::{DrawableTable, Pools};
 use super::layouts::Layouts;
 use super::target::{Acquired, Target};
-use super::{BindClass, DrawableEntry, GpuError};
+use super::{BindClass, DEPTH_FORMAT, DrawableEntry, GpuError, MOST_COLORS, TargetFormats};
 use crate::scene::{DrawSlot, Mesh};
 
 /// Which adapter to draw with.
@@ -181,7 +181,15 @@ impl GraphicsContext {
             Some(surface) => Target::window(&adapter, &device, surface, traits.size_px, traits.vsync)?,
             None => Target::offscreen(&device, traits.size_px)?,
         };
-        let pools = Pools::new(&device, Layouts::new(&device));
+        let mut pools = Pools::new(&device, Layouts::new(&device));
+        let mut own = TargetFormats {
+            colors: [None; MOST_COLORS],
+            depth: DEPTH_FORMAT,
+            samples: if traits.samples > 1 { 4 } else { 1 },
+            keeps_alpha: false,
+        };
+        own.colors[0] = Some(target.format());
+        pools.customs.targets.push(own);
         Ok(Self {
             adapter_info: adapter.get_info(),
             target,
@@ -349,6 +357,14 @@ impl GraphicsContext {
     /// Called by the renderer, whose submit takes along what was written before.
     pub(crate) fn submitted(&mut self) {
         self.compiles.flushed();
+    }
+
+    /// What is drawn into: told to what the application compiles.
+    pub(crate) fn draws_into(&mut self, target: &TargetFormats) {
+        let targets = &mut self.pools.customs.targets;
+        if !targets.contains(target) {
+            targets.push(*target);
+        }
     }
 
     pub(crate) fn drawable(&self, slot: DrawSlot) -> Option<&DrawableEntry> {
