@@ -151,7 +151,7 @@ impl CompiledDrawable for CompiledGrass {
                 targets: &[Some(wgpu::ColorTargetState { format, blend: None, write_mask: wgpu::ColorWrites::COLOR })],
             }),
             multiview_mask: None,
-            cache: None,
+            cache: info.pipeline_cache,
         });
         self.pipelines.push((*target, pipeline));
         Ok(())

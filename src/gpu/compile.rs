@@ -184,10 +184,14 @@ impl CompileQueue {
         queue: &wgpu::Queue,
         pools: &mut Pools,
         drawables: &mut DrawableTable,
+        pipeline_cache: Option<&wgpu::PipelineCache>,
         budget: &CompileBudget,
     ) -> CompileStats {
         let start = Instant::now();
         let mut stats = CompileStats::default();
+        // As it was made: another borrow than that of the pools.
+        let frame_layout = pools.layouts.frame.clone();
+        let info = CompileInfo { device, queue, frame_layout: &frame_layout, pipeline_cache };
         loop {
             let left_bytes = budget.bytes.saturating_sub(stats.bytes);
             if stats.slices > 0 && (left_bytes == 0 || start.elapsed() >= budget.time) {
@@ -206,7 +210,7 @@ impl CompileQueue {
             } else if let Some(job) = &mut self.job {
                 match job.drawables.next() {
                     Some(drawable) => {
-                        let made = prepare(device, queue, pools, drawables, drawable, job, &mut self.uploads);
+                        let made = prepare(&info, pools, drawables, drawable, job, &mut self.uploads);
                         stats.bytes += made.unwrap_or(0);
                         stats.slices += u32::from(made.is_some());
                     }
@@ -287,20 +291,20 @@ pub(super) fn rewrite(
 /// Gives a drawable its places and queues what has to be uploaded to them. What the application makes is made at once:
 /// its bytes.
 fn prepare(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
+    info: &CompileInfo<'_>,
     pools: &mut Pools,
     table: &mut DrawableTable,
     drawable: Drawable,
     job: &mut Job,
     uploads: &mut VecDeque<Upload>,
 ) -> Option<u64> {
+    let CompileInfo { device, queue, .. } = *info;
     let material = &drawable.material;
     let bytes_before = job.compiled.bytes;
     let placed = match &drawable.geometry {
         Geometry::Height(tile) => place_tile(device, pools, tile, &drawable, &mut job.compiled, uploads),
         Geometry::Mesh(mesh) => place_mesh(device, queue, pools, mesh, &drawable, &mut job.compiled, uploads),
-        Geometry::Custom(custom) => place_custom(device, queue, pools, custom, &mut job.compiled),
+        Geometry::Custom(custom) => place_custom(info, pools, custom, &mut job.compiled),
     };
     let is_custom = matches!(drawable.geometry, Geometry::Custom(_));
     let slot = match placed {
@@ -315,16 +319,14 @@ fn prepare(
 }
 
 fn place_custom(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
+    info: &CompileInfo<'_>,
     pools: &mut Pools,
     custom: &CustomGeometry,
     compiled: &mut Compiled,
 ) -> Result<Shape, String> {
     let hook = custom.hook.0.downcast_ref::<CustomCompile>();
     let compile = hook.ok_or("a custom geometry that was not made by `draw::custom_geometry`")?;
-    let info = CompileInfo { device, queue, frame_layout: &pools.layouts.frame };
-    let shape = (compile.0)(&info, &pools.customs.targets)?;
+    let shape = (compile.0)(info, &pools.customs.targets)?;
     compiled.bytes += shape.bytes;
     Ok(Shape::Custom(pools.customs.insert(shape)))
 }

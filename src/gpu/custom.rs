@@ -27,6 +27,8 @@ pub struct CompileInfo<'a> {
     pub queue: &'a wgpu::Queue,
     /// Layout of bind group 0, which is set when it draws: what `draw::DRAWABLE_PRELUDE` declares.
     pub frame_layout: &'a wgpu::BindGroupLayout,
+    /// For the pipelines that it makes: what is kept of earlier starts.
+    pub pipeline_cache: Option<&'a wgpu::PipelineCache>,
 }
 
 /// Why the application's code could not make or draw something.

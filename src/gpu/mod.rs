@@ -19,6 +19,7 @@ mod error;
 mod height_pool;
 mod layouts;
 mod mesh_pool;
+mod pipeline_cache;
 mod read_back;
 mod slots;
 mod state_textures;

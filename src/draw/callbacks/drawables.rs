@@ -168,8 +168,12 @@ impl State<'_, '_> {
         // The place of the shape.
         let Some(mut made) = from.ctx.pools().customs.get(run.first_index) else { return };
         let Some(made) = made.downcast_mut::<Made>() else { return };
-        let compile =
-            CompileInfo { device: info.device, queue: info.queue, frame_layout: &from.pipelines.frame_layout };
+        let compile = CompileInfo {
+            device: info.device,
+            queue: info.queue,
+            frame_layout: &from.pipelines.frame_layout,
+            pipeline_cache: from.ctx.pipeline_cache(),
+        };
         match made.is_ready(&compile, &target, &mut self.stats.pipelines_created) {
             Ok(true) => {}
             Ok(false) => return,

@@ -130,7 +130,7 @@ impl Pipelines {
                 targets: &states[..colors],
             }),
             multiview_mask: None,
-            cache: None,
+            cache: ctx.pipeline_cache(),
         });
         match pollster::block_on(scope.pop()) {
             None => Some(pipeline),
