@@ -9,11 +9,14 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::DrawableEntry;
+use super::custom::{CompileInfo, CustomCompile};
 use super::drawable::{DrawableTable, Pools, Shape};
 use super::height_pool::{TilePlace, table_vectors};
 use super::mesh_pool::Range;
 use super::texture_pool::{Rows, TextureLayer};
-use crate::scene::{ContentKey, DrawSlot, Drawable, Geometry, HeightTile, Mesh, MeshVertex, SharedParts, Texture};
+use crate::scene::{
+    ContentKey, CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, MeshVertex, SharedParts, Texture,
+};
 
 /// Most bytes of one slice: about 100 us of copying, so that the time budget is met closely.
 const SLICE_BYTES: u64 = 256 << 10;
@@ -181,10 +184,14 @@ impl CompileQueue {
         queue: &wgpu::Queue,
         pools: &mut Pools,
         drawables: &mut DrawableTable,
+        pipeline_cache: Option<&wgpu::PipelineCache>,
         budget: &CompileBudget,
     ) -> CompileStats {
         let start = Instant::now();
         let mut stats = CompileStats::default();
+        // As it was made: another borrow than that of the pools.
+        let frame_layout = pools.layouts.frame.clone();
+        let info = CompileInfo { device, queue, frame_layout: &frame_layout, pipeline_cache };
         loop {
             let left_bytes = budget.bytes.saturating_sub(stats.bytes);
             if stats.slices > 0 && (left_bytes == 0 || start.elapsed() >= budget.time) {
@@ -202,7 +209,11 @@ impl CompileQueue {
                 }
             } else if let Some(job) = &mut self.job {
                 match job.drawables.next() {
-                    Some(drawable) => prepare(device, queue, pools, drawables, drawable, job, &mut self.uploads),
+                    Some(drawable) => {
+                        let made = prepare(&info, pools, drawables, drawable, job, &mut self.uploads);
+                        stats.bytes += made.unwrap_or(0);
+                        stats.slices += u32::from(made.is_some());
+                    }
                     None => {
                         self.finished.extend(self.job.take().map(|j| j.compiled));
                         stats.finished += 1;
@@ -258,7 +269,7 @@ pub(super) fn rewrite(
 ) -> Result<u64, String> {
     let entry = *table.entry(slot).ok_or("a mesh is to be rewritten that is not there")?;
     let Shape::Mesh { place: old, texture, .. } = entry.shape else {
-        return Err("a height tile is not to be rewritten as a mesh".into());
+        return Err("what is no mesh is not to be rewritten as one".into());
     };
     let placed = pools.meshes.allocate(device, &pools.limits, mesh, &SharedParts::default())?;
     let vertices = placed.vertices.map(|range| Source::Vertices { range, mesh: mesh.clone() });
@@ -277,21 +288,25 @@ pub(super) fn rewrite(
     Ok(bytes)
 }
 
-/// Gives a drawable its places and queues what has to be uploaded to them.
+/// Gives a drawable its places and queues what has to be uploaded to them. What the application makes is made at once:
+/// its bytes.
 fn prepare(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
+    info: &CompileInfo<'_>,
     pools: &mut Pools,
     table: &mut DrawableTable,
     drawable: Drawable,
     job: &mut Job,
     uploads: &mut VecDeque<Upload>,
-) {
+) -> Option<u64> {
+    let CompileInfo { device, queue, .. } = *info;
     let material = &drawable.material;
+    let bytes_before = job.compiled.bytes;
     let placed = match &drawable.geometry {
         Geometry::Height(tile) => place_tile(device, pools, tile, &drawable, &mut job.compiled, uploads),
         Geometry::Mesh(mesh) => place_mesh(device, queue, pools, mesh, &drawable, &mut job.compiled, uploads),
+        Geometry::Custom(custom) => place_custom(info, pools, custom, &mut job.compiled),
     };
+    let is_custom = matches!(drawable.geometry, Geometry::Custom(_));
     let slot = match placed {
         Ok(shape) => table.insert(DrawableEntry::new(shape, material)),
         Err(error) => {
@@ -300,6 +315,20 @@ fn prepare(
         }
     };
     job.compiled.slots.push(slot);
+    is_custom.then(|| job.compiled.bytes - bytes_before)
+}
+
+fn place_custom(
+    info: &CompileInfo<'_>,
+    pools: &mut Pools,
+    custom: &CustomGeometry,
+    compiled: &mut Compiled,
+) -> Result<Shape, String> {
+    let hook = custom.hook.0.downcast_ref::<CustomCompile>();
+    let compile = hook.ok_or("a custom geometry that was not made by `draw::custom_geometry`")?;
+    let shape = (compile.0)(info, &pools.customs.targets)?;
+    compiled.bytes += shape.bytes;
+    Ok(Shape::Custom(pools.customs.insert(shape)))
 }
 
 fn place_tile(

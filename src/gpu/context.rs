@@ -2,13 +2,15 @@
 //!
 //! Made in realize, then owned by the draw thread; nothing else calls its queue.
 
+use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use super::compile::{self, CompileBudget, CompileOperation, CompileQueue, CompileStats, Compiled};
 use super::drawable::{DrawableTable, Pools};
 use super::layouts::Layouts;
+use super::pipeline_cache::PipelineCache;
 use super::target::{Acquired, Target};
-use super::{BindClass, DrawableEntry, GpuError};
+use super::{BindClass, DEPTH_FORMAT, DrawableEntry, GpuError, MOST_COLORS, TargetFormats};
 use crate::scene::{DrawSlot, Mesh};
 
 /// Which adapter to draw with.
@@ -59,6 +61,8 @@ pub struct GraphicsContext {
     /// Written by wgpu's error callback on the draw thread, emptied by [`Self::take_device_errors`].
     errors: Arc<Mutex<Vec<String>>>,
     bytes_peak: u64,
+    /// Written when it is dropped.
+    pipeline_cache: Option<PipelineCache>,
     traits: ContextTraits,
     /// Makes the window's surface once more, on another instance; `None` offscreen.
     make_surface: Option<MakeSurface>,
@@ -123,6 +127,7 @@ fn open(
         | wgpu::Features::DEPTH32FLOAT_STENCIL8
         | wgpu::Features::FLOAT32_FILTERABLE
         | wgpu::Features::DEPTH_CLIP_CONTROL
+        | wgpu::Features::PIPELINE_CACHE
         | wgpu::Features::INDIRECT_FIRST_INSTANCE;
     let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
         label: Some("terrane"),
@@ -181,7 +186,15 @@ impl GraphicsContext {
             Some(surface) => Target::window(&adapter, &device, surface, traits.size_px, traits.vsync)?,
             None => Target::offscreen(&device, traits.size_px)?,
         };
-        let pools = Pools::new(&device, Layouts::new(&device));
+        let mut pools = Pools::new(&device, Layouts::new(&device));
+        let mut own = TargetFormats {
+            colors: [None; MOST_COLORS],
+            depth: DEPTH_FORMAT,
+            samples: if traits.samples > 1 { 4 } else { 1 },
+            keeps_alpha: false,
+        };
+        own.colors[0] = Some(target.format());
+        pools.customs.targets.push(own);
         Ok(Self {
             adapter_info: adapter.get_info(),
             target,
@@ -191,6 +204,7 @@ impl GraphicsContext {
             lost,
             errors,
             bytes_peak: 0,
+            pipeline_cache: None,
             traits,
             make_surface,
             device,
@@ -211,8 +225,34 @@ impl GraphicsContext {
         self.target.close();
         let opened = Self::open(traits, self.make_surface.clone())?;
         let bytes_peak = self.bytes_peak;
+        let kept = self.pipeline_cache.take();
         *self = Self { bytes_peak, ..opened };
+        if let Some(folder) = kept.map(|kept| kept.folder().to_owned())
+            && let Err(error) = self.keep_pipelines(&folder)
+        {
+            log::warn!("{error}");
+        }
         Ok(())
+    }
+
+    /// Keeps what the driver compiles in a folder, for the next start, and uses what is kept there; called before the
+    /// first draw. One file an adapter, of at most 64 MiB; written when the context is dropped. How many bytes were
+    /// there. Where they could not be used the pipelines are made anew, and kept; only where the adapter
+    /// [cannot](GpuError::NoPipelineCache) they are not.
+    pub fn keep_pipelines(&mut self, folder: &Path) -> Result<u64, GpuError> {
+        let (cache, found) = PipelineCache::open(&self.device, &self.adapter_info, folder)?;
+        self.pipeline_cache = Some(cache);
+        found
+    }
+
+    /// Writes what the driver has compiled so far to where it is kept; the bytes, 0 where nothing is.
+    pub fn save_pipelines(&mut self) -> Result<u64, GpuError> {
+        self.pipeline_cache.as_mut().map_or(Ok(0), PipelineCache::save)
+    }
+
+    /// For all pipelines that are made.
+    pub(crate) fn pipeline_cache(&self) -> Option<&wgpu::PipelineCache> {
+        self.pipeline_cache.as_ref().map(PipelineCache::cache)
     }
 
     /// Loses the device, for tests of what comes after.
@@ -292,7 +332,8 @@ impl GraphicsContext {
     /// Uploads within a budget, at least one slice; what is too big is split over calls.
     pub fn run_compiles(&mut self, budget: &CompileBudget) -> CompileStats {
         let _span = crate::timeline::span("compile");
-        let stats = self.compiles.run(&self.device, &self.queue, &mut self.pools, &mut self.drawables, budget);
+        let cache = self.pipeline_cache.as_ref().map(PipelineCache::cache);
+        let stats = self.compiles.run(&self.device, &self.queue, &mut self.pools, &mut self.drawables, cache, budget);
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
         stats
     }
@@ -349,6 +390,14 @@ impl GraphicsContext {
     /// Called by the renderer, whose submit takes along what was written before.
     pub(crate) fn submitted(&mut self) {
         self.compiles.flushed();
+    }
+
+    /// What is drawn into: told to what the application compiles.
+    pub(crate) fn draws_into(&mut self, target: &TargetFormats) {
+        let targets = &mut self.pools.customs.targets;
+        if !targets.contains(target) {
+            targets.push(*target);
+        }
     }
 
     pub(crate) fn drawable(&self, slot: DrawSlot) -> Option<&DrawableEntry> {

@@ -13,11 +13,13 @@
 
 mod compile;
 mod context;
+mod custom;
 mod drawable;
 mod error;
 mod height_pool;
 mod layouts;
 mod mesh_pool;
+mod pipeline_cache;
 mod read_back;
 mod slots;
 mod state_textures;
@@ -28,9 +30,11 @@ mod transients;
 
 pub use compile::{CompileBudget, CompileOperation, CompileStats, Compiled};
 pub use context::{AdapterChoice, ContextTraits, GraphicsContext};
+pub use custom::{CompileInfo, CustomError, TargetFormats};
 pub use error::GpuError;
 pub use target::Acquired;
 
+pub(crate) use custom::{CustomCompile, CustomShape, MOST_COLORS};
 pub(crate) use drawable::{BindClass, DrawableEntry, Shape};
 #[cfg(test)]
 pub(crate) use height_pool::{HEADER_VECTORS as TABLE_HEADER_VECTORS, MORPH_LEVELS};

@@ -1,6 +1,7 @@
 //! [`ViewerBase`]: the frame of one view or of many; osgViewer's ViewerBase. Main thread; cull and draw run where the
 //! threading model has them.
 
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use image::RgbaImage;
@@ -29,6 +30,7 @@ pub(super) struct ViewerBase {
     pub(super) rendering: Rendering,
     max_contexts: usize,
     min_stencil_bits: u32,
+    pipeline_cache: Option<PathBuf>,
     blocking: bool,
     look_ahead_s: f64,
     pub(super) compile_budget: CompileBudget,
@@ -86,6 +88,7 @@ impl ViewerBase {
             rendering,
             max_contexts: config.max_contexts,
             min_stencil_bits: config.min_stencil_bits,
+            pipeline_cache: config.pipeline_cache.clone(),
             blocking: config.pager.blocking,
             look_ahead_s: config.look_ahead_s.max(0.0),
             compile_budget: config.compile_budget,
@@ -112,7 +115,7 @@ impl ViewerBase {
     /// Takes a context while others may be drawn in; all frames are drawn before, and the next one starts the threads.
     pub(super) fn open_context(
         &mut self,
-        context: GraphicsContext,
+        mut context: GraphicsContext,
         scenes: &mut [PagedScene],
     ) -> Result<ContextId, ViewerError> {
         let has_stencil = context.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
@@ -123,6 +126,11 @@ impl ViewerBase {
         let limit = self.max_contexts;
         if self.rendering.context_ids().count() >= limit {
             return Err(ViewerError::TooManyContexts { limit });
+        }
+        if let Some(folder) = &self.pipeline_cache
+            && let Err(error) = context.keep_pipelines(folder)
+        {
+            log::warn!("{error}");
         }
         self.absorb_all()?;
         let number = self.rendering.add_context(context, self.stamp.frame);

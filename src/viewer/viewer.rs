@@ -1,7 +1,7 @@
 //! The viewer: one view of one scene, in one context or several. Main thread.
 
 use std::ops::{Deref, DerefMut};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use glam::DAffine3;
@@ -59,6 +59,9 @@ pub struct ViewerConfig {
     /// Keep the geometry of pages that the application made after its upload: for contexts that are opened later, and
     /// for a device that takes the place of a lost one. Without it those show such pages no more.
     pub keep_drawables: bool,
+    /// Folder in which what the driver compiles is kept for the next start; `None` keeps nothing. Of use where drivers
+    /// keep nothing themselves.
+    pub pipeline_cache: Option<PathBuf>,
 }
 
 impl Default for ViewerConfig {
@@ -80,6 +83,7 @@ impl Default for ViewerConfig {
             min_stencil_bits: 0,
             max_contexts: 1,
             keep_drawables: true,
+            pipeline_cache: None,
         }
     }
 }

@@ -119,6 +119,9 @@ pub struct FlyArgs {
     /// Show the stats overlay from the start (window only)
     #[arg(long)]
     pub stats: bool,
+    /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
+    #[arg(long)]
+    pub no_pipeline_cache: bool,
     #[command(flatten)]
     pub net: NetArgs,
     /// A window to move in, without a path.
@@ -170,14 +173,30 @@ pub struct ViewArgs {
     /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
+    /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
+    #[arg(long)]
+    pub no_pipeline_cache: bool,
     #[command(flatten)]
     pub net: NetArgs,
 }
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs { source, size, view, path, sse, lod_fade, threading, stats, on_demand, max_fps, beside, net } =
-            args;
+        let ViewArgs {
+            source,
+            size,
+            view,
+            path,
+            sse,
+            lod_fade,
+            threading,
+            stats,
+            on_demand,
+            max_fps,
+            beside,
+            no_pipeline_cache,
+            net,
+        } = args;
         Box::new(FlyArgs {
             source: Some(source),
             size,
@@ -190,6 +209,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             on_demand,
             max_fps,
             beside,
+            no_pipeline_cache,
             net,
             interactive: true,
             ..FlyArgs::default()

@@ -63,7 +63,8 @@ pub struct DrawStats {
     pub points: u64,
     /// Passes: the stages that were drawn.
     pub passes: u32,
-    /// Pipelines made in this draw; each takes long at its first use.
+    /// Pipelines made in this draw; each takes long at its first use. What a drawable of the application's own makes for
+    /// a target counts as one.
     pub pipelines_created: u32,
     /// Time of all passes on the adapter, of the latest frame whose timestamps have arrived; `None` without
     /// timestamps. [`Renderer::pass_ms`] has them one by one.
@@ -79,6 +80,7 @@ impl DrawStats {
         self.state_changes_skipped += other.state_changes_skipped;
         self.triangles += other.triangles;
         self.points += other.points;
+        self.pipelines_created += other.pipelines_created;
         self.passes += 1;
     }
 }
@@ -187,7 +189,7 @@ impl Renderer {
     pub fn new(ctx: &mut GraphicsContext) -> Self {
         let groups = Groups::new(ctx);
         let device = ctx.device();
-        let pipelines = Pipelines::new(device);
+        let pipelines = Pipelines::new(ctx);
         let leaf_buffer = leaf_buffer(device, 256);
         let limits = device.limits();
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
@@ -284,6 +286,11 @@ impl Renderer {
         }
         drop(acquire);
         ctx.submitted();
+        for (target, _) in &self.drawn_into {
+            if let Some(formats) = self.pipelines.target_key(*target) {
+                ctx.draws_into(formats);
+            }
+        }
         let ctx = &*ctx;
         let created_before = self.pipelines.created();
         self.prepare(ctx, pictures.clone());
@@ -291,7 +298,7 @@ impl Renderer {
         let mut stats = self.record(ctx, pictures);
         stats.leaves = self.batch.leaves().len() as u32 - self.shadow_leaves;
         stats.shadow_leaves = self.shadow_leaves;
-        stats.pipelines_created = self.pipelines.created() - created_before;
+        stats.pipelines_created += self.pipelines.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
         drop(wait);

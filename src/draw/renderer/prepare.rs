@@ -276,7 +276,7 @@ impl Renderer {
         let mode = stage.stereo?;
         let key = *self.pipelines.target_key(target.index)?;
         let composite = self.composite.get_or_insert_with(|| Composite::new(ctx.device()));
-        composite.prepare(ctx.device(), ctx.queue(), &key, mode, stage.stereo_gap_px);
+        composite.prepare(ctx, &key, mode, stage.stereo_gap_px);
         let eye = |of: &RenderStage| Some(of.target.camera.as_ref()?.colors.first()?.texture.clone());
         Some([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?])
     }
