@@ -206,6 +206,7 @@ impl App {
         let is_press = match event {
             WindowEvent::MouseInput { state, .. } => state.is_pressed(),
             WindowEvent::MouseWheel { .. } => true,
+            WindowEvent::Touch(touch) => touch.phase == winit::event::TouchPhase::Started,
             _ => false,
         };
         if !(taken && is_press) {
