@@ -15,6 +15,7 @@ mod compile;
 mod context;
 mod drawable;
 mod error;
+mod faces;
 mod height_pool;
 mod layouts;
 mod mesh_pool;

@@ -333,11 +333,30 @@ impl Viewer {
         Ok(())
     }
 
-    /// Takes another context, to draw slaves in; at most [`ViewerConfig::max_contexts`]. The application's pages are
-    /// uploaded to it; paged contents are loaded anew, for all contexts. The threads are stopped, and started again by
-    /// the next frame.
+    /// Takes another context with a device of its own, to draw slaves in; at most [`ViewerConfig::max_contexts`]. The
+    /// application's pages are uploaded to it; paged contents are loaded anew, for all contexts
+    /// ([`Self::open_offscreen_on`] does without). The threads are stopped, and started again by the next frame.
     pub fn open_context(&mut self, context: GraphicsContext) -> Result<ContextId, ViewerError> {
         self.base.open_context(context, std::slice::from_mut(&mut self.paged))
+    }
+
+    /// Opens an offscreen context on the device of another one, to draw slaves in: pools, textures and pipelines are the
+    /// same objects, so that nothing is uploaded or loaded again, and bytes count once. The contexts of a device are
+    /// drawn by one thread, one after the other, in every threading model. Of the traits size, samples and vsync count,
+    /// the rest is the device's.
+    pub fn open_offscreen_on(&mut self, other: ContextId, traits: &ContextTraits) -> Result<ContextId, ViewerError> {
+        self.base.open_context_on(other, traits, GraphicsContext::add_offscreen)
+    }
+
+    /// As [`Self::open_offscreen_on`], a window; called on the thread of the event loop. An error where the device's
+    /// adapter cannot show anything in it.
+    pub fn open_window_on(
+        &mut self,
+        other: ContextId,
+        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
+        traits: &ContextTraits,
+    ) -> Result<ContextId, ViewerError> {
+        self.base.open_context_on(other, traits, |context, traits| context.add_window(target, traits))
     }
 
     /// Closes a context, and with it the cameras that are drawn in it; the rest goes on. False when there is none.

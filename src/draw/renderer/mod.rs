@@ -35,7 +35,7 @@ use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
 use crate::scene::Texture;
 use crate::state::TextureObject;
 
-/// Frames the processor may be ahead of the adapter.
+/// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
 /// A frame that takes longer than this has hung.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(60);
@@ -367,11 +367,10 @@ impl Renderer {
 
     /// Lets callbacks run, and waits while too many frames are under way.
     fn throttle(&mut self, ctx: &GraphicsContext) -> Result<(), GpuError> {
-        let poll = if self.in_flight.len() > FRAMES_IN_FLIGHT {
-            wgpu::PollType::Wait { submission_index: self.in_flight.pop_front(), timeout: Some(FRAME_TIMEOUT) }
-        } else {
-            wgpu::PollType::Poll
-        };
+        let mut poll = wgpu::PollType::Poll;
+        while self.in_flight.len() > FRAMES_IN_FLIGHT * ctx.face_count() {
+            poll = wgpu::PollType::Wait { submission_index: self.in_flight.pop_front(), timeout: Some(FRAME_TIMEOUT) };
+        }
         ctx.device().poll(poll).map_err(|e| GpuError::DeviceLost { reason: format!("a frame did not end: {e}") })?;
         ctx.check_lost()
     }
