@@ -35,13 +35,24 @@ pub struct ContextTraits {
     pub samples: u32,
     /// A window's images wait for the screen; without it (where the platform can) they do not, and may tear.
     pub vsync: bool,
+    /// A thread of the device's own copies what is uploaded and records how it gets to its place, while the thread that
+    /// draws only gives places and submits: OpenSceneGraph's compile contexts. Worth it where cores are idle and much
+    /// is uploaded at once; otherwise the same within [`CompileBudget`].
+    pub compile_thread: bool,
     /// Have the driver's validation layers check every call; ten times slower, never time with it.
     pub validation: bool,
 }
 
 impl Default for ContextTraits {
     fn default() -> Self {
-        Self { size_px: [1280, 720], adapter: AdapterChoice::Any, samples: 1, vsync: true, validation: false }
+        Self {
+            size_px: [1280, 720],
+            adapter: AdapterChoice::Any,
+            samples: 1,
+            vsync: true,
+            compile_thread: false,
+            validation: false,
+        }
     }
 }
 
@@ -189,6 +200,10 @@ impl GraphicsContext {
             faces.push(Face { target: Target::new(&adapter, &device, surface, &traits)?, traits, make_surface });
         }
         let pools = Pools::new(&device, Layouts::new(&device));
+        let compiles = match traits.compile_thread {
+            true => CompileQueue::threaded(&device).map_err(|e| GpuError::Thread { reason: e.to_string() })?,
+            false => CompileQueue::default(),
+        };
         Ok(Self {
             adapter_info: adapter.get_info(),
             instance,
@@ -197,7 +212,7 @@ impl GraphicsContext {
             face: 0,
             pools,
             drawables: DrawableTable::default(),
-            compiles: CompileQueue::default(),
+            compiles,
             lost,
             errors,
             bytes_peak: 0,
@@ -324,9 +339,13 @@ impl GraphicsContext {
     /// before do not. Slot, material and texture stay.
     pub fn rewrite(&mut self, slot: DrawSlot, mesh: &Arc<Mesh>) -> Result<(), GpuError> {
         let Self { device, queue, pools, drawables, .. } = self;
-        let written = compile::rewrite(device, queue, pools, drawables, slot, mesh);
+        let is_shared = compile::rewrite(device, queue, pools, drawables, slot, mesh);
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
-        written.map(|_| ()).map_err(|reason| GpuError::Rewrite { reason })
+        if is_shared.map_err(|reason| GpuError::Rewrite { reason })? {
+            // The mesh may be on its way.
+            self.compiles.drain_thread(&self.device, &self.queue);
+        }
+        Ok(())
     }
 
     /// Gives drawables back. Their places are free at once: later uploads run after the draws already
@@ -359,9 +378,11 @@ impl GraphicsContext {
         self.errors.lock().map(|mut e| std::mem::take(&mut *e)).unwrap_or_default()
     }
 
-    /// Called by the renderer, whose submit takes along what was written before.
-    pub(crate) fn submitted(&mut self) {
+    /// Called by the renderer, whose submit takes along what was written before; gives it what it must submit before
+    /// its own.
+    pub(crate) fn submitted(&mut self, uploads: &mut Vec<wgpu::CommandBuffer>) {
         self.compiles.flushed();
+        self.compiles.take_commands(uploads);
     }
 
     pub(crate) fn drawable(&self, slot: DrawSlot) -> Option<&DrawableEntry> {
@@ -390,6 +411,9 @@ impl GraphicsContext {
     }
 
     pub(crate) fn check_lost(&self) -> Result<(), GpuError> {
+        if !self.compiles.is_alive() {
+            return Err(GpuError::DeviceLost { reason: "its compile thread has stopped".to_owned() });
+        }
         match self.lost.lock() {
             Ok(lost) => match lost.as_ref() {
                 Some(reason) => Err(GpuError::DeviceLost { reason: reason.clone() }),

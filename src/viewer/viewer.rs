@@ -48,6 +48,8 @@ pub struct ViewerConfig {
     pub max_sse_px: f64,
     /// Uploads between two frames: more fills the picture sooner, less keeps frames even.
     pub compile_budget: CompileBudget,
+    /// Each device has a thread of its own for uploads; see [`ContextTraits::compile_thread`].
+    pub compile_contexts: bool,
     /// Frames whose statistics are kept.
     pub history_frames: usize,
     /// The master cameras draw for two eyes.
@@ -75,6 +77,7 @@ impl Default for ViewerConfig {
             look_ahead_s: 1.0,
             max_sse_px: 16.0,
             compile_budget: CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
+            compile_contexts: false,
             history_frames: 100_000,
             stereo: None,
             min_stencil_bits: 0,
@@ -92,6 +95,7 @@ impl ViewerConfig {
             adapter: self.adapter,
             samples: self.samples,
             vsync: self.vsync,
+            compile_thread: self.compile_contexts,
             validation: self.validation,
         }
     }

@@ -135,6 +135,8 @@ pub struct Renderer {
     /// Made when there first are two eyes.
     composite: Option<Composite>,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
+    /// Recorded by a compile thread; submitted before the frame.
+    uploads: Vec<wgpu::CommandBuffer>,
     /// Times that programs see; set by the caller before each draw.
     pub clock: FrameClock,
     errors: Vec<String>,
@@ -222,6 +224,7 @@ impl Renderer {
             pictures: PictureReads::default(),
             composite: None,
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
+            uploads: Vec::new(),
             clock: FrameClock::default(),
             errors: Vec::new(),
             said: HashSet::new(),
@@ -283,7 +286,7 @@ impl Renderer {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
         drop(acquire);
-        ctx.submitted();
+        ctx.submitted(&mut self.uploads);
         let ctx = &*ctx;
         let created_before = self.pipelines.created();
         self.prepare(ctx, pictures.clone());
