@@ -105,12 +105,14 @@ fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
     }
 }
 
-/// A parser of outside data: its name, inputs that are well, and what is done with any input. It panics where it must
-/// not.
+/// Panics where a parser must not do what it does.
+pub type Parse = Box<dyn FnMut(&[u8])>;
+
+/// A parser of outside data: its name, inputs that are well, and what is done with any input.
 pub struct Parser {
     pub name: &'static str,
     pub seeds: Vec<Vec<u8>>,
-    pub parse: Box<dyn FnMut(&[u8])>,
+    pub parse: Parse,
 }
 
 impl Parser {
