@@ -55,7 +55,7 @@ impl FileReader {
             Some(metadata) => Ok(metadata.len()),
             None => {
                 let (archive, name) = self.inside(uri)?;
-                archive.size(uri, &name)
+                archive.size(uri, &name, &self.limits)
             }
         }
     }

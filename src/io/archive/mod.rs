@@ -1,21 +1,24 @@
 //! Archives as folders: 3D Tiles archives (`.3tz`) and plain zip, without unpacking them. A URI goes on inside:
 //! `set.3tz/tileset.json`.
 //!
-//! The directory at the end is read once, a member by one piece from the middle: of a file on the file threads
+//! The directory at the end is read once, or the much smaller index of a 3D Tiles archive; a member by one piece from the middle: of a file on the file threads
 //! ([`LocalArchive`]), from a server by range requests (`src/io/http/archive.rs`). What is here does no I/O of its own
 //! besides.
 
 mod directory;
+mod index;
 mod local;
 mod member;
 
 use std::path::{Path, PathBuf};
 
 #[cfg(feature = "http")]
-pub(crate) use directory::{Directory, End, Span, TAIL_BYTES};
+pub(crate) use directory::{Directory, End, Member, Span, TAIL_BYTES};
+#[cfg(feature = "http")]
+pub(crate) use index::{Index, own_header};
 pub(crate) use local::LocalArchive;
 #[cfg(feature = "http")]
-pub(crate) use member::{SLACK_BYTES, data_of, piece_of, unpack};
+pub(crate) use member::{SLACK_BYTES, check, data_of, piece_of, unpack};
 
 /// Names that are taken as archives.
 const EXTENSIONS: [&str; 2] = [".3tz", ".zip"];

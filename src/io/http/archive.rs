@@ -11,7 +11,7 @@ use tokio::sync::OnceCell;
 
 use super::cached::{hit, keep_validators};
 use super::{DECODED_HERE_BYTES, HttpBody, HttpClient, blocking, exchange};
-use crate::io::archive::{self, Directory, End, SLACK_BYTES, Span, TAIL_BYTES};
+use crate::io::archive::{self, Directory, End, Index, Member, SLACK_BYTES, Span, TAIL_BYTES};
 use crate::io::cache::{Entry, Freshness};
 use crate::io::{DiskCache, IoError, Limits, file, shown};
 
@@ -24,7 +24,11 @@ pub(super) struct Archives(Mutex<LruCache<String, Arc<OnceCell<Arc<RemoteArchive
 
 #[derive(Debug)]
 pub(super) struct RemoteArchive {
-    directory: Directory,
+    /// Where the directory is. Members lie before it.
+    place: Span,
+    index: Option<Index>,
+    /// Read when there is no index, or when what it says is not enough.
+    directory: OnceCell<Directory>,
     length: u64,
     etag: Option<String>,
 }
@@ -91,14 +95,11 @@ impl HttpClient {
             // What the archive's directory came with says that the archive, and with it the file, still holds.
             return Ok(HttpBody { network_bytes: network_bytes.into_inner(), ..hit(cache, &entry, bytes, true) });
         }
-        let member = archive.directory.find(&name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
-        let span = archive::piece_of(uri, &member, &archive.directory, limits)?;
-        let mut part = self.member_part(url, archive, span, limits, &network_bytes).await?;
+        let (member, part) = match self.by_index(uri, (url, &name), archive, limits, &network_bytes).await? {
+            Some(found) => found,
+            None => self.by_directory(uri, (url, &name), archive, limits, &network_bytes).await?,
+        };
         let data = archive::data_of(uri, &member, &part.bytes)?;
-        if data.end > part.bytes.len() as u64 {
-            let size = data.end.min(archive.directory.start() - span.offset);
-            part = self.member_part(url, archive, Span { size, ..span }, limits, &network_bytes).await?;
-        }
         let packed = part.bytes.get(data.start as usize..data.end as usize).map(<[u8]>::to_vec);
         let packed = packed.ok_or_else(|| IoError::invalid(uri, "the archive ends early"))?;
         let (of, limits_of) = (uri.to_owned(), *limits);
@@ -106,11 +107,58 @@ impl HttpClient {
             let bytes = archive::unpack(&of, &member, packed, &limits_of)?;
             file::gunzip(&of, bytes, &limits_of)
         };
-        let bytes = if span.size < DECODED_HERE_BYTES as u64 { unpack() } else { blocking(uri, unpack).await? }?;
+        let bytes = if member.size < DECODED_HERE_BYTES as u64 { unpack() } else { blocking(uri, unpack).await? }?;
         if let Some(cache) = cache {
             self.keep_member(cache, uri, &part, &bytes).await;
         }
         Ok(HttpBody { bytes, network_bytes: network_bytes.into_inner() })
+    }
+
+    /// Header and content of a file; `None` where the directory has to be asked.
+    async fn by_index(
+        &self,
+        uri: &str,
+        (url, name): (&str, &str),
+        archive: &RemoteArchive,
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<Option<(Member, Part)>, IoError> {
+        let index = archive.index.as_ref().filter(|_| !archive.directory.initialized());
+        let span = index.and_then(|index| index.find(name));
+        let Some(span) = span.filter(|s| s.size <= limits.max_file_bytes.saturating_add((1 << 18) + SLACK_BYTES))
+        else {
+            return Ok(None);
+        };
+        let part = self.member_part(url, archive, span, limits, network_bytes).await?;
+        let Some(member) = archive::own_header(&part.bytes, span.offset, name) else { return Ok(None) };
+        archive::check(uri, &member, limits)?;
+        Ok(Some((member, part)))
+    }
+
+    async fn by_directory(
+        &self,
+        uri: &str,
+        (url, name): (&str, &str),
+        archive: &RemoteArchive,
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<(Member, Part), IoError> {
+        let read = || async {
+            check_directory(url, archive.place, limits)?;
+            let part = self.part(url, &range(archive.place), limits, network_bytes).await?;
+            same(url, &part, archive.place, archive.length, &archive.etag)?;
+            read_directory(url, part.bytes, archive.place, limits).await
+        };
+        let directory = archive.directory.get_or_try_init(read).await?;
+        let member = directory.find(name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
+        let span = archive::piece_of(uri, &member, archive.place.offset, limits)?;
+        let mut part = self.member_part(url, archive, span, limits, network_bytes).await?;
+        let data = archive::data_of(uri, &member, &part.bytes)?;
+        if data.end > part.bytes.len() as u64 {
+            let size = data.end.min(archive.place.offset - span.offset);
+            part = self.member_part(url, archive, Span { size, ..span }, limits, network_bytes).await?;
+        }
+        Ok((member, part))
     }
 
     async fn keep_member(&self, cache: &Arc<DiskCache>, uri: &str, part: &Part, bytes: &[u8]) {
@@ -126,7 +174,7 @@ impl HttpClient {
         self.write_behind(cache, move |cache| cache.store(&of, entry, &bytes)).await;
     }
 
-    /// Reads the directory: by one request where the archive is small, else by two or three.
+    /// Reads the directory or the index: by one request where the archive is small, else by two or three.
     async fn open_archive(
         &self,
         url: &str,
@@ -143,35 +191,40 @@ impl HttpClient {
             other => other?,
         };
         let (length, etag) = (tail.length, tail.etag());
-        let at = async |span: Span| {
-            let inside = span.offset.checked_sub(tail.offset).and_then(|from| {
-                let from = usize::try_from(from).ok()?;
-                tail.bytes.get(from..from.checked_add(usize::try_from(span.size).ok()?)?)
-            });
-            match inside {
-                Some(bytes) => Ok(bytes.to_vec()),
-                None => {
-                    let part = self.part(url, &range(span), limits, network_bytes).await?;
-                    same(url, &part, span, length, &etag)?;
-                    Ok(part.bytes)
-                }
+        let at = async |span: Span| match span.of(&tail.bytes, tail.offset) {
+            Some(bytes) => Ok(bytes.to_vec()),
+            None => {
+                let part = self.part(url, &range(span), limits, network_bytes).await?;
+                same(url, &part, span, length, &etag)?;
+                Ok(part.bytes)
             }
         };
-        let span = match End::find(url, &tail.bytes, tail.offset)? {
-            End::Directory(span) => span,
+        let (place, files) = match End::find(url, &tail.bytes, tail.offset)? {
+            End::Directory(place, files) => (place, files),
             End::Record(span) => match End::of_record(url, &at(span).await?, span.offset)? {
-                End::Directory(span) => span,
+                End::Directory(place, files) => (place, files),
                 End::Record(_) => return Err(IoError::invalid(url, "zip archive: its end points to itself")),
             },
         };
-        if span.size > limits.max_file_bytes {
-            let (got, limit) = (span.size, limits.max_file_bytes);
-            return Err(IoError::TooLarge { uri: url.to_owned(), what: "directory of an archive", got, limit });
+        let is_here = place.of(&tail.bytes, tail.offset).is_some();
+        let mut index = None;
+        if !is_here
+            && let Some(own) = Index::place(&tail.bytes, tail.offset, place)
+            && let Some(piece) = Index::piece(&own, place)
+            && piece.size <= limits.max_file_bytes
+            && files <= limits.max_elements as u64
+        {
+            let piece = at(piece).await?;
+            index = blocking(url, move || Index::read(&own, &piece, place, files)).await?;
         }
-        let bytes = if span.size == 0 { Vec::new() } else { at(span).await? };
-        let (of, limits) = (url.to_owned(), *limits);
-        let directory = blocking(url, move || Directory::read(&of, bytes, span.offset, &limits)).await??;
-        Ok(Arc::new(RemoteArchive { directory, length, etag }))
+        let directory = OnceCell::new();
+        if index.is_none() {
+            check_directory(url, place, limits)?;
+            let bytes = if place.size == 0 { Vec::new() } else { at(place).await? };
+            // Nobody else has it yet.
+            let _ = directory.set(read_directory(url, bytes, place, limits).await?);
+        }
+        Ok(Arc::new(RemoteArchive { place, index, directory, length, etag }))
     }
 
     async fn member_part(
@@ -231,6 +284,19 @@ impl HttpClient {
         let exchange::Answer { body: bytes, headers, .. } = answer;
         Ok(Part { bytes, offset, length, headers })
     }
+}
+
+fn check_directory(url: &str, place: Span, limits: &Limits) -> Result<(), IoError> {
+    if place.size > limits.max_file_bytes {
+        let (got, limit) = (place.size, limits.max_file_bytes);
+        return Err(IoError::TooLarge { uri: url.to_owned(), what: "directory of an archive", got, limit });
+    }
+    Ok(())
+}
+
+async fn read_directory(url: &str, bytes: Vec<u8>, place: Span, limits: &Limits) -> Result<Directory, IoError> {
+    let (of, limits) = (url.to_owned(), *limits);
+    blocking(url, move || Directory::read(&of, bytes, place.offset, &limits)).await?
 }
 
 fn range(Span { offset, size }: Span) -> String {
