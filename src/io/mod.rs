@@ -24,6 +24,8 @@ mod tileset;
 mod uri;
 pub mod write;
 
+#[doc(hidden)]
+pub use archive::pmtiles::fuzz_pmtiles;
 pub use cache::CacheStats;
 #[cfg(feature = "http")]
 #[doc(hidden)]

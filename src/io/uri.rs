@@ -9,7 +9,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use super::IoError;
-use super::archive::is_archive;
+use super::archive::{is_archive, is_pmtiles};
 
 /// What references may reach: below a folder, anything on http(s), or one bucket.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -89,11 +89,16 @@ pub fn shown(uri: &str) -> Cow<'_, str> {
 /// What a person typed, as a URI: a folder or an archive means its tileset.json, a file itself, a URL ending in `/` or
 /// in the name of an archive its tileset.json.
 pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
+    let no_set = |path: &str| match is_pmtiles(path) {
+        true => Err(IoError::unsupported(source, "PMTiles as a tile set (its tiles are contents: NAME.pmtiles/z/x/y)")),
+        false => Ok(()),
+    };
     if is_remote(source) {
         let mut url = url::Url::parse(source).map_err(|e| bad(source, e.to_string()))?;
         if is_store(source) {
             check_object(source, &url)?;
         }
+        no_set(url.path())?;
         if url.path().ends_with('/') || url.path().is_empty() {
             let path = format!("{}/tileset.json", url.path().trim_end_matches('/'));
             url.set_path(&path);
@@ -102,6 +107,7 @@ pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
         }
         return Ok(url.as_str().into());
     }
+    no_set(source)?;
     let path = std::path::absolute(source).map_err(|e| bad(source, e.to_string()))?;
     let is_inside = path.is_dir() || (path.is_file() && path.to_str().is_some_and(is_archive));
     let path = if is_inside { path.join("tileset.json") } else { path };
@@ -257,6 +263,8 @@ mod tests {
         assert_eq!(&*root_uri("S3://b").unwrap(), "s3://b/tileset.json");
         assert_eq!(&*root_uri("gs://b/a.3tz").unwrap(), "gs://b/a.3tz/tileset.json");
         assert_eq!(&*root_uri("az://b/a b.json").unwrap(), "az://b/a%20b.json");
+        assert!(matches!(root_uri("/d/a.pmtiles"), Err(IoError::Unsupported { .. })));
+        assert!(matches!(root_uri("http://h/a.pmtiles?k=1"), Err(IoError::Unsupported { .. })));
         for odd in ["s3://", "s3:///key", "s3://me@b/key", "s3://b:80/key", "s3://b/key?x=1"] {
             assert!(root_uri(odd).is_err(), "{odd}");
         }

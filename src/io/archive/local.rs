@@ -135,19 +135,19 @@ impl LocalArchive {
 }
 
 /// As much of a span as there is.
-fn inside(span: Span, length: u64) -> Span {
+pub(super) fn inside(span: Span, length: u64) -> Span {
     let offset = span.offset.min(length);
     Span { offset, size: span.size.min(length - offset) }
 }
 
-fn read(file: &mut File, span: Span) -> io::Result<Vec<u8>> {
+pub(super) fn read(file: &mut File, span: Span) -> io::Result<Vec<u8>> {
     file.seek(SeekFrom::Start(span.offset))?;
     let mut bytes = Vec::with_capacity(span.size as usize);
     file.take(span.size).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-fn failed(uri: &str, error: &io::Error) -> IoError {
+pub(super) fn failed(uri: &str, error: &io::Error) -> IoError {
     match error.kind() {
         io::ErrorKind::NotFound => IoError::NotFound { uri: uri.to_owned() },
         _ => IoError::File { uri: uri.to_owned(), reason: error.to_string() },

@@ -10,8 +10,9 @@ use reqwest::header::{ACCEPT_ENCODING, CONTENT_RANGE, ETAG, HeaderMap, HeaderVal
 use tokio::sync::OnceCell;
 
 use super::cached::{hit, keep_validators};
+use super::tiles::RemoteTiles;
 use super::{DECODED_HERE_BYTES, HttpBody, HttpClient, blocking, exchange};
-use crate::io::archive::{self, Directory, End, Index, Member, SLACK_BYTES, Span, TAIL_BYTES};
+use crate::io::archive::{self, Directory, End, Index, Member, SLACK_BYTES, Span, TAIL_BYTES, is_pmtiles};
 use crate::io::cache::{Entry, Freshness};
 use crate::io::{DiskCache, IoError, Limits, file, shown};
 
@@ -24,13 +25,25 @@ pub(super) struct Archives(Mutex<LruCache<String, Arc<OnceCell<Arc<RemoteArchive
 
 #[derive(Debug)]
 pub(super) struct RemoteArchive {
+    pub length: u64,
+    pub etag: Option<String>,
+    pub inside: Inside,
+}
+
+/// An archive of either kind.
+#[derive(Debug)]
+pub(super) enum Inside {
+    Zip(RemoteZip),
+    Tiles(RemoteTiles),
+}
+
+#[derive(Debug)]
+pub(super) struct RemoteZip {
     /// Where the directory is. Members lie before it.
     place: Span,
     index: Option<Index>,
     /// Read when there is no index, or when what it says is not enough.
     directory: OnceCell<Directory>,
-    length: u64,
-    etag: Option<String>,
 }
 
 impl Archives {
@@ -49,16 +62,16 @@ impl Archives {
 }
 
 /// A part of an archive, as it came.
-struct Part {
-    bytes: Vec<u8>,
-    offset: u64,
+pub(super) struct Part {
+    pub bytes: Vec<u8>,
+    pub offset: u64,
     /// Bytes of the whole archive.
-    length: u64,
+    pub length: u64,
     headers: HeaderMap,
 }
 
 impl Part {
-    fn etag(&self) -> Option<String> {
+    pub fn etag(&self) -> Option<String> {
         self.headers.get(ETAG).and_then(|v| v.to_str().ok()).map(str::to_owned)
     }
 }
@@ -95,9 +108,28 @@ impl HttpClient {
             // What the archive's directory came with says that the archive, and with it the file, still holds.
             return Ok(HttpBody { network_bytes: network_bytes.into_inner(), ..hit(cache, &entry, bytes, true) });
         }
-        let (member, part) = match self.by_index(uri, (url, &name), archive, limits, &network_bytes).await? {
+        let (bytes, part) = match &archive.inside {
+            Inside::Zip(zip) => self.get_zipped(uri, (url, &name), (archive, zip), limits, &network_bytes).await?,
+            Inside::Tiles(tiles) => self.get_tile(uri, (url, &name), (archive, tiles), limits, &network_bytes).await?,
+        };
+        if let Some(cache) = cache {
+            self.keep_member(cache, uri, &part, &bytes).await;
+        }
+        Ok(HttpBody { bytes, network_bytes: network_bytes.into_inner() })
+    }
+
+    /// A file of a zip archive, decompressed, and the part that it came in.
+    async fn get_zipped(
+        &self,
+        uri: &str,
+        (url, name): (&str, &str),
+        of_zip: (&RemoteArchive, &RemoteZip),
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<(Vec<u8>, Part), IoError> {
+        let (member, part) = match self.by_index(uri, (url, name), of_zip, limits, network_bytes).await? {
             Some(found) => found,
-            None => self.by_directory(uri, (url, &name), archive, limits, &network_bytes).await?,
+            None => self.by_directory(uri, (url, name), of_zip, limits, network_bytes).await?,
         };
         let data = archive::data_of(uri, &member, &part.bytes)?;
         let packed = part.bytes.get(data.start as usize..data.end as usize).map(<[u8]>::to_vec);
@@ -108,10 +140,7 @@ impl HttpClient {
             file::gunzip(&of, bytes, &limits_of)
         };
         let bytes = if member.size < DECODED_HERE_BYTES as u64 { unpack() } else { blocking(uri, unpack).await? }?;
-        if let Some(cache) = cache {
-            self.keep_member(cache, uri, &part, &bytes).await;
-        }
-        Ok(HttpBody { bytes, network_bytes: network_bytes.into_inner() })
+        Ok((bytes, part))
     }
 
     /// Header and content of a file; `None` where the directory has to be asked.
@@ -119,11 +148,11 @@ impl HttpClient {
         &self,
         uri: &str,
         (url, name): (&str, &str),
-        archive: &RemoteArchive,
+        (archive, zip): (&RemoteArchive, &RemoteZip),
         limits: &Limits,
         network_bytes: &AtomicU64,
     ) -> Result<Option<(Member, Part)>, IoError> {
-        let index = archive.index.as_ref().filter(|_| !archive.directory.initialized());
+        let index = zip.index.as_ref().filter(|_| !zip.directory.initialized());
         let span = index.and_then(|index| index.find(name));
         let Some(span) = span.filter(|s| s.size <= limits.max_file_bytes.saturating_add((1 << 18) + SLACK_BYTES))
         else {
@@ -139,23 +168,23 @@ impl HttpClient {
         &self,
         uri: &str,
         (url, name): (&str, &str),
-        archive: &RemoteArchive,
+        (archive, zip): (&RemoteArchive, &RemoteZip),
         limits: &Limits,
         network_bytes: &AtomicU64,
     ) -> Result<(Member, Part), IoError> {
         let read = || async {
-            check_directory(url, archive.place, limits)?;
-            let part = self.part(url, &range(archive.place), limits, network_bytes).await?;
-            same(url, &part, archive.place, archive.length, &archive.etag)?;
-            read_directory(url, part.bytes, archive.place, limits).await
+            check_directory(url, zip.place, limits)?;
+            let part = self.part(url, &range(zip.place), limits, network_bytes).await?;
+            same(url, &part, zip.place, archive.length, &archive.etag)?;
+            read_directory(url, part.bytes, zip.place, limits).await
         };
-        let directory = archive.directory.get_or_try_init(read).await?;
+        let directory = zip.directory.get_or_try_init(read).await?;
         let member = directory.find(name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
-        let span = archive::piece_of(uri, &member, archive.place.offset, limits)?;
+        let span = archive::piece_of(uri, &member, zip.place.offset, limits)?;
         let mut part = self.member_part(url, archive, span, limits, network_bytes).await?;
         let data = archive::data_of(uri, &member, &part.bytes)?;
         if data.end > part.bytes.len() as u64 {
-            let size = data.end.min(archive.place.offset - span.offset);
+            let size = data.end.min(zip.place.offset - span.offset);
             part = self.member_part(url, archive, Span { size, ..span }, limits, network_bytes).await?;
         }
         Ok((member, part))
@@ -181,6 +210,9 @@ impl HttpClient {
         limits: &Limits,
         network_bytes: &AtomicU64,
     ) -> Result<Arc<RemoteArchive>, IoError> {
+        if is_pmtiles(url.split('?').next().unwrap_or(url)) {
+            return self.open_tiles(url, limits, network_bytes).await;
+        }
         let tail = match self.part(url, &format!("bytes=-{TAIL_BYTES}"), limits, network_bytes).await {
             // Some servers (Azure's) know no range that counts from the end: the length comes with any other.
             Err(IoError::Unsupported { .. } | IoError::Status { status: 400 | 416, .. }) => {
@@ -224,10 +256,12 @@ impl HttpClient {
             // Nobody else has it yet.
             let _ = directory.set(read_directory(url, bytes, place, limits).await?);
         }
-        Ok(Arc::new(RemoteArchive { place, index, directory, length, etag }))
+        let inside = Inside::Zip(RemoteZip { place, index, directory });
+        Ok(Arc::new(RemoteArchive { length, etag, inside }))
     }
 
-    async fn member_part(
+    /// A part of an archive that has to be the one whose beginning or end was read.
+    pub(super) async fn member_part(
         &self,
         url: &str,
         archive: &RemoteArchive,
@@ -260,7 +294,13 @@ impl HttpClient {
         Ok(part)
     }
 
-    async fn part(&self, url: &str, range: &str, limits: &Limits, network_bytes: &AtomicU64) -> Result<Part, IoError> {
+    pub(super) async fn part(
+        &self,
+        url: &str,
+        range: &str,
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<Part, IoError> {
         let mut headers = HeaderMap::new();
         let value = HeaderValue::from_str(range).map_err(|_| IoError::invalid(url, "a range of the archive"))?;
         headers.insert(RANGE, value);
@@ -299,7 +339,7 @@ async fn read_directory(url: &str, bytes: Vec<u8>, place: Span, limits: &Limits)
     blocking(url, move || Directory::read(&of, bytes, place.offset, &limits)).await?
 }
 
-fn range(Span { offset, size }: Span) -> String {
+pub(super) fn range(Span { offset, size }: Span) -> String {
     format!("bytes={offset}-{}", offset.saturating_add(size).saturating_sub(1))
 }
 

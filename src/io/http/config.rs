@@ -124,9 +124,7 @@ impl fmt::Debug for Credential {
 /// `google_service_account_path` or `azure_storage_account_name`. Its value is in no error, log or debug output.
 #[derive(Clone, PartialEq)]
 pub struct StoreOption {
-    #[cfg_attr(not(feature = "object-store"), expect(dead_code, reason = "stores read it"))]
     pub(super) name: String,
-    #[cfg_attr(not(feature = "object-store"), expect(dead_code, reason = "stores read it"))]
     pub(super) value: String,
 }
 

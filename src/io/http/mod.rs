@@ -7,6 +7,7 @@ mod exchange;
 mod retry;
 #[cfg(feature = "object-store")]
 mod store;
+mod tiles;
 mod tls;
 
 use std::sync::Arc;
