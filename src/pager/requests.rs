@@ -112,7 +112,7 @@ impl DatabasePager {
             match entry.progress {
                 Progress::Waiting => jobs.push((entry.priority, entry)),
                 Progress::Loading
-                    if io::is_http(&entry.job.uri)
+                    if io::is_remote(&entry.job.uri)
                         && frame.saturating_sub(entry.wanted_frame) > self.config.abort_frames =>
                 {
                     waiting.abort.push(entry.job.ticket);
@@ -129,7 +129,7 @@ impl DatabasePager {
         waiting.file.clear();
         waiting.http.clear();
         for (_, entry) in &jobs {
-            let to = if io::is_http(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
+            let to = if io::is_remote(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
             to.push(entry.job.clone());
         }
         waiting.allowed = self.allowed_in_flight(list.capacity);

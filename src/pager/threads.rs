@@ -77,7 +77,7 @@ impl Threads {
             let cache = threads.door.as_ref().and_then(|door| door.client.cache().cloned());
             let forget = move |_uri: &str| {
                 #[cfg(feature = "http")]
-                if let Some(cache) = cache.as_ref().filter(|_| io::is_http(_uri)) {
+                if let Some(cache) = cache.as_ref().filter(|_| io::is_remote(_uri)) {
                     cache.forget(_uri);
                 }
             };
