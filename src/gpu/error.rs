@@ -59,6 +59,12 @@ pub enum GpuError {
         /// What was wrong.
         reason: String,
     },
+    /// The compile thread could not be started.
+    #[error("cannot start a compile thread: {reason}")]
+    Thread {
+        /// What the system said.
+        reason: String,
+    },
     /// The device is gone (driver reset, unplugged); the context must be made anew.
     #[error("graphics device lost: {reason}")]
     DeviceLost {

@@ -8,14 +8,17 @@
 //! ```text
 //! Drawable -> CompileOperation -> run_compiles (a slice at a time, within a budget) -> Compiled { slots }
 //!             slots: height tiles in blocks of texture arrays, meshes in buffers cut into size classes
+//! (with a compile thread: places by run_compiles, their contents by that thread, submitted before the next frame)
 //! release(slots) -> the places are free at once: uploads run on the same queue, after the draws that used them
 //! ```
 
 mod compile;
+mod compile_thread;
 mod context;
 mod custom;
 mod drawable;
 mod error;
+mod faces;
 mod height_pool;
 mod layouts;
 mod mesh_pool;
@@ -27,6 +30,7 @@ mod target;
 mod texture_pool;
 mod timer;
 mod transients;
+mod uploads;
 
 pub use compile::{CompileBudget, CompileOperation, CompileStats, Compiled};
 pub use context::{AdapterChoice, ContextTraits, GraphicsContext};

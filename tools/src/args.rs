@@ -242,6 +242,12 @@ pub enum Bench {
         #[arg(long, default_value_t = 1.0)]
         secs: f64,
     },
+    /// The walk of a tile tree, without a GPU
+    Tiles {
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
     /// Lines through a terrain of a million triangles, without a GPU
     Pick {
         /// Shortest time to measure each case, seconds
@@ -272,6 +278,15 @@ pub enum Bench {
         #[arg(long, default_value_t = 10.0)]
         secs: f64,
     },
+    /// A pager with many pages while nothing changes
+    Resident {
+        /// Pages that are merged
+        #[arg(long, default_value_t = 100_000)]
+        tiles: usize,
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
     /// Files to merged pages
     Page {
         /// Frames of the flight
@@ -289,6 +304,12 @@ pub enum Bench {
         /// What the tiles hold
         #[arg(long, value_enum, default_value_t = PageContent::Mesh)]
         content: PageContent,
+        /// So many terrains along each side, all from the same files
+        #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
+        world: u32,
+        /// Fly straight on at so many metres a second, instead of along the peer's path
+        #[arg(long, value_name = "M_PER_S")]
+        speed: Option<Positive>,
         /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
         #[arg(long, value_name = "URL")]
         url: Option<String>,

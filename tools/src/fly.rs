@@ -115,6 +115,7 @@ fn beside(count: u32, size_px: [u32; 2]) -> Vec<SlaveWindow> {
             title: format!("Terrane {}", i + 2),
             size_px,
             position_px: None,
+            shares_device: false,
             projection_offset: DMat4::from_translation(DVec3::new(-2.0 * place, 0.0, 0.0)),
             view_offset: DAffine3::IDENTITY,
         }

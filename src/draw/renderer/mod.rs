@@ -36,7 +36,7 @@ use crate::scene::Texture;
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 
-/// Frames the processor may be ahead of the adapter.
+/// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
 /// A frame that takes longer than this has hung.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(60);
@@ -138,6 +138,8 @@ pub struct Renderer {
     /// Made when there first are two eyes.
     composite: Option<Composite>,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
+    /// Recorded by a compile thread; submitted before the frame.
+    uploads: Vec<wgpu::CommandBuffer>,
     /// Times that programs see; set by the caller before each draw.
     pub clock: FrameClock,
     errors: Vec<String>,
@@ -225,6 +227,7 @@ impl Renderer {
             pictures: PictureReads::default(),
             composite: None,
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
+            uploads: Vec::new(),
             clock: FrameClock::default(),
             errors: Vec::new(),
             said: HashSet::new(),
@@ -286,7 +289,7 @@ impl Renderer {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
         drop(acquire);
-        ctx.submitted();
+        ctx.submitted(&mut self.uploads);
         for drawn in &self.drawn_into {
             if let Some(formats) = self.pipelines.target_key(drawn.target) {
                 ctx.draws_into(formats);
@@ -375,11 +378,10 @@ impl Renderer {
 
     /// Lets callbacks run, and waits while too many frames are under way.
     fn throttle(&mut self, ctx: &GraphicsContext) -> Result<(), GpuError> {
-        let poll = if self.in_flight.len() > FRAMES_IN_FLIGHT {
-            wgpu::PollType::Wait { submission_index: self.in_flight.pop_front(), timeout: Some(FRAME_TIMEOUT) }
-        } else {
-            wgpu::PollType::Poll
-        };
+        let mut poll = wgpu::PollType::Poll;
+        while self.in_flight.len() > FRAMES_IN_FLIGHT * ctx.face_count() {
+            poll = wgpu::PollType::Wait { submission_index: self.in_flight.pop_front(), timeout: Some(FRAME_TIMEOUT) };
+        }
         ctx.device().poll(poll).map_err(|e| GpuError::DeviceLost { reason: format!("a frame did not end: {e}") })?;
         ctx.check_lost()
     }

@@ -25,7 +25,9 @@ impl Renderer {
         self.batch.start_frame();
         self.groups.start_frame();
         self.statics.clear();
-        self.drawn_into.clear();
+        if ctx.is_first_face() {
+            self.drawn_into.clear();
+        }
         self.plans.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {

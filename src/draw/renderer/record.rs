@@ -35,7 +35,7 @@ impl Renderer {
         if let Some(queries) = &self.queries {
             queries.resolve(&mut encoder);
         }
-        let submission = ctx.queue().submit([encoder.finish()]);
+        let submission = ctx.queue().submit(self.uploads.drain(..).chain([encoder.finish()]));
         if let Some(timer) = &mut self.timer {
             timer.submitted();
         }
