@@ -222,9 +222,10 @@ pub struct RenderStage {
     pub stereo_gap_px: u32,
     /// What casts shadows into its picture.
     pub shadows: StageShadows,
-    /// Nearest depth of any leaf's bound, at least 0; 0 without leaves.
+    /// Nearest depth of any leaf's bound, or of what is seen of its primitives where the camera's settings ask for it;
+    /// at least 0; 0 without leaves.
     pub near_m: f64,
-    /// Farthest depth of any leaf's bound; 0 without leaves.
+    /// Farthest depth, alike; 0 without leaves.
     pub far_m: f64,
     /// What the cull did; stages before and after it included.
     pub counters: CullCounters,

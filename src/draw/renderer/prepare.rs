@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::foresee::DrawnInto;
 use super::{FrameClock, Picture, Renderer};
 use crate::cull::{FadeBand, RenderStage};
 use crate::draw::answers::Queries;
@@ -122,8 +123,11 @@ impl Renderer {
         let first_statics = self.statics.len() as u32;
         self.statics.push(base);
         let has_own_light = replaces_sun(stage);
-        if !self.drawn_into.contains(&(target.index, has_own_light)) {
-            self.drawn_into.push((target.index, has_own_light));
+        // An empty stage has none; what comes will.
+        let will_have = is_outermost && environment.shadows.is_some() && stage.leaf_count() == 0;
+        let drawn = DrawnInto { target: target.index, has_own_light, has_shadows: has_shadows || will_have };
+        if !self.drawn_into.contains(&drawn) {
+            self.drawn_into.push(drawn);
         }
         let mut states = std::mem::take(&mut self.batch.states);
         states.clear();
