@@ -63,6 +63,8 @@ pub(in crate::viewer) struct CullOutcome {
     pub(in crate::viewer) requests: Vec<PageRequest>,
     pub(in crate::viewer) counters: CullCounters,
     pub(in crate::viewer) cull_ms: f64,
+    /// Where the near plane is, metres.
+    pub(in crate::viewer) near_m: f64,
 }
 
 /// A stage on its way to draw.
@@ -105,7 +107,8 @@ impl CullTask {
         requests.clear();
         // The stage goes to the draw thread; its requests stay for the next update.
         std::mem::swap(&mut requests, &mut stage.requests);
-        CullOutcome { requests, counters: stage.counters, cull_ms: millis(start.elapsed()) }
+        let near_m = stage.camera.clip_from_eye.w_axis.z;
+        CullOutcome { requests, counters: stage.counters, cull_ms: millis(start.elapsed()), near_m }
     }
 }
 
