@@ -13,6 +13,7 @@ use std::path::Path;
 use glam::{DAffine3, DMat4, DVec3};
 
 use super::arrangement_file::read_windows;
+use super::view::Eyes;
 
 /// The environment variable that names a file with windows.
 pub const CONFIG_FILE_VARIABLE: &str = "TERRANE_CONFIG_FILE";
@@ -33,12 +34,19 @@ pub struct CameraSetup {
     pub projection_offset: DMat4,
     /// See [`Slave::view_offset`](super::Slave::view_offset).
     pub view_offset: DAffine3,
+    /// Its eyes, where the view is drawn for two.
+    pub eyes: Eyes,
 }
 
 impl Default for CameraSetup {
     /// Sees what the master sees, in all of its window.
     fn default() -> Self {
-        Self { viewport_px: None, projection_offset: DMat4::IDENTITY, view_offset: DAffine3::IDENTITY }
+        Self {
+            viewport_px: None,
+            projection_offset: DMat4::IDENTITY,
+            view_offset: DAffine3::IDENTITY,
+            eyes: Eyes::Both,
+        }
     }
 }
 
@@ -96,7 +104,8 @@ pub enum Arrangement {
     /// These, never none.
     Windows(Vec<WindowSetup>),
     /// A window that fills each screen, parts of one picture as the screens lie beside each other: the master has the
-    /// middle one. They share a device. What the reference does where the environment says nothing.
+    /// middle one. They share a device. Two screens with stereo in [`StereoMode::HorizontalSplit`](crate::cull::StereoMode)
+    /// show an eye each instead, as in OSG. What the reference does where the environment says nothing.
     AllScreens,
 }
 
@@ -169,6 +178,21 @@ impl Arrangement {
     pub fn read(file: &Path) -> Result<Self, ArrangementError> {
         read_windows(file).map(Self::Windows)
     }
+}
+
+/// A window on each of two screens, left and right, one for each eye; `None` where there are not two.
+#[cfg(any(feature = "window", test))]
+pub(super) fn an_eye_each(screens: &[[i32; 4]]) -> Option<Vec<WindowSetup>> {
+    let &[a, b] = screens else { return None };
+    let [left, right] = if a <= b { [0, 1] } else { [1, 0] };
+    let window = |screen: usize, eyes: Eyes| WindowSetup {
+        screen: Some(screen),
+        full_screen: true,
+        shares_device: eyes == Eyes::Right,
+        cameras: vec![CameraSetup { eyes, ..CameraSetup::default() }],
+        ..WindowSetup::default()
+    };
+    Some(vec![window(left, Eyes::Left), window(right, Eyes::Right)])
 }
 
 /// A window for each screen (x, y, width and height in the desktop's pixels): the middle one first, the others seeing
@@ -251,6 +275,10 @@ mod tests {
         assert!((left - DVec3::new(1.0, 1.0, 0.0)).length() < 1e-12, "{left}");
         let right = offset(2).project_point3(DVec3::new(1.0, -1.0, 0.0));
         assert!((right - DVec3::new(-1.0, -1.0, 0.0)).length() < 1e-12, "{right}");
+        assert_eq!(an_eye_each(&screens), None);
+        let windows = an_eye_each(&[[1000, 0, 10, 10], [0, 0, 10, 10]]).unwrap();
+        let eyes: Vec<_> = windows.iter().map(|w| (w.screen, w.cameras[0].eyes)).collect();
+        assert_eq!(eyes, [(Some(1), Eyes::Left), (Some(0), Eyes::Right)]);
         assert_eq!(across(&[]), [WindowSetup::default()]);
         assert_eq!(across(&[[0, 0, 640, 480]]).len(), 1);
     }

@@ -10,8 +10,9 @@
 //! Every field may be left out but `windows`, which has at least one. A camera's fields: `viewport_px` (x, y, width,
 //! height from the window's upper left corner); `turn_deg` (to the right, upwards, clockwise) and `move_m` (to the right,
 //! upwards, backwards), from the master's eye; `shift` (to the right, upwards, in pictures of the master) and `zoom`
-//! (across, upwards), what it shows of the master's picture plane. The first camera of the first window is the master
-//! and has `viewport_px` alone.
+//! (across, upwards), what it shows of the master's picture plane; `eyes` ("BOTH", "LEFT", "RIGHT", "MIDDLE"), which of them
+//! it draws for in stereo. The first camera of the first window is the master
+//! and has `viewport_px` and `eyes` alone.
 
 use std::path::Path;
 
@@ -19,6 +20,7 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, EulerRot};
 use serde_json::{Map, Value};
 
 use super::arrangement::{ArrangementError, CameraSetup, WindowSetup};
+use super::view::Eyes;
 
 /// A file that is larger is not read.
 const MOST_BYTES: u64 = 1 << 20;
@@ -124,7 +126,7 @@ fn window(field: &Field<'_>, is_first: bool) -> Result<WindowSetup, Wrong> {
 }
 
 fn camera(field: &Field<'_>, is_master: bool) -> Result<CameraSetup, Wrong> {
-    let object = field.object(&["viewport_px", "turn_deg", "move_m", "shift", "zoom"])?;
+    let object = field.object(&["viewport_px", "turn_deg", "move_m", "shift", "zoom", "eyes"])?;
     let of = |name: &str| object.get(name).map(|value| field.child(name, value));
     if is_master && let Some(offset) = ["turn_deg", "move_m", "shift", "zoom"].into_iter().find_map(of) {
         return offset.wrong("the first camera is the master, which the others are beside");
@@ -136,6 +138,15 @@ fn camera(field: &Field<'_>, is_master: bool) -> Result<CameraSetup, Wrong> {
             return viewport.wrong("a part without pixels");
         }
         camera.viewport_px = Some(rect);
+    }
+    if let Some(eyes) = of("eyes") {
+        camera.eyes = match eyes.value.as_str() {
+            Some("BOTH") => Eyes::Both,
+            Some("LEFT") => Eyes::Left,
+            Some("RIGHT") => Eyes::Right,
+            Some("MIDDLE") => Eyes::Middle,
+            _ => return eyes.wrong("none of BOTH, LEFT, RIGHT, MIDDLE"),
+        };
     }
     let mut eye_of_camera = DAffine3::IDENTITY;
     if let Some(turn) = of("turn_deg") {
@@ -219,10 +230,9 @@ mod tests {
     fn read(text: &str) -> Result<Vec<WindowSetup>, ArrangementError> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        read_windows(file.path()).map_err(|e| {
-            assert_eq!(e.source_name, file.path().display().to_string());
-            e
-        })
+        let read = read_windows(file.path());
+        assert!(read.as_ref().err().is_none_or(|e| e.source_name == file.path().display().to_string()));
+        read
     }
 
     #[test]
@@ -232,7 +242,7 @@ mod tests {
                 {"title": "ahead", "position_px": [-5, 6], "size_px": [640, 480], "screen": 2, "full_screen": true,
                  "decorated": false, "samples": 4, "vsync": false, "cameras": [{"viewport_px": [1, 2, 30, 40]}]},
                 {"shares_device": true, "cameras": [{}, {"turn_deg": [90, 0, 0], "move_m": [1, 2, 3]},
-                 {"shift": [1, -0.5], "zoom": [2, 3]}]}]}"#,
+                 {"shift": [1, -0.5], "zoom": [2, 3], "eyes": "RIGHT"}]}]}"#,
         )
         .unwrap();
         let first = WindowSetup {
@@ -258,7 +268,7 @@ mod tests {
         // The middle of its picture is one picture to the right of the master's, and half of one down.
         let seen = shifted.projection_offset.project_point3(DVec3::new(2.0, -1.0, 0.5));
         assert!((seen - DVec3::new(0.0, 0.0, 0.5)).length() < 1e-12, "{seen}");
-        assert_eq!(shifted.projection_offset.x_axis.x, 2.0);
+        assert_eq!((shifted.projection_offset.x_axis.x, shifted.eyes), (2.0, Eyes::Right));
         assert_eq!(read(r#"{"windows": [{}]}"#).unwrap(), [WindowSetup::default()]);
     }
 
@@ -293,6 +303,7 @@ mod tests {
             ),
             (r#"{"windows": [{}, {"cameras": [{"zoom": [0, 1]}]}]}"#, "windows[1].cameras[0].zoom[0]", "number from"),
             (r#"{"windows": [{}, {"cameras": [{"turn_deg": [1e9, 0, 0]}]}]}"#, "windows[1].cameras[0].turn_deg[0]", ""),
+            (r#"{"windows": [{"cameras": [{"eyes": "NOSE"}]}]}"#, "windows[0].cameras[0].eyes", "none of BOTH"),
             (r#"{"windows": [{}, {"cameras": [{"fov": 3}]}]}"#, "windows[1].cameras[0].fov", "turn_deg"),
         ] {
             let error = read(text).unwrap_err();

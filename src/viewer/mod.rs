@@ -56,7 +56,7 @@ pub use overlay::{Overlay, OverlayPaint};
 pub use rendering::{THREADING_VARIABLE, ThreadingModel};
 pub use report::{Bytes, DrawMedians, FrameTimes, Images, Phases, Report, ReportError, Settled, Sharing, Tiles, Times};
 pub use stats::{FrameStats, Samples, StatsHistory};
-pub use view::{ContextId, Slave, SlaveId, View};
+pub use view::{ContextId, Eyes, Slave, SlaveId, View};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 #[cfg(feature = "window")]
 pub use window::{AfterFrame, BeforeFrame, OnOpen, SlaveWindow, WindowOptions, has_display, run_window};

@@ -17,7 +17,7 @@ use super::camera_path::AnimationPath;
 use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
-use super::view::ContextId;
+use super::view::{ContextId, Eyes};
 use super::viewer::{Viewer, ViewerConfig};
 use super::{window_events, window_open};
 
@@ -150,7 +150,7 @@ struct Open {
 impl App {
     fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<Open, ViewerError> {
         let slaves = std::mem::take(&mut self.options.slaves);
-        let setups = window_open::windows(event_loop, &self.options.arrangement, slaves);
+        let setups = window_open::windows(event_loop, &self.options.arrangement, slaves, self.config.stereo.as_ref());
         let Some((first, beside)) = setups.split_first() else {
             return Err(ViewerError::Window("an arrangement without windows".to_owned()));
         };
@@ -167,6 +167,7 @@ impl App {
         if let Some(viewport_px) = master.and_then(|master| master.viewport_px) {
             viewer.set_viewport_px(Some(viewport_px));
         }
+        viewer.set_eyes(master.map_or(Eyes::Both, |master| master.eyes));
         if let Some(context) = viewer.context() {
             window_open::add_slaves(&mut viewer, context, others)?;
         }

@@ -8,10 +8,11 @@ use winit::monitor::MonitorHandle;
 use winit::window::{Fullscreen, Window};
 
 use super::ViewerError;
-use super::arrangement::{Arrangement, CameraSetup, WindowSetup, across};
+use super::arrangement::{Arrangement, CameraSetup, WindowSetup, across, an_eye_each};
 use super::view::{ContextId, Slave};
 use super::viewer::{Viewer, ViewerConfig};
 use super::window::SlaveWindow;
+use crate::cull::{Stereo, StereoMode};
 use crate::gpu::{ContextTraits, GraphicsContext};
 
 /// The windows that an arrangement comes to here; the application's own slaves come before what the environment says.
@@ -19,6 +20,7 @@ pub(super) fn windows(
     event_loop: &ActiveEventLoop,
     arrangement: &Arrangement,
     slaves: Vec<SlaveWindow>,
+    stereo: Option<&Stereo>,
 ) -> Vec<WindowSetup> {
     let mut windows = match arrangement {
         Arrangement::Windows(windows) => windows.clone(),
@@ -28,7 +30,9 @@ pub(super) fn windows(
                 let (PhysicalPosition { x, y }, PhysicalSize { width, height }) = (monitor.position(), monitor.size());
                 [x, y, width as i32, height as i32]
             };
-            across(&event_loop.available_monitors().map(place).collect::<Vec<_>>())
+            let screens: Vec<_> = event_loop.available_monitors().map(place).collect();
+            let split = stereo.filter(|stereo| stereo.mode == StereoMode::HorizontalSplit);
+            split.and_then(|_| an_eye_each(&screens)).unwrap_or_else(|| across(&screens))
         }
     };
     if windows.is_empty() {
@@ -46,7 +50,7 @@ impl From<SlaveWindow> for WindowSetup {
             position_px,
             size_px: Some(size_px),
             shares_device,
-            cameras: vec![CameraSetup { viewport_px: None, projection_offset, view_offset }],
+            cameras: vec![CameraSetup { projection_offset, view_offset, ..CameraSetup::default() }],
             ..Self::default()
         }
     }
@@ -127,8 +131,8 @@ pub(super) fn add_beside(
 /// Cameras that go with the master.
 pub(super) fn add_slaves(viewer: &mut Viewer, context: ContextId, cameras: &[CameraSetup]) -> Result<(), ViewerError> {
     for camera in cameras {
-        let CameraSetup { viewport_px, projection_offset, view_offset } = *camera;
-        viewer.add_slave(Slave { viewport_px, projection_offset, view_offset, ..Slave::new(context) })?;
+        let CameraSetup { viewport_px, projection_offset, view_offset, eyes } = *camera;
+        viewer.add_slave(Slave { viewport_px, projection_offset, view_offset, eyes, ..Slave::new(context) })?;
     }
     Ok(())
 }
