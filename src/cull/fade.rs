@@ -45,28 +45,42 @@ impl FadeBand {
     }
 }
 
-/// How what is below a tile or a Lod fades.
+/// How what is below a tile or a Lod fades; one word, as tile walks hand it down very often.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Fade {
-    pub band: FadeBand,
-    /// Content of a tile above is drawn too, under ADD: what arrives fades in over it.
-    pub covered: bool,
-    /// It is being faded out: nothing is asked for any more.
-    pub leaving: bool,
-}
+pub(super) struct Fade(u32);
 
 impl Fade {
-    pub const NONE: Self = Self { band: FadeBand::FULL, covered: false, leaving: false };
+    pub const NONE: Self = Self::new(FadeBand::FULL, false, false);
+
+    /// Content of a tile above is drawn too where it is `covered`, under ADD: what arrives fades in over it. What is
+    /// `leaving` is being faded out: nothing is asked for any more.
+    pub const fn new(band: FadeBand, covered: bool, leaving: bool) -> Self {
+        Self(band.from as u32 | (band.to as u32) << 8 | (covered as u32) << 16 | (leaving as u32) << 24)
+    }
+
+    pub fn band(self) -> FadeBand {
+        FadeBand { from: self.0 as u8, to: (self.0 >> 8) as u8 }
+    }
+
+    pub fn covered(self) -> bool {
+        self.0 & 1 << 16 != 0
+    }
+
+    pub fn leaving(self) -> bool {
+        self.0 & 1 << 24 != 0
+    }
+
+    pub fn with_band(self, band: FadeBand) -> Self {
+        Self::new(band, self.covered(), self.leaving())
+    }
 }
 
 /// A tile as it was met last.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct TileMark {
     cull: u32,
-    /// Share of the children in its place.
-    refined: u16,
-    /// Share of its own content that has come in.
-    own: u16,
+    /// Share of the children in its place, and share of its own content that has come in.
+    shares: [u16; 2],
 }
 
 /// What a tile draws.
@@ -202,7 +216,7 @@ impl TileMark {
     #[inline(always)]
     pub fn stays(&mut self, step: Step, is_refined: bool, is_resident: bool) -> bool {
         let whole = |is: bool| if is { WHOLE } else { 0 };
-        let stays = self.refined == whole(is_refined) && self.own == whole(is_resident);
+        let stays = self.shares == [whole(is_refined), whole(is_resident)];
         if stays {
             self.cull = step.cull;
         }
@@ -214,19 +228,20 @@ impl TileMark {
     #[cold]
     pub fn turn(&mut self, step: Step, is_refined: bool, can_fade: bool, is_resident: bool, covered: bool) -> Turn {
         let target = if is_refined { WHOLE } else { 0 };
+        let [mut refined, mut own] = self.shares;
         if self.cull != step.cull {
-            self.own = match (is_resident, covered) {
-                (true, true) => self.next(step, self.own, WHOLE),
+            own = match (is_resident, covered) {
+                (true, true) => self.next(step, own, WHOLE),
                 (true, false) => WHOLE,
                 (false, _) => 0,
             };
-            self.refined = self.next(step, self.refined, target);
+            refined = self.next(step, refined, target);
             self.cull = step.cull;
         }
         if !can_fade {
-            self.refined = target;
+            refined = target;
         }
-        let (refined, own) = (self.refined, self.own);
+        self.shares = [refined, own];
         Turn { refined, own, is_fading: (refined > 0 && refined < WHOLE) || (is_resident && own < WHOLE) }
     }
 

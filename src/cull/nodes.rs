@@ -220,11 +220,11 @@ impl Cull<'_> {
         bit: u64,
     ) {
         let above = context.visit.fade;
-        let (new, old) = above.band.split(shares.share);
+        let (new, old) = above.band().split(shares.share);
         let (band, leaving) = match (shares.old & bit != 0, shares.new & bit != 0) {
             (true, true) => return self.scan_nodes(context, nodes.start, nodes.end, mask, matrix),
             (true, false) => (old, true),
-            (false, true) => (new, above.leaving),
+            (false, true) => (new, above.leaving()),
             (false, false) => return,
         };
         if band.is_empty() {
@@ -232,7 +232,7 @@ impl Cull<'_> {
         }
         // The states of the page's chains under another root, until the end of the child.
         let mut below = *context;
-        below.visit.fade = Fade { band, leaving, ..above };
+        below.visit.fade = Fade::new(band, above.covered(), leaving);
         below.visit.state = self.faded_state(context.visit.state, band);
         self.open_page(context.page, below.visit.state);
         self.scan_nodes(&below, nodes.start, nodes.end, mask, matrix);

@@ -152,29 +152,43 @@ impl Planes {
     /// Tests an oriented box (half axes = axes * half) as [`Self::test_sphere`] does.
     #[inline(always)]
     pub fn test_oriented(&self, center: [f32; 3], axes: &[[f32; 3]; 3], half: [f32; 3], mask: u8) -> Option<u8> {
-        let distance = self.x * center[0] + self.y * center[1] + self.z * center[2] + self.w;
         let mut reach = Vec4::ZERO;
         for (axis, half) in axes.iter().zip(half) {
             reach += (self.x * axis[0] + self.y * axis[1] + self.z * axis[2]).abs() * half;
         }
+        self.test_reach(center, mask, reach, |n| {
+            axes.iter().zip(half).map(|(axis, half)| (n.x * axis[0] + n.y * axis[1] + n.z * axis[2]).abs() * half).sum()
+        })
+    }
+
+    /// The same of a box along the axes of the frame.
+    #[inline(always)]
+    pub fn test_aligned(&self, center: [f32; 3], half: [f32; 3], mask: u8) -> Option<u8> {
+        let reach = self.x.abs() * half[0] + self.y.abs() * half[1] + self.z.abs() * half[2];
+        self.test_reach(center, mask, reach, |n| n.x.abs() * half[0] + n.y.abs() * half[1] + n.z.abs() * half[2])
+    }
+
+    /// Tests what reaches so far from its centre towards the sides, and towards another plane.
+    #[inline(always)]
+    fn test_reach(&self, center: [f32; 3], mask: u8, reach: Vec4, reach_along: impl Fn(Vec4) -> f32) -> Option<u8> {
+        let distance = self.x * center[0] + self.y * center[1] + self.z * center[2] + self.w;
         let outside = (distance + reach).cmplt(Vec4::ZERO).bitmask() as u8;
         let inside = distance.cmpgt(reach).bitmask() as u8;
         let mut crossing = mask & !inside;
         if outside & mask != 0 {
             return None;
         }
-        for (bit, n) in [(NEAR, self.near), (FAR, self.far)] {
-            if mask & bit != 0 {
-                let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;
-                let mut reach = 0.0;
-                for (axis, half) in axes.iter().zip(half) {
-                    reach += (n.x * axis[0] + n.y * axis[1] + n.z * axis[2]).abs() * half;
-                }
-                if distance + reach < 0.0 {
-                    return None;
-                }
-                if distance > reach {
-                    crossing &= !bit;
+        if mask & (NEAR | FAR) != 0 {
+            for (bit, n) in [(NEAR, self.near), (FAR, self.far)] {
+                if mask & bit != 0 {
+                    let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;
+                    let reach = reach_along(n);
+                    if distance + reach < 0.0 {
+                        return None;
+                    }
+                    if distance > reach {
+                        crossing &= !bit;
+                    }
                 }
             }
         }

@@ -4,14 +4,16 @@
 //! when all its children are ready, culled ones too, so that no hole can open; until then it is drawn and the walk
 //! goes on below it only to ask for what is missing, all levels in one frame, coarse first.
 
-use glam::{DAffine3, DVec3};
+use std::sync::atomic::Ordering;
+
+use glam::DVec3;
 
 use super::fade::{Fade, Step, TileMark, WHOLE};
 use super::horizon::Horizon;
 use super::planes::Planes;
 use super::stage::PageRequest;
-use super::visitor::{Cull, PageVisit, Purpose, eye_in};
-use crate::scene::{NodeId, Page, TileBounds, TileRecord, UNBOUNDED, flag};
+use super::visitor::{Cull, Hanger, PageVisit, Purpose, Waiting, eye_in};
+use crate::scene::{NodeId, Page, PageId, TileRecord, Tiles, UNBOUNDED, flag};
 
 /// What holds for the tiles up to `end`.
 #[derive(Clone, Copy, Debug)]
@@ -21,8 +23,8 @@ pub(super) struct TileFrame {
     purpose: Purpose,
     /// Culled tiles are kept (and asked for) too: the parent waits for all of them.
     required: bool,
-    /// Squared error in pixels of what is shown while tiles here are missing.
-    shown_px2: f32,
+    /// Error in pixels of what is shown while tiles here are missing.
+    shown_px: f32,
     fade: Fade,
 }
 
@@ -30,172 +32,260 @@ pub(super) struct TileFrame {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TileView {
     transform: u32,
-    eye_from_tile: DAffine3,
+    /// Place of the frame among those that waiting pages hang in.
+    hanger: u32,
     /// Relative to the eye.
     planes: Planes,
     eye: DVec3,
     horizon: Option<Horizon>,
 }
 
+/// What is constant during a walk.
+struct Walk<'a> {
+    page: &'a Page,
+    id: PageId,
+    tiles: &'a Tiles,
+    view: TileView,
+    /// Ranges of a metre of error and of a metre of range.
+    ranges: (f32, f32),
+    max_sse_px: f32,
+    /// Shadows take what is there.
+    asks: bool,
+}
+
+/// A tile that is not culled, or kept all the same.
+#[derive(Clone, Copy)]
+struct Met {
+    tile: u32,
+    record: TileRecord,
+    purpose: Purpose,
+    /// Planes that it crosses.
+    mask: u8,
+}
+
+/// Marks of the page's tiles, and how far fades go on.
+type Fades<'a> = Option<(&'a mut [TileMark], Step)>;
+
 impl Cull<'_> {
     /// Walks one tile tree of a page.
     pub(super) fn scan_tiles(&mut self, page: &Page, visit: &PageVisit, root: usize, mask: u8, purpose: Purpose) {
+        let Some(tile_root) = page.tiles.roots.get(root) else { return };
+        let walk = Walk {
+            page,
+            id: self.scene.page_id_at(visit.place),
+            tiles: &page.tiles,
+            view: self.tile_view(page, visit, tile_root.transform),
+            ranges: (self.view.range_per_error, self.view.range_per_metre),
+            max_sse_px: self.view.max_sse_px,
+            asks: !self.view.casts,
+        };
+        let first = tile_root.tile;
+        let end = first + page.tiles.records[first as usize].skip;
+        let (required, shown_px, fade) = (visit.required, visit.shown_px, visit.fade);
+        let all = TileFrame { end, mask, purpose, required, shown_px, fade };
         let fade_s = self.view.settings.lod_fade_s;
         if fade_s > 0.0 && purpose == Purpose::Draw {
-            let generation = self.scene.page_id_at(visit.place).generation;
-            let mut marks = self.fades.take_tiles(visit.place, generation, page.tiles.len());
+            let mut marks = self.fades.take_tiles(visit.place, walk.id.generation, page.tiles.len());
             let step = self.fades.step(fade_s);
-            self.walk_tiles(page, visit, root, mask, purpose, Some((&mut marks, step)));
+            self.walk_tiles(&walk, first, all, Some((&mut marks, step)));
             self.fades.give_back_tiles(visit.place, marks);
         } else {
-            self.walk_tiles(page, visit, root, mask, purpose, None);
+            self.walk_tiles(&walk, first, all, None);
         }
     }
 
-    fn walk_tiles(
-        &mut self,
-        page: &Page,
-        visit: &PageVisit,
-        root: usize,
-        mask: u8,
-        purpose: Purpose,
-        mut fades: Option<(&mut [TileMark], Step)>,
-    ) {
-        let Some(tile_root) = page.tiles.roots.get(root) else { return };
-        let view = self.tile_view(page, visit, tile_root.transform);
-        let eye_from_tile = view.eye_from_tile;
-        let tiles = &page.tiles;
-        let frame = self.camera.frame;
+    fn walk_tiles(&mut self, walk: &Walk, first: u32, all: TileFrame, mut fades: Fades) {
+        let tiles = walk.tiles;
         let cull_mask = self.view.settings.cull_mask;
-        let has_occluders = !self.occluders.is_empty();
-        // Shadows take what is there.
-        let asks = !self.view.casts;
-        let mut tile = tile_root.tile;
-        let last = tile + tiles.records[tile as usize].skip;
-        let (required, shown_px2, fade) = (visit.required, visit.shown_px2, visit.fade);
-        let mut above = TileFrame { end: last, mask, purpose, required, shown_px2, fade };
+        let may_hide = !walk.page.masks.is_empty() || cull_mask == 0;
+        let may_be_behind = walk.view.horizon.is_some() || !self.occluders.is_empty();
+        let stamp = if walk.asks { self.camera.frame } else { 0 };
+        let (mut tile, mut above) = (first, all);
+        // Counted here: a counter behind `self` is a load and a store for each tile.
+        let mut visited = 0;
         self.tile_stack.clear();
         loop {
             while tile >= above.end {
                 match self.tile_stack.pop() {
                     Some(open) => above = open,
-                    None => return,
+                    None => {
+                        self.counters.tiles_visited += visited;
+                        return;
+                    }
                 }
             }
             let index = tile as usize;
             let record = tiles.records[index];
-            let skip = record.skip;
-            let node_mask = page.masks.get(tiles.nodes[index] as usize).copied().unwrap_or(u32::MAX);
-            let hidden = node_mask & cull_mask == 0;
-            if hidden && !above.required {
-                tile += skip;
-                continue;
-            }
-            if record.has(flag::REQUEST_VOLUME) && !tiles.may_be_requested(tile, view.eye) {
-                tile += skip;
-                continue;
-            }
-            self.counters.tiles_visited += 1;
-            let bounds = &tiles.bounds[index];
-            let offset = bounds.offset_from(view.eye);
+            let next = tile + record.skip;
             // What this camera does not see is kept with its siblings all the same: the parent waits for all of them.
-            let mut purpose = if hidden { Purpose::Keep } else { above.purpose };
-            let mut mask = above.mask;
-            if mask != 0 && purpose != Purpose::Keep {
-                match test(&view.planes, bounds, &record, offset, mask) {
-                    Some(crossing) => mask = crossing,
-                    None if above.required => purpose = Purpose::Keep,
-                    None => {
-                        tile += skip;
-                        continue;
-                    }
-                }
-            }
-            let is_behind = purpose != Purpose::Keep
-                && (view.horizon.as_ref().is_some_and(|h| h.hides(offset, bounds.radius_m))
-                    || (has_occluders && self.hides_tile(bounds, &record, offset)));
-            if is_behind {
+            let mut purpose = above.purpose;
+            if may_hide && walk.is_hidden(index, cull_mask) {
                 if !above.required {
-                    tile += skip;
+                    tile = next;
                     continue;
                 }
                 purpose = Purpose::Keep;
             }
-            if asks {
-                tiles.stamp(index, frame);
+            if record.has(flag::REQUEST_VOLUME) && !tiles.may_be_requested(tile, walk.view.eye) {
+                tile = next;
+                continue;
             }
-            let per = (self.view.range_per_error, self.view.range_per_metre);
-            let (range2, distance2) = tiles.range_and_distance(tile, &record, bounds, offset, view.eye, per);
-            let ready = record.not_ready_children == 0;
-            let fade = above.fade;
-            let missing =
-                record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER) && !fade.leaving;
-            let px2 = self.view.max_sse_px * self.view.max_sse_px;
-            let own_px2 = || px2 * range2 / distance2;
-            // Never as large as what is shown above it: coarse comes first whatever the bounds are.
-            let below_px2 = || own_px2().min(above.shown_px2 * 0.998);
-            if missing && (purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD)) {
-                self.request(page, visit, tile, purpose, above.shown_px2, own_px2());
-            }
-            let mut descend = None;
-            let resident = record.has(flag::RESIDENT);
-            if record.has(flag::PROXY | flag::EXTERNAL) {
-                if resident {
-                    self.enter(page, &eye_from_tile, tile, mask, purpose, above.required, above.shown_px2, fade);
-                }
-                if purpose != Purpose::Keep {
-                    descend = Some((purpose, false, above.shown_px2, fade));
-                }
-            } else if !record.has(flag::CONTENT) {
-                descend = Some((purpose, above.required, above.shown_px2, fade));
-            } else if purpose != Purpose::Keep {
-                let wants = record.has_children() && distance2 < range2;
-                let replaces = !record.has(flag::ADD);
-                if purpose == Purpose::Want {
-                    if wants {
-                        descend = Some((purpose, replaces, below_px2(), fade));
-                    }
-                } else {
-                    // Children in the tile's place; also where it has no content itself.
-                    let gives_way = ready && record.has_children() && (wants || !resident);
-                    let is_refined = if replaces { gives_way } else { wants };
-                    let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
-                    let (mut own, mut below) = (fade.band, fade.band);
-                    if let Some((marks, step)) = &mut fades
-                        && !marks[index].stays(*step, is_refined, resident)
-                    {
-                        let can_fade = !replaces || (resident && ready);
-                        let turn = marks[index].turn(*step, is_refined, can_fade, resident, fade.covered);
-                        self.counters.fading += u32::from(turn.is_fading);
-                        (below, own) = fade.band.split(turn.refined);
-                        own = if replaces { own } else { fade.band }.split(turn.own).0;
-                        (shows_own, shows_children) = (!replaces || turn.refined < WHOLE, turn.refined > 0);
-                    }
-                    if shows_own && resident {
-                        let fade = Fade { band: own, ..fade };
-                        self.enter(page, &eye_from_tile, tile, mask, purpose, false, 0.0, fade);
-                    }
-                    if missing && replaces && !(wants && ready) {
-                        self.request(page, visit, tile, purpose, above.shown_px2, own_px2());
-                    }
-                    let covered = fade.covered || (!replaces && resident);
-                    let leaving = fade.leaving || !is_refined;
-                    if shows_children {
-                        descend = Some((purpose, replaces, below_px2(), Fade { band: below, covered, leaving }));
-                    } else if wants {
-                        descend = Some((Purpose::Want, true, below_px2(), fade));
+            visited += 1;
+            let mut mask = above.mask;
+            if mask != 0 && purpose != Purpose::Keep {
+                match walk.test(index, &record, mask) {
+                    Some(crossing) => mask = crossing,
+                    None if above.required => purpose = Purpose::Keep,
+                    None => {
+                        tile = next;
+                        continue;
                     }
                 }
             }
-            match descend {
-                Some((purpose, required, shown_px2, fade)) if skip > 1 && (asks || purpose == Purpose::Draw) => {
-                    let required = required && asks;
+            if may_be_behind && purpose != Purpose::Keep && self.is_behind(walk, index, &record) {
+                if !above.required {
+                    tile = next;
+                    continue;
+                }
+                purpose = Purpose::Keep;
+            }
+            if stamp != 0 {
+                tiles.last_used[index].store(stamp, Ordering::Relaxed);
+            }
+            let met = Met { tile, record, purpose, mask };
+            let below = if record.flags & (flag::CONTENT | flag::PROXY | flag::EXTERNAL | flag::ADD) == flag::CONTENT {
+                self.meet_plain_tile(walk, met, &above, &mut fades)
+            } else {
+                self.meet_tile(walk, met, &above, &mut fades)
+            };
+            match below {
+                Some(below) if record.has_children() => {
                     self.tile_stack.push(above);
-                    above = TileFrame { end: tile + skip, mask, purpose, required, shown_px2, fade };
+                    above = below;
                     tile += 1;
                 }
-                _ => tile += skip,
+                _ => tile = next,
             }
+        }
+    }
+
+    /// [`Self::meet_tile`] for nearly all tiles: content that its children replace, at once or not at all.
+    #[inline(always)]
+    fn meet_plain_tile(&mut self, walk: &Walk, met: Met, above: &TileFrame, fades: &mut Fades) -> Option<TileFrame> {
+        let Met { tile, record, purpose, .. } = met;
+        let resident = record.has(flag::RESIDENT);
+        if !record.has_children() {
+            if !resident {
+                self.request_missing(walk, met, above);
+            } else if purpose == Purpose::Draw {
+                if !stays(fades, tile, false, resident) {
+                    return self.meet_tile(walk, met, above, fades);
+                }
+                self.draw(walk, met, above.fade);
+            }
+            return None;
+        }
+        if purpose == Purpose::Keep {
+            if !resident {
+                self.request_missing(walk, met, above);
+            }
+            return None;
+        }
+        let (range2, distance2) = walk.range_and_distance(tile, &record);
+        let wants = distance2 < range2;
+        let ready = record.not_ready_children == 0;
+        let is_refined = purpose == Purpose::Draw && ready && (wants || !resident);
+        if purpose == Purpose::Draw && !stays(fades, tile, is_refined, resident) {
+            return self.meet_tile(walk, met, above, fades);
+        }
+        if !resident {
+            if purpose == Purpose::Want || !(wants && ready) {
+                self.request_missing(walk, met, above);
+            }
+        } else if purpose == Purpose::Draw && !is_refined {
+            self.draw(walk, met, above.fade);
+        }
+        let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
+        if is_refined || (wants && walk.asks) {
+            let shown_px = walk.below_px(range2, distance2, above);
+            Some(TileFrame {
+                end: tile + record.skip,
+                mask: met.mask,
+                purpose,
+                required: walk.asks,
+                shown_px,
+                ..*above
+            })
+        } else {
+            None
+        }
+    }
+
+    /// Draws a tile, asks for what it lacks, and says what holds for its children, where they are to be met.
+    #[inline(never)]
+    fn meet_tile(&mut self, walk: &Walk, met: Met, above: &TileFrame, fades: &mut Fades) -> Option<TileFrame> {
+        let Met { tile, record, purpose, mask } = met;
+        let fade = above.fade;
+        let resident = record.has(flag::RESIDENT);
+        let replaces = !record.has(flag::ADD);
+        let below = |purpose, required, shown_px, fade| {
+            let is_met = walk.asks || purpose == Purpose::Draw;
+            let required = required && walk.asks;
+            is_met.then_some(TileFrame { end: tile + record.skip, mask, purpose, required, shown_px, fade })
+        };
+        if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
+            self.request_missing(walk, met, above);
+        }
+        if record.has(flag::PROXY | flag::EXTERNAL) {
+            if resident && record.has(flag::EXTERNAL) {
+                self.enter(walk, met, above.required, above.shown_px, fade);
+            } else if resident && purpose == Purpose::Draw {
+                self.draw(walk, met, fade);
+            }
+            return if purpose == Purpose::Keep { None } else { below(purpose, false, above.shown_px, fade) };
+        }
+        if !record.has(flag::CONTENT) {
+            return below(purpose, above.required, above.shown_px, fade);
+        }
+        if purpose == Purpose::Keep {
+            return None;
+        }
+        let (range2, distance2) = walk.range_and_distance(tile, &record);
+        let wants = record.has_children() && distance2 < range2;
+        let below_px = || walk.below_px(range2, distance2, above);
+        if purpose == Purpose::Want {
+            return if wants { below(purpose, replaces, below_px(), fade) } else { None };
+        }
+        let ready = record.not_ready_children == 0;
+        // Children in the tile's place; also where it has no content itself.
+        let gives_way = ready && record.has_children() && (wants || !resident);
+        let is_refined = if replaces { gives_way } else { wants };
+        let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
+        let (mut own, mut children) = (fade.band(), fade.band());
+        if !stays(fades, tile, is_refined, resident)
+            && let Some((marks, step)) = fades
+        {
+            let can_fade = !replaces || (resident && ready);
+            let turn = marks[tile as usize].turn(*step, is_refined, can_fade, resident, fade.covered());
+            self.counters.fading += u32::from(turn.is_fading);
+            (children, own) = fade.band().split(turn.refined);
+            own = if replaces { own } else { fade.band() }.split(turn.own).0;
+            (shows_own, shows_children) = (!replaces || turn.refined < WHOLE, turn.refined > 0);
+        }
+        if shows_own && resident {
+            self.draw(walk, met, fade.with_band(own));
+        }
+        if replaces && !(wants && ready) {
+            self.request_missing(walk, met, above);
+        }
+        if shows_children {
+            let covered = fade.covered() || (!replaces && resident);
+            let leaving = fade.leaving() || !is_refined;
+            below(Purpose::Draw, replaces, below_px(), Fade::new(children, covered, leaving))
+        } else if wants {
+            below(Purpose::Want, true, below_px(), fade)
+        } else {
+            None
         }
     }
 
@@ -214,95 +304,141 @@ impl Cull<'_> {
                     let world_from_eye = self.view.eye_from_world.inverse();
                     Horizon::new(body, &(world_from_eye * eye_from_tile), world_from_eye.translation)
                 });
-                *self.tile_view.insert(TileView { transform, eye_from_tile, planes, eye, horizon })
+                let hanger = self.hangers.len() as u32;
+                self.hangers.push(Hanger { eye_from_frame: eye_from_tile, page: visit.place, view: self.view.index });
+                *self.tile_view.insert(TileView { transform, hanger, planes, eye, horizon })
             }
         }
     }
 
+    /// True for a tile behind the horizon or in the shadow of an occluder.
+    #[inline]
+    fn is_behind(&mut self, walk: &Walk, tile: usize, record: &TileRecord) -> bool {
+        let bounds = &walk.tiles.bounds[tile];
+        let offset = bounds.offset_from(walk.view.eye);
+        walk.view.horizon.as_ref().is_some_and(|h| h.hides(offset, bounds.radius_m))
+            || (!self.occluders.is_empty() && self.is_in_shadow(walk, tile, record))
+    }
+
     /// True for a tile in the shadow of an occluder.
     #[cold]
-    fn hides_tile(&mut self, bounds: &TileBounds, record: &TileRecord, offset: [f32; 3]) -> bool {
+    fn is_in_shadow(&mut self, walk: &Walk, tile: usize, record: &TileRecord) -> bool {
+        let bounds = &walk.tiles.bounds[tile];
+        let axes = walk.tiles.axes_of(bounds);
         let reach = |p: glam::Vec4| {
             if record.has(flag::SPHERE) {
                 return bounds.radius_m;
             }
             let along = |axis: &[f32; 3]| (p.x * axis[0] + p.y * axis[1] + p.z * axis[2]).abs();
-            bounds.axes.iter().zip(bounds.half_m).map(|(axis, half)| along(axis) * half).sum()
+            axes.iter().zip(bounds.half_m).map(|(axis, half)| along(axis) * half).sum()
         };
+        let offset = bounds.offset_from(walk.view.eye);
         let hidden = bounds.radius_m < UNBOUNDED && self.occluders.hide(self.tile_occluders, offset, reach);
         self.counters.occluded += u32::from(hidden);
         hidden
     }
 
-    #[allow(clippy::too_many_arguments, reason = "a row of the page queue")]
-    fn enter(
-        &mut self,
-        page: &Page,
-        eye_from_tile: &DAffine3,
-        tile: u32,
-        mask: u8,
-        purpose: Purpose,
-        required: bool,
-        shown_px2: f32,
-        fade: Fade,
-    ) {
-        let tiles = &page.tiles;
-        let index = tile as usize;
-        let record = &tiles.records[index];
-        if purpose == Purpose::Draw && !record.has(flag::EXTERNAL) {
-            if fade.band.is_empty() {
-                return;
-            }
+    /// Lets the content of a tile wait for its visit.
+    #[inline(always)]
+    fn draw(&mut self, walk: &Walk, met: Met, fade: Fade) {
+        if !fade.band().is_empty() {
             self.counters.tiles_drawn += 1;
-        } else if purpose != Purpose::Draw && !record.has(flag::EXTERNAL) {
-            return; // plain content: nothing in it to ask for
+            self.enter(walk, met, false, 0.0, fade);
         }
-        let state = self.chain_state(page, tiles.state_paths[index]);
-        let state = self.faded_state(state, fade.band);
-        let view = self.view.index;
-        let content = &tiles.content_transforms[tiles.content_transform_of[index] as usize];
-        self.queue.push(PageVisit {
+    }
+
+    /// Lets what hangs at a tile wait for its visit.
+    #[inline(always)]
+    fn enter(&mut self, walk: &Walk, met: Met, required: bool, shown_px: f32, fade: Fade) {
+        let Met { tile, record, purpose, mask } = met;
+        let state = self.chain_state(walk.page, walk.tiles.state_paths[tile as usize]);
+        let state = self.faded_state(state, fade.band());
+        let hanger = walk.view.hanger;
+        self.queue.push(Waiting {
             place: record.resident,
-            eye_from_page: *eye_from_tile * *content,
+            hanger,
+            tile,
+            state,
+            shown_px,
             mask,
             purpose,
             required,
-            state,
-            view,
-            shown_px2,
             fade,
         });
     }
 
-    fn request(&mut self, page: &Page, visit: &PageVisit, tile: u32, purpose: Purpose, shown_px2: f32, own_px2: f32) {
-        if self.view.casts {
+    /// Asks for the content of a tile, unless it is there or cannot come.
+    #[inline(never)]
+    fn request_missing(&mut self, walk: &Walk, met: Met, above: &TileFrame) {
+        let Met { tile, record, purpose, .. } = met;
+        let may_come = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
+        if !may_come || above.fade.leaving() || !walk.asks {
             return;
         }
-        let slot = NodeId { page: self.scene.page_id_at(visit.place), index: page.tiles.nodes[tile as usize] };
-        // Squares, until the end of the cull: roots are cheaper one after the other.
-        let share = if purpose == Purpose::Keep { KEPT_SHARE * KEPT_SHARE } else { 1.0 };
-        self.stage.requests.push(PageRequest { slot, priority: shown_px2 * share, error_px: own_px2 });
-        self.counters.wanted_missing += 1;
+        let slot = NodeId { page: walk.id, index: walk.tiles.nodes[tile as usize] };
+        let (range2, distance2) = walk.range_and_distance(tile, &record);
+        let share = if purpose == Purpose::Keep { KEPT_SHARE } else { 1.0 };
+        let finite = |px: f32| if px > 0.0 { px.min(MOST_PX) } else { 0.0 };
+        let priority = finite(above.shown_px * share);
+        let error_px = finite(walk.px(range2, distance2));
+        self.stage.requests.push(PageRequest { slot, priority, error_px });
     }
 }
 
+/// True for a tile that is what it is to be.
 #[inline(always)]
-fn test(planes: &Planes, bounds: &TileBounds, record: &TileRecord, offset: [f32; 3], mask: u8) -> Option<u8> {
-    if record.has(flag::SPHERE) {
-        planes.test_sphere(glam::Vec4::new(offset[0], offset[1], offset[2], bounds.radius_m), mask)
-    } else {
-        planes.test_oriented(offset, &bounds.axes, bounds.half_m, mask)
+fn stays(fades: &mut Fades, tile: u32, is_refined: bool, resident: bool) -> bool {
+    match fades {
+        Some((marks, step)) => marks[tile as usize].stays(*step, is_refined, resident),
+        None => true,
+    }
+}
+
+impl Walk<'_> {
+    #[inline]
+    fn is_hidden(&self, tile: usize, cull_mask: u32) -> bool {
+        let mask = self.page.masks.get(self.tiles.nodes[tile] as usize).copied().unwrap_or(u32::MAX);
+        mask & cull_mask == 0
+    }
+
+    #[inline(always)]
+    fn test(&self, tile: usize, record: &TileRecord, mask: u8) -> Option<u8> {
+        let bounds = &self.tiles.bounds[tile];
+        let offset = bounds.offset_from(self.view.eye);
+        if record.has(flag::SPHERE) {
+            self.view.planes.test_sphere(glam::Vec4::new(offset[0], offset[1], offset[2], bounds.radius_m), mask)
+        } else if bounds.is_along_frame() {
+            self.view.planes.test_aligned(offset, bounds.half_m, mask)
+        } else {
+            self.view.planes.test_oriented(offset, self.tiles.axes_of(bounds), bounds.half_m, mask)
+        }
+    }
+
+    /// The error of a tile in pixels.
+    #[inline(always)]
+    fn px(&self, range2: f32, distance2: f32) -> f32 {
+        self.max_sse_px * (range2 / distance2).sqrt()
+    }
+
+    /// The error of what is shown while tiles below are missing: never as large as what is shown above, so that coarse
+    /// comes first whatever the bounds are.
+    #[inline(always)]
+    fn below_px(&self, range2: f32, distance2: f32, above: &TileFrame) -> f32 {
+        let (own, most) = (self.px(range2, distance2), above.shown_px * 0.999);
+        if own < most { own } else { most }
+    }
+
+    /// Squared distance at which a tile wants its children, and squared distance now.
+    #[inline(always)]
+    fn range_and_distance(&self, tile: u32, record: &TileRecord) -> (f32, f32) {
+        let bounds = &self.tiles.bounds[tile as usize];
+        let offset = bounds.offset_from(self.view.eye);
+        self.tiles.range_and_distance(tile, record, bounds, offset, self.view.eye, self.ranges)
     }
 }
 
 /// Priority of tiles outside the frustum, as a share of what it would be inside.
 const KEPT_SHARE: f32 = 0.25;
 
-/// Makes pixels of the squares that the walk left, ordered and finite whatever the input was.
-pub(super) fn finish_requests(requests: &mut [PageRequest]) {
-    let pixels = |px2: f32| if px2.is_nan() { 0.0 } else { px2.clamp(0.0, f32::MAX).sqrt() };
-    for request in requests {
-        request.priority = pixels(request.priority);
-        request.error_px = pixels(request.error_px);
-    }
-}
+/// Errors above it are said to be so large; its square is finite.
+pub(super) const MOST_PX: f32 = 1.8e19;

@@ -12,7 +12,7 @@ use super::sort::Sorter;
 use super::special::MOST_NESTED;
 use super::stage::{CullCounters, RenderLeaf, RenderStage, StageTarget};
 use super::state_graph::{ROOT, StateGraph};
-use super::tiles::{TileFrame, TileView};
+use super::tiles::{MOST_PX, TileFrame, TileView};
 use super::view::{View, clamp};
 use super::{CullCamera, ShadowLight, Stereo};
 use crate::scene::{BLEND, CameraTarget, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene, VIEW};
@@ -29,7 +29,35 @@ pub(super) enum Purpose {
     Keep,
 }
 
-/// A page that waits for its visit.
+/// A page that waits for its visit; small, as tiles leave very many of them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Waiting {
+    /// Place in the scene's page table.
+    pub place: u32,
+    /// Place of the frame that it hangs in.
+    pub hanger: u32,
+    /// The tile of the hanger's page whose content it is.
+    pub tile: u32,
+    /// As in [`PageVisit`].
+    pub state: u32,
+    pub shown_px: f32,
+    pub mask: u8,
+    pub purpose: Purpose,
+    pub required: bool,
+    pub fade: Fade,
+}
+
+/// A frame in which pages hang.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hanger {
+    pub eye_from_frame: DAffine3,
+    /// Place of the page with the tiles; `NONE` for the world.
+    pub page: u32,
+    /// Place of the view in the stage's.
+    pub view: u32,
+}
+
+/// The visit of a page.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PageVisit {
     /// Place in the scene's page table.
@@ -44,8 +72,8 @@ pub(super) struct PageVisit {
     pub state: u32,
     /// Place of the view in the stage's.
     pub view: u32,
-    /// Squared error in pixels of what is shown while the page's top tiles are missing.
-    pub shown_px2: f32,
+    /// Error in pixels of what is shown while the page's top tiles are missing.
+    pub shown_px: f32,
     pub fade: Fade,
 }
 
@@ -94,7 +122,8 @@ pub(super) struct PageContext<'a> {
 /// Culls scenes; owns the memory that is reused from frame to frame. One per thread that culls.
 #[derive(Debug, Default)]
 pub struct CullVisitor {
-    pub(super) queue: Vec<PageVisit>,
+    pub(super) queue: Vec<Waiting>,
+    pub(super) hangers: Vec<Hanger>,
     pub(super) node_stack: Vec<super::nodes::Open>,
     pub(super) tile_stack: Vec<TileFrame>,
     /// Place in the stage of each chain of the current page that has leaves, or `NONE`.
@@ -114,6 +143,8 @@ pub struct CullVisitor {
     /// The eye that is culled for.
     eye: usize,
     visits_all: bool,
+    /// Only the pages that hang at the scene's root are visited.
+    walks_only: bool,
     /// Changes near and far of the outermost stage when its settings have them computed.
     pub clamp_projection: Option<ClampProjection>,
     /// State above all roots; OSG's state set of a camera.
@@ -128,7 +159,8 @@ pub(super) struct Cull<'a> {
     pub scene: &'a Scene,
     pub camera: &'a CullCamera,
     pub stage: &'a mut RenderStage,
-    pub queue: &'a mut Vec<PageVisit>,
+    pub queue: &'a mut Vec<Waiting>,
+    pub hangers: &'a mut Vec<Hanger>,
     pub node_stack: &'a mut Vec<super::nodes::Open>,
     pub tile_stack: &'a mut Vec<TileFrame>,
     pub memo: &'a mut Vec<u32>,
@@ -153,6 +185,8 @@ pub(super) struct Cull<'a> {
     pub counters: CullCounters,
     /// Subtrees are taken as ranges where they are wholly inside, unless small features or occluders are looked for.
     pub takes_ranges: bool,
+    /// Pages of the queue that are visited.
+    pub most_pages: usize,
 }
 
 impl CullVisitor {
@@ -166,6 +200,12 @@ impl CullVisitor {
     #[doc(hidden)]
     pub fn visiting_all() -> Self {
         Self { visits_all: true, ..Self::default() }
+    }
+
+    /// A visitor that leaves out what tiles draw, so that the walk of a tile tree can be timed by itself.
+    #[doc(hidden)]
+    pub fn walking_tiles() -> Self {
+        Self { walks_only: true, ..Self::default() }
     }
 
     /// Culls a scene for a camera: clears and refills the stage, and makes the stages of the cameras met. Allocates
@@ -244,6 +284,7 @@ impl CullVisitor {
         self.graph.start_stage();
         self.leaves.clear();
         self.queue.clear();
+        self.hangers.clear();
         self.views.clear();
         self.views.push(view);
         self.occluders.clear();
@@ -256,6 +297,7 @@ impl CullVisitor {
             camera,
             stage,
             queue: &mut self.queue,
+            hangers: &mut self.hangers,
             node_stack: &mut self.node_stack,
             tile_stack: &mut self.tile_stack,
             memo: &mut self.memo,
@@ -275,6 +317,7 @@ impl CullVisitor {
             tile_view: None,
             counters: CullCounters::default(),
             takes_ranges: !self.visits_all && self.occluders.is_empty(),
+            most_pages: if self.walks_only { scene.roots().len() } else { usize::MAX },
         };
         cull.run(met, clamp_projection);
     }
@@ -344,16 +387,17 @@ impl<'a> Cull<'a> {
     fn run(&mut self, met: Option<&DeferredCamera>, clamp_projection: Option<ClampProjection>) {
         match met {
             None => {
+                self.hangers.push(Hanger { eye_from_frame: self.view.eye_from_world, page: NONE, view: 0 });
                 for root in self.scene.roots() {
-                    self.queue.push(PageVisit {
+                    self.queue.push(Waiting {
                         place: root.slot,
-                        eye_from_page: self.view.eye_from_world,
+                        hanger: 0,
+                        tile: 0,
+                        state: self.root_state,
+                        shown_px: MOST_PX,
                         mask: self.view.planes.mask,
                         purpose: Purpose::Draw,
                         required: false,
-                        state: self.root_state,
-                        view: 0,
-                        shown_px2: f32::MAX,
                         fade: Fade::NONE,
                     });
                 }
@@ -361,12 +405,12 @@ impl<'a> Cull<'a> {
             Some(met) => self.visit_camera(met),
         }
         let mut next = 0;
-        while let Some(visit) = self.queue.get(next).copied() {
+        while let Some(waiting) = self.queue.get(next).copied().filter(|_| next < self.most_pages) {
             next += 1;
-            self.visit_page(visit);
+            self.visit_page(&waiting);
         }
         self.stage.state_sets.truncate(self.stage.view_of_state.len());
-        super::tiles::finish_requests(&mut self.stage.requests);
+        self.counters.wanted_missing = self.stage.requests.len() as u32;
         self.counters.leaves = self.leaves.len() as u32;
         self.stage.counters = self.counters;
         let DepthRange { near, far } = self.range;
@@ -398,9 +442,16 @@ impl<'a> Cull<'a> {
         self.linear_rows.0 = NONE;
     }
 
-    fn visit_page(&mut self, visit: PageVisit) {
+    fn visit_page(&mut self, waiting: &Waiting) {
         let scene = self.scene;
-        let Some(page) = scene.page_at(visit.place) else { return };
+        let Some(page) = scene.page_at(waiting.place) else { return };
+        let &Waiting { place, state, shown_px, mask, purpose, required, fade, .. } = waiting;
+        let Hanger { eye_from_frame, page: holder, view } = self.hangers[waiting.hanger as usize];
+        let eye_from_page = match scene.page_at(holder) {
+            Some(holder) => eye_from_frame * holder.tiles.content_transform(waiting.tile as usize),
+            None => eye_from_frame,
+        };
+        let visit = PageVisit { place, eye_from_page, mask, purpose, required, state, view, shown_px, fade };
         if visit.view != self.view.index {
             self.view = self.views[visit.view as usize];
         }
@@ -487,10 +538,13 @@ impl<'a> Cull<'a> {
     }
 
     /// A state, drawn in a part of the pixels.
+    #[inline(always)]
     pub(super) fn faded_state(&mut self, state: u32, band: FadeBand) -> u32 {
-        if band.is_full() {
-            return state;
-        }
+        if band.is_full() { state } else { self.find_faded_state(state, band) }
+    }
+
+    #[cold]
+    fn find_faded_state(&mut self, state: u32, band: FadeBand) -> u32 {
         let fades = &mut self.stage.fades;
         let place = fades.iter().position(|b| *b == band).unwrap_or_else(|| {
             fades.push(band);
@@ -500,7 +554,16 @@ impl<'a> Cull<'a> {
     }
 
     /// The state below one of the page's chains, whether or not it has leaves.
+    #[inline(always)]
     pub(super) fn chain_state(&mut self, page: &Page, path: u32) -> u32 {
+        match self.chains.get(path as usize) {
+            Some(&state) if state != NONE => state,
+            _ => self.find_chain(page, path),
+        }
+    }
+
+    #[cold]
+    fn find_chain(&mut self, page: &Page, path: u32) -> u32 {
         // Up to the first chain that is known, one step down, again; chains are as deep as the graph at most.
         loop {
             let mut at = path;

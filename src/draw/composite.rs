@@ -1,7 +1,8 @@
 //! Puts the pictures of two eyes together. Draw thread.
 
 use crate::cull::StereoMode;
-use crate::draw::pipelines::TargetKey;
+use crate::draw::pipelines::TargetFormats;
+use crate::gpu::GraphicsContext;
 
 const COMPOSITE_WGSL: &str = include_str!("shaders/composite.wgsl");
 
@@ -10,7 +11,7 @@ pub(super) struct Composite {
     module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
     uniforms: wgpu::Buffer,
-    pipelines: Vec<(TargetKey, wgpu::RenderPipeline)>,
+    pipelines: Vec<(TargetFormats, wgpu::RenderPipeline)>,
 }
 
 /// The number of a mode in composite.wgsl.
@@ -65,15 +66,9 @@ impl Composite {
     }
 
     /// Makes the pipeline for a target unless it is there, and says what to do.
-    pub(super) fn prepare(
-        &mut self,
-        device: &wgpu::Device,
-        queue: &wgpu::Queue,
-        target: &TargetKey,
-        mode: StereoMode,
-        gap_px: u32,
-    ) {
-        queue.write_buffer(&self.uniforms, 0, bytemuck::cast_slice(&[code(mode), gap_px, 0, 0]));
+    pub(super) fn prepare(&mut self, ctx: &GraphicsContext, target: &TargetFormats, mode: StereoMode, gap_px: u32) {
+        let device = ctx.device();
+        ctx.queue().write_buffer(&self.uniforms, 0, bytemuck::cast_slice(&[code(mode), gap_px, 0, 0]));
         if self.pipelines.iter().any(|(key, _)| key == target) {
             return;
         }
@@ -110,7 +105,7 @@ impl Composite {
                 targets: &states[..1],
             }),
             multiview_mask: None,
-            cache: None,
+            cache: ctx.pipeline_cache(),
         });
         self.pipelines.push((*target, pipeline));
     }
@@ -120,7 +115,7 @@ impl Composite {
         &self,
         device: &wgpu::Device,
         pass: &mut wgpu::RenderPass<'_>,
-        target: &TargetKey,
+        target: &TargetFormats,
         [left, right]: [&wgpu::TextureView; 2],
     ) {
         let Some((_, pipeline)) = self.pipelines.iter().find(|(key, _)| key == target) else { return };

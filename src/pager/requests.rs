@@ -134,8 +134,11 @@ impl DatabasePager {
         }
         waiting.allowed = self.allowed_in_flight(list.capacity);
         self.full = waiting.allowed == 0 && !jobs.is_empty();
+        let is_news = waiting.len() > 0 || !waiting.abort.is_empty();
         drop(waiting);
-        list.ring();
+        if is_news {
+            list.ring();
+        }
     }
 
     /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.

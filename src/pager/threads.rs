@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
+use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 use super::config::{PagerConfig, PagerError};
 #[cfg(feature = "http")]
@@ -80,10 +81,14 @@ impl Threads {
                     cache.forget(_uri);
                 }
             };
-            threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options, &forget))?;
+            threads.spawn(format!("pager-decode-{i}"), move || {
+                yield_to_frames();
+                decode(&loaded, &sender, &options, &forget);
+            })?;
         }
         let sharing = options.sharing.clone();
         threads.spawn("pager-reaper".to_owned(), move || {
+            yield_to_frames();
             for (count, page) in doomed.into_iter().enumerate() {
                 let _span = timeline::span("drop page");
                 drop(page);
@@ -121,6 +126,16 @@ impl Drop for Threads {
                 log::error!("a pager thread panicked");
             }
         }
+    }
+}
+
+/// Lets the calling thread have a core only while no frame wants it: there is one decode thread for each core.
+pub(super) fn yield_to_frames() {
+    // Nice 9 where there is niceness: a tenth of the weight of a thread that draws.
+    let below_normal = ThreadPriorityValue::try_from(25u8).map(ThreadPriority::Crossplatform);
+    let lowered = below_normal.map(thread_priority::set_current_thread_priority);
+    if !matches!(lowered, Ok(Ok(()))) {
+        log::debug!("the priority of {:?} could not be lowered: {lowered:?}", std::thread::current().name());
     }
 }
 

@@ -30,7 +30,9 @@ pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMAL
 pub use draw_kinds::DrawKind;
 pub use error::SceneError;
 pub use flatten::MAX_DEPTH;
-pub use geometry::{AlphaMode, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology};
+pub use geometry::{
+    AlphaMode, CustomGeometry, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology,
+};
 pub use graph::Scene;
 pub use id::{NodeId, PageId};
 pub use intersect::{
@@ -56,4 +58,4 @@ pub use crate::state::DataVariance;
 pub(crate) use draw_kinds::SMALL_MESH_INDICES;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use shared::{SharedContent, SharedParts};
-pub(crate) use tiles::{TileBounds, TileRecord, flag};
+pub(crate) use tiles::{TileRecord, Tiles, flag};

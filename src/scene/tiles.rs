@@ -1,7 +1,7 @@
 //! The tile trees of a page: bounds, content slots and readiness, as flat depth-first arrays.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::AtomicU32;
 
 use glam::{DAffine3, DMat3, DVec3};
 
@@ -56,19 +56,25 @@ impl TileRecord {
     }
 }
 
-/// Declared volume in the tile frame. The centre is f64 so that the offset from the eye keeps its precision at
+/// Declared volume in the tile frame, 48 bytes. The centre is f64 so that the offset from the eye keeps its precision at
 /// planetary coordinates; everything else is small and f32.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TileBounds {
     pub center: [f64; 3],
-    /// Unit axes of the box.
-    pub axes: [[f32; 3]; 3],
     /// Half length along each axis, metres.
     pub half_m: [f32; 3],
     pub radius_m: f32,
     /// Geometric error or range in metres.
     pub metric_m: f32,
+    /// Index of the box's axes in [`Tiles::axes`].
+    pub axes: u32,
 }
+
+/// Unit axes of a box.
+pub(crate) type BoxAxes = [[f32; 3]; 3];
+
+/// Axes of boxes along the frame's own: index 0 of [`Tiles::axes`], mostly of all tiles of a map in a plane.
+const ALONG_FRAME: BoxAxes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 impl TileBounds {
     /// Offset of the centre from the eye; the subtraction is f64.
@@ -77,6 +83,12 @@ impl TileBounds {
         let [x, y, z] = self.center;
         [(x - eye.x) as f32, (y - eye.y) as f32, (z - eye.z) as f32]
     }
+
+    /// The box lies along the axes of the frame.
+    #[inline(always)]
+    pub fn is_along_frame(&self) -> bool {
+        self.axes == 0
+    }
 }
 
 /// Tiles of a page.
@@ -84,6 +96,8 @@ impl TileBounds {
 pub(crate) struct Tiles {
     pub records: Vec<TileRecord>,
     pub bounds: Vec<TileBounds>,
+    /// Axes of boxes, each once in a row; empty without tiles.
+    pub axes: Vec<BoxAxes>,
     /// Frame in which the tile was last wanted; stored by cull through a shared reference (relaxed: a stamp
     /// carries no other data), read by update.
     pub last_used: Vec<AtomicU32>,
@@ -148,16 +162,8 @@ impl Tiles {
         }
         let sphere = tile.bounds.bounding_sphere();
         let oriented_box = tile.bounds.oriented_box();
-        self.push(
-            parent,
-            node,
-            state_path,
-            flags,
-            bounds_of(&sphere, oriented_box.as_ref(), metric),
-            tile.content_transform,
-            tile.content,
-            tile.reader_data,
-        );
+        let bounds = self.bounds_of(&sphere, oriented_box.as_ref(), metric);
+        self.push(parent, node, state_path, flags, bounds, tile.content_transform, tile.content, tile.reader_data);
         sphere
     }
 
@@ -166,7 +172,7 @@ impl Tiles {
         if proxy.loading == ProxyLoading::Never {
             flags |= flag::NEVER;
         }
-        let bounds = bounds_of(&proxy.bounds, None, 0.0);
+        let bounds = self.bounds_of(&proxy.bounds, None, 0.0);
         let sphere = proxy.bounds;
         self.push(parent, node, state_path, flags, bounds, proxy.content_transform, Some(proxy.uri), None);
         sphere
@@ -207,6 +213,49 @@ impl Tiles {
         self.reader_data.push(reader_data);
     }
 
+    /// Bounds as cull reads them. A sphere has no half lengths; what is NaN or infinite becomes unbounded: always
+    /// visible, at distance 0.
+    fn bounds_of(&mut self, sphere: &BoundingSphere, oriented_box: Option<&OrientedBox>, metric_m: f64) -> TileBounds {
+        let metric_m = if metric_m > 0.0 { metric_m as f32 } else { 0.0 };
+        let mut bounds = TileBounds { center: [0.0; 3], half_m: [0.0; 3], radius_m: UNBOUNDED, metric_m, axes: 0 };
+        let usable = sphere.center.is_finite() && sphere.radius_m >= 0.0 && sphere.radius_m < f64::from(UNBOUNDED);
+        if !usable {
+            return bounds;
+        }
+        bounds.center = sphere.center.to_array();
+        bounds.radius_m = round_up(sphere.radius_m);
+        if let Some(b) = oriented_box {
+            let (axes, half) = unit_axes(&b.half_axes);
+            bounds.center = b.center.to_array();
+            bounds.axes = self.index_of(axes.map(|a| a.as_vec3().to_array()));
+            bounds.half_m = half.map(round_up);
+            // Around the box's own centre; a region's sphere has another.
+            bounds.radius_m = round_up(DVec3::from_array(half).length());
+        }
+        bounds
+    }
+
+    /// The index of a box's axes; those of the tile before and of the frame are found again.
+    fn index_of(&mut self, axes: BoxAxes) -> u32 {
+        if self.axes.is_empty() {
+            self.axes.push(ALONG_FRAME);
+        }
+        // A box has no direction along an axis.
+        if axes.iter().zip(&ALONG_FRAME).all(|(axis, own)| axis.map(f32::abs) == *own) {
+            return 0;
+        }
+        if self.axes.last() != Some(&axes) {
+            self.axes.push(axes);
+        }
+        self.axes.len() as u32 - 1
+    }
+
+    /// The axes of a tile's box.
+    #[inline(always)]
+    pub fn axes_of(&self, bounds: &TileBounds) -> &BoxAxes {
+        self.axes.get(bounds.axes as usize).unwrap_or(&ALONG_FRAME)
+    }
+
     /// Counts what is not ready, leaves first. Called once, when nothing is resident.
     pub fn count_readiness(&mut self) {
         for i in (0..self.records.len()).rev() {
@@ -235,13 +284,6 @@ impl Tiles {
     pub fn content_transform(&self, tile: usize) -> DAffine3 {
         let place = self.content_transform_of.get(tile).map(|of| *of as usize);
         place.and_then(|place| self.content_transforms.get(place)).copied().unwrap_or_default()
-    }
-
-    /// Marks a tile as used in a frame. Any thread that culls.
-    pub fn stamp(&self, tile: usize, frame: u32) {
-        if let (Some(stamp), 1..) = (self.last_used.get(tile), frame) {
-            stamp.store(frame, Ordering::Relaxed);
-        }
     }
 
     /// How the pager treats a tile.
@@ -280,13 +322,18 @@ impl Tiles {
             let outside = ((x * x + y * y + z * z).sqrt() - bounds.radius_m).max(0.0);
             (bounds.metric_m * per.0, outside * outside)
         } else {
-            let mut distance2 = 0.0;
-            for (axis, half) in bounds.axes.iter().zip(bounds.half_m) {
-                let along = offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2];
-                let outside = (along.abs() - half).max(0.0);
-                distance2 += outside * outside;
-            }
-            (bounds.metric_m * per.0, distance2)
+            let along = if bounds.is_along_frame() {
+                offset
+            } else {
+                let along = |axis: [f32; 3]| offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2];
+                self.axes_of(bounds).map(along)
+            };
+            let outside = |i: usize| {
+                let outside = along[i].abs() - bounds.half_m[i];
+                if outside > 0.0 { outside } else { 0.0 }
+            };
+            let [x, y, z] = [outside(0), outside(1), outside(2)];
+            (bounds.metric_m * per.0, x * x + y * y + z * z)
         };
         (range * range, distance2.max(1.0e-14))
     }
@@ -300,36 +347,9 @@ impl Tiles {
 
     pub fn size_bytes(&self) -> u64 {
         let row = size_of::<TileRecord>() + size_of::<TileBounds>() + 7 * 4 + 2 * size_of::<Option<Arc<str>>>();
-        (self.records.len() * row + self.content_transforms.len() * size_of::<DAffine3>()) as u64 + self.text_bytes
+        let shared = self.content_transforms.len() * size_of::<DAffine3>() + self.axes.len() * size_of::<BoxAxes>();
+        (self.records.len() * row + shared) as u64 + self.text_bytes
     }
-}
-
-/// Bounds as cull reads them. A sphere has no half lengths; what is NaN or infinite becomes unbounded: always
-/// visible, at distance 0.
-fn bounds_of(sphere: &BoundingSphere, oriented_box: Option<&OrientedBox>, metric_m: f64) -> TileBounds {
-    let metric_m = if metric_m > 0.0 { metric_m as f32 } else { 0.0 };
-    let mut bounds = TileBounds {
-        center: [0.0; 3],
-        axes: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        half_m: [0.0; 3],
-        radius_m: UNBOUNDED,
-        metric_m,
-    };
-    let usable = sphere.center.is_finite() && sphere.radius_m >= 0.0 && sphere.radius_m < f64::from(UNBOUNDED);
-    if !usable {
-        return bounds;
-    }
-    bounds.center = sphere.center.to_array();
-    bounds.radius_m = round_up(sphere.radius_m);
-    if let Some(b) = oriented_box {
-        let (axes, half) = unit_axes(&b.half_axes);
-        bounds.center = b.center.to_array();
-        bounds.axes = axes.map(|a| a.as_vec3().to_array());
-        bounds.half_m = half.map(round_up);
-        // Around the box's own centre; a region's sphere has another.
-        bounds.radius_m = round_up(DVec3::from_array(half).length());
-    }
-    bounds
 }
 
 /// The next f32 above a length, so that rounding never makes a volume smaller.

@@ -130,7 +130,7 @@ impl Scene {
             }
             DMat3::from_diagonal(DVec3::splat(bounds.radius_m.into()))
         } else {
-            let [x, y, z] = bounds.axes.map(|axis| Vec3::from_array(axis).as_dvec3());
+            let [x, y, z] = page.tiles.axes_of(bounds).map(|axis| Vec3::from_array(axis).as_dvec3());
             let half = Vec3::from_array(bounds.half_m).as_dvec3();
             DMat3::from_cols(x * half.x, y * half.y, z * half.z)
         };

@@ -251,7 +251,7 @@ pub(super) fn root_volume(page: &Page) -> Option<BoundingVolume> {
     Some(if record.has(flag::SPHERE) {
         BoundingVolume::Sphere(BoundingSphere::new(center, bounds.radius_m.into()).transformed(&page_from_tile))
     } else {
-        let [x, y, z] = bounds.axes.map(|axis| Vec3::from_array(axis).as_dvec3());
+        let [x, y, z] = page.tiles.axes_of(bounds).map(|axis| Vec3::from_array(axis).as_dvec3());
         let half = Vec3::from_array(bounds.half_m).as_dvec3();
         let half_axes = DMat3::from_cols(x * half.x, y * half.y, z * half.z);
         BoundingVolume::Box(OrientedBox { center, half_axes }.transformed(&page_from_tile))

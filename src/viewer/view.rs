@@ -61,12 +61,16 @@ pub(super) struct Place {
     /// Number of the camera.
     pub(super) camera: u32,
     pub(super) context: u32,
+    /// Number of the context's device, by which slots are known.
+    pub(super) device: u32,
     pub(super) viewport_px: Option<[u32; 4]>,
 }
 
 struct SlaveCamera {
     /// Number of the camera.
     camera: u32,
+    /// Number of its context's device.
+    device: u32,
     /// Of its picture.
     size_px: [u32; 2],
     slave: Slave,
@@ -154,8 +158,9 @@ impl View {
     }
 
     /// Adds a slave whose camera was made.
-    pub(super) fn push_slave(&mut self, camera: u32, slave: Slave) -> SlaveId {
-        self.slaves.push(SlaveCamera { camera, size_px: self.size_px, slave });
+    pub(super) fn push_slave(&mut self, place: Place, slave: Slave) -> SlaveId {
+        let Place { camera, device, .. } = place;
+        self.slaves.push(SlaveCamera { camera, device, size_px: self.size_px, slave });
         SlaveId(camera)
     }
 
@@ -230,20 +235,20 @@ impl View {
         requests: Vec<PageRequest>,
     ) -> Option<CullTask> {
         let horizon = paged.bounds.as_ref().and_then(SetBounds::body);
-        let master = |context| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, context) };
+        let master = |device| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, device) };
         let lens = Lens { camera: self.camera, size_px: self.size_px, offset: DMat4::IDENTITY };
         let (camera, lens, stereo, viewport_px) = match self.master.filter(|place| place.camera == camera) {
             Some(place) => {
                 let stereo = if place.viewport_px.is_none() { self.stereo.zip(self.eyes.clone()) } else { None };
-                (master(place.context), lens, stereo, place.viewport_px)
+                (master(place.device), lens, stereo, place.viewport_px)
             }
             None => {
-                let SlaveCamera { size_px, slave, .. } = self.slaves.iter().find(|s| s.camera == camera)?;
+                let SlaveCamera { size_px, slave, device, .. } = self.slaves.iter().find(|s| s.camera == camera)?;
                 let offset = slave.projection_offset;
                 let lens = Lens { offset: if offset.is_finite() { offset } else { DMat4::IDENTITY }, ..lens };
                 let of_view = slave.view_offset;
                 let of_view = if of_view.is_finite() { of_view } else { DAffine3::IDENTITY };
-                let above = master(slave.context.0);
+                let above = master(*device);
                 let camera = CullCamera {
                     eye_from_world: of_view * above.eye_from_world,
                     clip_from_eye: lens.clip_from_eye(self.camera.min_near_m),

@@ -42,6 +42,8 @@ pub struct SlaveWindow {
     pub size_px: [u32; 2],
     /// Its upper left corner on the screen; `None`: where the system puts it.
     pub position_px: Option<[i32; 2]>,
+    /// It has the first window's device: see [`Viewer::open_window_on`].
+    pub shares_device: bool,
     /// Of its camera; see [`Slave::projection_offset`].
     pub projection_offset: DMat4,
     /// Of its camera; see [`Slave::view_offset`].
@@ -206,6 +208,7 @@ impl App {
         let is_press = match event {
             WindowEvent::MouseInput { state, .. } => state.is_pressed(),
             WindowEvent::MouseWheel { .. } => true,
+            WindowEvent::Touch(touch) => touch.phase == winit::event::TouchPhase::Started,
             _ => false,
         };
         if !(taken && is_press) {
@@ -282,7 +285,11 @@ fn open_slave(
     let window = Arc::new(window);
     let size = window.inner_size();
     let traits = ContextTraits { size_px: [size.width.max(1), size.height.max(1)], ..config.traits() };
-    let context = viewer.open_context(GraphicsContext::new_window(Arc::clone(&window), &traits)?)?;
+    let first = viewer.contexts().next().filter(|_| slave.shares_device);
+    let context = match first {
+        Some(first) => viewer.open_window_on(first, Arc::clone(&window), &traits)?,
+        None => viewer.open_context(GraphicsContext::new_window(Arc::clone(&window), &traits)?)?,
+    };
     let SlaveWindow { projection_offset, view_offset, .. } = slave;
     viewer.add_slave(Slave { projection_offset, view_offset, ..Slave::new(context) })?;
     Ok((window, context))

@@ -1,7 +1,7 @@
 //! Pipelines made before they are needed: when a page has arrived and its drawables are about to be uploaded.
 
 use crate::draw::pipelines::key::{PipelineKey, Shading};
-use crate::draw::pipelines::{MOST_COLORS, TargetKey};
+use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
 use crate::draw::renderer::Renderer;
 use crate::gpu::GraphicsContext;
 use crate::scene::{DrawKind, Topology};
@@ -50,7 +50,7 @@ impl Renderer {
 
     fn own_target(&mut self, ctx: &GraphicsContext) -> Option<u8> {
         let depth = self.targets.depth_format();
-        let mut key = TargetKey { colors: [None; MOST_COLORS], depth, samples: ctx.samples(), writes_alpha: false };
+        let mut key = TargetFormats { colors: [None; MOST_COLORS], depth, samples: ctx.samples(), keeps_alpha: false };
         key.colors[0] = Some(ctx.color_format());
         self.pipelines.target(&key)
     }

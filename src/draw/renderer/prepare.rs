@@ -24,7 +24,9 @@ impl Renderer {
         self.batch.start_frame();
         self.groups.start_frame();
         self.statics.clear();
-        self.drawn_into.clear();
+        if ctx.is_first_face() {
+            self.drawn_into.clear();
+        }
         self.plans.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
@@ -276,7 +278,7 @@ impl Renderer {
         let mode = stage.stereo?;
         let key = *self.pipelines.target_key(target.index)?;
         let composite = self.composite.get_or_insert_with(|| Composite::new(ctx.device()));
-        composite.prepare(ctx.device(), ctx.queue(), &key, mode, stage.stereo_gap_px);
+        composite.prepare(ctx, &key, mode, stage.stereo_gap_px);
         let eye = |of: &RenderStage| Some(of.target.camera.as_ref()?.colors.first()?.texture.clone());
         Some([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?])
     }

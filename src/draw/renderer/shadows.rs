@@ -9,7 +9,7 @@ use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
 use crate::draw::environment::Environment;
 use crate::draw::pipelines::key::{Shading, StateKey};
-use crate::draw::pipelines::{MOST_COLORS, TargetKey};
+use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
 use crate::draw::plan::{PassTarget, StagePlan};
 use crate::draw::shadow_maps::FORMAT;
 use crate::draw::state::{Dynamics, State, Statics};
@@ -70,7 +70,7 @@ impl Renderer {
         target: &PassTarget,
         positioned: u32,
     ) -> (CasterPlan, usize) {
-        let key = TargetKey { colors: [None; MOST_COLORS], depth: FORMAT, samples: 1, writes_alpha: false };
+        let key = TargetFormats { colors: [None; MOST_COLORS], depth: FORMAT, samples: 1, keeps_alpha: false };
         let Some(into) = self.pipelines.target(&key) else { return Default::default() };
         let size_px = stage.shadows.settings.resolution_px;
         let mut plan =

@@ -165,8 +165,7 @@ impl Piece {
     fn sphere(&self) -> BoundingSphere {
         let local = match &self.surface {
             PieceSurface::Tree(tree) => tree.bounding_sphere(),
-            PieceSurface::Payload(Geometry::Mesh(mesh)) => mesh.bounds.bounding_sphere(),
-            PieceSurface::Payload(Geometry::Height(tile)) => tile.bounds.bounding_sphere(),
+            PieceSurface::Payload(geometry) => geometry.bounds().bounding_sphere(),
         };
         local.transformed(&self.world_from_drawable)
     }

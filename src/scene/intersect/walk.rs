@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::visitor::{EyePoint, LodSelection};
 use crate::scene::page::{NONE, Page, Special, UNBOUNDED, kind};
-use crate::scene::tiles::{TileBounds, TileRecord, flag};
+use crate::scene::tiles::{TileBounds, TileRecord, Tiles, flag};
 use crate::scene::{CameraNode, INACTIVE, ReferenceFrame, Scene};
 
 /// A shape in the world that can be moved into other frames.
@@ -247,7 +247,7 @@ impl<P: Probe> Walk<'_, P> {
             let hidden = here.page.masks.get(tiles.nodes[index] as usize).is_some_and(|m| m & self.rules.mask == 0);
             let outside_request =
                 record.has(flag::REQUEST_VOLUME) && eye.is_some_and(|eye| !tiles.may_be_requested(tile, eye));
-            if hidden || outside_request || !enters_tile::<P>(&local, bounds, record) {
+            if hidden || outside_request || !enters_tile::<P>(&local, tiles, bounds, record) {
                 tile += record.skip;
                 continue;
             }
@@ -274,13 +274,7 @@ impl<P: Probe> Walk<'_, P> {
         }
     }
 
-    fn wants_children(
-        &self,
-        tiles: &crate::scene::tiles::Tiles,
-        tile: u32,
-        eye_in_tile: Option<DVec3>,
-        base_depth: u32,
-    ) -> bool {
+    fn wants_children(&self, tiles: &Tiles, tile: u32, eye_in_tile: Option<DVec3>, base_depth: u32) -> bool {
         let record = &tiles.records[tile as usize];
         match (self.rules.lods, self.rules.eye, eye_in_tile) {
             (LodSelection::Level(level), ..) => base_depth + u32::from(record.depth) < level,
@@ -296,7 +290,7 @@ impl<P: Probe> Walk<'_, P> {
     }
 }
 
-fn enters_tile<P: Probe>(local: &P::Local, bounds: &TileBounds, record: &TileRecord) -> bool {
+fn enters_tile<P: Probe>(local: &P::Local, tiles: &Tiles, bounds: &TileBounds, record: &TileRecord) -> bool {
     let center = DVec3::from_array(bounds.center);
     if bounds.radius_m >= UNBOUNDED {
         return true;
@@ -304,7 +298,7 @@ fn enters_tile<P: Probe>(local: &P::Local, bounds: &TileBounds, record: &TileRec
     if record.has(flag::SPHERE) {
         return P::enters_sphere(local, center, bounds.radius_m.into()).is_some();
     }
-    let axes = bounds.axes.map(|axis| DVec3::from_array(axis.map(f64::from)));
+    let axes = tiles.axes_of(bounds).map(|axis| DVec3::from_array(axis.map(f64::from)));
     let half = DVec3::from_array(bounds.half_m.map(f64::from));
     // The axes are f32: at the ends of a long box off by this much.
     let half = half + half.max_element() * f64::from(f32::EPSILON);
