@@ -96,6 +96,16 @@ fn flies_as_another_process() {
     }
 }
 
+/// Of the process that flies.
+#[derive(Clone, Copy)]
+enum Privileges {
+    Own,
+    /// It may mount what only it sees.
+    Mounts,
+    /// Permissions hold for it, whoever runs the tests.
+    None,
+}
+
 struct Flown {
     tiles: u32,
     write_errors: u64,
@@ -105,22 +115,20 @@ struct Flown {
 }
 
 /// A flight in a process of its own, after a shell has made its disk. `None` where this user cannot have such a disk.
-fn flown(with_mounts: bool, make: &str, url: &str, disk: &Path, cache: &Path) -> Option<Flown> {
+fn flown(privileges: Privileges, make: &str, url: &str, disk: &Path, cache: &Path) -> Option<Flown> {
     let exe = std::env::current_exe().unwrap();
     let script =
         format!("{make} || exit 77; exec {} --exact flies_as_another_process --nocapture", exe.to_str().unwrap());
-    let mut command = match with_mounts {
-        true => {
-            let mut command = Command::new("unshare");
-            command.args(["--map-root-user", "--mount", "sh", "-c", &script]);
-            command
-        }
-        false => {
-            let mut command = Command::new("sh");
-            command.args(["-c", &script]);
-            command
-        }
+    let mut command = match privileges {
+        Privileges::Own => Command::new("sh"),
+        Privileges::Mounts | Privileges::None => Command::new("unshare"),
     };
+    match privileges {
+        Privileges::Own => {}
+        Privileges::Mounts => drop(command.args(["--map-root-user", "--mount", "sh"])),
+        Privileges::None => drop(command.args(["--user", "sh"])),
+    }
+    command.args(["-c", &script]);
     let output =
         command.env("D", disk).env("TERRANE_TEST_DISK_URL", url).env("TERRANE_TEST_DISK_FOLDER", cache).output();
     let output = match output {
@@ -150,19 +158,25 @@ fn a_full_disk_stops_no_flight() {
     assert!(tiles > 20 && stats.stored == 342 && stats.write_errors == 0, "{tiles} {stats:?}");
     let full = "No space left";
     let cache = disk.path().join("cache");
-    for (what, with_mounts, make, begins_full, why) in [
-        ("fills up", true, "mount -t tmpfs -o size=600k none $D", false, full),
+    for (what, privileges, make, begins_full, why) in [
+        ("fills up", Privileges::Mounts, "mount -t tmpfs -o size=600k none $D", false, full),
         (
             "is full",
-            true,
+            Privileges::Mounts,
             "mount -t tmpfs -o size=64k none $D && { dd if=/dev/zero of=$D/f bs=4k 2>/dev/null; true; }",
             true,
             full,
         ),
-        ("has no place for a file", true, "mount -t tmpfs -o size=8m,nr_inodes=2 none $D && touch $D/f", true, full),
-        ("takes no file larger than that", false, "trap '' XFSZ; ulimit -f 2", true, "too large"),
+        (
+            "has no place for a file",
+            Privileges::Mounts,
+            "mount -t tmpfs -o size=8m,nr_inodes=2 none $D && touch $D/f",
+            true,
+            full,
+        ),
+        ("takes no file larger than that", Privileges::Own, "trap '' XFSZ; ulimit -f 2", true, "too large"),
     ] {
-        let Some(flown) = flown(with_mounts, make, &server.url, disk.path(), &cache) else { continue };
+        let Some(flown) = flown(privileges, make, &server.url, disk.path(), &cache) else { continue };
         assert_eq!(flown.tiles, tiles, "{what}");
         assert!(flown.write_errors > 20, "{what}: {}", flown.write_errors);
         assert_eq!(flown.stored == 0, begins_full, "{what}: {}", flown.stored);
@@ -173,36 +187,58 @@ fn a_full_disk_stops_no_flight() {
 
 #[test]
 fn a_cache_that_may_only_be_read_is_read() {
-    let (server, disk) = (server(), tempfile::tempdir().unwrap());
-    let (tiles, _) = fly(&server.url, disk.path());
-    let asked = server.count();
-    let read_only = "mount --bind $D $D && mount -o remount,ro,bind $D";
-    let Some(flown) = flown(true, read_only, &server.url, disk.path(), disk.path()) else { return };
-    assert_eq!((flown.tiles, flown.hits, flown.write_errors), (tiles, 342, 0), "{:?}", flown.said);
-    assert_eq!((server.count(), flown.said.len()), (asked, 0), "what is fresh is not asked for");
-    // Nothing of it is there any more: all comes, nothing can be kept, and that is said once.
-    for part in ["keys", "blobs"] {
-        std::fs::remove_dir_all(disk.path().join(part)).unwrap();
+    let server = server();
+    for (privileges, make, restore, why) in [
+        (Privileges::Mounts, "mount --bind $D $D && mount -o remount,ro,bind $D", "true", "Read-only"),
+        (Privileges::None, "chmod -R a-w $D", "chmod -R u+w $D", "ermission denied"),
+    ] {
+        let disk = tempfile::tempdir().unwrap();
+        let (tiles, _) = fly(&server.url, disk.path());
+        let asked = server.count();
+        let fly = || {
+            let flown = flown(privileges, make, &server.url, disk.path(), disk.path());
+            let restored = Command::new("sh").args(["-c", restore]).env("D", disk.path()).status();
+            assert!(restored.unwrap().success());
+            flown
+        };
+        let Some(flown) = fly() else { continue };
+        assert_eq!((flown.tiles, flown.hits, flown.write_errors), (tiles, 342, 0), "{why}: {:?}", flown.said);
+        assert_eq!((server.count(), flown.said.len()), (asked, 0), "what is fresh is not asked for");
+        // Nothing of it is there any more: all comes, nothing can be kept, and that is said once.
+        for part in ["keys", "blobs"] {
+            std::fs::remove_dir_all(disk.path().join(part)).unwrap();
+        }
+        let Some(flown) = fly() else { continue };
+        assert_eq!((flown.tiles, flown.hits, flown.stored, flown.write_errors), (tiles, 0, 0, 342));
+        assert!(flown.said.len() == 1 && flown.said[0].contains(why), "{:?}", flown.said);
     }
-    let Some(flown) = self::flown(true, read_only, &server.url, disk.path(), disk.path()) else { return };
-    assert_eq!((flown.tiles, flown.hits, flown.stored, flown.write_errors), (tiles, 0, 0, 342));
-    assert!(flown.said.len() == 1 && flown.said[0].contains("Read-only"), "{:?}", flown.said);
+}
+
+/// Run by the test below in a process for which permissions hold.
+#[test]
+fn opens_as_another_process() {
+    let Some(cache) = std::env::var_os("TERRANE_TEST_CLOSED_FOLDER").map(PathBuf::from) else { return };
+    let config = HttpConfig { cache: Some(CacheConfig::new(&cache)), ..HttpConfig::default() };
+    let error = HttpClient::new(&config).map(|_| ()).unwrap_err();
+    assert!(error.uri() == cache.to_str().unwrap() && error.reason().contains("ermission denied"), "{error}");
+    println!("REFUSED");
 }
 
 #[test]
 fn permission_denied_is_said_before_the_flight() {
     use std::os::unix::fs::PermissionsExt as _;
     let folder = tempfile::tempdir().unwrap();
-    let cache = folder.path().join("closed/cache");
-    std::fs::create_dir(folder.path().join("closed")).unwrap();
-    std::fs::set_permissions(folder.path().join("closed"), std::fs::Permissions::from_mode(0o500)).unwrap();
-    if std::fs::write(folder.path().join("closed/probe"), "").is_ok() {
-        eprintln!("SKIPPED: this user may write everywhere");
+    std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(0o500)).unwrap();
+    let mut command = Command::new("unshare");
+    command.arg("--user").arg(std::env::current_exe().unwrap()).args(["--exact", "opens_as_another_process"]);
+    let output = command.arg("--nocapture").env("TERRANE_TEST_CLOSED_FOLDER", folder.path().join("cache")).output();
+    let text =
+        output.as_ref().map_or(String::new(), |o| String::from_utf8_lossy(&[&*o.stdout, &*o.stderr].concat()).into());
+    if output.is_err() || text.contains("unshare failed") {
+        eprintln!("SKIPPED: no process without privileges: {text}");
         return;
     }
-    let config = HttpConfig { cache: Some(CacheConfig::new(&cache)), ..HttpConfig::default() };
-    let error = HttpClient::new(&config).map(|_| ()).unwrap_err();
-    assert!(error.uri() == cache.to_str().unwrap() && error.reason().contains("ermission denied"), "{error}");
+    assert!(text.contains("REFUSED"), "{text}");
 }
 
 fn files(folder: &Path) -> Vec<PathBuf> {
