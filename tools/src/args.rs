@@ -39,7 +39,7 @@ pub enum Command {
 
 #[derive(Clone, Debug, Default, ClapArgs)]
 pub struct FlyArgs {
-    /// Folder, tileset.json, archive (.3tz, .zip) or http(s) URL; without it a small set is made in the user's cache folder
+    /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI; without it a small set is made in the user's cache folder
     pub source: Option<String>,
     /// Camera path in OpenSceneGraph's text form, `t px py pz qx qy qz qw` a line [default: approach, fly low, orbit]
     #[arg(long, value_name = "FILE")]
@@ -140,7 +140,7 @@ pub struct FlyArgs {
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ViewArgs {
-    /// Folder, tileset.json, archive (.3tz, .zip) or http(s) URL
+    /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI
     pub source: String,
     /// Size of the window in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720")]
@@ -219,7 +219,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct InfoArgs {
-    /// Folder, tileset.json, archive (.3tz, .zip) or http(s) URL
+    /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI
     pub source: String,
     /// One JSON document instead of text
     #[arg(long)]

@@ -35,7 +35,7 @@ pub enum CacheCommand {
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct FillArgs {
-    /// http(s) URL of a folder, tileset.json or archive
+    /// http(s) URL or s3://, gs://, az:// URI of a folder, tileset.json or archive
     pub source: String,
     /// Only tiles over this region of the earth, degrees
     #[arg(long, value_name = "WEST,SOUTH,EAST,NORTH", allow_hyphen_values = true)]

@@ -41,9 +41,10 @@ impl Index {
         })
     }
 
-    /// What to read for it: everything from its header to the directory.
+    /// What to read for it: its header and content.
     pub fn piece(place: &Member, directory: Span) -> Option<Span> {
-        Some(Span { offset: place.offset, size: directory.offset.checked_sub(place.offset)? })
+        let most = place.packed.saturating_add((30 + NAME.len() + MOST_EXTRA_BYTES) as u64);
+        Some(Span { offset: place.offset, size: directory.offset.checked_sub(place.offset)?.min(most) })
     }
 
     /// Takes the piece. `None` for anything but an index of as many files as the directory has besides it.

@@ -74,7 +74,10 @@ impl Files {
             Err(e) if e.kind() == io::ErrorKind::NotFound => {}
             Err(e) => return Err(e),
         }
-        fs::create_dir_all(folder)?;
+        match fs::create_dir_all(folder) {
+            Err(e) if is_full(&e) => return Ok(files),
+            other => other?,
+        }
         // Another process may be making the same folder at this moment.
         let parts = ["tmp", "keys", "blobs", MARKER];
         for found in fs::read_dir(folder)? {
@@ -82,7 +85,11 @@ impl Files {
                 return Err(io::Error::other("is not empty and no cache"));
             }
         }
-        files.write(&marker, MARKER_TEXT)?;
+        match files.write(&marker, MARKER_TEXT) {
+            // Nothing can be kept as yet, which is no reason not to begin: what is kept later is in an empty folder.
+            Err(e) if is_full(&e) => {}
+            other => other?,
+        }
         Ok(files)
     }
 
@@ -108,6 +115,11 @@ impl Files {
             Err(e) if e.kind() == io::ErrorKind::NotFound => {
                 let parent = place.parent().unwrap_or(&self.folder);
                 fs::create_dir_all(parent)?;
+                fs::rename(&temporary, place)
+            }
+            // Something else took the place: nothing but files of the cache's own belongs there.
+            Err(e) if e.kind() == io::ErrorKind::IsADirectory => {
+                fs::remove_dir_all(place)?;
                 fs::rename(&temporary, place)
             }
             other => other,
@@ -144,6 +156,12 @@ impl Files {
         }
         Ok(())
     }
+}
+
+/// There is no room, on the disk or for this user or process.
+fn is_full(error: &io::Error) -> bool {
+    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+    matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
 }
 
 fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {

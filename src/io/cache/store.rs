@@ -175,7 +175,7 @@ impl DiskCache {
         entry.blob = files::hex(&hash);
         entry.size = size;
         let blob = self.files.blob(&hash);
-        let there = fs::metadata(&blob).is_ok_and(|m| m.len() == size);
+        let there = fs::metadata(&blob).is_ok_and(|m| m.is_file() && m.len() == size);
         let written = if there { files::touch(&blob) } else { self.files.write(&blob, body) };
         if let Err(e) = written.and_then(|()| self.renew(uri, &entry)) {
             self.say(&e);
@@ -205,7 +205,7 @@ impl DiskCache {
         }
     }
 
-    fn say(&self, error: &io::Error) {
+    pub(super) fn say(&self, error: &io::Error) {
         if self.counts.write_errors.fetch_add(1, Ordering::Relaxed) == 0 {
             log::warn!("the cache {} cannot be written: {error}", self.config.folder.display());
         }

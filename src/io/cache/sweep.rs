@@ -54,8 +54,10 @@ impl DiskCache {
             // Another process is at it.
             Ok(None) => room.written_bytes = 0,
             Err(e) => {
+                // Not again before as much has been written as after a look.
+                room.seen_bytes.get_or_insert(0);
                 room.written_bytes = 0;
-                log::warn!("the cache {} cannot be looked through: {e}", self.folder().display());
+                self.say(&e);
             }
         }
     }

@@ -174,8 +174,7 @@ impl HttpClient {
     ) -> Result<(Member, Part), IoError> {
         let read = || async {
             check_directory(url, zip.place, limits)?;
-            let part = self.part(url, &range(zip.place), limits, network_bytes).await?;
-            same(url, &part, zip.place, archive.length, &archive.etag)?;
+            let part = self.member_part(url, archive, zip.place, limits, network_bytes).await?;
             read_directory(url, part.bytes, zip.place, limits).await
         };
         let directory = zip.directory.get_or_try_init(read).await?;

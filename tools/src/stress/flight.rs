@@ -9,7 +9,7 @@ use glam::{DMat4, DVec3};
 use serde::{Deserialize, Serialize};
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
-use terrane::io::{CacheConfig, is_http};
+use terrane::io::{CacheConfig, is_remote};
 use terrane::pager::PagerConfig;
 use terrane::viewer::{
     CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, Slave, SlaveId, ViewId, ViewerConfig,
@@ -129,7 +129,7 @@ impl<'a> Flight<'a> {
         if plan.has_cache && plan.way == Way::Http {
             pager.http.cache = Some(CacheConfig::new(scratch.0.join("cache")));
         }
-        let (server, source) = if plan.way == Way::Http && !is_http(source) {
+        let (server, source) = if plan.way == Way::Http && !is_remote(source) {
             let (folder, name) = served(source)?;
             let server = Background::start(faulty(&folder, &plan.faults, plan.seed))?;
             let url = format!("{}{name}", server.url());

@@ -33,7 +33,7 @@ use self::plan::{Plan, Way};
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct StressArgs {
-    /// Folder, tileset.json, archive or http(s) URL; without it small sets are made in a temporary folder
+    /// Folder, tileset.json, archive, http(s) URL or s3://, gs://, az:// URI; without it small sets are made in a temporary folder
     pub source: Option<String>,
     /// How many seeds
     #[arg(long, default_value_t = 200)]
@@ -148,7 +148,7 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
         Err(error) => Outcome { failures: vec![format!("{error:#}")], ..Outcome::default() },
     };
     outcome.failures.extend(watch::take_said());
-    let way = if terrane::io::is_http(&source) { Way::Http } else { plan.way };
+    let way = if terrane::io::is_remote(&source) { Way::Http } else { plan.way };
     let report = SeedReport {
         seed,
         way: format!("{way:?}").to_lowercase(),
