@@ -212,6 +212,19 @@ fn archive() -> Parser {
     })
 }
 
+fn pmtiles() -> Parser {
+    // Two tiles, one of them twice, and a directory below.
+    let directory = [3, 0, 1, 2, 1, 2, 0, 9, 9, 5, 1, 10, 1];
+    let mut bytes = vec![0u8; 127];
+    bytes[..8].copy_from_slice(b"PMTiles\x03");
+    for (at, value) in [(8, 127u64), (16, 13), (40, 127), (48, 13), (56, 127), (64, 90)] {
+        bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
+    }
+    (bytes[97], bytes[98]) = (1, 1);
+    bytes.extend_from_slice(&directory);
+    Parser::new("pmtiles", [bytes], |bytes| terrane::io::fuzz_pmtiles(bytes, &limits()))
+}
+
 fn camera_path() -> Parser {
     let seeds =
         [b"# t px py pz qx qy qz qw\n0 1 2 3 0 0 0 1\n1.5 1e3 -2 3.25 0 0.7071 0 0.7071\n2 0 0 0 1 0 0 0\n".to_vec()];
@@ -305,6 +318,7 @@ parsers! {
     imagery,
     gzip,
     archive,
+    pmtiles,
     camera_path,
     display_settings,
     http_headers,

@@ -48,7 +48,8 @@ pub struct PageRequest {
     /// Where it belongs.
     pub slot: NodeId,
     /// Larger first: the error in pixels of what is shown instead, always below that of the tile above, so that
-    /// coarse comes before fine. Tiles outside the frustum, needed so that their siblings can replace the parent,
+    /// coarse comes before fine; less by the squared cosine of the angle to the middle of the picture, down to a
+    /// quarter. Tiles outside the frustum, needed so that their siblings can replace the parent,
     /// have a quarter. Below 0: wanted later, see [`Self::ahead`].
     pub priority: f32,
     /// Error of the tile itself, in pixels, were it shown.

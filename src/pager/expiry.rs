@@ -153,7 +153,7 @@ impl DatabasePager {
                     self.retire(page, contexts);
                 }
                 // Aborted, unless its answer is there already.
-                Progress::Loading if io::is_http(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
+                Progress::Loading if io::is_remote(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
                 _ => {}
             }
         }

@@ -98,7 +98,7 @@ impl DatabasePager {
 
     fn fetch(&mut self, uri: &str) -> Result<Vec<u8>, IoError> {
         #[cfg(feature = "http")]
-        if let Some(door) = self.threads.door.as_ref().filter(|_| io::is_http(uri)) {
+        if let Some(door) = self.threads.door.as_ref().filter(|_| io::is_remote(uri)) {
             let body = door.get(uri, &self.config.limits)?;
             self.stats.bytes_http += body.network_bytes;
             return Ok(body.bytes);

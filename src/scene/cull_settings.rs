@@ -137,7 +137,7 @@ impl Inherit {
     /// Everything is that of the camera above.
     pub const ALL: Self = Self(15);
 
-    const fn has(self, other: Self) -> bool {
+    pub(crate) const fn has(self, other: Self) -> bool {
         self.0 & other.0 != 0
     }
 }

@@ -39,6 +39,9 @@ impl Renderer {
         if let Some(problem) = self.targets.start_frame(pictures.clone().map(|p| p.stage)) {
             self.complain(problem);
         }
+        if let Some(composite) = &mut self.composite {
+            composite.start_frame();
+        }
         self.shadow_leaves = 0;
         self.prepare_shadow_maps(ctx, pictures.clone());
         self.airs.clear();
@@ -167,7 +170,7 @@ impl Renderer {
         if let Some(water) = water {
             self.pipelines.ensure_bare(ctx, water, target.index);
         }
-        let eyes = self.prepare_eyes(ctx, stage, &target);
+        let eyes = self.prepare_eyes(ctx, stage, &target, &base.dynamics);
         let [width, height] = target.size_px;
         let has_part = stage.target.viewport_px.is_some_and(|rect| rect != [0, 0, width, height]);
         let is_part = is_outermost && (target.is_begun || has_part);
@@ -278,13 +281,15 @@ impl Renderer {
         ctx: &GraphicsContext,
         stage: &RenderStage,
         target: &PassTarget,
-    ) -> Option<[Arc<TextureObject>; 2]> {
+        dynamics: &Dynamics,
+    ) -> Option<([Arc<TextureObject>; 2], usize)> {
         let mode = stage.stereo?;
         let key = *self.pipelines.target_key(target.index)?;
         let composite = self.composite.get_or_insert_with(|| Composite::new(ctx.device()));
-        composite.prepare(ctx, &key, mode, stage.stereo_gap_px);
+        let origin = [dynamics.viewport[0] as u32, dynamics.viewport[1] as u32];
+        let place = composite.prepare(ctx, &key, mode, stage.stereo_gap_px, origin);
         let eye = |of: &RenderStage| Some(of.target.camera.as_ref()?.colors.first()?.texture.clone());
-        Some([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?])
+        Some(([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?], place))
     }
 
     /// Leaves for the boxes of a stage's occlusion queries: their first leaf and first query, and how many.
