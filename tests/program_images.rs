@@ -6,7 +6,8 @@ mod gpu_support;
 
 use std::sync::Arc;
 
-use gpu_support::{MAGENTA, pixel, plain, quad, rig, unit_camera};
+use gpu_support::{MAGENTA, Rig, Terrain, pixel, plain, quad, rig, unit_camera};
+use image::RgbaImage;
 use terrane::cull::CullCamera;
 use terrane::scene::Node;
 use terrane::state::{Attribute, Program, StateSet, UniformValue};
@@ -111,4 +112,73 @@ fn broken_programs_are_seen_and_said_once() {
         }
         rig.release(scene);
     }
+}
+
+#[test]
+fn programs_shade_height_tiles_too() {
+    let Some(mut rig) = rig("programs_shade_height_tiles_too") else { return };
+    let rig = &mut *rig;
+    let terrain =
+        Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 900.0, root_error_m: 250.0, textured: true };
+    let eye = terrain.world(0.5, 0.2, 9_000.0);
+    let seen = gpu_support::camera([128, 96], eye, terrain.world(0.5, 0.5, 0.0), terrain.up(0.5, 0.5));
+    let draw = |rig: &mut Rig, set: Option<StateSet>| {
+        let tile = terrain.tile(0, 0, 0);
+        let scene = rig.scene(match set {
+            Some(set) => tile.with_state_set(Arc::new(set)),
+            None => tile,
+        });
+        let picture = rig.picture(&scene, &seen, &plain());
+        rig.release(scene);
+        (picture, rig.renderer.take_errors())
+    };
+    let (usual, _) = draw(rig, None);
+    let covered = |picture: &RgbaImage| -> Vec<bool> { picture.pixels().map(|p| p.0[..3] != MAGENTA).collect() };
+    assert!(covered(&usual).iter().filter(|c| **c).count() > 3_000);
+    // As the tile itself is lit: its place, its normal and its image are what it says.
+    let as_usual = "
+        struct V { @builtin(position) p: vec4<f32>, @location(0) light: vec3<f32>, @location(1) uv: vec2<f32>,
+            @location(2) @interpolate(flat) layer: u32 }
+        struct Uniforms { tint: vec4<f32> }
+        @group(2) @binding(0) var<uniform> uniforms: Uniforms;
+        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> V {
+            let leaf = leaves[i];
+            let at = point_in_eye(leaf, vertex.position);
+            let ground = above_ground(at);
+            let normal = normalize(direction_in_eye(leaf, vertex.normal.xyz));
+            let lit = light(normal, ground.xyz, ground.w) * leaf.color.rgb * vertex.color.rgb;
+            return V(frame.clip_from_eye * vec4<f32>(at, 1.0), lit, vertex.uv, leaf.layer);
+        }
+        @fragment fn fs_main(v: V) -> @location(0) vec4<f32> {
+            let base = textureSample(color_layers, color_sampler, v.uv, v.layer);
+            return vec4<f32>(base.rgb * v.light, 1.0) * uniforms.tint;
+        }";
+    let tinted = |tint: [f32; 4]| {
+        let program = Program::new("as usual", as_usual);
+        StateSet::default().with(Attribute::Program(program)).with_uniform("tint", UniformValue::Vec4(tint))
+    };
+    let (same, errors) = draw(rig, Some(tinted([1.0; 4])));
+    assert!(errors.is_empty(), "{errors:?}");
+    let differing = same.pixels().zip(usual.pixels()).filter(|(a, b)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 3));
+    let differing = differing.count();
+    // Up is that of the place under the eye here, and that of the tile's own vertices there.
+    assert!(differing < 100, "{differing}");
+    let (green, errors) = draw(rig, Some(tinted([0.0, 1.0, 0.0, 1.0])));
+    assert!(errors.is_empty() && covered(&green) == covered(&usual));
+    assert!(green.pixels().all(|p| p.0[..3] == MAGENTA || (p.0[0] == 0 && p.0[2] == 0)));
+
+    // A tile and a mesh under one program; what is for meshes alone leaves the tile plain and is said once.
+    let for_meshes = "
+        fn height_at() {}
+        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
+            return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0);
+        }
+        @fragment fn fs_main() -> @location(0) vec4<f32> { return vec4<f32>(0.0, 0.0, 1.0, 1.0); }";
+    let set = StateSet::default().with(Attribute::Program(Program::new("for meshes", for_meshes)));
+    let (plainly, errors) = draw(rig, Some(set));
+    assert_eq!(plainly, usual);
+    assert!(
+        matches!(&errors[..], [e] if e.contains("\"for meshes\" on height tiles") && e.contains("height_at")),
+        "{errors:?}"
+    );
 }

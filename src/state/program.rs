@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-/// WGSL that replaces the shading of meshes.
+/// WGSL that replaces the shading of meshes and height tiles.
 ///
 /// It stands behind what `src/draw/shaders/frame.wgsl` and `mesh_vertex.wgsl` declare: `frame`, `leaves`,
 /// `MeshVertex`, `point_in_eye`. It has a vertex entry point `vs_main(vertex: MeshVertex, @builtin(instance_index)
@@ -16,6 +16,11 @@ use std::sync::Arc;
 /// ```
 /// The members `osg_FrameNumber` (u32), `osg_FrameTime`, `osg_DeltaFrameTime`, `osg_SimulationTime` (f32, seconds),
 /// `osg_ViewMatrix` and `osg_ViewMatrixInverse` (mat4x4) are filled without being given.
+///
+/// Of a height tile, `vs_main` is called with its displaced and morphed vertices: position and normal in the tile's
+/// frame, texture coordinates of its image, white. It may take `MeshVertex`, the vertex's index and the instance's, and
+/// `@vertex` stands right before `fn vs_main`; a program that cannot be used so is said, and height tiles are plain.
+/// Shadows of height tiles are those of their surface, whatever the program moves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Program {
     /// For people, and for errors.

@@ -53,7 +53,7 @@ pub(in crate::draw) enum Shading {
     FixedFunction,
     /// The same with textures of units.
     FixedTextured,
-    /// One of the application's, by its place among them; height tiles stay plain.
+    /// One of the application's, by its place among them; height tiles cast their shadows without it.
     Program(u16),
     /// What cannot be shaded as it should, so that it is seen; height tiles are plain.
     Fallback,
@@ -155,7 +155,9 @@ impl PipelineKey {
         }
         let alpha = if state.blends { 2 << 2 } else { 0 };
         let front = if mirrored { 0 } else { CLOCKWISE };
-        Self(((state.common & !PROGRAM) | state.culled[1] | alpha) ^ front)
+        // What cannot be shaded as it should is plain.
+        let fallback = if state.common & PROGRAM == PROGRAM { PROGRAM } else { 0 };
+        Self(((state.common & !fallback) | state.culled[1] | alpha) ^ front)
     }
 
     /// Meshes, lines and points.
@@ -371,7 +373,10 @@ mod tests {
         assert_eq!((key.stencil(), key.target(), key.shading()), (60, 33, Shading::Program(1000)));
         assert_eq!(key.fallback().shading(), Shading::Fallback);
         assert!(!state.can_fade && state.fading() == state);
-        assert_eq!(PipelineKey::height(&state, false).shading(), Shading::Plain);
+        let height = PipelineKey::height(&state, false);
+        assert_eq!((height.shading(), height.fallback().shading()), (Shading::Program(1000), Shading::Plain));
+        let broken = StateKey::new(&ResolvedState::default(), parts, Shading::Fallback, 33);
+        assert_eq!(PipelineKey::height(&broken, false).shading(), Shading::Plain);
         assert!(!state.order_is_free);
         let mirrored = PipelineKey::mesh(&state, Topology::Triangles, false, true, true);
         assert_eq!((mirrored.is_clockwise(), mirrored.culled()), (false, 0));

@@ -9,10 +9,10 @@ mod variant;
 use std::collections::HashMap;
 
 use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
-use crate::draw::pipelines::programs::Programs;
+use crate::draw::pipelines::programs::{HEIGHT_ENTRY, Programs};
 pub use sources::DRAWABLE_PRELUDE;
-pub(in crate::draw) use sources::PROGRAM_PRELUDE;
 use sources::*;
+pub(in crate::draw) use sources::{HEIGHT_PROGRAM_PRELUDE, PROGRAM_PRELUDE};
 use variant::Variant;
 
 use convert::{bias, factor, operation, reversed, stencil_face};
@@ -236,8 +236,15 @@ impl Pipelines {
         let (module, vertex, fragment, state_layout, constants, outputs);
         match key.shading() {
             Shading::Program(place) => {
+                if is_height && let Err(problem) = self.programs.ensure_heights(ctx.device(), place) {
+                    self.errors.push(problem);
+                }
                 let program = self.programs.get(place)?;
-                (module, vertex, fragment) = (program.module.clone(), "vs_main", "fs_main");
+                (module, vertex, fragment) = if is_height {
+                    (program.heights.clone()?, HEIGHT_ENTRY, "fs_main")
+                } else {
+                    (program.module.clone(), "vs_main", "fs_main")
+                };
                 discards &= program.discards;
                 (state_layout, outputs) = (Some(program.layout.clone()), program.outputs);
                 constants = program.constants.clone();
@@ -452,6 +459,7 @@ mod tests {
             ("query", QUERY_WGSL),
             ("fill", FILL_WGSL),
             ("program", PROGRAM_PRELUDE),
+            ("program of height tiles", HEIGHT_PROGRAM_PRELUDE),
             ("drawable", DRAWABLE_PRELUDE),
             ("shadowed height", SHADOWED_HEIGHT_WGSL),
             ("shadowed mesh", SHADOWED_MESH_WGSL),

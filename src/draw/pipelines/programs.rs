@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
-use crate::draw::pipelines::PROGRAM_PRELUDE;
 use crate::draw::pipelines::key::MOST_PROGRAMS;
+use crate::draw::pipelines::{HEIGHT_PROGRAM_PRELUDE, PROGRAM_PRELUDE};
 use crate::state::{Program, ResolvedState, TEXTURE_UNITS};
 
 /// Group of what a program declares itself.
@@ -34,6 +34,8 @@ pub(in crate::draw) struct UnitLayout {
 #[derive(Debug)]
 pub(in crate::draw) struct Compiled {
     pub(in crate::draw) module: wgpu::ShaderModule,
+    /// The same for height tiles, once it was wanted.
+    pub(in crate::draw) heights: Option<wgpu::ShaderModule>,
     pub(in crate::draw) layout: wgpu::BindGroupLayout,
     members: Vec<Member>,
     pub(in crate::draw) uniform_bytes: usize,
@@ -91,6 +93,19 @@ impl Programs {
         result
     }
 
+    /// Makes the module for height tiles, called once for each program. Why it cannot be.
+    pub(in crate::draw) fn ensure_heights(&mut self, device: &wgpu::Device, place: u16) -> Result<(), String> {
+        let Some(entry) = self.entries.get_mut(usize::from(place)) else { return Ok(()) };
+        let Some(compiled) = entry.compiled.as_mut().filter(|c| c.heights.is_none()) else { return Ok(()) };
+        let source = heights_source(&entry.program.wgsl)
+            .map_err(|reason| format!("program {:?} on height tiles: {reason}", entry.program.name))?;
+        compiled.heights = Some(device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(&entry.program.name),
+            source: wgpu::ShaderSource::Wgsl(source.into()),
+        }));
+        Ok(())
+    }
+
     pub(in crate::draw) fn get(&self, place: u16) -> Option<&Compiled> {
         self.entries.get(usize::from(place))?.compiled.as_ref()
     }
@@ -98,10 +113,7 @@ impl Programs {
 
 fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String> {
     let source = format!("{PROGRAM_PRELUDE}\n{}", program.wgsl);
-    let module = naga::front::wgsl::parse_str(&source).map_err(|e| lines_of(&e.emit_to_string(&source)))?;
-    naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
-        .validate(&module)
-        .map_err(|e| lines_of(&e.emit_to_string(&source)))?;
+    let module = checked(&source)?;
     let fragment = module
         .entry_points
         .iter()
@@ -181,7 +193,76 @@ fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String>
     });
     // A keyword: in comments it only costs a little.
     let discards = program.wgsl.contains("discard");
-    Ok(Compiled { module, layout, members, uniform_bytes, units, constants, outputs, discards })
+    Ok(Compiled { module, heights: None, layout, members, uniform_bytes, units, constants, outputs, discards })
+}
+
+fn checked(source: &str) -> Result<naga::Module, String> {
+    let module = naga::front::wgsl::parse_str(source).map_err(|e| lines_of(&e.emit_to_string(source)))?;
+    naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
+        .validate(&module)
+        .map_err(|e| lines_of(&e.emit_to_string(source)))?;
+    Ok(module)
+}
+
+/// Vertex entry point of programs on height tiles.
+pub(in crate::draw) const HEIGHT_ENTRY: &str = "vs_height_main";
+
+/// The source for height tiles: the program's vertex entry point becomes a function that is called with a displaced
+/// vertex in the place of a mesh's.
+fn heights_source(wgsl: &str) -> Result<String, String> {
+    let of_meshes = naga::front::wgsl::parse_str(&format!("{PROGRAM_PRELUDE}\n{wgsl}")).map_err(|e| e.to_string())?;
+    let entry = of_meshes.entry_points.iter().find(|e| e.name == "vs_main").ok_or("no vertex entry point vs_main")?;
+    let arguments =
+        entry.function.arguments.iter().map(|argument| match (&argument.binding, &of_meshes.types[argument.ty].name) {
+            (Some(naga::Binding::BuiltIn(naga::BuiltIn::InstanceIndex)), _) => Ok("instance"),
+            (Some(naga::Binding::BuiltIn(naga::BuiltIn::VertexIndex)), _) => Ok("index"),
+            (None, Some(name)) if name == "MeshVertex" => Ok("height_vertex(index, instance)"),
+            _ => Err("vs_main takes other than MeshVertex, vertex_index and instance_index"),
+        });
+    let arguments = arguments.collect::<Result<Vec<_>, _>>()?.join(", ");
+    let result = entry.function.result.as_ref().ok_or("vs_main returns nothing")?;
+    let result = match (&result.binding, &of_meshes.types[result.ty].name) {
+        (Some(naga::Binding::BuiltIn(naga::BuiltIn::Position { .. })), _) => "@builtin(position) vec4<f32>",
+        (None, Some(name)) => name,
+        _ => return Err("vs_main returns neither a struct nor a position".into()),
+    };
+    // The attribute right before the function's name; what stands between them are spaces and lines.
+    let name = find_function(wgsl, "vs_main").ok_or("`fn vs_main` is not found")?;
+    let before = wgsl[..name].trim_end();
+    let before = before.strip_suffix("@vertex").ok_or("`@vertex` does not stand right before `fn vs_main`")?;
+    let (header, body) = wgsl[name..].split_at(wgsl[name..].find('{').unwrap_or(0));
+    let header = without_attributes(header);
+    let source = format!(
+        "{HEIGHT_PROGRAM_PRELUDE}\n{before}{header}{body}\n@vertex\nfn {HEIGHT_ENTRY}(@builtin(vertex_index) index: u32, \
+         @builtin(instance_index) instance: u32) -> {result} {{\n    return vs_main({arguments});\n}}\n"
+    );
+    checked(&source)?;
+    Ok(source)
+}
+
+/// Functions that are no entry points have none on their arguments and results.
+fn without_attributes(header: &str) -> String {
+    let mut parts = header.split('@');
+    let mut kept = parts.next().unwrap_or_default().to_owned();
+    for attribute in parts {
+        let name = attribute.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(attribute.len());
+        let rest = &attribute[name..];
+        let values = rest.trim_start();
+        let end = values.find(')').filter(|_| values.starts_with('(')).map(|end| &values[end + 1..]);
+        kept.push_str(end.unwrap_or(rest));
+    }
+    kept
+}
+
+/// Where `fn NAME` begins.
+fn find_function(wgsl: &str, name: &str) -> Option<usize> {
+    let is_name = |c: char| c.is_alphanumeric() || c == '_';
+    wgsl.match_indices("fn").map(|(at, _)| at).find(|at| {
+        let rest = &wgsl[at + 2..];
+        let after = rest.trim_start();
+        let is_word = !wgsl[..*at].ends_with(is_name) && after.len() < rest.len();
+        is_word && after.strip_prefix(name).is_some_and(|end| !end.starts_with(is_name))
+    })
 }
 
 /// Errors of naga point into the source over several lines.
@@ -304,5 +385,37 @@ impl Builtins {
         if place.len() == value.len() {
             place.copy_from_slice(value);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FRAGMENT: &str = "@fragment fn fs_main() -> @location(0) vec4<f32> { return vec4<f32>(1.0); }";
+
+    #[test]
+    fn programs_of_meshes_become_those_of_height_tiles() {
+        let simple = format!(
+            "// fn vs_main is below\n@vertex\n  fn vs_main(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> \
+             @builtin(position) vec4<f32> {{\n return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[instance], \
+             vertex.position), 1.0);\n}}\n{FRAGMENT}"
+        );
+        assert_eq!(heights_source(&simple).unwrap_err(), "`@vertex` does not stand right before `fn vs_main`");
+        let simple = simple.replace("// fn vs_main is below", "fn vs_main_helper() {}");
+        let source = heights_source(&simple).unwrap();
+        assert!(source.contains("return vs_main(height_vertex(index, instance), instance);"));
+        let varying = "struct Out { @builtin(position) p: vec4<f32>, @location(0) n: vec3<f32> }
+            @vertex fn vs_main(@builtin(instance_index) i: u32, @builtin(vertex_index) v: u32, m: MeshVertex) -> Out {
+                return Out(vec4<f32>(f32(i), f32(v), 0.0, 1.0), m.normal.xyz);
+            }";
+        heights_source(&format!("{varying}{FRAGMENT}")).unwrap();
+        let own_inputs = "@vertex fn vs_main(@location(0) p: vec3<f32>) -> @builtin(position) vec4<f32> {
+            return vec4<f32>(p, 1.0); }";
+        let said = heights_source(&format!("{own_inputs}{FRAGMENT}")).unwrap_err();
+        assert!(said.contains("other than MeshVertex"), "{said}");
+        // A name that the tiles' own shader has.
+        let said = heights_source(&format!("fn height_at() {{}} {varying}{FRAGMENT}")).unwrap_err();
+        assert!(said.contains("height_at"), "{said}");
     }
 }

@@ -69,6 +69,7 @@ struct HeightPoint {
     up: vec3<f32>,
     uv: vec2<f32>,
     in_tile: vec3<f32>,
+    facing: vec3<f32>,  // the normal in the tile's frame, not of unit length
 }
 
 fn height_point(index: u32, instance: u32) -> HeightPoint {
@@ -151,6 +152,7 @@ fn height_point(index: u32, instance: u32) -> HeightPoint {
         normalize(direction_in_eye(leaf, up)),
         vec2<f32>(grid.x, f32(cells) - grid.y) / f32(cells),
         position,
+        normal,
     );
 }
 
