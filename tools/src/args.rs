@@ -133,6 +133,9 @@ pub struct FlyArgs {
     /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
+    /// The X11 window to open in.
+    #[arg(skip)]
+    pub parent: Option<u32>,
 }
 
 #[derive(Clone, Debug, ClapArgs)]
@@ -170,14 +173,30 @@ pub struct ViewArgs {
     /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
+    /// Open in the X11 window of this number, as other toolkits have it (decimal)
+    #[arg(long, value_name = "WINDOW")]
+    pub parent: Option<u32>,
     #[command(flatten)]
     pub net: NetArgs,
 }
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs { source, size, view, path, sse, lod_fade, threading, stats, on_demand, max_fps, beside, net } =
-            args;
+        let ViewArgs {
+            source,
+            size,
+            view,
+            path,
+            sse,
+            lod_fade,
+            threading,
+            stats,
+            on_demand,
+            max_fps,
+            beside,
+            parent,
+            net,
+        } = args;
         Box::new(FlyArgs {
             source: Some(source),
             size,
@@ -190,6 +209,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             on_demand,
             max_fps,
             beside,
+            parent,
             net,
             interactive: true,
             ..FlyArgs::default()
