@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde_json::Value;
 use terrane::gpu::AdapterChoice;
 use terrane::timeline::{Recording, TimelineError, span};
-use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
+use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
 
 fn text<'a>(event: &'a Value, key: &str) -> &'a str {
     event[key].as_str().unwrap_or_else(|| panic!("{key} of {event}"))
@@ -48,6 +48,7 @@ fn a_flight_is_recorded_whole() {
             threading,
             adapter: AdapterChoice::Software,
             max_sse_px: 3.0,
+            max_contexts: 2,
             ..ViewerConfig::default()
         };
         let recording = Recording::start().unwrap();
@@ -61,6 +62,9 @@ fn a_flight_is_recorded_whole() {
             }
         };
         viewer.load(set.to_str().unwrap()).unwrap();
+        let first = viewer.contexts().next().unwrap();
+        let second = viewer.open_offscreen_on(first, &config.traits()).unwrap();
+        viewer.add_slave(Slave::new(second)).unwrap();
         let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
         for frame in 0..40 {
             viewer.camera.world_from_eye = path.world_from_eye(f64::from(frame) * 0.5);
@@ -68,6 +72,7 @@ fn a_flight_is_recorded_whole() {
         }
         viewer.finish().unwrap();
         let stats = *viewer.pager().unwrap().stats();
+        let has_timestamps = viewer.stats().iter().any(|frame| frame.gpu_ms.is_some());
         drop(viewer);
         let never_ends = span("open when the recording ends");
         let summary = recording.write(&file).unwrap();
@@ -151,6 +156,28 @@ fn a_flight_is_recorded_whole() {
         let of = |stage: &str| stages.iter().filter(|((_, s), _)| *s == stage).map(|(_, n)| u64::from(*n)).sum::<u64>();
         assert!(of("fetch") >= stats.loaded && of("decode") >= stats.loaded && stats.loaded > 5, "{stages:?}");
         assert_eq!(of("open when the recording ends"), 0);
+
+        // What the adapter did, on a line for each context: after the frame began that it belongs to, and before the
+        // frame that waited for it.
+        let frames_of = |line: &str| -> BTreeMap<u32, (f64, f64)> {
+            let is_frame = |e: &&Value| text(e, "ph") == "X" && text(e, "name") == "frame";
+            let on_line = |e: &&Value| names[&(number(e, "tid") as u64)] == line;
+            let of = |e: &Value| {
+                (text(&e["args"], "of").parse().unwrap(), (number(e, "ts"), number(e, "ts") + number(e, "dur")))
+            };
+            events.iter().filter(is_frame).filter(on_line).map(of).collect()
+        };
+        let begun = frames_of(main);
+        for line in ["gpu 0", "gpu 1"].into_iter().filter(|_| has_timestamps) {
+            let drawn = frames_of(line);
+            let pictures = stages.get(&(line, "picture")).copied().unwrap_or(0);
+            assert!(drawn.len() > 20 && drawn.len() as u32 == pictures, "{threading}: {} of {pictures}", drawn.len());
+            for (frame, (from, to)) in &drawn {
+                assert!(*from >= begun[frame].0 && to > from, "{threading}: frame {frame} on {line} before it began");
+                let later = begun.get(&(frame + 6)).map_or(f64::INFINITY, |(at, _)| *at);
+                assert!(*to <= later, "{threading}: frame {frame} on {line} ends {} us too late", to - later);
+            }
+        }
 
         // Requests.
         let mut requests: BTreeMap<&str, Vec<(&str, f64, &Value)>> = BTreeMap::new();

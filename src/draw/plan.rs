@@ -272,6 +272,11 @@ impl PassTarget {
         attachments.into_iter().any(|a| Arc::ptr_eq(&a.texture, texture))
     }
 
+    /// A whole picture is drawn, or an eye's.
+    pub(super) fn is_outermost(&self) -> bool {
+        self.is_outermost
+    }
+
     pub(super) fn color_count(&self) -> usize {
         self.colors.iter().rposition(Option::is_some).map_or(0, |last| last + 1)
     }

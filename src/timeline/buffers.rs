@@ -29,6 +29,7 @@ struct Shared {
 }
 
 /// A thread's part in a recording.
+#[derive(Debug)]
 struct Own {
     recording: u32,
     start: Instant,
@@ -36,20 +37,32 @@ struct Own {
 }
 
 /// Filled by its thread, taken at the end.
+#[derive(Debug)]
 pub(super) struct Buffer {
     /// Name of the thread.
     pub name: String,
     pub events: Mutex<Events>,
 }
 
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub(super) struct Events {
     pub list: Vec<Event>,
     /// Left out for want of room.
     pub lost: u64,
 }
 
+impl Events {
+    fn push(&mut self, event: Event) {
+        if self.list.len() < MOST_EVENTS {
+            self.list.push(event);
+        } else {
+            self.lost += 1;
+        }
+    }
+}
+
 /// Times are nanoseconds since the start.
+#[derive(Debug)]
 pub(super) struct Event {
     pub name: &'static str,
     pub at_ns: u64,
@@ -57,7 +70,7 @@ pub(super) struct Event {
     pub kind: EventKind,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(super) enum EventKind {
     Span {
         ns: u64,
@@ -197,6 +210,63 @@ fn record_span(open: OpenSpan) {
     });
 }
 
+/// A line of the timeline for what no thread of ours does: an adapter's work, whose times are known only later.
+#[derive(Debug)]
+pub(crate) struct Track {
+    name: String,
+    own: Option<Own>,
+    /// End of its last span: they lie one after the other.
+    last_end_ns: u64,
+}
+
+impl Track {
+    pub(crate) fn new(name: String) -> Self {
+        Self { name, own: None, last_end_ns: 0 }
+    }
+
+    /// Writes a span with others inside it, one after the other, while a recording is under way. What would lie before
+    /// the recording, or inside what was written before, is cut off.
+    pub(crate) fn spans(
+        &mut self,
+        name: &'static str,
+        detail: impl FnOnce() -> Arc<str>,
+        whole: [Instant; 2],
+        inside: impl Iterator<Item = (&'static str, [Instant; 2])>,
+    ) {
+        let recording = RECORDING.load(Ordering::Relaxed);
+        if recording == 0 {
+            self.own = None;
+            return;
+        }
+        if self.own.as_ref().is_none_or(|own| own.recording != recording) {
+            self.own = join(recording, Some(&self.name));
+            self.last_end_ns = 0;
+        }
+        let Some(own) = &self.own else { return };
+        let mut from_ns = since(own.start, whole[0]).max(self.last_end_ns);
+        let end_ns = since(own.start, whole[1]);
+        if end_ns <= from_ns {
+            return;
+        }
+        self.last_end_ns = end_ns;
+        let mut events = own.buffer.events.lock().unwrap_or_else(PoisonError::into_inner);
+        let span = |name, at_ns, ns, detail| Event { name, at_ns, detail, kind: EventKind::Span { ns } };
+        events.push(span(name, from_ns, end_ns - from_ns, Some(detail())));
+        for (name, [begin, end]) in inside {
+            let begin_ns = since(own.start, begin).clamp(from_ns, end_ns);
+            let until_ns = since(own.start, end).clamp(begin_ns, end_ns);
+            events.push(span(name, begin_ns, until_ns - begin_ns, None));
+            from_ns = until_ns;
+        }
+    }
+}
+
+/// True while a recording is under way.
+#[inline]
+pub(crate) fn is_recording() -> bool {
+    RECORDING.load(Ordering::Relaxed) != 0
+}
+
 /// Tickets of one source of requests begin with its number: no two sources have the same.
 pub fn ticket_source() -> u64 {
     static NEXT: AtomicU32 = AtomicU32::new(1);
@@ -237,24 +307,20 @@ fn record(recording: u32, event: impl FnOnce(Instant) -> Event) {
     let _ = OWN.try_with(|own| {
         let Ok(mut own) = own.try_borrow_mut() else { return };
         if own.as_ref().is_none_or(|o| o.recording != recording) {
-            *own = join(recording);
+            *own = join(recording, None);
         }
         let Some(own) = own.as_ref() else { return };
-        let mut events = own.buffer.events.lock().unwrap_or_else(PoisonError::into_inner);
-        if events.list.len() < MOST_EVENTS {
-            events.list.push(event(own.start));
-        } else {
-            events.lost += 1;
-        }
+        own.buffer.events.lock().unwrap_or_else(PoisonError::into_inner).push(event(own.start));
     });
 }
 
-/// A buffer in the recording under way.
-fn join(recording: u32) -> Option<Own> {
+/// A buffer in the recording under way, under a name or the thread's.
+fn join(recording: u32, name: Option<&str>) -> Option<Own> {
     let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
     let shared = shared.as_mut().filter(|s| s.number == recording)?;
     let number = shared.buffers.len();
-    let name = std::thread::current().name().map_or_else(|| format!("thread {number}"), str::to_owned);
+    let of_thread = || std::thread::current().name().map_or_else(|| format!("thread {number}"), str::to_owned);
+    let name = name.map_or_else(of_thread, str::to_owned);
     let buffer = Arc::new(Buffer { name, events: Mutex::default() });
     shared.buffers.push(buffer.clone());
     Some(Own { recording, start: shared.start, buffer })

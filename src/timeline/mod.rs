@@ -9,13 +9,18 @@
 //! draw 0                 |compile|draw      |present|
 //! pager-file-0    |fetch|     |fetch   |
 //! pager-decode-0         |decode|
+//! gpu 0                     |frame |shadows|picture| |
 //! requests        [ asked for ............................. merged ]
 //! ```
+
+//! A context's `gpu` line has its passes as the adapter timed them, where it can: see `src/gpu/timer.rs` for how its clock
+//! is laid over ours.
 
 mod buffers;
 mod json;
 
 pub use buffers::{Recording, Span, request_begins, request_ends, request_span, span, span_of, ticket_source};
+pub(crate) use buffers::{Track, is_recording};
 pub use json::TimelineSummary;
 
 /// Why there is no timeline.

@@ -20,6 +20,8 @@ pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;
 mod paged_scene;
+#[cfg(feature = "window")]
+mod parent;
 mod pick;
 mod rendering;
 mod report;
@@ -53,6 +55,8 @@ pub use input::{GuiActionAdapter, OnPicture, WindowCommand, event_callback};
 pub use manipulators::{CameraManipulator, GroundHeight, ManipulatorView};
 #[cfg(feature = "window")]
 pub use overlay::{Overlay, OverlayPaint};
+#[cfg(feature = "window")]
+pub use parent::ParentWindow;
 pub use rendering::{THREADING_VARIABLE, ThreadingModel};
 pub use report::{Bytes, DrawMedians, FrameTimes, Images, Phases, Report, ReportError, Settled, Sharing, Tiles, Times};
 pub use stats::{FrameStats, Samples, StatsHistory};

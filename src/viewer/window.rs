@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DMat4};
 use winit::application::ApplicationHandler;
+use winit::error::EventLoopError;
 use winit::event::{StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::window::{Fullscreen, Window, WindowId};
@@ -17,6 +18,7 @@ use super::camera_path::AnimationPath;
 use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
+use super::parent::{Followed, ParentChange, ParentWindow};
 use super::view::{ContextId, Eyes};
 use super::viewer::{Viewer, ViewerConfig};
 use super::{window_events, window_open};
@@ -62,6 +64,8 @@ pub struct WindowOptions {
     pub output_dir: PathBuf,
     /// Which windows open. Where the application has slaves of its own, what the environment says does not count.
     pub arrangement: Arrangement,
+    /// The window opens in one of another toolkit or program, fills it and ends with it, whatever is arranged; under X11.
+    pub parent: Option<ParentWindow>,
     /// More windows, each with a context of its own.
     pub slaves: Vec<SlaveWindow>,
     /// Called once the viewer exists, to load a set and to add handlers; the viewer has no root before.
@@ -87,6 +91,7 @@ impl Default for WindowOptions {
             overlay: false,
             output_dir: PathBuf::from("."),
             arrangement: Arrangement::Usual,
+            parent: None,
             slaves: Vec::new(),
             on_open: Box::new(|_| Ok(())),
             manipulated: true,
@@ -112,13 +117,15 @@ pub fn has_display() -> bool {
 /// Opens a window and runs it until it is closed; returns the viewer for its report. Main thread only.
 pub fn run_window(config: ViewerConfig, mut options: WindowOptions) -> Result<Option<Viewer>, ViewerError> {
     if options.arrangement == Arrangement::Usual
+        && options.parent.is_none()
         && options.slaves.is_empty()
         && let Some(said) = Arrangement::from_environment()?
     {
         options.arrangement = said;
     }
     // winit panics where a library that it loads at run time is missing.
-    let event_loop = std::panic::catch_unwind(EventLoop::new)
+    let is_child = options.parent.is_some();
+    let event_loop = std::panic::catch_unwind(|| new_event_loop(is_child))
         .map_err(|_| ViewerError::Window("a window library is missing (Debian: libxkbcommon-x11-0)".to_owned()))?
         .map_err(|e| ViewerError::Window(e.to_string()))?;
     event_loop.set_control_flow(ControlFlow::Poll);
@@ -128,6 +135,19 @@ pub fn run_window(config: ViewerConfig, mut options: WindowOptions) -> Result<Op
         Some(error) => Err(error),
         None => Ok(app.closed),
     }
+}
+
+/// On X11 alone where the window opens in one of X11's.
+fn new_event_loop(is_child: bool) -> Result<EventLoop<()>, EventLoopError> {
+    let mut builder = EventLoop::builder();
+    #[cfg(target_os = "linux")]
+    if is_child {
+        use winit::platform::x11::EventLoopBuilderExtX11 as _;
+        builder.with_x11();
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = is_child;
+    builder.build()
 }
 
 struct App {
@@ -145,6 +165,8 @@ struct Open {
     last_frame: Instant,
     window: Arc<Window>,
     slaves: Vec<(Arc<Window>, ContextId)>,
+    /// The window that the first one fills.
+    parent: Option<Followed>,
 }
 
 impl App {
@@ -155,7 +177,11 @@ impl App {
             return Err(ViewerError::Window("an arrangement without windows".to_owned()));
         };
         let (title, size_px) = (&self.options.title, self.config.size_px);
-        let window = window_open::create(event_loop, first, 0, title, size_px)?;
+        let parent = self.options.parent.map(|parent| Followed::new(parent).map(|of| (parent, of))).transpose()?;
+        let window = match &parent {
+            Some((parent, followed)) => window_open::create_in(event_loop, *parent, title, followed.size_px)?,
+            None => window_open::create(event_loop, first, 0, title, size_px)?,
+        };
         self.config.size_px = window_open::size_of(&window);
         self.config.samples = first.samples.unwrap_or(self.config.samples);
         self.config.vsync = first.vsync.unwrap_or(self.config.vsync);
@@ -194,11 +220,18 @@ impl App {
             None,
             None,
         );
-        Ok(Open { viewer, egui, last_frame: Instant::now(), window, slaves })
+        let parent = parent.map(|(_, followed)| followed);
+        Ok(Open { viewer, egui, last_frame: Instant::now(), window, slaves, parent })
     }
 
     fn fail(&mut self, event_loop: &ActiveEventLoop, error: ViewerError) {
-        self.error.get_or_insert(error);
+        // What goes wrong because the window went with its parent is the end, and no error.
+        let is_end = self.open.as_ref().and_then(|open| open.parent.as_ref()).is_some_and(Followed::is_gone);
+        if is_end {
+            log::info!("the window that it was in is gone: {error}");
+        } else {
+            self.error.get_or_insert(error);
+        }
         event_loop.exit();
     }
 
@@ -222,6 +255,15 @@ impl App {
                 return Ok(());
             }
             WindowEvent::Resized(size) => open.viewer.resize([size.width, size.height])?,
+            WindowEvent::Destroyed => {
+                event_loop.exit();
+                return Ok(());
+            }
+            WindowEvent::MouseInput { state, .. } if state.is_pressed() => {
+                if let Some(parent) = &open.parent {
+                    parent.focus(ParentWindow::of(&open.window)?);
+                }
+            }
             _ => {}
         }
         let taken = open.viewer.shows_overlay() && open.egui.on_window_event(&open.window, event).consumed;
@@ -265,6 +307,13 @@ impl ApplicationHandler for App {
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if let Some(open) = &mut self.open {
+            match open.parent.as_mut().and_then(Followed::look) {
+                Some(ParentChange::Resized(size_px)) => open.obey(WindowCommand::Resize(size_px)),
+                Some(ParentChange::Gone) => event_loop.exit(),
+                None => {}
+            }
+        }
         if self.options.on_demand && self.open.is_some() && event_loop.control_flow() != ControlFlow::Poll {
             event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + IDLE_POLL));
         }
@@ -279,8 +328,9 @@ impl ApplicationHandler for App {
     fn exiting(&mut self, _: &ActiveEventLoop) {
         if let Some(mut open) = self.open.take() {
             // Pictures of the last frames may still be on their way.
+            let is_gone = open.parent.as_ref().is_some_and(Followed::is_gone);
             let ended = open.viewer.finish().and_then(|()| (self.options.after_frame)(&mut open.viewer));
-            if let Err(error) = ended {
+            if let Some(error) = ended.err().filter(|_| !is_gone) {
                 self.error.get_or_insert(error);
             }
             self.closed = Some(open.viewer);

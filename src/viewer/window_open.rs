@@ -9,6 +9,7 @@ use winit::window::{Fullscreen, Window};
 
 use super::ViewerError;
 use super::arrangement::{Arrangement, CameraSetup, WindowSetup, across, an_eye_each};
+use super::parent::ParentWindow;
 use super::view::{ContextId, Slave};
 use super::viewer::{Viewer, ViewerConfig};
 use super::window::SlaveWindow;
@@ -54,6 +55,29 @@ impl From<SlaveWindow> for WindowSetup {
             ..Self::default()
         }
     }
+}
+
+/// Opens a window that fills a window of another toolkit.
+pub(super) fn create_in(
+    event_loop: &ActiveEventLoop,
+    parent: ParentWindow,
+    title: &str,
+    [width, height]: [u32; 2],
+) -> Result<Arc<Window>, ViewerError> {
+    let attributes = Window::default_attributes()
+        .with_title(title)
+        .with_position(PhysicalPosition::new(0, 0))
+        .with_inner_size(PhysicalSize::new(width.max(1), height.max(1)))
+        .with_decorations(false);
+    #[cfg(target_os = "linux")]
+    let attributes = {
+        use winit::platform::x11::WindowAttributesExtX11 as _;
+        attributes.with_embed_parent_window(parent.x11)
+    };
+    #[cfg(not(target_os = "linux"))]
+    let _ = parent;
+    let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(e.to_string()))?;
+    Ok(Arc::new(window))
 }
 
 /// Opens a window; `place` counts from 0.

@@ -136,6 +136,9 @@ pub struct FlyArgs {
     /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
+    /// The X11 window to open in.
+    #[arg(skip)]
+    pub parent: Option<u32>,
 }
 
 #[derive(Clone, Debug, ClapArgs)]
@@ -176,6 +179,9 @@ pub struct ViewArgs {
     /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
     #[arg(long)]
     pub no_pipeline_cache: bool,
+    /// Open in the X11 window of this number, as other toolkits have it (decimal)
+    #[arg(long, value_name = "WINDOW")]
+    pub parent: Option<u32>,
     #[command(flatten)]
     pub net: NetArgs,
 }
@@ -195,6 +201,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             max_fps,
             beside,
             no_pipeline_cache,
+            parent,
             net,
         } = args;
         Box::new(FlyArgs {
@@ -210,6 +217,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             max_fps,
             beside,
             no_pipeline_cache,
+            parent,
             net,
             interactive: true,
             ..FlyArgs::default()

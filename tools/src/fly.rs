@@ -15,8 +15,8 @@ use terrane::draw::{Sky, Water};
 use terrane::io::shown;
 use terrane::timeline::Recording;
 use terrane::viewer::{
-    AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, Report, Settled, SlaveWindow, ViewFrom,
-    Viewer, ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
+    AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, ParentWindow, Report, Settled,
+    SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
 };
 
 use crate::args::FlyArgs;
@@ -135,6 +135,7 @@ fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &st
         overlay: flight.args.stats,
         manipulated: interactive,
         on_demand: flight.args.on_demand,
+        parent: flight.args.parent.map(ParentWindow::x11),
         slaves: beside(flight.args.beside, flight.args.size.0),
         max_frame_rate: flight.args.max_fps.map(|rate| rate.0),
         ..WindowOptions::default()

@@ -11,7 +11,8 @@ use std::time::{Duration, Instant};
 use image::{GenericImageView as _, RgbImage};
 use x11rb::connection::Connection as _;
 use x11rb::protocol::xproto::{
-    AtomEnum, ClientMessageEvent, ConfigureWindowAux, ConnectionExt as _, EventMask, ImageFormat, InputFocus, Window,
+    AtomEnum, ClientMessageEvent, ConfigureWindowAux, ConnectionExt as _, CreateWindowAux, EventMask, ImageFormat,
+    InputFocus, Window, WindowClass,
 };
 use x11rb::protocol::xtest::ConnectionExt as _;
 use x11rb::rust_connection::RustConnection;
@@ -540,4 +541,56 @@ fn windows_open_where_variables_say() {
         let error = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.code() == Some(1) && error.contains(says), "{error}");
     }
+}
+
+#[test]
+fn a_window_opens_in_one_of_another_program_fills_it_and_ends_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    // The host is this test, with a plain window.
+    let (x, screen) = x11rb::connect(Some(&display.name)).unwrap();
+    let root = x.setup().roots[screen].root;
+    let host = x.generate_id().unwrap();
+    let class = WindowClass::INPUT_OUTPUT;
+    x.create_window(0, host, root, 70, 80, 400, 300, 0, class, 0, &CreateWindowAux::new().background_pixel(0)).unwrap();
+    x.map_window(host).unwrap();
+    x.sync().unwrap();
+    let args = ["view", set.to_str().unwrap(), "--size", "320x240", "--parent", &host.to_string()];
+    let program = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(args)
+        .current_dir(folder.path())
+        .env("DISPLAY", &display.name)
+        .env("TERRANE_WINDOW", "0 0 100 100")
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut w = Driven { program, x, root: host, window: 0 };
+    w.window = w.wait_for("a window in the window", Driven::find_window);
+    w.root = root;
+    assert_eq!(w.place(), [70, 80, 400, 300]);
+    w.until("child", |picture| colours(picture) > 100);
+    std::thread::sleep(Duration::from_secs(2));
+    let rest = w.at_rest("child at rest");
+    w.drag(1, [270, 230], [330, 220]);
+    let turned = w.at_rest("child turned");
+    assert!(differing(&rest, &turned) > 0.1, "a drag turns");
+    // Keys come once it was clicked.
+    w.key(SPACE);
+    w.until("child at home", |picture| differing(&turned, picture) > 0.1);
+    // It goes where the host goes, and has its size.
+    w.x.configure_window(host, &ConfigureWindowAux::new().x(10).y(20).width(600).height(200)).unwrap();
+    w.x.sync().unwrap();
+    w.wait_for("the host's size", |w| (w.place() == [10, 20, 600, 200]).then_some(()));
+    // The new part is drawn too.
+    let is_drawn = |picture: &RgbImage| part(picture, [450, 0, 150, 200]).pixels().all(|p| p.0 != [0, 0, 0]);
+    w.until("child resized", |picture| picture.dimensions() == (600, 200) && is_drawn(picture));
+    w.x.destroy_window(host).unwrap();
+    w.x.sync().unwrap();
+    assert_eq!(w.ended().code(), Some(0), "the host's end is its own");
+    // What is no window is one error.
+    let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
+    command.args(args).current_dir(folder.path()).env("DISPLAY", &display.name);
+    let output = command.output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && error.contains("to open in: there is none"), "{error}");
 }

@@ -142,6 +142,8 @@ pub struct Renderer {
     uploads: Vec<wgpu::CommandBuffer>,
     /// Times that programs see; set by the caller before each draw.
     pub clock: FrameClock,
+    /// Numbers of the context and of the frame that are drawn next, for the timeline.
+    pub(crate) timed: (u32, u32),
     errors: Vec<String>,
     /// What was said already.
     said: HashSet<String>,
@@ -229,6 +231,7 @@ impl Renderer {
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
             uploads: Vec::new(),
             clock: FrameClock::default(),
+            timed: (0, 0),
             errors: Vec::new(),
             said: HashSet::new(),
         }
@@ -261,7 +264,11 @@ impl Renderer {
 
     /// Milliseconds on the adapter by pass, in the order drawn, of the latest frame that is known.
     pub fn pass_ms(&mut self) -> &[f64] {
-        self.timer.as_mut().map_or(&[], FrameTimer::latest_ms)
+        let context = self.timed.0;
+        self.timer.as_mut().map_or(&[], |timer| {
+            timer.read();
+            timer.latest_ms(context)
+        })
     }
 
     /// Draws a stage into the context's target, and the stages before and after it into theirs: clears, executes the
@@ -307,7 +314,8 @@ impl Renderer {
         self.throttle(ctx)?;
         drop(wait);
         if let Some(timer) = &mut self.timer {
-            let passes = timer.latest_ms();
+            timer.read();
+            let passes = timer.latest_ms(self.timed.0);
             stats.gpu_ms = (!passes.is_empty()).then(|| passes.iter().sum());
         }
         if let Some(queries) = &mut self.queries {

@@ -31,7 +31,7 @@ impl Renderer {
         self.plans.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
-            timer.start_frame();
+            timer.start_frame(self.timed.0, self.timed.1);
         }
         if let Some(queries) = &mut self.queries {
             queries.start_frame();

@@ -1,6 +1,8 @@
 //! The commands of a frame: pictures in their order, for each stage those before it, its shadows, its pass, what is read
 //! back, those after it. Draw thread.
 
+use std::time::Instant;
+
 use super::{DrawStats, Picture, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::callbacks::bins::{Bins, draw_bins};
@@ -9,7 +11,17 @@ use crate::draw::environment::Sky;
 use crate::draw::pipelines::Bare;
 use crate::draw::plan::{PassTarget, StagePlan};
 use crate::draw::state::{Sources, State};
-use crate::gpu::{FrameTimer, GraphicsContext};
+use crate::gpu::GraphicsContext;
+
+/// A pass's name on the timeline.
+fn name_of(stage: &RenderStage, target: &PassTarget) -> &'static str {
+    match (&stage.target.camera, target.is_outermost()) {
+        (None, true) => "picture",
+        (Some(_), true) => "eye",
+        (None, false) => "nested picture",
+        (Some(_), false) => "camera",
+    }
+}
 
 impl Renderer {
     pub(super) fn record<'a>(
@@ -35,9 +47,10 @@ impl Renderer {
         if let Some(queries) = &self.queries {
             queries.resolve(&mut encoder);
         }
+        let submitting = Instant::now();
         let submission = ctx.queue().submit(self.uploads.drain(..).chain([encoder.finish()]));
         if let Some(timer) = &mut self.timer {
-            timer.submitted();
+            timer.submitted(submitting);
         }
         if let Some(queries) = &mut self.queries {
             queries.submitted();
@@ -99,7 +112,7 @@ impl Renderer {
             label: Some("stage"),
             color_attachments: &colors[..count],
             depth_stencil_attachment: Some(target.depth_attachment(stage)),
-            timestamp_writes: self.timer.as_mut().and_then(FrameTimer::pass),
+            timestamp_writes: self.timer.as_mut().and_then(|timer| timer.pass(name_of(stage, target))),
             occlusion_query_set: if plan.queries.is_empty() { None } else { self.queries.as_ref().map(|q| &q.set) },
             multiview_mask: None,
         });

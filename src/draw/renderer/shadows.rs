@@ -14,7 +14,7 @@ use crate::draw::plan::{PassTarget, StagePlan};
 use crate::draw::shadow_maps::FORMAT;
 use crate::draw::state::{Dynamics, State, Statics};
 use crate::draw::uniforms::frame::FrameUniform;
-use crate::gpu::{FrameTimer, GraphicsContext};
+use crate::gpu::GraphicsContext;
 use crate::state::{CLIP_PLANES, Mode, ResolvedState, TEXTURE_UNITS};
 
 /// What the cascades of a stage come to.
@@ -157,7 +157,7 @@ impl Renderer {
                     depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
                     stencil_ops: None,
                 }),
-                timestamp_writes: self.timer.as_mut().and_then(FrameTimer::pass),
+                timestamp_writes: self.timer.as_mut().and_then(|timer| timer.pass("shadows")),
                 occlusion_query_set: None,
                 multiview_mask: None,
             });

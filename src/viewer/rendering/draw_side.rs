@@ -412,6 +412,7 @@ impl DrawSide {
             }
         }
         let culled = Instant::now();
+        self.renderer.timed = (job.context, job.frame);
         let stats = self.draw(place, job.clock);
         self.complete_dynamic(place);
         #[cfg(feature = "window")]
