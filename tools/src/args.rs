@@ -17,11 +17,20 @@ pub struct Args {
     pub command: Command,
 }
 
+/// What [`terrane::viewer::DisplaySettings`] takes out of the command line before the rest is read.
+const DISPLAY_HELP: &str = "Of the display, each with its value, or as TERRANE_DISPLAY_TYPE and so on in the environment: \
+    --display-type --stereo --stereo-mode --eye-separation --screen-width --screen-height --screen-distance \
+    --split-horizontal-eye-mapping --split-horizontal-separation --split-vertical-eye-mapping \
+    --split-vertical-separation --split-auto-adjust-aspect-ratio --max-contexts --multi-samples --min-alpha-bits \
+    --min-stencil-bits --compile-contexts";
+
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Fly along a path over a tile set and report what the frames cost
+    #[command(after_help = DISPLAY_HELP)]
     Fly(Box<FlyArgs>),
     /// Open a window on a tile set and move in it
+    #[command(after_help = DISPLAY_HELP)]
     View(ViewArgs),
     /// Make a tile set from noise or from elevation models
     Gen(Box<terrane_data_gen::GenArgs>),

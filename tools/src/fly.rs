@@ -15,8 +15,8 @@ use terrane::draw::{Sky, Water};
 use terrane::io::shown;
 use terrane::timeline::Recording;
 use terrane::viewer::{
-    AnimationPath, Camera, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, ParentWindow, Report, Settled,
-    SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
+    AnimationPath, Camera, DisplaySettingError, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, ParentWindow,
+    Report, Settled, SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
 };
 
 use crate::args::FlyArgs;
@@ -37,16 +37,18 @@ const FOREIGN_SSE_PX: f64 = 16.0;
 /// Without any progress of the pager for so long, a picture is taken as never complete.
 const STALLED_AFTER: Duration = Duration::from_secs(60);
 
-pub fn run(args: Box<FlyArgs>) -> Result<()> {
-    let Some(file) = args.trace.clone() else { return fly(args) };
+/// `settings` are what environment and command line say of the display.
+pub fn run(args: Box<FlyArgs>, settings: Result<DisplaySettings, DisplaySettingError>) -> Result<()> {
+    let settings = settings?;
+    let Some(file) = args.trace.clone() else { return fly(args, settings) };
     // Told before the flight, not after it.
     std::fs::File::create(&file).with_context(|| file.display().to_string())?;
     let recording = Recording::start()?;
     // All threads have ended by then.
-    fly(args).and(recording.write(&file).map(drop).map_err(Into::into))
+    fly(args, settings).and(recording.write(&file).map(drop).map_err(Into::into))
 }
 
-fn fly(args: Box<FlyArgs>) -> Result<()> {
+fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     let display = has_display();
     if args.interactive && !display {
         bail!("there is no display to open a window on; `terrane fly` renders without one");
@@ -62,7 +64,6 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
     // A second handler in one process (tests) is no reason not to fly.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
 
-    let mut settings = DisplaySettings::from_environment()?;
     settings.samples = settings.samples.max(args.samples);
     if let Some(mode) = args.stereo {
         (settings.stereo, settings.stereo_mode) = (true, mode);

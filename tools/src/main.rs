@@ -12,16 +12,32 @@ mod serve;
 mod stress;
 mod summary;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser as _;
+use terrane::viewer::DisplaySettings;
 
 fn main() -> ExitCode {
-    // Wrong arguments end here, with exit code 2 and clap's own words.
-    let args = args::Args::parse();
+    let mut line: Vec<OsString> = std::env::args_os().collect();
+    let mut display = DisplaySettings::from_environment();
+    if line.get(1).is_some_and(|command| command == "fly" || command == "view") {
+        // Arguments of the display are the library's; what is not UTF-8 is none of them.
+        let words: Result<Vec<String>, _> = line.iter().cloned().map(OsString::into_string).collect();
+        if let Ok(mut words) = words {
+            let mut unused = DisplaySettings::default();
+            if let Err(error) = display.as_mut().unwrap_or(&mut unused).read_command_line(&mut words) {
+                eprintln!("error: {error}");
+                return ExitCode::from(2);
+            }
+            line = words.into_iter().map(OsString::from).collect();
+        }
+    }
+    // Other wrong arguments end here, with exit code 2 and clap's own words.
+    let args = args::Args::parse_from(line);
     let (name, result) = match args.command {
-        args::Command::Fly(args) => ("fly", fly::run(args)),
-        args::Command::View(args) => ("view", fly::run(args.into())),
+        args::Command::Fly(args) => ("fly", fly::run(args, display)),
+        args::Command::View(args) => ("view", fly::run(args.into(), display)),
         args::Command::Gen(args) => {
             ("gen", terrane_data_gen::run(&args).map(|summary| println!("{summary}")).map_err(Into::into))
         }

@@ -43,6 +43,39 @@ fn json(file: &Path) -> Value {
 }
 
 #[test]
+fn the_display_is_set_by_arguments_and_by_the_environment() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let picture = |name: &str, more: &[&str], variable: Option<(&str, &str)>| {
+        let file = folder.path().join(name);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
+        command.args(["fly", set.to_str().unwrap(), "--offscreen", "--settle", "--size", "160x90"]).args(more);
+        command.arg("--screenshot").arg(&file).env_remove("TERRANE_SPLIT_STEREO_HORIZONTAL_SEPARATION");
+        command.envs(variable);
+        let out = command.current_dir(folder.path()).output().unwrap();
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        image::open(&file).unwrap().into_rgb8()
+    };
+    let split = ["--stereo", "HORIZONTAL_SPLIT"];
+    let gap = ["--stereo", "HORIZONTAL_SPLIT", "--split-horizontal-separation=20"];
+    let (without, said) = (picture("a.png", &split, None), picture("b.png", &gap, None));
+    let set_outside = Some(("TERRANE_SPLIT_STEREO_HORIZONTAL_SEPARATION", "20"));
+    assert!(without != said && said == picture("c.png", &split, set_outside));
+    let last = ["--stereo", "HORIZONTAL_SPLIT", "--split-horizontal-separation", "0"];
+    assert!(without == picture("d.png", &last, set_outside), "the command line has the last word");
+    // Middle columns belong to neither eye.
+    assert!((0..90).all(|y| said.get_pixel(80, y).0 == said.get_pixel(80, 0).0));
+
+    let wrong = terrane(&["fly", set.to_str().unwrap(), "--eye-separation", "far"]);
+    assert_eq!((wrong.status.code(), lines(&wrong.stderr).len()), (Some(2), 1), "{wrong:?}");
+    let help = lines(&terrane(&["view", "--help"]).stdout).join(" ");
+    assert!(help.contains("--eye-separation") && help.contains("TERRANE_DISPLAY_TYPE"));
+}
+
+#[test]
 fn wrong_arguments_exit_2() {
     for args in [
         &[][..],
