@@ -7,6 +7,8 @@ mod lookup;
 
 use std::collections::HashMap;
 
+use glam::{Vec3A, Vec4};
+
 use crate::cull::{FadeBand, RenderLeaf, RenderStage};
 use crate::draw::batch::lookup::Lookup;
 use crate::draw::pipelines::Pipelines;
@@ -132,10 +134,10 @@ fn stride_code(entry: &DrawableEntry, state: &StateEntry) -> u32 {
 
 const NO_RUN: u32 = u32::MAX;
 
+#[inline]
 fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
-    let [a, b, c] = rows;
-    let minor = |i: usize, j: usize| b[i] * c[j] - b[j] * c[i];
-    a[0] * minor(1, 2) - a[1] * minor(0, 2) + a[2] * minor(0, 1) < 0.0
+    let [a, b, c] = rows.map(|row| Vec3A::from_vec4(Vec4::from_array(row)));
+    a.dot(b.cross(c)) < 0.0
 }
 
 impl Batch {
@@ -221,7 +223,8 @@ impl Batch {
         self.run_of.clear();
         let mut last = (u64::MAX, NO_RUN);
         for leaf in leaves {
-            let is_drawn = |entry: &DrawableEntry| self.takes(leaf, entry) && !self.is_hidden(leaf);
+            let state = &self.states[leaf.state as usize];
+            let is_drawn = |entry: &DrawableEntry| !(state.is_hidden || (state.key.casts && is_thin(entry)));
             let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(entry)) else {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
@@ -256,13 +259,6 @@ impl Batch {
                 run.first_leaf += 1;
             }
         }
-    }
-
-    /// False for lines and points where shadows are cast.
-    #[inline]
-    fn takes(&self, leaf: &RenderLeaf, entry: &DrawableEntry) -> bool {
-        let is_thin = matches!(&entry.shape, Shape::Mesh { topology: Topology::Lines | Topology::Points, .. });
-        !(is_thin && self.states[leaf.state as usize].key.casts)
     }
 
     /// Leaves in `order` the runs of the group by the order of their buckets; those of one bucket as first met.
@@ -337,7 +333,7 @@ impl Batch {
     }
 
     /// The bucket of a leaf; made, with its pipeline, when it is the first.
-    #[inline]
+    #[inline(always)]
     fn bucket(
         &mut self,
         ctx: &GraphicsContext,
@@ -347,13 +343,28 @@ impl Batch {
         rows: &[[f32; 4]; 3],
     ) -> u32 {
         let state = &self.states[leaf.state as usize];
-        let mirrored = is_mirrored(rows);
-        let code = stride_code(entry, state);
+        let (code, mirrored) = (stride_code(entry, state), is_mirrored(rows));
         let key =
             u64::from(state.class) << 44 | u64::from(entry.class) << 8 | u64::from(code) << 1 | u64::from(mirrored);
+        // Mostly that of the leaf before.
         if key == self.last_bucket.0 {
-            return self.last_bucket.1;
+            self.last_bucket.1
+        } else {
+            self.find_bucket(ctx, pipelines, key, leaf.state, entry)
         }
+    }
+
+    #[inline(never)]
+    fn find_bucket(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        key: u64,
+        state: u32,
+        entry: &DrawableEntry,
+    ) -> u32 {
+        let state = &self.states[state as usize];
+        let (code, mirrored) = ((key >> 1) as u32 & 0x7f, key & 1 != 0);
         let next = self.buckets.len() as u32;
         let bucket = self.bucket_of.get_or_insert(key, next);
         self.last_bucket = (key, bucket);
@@ -380,6 +391,12 @@ impl Batch {
     }
 }
 
+/// True for what casts no shadow.
+#[inline]
+fn is_thin(entry: &DrawableEntry) -> bool {
+    matches!(&entry.shape, Shape::Mesh { topology: Topology::Lines | Topology::Points, .. })
+}
+
 #[inline]
 fn drawable<'a>(
     ctx: &'a GraphicsContext,
@@ -401,10 +418,11 @@ impl Run {
     #[inline]
     fn add(&mut self, entry: &DrawableEntry) {
         self.leaf_count += 1;
-        self.all_indices += match &entry.shape {
-            Shape::Height(_) => u64::from(self.index_count),
-            Shape::Mesh { place, .. } => u64::from(place.index_count),
+        let index_count = match &entry.shape {
+            Shape::Height(_) => self.index_count,
+            Shape::Mesh { place, .. } => place.index_count,
         };
+        self.all_indices += u64::from(index_count);
     }
 }
 
