@@ -62,6 +62,11 @@ impl Fade {
         FadeBand { from: self.0 as u8, to: (self.0 >> 8) as u8 }
     }
 
+    /// True where every pixel is drawn.
+    pub fn is_whole(self) -> bool {
+        self.0 as u16 == Self::NONE.0 as u16
+    }
+
     pub fn covered(self) -> bool {
         self.0 & 1 << 16 != 0
     }

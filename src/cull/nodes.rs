@@ -5,9 +5,7 @@ use glam::{DAffine3, DVec3, Vec4};
 use super::fade::{Fade, LodShares, WHOLE};
 use super::stage::RenderLeaf;
 use super::visitor::{Cull, DepthRange, PageContext, Purpose};
-use crate::scene::{
-    CALLBACK, ComputeNearFar, CullAction, CullInfo, CullingMode, DrawSlot, INACTIVE, PLAIN, UNBOUNDED, kind,
-};
+use crate::scene::{CALLBACK, CullAction, CullInfo, DrawSlot, INACTIVE, PLAIN, UNBOUNDED, kind};
 
 /// What holds again behind a subtree.
 #[derive(Clone, Copy, Debug)]
@@ -35,8 +33,7 @@ impl Cull<'_> {
         let mut node = first;
         let small_feature = self.view.small_feature;
         let cull_mask = self.view.settings.cull_mask;
-        let by_primitives = self.view.settings.compute_near_far == ComputeNearFar::Primitives;
-        let takes_ranges = self.takes_ranges && small_feature == 0.0 && !by_primitives;
+        let takes_ranges = self.takes_ranges && small_feature == 0.0 && !context.by_primitives;
         let has_occluders = !self.occluders.is_empty();
         // A mask of 0 hides nodes of every mask, of those without one too.
         if cull_mask == 0 {
@@ -46,6 +43,8 @@ impl Cull<'_> {
             return;
         }
         let has_masks = !page.masks.is_empty();
+        // What few pages and cameras ask for, in one test for each node.
+        let looks_closer = small_feature > 0.0 || has_occluders;
         // Counted here: a counter behind `self` is a load and a store for each node.
         let mut visited = 0;
         loop {
@@ -92,17 +91,19 @@ impl Cull<'_> {
                     }
                 }
             }
-            // Not where tiles are below: their errors decide.
-            if small_feature > 0.0 && record.flags & PLAIN != 0 && self.is_small(context, sphere) {
-                node += skip;
-                continue;
-            }
-            if has_occluders && is_active && self.is_occluded(sphere) {
-                if context.visit.required && record.flags & PLAIN == 0 {
-                    self.keep_tiles(context, node, node + skip);
+            if looks_closer {
+                // Not where tiles are below: their errors decide.
+                if small_feature > 0.0 && record.flags & PLAIN != 0 && self.is_small(context, sphere) {
+                    node += skip;
+                    continue;
                 }
-                node += skip;
-                continue;
+                if has_occluders && is_active && self.is_occluded(sphere) {
+                    if context.visit.required && record.flags & PLAIN == 0 {
+                        self.keep_tiles(context, node, node + skip);
+                    }
+                    node += skip;
+                    continue;
+                }
             }
             if mask == 0 && skip > SMALL_SUBTREE && record.flags & PLAIN != 0 && takes_ranges {
                 self.take_inside(context, node, node + skip, above.matrix);
@@ -112,8 +113,12 @@ impl Cull<'_> {
             match record.kind {
                 kind::GEODE | kind::GROUP => {
                     let end = page.nodes[node as usize + 1].first_drawable;
-                    if end > record.first_drawable {
-                        self.test_drawables(context, record.first_drawable, end, mask, above.matrix);
+                    let first = record.first_drawable;
+                    if end == first + 1 {
+                        // Mostly one, without what a loop keeps.
+                        self.test_and_emit(context, first, mask, above.matrix);
+                    } else if end > first {
+                        self.test_drawables(context, first, end, mask, above.matrix);
                     }
                     if mask != above.mask && skip > 1 {
                         self.node_stack.push(above);
@@ -123,7 +128,7 @@ impl Cull<'_> {
                 }
                 kind::TRANSFORM => {
                     let own = record.first_transform as usize;
-                    let matrix = self.push_transforms(context, own..own + 1);
+                    let matrix = self.push_transform(context, own);
                     self.node_stack.push(above);
                     above = Open { end: node + skip, matrix, mask };
                     node += 1;
@@ -262,32 +267,21 @@ impl Cull<'_> {
     /// Stores the matrices of a range of transforms one behind the other and returns the first's index.
     #[inline(always)]
     pub(super) fn push_transforms(&mut self, context: &PageContext, transforms: std::ops::Range<usize>) -> u32 {
-        let all = &context.page.transforms;
         let matrices = &mut self.stage.eye_from_drawable;
         let first = matrices.len() as u32;
-        let [x, y, z] = context.eye_rows;
-        let at = context.visit.eye_from_page.translation;
-        let (mut linear, mut rows) = self.linear_rows;
-        let places = &all.translations[transforms.clone()];
-        let linear_of = &all.linear_of[transforms];
-        matrices.extend(places.iter().zip(linear_of).map(|(place, of)| {
-            if *of != linear {
-                linear = *of;
-                let page_from_node = all.linears[linear as usize].page_from_node;
-                rows = super::visitor::rows(&DAffine3 {
-                    matrix3: context.visit.eye_from_page.matrix3 * page_from_node,
-                    translation: DVec3::ZERO,
-                });
-            }
-            let [px, py, pz] = *place;
-            let mut matrix = rows;
-            matrix[0][3] = (x.x * px + x.y * py + x.z * pz + at.x) as f32;
-            matrix[1][3] = (y.x * px + y.y * py + y.z * pz + at.y) as f32;
-            matrix[2][3] = (z.x * px + z.y * py + z.z * pz + at.z) as f32;
-            matrix
-        }));
-        self.linear_rows = (linear, rows);
+        let known = &mut self.linear_rows;
+        matrices.extend(transforms.map(|transform| transform_rows(context, known, transform)));
         first
+    }
+
+    /// Stores the matrix of one transform and returns its index.
+    #[inline(always)]
+    fn push_transform(&mut self, context: &PageContext, transform: usize) -> u32 {
+        let matrix = transform_rows(context, &mut self.linear_rows, transform);
+        let matrices = &mut self.stage.eye_from_drawable;
+        let index = matrices.len() as u32;
+        matrices.push(matrix);
+        index
     }
 
     /// True for a bound that projects to too few pixels.
@@ -372,23 +366,27 @@ impl Cull<'_> {
     }
 
     /// Tests drawables of a node that crosses some plane (or not) and emits those that are seen.
+    #[inline(never)]
     fn test_drawables(&mut self, context: &PageContext, first: u32, end: u32, mask: u8, matrix: u32) {
-        let page = context.page;
-        let has_clusters = !page.clusters.is_empty() && self.view.settings.culling.contains(CullingMode::CLUSTER);
-        let by_primitives = self.view.settings.compute_near_far == ComputeNearFar::Primitives;
         for drawable in first..end {
-            if has_clusters && self.looks_away(context, drawable) {
-                continue;
-            }
-            let range = self.range;
-            let Some((depth, reach)) = self.test_drawable(context, drawable, mask) else { continue };
-            if by_primitives && self.put_aside(context, drawable, depth, reach) {
-                self.range = range;
-            }
-            let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
-            let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
-            self.leaves.push(RenderLeaf { slot, state, matrix, depth });
+            self.test_and_emit(context, drawable, mask, matrix);
         }
+    }
+
+    #[inline(always)]
+    fn test_and_emit(&mut self, context: &PageContext, drawable: u32, mask: u8, matrix: u32) {
+        if context.has_clusters && self.looks_away(context, drawable) {
+            return;
+        }
+        let range = self.range;
+        let Some((depth, reach)) = self.test_drawable(context, drawable, mask) else { return };
+        if context.by_primitives && self.put_aside(context, drawable, depth, reach) {
+            self.range = range;
+        }
+        let page = context.page;
+        let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
+        let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
+        self.leaves.push(RenderLeaf { slot, state, matrix, depth });
     }
 
     /// Takes a subtree that is wholly inside: its transforms and its drawables are ranges, its nodes stay unread.
@@ -402,27 +400,43 @@ impl Cull<'_> {
         };
         let (first, end) = (from.first_drawable as usize, to.first_drawable as usize);
         self.leaves.reserve(end - first);
-        // Whole blocks of four in the middle, single drawables at the ends.
-        let head_end = first.next_multiple_of(4).min(end);
-        let blocks = head_end.div_ceil(4)..end / 4;
-        let tail_start = (4 * blocks.end).max(head_end);
-        self.take_singly(context, first..head_end, &matrix_of);
         let row = context.depth;
         let abs = row.abs();
         let least_depth = Vec4::splat(self.view.least_depth);
         let (mut near, mut far) = (Vec4::splat(self.range.near), Vec4::splat(self.range.far));
-        for (block, four) in page.boxes.iter().enumerate().take(blocks.end).skip(blocks.start) {
+        let last = end.div_ceil(4).min(page.boxes.len());
+        for (block, four) in page.boxes.iter().enumerate().take(last).skip(first / 4) {
+            // At the ends some of the four are others'.
             let start = 4 * block;
+            let (own, own_end) = (first.max(start), end.min(start + 4));
             let [cx, cy, cz] = four.center;
             let [hx, hy, hz] = four.half;
             let depth = cx * row.x + cy * row.y + cz * row.z + Vec4::splat(row.w);
             let reach = hx * abs.x + hy * abs.y + hz * abs.z;
             let behind = (depth + reach).cmplt(least_depth) | hx.cmpge(Vec4::splat(UNBOUNDED));
             if behind.any() {
-                self.take_singly(context, start..start + 4, &matrix_of);
+                self.range = DepthRange { near: near.min_element(), far: far.max_element() };
+                self.take_singly(context, own..own_end, &matrix_of);
+                (near, far) = (Vec4::splat(self.range.near), Vec4::splat(self.range.far));
                 continue;
             }
-            // A NaN in the first operand loses.
+            let depths = depth.to_array();
+            if own_end - own < 4 {
+                let (nearest, farthest) = ((depth - reach).to_array(), (depth + reach).to_array());
+                self.counters.drawables_tested += (own_end - own) as u32;
+                for drawable in own..own_end {
+                    let lane = drawable - start;
+                    // A NaN in the first operand loses.
+                    near = Vec4::splat(nearest[lane]).min(near);
+                    far = Vec4::splat(farthest[lane]).max(far);
+                    let of = page.drawable_refs[drawable];
+                    let state = self.state_of(page, of.state_path);
+                    let slot = context.slots.get(drawable).copied().unwrap_or(DrawSlot::NONE);
+                    let matrix = matrix_of(of.transform);
+                    self.leaves.push(RenderLeaf { slot, state, matrix, depth: depths[lane] });
+                }
+                continue;
+            }
             near = (depth - reach).min(near);
             far = (depth + reach).max(far);
             self.counters.drawables_tested += 4;
@@ -431,13 +445,11 @@ impl Cull<'_> {
             let slots = slots.copied().unwrap_or([DrawSlot::NONE; 4]);
             let states = [a, b, c, d].map(|r| self.state_of(page, r.state_path));
             let matrices = [a, b, c, d].map(|r| matrix_of(r.transform));
-            let depths = depth.to_array();
             let leaf =
                 |i: usize| RenderLeaf { slot: slots[i], state: states[i], matrix: matrices[i], depth: depths[i] };
             self.leaves.extend_from_slice(&[leaf(0), leaf(1), leaf(2), leaf(3)]);
         }
         self.range = DepthRange { near: near.min_element(), far: far.max_element() };
-        self.take_singly(context, tail_start..end, &matrix_of);
     }
 
     fn take_singly(
@@ -451,4 +463,30 @@ impl Cull<'_> {
             self.test_drawables(context, drawable as u32, drawable as u32 + 1, 0, matrix);
         }
     }
+}
+
+/// The matrix of a transform as rows. `known` is the linear part that was multiplied last, and the product.
+#[inline(always)]
+fn transform_rows(context: &PageContext, known: &mut (u32, [[f32; 4]; 3]), transform: usize) -> [[f32; 4]; 3] {
+    let all = &context.page.transforms;
+    let of = all.linear_of[transform];
+    if of != known.0 {
+        multiply_linear(context, known, of);
+    }
+    let mut matrix = known.1;
+    let [px, py, pz] = all.translations[transform];
+    let at = &context.visit.eye_from_page.translation;
+    let along = |row: &DVec3, at: f64| (row.x * px + row.y * py + row.z * pz + at) as f32;
+    let [x, y, z] = &context.eye_rows;
+    matrix[0][3] = along(x, at.x);
+    matrix[1][3] = along(y, at.y);
+    matrix[2][3] = along(z, at.z);
+    matrix
+}
+
+#[inline(never)]
+fn multiply_linear(context: &PageContext, known: &mut (u32, [[f32; 4]; 3]), linear: u32) {
+    let page_from_node = context.page.transforms.linears[linear as usize].page_from_node;
+    let matrix3 = context.visit.eye_from_page.matrix3 * page_from_node;
+    *known = (linear, super::visitor::rows(&DAffine3 { matrix3, translation: DVec3::ZERO }));
 }

@@ -13,7 +13,7 @@ use super::horizon::Horizon;
 use super::planes::Planes;
 use super::stage::PageRequest;
 use super::visitor::{Cull, Hanger, PageVisit, Purpose, Waiting, eye_in};
-use crate::scene::{NodeId, Page, PageId, TileRecord, Tiles, UNBOUNDED, flag};
+use crate::scene::{NONE, NodeId, Page, PageId, TileBounds, TileRecord, Tiles, UNBOUNDED, flag};
 
 /// What holds for the tiles up to `end`.
 #[derive(Clone, Copy, Debug)]
@@ -51,239 +51,284 @@ struct Walk<'a> {
     max_sse_px: f32,
     /// Shadows take what is there.
     asks: bool,
+    cull_mask: u32,
+    /// Some tile may be hidden by its mask, or outside the volume in which it is asked for.
+    may_hide: bool,
+    /// Some tile may be behind the horizon or an occluder.
+    may_be_behind: bool,
+    /// How far fades go on.
+    step: Step,
 }
 
-/// A tile that is not culled, or kept all the same.
-#[derive(Clone, Copy)]
-struct Met {
-    tile: u32,
-    record: TileRecord,
-    purpose: Purpose,
-    /// Planes that it crosses.
-    mask: u8,
-}
-
-/// Marks of the page's tiles, and how far fades go on.
-type Fades<'a> = Option<(&'a mut [TileMark], Step)>;
+/// Of a tile with content that its children replace.
+const PLAIN: u16 = flag::CONTENT;
+/// No path and its state.
+const UNKNOWN: (u32, u32) = (NONE, 0);
+/// What else tiles may be.
+const KINDS: u16 = flag::CONTENT | flag::PROXY | flag::EXTERNAL | flag::ADD;
 
 impl Cull<'_> {
     /// Walks one tile tree of a page.
     pub(super) fn scan_tiles(&mut self, page: &Page, visit: &PageVisit, root: usize, mask: u8, purpose: Purpose) {
         let Some(tile_root) = page.tiles.roots.get(root) else { return };
+        let (tiles, first) = (&page.tiles, tile_root.tile);
+        let end = first + tiles.records[first as usize].skip;
+        let (fade_s, cull_mask) = (self.view.settings.lod_fade_s, self.view.settings.cull_mask);
         let walk = Walk {
             page,
             id: self.scene.page_id_at(visit.place),
-            tiles: &page.tiles,
+            tiles,
             view: self.tile_view(page, visit, tile_root.transform),
             ranges: (self.view.range_per_error, self.view.range_per_metre),
             max_sse_px: self.view.max_sse_px,
             asks: !self.view.casts,
+            cull_mask,
+            may_hide: !page.masks.is_empty() || cull_mask == 0 || !tiles.request_volumes.is_empty(),
+            may_be_behind: self.view.horizon.is_some() || !self.occluders.is_empty(),
+            step: self.fades.step(fade_s),
         };
-        let first = tile_root.tile;
-        let end = first + page.tiles.records[first as usize].skip;
         let (required, shown_px, fade) = (visit.required, visit.shown_px, visit.fade);
         let all = TileFrame { end, mask, purpose, required, shown_px, fade };
-        let fade_s = self.view.settings.lod_fade_s;
         if fade_s > 0.0 && purpose == Purpose::Draw {
-            let mut marks = self.fades.take_tiles(visit.place, walk.id.generation, page.tiles.len());
-            let step = self.fades.step(fade_s);
-            self.walk_tiles(&walk, first, all, Some((&mut marks, step)));
+            let mut marks = self.fades.take_tiles(visit.place, walk.id.generation, tiles.len());
+            self.walk_tiles::<true>(&walk, first, all, &mut marks);
             self.fades.give_back_tiles(visit.place, marks);
         } else {
-            self.walk_tiles(&walk, first, all, None);
+            self.walk_tiles::<true>(&walk, first, all, &mut []);
         }
     }
 
-    fn walk_tiles(&mut self, walk: &Walk, first: u32, all: TileFrame, mut fades: Fades) {
+    /// Walks the tiles from `first` to the end of `all`. There are no `marks` where nothing can fade. `LOOKS` at each
+    /// tile, or takes for granted that it is not culled: wholly inside the frustum that is most of them.
+    fn walk_tiles<const LOOKS: bool>(&mut self, walk: &Walk, first: u32, all: TileFrame, marks: &mut [TileMark]) {
         let tiles = walk.tiles;
-        let cull_mask = self.view.settings.cull_mask;
-        let may_hide = !walk.page.masks.is_empty() || cull_mask == 0;
-        let may_be_behind = walk.view.horizon.is_some() || !self.occluders.is_empty();
+        // With one length for all, places are checked once a tile.
+        let records = &tiles.records[..];
+        let last_used = &tiles.last_used[..records.len()];
+        let looks_everywhere = walk.may_hide || walk.may_be_behind;
         let stamp = if walk.asks { self.camera.frame } else { 0 };
+        let base = self.tile_stack.len();
         let (mut tile, mut above) = (first, all);
+        // The last path met, and its state.
+        let mut known = UNKNOWN;
         // Counted here: a counter behind `self` is a load and a store for each tile.
         let mut visited = 0;
-        self.tile_stack.clear();
         loop {
             while tile >= above.end {
-                match self.tile_stack.pop() {
-                    Some(open) => above = open,
-                    None => {
-                        self.counters.tiles_visited += visited;
-                        return;
-                    }
+                if tile >= all.end {
+                    self.tile_stack.truncate(base);
+                    self.counters.tiles_visited += visited;
+                    return;
                 }
+                let Some(open) = self.tile_stack.pop() else { return };
+                above = open;
             }
-            let index = tile as usize;
-            let record = tiles.records[index];
-            let next = tile + record.skip;
-            // What this camera does not see is kept with its siblings all the same: the parent waits for all of them.
-            let mut purpose = above.purpose;
-            if may_hide && walk.is_hidden(index, cull_mask) {
-                if !above.required {
-                    tile = next;
-                    continue;
-                }
-                purpose = Purpose::Keep;
-            }
-            if record.has(flag::REQUEST_VOLUME) && !tiles.may_be_requested(tile, walk.view.eye) {
-                tile = next;
-                continue;
-            }
-            visited += 1;
-            let mut mask = above.mask;
-            if mask != 0 && purpose != Purpose::Keep {
-                match walk.test(index, &record, mask) {
-                    Some(crossing) => mask = crossing,
-                    None if above.required => purpose = Purpose::Keep,
+            let record = &records[tile as usize];
+            let (mut purpose, mut mask) = (above.purpose, 0);
+            if LOOKS {
+                match self.look(walk, tile, above) {
+                    Some(seen) => (purpose, mask) = seen,
                     None => {
-                        tile = next;
+                        tile += record.skip;
                         continue;
                     }
                 }
             }
-            if may_be_behind && purpose != Purpose::Keep && self.is_behind(walk, index, &record) {
-                if !above.required {
-                    tile = next;
-                    continue;
-                }
-                purpose = Purpose::Keep;
-            }
+            visited += 1;
             if stamp != 0 {
-                tiles.last_used[index].store(stamp, Ordering::Relaxed);
+                last_used[tile as usize].store(stamp, Ordering::Relaxed);
             }
-            let met = Met { tile, record, purpose, mask };
-            let below = if record.flags & (flag::CONTENT | flag::PROXY | flag::EXTERNAL | flag::ADD) == flag::CONTENT {
-                self.meet_plain_tile(walk, met, &above, &mut fades)
+            let below = if record.flags & KINDS == PLAIN {
+                self.meet_plain_tile(walk, tile, record, (purpose, mask), above, marks, &mut known)
             } else {
-                self.meet_tile(walk, met, &above, &mut fades)
+                self.meet_tile(walk, tile, (purpose, mask), above, marks)
             };
             match below {
                 Some(below) if record.has_children() => {
+                    if LOOKS && below.mask == 0 && !looks_everywhere {
+                        self.walk_tiles::<false>(walk, tile + 1, below, marks);
+                        tile += record.skip;
+                        continue;
+                    }
                     self.tile_stack.push(above);
                     above = below;
                     tile += 1;
                 }
-                _ => tile = next,
+                _ => tile += record.skip,
             }
         }
     }
 
+    /// Why a tile is met, and the planes that it crosses; `None` where it is culled. What this camera does not see is
+    /// kept with its siblings all the same where the parent waits for all of them.
+    #[inline(never)]
+    fn look(&mut self, walk: &Walk, tile: u32, above: TileFrame) -> Option<(Purpose, u8)> {
+        let record = &walk.tiles.records[tile as usize];
+        let kept = above.required.then_some((Purpose::Keep, above.mask));
+        let mut seen = Some((above.purpose, above.mask));
+        if walk.may_hide {
+            if walk.is_hidden(tile) {
+                seen = Some(kept?);
+            }
+            if record.has(flag::REQUEST_VOLUME) && !walk.tiles.may_be_requested(tile, walk.view.eye) {
+                return None;
+            }
+        }
+        if let Some((Purpose::Draw | Purpose::Want, mask)) = seen
+            && mask != 0
+        {
+            seen = walk.test(tile, record, mask).map(|crossing| (above.purpose, crossing)).or(kept);
+        }
+        if walk.may_be_behind
+            && let Some((Purpose::Draw | Purpose::Want, mask)) = seen
+            && self.is_behind(walk, tile, record)
+        {
+            seen = kept.map(|_| (Purpose::Keep, mask));
+        }
+        self.counters.tiles_visited += u32::from(seen.is_none());
+        seen
+    }
+
     /// [`Self::meet_tile`] for nearly all tiles: content that its children replace, at once or not at all.
     #[inline(always)]
-    fn meet_plain_tile(&mut self, walk: &Walk, met: Met, above: &TileFrame, fades: &mut Fades) -> Option<TileFrame> {
-        let Met { tile, record, purpose, .. } = met;
+    #[allow(clippy::too_many_arguments, reason = "the loop's variables, in registers")]
+    fn meet_plain_tile(
+        &mut self,
+        walk: &Walk,
+        tile: u32,
+        record: &TileRecord,
+        (purpose, mask): (Purpose, u8),
+        above: TileFrame,
+        marks: &mut [TileMark],
+        known: &mut (u32, u32),
+    ) -> Option<TileFrame> {
         let resident = record.has(flag::RESIDENT);
-        if !record.has_children() {
+        if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
-                self.request_missing(walk, met, above);
-            } else if purpose == Purpose::Draw {
-                if !stays(fades, tile, false, resident) {
-                    return self.meet_tile(walk, met, above, fades);
+                self.request_missing(walk, tile, purpose, above);
+            }
+            if purpose == Purpose::Draw {
+                if !stays(marks, tile, walk.step, false, resident) {
+                    return self.fade_tile(walk, tile, mask, above, marks);
                 }
-                self.draw(walk, met, above.fade);
+                if resident {
+                    self.draw(walk, tile, record, mask, above.fade, known);
+                }
             }
             return None;
         }
-        if purpose == Purpose::Keep {
-            if !resident {
-                self.request_missing(walk, met, above);
-            }
-            return None;
-        }
-        let (range2, distance2) = walk.range_and_distance(tile, &record);
+        let (range2, distance2) = walk.range_and_distance(tile, record);
         let wants = distance2 < range2;
         let ready = record.not_ready_children == 0;
         let is_refined = purpose == Purpose::Draw && ready && (wants || !resident);
-        if purpose == Purpose::Draw && !stays(fades, tile, is_refined, resident) {
-            return self.meet_tile(walk, met, above, fades);
+        if !(resident || (is_refined && wants)) {
+            self.request_missing(walk, tile, purpose, above);
         }
-        if !resident {
-            if purpose == Purpose::Want || !(wants && ready) {
-                self.request_missing(walk, met, above);
+        if purpose == Purpose::Draw {
+            if !stays(marks, tile, walk.step, is_refined, resident) {
+                return self.fade_tile(walk, tile, mask, above, marks);
             }
-        } else if purpose == Purpose::Draw && !is_refined {
-            self.draw(walk, met, above.fade);
+            if resident && !is_refined {
+                self.draw(walk, tile, record, mask, above.fade, known);
+            }
         }
         let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
         if is_refined || (wants && walk.asks) {
             let shown_px = walk.below_px(range2, distance2, above);
-            Some(TileFrame {
-                end: tile + record.skip,
-                mask: met.mask,
-                purpose,
-                required: walk.asks,
-                shown_px,
-                ..*above
-            })
+            let end = tile + record.skip;
+            Some(TileFrame { end, mask, purpose, required: walk.asks, shown_px, fade: above.fade })
         } else {
             None
         }
     }
 
-    /// Draws a tile, asks for what it lacks, and says what holds for its children, where they are to be met.
+    /// Asks for what a tile lacks, draws it, and says what holds for its children, where they are to be met.
     #[inline(never)]
-    fn meet_tile(&mut self, walk: &Walk, met: Met, above: &TileFrame, fades: &mut Fades) -> Option<TileFrame> {
-        let Met { tile, record, purpose, mask } = met;
+    fn meet_tile(
+        &mut self,
+        walk: &Walk,
+        tile: u32,
+        (purpose, mask): (Purpose, u8),
+        above: TileFrame,
+        marks: &mut [TileMark],
+    ) -> Option<TileFrame> {
+        let record = &walk.tiles.records[tile as usize];
+        let resident = record.has(flag::RESIDENT);
+        if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
+            self.request_missing(walk, tile, purpose, above);
+        }
+        let below = |purpose, required, shown_px| walk.below(tile, purpose, mask, required, shown_px, above.fade);
+        if record.has(flag::PROXY | flag::EXTERNAL) {
+            if resident && record.has(flag::EXTERNAL) {
+                let (place, hanger, fade) = (record.resident, self.hangers.len() as u32, above.fade);
+                let (required, shown_px) = (above.required, above.shown_px);
+                self.hangers.push(Hanger { purpose, required, shown_px, ..self.hangers[walk.view.hanger as usize] });
+                let state = self.chain_state(walk.page, walk.tiles.state_paths[tile as usize]);
+                let state = self.faded_state(state, fade.band());
+                self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
+            } else if resident && purpose == Purpose::Draw {
+                self.draw(walk, tile, record, mask, above.fade, &mut { UNKNOWN });
+            }
+            return if purpose == Purpose::Keep { None } else { below(purpose, false, above.shown_px) };
+        }
+        if !record.has(flag::CONTENT) {
+            return below(purpose, above.required, above.shown_px);
+        }
+        // Content that stays with its children.
+        match purpose {
+            Purpose::Keep => None,
+            Purpose::Want => {
+                let (range2, distance2) = walk.range_and_distance(tile, record);
+                let shown_px = walk.below_px(range2, distance2, above);
+                if distance2 < range2 { below(purpose, false, shown_px) } else { None }
+            }
+            Purpose::Draw => self.fade_tile(walk, tile, mask, above, marks),
+        }
+    }
+
+    /// Draws a tile with content, and says what holds for its children, where they are to be met. One gives way to the
+    /// other in time.
+    #[inline(never)]
+    fn fade_tile(
+        &mut self,
+        walk: &Walk,
+        tile: u32,
+        mask: u8,
+        above: TileFrame,
+        marks: &mut [TileMark],
+    ) -> Option<TileFrame> {
+        let record = &walk.tiles.records[tile as usize];
         let fade = above.fade;
         let resident = record.has(flag::RESIDENT);
         let replaces = !record.has(flag::ADD);
-        let below = |purpose, required, shown_px, fade| {
-            let is_met = walk.asks || purpose == Purpose::Draw;
-            let required = required && walk.asks;
-            is_met.then_some(TileFrame { end: tile + record.skip, mask, purpose, required, shown_px, fade })
-        };
-        if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
-            self.request_missing(walk, met, above);
-        }
-        if record.has(flag::PROXY | flag::EXTERNAL) {
-            if resident && record.has(flag::EXTERNAL) {
-                self.enter(walk, met, above.required, above.shown_px, fade);
-            } else if resident && purpose == Purpose::Draw {
-                self.draw(walk, met, fade);
-            }
-            return if purpose == Purpose::Keep { None } else { below(purpose, false, above.shown_px, fade) };
-        }
-        if !record.has(flag::CONTENT) {
-            return below(purpose, above.required, above.shown_px, fade);
-        }
-        if purpose == Purpose::Keep {
-            return None;
-        }
-        let (range2, distance2) = walk.range_and_distance(tile, &record);
-        let wants = record.has_children() && distance2 < range2;
-        let below_px = || walk.below_px(range2, distance2, above);
-        if purpose == Purpose::Want {
-            return if wants { below(purpose, replaces, below_px(), fade) } else { None };
-        }
         let ready = record.not_ready_children == 0;
+        let (range2, distance2) = walk.range_and_distance(tile, record);
+        let wants = record.has_children() && distance2 < range2;
         // Children in the tile's place; also where it has no content itself.
         let gives_way = ready && record.has_children() && (wants || !resident);
         let is_refined = if replaces { gives_way } else { wants };
         let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
         let (mut own, mut children) = (fade.band(), fade.band());
-        if !stays(fades, tile, is_refined, resident)
-            && let Some((marks, step)) = fades
+        if let Some(mark) = marks.get_mut(tile as usize)
+            && !mark.stays(walk.step, is_refined, resident)
         {
             let can_fade = !replaces || (resident && ready);
-            let turn = marks[tile as usize].turn(*step, is_refined, can_fade, resident, fade.covered());
+            let turn = mark.turn(walk.step, is_refined, can_fade, resident, fade.covered());
             self.counters.fading += u32::from(turn.is_fading);
             (children, own) = fade.band().split(turn.refined);
             own = if replaces { own } else { fade.band() }.split(turn.own).0;
             (shows_own, shows_children) = (!replaces || turn.refined < WHOLE, turn.refined > 0);
         }
         if shows_own && resident {
-            self.draw(walk, met, fade.with_band(own));
+            self.draw(walk, tile, record, mask, fade.with_band(own), &mut { UNKNOWN });
         }
-        if replaces && !(wants && ready) {
-            self.request_missing(walk, met, above);
-        }
+        let shown_px = walk.below_px(range2, distance2, above);
         if shows_children {
             let covered = fade.covered() || (!replaces && resident);
             let leaving = fade.leaving() || !is_refined;
-            below(Purpose::Draw, replaces, below_px(), Fade::new(children, covered, leaving))
+            walk.below(tile, Purpose::Draw, mask, replaces, shown_px, Fade::new(children, covered, leaving))
         } else if wants {
-            below(Purpose::Want, true, below_px(), fade)
+            walk.below(tile, Purpose::Want, mask, true, shown_px, fade)
         } else {
             None
         }
@@ -305,7 +350,14 @@ impl Cull<'_> {
                     Horizon::new(body, &(world_from_eye * eye_from_tile), world_from_eye.translation)
                 });
                 let hanger = self.hangers.len() as u32;
-                self.hangers.push(Hanger { eye_from_frame: eye_from_tile, page: visit.place, view: self.view.index });
+                self.hangers.push(Hanger {
+                    eye_from_frame: eye_from_tile,
+                    page: visit.place,
+                    view: self.view.index,
+                    purpose: Purpose::Draw,
+                    required: false,
+                    shown_px: 0.0,
+                });
                 *self.tile_view.insert(TileView { transform, hanger, planes, eye, horizon })
             }
         }
@@ -313,17 +365,16 @@ impl Cull<'_> {
 
     /// True for a tile behind the horizon or in the shadow of an occluder.
     #[inline]
-    fn is_behind(&mut self, walk: &Walk, tile: usize, record: &TileRecord) -> bool {
-        let bounds = &walk.tiles.bounds[tile];
+    fn is_behind(&mut self, walk: &Walk, tile: u32, record: &TileRecord) -> bool {
+        let bounds = &walk.tiles.bounds[tile as usize];
         let offset = bounds.offset_from(walk.view.eye);
         walk.view.horizon.as_ref().is_some_and(|h| h.hides(offset, bounds.radius_m))
-            || (!self.occluders.is_empty() && self.is_in_shadow(walk, tile, record))
+            || (!self.occluders.is_empty() && self.is_in_shadow(walk, bounds, record, offset))
     }
 
     /// True for a tile in the shadow of an occluder.
     #[cold]
-    fn is_in_shadow(&mut self, walk: &Walk, tile: usize, record: &TileRecord) -> bool {
-        let bounds = &walk.tiles.bounds[tile];
+    fn is_in_shadow(&mut self, walk: &Walk, bounds: &TileBounds, record: &TileRecord, offset: [f32; 3]) -> bool {
         let axes = walk.tiles.axes_of(bounds);
         let reach = |p: glam::Vec4| {
             if record.has(flag::SPHERE) {
@@ -332,7 +383,6 @@ impl Cull<'_> {
             let along = |axis: &[f32; 3]| (p.x * axis[0] + p.y * axis[1] + p.z * axis[2]).abs();
             axes.iter().zip(bounds.half_m).map(|(axis, half)| along(axis) * half).sum()
         };
-        let offset = bounds.offset_from(walk.view.eye);
         let hidden = bounds.radius_m < UNBOUNDED && self.occluders.hide(self.tile_occluders, offset, reach);
         self.counters.occluded += u32::from(hidden);
         hidden
@@ -340,31 +390,21 @@ impl Cull<'_> {
 
     /// Lets the content of a tile wait for its visit.
     #[inline(always)]
-    fn draw(&mut self, walk: &Walk, met: Met, fade: Fade) {
-        if !fade.band().is_empty() {
-            self.counters.tiles_drawn += 1;
-            self.enter(walk, met, false, 0.0, fade);
+    fn draw(&mut self, walk: &Walk, tile: u32, record: &TileRecord, mask: u8, fade: Fade, known: &mut (u32, u32)) {
+        let path = walk.tiles.state_paths[tile as usize];
+        if path != known.0 {
+            *known = (path, self.chain_state(walk.page, path));
         }
-    }
-
-    /// Lets what hangs at a tile wait for its visit.
-    #[inline(always)]
-    fn enter(&mut self, walk: &Walk, met: Met, required: bool, shown_px: f32, fade: Fade) {
-        let Met { tile, record, purpose, mask } = met;
-        let state = self.chain_state(walk.page, walk.tiles.state_paths[tile as usize]);
-        let state = self.faded_state(state, fade.band());
-        let hanger = walk.view.hanger;
-        self.queue.push(Waiting {
-            place: record.resident,
-            hanger,
-            tile,
-            state,
-            shown_px,
-            mask,
-            purpose,
-            required,
-            fade,
-        });
+        let mut state = known.1;
+        if !fade.is_whole() {
+            if fade.band().is_empty() {
+                return;
+            }
+            state = self.faded_state(state, fade.band());
+        }
+        self.counters.tiles_drawn += 1;
+        let (place, hanger) = (record.resident, walk.view.hanger);
+        self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
     }
 
     /// What a tile's place in the picture makes of its priority: all in the middle, a half at 45 degrees from it. Of what
@@ -381,41 +421,55 @@ impl Cull<'_> {
 
     /// Asks for the content of a tile, unless it is there or cannot come.
     #[inline(never)]
-    fn request_missing(&mut self, walk: &Walk, met: Met, above: &TileFrame) {
-        let Met { tile, record, purpose, .. } = met;
+    fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, above: TileFrame) {
+        let record = &walk.tiles.records[tile as usize];
         let may_come = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
         if !may_come || above.fade.leaving() || !walk.asks {
             return;
         }
         let slot = NodeId { page: walk.id, index: walk.tiles.nodes[tile as usize] };
-        let (range2, distance2) = walk.range_and_distance(tile, &record);
-        let share = if purpose == Purpose::Keep { KEPT_SHARE } else { self.share_of_place(walk, tile) };
         let finite = |px: f32| if px > 0.0 { px.min(MOST_PX) } else { 0.0 };
+        let share = if purpose == Purpose::Keep { KEPT_SHARE } else { self.share_of_place(walk, tile) };
         let priority = finite(above.shown_px * share);
-        let error_px = finite(walk.px(range2, distance2));
+        // The finest tiles have none.
+        let has_error = walk.tiles.bounds[tile as usize].metric_m > 0.0;
+        let error_px = if has_error { finite(walk.px(walk.range_and_distance(tile, record))) } else { 0.0 };
         self.stage.requests.push(PageRequest { slot, priority, error_px });
     }
 }
 
 /// True for a tile that is what it is to be.
 #[inline(always)]
-fn stays(fades: &mut Fades, tile: u32, is_refined: bool, resident: bool) -> bool {
-    match fades {
-        Some((marks, step)) => marks[tile as usize].stays(*step, is_refined, resident),
-        None => true,
-    }
+fn stays(marks: &mut [TileMark], tile: u32, step: Step, is_refined: bool, resident: bool) -> bool {
+    marks.get_mut(tile as usize).is_none_or(|mark| mark.stays(step, is_refined, resident))
 }
 
 impl Walk<'_> {
     #[inline]
-    fn is_hidden(&self, tile: usize, cull_mask: u32) -> bool {
-        let mask = self.page.masks.get(self.tiles.nodes[tile] as usize).copied().unwrap_or(u32::MAX);
-        mask & cull_mask == 0
+    fn is_hidden(&self, tile: u32) -> bool {
+        let node = self.tiles.nodes[tile as usize] as usize;
+        self.page.masks.get(node).copied().unwrap_or(u32::MAX) & self.cull_mask == 0
+    }
+
+    /// What holds for a tile's children, where they are to be met.
+    fn below(
+        &self,
+        tile: u32,
+        purpose: Purpose,
+        mask: u8,
+        required: bool,
+        shown_px: f32,
+        fade: Fade,
+    ) -> Option<TileFrame> {
+        let end = tile + self.tiles.records[tile as usize].skip;
+        let required = required && self.asks;
+        let is_met = self.asks || purpose == Purpose::Draw;
+        is_met.then_some(TileFrame { end, mask, purpose, required, shown_px, fade })
     }
 
     #[inline(always)]
-    fn test(&self, tile: usize, record: &TileRecord, mask: u8) -> Option<u8> {
-        let bounds = &self.tiles.bounds[tile];
+    fn test(&self, tile: u32, record: &TileRecord, mask: u8) -> Option<u8> {
+        let bounds = &self.tiles.bounds[tile as usize];
         let offset = bounds.offset_from(self.view.eye);
         if record.has(flag::SPHERE) {
             self.view.planes.test_sphere(glam::Vec4::new(offset[0], offset[1], offset[2], bounds.radius_m), mask)
@@ -428,15 +482,15 @@ impl Walk<'_> {
 
     /// The error of a tile in pixels.
     #[inline(always)]
-    fn px(&self, range2: f32, distance2: f32) -> f32 {
+    fn px(&self, (range2, distance2): (f32, f32)) -> f32 {
         self.max_sse_px * (range2 / distance2).sqrt()
     }
 
     /// The error of what is shown while tiles below are missing: never as large as what is shown above, so that coarse
     /// comes first whatever the bounds are.
     #[inline(always)]
-    fn below_px(&self, range2: f32, distance2: f32, above: &TileFrame) -> f32 {
-        let (own, most) = (self.px(range2, distance2), above.shown_px * 0.999);
+    fn below_px(&self, range2: f32, distance2: f32, above: TileFrame) -> f32 {
+        let (own, most) = (self.px((range2, distance2)), above.shown_px * 0.999);
         if own < most { own } else { most }
     }
 

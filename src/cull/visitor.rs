@@ -41,14 +41,11 @@ pub(super) struct Waiting {
     pub tile: u32,
     /// As in [`PageVisit`].
     pub state: u32,
-    pub shown_px: f32,
-    pub mask: u8,
-    pub purpose: Purpose,
-    pub required: bool,
     pub fade: Fade,
+    pub mask: u8,
 }
 
-/// A frame in which pages hang.
+/// A frame in which pages hang, and why they are visited.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Hanger {
     pub eye_from_frame: DAffine3,
@@ -56,6 +53,10 @@ pub(super) struct Hanger {
     pub page: u32,
     /// Place of the view in the stage's.
     pub view: u32,
+    /// As in [`PageVisit`]; plain content has no tiles that could be missing.
+    pub purpose: Purpose,
+    pub required: bool,
+    pub shown_px: f32,
 }
 
 /// The visit of a page.
@@ -117,6 +118,10 @@ pub(super) struct PageContext<'a> {
     /// Depth of a point relative to the page's origin.
     pub depth: Vec4,
     pub slots: &'a [crate::scene::DrawSlot],
+    /// Some drawables are culled by their normal cones.
+    pub has_clusters: bool,
+    /// Near and far are those of primitives.
+    pub by_primitives: bool,
     pub visit: PageVisit,
 }
 
@@ -393,19 +398,18 @@ impl<'a> Cull<'a> {
     fn run(&mut self, met: Option<&DeferredCamera>, clamp_projection: Option<ClampProjection>) {
         match met {
             None => {
-                self.hangers.push(Hanger { eye_from_frame: self.view.eye_from_world, page: NONE, view: 0 });
+                self.hangers.push(Hanger {
+                    eye_from_frame: self.view.eye_from_world,
+                    page: NONE,
+                    view: 0,
+                    purpose: Purpose::Draw,
+                    required: false,
+                    shown_px: MOST_PX,
+                });
+                let (state, mask) = (self.root_state, self.view.planes.mask);
                 for root in self.scene.roots() {
-                    self.queue.push(Waiting {
-                        place: root.slot,
-                        hanger: 0,
-                        tile: 0,
-                        state: self.root_state,
-                        shown_px: MOST_PX,
-                        mask: self.view.planes.mask,
-                        purpose: Purpose::Draw,
-                        required: false,
-                        fade: Fade::NONE,
-                    });
+                    let fade = Fade::NONE;
+                    self.queue.push(Waiting { place: root.slot, hanger: 0, tile: 0, state, fade, mask });
                 }
             }
             Some(met) => self.visit_camera(met),
@@ -452,10 +456,10 @@ impl<'a> Cull<'a> {
     fn visit_page(&mut self, waiting: &Waiting) {
         let scene = self.scene;
         let Some(page) = scene.page_at(waiting.place) else { return };
-        let &Waiting { place, state, shown_px, mask, purpose, required, fade, .. } = waiting;
-        let Hanger { eye_from_frame, page: holder, view } = self.hangers[waiting.hanger as usize];
+        let &Waiting { place, hanger, tile, state, fade, mask } = waiting;
+        let Hanger { eye_from_frame, page: holder, view, purpose, required, shown_px } = self.hangers[hanger as usize];
         let eye_from_page = match scene.page_at(holder) {
-            Some(holder) => eye_from_frame * holder.tiles.content_transform(waiting.tile as usize),
+            Some(holder) => eye_from_frame * holder.tiles.content_transform(tile as usize),
             None => eye_from_frame,
         };
         let visit = PageVisit { place, eye_from_page, mask, purpose, required, state, view, shown_px, fade };
@@ -507,6 +511,8 @@ impl<'a> Cull<'a> {
             },
             depth: depth_row(&visit.eye_from_page, page.origin, self.view.depth_axis),
             slots: page.draw_slots_of(self.camera.context),
+            has_clusters: !page.clusters.is_empty() && self.view.settings.culling.contains(CullingMode::CLUSTER),
+            by_primitives: self.view.settings.compute_near_far == ComputeNearFar::Primitives,
             visit,
         }
     }
@@ -569,28 +575,30 @@ impl<'a> Cull<'a> {
         }
     }
 
-    #[cold]
+    #[inline(never)]
     fn find_chain(&mut self, page: &Page, path: u32) -> u32 {
         // Up to the first chain that is known, one step down, again; chains are as deep as the graph at most.
         loop {
             let mut at = path;
-            let mut above = None;
-            let state = loop {
-                match (self.chains.get(at as usize), page.paths.get(at as usize)) {
-                    (Some(&state), _) if state != NONE => break state,
-                    (_, Some(link)) => (above, at) = (Some(at), link.parent),
+            let above = loop {
+                let Some(link) = page.paths.get(at as usize) else { return ROOT };
+                match self.chains.get(link.parent as usize) {
+                    Some(&state) if state != NONE => break state,
+                    Some(_) if link.parent != at => at = link.parent,
                     _ => break ROOT,
                 }
             };
-            let Some(next) = above else { return state };
-            let set = page.paths[next as usize].set;
+            let set = page.paths[at as usize].set;
             let below = match page.state_sets.get(set as usize) {
-                _ if set == BLEND => self.graph.find_or_insert_blend(state),
-                _ if set == VIEW => self.graph.find_or_insert_view(state, self.view.index),
-                Some(set) => self.graph.find_or_insert(state, set),
-                None => state,
+                Some(set) => self.graph.find_or_insert(above, set),
+                None if set == BLEND => self.graph.find_or_insert_blend(above),
+                None if set == VIEW => self.graph.find_or_insert_view(above, self.view.index),
+                None => above,
             };
-            self.chains[next as usize] = below;
+            self.chains[at as usize] = below;
+            if at == path {
+                return below;
+            }
         }
     }
 }

@@ -58,4 +58,4 @@ pub use crate::state::DataVariance;
 pub(crate) use draw_kinds::SMALL_MESH_INDICES;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use shared::{SharedContent, SharedParts};
-pub(crate) use tiles::{TileRecord, Tiles, flag};
+pub(crate) use tiles::{TileBounds, TileRecord, Tiles, flag};

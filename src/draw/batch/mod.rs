@@ -7,6 +7,8 @@ mod lookup;
 
 use std::collections::HashMap;
 
+use glam::{Vec3A, Vec4};
+
 use crate::cull::{FadeBand, RenderLeaf, RenderStage};
 use crate::draw::batch::lookup::Lookup;
 use crate::draw::pipelines::Pipelines;
@@ -143,10 +145,10 @@ fn stride_code(entry: &DrawableEntry, state: &StateEntry) -> u32 {
 const CUSTOM_CODE: u32 = 7;
 const NO_RUN: u32 = u32::MAX;
 
+#[inline]
 fn is_mirrored(rows: &[[f32; 4]; 3]) -> bool {
-    let [a, b, c] = rows;
-    let minor = |i: usize, j: usize| b[i] * c[j] - b[j] * c[i];
-    a[0] * minor(1, 2) - a[1] * minor(0, 2) + a[2] * minor(0, 1) < 0.0
+    let [a, b, c] = rows.map(|row| Vec3A::from_vec4(Vec4::from_array(row)));
+    a.dot(b.cross(c)) < 0.0
 }
 
 impl Batch {
@@ -232,8 +234,9 @@ impl Batch {
         self.run_of.clear();
         let mut last = (u64::MAX, NO_RUN);
         for leaf in leaves {
-            let is_drawn = |entry: &DrawableEntry| self.takes(leaf, entry) && !self.is_hidden(leaf, entry);
-            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(entry)) else {
+            let state = &self.states[leaf.state as usize];
+            let found = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(state, entry));
+            let Some((entry, rows)) = found else {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
             };
@@ -267,14 +270,6 @@ impl Batch {
                 run.first_leaf += 1;
             }
         }
-    }
-
-    /// False for lines, points and what the application draws where shadows are cast.
-    #[inline]
-    fn takes(&self, leaf: &RenderLeaf, entry: &DrawableEntry) -> bool {
-        let is_thin =
-            matches!(&entry.shape, Shape::Mesh { topology: Topology::Lines | Topology::Points, .. } | Shape::Custom(_));
-        !(is_thin && self.states[leaf.state as usize].key.casts)
     }
 
     /// Leaves in `order` the runs of the group by the order of their buckets; those of one bucket as first met.
@@ -315,8 +310,8 @@ impl Batch {
     ) {
         let mut last = u64::MAX;
         for leaf in leaves {
-            let is_drawn = |entry: &DrawableEntry| self.takes(leaf, entry) && !self.is_hidden(leaf, entry);
-            let found = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(entry));
+            let state = &self.states[leaf.state as usize];
+            let found = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(state, entry));
             let Some((entry, rows)) = found else { continue };
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
@@ -333,12 +328,6 @@ impl Batch {
         }
     }
 
-    #[inline]
-    fn is_hidden(&self, leaf: &RenderLeaf, entry: &DrawableEntry) -> bool {
-        let state = &self.states[leaf.state as usize];
-        state.is_hidden || (state.hides_customs && matches!(entry.shape, Shape::Custom(_)))
-    }
-
     /// Equal for leaves of a bucket that one run draws.
     #[inline]
     fn geometry(&self, bucket: u32, entry: &DrawableEntry) -> u32 {
@@ -353,7 +342,7 @@ impl Batch {
     }
 
     /// The bucket of a leaf; made, with its pipeline, when it is the first.
-    #[inline]
+    #[inline(always)]
     fn bucket(
         &mut self,
         ctx: &GraphicsContext,
@@ -363,14 +352,29 @@ impl Batch {
         rows: &[[f32; 4]; 3],
     ) -> u32 {
         let state = &self.states[leaf.state as usize];
-        let mirrored = is_mirrored(rows);
-        let code = stride_code(entry, state);
+        let (code, mirrored) = (stride_code(entry, state), is_mirrored(rows));
         // The application may ask a state for anything: states that draw alike are not one.
         let class = if code == CUSTOM_CODE { leaf.state } else { state.class };
         let key = u64::from(class) << 44 | u64::from(entry.class) << 8 | u64::from(code) << 1 | u64::from(mirrored);
+        // Mostly that of the leaf before.
         if key == self.last_bucket.0 {
-            return self.last_bucket.1;
+            self.last_bucket.1
+        } else {
+            self.find_bucket(ctx, pipelines, key, leaf.state, entry)
         }
+    }
+
+    #[inline(never)]
+    fn find_bucket(
+        &mut self,
+        ctx: &GraphicsContext,
+        pipelines: &mut Pipelines,
+        key: u64,
+        state_index: u32,
+        entry: &DrawableEntry,
+    ) -> u32 {
+        let state = &self.states[state_index as usize];
+        let (code, mirrored) = ((key >> 1) as u32 & 0x7f, key & 1 != 0);
         let next = self.buckets.len() as u32;
         let bucket = self.bucket_of.get_or_insert(key, next);
         self.last_bucket = (key, bucket);
@@ -385,7 +389,7 @@ impl Batch {
             let stride = if code == 0 || is_custom { 0 } else { 3 << (code - 1) };
             let pipeline = if stride > 0 { pipeline.pulled() } else { pipeline };
             let statics = state.statics;
-            let custom = if is_custom { leaf.state } else { NO_STATE };
+            let custom = if is_custom { state_index } else { NO_STATE };
             let new = Bucket { pipeline, statics, is_height, block, vertex_chunk, index_chunk, stride, custom };
             let index = match self.last_pipeline {
                 // It has its own.
@@ -399,6 +403,20 @@ impl Batch {
             self.buckets.push((new, index));
         }
         bucket
+    }
+}
+
+/// False for what its state hides, and where shadows are cast for what casts none: lines, points, and what the
+/// application draws.
+#[inline]
+fn is_drawn(state: &StateEntry, entry: &DrawableEntry) -> bool {
+    if state.is_hidden || !(state.key.casts || state.hides_customs) {
+        return !state.is_hidden;
+    }
+    match &entry.shape {
+        Shape::Custom(_) => false,
+        Shape::Mesh { topology: Topology::Lines | Topology::Points, .. } => !state.key.casts,
+        _ => true,
     }
 }
 
@@ -424,11 +442,12 @@ impl Run {
     #[inline]
     fn add(&mut self, entry: &DrawableEntry) {
         self.leaf_count += 1;
-        self.all_indices += match &entry.shape {
-            Shape::Height(_) => u64::from(self.index_count),
-            Shape::Mesh { place, .. } => u64::from(place.index_count),
+        let index_count = match &entry.shape {
+            Shape::Height(_) => self.index_count,
+            Shape::Mesh { place, .. } => place.index_count,
             Shape::Custom(_) => 0,
         };
+        self.all_indices += u64::from(index_count);
     }
 }
 
