@@ -12,7 +12,7 @@ use std::sync::Arc;
 use fuzz_support::Parser;
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
 use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode};
-use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_pmtiles};
+use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers};
 use terrane::viewer::{AnimationPath, DisplaySettings};
 
 fn limits() -> Limits {
@@ -222,7 +222,7 @@ fn pmtiles() -> Parser {
     }
     (bytes[97], bytes[98]) = (1, 1);
     bytes.extend_from_slice(&directory);
-    Parser::new("pmtiles", [bytes], |bytes| fuzz_pmtiles(bytes, &limits()))
+    Parser::new("pmtiles", [bytes], |bytes| terrane::io::fuzz_pmtiles(bytes, &limits()))
 }
 
 fn camera_path() -> Parser {

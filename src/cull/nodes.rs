@@ -5,7 +5,9 @@ use glam::{DAffine3, DVec3, Vec4};
 use super::fade::{Fade, LodShares, WHOLE};
 use super::stage::RenderLeaf;
 use super::visitor::{Cull, DepthRange, PageContext, Purpose};
-use crate::scene::{CALLBACK, CullAction, CullInfo, CullingMode, DrawSlot, INACTIVE, PLAIN, UNBOUNDED, kind};
+use crate::scene::{
+    CALLBACK, ComputeNearFar, CullAction, CullInfo, CullingMode, DrawSlot, INACTIVE, PLAIN, UNBOUNDED, kind,
+};
 
 /// What holds again behind a subtree.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +35,8 @@ impl Cull<'_> {
         let mut node = first;
         let small_feature = self.view.small_feature;
         let cull_mask = self.view.settings.cull_mask;
-        let takes_ranges = self.takes_ranges && small_feature == 0.0;
+        let by_primitives = self.view.settings.compute_near_far == ComputeNearFar::Primitives;
+        let takes_ranges = self.takes_ranges && small_feature == 0.0 && !by_primitives;
         let has_occluders = !self.occluders.is_empty();
         // A mask of 0 hides nodes of every mask, of those without one too.
         if cull_mask == 0 {
@@ -372,11 +375,16 @@ impl Cull<'_> {
     fn test_drawables(&mut self, context: &PageContext, first: u32, end: u32, mask: u8, matrix: u32) {
         let page = context.page;
         let has_clusters = !page.clusters.is_empty() && self.view.settings.culling.contains(CullingMode::CLUSTER);
+        let by_primitives = self.view.settings.compute_near_far == ComputeNearFar::Primitives;
         for drawable in first..end {
             if has_clusters && self.looks_away(context, drawable) {
                 continue;
             }
-            let Some((depth, _)) = self.test_drawable(context, drawable, mask) else { continue };
+            let range = self.range;
+            let Some((depth, reach)) = self.test_drawable(context, drawable, mask) else { continue };
+            if by_primitives && self.put_aside(context, drawable, depth, reach) {
+                self.range = range;
+            }
             let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
             let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
             self.leaves.push(RenderLeaf { slot, state, matrix, depth });

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3, Vec4};
 
 use super::fade::{Fade, FadeBand, LodFades};
+use super::near_far::Candidate;
 use super::occluders::{FrameOccluders, Occluders};
 use super::planes::{Planes, depth_row};
 use super::shadows::{Fit, ShadowCascade};
@@ -133,6 +134,7 @@ pub struct CullVisitor {
     pub(super) graph: StateGraph,
     pub(super) leaves: Vec<RenderLeaf>,
     views: Vec<View>,
+    candidates: Vec<Candidate>,
     deferred: Vec<DeferredCamera>,
     occluders: Occluders,
     page_occluders: FrameOccluders,
@@ -172,6 +174,8 @@ pub(super) struct Cull<'a> {
     /// The stage's views; the current one is a copy.
     pub views: &'a mut Vec<View>,
     pub view: View,
+    /// Drawables whose primitives are to be looked at.
+    pub candidates: &'a mut Vec<Candidate>,
     pub deferred: &'a mut Vec<DeferredCamera>,
     pub occluders: &'a Occluders,
     pub page_occluders: &'a mut FrameOccluders,
@@ -287,6 +291,7 @@ impl CullVisitor {
         self.hangers.clear();
         self.views.clear();
         self.views.push(view);
+        self.candidates.clear();
         self.occluders.clear();
         if view.settings.culling.contains(CullingMode::SHADOW_OCCLUSION) {
             self.occluders.collect(scene, &view);
@@ -307,6 +312,7 @@ impl CullVisitor {
             leaves: &mut self.leaves,
             views: &mut self.views,
             view,
+            candidates: &mut self.candidates,
             deferred: &mut self.deferred,
             occluders: &self.occluders,
             page_occluders: &mut self.page_occluders,
@@ -413,6 +419,7 @@ impl<'a> Cull<'a> {
         self.counters.wanted_missing = self.stage.requests.len() as u32;
         self.counters.leaves = self.leaves.len() as u32;
         self.stage.counters = self.counters;
+        self.look_at_primitives(0, &{ self.views[0] });
         let DepthRange { near, far } = self.range;
         let least = self.views[0].least_depth;
         let (near, far) = if near <= far { (near.max(least), far.max(least)) } else { (0.0, 0.0) };

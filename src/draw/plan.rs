@@ -30,8 +30,8 @@ pub(super) struct StagePlan {
     pub(super) water: Option<Bare>,
     /// What casts shadows into it.
     pub(super) casters: Option<CasterPlan>,
-    /// The textures of two eyes to be put together.
-    pub(super) eyes: Option<[Arc<TextureObject>; 2]>,
+    /// The textures of two eyes to be put together, and where it is said how.
+    pub(super) eyes: Option<([Arc<TextureObject>; 2], usize)>,
     pub(super) background: wgpu::Color,
     /// It has a part of the context's target, or shares it: it fills its viewport with this leaf instead of clearing.
     pub(super) fill: Option<u32>,

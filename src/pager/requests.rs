@@ -134,11 +134,7 @@ impl DatabasePager {
         }
         waiting.allowed = self.allowed_in_flight(list.capacity);
         self.full = waiting.allowed == 0 && !jobs.is_empty();
-        let is_news = waiting.len() > 0 || !waiting.abort.is_empty();
-        drop(waiting);
-        if is_news {
-            list.ring();
-        }
+        list.ring(waiting);
     }
 
     /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
@@ -161,10 +157,6 @@ impl DatabasePager {
         let allowed = self.allowed_in_flight(self.threads.list.capacity);
         let mut waiting = self.threads.list.lock();
         waiting.allowed = allowed;
-        let go_on = waiting.outstanding < allowed && waiting.len() > 0;
-        drop(waiting);
-        if go_on {
-            self.threads.list.ring();
-        }
+        self.threads.list.ring(waiting);
     }
 }

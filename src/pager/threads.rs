@@ -81,14 +81,10 @@ impl Threads {
                     cache.forget(_uri);
                 }
             };
-            threads.spawn(format!("pager-decode-{i}"), move || {
-                yield_to_frames();
-                decode(&loaded, &sender, &options, &forget);
-            })?;
+            threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options, &forget))?;
         }
         let sharing = options.sharing.clone();
         threads.spawn("pager-reaper".to_owned(), move || {
-            yield_to_frames();
             for (count, page) in doomed.into_iter().enumerate() {
                 let _span = timeline::span("drop page");
                 drop(page);
@@ -102,6 +98,10 @@ impl Threads {
 
     fn spawn(&mut self, name: String, run: impl FnOnce() + Send + 'static) -> Result<(), PagerError> {
         let builder = std::thread::Builder::new().name(name.clone());
+        let run = || {
+            yield_to_frames();
+            run();
+        };
         let handle = builder.spawn(run).map_err(|source| PagerError::Thread { name, source })?;
         self.handles.push(handle);
         Ok(())
@@ -129,8 +129,9 @@ impl Drop for Threads {
     }
 }
 
-/// Lets the calling thread have a core only while no frame wants it: there is one decode thread for each core.
-pub(super) fn yield_to_frames() {
+/// Lets the calling thread have a core only while no frame wants it: there is a decode thread for each core, and a frame
+/// that wakes a thread goes on before it.
+fn yield_to_frames() {
     // Nice 9 where there is niceness: a tenth of the weight of a thread that draws.
     let below_normal = ThreadPriorityValue::try_from(25u8).map(ThreadPriority::Crossplatform);
     let lowered = below_normal.map(thread_priority::set_current_thread_priority);

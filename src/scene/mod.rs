@@ -38,7 +38,7 @@ pub use id::{NodeId, PageId};
 pub use intersect::{
     Dimensions, EyePoint, GroundPoint, GroundSnapshot, HeightQuery, Intersection, IntersectionLimit,
     IntersectionVisitor, Intersector, KdTree, LineSegmentIntersector, LodSelection, PolytopeIntersector,
-    RayIntersector, Vertical,
+    RayIntersector, Vertical, WindowView,
 };
 pub use kinds::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,

@@ -435,7 +435,7 @@ impl ViewerBase {
             scene.wanted_missing = 0;
             scene.fading = 0;
         }
-        for (camera, CullOutcome { requests, counters, cull_ms }) in self.rendering.outcomes() {
+        for (camera, CullOutcome { requests, counters, cull_ms, .. }) in self.rendering.outcomes() {
             let Some(view) = view_of(camera) else { continue };
             let scene = &mut scenes[view.scene];
             scene.requests.extend_from_slice(requests);

@@ -10,7 +10,7 @@ use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for};
 use super::input::Input;
 use super::look_ahead::LookAhead;
 use super::paged_scene::PagedScene;
-use super::rendering::{CullTask, Lens, Rendering};
+use super::rendering::{CullTask, Lens, Rendering, Sight};
 use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo};
 use crate::draw::Environment;
 use crate::scene::{Attachment, CameraTarget, Inherit};
@@ -24,6 +24,20 @@ pub struct ContextId(pub(super) u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct SlaveId(pub(super) u32);
 
+/// Which eyes a camera draws for while its view is drawn for two.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Eyes {
+    /// Both, put together in the camera's own picture as the view's stereo mode has it.
+    #[default]
+    Both,
+    /// The left one alone: a window or a screen for each eye.
+    Left,
+    /// The right one alone.
+    Right,
+    /// None: from between them.
+    Middle,
+}
+
 /// A camera that goes with the master camera of its view: another eye of it, another window, another part of one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slave {
@@ -35,6 +49,8 @@ pub struct Slave {
     pub projection_offset: DMat4,
     /// Applied to the master's eye space: from the master's eye to the slave's.
     pub view_offset: DAffine3,
+    /// Its eyes, where the view is drawn for two.
+    pub eyes: Eyes,
     /// Its own settings.
     pub settings: CullSettings,
     /// Which of the settings are the master's instead.
@@ -49,6 +65,7 @@ impl Slave {
             viewport_px: None,
             projection_offset: DMat4::IDENTITY,
             view_offset: DAffine3::IDENTITY,
+            eyes: Eyes::Both,
             settings: CullSettings::default(),
             inherit: Inherit::ALL,
         }
@@ -74,6 +91,8 @@ struct SlaveCamera {
     /// Of its picture.
     size_px: [u32; 2],
     slave: Slave,
+    /// What its eyes' pictures are drawn into; made anew when their size changes.
+    targets: Option<[Arc<CameraTarget>; 2]>,
 }
 
 /// A scene seen by a master camera and its slaves.
@@ -94,8 +113,10 @@ pub struct View {
     size_px: [u32; 2],
     samples: u32,
     stereo: Option<Stereo>,
-    /// What the eyes' pictures are drawn into; made anew when their size changes.
-    eyes: Option<[Arc<CameraTarget>; 2]>,
+    /// Of the master camera.
+    eyes: Eyes,
+    /// What its eyes' pictures are drawn into; made anew when their size changes.
+    targets: Option<[Arc<CameraTarget>; 2]>,
     pub(super) input: Input,
 }
 
@@ -112,7 +133,8 @@ impl View {
             size_px,
             samples,
             stereo: None,
-            eyes: None,
+            eyes: Eyes::Both,
+            targets: None,
             input: Input::new(size_px),
         }
     }
@@ -141,10 +163,16 @@ impl View {
         }
     }
 
-    /// Draws the master camera for two eyes from now on, or for one. It must have all of its context.
+    /// Draws the master camera and its slaves for two eyes from now on, or for one.
     pub fn set_stereo(&mut self, stereo: Option<Stereo>) {
         self.stereo = stereo;
-        self.eyes = None;
+        self.targets = None;
+        self.slaves.iter_mut().for_each(|s| s.targets = None);
+    }
+
+    /// Which eyes the master camera draws for where there are two; [`Slave::eyes`] has the slaves'.
+    pub fn set_eyes(&mut self, eyes: Eyes) {
+        self.eyes = eyes;
     }
 
     /// The slaves in the order added.
@@ -160,7 +188,7 @@ impl View {
     /// Adds a slave whose camera was made.
     pub(super) fn push_slave(&mut self, place: Place, slave: Slave) -> SlaveId {
         let Place { camera, device, .. } = place;
-        self.slaves.push(SlaveCamera { camera, device, size_px: self.size_px, slave });
+        self.slaves.push(SlaveCamera { camera, device, size_px: self.size_px, slave, targets: None });
         SlaveId(camera)
     }
 
@@ -202,18 +230,30 @@ impl View {
         let size_px = self.master.and_then(|place| size_in(place.context, place.viewport_px)).unwrap_or(self.size_px);
         if self.size_px != size_px {
             self.size_px = size_px;
-            self.eyes = None;
+            self.targets = None;
             self.input.resized(size_px);
         }
         for s in &mut self.slaves {
-            s.size_px = size_in(s.slave.context.0, s.slave.viewport_px).unwrap_or(size_px);
+            let of_slave = size_in(s.slave.context.0, s.slave.viewport_px).unwrap_or(size_px);
+            if s.size_px != of_slave {
+                s.size_px = of_slave;
+                s.targets = None;
+            }
         }
         // Over a globe, up is a matter of where one is.
         if let Some(bounds) = bounds.filter(|b| b.frame.georeferenced) {
             self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
         }
-        if let (Some(stereo), None) = (&self.stereo, &self.eyes) {
-            self.eyes = Some(eye_targets(stereo.eye_size_px(size_px), self.samples));
+        let Some(stereo) = &self.stereo else { return };
+        let of_master = (self.eyes, size_px, &mut self.targets);
+        let of_slaves = self.slaves.iter_mut().map(|s| (s.slave.eyes, s.size_px, &mut s.targets));
+        for (eyes, size_px, targets) in std::iter::once(of_master).chain(of_slaves) {
+            match eyes {
+                Eyes::Both => {
+                    targets.get_or_insert_with(|| eye_targets(stereo.eye_size_px(size_px), self.samples));
+                }
+                Eyes::Left | Eyes::Right | Eyes::Middle => *targets = None,
+            }
         }
     }
 
@@ -223,6 +263,16 @@ impl View {
         match &self.announced {
             Some(path) => Some(path.world_from_eye(simulation_time_s + rate * seconds)),
             None => self.manipulator()?.pose_after(seconds),
+        }
+    }
+
+    /// With which eyes a camera of the view is culled.
+    fn sight(&self, eyes: Eyes, targets: Option<&[Arc<CameraTarget>; 2]>) -> Sight {
+        match (&self.stereo, eyes, targets) {
+            (Some(stereo), Eyes::Both, Some(targets)) => Sight::Both(*stereo, targets.clone()),
+            (Some(stereo), Eyes::Left, _) => Sight::One(*stereo, 0),
+            (Some(stereo), Eyes::Right, _) => Sight::One(*stereo, 1),
+            _ => Sight::Middle,
         }
     }
 
@@ -237,13 +287,13 @@ impl View {
         let horizon = paged.bounds.as_ref().and_then(SetBounds::body);
         let master = |device| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, device) };
         let lens = Lens { camera: self.camera, size_px: self.size_px, offset: DMat4::IDENTITY };
-        let (camera, lens, stereo, viewport_px) = match self.master.filter(|place| place.camera == camera) {
+        let (camera, lens, sight, viewport_px) = match self.master.filter(|place| place.camera == camera) {
             Some(place) => {
-                let stereo = if place.viewport_px.is_none() { self.stereo.zip(self.eyes.clone()) } else { None };
-                (master(place.device), lens, stereo, place.viewport_px)
+                (master(place.device), lens, self.sight(self.eyes, self.targets.as_ref()), place.viewport_px)
             }
             None => {
-                let SlaveCamera { size_px, slave, device, .. } = self.slaves.iter().find(|s| s.camera == camera)?;
+                let SlaveCamera { size_px, slave, device, targets, .. } =
+                    self.slaves.iter().find(|s| s.camera == camera)?;
                 let offset = slave.projection_offset;
                 let lens = Lens { offset: if offset.is_finite() { offset } else { DMat4::IDENTITY }, ..lens };
                 let of_view = slave.view_offset;
@@ -256,14 +306,14 @@ impl View {
                     settings: slave.settings.inheriting(&above.settings, slave.inherit),
                     ..above
                 };
-                (camera, lens, None, slave.viewport_px)
+                (camera, lens, self.sight(slave.eyes, targets.as_ref()), slave.viewport_px)
             }
         };
         Some(CullTask {
             scene: paged.shared(),
             camera,
             lens,
-            stereo,
+            sight,
             environment: self.environment,
             state_set: self.input.state_set.clone(),
             viewport_px,

@@ -52,7 +52,7 @@ pub struct ViewerConfig {
     pub compile_contexts: bool,
     /// Frames whose statistics are kept.
     pub history_frames: usize,
-    /// The master cameras draw for two eyes.
+    /// Views are drawn for two eyes: the master cameras and, as [`Slave::eyes`] says, their slaves.
     pub stereo: Option<Stereo>,
     /// Bits of stencil that the adapter must have; 8 at most.
     pub min_stencil_bits: u32,

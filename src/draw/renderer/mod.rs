@@ -34,6 +34,7 @@ use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
 use crate::scene::Texture;
 use crate::state::TextureObject;
+use foresee::DrawnInto;
 
 /// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -128,8 +129,8 @@ pub struct Renderer {
     batch: Batch,
     pulls: Pulls,
     statics: Vec<Statics>,
-    /// Targets of the last frame, each with whether a light replaces the sun there.
-    drawn_into: Vec<(u8, bool)>,
+    /// Of the last frame.
+    drawn_into: Vec<DrawnInto>,
     plans: Vec<StagePlan>,
     timer: Option<FrameTimer>,
     queries: Option<Queries>,
@@ -289,8 +290,8 @@ impl Renderer {
         }
         drop(acquire);
         ctx.submitted(&mut self.uploads);
-        for (target, _) in &self.drawn_into {
-            if let Some(formats) = self.pipelines.target_key(*target) {
+        for drawn in &self.drawn_into {
+            if let Some(formats) = self.pipelines.target_key(drawn.target) {
                 ctx.draws_into(formats);
             }
         }

@@ -140,11 +140,13 @@ impl Renderer {
             Some((_, after_sky)) => draw_bins(&mut state, &from, info, after_sky, 0),
             None => state.draw_runs(&from, plan.see_through..plan.runs.end),
         }
-        if let (Some([left, right]), Some(composite), Some(key)) =
+        if let (Some(([left, right], place)), Some(composite), Some(key)) =
             (&plan.eyes, &self.composite, self.pipelines.target_key(target.index))
             && let (Some(left), Some(right)) = (self.groups.textures.view(left), self.groups.textures.view(right))
         {
-            composite.draw(ctx.device(), state.pass, key, [left, right]);
+            // The viewport is the stage's.
+            state.apply(&from, plan.statics);
+            composite.draw(ctx.device(), state.pass, key, [left, right], *place);
             state.stats.draw_calls += 1;
             state.stats.state_changes += 2;
             state.forget();

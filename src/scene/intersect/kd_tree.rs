@@ -149,6 +149,11 @@ impl KdTree {
         self.count
     }
 
+    /// True where the primitives are those of a height tile, without its skirt.
+    pub(crate) fn is_of_heights(&self) -> bool {
+        matches!(self.store, Store::Heights(_))
+    }
+
     /// Bytes of CPU memory.
     pub fn size_bytes(&self) -> u64 {
         let store = match &self.store {

@@ -27,7 +27,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use self::device::{DeviceHandle, DeviceOfScene};
-pub(super) use cull_side::{CullOutcome, CullTask, Lens};
+pub(super) use cull_side::{CullOutcome, CullTask, Lens, Sight};
 pub(super) use draw_side::{FrameDone, FrameJob};
 pub use model::{THREADING_VARIABLE, ThreadingModel};
 
