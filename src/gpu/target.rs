@@ -22,17 +22,19 @@ enum Color {
         view: wgpu::TextureView,
     },
     Window {
+        /// Stands before the surface, so that it is dropped first: wgpu panics where a surface goes while an image of it
+        /// is held.
+        frame: Option<Frame>,
         surface: wgpu::Surface<'static>,
         config: wgpu::SurfaceConfiguration,
-        frame: Option<Frame>,
     },
     /// Its device is lost.
     Closed,
 }
 
 struct Frame {
-    image: wgpu::SurfaceTexture,
     view: wgpu::TextureView,
+    image: wgpu::SurfaceTexture,
 }
 
 /// Colour of a context; depth is the renderer's.
