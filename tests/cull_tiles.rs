@@ -439,6 +439,27 @@ fn coarse_comes_first_even_where_errors_are_wrong() {
     assert!(order[0] > order[1] && order[1] > order[2], "{order:?}");
 }
 
+/// Of tiles as far away and as coarse, those in the middle of the picture come first, those aside later.
+#[test]
+fn the_middle_of_the_picture_comes_first() {
+    let error = RangeMode::ScreenSpaceError { geometric_error_m: 10.0 };
+    let aside: Vec<f64> = vec![0.0, 20.0, -35.0, 50.0];
+    let place = |degrees: f64| 100.0 * DVec3::new(degrees.to_radians().sin(), degrees.to_radians().cos(), 0.0);
+    let mut scene = Scene::new();
+    let tiles: Vec<Node> =
+        aside.iter().enumerate().map(|(i, d)| tile_at(place(*d), 1.0, error, &i.to_string())).collect();
+    let id = scene.add_root(page(Node::group(tiles), 0));
+    let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+    let mut camera = look_at(DVec3::ZERO, DVec3::Y, DVec3::Z);
+    camera.clip_from_eye =
+        glam::dcamera::rh::proj::directx::perspective_infinite_reverse(120f64.to_radians(), 1.0, 0.1);
+    visitor.cull(&scene, &camera, &mut stage);
+    let priorities: Vec<f32> =
+        scene.slots_of_page(id).map(|slot| stage.requests.iter().find(|r| r.slot == slot).unwrap().priority).collect();
+    assert!(priorities.windows(2).all(|p| p[0] > p[1]), "{priorities:?}");
+    assert!(priorities[3] > 0.25 * priorities[0] && priorities[3] < 0.5 * priorities[0], "{priorities:?}");
+}
+
 /// At planetary coordinates the distance to a tile is still good to a millimetre.
 #[test]
 fn ranges_are_exact_far_from_the_origin() {

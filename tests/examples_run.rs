@@ -77,6 +77,11 @@ fn transparency_and_bins() {
 }
 
 #[test]
+fn custom_drawable() {
+    run("custom_drawable", &[], 1000);
+}
+
+#[test]
 fn occluders() {
     run("occluders", &[], 100);
 }

@@ -1,16 +1,18 @@
 //! Every parser of outside data, fed with what is nearly well: it answers with a value or an error that names what and
-//! why, never with a panic, and soon. A moment each in CI; `FUZZ_SECS=600 cargo test --test fuzz_parsers -- --nocapture`
-//! for longer, with another `FUZZ_SEED` from elsewhere.
+//! why, never with a panic, and soon. A moment each here, with changes drawn by chance; `tools/fuzz` feeds the same
+//! parsers guided by what code each input reaches. `FUZZ_SECS`, `FUZZ_SEED`: longer here, and from elsewhere.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[macro_use]
 mod fuzz_support;
 
 use std::sync::Arc;
 
-use fuzz_support::run;
+use fuzz_support::Parser;
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
 use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode};
+use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers};
 use terrane::viewer::{AnimationPath, DisplaySettings};
 
 fn limits() -> Limits {
@@ -33,7 +35,7 @@ fn content(bytes: &[u8], reader_data: Option<&str>, companions: Vec<Fetched>) {
     }
 }
 
-fn image(format: image::ImageFormat) -> Vec<u8> {
+fn image_bytes(format: image::ImageFormat) -> Vec<u8> {
     let mut bytes = std::io::Cursor::new(Vec::new());
     image::RgbImage::from_fn(8, 8, |x, y| image::Rgb([x as u8 * 30, y as u8 * 30, 9]))
         .write_to(&mut bytes, format)
@@ -41,7 +43,7 @@ fn image(format: image::ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
-fn glb(image: Option<Vec<u8>>) -> Vec<u8> {
+fn glb_bytes(image: Option<Vec<u8>>) -> Vec<u8> {
     write_glb(&GlbMesh {
         positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.5]],
         normals: vec![[0.0, 0.0, 1.0]; 4],
@@ -58,7 +60,7 @@ fn padded(text: &str) -> Vec<u8> {
     bytes
 }
 
-fn b3dm(table: &str, glb: &[u8]) -> Vec<u8> {
+fn b3dm_bytes(table: &str, glb: &[u8]) -> Vec<u8> {
     let table = padded(table);
     let mut out = b"b3dm".to_vec();
     for word in [1, 28 + table.len() + glb.len(), table.len(), 0, 0, 0] {
@@ -67,7 +69,7 @@ fn b3dm(table: &str, glb: &[u8]) -> Vec<u8> {
     [out, table, glb.to_vec()].concat()
 }
 
-fn pnts(table: &str, points: &[u8]) -> Vec<u8> {
+fn pnts_bytes(table: &str, points: &[u8]) -> Vec<u8> {
     let table = padded(table);
     let mut out = b"pnts".to_vec();
     for word in [1, 28 + table.len() + points.len(), table.len(), points.len(), 0, 0] {
@@ -82,14 +84,12 @@ const HEIGHT_DATA: &str =
     r#"{"region":[0.1,0.8,0.11,0.81],"side":5,"border":1,"level":1,"errors_m":[1.0,2.0],"imagery":"/set/0.png"}"#;
 const IMPLICIT: &str = r#"{"asset":{"version":"1.1"},"geometricError":50,"root":{"boundingVolume":{"region":[0.1,0.8,0.11,0.81,0,9]},"geometricError":9,"refine":"REPLACE","content":{"uri":"c/{level}/{x}/{y}.glb"},"implicitTiling":{"subdivisionScheme":"QUADTREE","subtreeLevels":2,"availableLevels":3,"subtrees":{"uri":"s/{level}/{x}/{y}.subtree"}}}}"#;
 
-#[test]
-fn fuzz_tileset() {
+fn tileset() -> Parser {
     let seeds = [TILESET, HEIGHTS, IMPLICIT].map(|s| s.as_bytes().to_vec());
-    run("tileset", &seeds, |bytes| content(bytes, None, Vec::new()));
+    Parser::new("tileset", seeds, move |bytes| content(bytes, None, Vec::new()))
 }
 
-#[test]
-fn fuzz_subtree() {
+fn subtree() -> Parser {
     // Refused by name as yet; whatever it holds.
     let json = padded(r#"{"buffers":[{"byteLength":8}],"tileAvailability":{"constant":1}}"#);
     let mut subtree = b"subt".to_vec();
@@ -97,17 +97,19 @@ fn fuzz_subtree() {
     subtree.extend((json.len() as u64).to_le_bytes());
     subtree.extend(8u64.to_le_bytes());
     let seeds = [[subtree, json, vec![0xff; 8]].concat()];
-    run("subtree", &seeds, |bytes| content(bytes, None, Vec::new()));
+    Parser::new("subtree", seeds, move |bytes| content(bytes, None, Vec::new()))
 }
 
-#[test]
-fn fuzz_glb() {
-    let seeds = [glb(None), glb(Some(image(image::ImageFormat::Png))), glb(Some(image(image::ImageFormat::Jpeg)))];
-    run("glb", &seeds, |bytes| content(bytes, None, Vec::new()));
+fn glb() -> Parser {
+    let seeds = [
+        glb_bytes(None),
+        glb_bytes(Some(image_bytes(image::ImageFormat::Png))),
+        glb_bytes(Some(image_bytes(image::ImageFormat::Jpeg))),
+    ];
+    Parser::new("glb", seeds, move |bytes| content(bytes, None, Vec::new()))
 }
 
-#[test]
-fn fuzz_gltf_json() {
+fn gltf_json() -> Parser {
     use base64::Engine as _;
     let floats = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|f| f.to_le_bytes());
     let buffer: Vec<u8> = floats.chain([0, 1, 2, 0]).collect();
@@ -115,72 +117,68 @@ fn fuzz_gltf_json() {
     let gltf = format!(
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"translation":[1,2,3],"rotation":[0,0,0,1],"scale":[1,2,1]}},{{"mesh":0,"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"mode":4,"material":0}}]}}],"materials":[{{"doubleSided":true,"alphaMode":"MASK","alphaCutoff":0.3,"pbrMetallicRoughness":{{"baseColorFactor":[1,0.5,0,1]}}}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}},{{"bufferView":1,"componentType":5121,"count":3,"type":"SCALAR"}}],"bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":3}}],"buffers":[{{"byteLength":40,"uri":"data:application/octet-stream;base64,{uri}"}}]}}"#
     );
-    run("gltf", &[gltf.into_bytes()], |bytes| content(bytes, None, Vec::new()));
+    Parser::new("gltf", [gltf.into_bytes()], |bytes| content(bytes, None, Vec::new()))
 }
 
-#[test]
-fn fuzz_b3dm() {
-    let seeds =
-        [b3dm(r#"{"BATCH_LENGTH":0,"RTC_CENTER":[1,2,3]}"#, &glb(None)), b3dm(r#"{"BATCH_LENGTH":2}"#, &glb(None))];
-    run("b3dm", &seeds, |bytes| content(bytes, None, Vec::new()));
+fn b3dm() -> Parser {
+    let seeds = [
+        b3dm_bytes(r#"{"BATCH_LENGTH":0,"RTC_CENTER":[1,2,3]}"#, &glb_bytes(None)),
+        b3dm_bytes(r#"{"BATCH_LENGTH":2}"#, &glb_bytes(None)),
+    ];
+    Parser::new("b3dm", seeds, move |bytes| content(bytes, None, Vec::new()))
 }
 
-#[test]
-fn fuzz_pnts() {
+fn pnts() -> Parser {
     let points: Vec<u8> = (0..80).collect();
     let seeds = [
-        pnts(
+        pnts_bytes(
             r#"{"POINTS_LENGTH":2,"RTC_CENTER":[10,20,30],"POSITION":{"byteOffset":0},"RGB":{"byteOffset":24},"NORMAL_OCT16P":{"byteOffset":30}}"#,
             &points,
         ),
-        pnts(
+        pnts_bytes(
             r#"{"POINTS_LENGTH":4,"POSITION_QUANTIZED":{"byteOffset":0},"QUANTIZED_VOLUME_OFFSET":[1,2,3],"QUANTIZED_VOLUME_SCALE":[10,10,10],"CONSTANT_RGBA":[255,255,0,255]}"#,
             &points,
         ),
-        pnts(
+        pnts_bytes(
             r#"{"POINTS_LENGTH":3,"POSITION":{"byteOffset":0},"RGB565":{"byteOffset":36},"BATCH_ID":{"byteOffset":42,"componentType":"UNSIGNED_BYTE"},"BATCH_LENGTH":2}"#,
             &points,
         ),
     ];
-    run("pnts", &seeds, |bytes| content(bytes, None, Vec::new()));
+    Parser::new("pnts", seeds, move |bytes| content(bytes, None, Vec::new()))
 }
 
-#[test]
-fn fuzz_height_tile() {
+fn height_tile() -> Parser {
     let heights = (0..49).map(|i| i as f32 * 3.25 - 7.0).collect();
     let seeds = [write_height_exr("t", 7, heights).unwrap()];
-    run("height-tile", &seeds, |bytes| content(bytes, Some(HEIGHT_DATA), Vec::new()));
+    Parser::new("height-tile", seeds, move |bytes| content(bytes, Some(HEIGHT_DATA), Vec::new()))
 }
 
-#[test]
-fn fuzz_height_data() {
+fn height_data() -> Parser {
     let exr = write_height_exr("t", 7, vec![5.0; 49]).unwrap();
     let seeds = [HEIGHT_DATA.as_bytes().to_vec(), HEIGHT_DATA.replace("0.8,", "-1.5,").into_bytes()];
-    run("height-data", &seeds, |bytes| {
+    Parser::new("height-data", seeds, move |bytes| {
         if let Ok(data) = std::str::from_utf8(bytes) {
             content(&exr, Some(data), Vec::new());
         }
-    });
+    })
 }
 
-#[test]
-fn fuzz_imagery() {
+fn imagery() -> Parser {
     let exr = write_height_exr("t", 7, vec![5.0; 49]).unwrap();
-    let seeds = [image(image::ImageFormat::Png), image(image::ImageFormat::Jpeg)];
-    run("imagery", &seeds, |bytes| {
+    let seeds = [image_bytes(image::ImageFormat::Png), image_bytes(image::ImageFormat::Jpeg)];
+    Parser::new("imagery", seeds, move |bytes| {
         content(&exr, Some(HEIGHT_DATA), vec![("/set/0.png".into(), Ok(bytes.to_vec()))]);
-    });
+    })
 }
 
-#[test]
-fn fuzz_gzip() {
+fn gzip() -> Parser {
     use std::io::Write as _;
     let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
     packed.write_all(TILESET.as_bytes()).unwrap();
-    run("gzip", &[packed.finish().unwrap()], |bytes| content(bytes, None, Vec::new()));
+    Parser::new("gzip", [packed.finish().unwrap()], |bytes| content(bytes, None, Vec::new()))
 }
 
-fn archive() -> Vec<u8> {
+fn archive_bytes() -> Vec<u8> {
     use std::io::Write as _;
     let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for (name, method) in [
@@ -195,11 +193,10 @@ fn archive() -> Vec<u8> {
     writer.finish().unwrap().into_inner()
 }
 
-#[test]
-fn fuzz_archive() {
+fn archive() -> Parser {
     let folder = tempfile::tempdir().unwrap();
     let mut number = 0u64;
-    run("archive", &[archive()], |bytes| {
+    Parser::new("archive", [archive_bytes()], move |bytes| {
         // A name of its own: what is known of a file is kept.
         number += 1;
         let path = folder.path().join(format!("{number}.3tz"));
@@ -212,14 +209,26 @@ fn fuzz_archive() {
             }
         }
         std::fs::remove_file(&path).unwrap();
-    });
+    })
 }
 
-#[test]
-fn fuzz_camera_path() {
+fn pmtiles() -> Parser {
+    // Two tiles, one of them twice, and a directory below.
+    let directory = [3, 0, 1, 2, 1, 2, 0, 9, 9, 5, 1, 10, 1];
+    let mut bytes = vec![0u8; 127];
+    bytes[..8].copy_from_slice(b"PMTiles\x03");
+    for (at, value) in [(8, 127u64), (16, 13), (40, 127), (48, 13), (56, 127), (64, 90)] {
+        bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
+    }
+    (bytes[97], bytes[98]) = (1, 1);
+    bytes.extend_from_slice(&directory);
+    Parser::new("pmtiles", [bytes], |bytes| terrane::io::fuzz_pmtiles(bytes, &limits()))
+}
+
+fn camera_path() -> Parser {
     let seeds =
         [b"# t px py pz qx qy qz qw\n0 1 2 3 0 0 0 1\n1.5 1e3 -2 3.25 0 0.7071 0 0.7071\n2 0 0 0 1 0 0 0\n".to_vec()];
-    run("camera-path", &seeds, |bytes| {
+    Parser::new("camera-path", seeds, move |bytes| {
         if let Ok(path) = AnimationPath::parse(&String::from_utf8_lossy(bytes)) {
             for share in [-1.0, 0.0, 0.3, 1.0, 7.0] {
                 let pose = path.world_from_eye(path.first_s() + share * path.duration_s());
@@ -228,14 +237,13 @@ fn fuzz_camera_path() {
             let again = AnimationPath::parse(&path.to_text()).unwrap();
             assert_eq!(again.points(), path.points());
         }
-    });
+    })
 }
 
-#[test]
-fn fuzz_display_settings() {
+fn display_settings() -> Parser {
     let seeds = ["ON", "HORIZONTAL_SPLIT", "0.05", "12", "MONITOR", "LEFT_EYE_LEFT_VIEWPORT", "1280 720"];
     let seeds = seeds.map(|s| s.as_bytes().to_vec());
-    run("display-settings", &seeds, |bytes| {
+    Parser::new("display-settings", seeds, move |bytes| {
         let value = String::from_utf8_lossy(bytes).into_owned();
         let mut settings = DisplaySettings::default();
         if let Err(error) = settings.read_variables(|_| Some(value.clone())) {
@@ -245,7 +253,7 @@ fn fuzz_display_settings() {
         arguments.splice(0..0, ["--stereo".to_owned(), "--samples=4".to_owned()]);
         let _ = settings.read_command_line(&mut arguments);
         assert!(settings.field_of_view_is_sane());
-    });
+    })
 }
 
 trait Sane {
@@ -262,47 +270,58 @@ impl Sane for DisplaySettings {
     }
 }
 
-#[cfg(feature = "http")]
-mod http {
-    use super::*;
-    use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers};
+fn http_headers() -> Parser {
+    let seeds = [
+        "max-age=60, must-revalidate",
+        "no-store, private=\"x\", s-maxage=9",
+        "Sun, 06 Nov 1994 08:49:37 GMT",
+        "120",
+        "bytes 0-99/1000",
+        "gzip, br",
+        "*",
+    ];
+    Parser::new("http-headers", seeds, |bytes| {
+        fuzz_headers(&String::from_utf8_lossy(bytes));
+    })
+}
 
-    #[test]
-    fn fuzz_http_headers() {
-        let seeds = [
-            "max-age=60, must-revalidate",
-            "no-store, private=\"x\", s-maxage=9",
-            "Sun, 06 Nov 1994 08:49:37 GMT",
-            "120",
-            "bytes 0-99/1000",
-            "gzip, br",
-            "*",
-        ];
-        run("http-headers", &seeds.map(|s| s.as_bytes().to_vec()), |bytes| {
-            fuzz_headers(&String::from_utf8_lossy(bytes));
-        });
-    }
+fn encodings() -> Parser {
+    let text = TILESET.as_bytes();
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut gzip, text).unwrap();
+    // A brotli stream of one uncompressed block, and a zstd frame of one raw block.
+    let brotli = [&[0x21, 0x14, 0x00, 0x04][..], b"hello", &[0x03]].concat();
+    let zstd = [&[0x28, 0xb5, 0x2f, 0xfd, 0x20, 0x05, 0x29, 0x00, 0x00][..], b"hello"].concat();
+    let limits = Limits { max_file_bytes: 1 << 16, ..Limits::default() };
+    Parser::new("encodings", [gzip.finish().unwrap(), brotli, zstd, text.to_vec()], move |bytes| {
+        for encoding in ["gzip", "br", "zstd", "zstd, gzip", "identity"] {
+            fuzz_encoding(encoding, bytes, &limits);
+        }
+        fuzz_encoding(&String::from_utf8_lossy(&bytes[..bytes.len().min(40)]), bytes, &limits);
+    })
+}
 
-    #[test]
-    fn fuzz_encodings() {
-        let text = TILESET.as_bytes();
-        let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-        std::io::Write::write_all(&mut gzip, text).unwrap();
-        // A brotli stream of one uncompressed block, and a zstd frame of one raw block.
-        let brotli = [&[0x21, 0x14, 0x00, 0x04][..], b"hello", &[0x03]].concat();
-        let zstd = [&[0x28, 0xb5, 0x2f, 0xfd, 0x20, 0x05, 0x29, 0x00, 0x00][..], b"hello"].concat();
-        let limits = Limits { max_file_bytes: 1 << 16, ..Limits::default() };
-        run("encodings", &[gzip.finish().unwrap(), brotli, zstd, text.to_vec()], |bytes| {
-            for encoding in ["gzip", "br", "zstd", "zstd, gzip", "identity"] {
-                fuzz_encoding(encoding, bytes, &limits);
-            }
-            fuzz_encoding(&String::from_utf8_lossy(&bytes[..bytes.len().min(40)]), bytes, &limits);
-        });
-    }
+fn cache_entries() -> Parser {
+    let seed = r#"{"uri":"http://h/a","blob":"2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881","size":1,"encoding":"gzip","etag":"\"1\"","last_modified":null,"checked_s":1000,"fresh_for_s":60}"#;
+    Parser::new("cache-entry", [seed], fuzz_cache_entry)
+}
 
-    #[test]
-    fn fuzz_cache_entries() {
-        let seed = r#"{"uri":"http://h/a","blob":"2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881","size":1,"encoding":"gzip","etag":"\"1\"","last_modified":null,"checked_s":1000,"fresh_for_s":60}"#;
-        run("cache-entry", &[seed.as_bytes().to_vec()], fuzz_cache_entry);
-    }
+parsers! {
+    tileset,
+    subtree,
+    glb,
+    gltf_json,
+    b3dm,
+    pnts,
+    height_tile,
+    height_data,
+    imagery,
+    gzip,
+    archive,
+    pmtiles,
+    camera_path,
+    display_settings,
+    http_headers,
+    encodings,
+    cache_entries,
 }

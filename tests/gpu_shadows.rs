@@ -2,12 +2,14 @@
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 mod gpu_support;
+mod shadow_support;
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3, DVec4};
-use gpu_support::{Rig, Terrain, camera, plain, rig};
+use glam::{DAffine3, DVec3};
+use gpu_support::{Rig, Terrain, camera, rig};
 use image::RgbaImage;
+use shadow_support::{check, cuboid, ground, meets, ray, solid, srgb, sunny, tower};
 use terrane::cull::{CullCamera, RenderStage, ShadowLight, SunShadows};
 use terrane::draw::{Environment, Picture, Water};
 use terrane::gpu::AdapterChoice;
@@ -19,89 +21,10 @@ use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
 
 const SIZE: [u32; 2] = [256, 192];
 
-fn sunny(to_sun: DVec3) -> Environment {
-    Environment {
-        sun_direction: to_sun.normalize(),
-        sun_color: [0.8; 3],
-        ambient_color: [0.2; 3],
-        shadows: Some(SunShadows { resolution_px: 1024, ..SunShadows::default() }),
-        ..plain()
-    }
-}
-
-fn solid(mesh: Mesh) -> Drawable {
-    Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material { double_sided: true, ..Material::default() })
-}
-
-fn cuboid(min: DVec3, max: DVec3) -> Drawable {
-    solid(Mesh::cuboid(&Aabb { min, max }))
-}
-
-/// A square at height 0 around the origin.
-fn ground(half_m: f64) -> Drawable {
-    solid(Mesh::rectangle(DVec3::new(-half_m, -half_m, 0.0), DVec3::X * 2.0 * half_m, DVec3::Y * 2.0 * half_m))
-}
-
-/// Length along a ray up to a box.
-fn meets(from: DVec3, along: DVec3, bounds: &Aabb) -> Option<f64> {
-    let (a, b) = ((bounds.min - from) / along, (bounds.max - from) / along);
-    let (enters, leaves) = (a.min(b).max_element(), a.max(b).min_element());
-    (enters <= leaves && leaves > 1e-6).then_some(enters.max(0.0))
-}
-
-/// Where a pixel's ray goes, in the world.
-fn ray(camera: &CullCamera, x: u32, y: u32) -> (DVec3, DVec3) {
-    let [width, height] = camera.viewport_px.map(f64::from);
-    let clip =
-        DVec4::new((f64::from(x) + 0.5) / width * 2.0 - 1.0, 1.0 - (f64::from(y) + 0.5) / height * 2.0, 0.5, 1.0);
-    let p = camera.clip_from_eye.inverse() * clip;
-    let world_from_eye = camera.eye_from_world.inverse();
-    (world_from_eye.translation, world_from_eye.transform_vector3(p.truncate() / p.w).normalize())
-}
-
-/// Compares the shadow on the ground with what rays say, pixel by pixel; those within the reach of filter and biases of
-/// an edge may be either. How many were in the shadow, and in the sun. Hiders hide pixels and cast nothing.
-fn check(rig: &mut Rig, camera: &CullCamera, casters: &[Aabb], hiders: &[Aabb], to_sun: DVec3) -> (u32, u32) {
+/// Compares what was drawn last with what rays say.
+fn check_rig(rig: &mut Rig, camera: &CullCamera, boxes: [&[Aabb]; 2], to_sun: DVec3) -> (u32, u32) {
     let picture = rig.read_back();
-    let cascades = &rig.stage.shadows.cascades;
-    let is_dark = |at: DVec3| casters.iter().any(|b| meets(at, to_sun, b).is_some());
-    let height = to_sun.normalize().z;
-    let lit = srgb(0.2 + 0.8 * height);
-    let (mut dark_count, mut lit_count) = (0, 0);
-    for (x, y, pixel) in picture.enumerate_pixels() {
-        let (eye, along) = ray(camera, x, y);
-        let length = -eye.z / along.z;
-        let at = eye + along * length;
-        let is_hidden = |b: &Aabb| meets(eye, along, b).is_some_and(|l| l < length);
-        if length <= 0.0 || at.abs().max_element() > 190.0 || casters.iter().chain(hiders).any(is_hidden) {
-            continue;
-        }
-        let depth = -camera.eye_from_world.transform_point3(at).z;
-        let texel_m = cascades.iter().rfind(|c| c.depths_m[0] <= depth).map_or(0.0, |c| c.texel_m);
-        let pixel_m = length / 192.0 / along.z.abs().max(0.05);
-        let across = to_sun.cross(DVec3::Z).normalize() * (pixel_m + 4.0 * texel_m);
-        let along = to_sun.with_z(0.0).normalize() * (pixel_m + 5.5 * texel_m / height);
-        let around = (0..16)
-            .map(|i| f64::from(i) * std::f64::consts::FRAC_PI_8)
-            .map(|a| at + across * a.cos() + along * a.sin());
-        let expected = is_dark(at);
-        if around.into_iter().any(|p| is_dark(p) != expected) {
-            continue;
-        }
-        let wanted = if expected { srgb(0.2) } else { lit };
-        assert!(pixel.0[0].abs_diff(wanted) <= 2, "({x}, {y}) at {at}: {:?}, not {wanted}", pixel.0);
-        *(if expected { &mut dark_count } else { &mut lit_count }) += 1;
-    }
-    (dark_count, lit_count)
-}
-
-fn srgb(linear: f64) -> u8 {
-    let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
-    (s * 255.0).round() as u8
-}
-
-fn tower() -> Aabb {
-    Aabb { min: DVec3::new(-4.0, -4.0, 0.0), max: DVec3::new(4.0, 4.0, 20.0) }
+    check(&picture, &rig.stage.shadows, camera, boxes, to_sun)
 }
 
 /// Draws the tower and the ground.
@@ -120,7 +43,7 @@ fn a_tower_throws_its_shadow_where_geometry_says() {
         for eye in [DVec3::new(-40.0, -50.0, 45.0), DVec3::new(5.0, 60.0, 25.0), DVec3::new(0.5, 0.2, 90.0)] {
             let camera = camera(SIZE, eye, DVec3::new(0.0, 0.0, 2.0), DVec3::new(0.0, 0.1, 1.0));
             draw_tower(&mut rig, to_sun, &camera);
-            let (dark, lit) = check(&mut rig, &camera, &[tower()], &[], to_sun);
+            let (dark, lit) = check_rig(&mut rig, &camera, [&[tower()], &[]], to_sun);
             assert!(dark > 20 && lit > 5_000, "{to_sun} {eye}: {dark} dark, {lit} lit");
             all += dark;
         }
@@ -135,7 +58,7 @@ fn what_is_outside_the_view_casts_into_it() {
     let to_sun = DVec3::new(1.0, 0.0, 0.35);
     let camera = camera(SIZE, DVec3::new(-10.0, 0.0, 12.0), DVec3::new(-40.0, 0.0, 0.0), DVec3::Z);
     draw_tower(&mut rig, to_sun, &camera);
-    let (dark, lit) = check(&mut rig, &camera, &[tower()], &[], to_sun);
+    let (dark, lit) = check_rig(&mut rig, &camera, [&[tower()], &[]], to_sun);
     assert!(dark > 1_000 && lit > 5_000, "{dark} dark, {lit} lit");
 }
 
@@ -211,7 +134,7 @@ fn masks_cast_their_holes_and_glass_casts_nothing() {
         rig.draw(&scene, &camera, &sunny(to_sun));
         assert_eq!(rig.renderer.take_errors(), Vec::<String>::new(), "{name}");
         let plate = Aabb { min: DVec3::new(-10.5, -10.5, 9.5), max: DVec3::new(10.5, 10.5, 10.5) };
-        let (dark, lit) = check(&mut rig, &camera, &casts, &[plate], to_sun);
+        let (dark, lit) = check_rig(&mut rig, &camera, [&casts, &[plate]], to_sun);
         assert!(lit > 3_000 && (dark > 300) != casts.is_empty(), "{name}: {dark} dark, {lit} lit");
         rig.release(scene);
     }

@@ -122,20 +122,118 @@ fn what_is_down_comes_up_when_the_focus_goes() {
     assert_eq!(kinds(&mut queue), expected);
 }
 
-#[test]
-fn the_first_finger_is_the_pointer() {
+/// Plays touches; the events but those of fingers, as text, and the queue.
+fn touched(acts: &[(u64, TouchPhase, f64, f64)]) -> (Vec<String>, EventQueue) {
     let mut queue = EventQueue::default();
-    let at = |x: f64| DVec2::new(x, 0.0);
-    queue.touch(7, TouchPhase::Began, at(1.0), 0.0);
-    queue.touch(8, TouchPhase::Began, at(50.0), 0.0);
-    queue.touch(8, TouchPhase::Moved, at(60.0), 0.0);
-    queue.touch(7, TouchPhase::Moved, at(5.0), 0.0);
-    assert_eq!(queue.state().position, at(5.0));
-    queue.touch(7, TouchPhase::Ended, at(6.0), 0.0);
-    queue.touch(8, TouchPhase::Ended, at(60.0), 0.0);
-    let pointer: Vec<_> =
-        taken(&mut queue).iter().filter(|e| e.mask() != EventMask::TOUCH).map(|e| format!("{:?}", e.kind)).collect();
-    assert_eq!(pointer, ["Push(Left)", "Drag", "Drag", "Release(Left)", "Frame"]);
+    queue.window_resize([1000, 1000], 0.0);
+    let _ = taken(&mut queue);
+    for (id, phase, x, time_s) in acts {
+        queue.touch(*id, *phase, DVec2::new(*x, 0.0), *time_s);
+    }
+    let events = taken(&mut queue);
+    let pointer = events.iter().filter(|e| !(EventMask::TOUCH | EventMask::FRAME).intersects(e.mask()));
+    (pointer.map(|e| format!("{:?}@{}", e.kind, e.state.position.x)).collect(), queue)
+}
+
+#[test]
+fn a_single_finger_is_the_pointer() {
+    use TouchPhase::{Began, Cancelled, Ended, Moved};
+    const NAN: f64 = f64::NAN;
+    type Case = (&'static str, &'static [(u64, TouchPhase, f64, f64)], &'static [&'static str]);
+    let cases: &[Case] = &[
+        (
+            "drags",
+            &[(7, Began, 1.0, 0.0), (7, Moved, 5.0, 0.1), (7, Ended, 6.0, 0.2)],
+            &["Push(Left)@1", "Drag@5", "Drag@6", "Release(Left)@6"],
+        ),
+        (
+            "taps twice, a finger's width away",
+            &[(7, Began, 1.0, 0.0), (7, Ended, 1.0, 0.1), (8, Began, 21.0, 0.2), (8, Ended, 21.0, 0.3)],
+            &["Push(Left)@1", "Release(Left)@1", "DoubleClick(Left)@21", "Release(Left)@21"],
+        ),
+        (
+            "a second one ends the drag, and its own moves are a gesture",
+            &[(7, Began, 1.0, 0.0), (8, Began, 50.0, 0.1), (7, Moved, 9.0, 0.2), (8, Moved, 90.0, 0.2)],
+            &["Push(Left)@1", "Release(Left)@1"],
+        ),
+        (
+            "lifted one after the other they do not click",
+            &[
+                (7, Began, 1.0, 0.0),
+                (8, Began, 50.0, 0.1),
+                (7, Ended, 1.0, 0.2),
+                (8, Moved, 55.0, 0.2),
+                (8, Ended, 56.0, 0.3),
+                (9, Began, 1.0, 0.35),
+            ],
+            &["Push(Left)@1", "Release(Left)@1", "Push(Left)@1"],
+        ),
+        (
+            "the last one drags once it moves on, from where it is",
+            &[
+                (7, Began, 1.0, 0.0),
+                (8, Began, 50.0, 0.1),
+                (7, Ended, 1.0, 0.2),
+                (8, Moved, 70.0, 0.2),
+                (8, Moved, 80.0, 0.2),
+                (8, Ended, 80.0, 0.3),
+            ],
+            &["Push(Left)@1", "Release(Left)@1", "Push(Left)@70", "Drag@80", "Release(Left)@80"],
+        ),
+        (
+            "taken away it comes up where it was",
+            &[(7, Began, 1.0, 0.0), (7, Moved, 5.0, 0.1), (7, Cancelled, 300.0, 0.2), (8, Began, 5.0, 0.3)],
+            &["Push(Left)@1", "Drag@5", "Release(Left)@5", "Push(Left)@5"],
+        ),
+        (
+            "nowhere it still comes up",
+            &[(7, Began, 1.0, 0.0), (7, Moved, NAN, 0.1), (7, Ended, NAN, 0.2)],
+            &["Push(Left)@1", "Release(Left)@1"],
+        ),
+        (
+            "strangers are nobody",
+            &[(7, Moved, 1.0, 0.0), (7, Ended, 1.0, 0.1), (8, Began, NAN, 0.2), (8, Moved, 2.0, 0.3)],
+            &[],
+        ),
+        (
+            "one that comes again was lost",
+            &[(7, Began, 1.0, 0.0), (7, Began, 9.0, 0.1), (7, Ended, 9.0, 0.2)],
+            &["Push(Left)@1", "Release(Left)@1", "Push(Left)@9", "Release(Left)@9"],
+        ),
+    ];
+    for (name, acts, expected) in cases {
+        let (pointer, queue) = touched(acts);
+        assert_eq!(pointer, *expected, "{name}");
+        let is_down = queue.state().buttons.contains(MouseButton::Left);
+        assert_eq!(is_down, pointer.last().is_some_and(|last| last.starts_with("Push")), "{name}");
+    }
+}
+
+#[test]
+fn fingers_are_counted_and_bounded() {
+    let mut queue = EventQueue::default();
+    queue.window_resize([1000, 1000], 0.0);
+    (0..100u32).for_each(|id| queue.touch(id.into(), TouchPhase::Began, DVec2::splat(f64::from(id)), 0.0));
+    assert_eq!(queue.finger_count(), 32);
+    for step in 0..100_000u32 {
+        queue.touch(u64::from(step % 32), TouchPhase::Moved, DVec2::splat(f64::from(step)), 1.0);
+    }
+    let events = taken(&mut queue);
+    assert!(events.len() < 1200, "{} events wait", events.len());
+    // What replaced what came before is the last of each finger.
+    for id in 0..32u32 {
+        let last = events.iter().rev().find_map(|e| match e.kind {
+            EventKind::Touch { id: finger, position_px, .. } if finger == u64::from(id) => Some(position_px.x),
+            _ => None,
+        });
+        assert_eq!(last, Some(f64::from(99_968 + id)));
+    }
+    queue.focus(false, 2.0);
+    assert_eq!(queue.finger_count(), 0);
+    let cancelled = taken(&mut queue);
+    let cancelled =
+        cancelled.iter().filter(|e| matches!(e.kind, EventKind::Touch { phase: TouchPhase::Cancelled, .. }));
+    assert_eq!(cancelled.count(), 32);
 }
 
 #[test]
@@ -157,7 +255,7 @@ fn other_threads_send_events_of_their_own() {
 proptest! {
     #[test]
     fn no_input_poisons_the_state(
-        raw in prop::collection::vec((0u8..6, prop::num::f64::ANY, prop::num::f64::ANY), 0..50),
+        raw in prop::collection::vec((0u8..8, prop::num::f64::ANY, prop::num::f64::ANY), 0..50),
         size in prop::array::uniform2(0u32..3),
     ) {
         let mut queue = EventQueue::default();
@@ -167,7 +265,9 @@ proptest! {
             match what {
                 0 => queue.mouse_motion(place, y),
                 1 => queue.mouse_scroll(place, x),
-                2 => queue.touch(1, TouchPhase::Moved, place, x),
+                2 => queue.touch(u64::from(x > 0.0), TouchPhase::Moved, place, x),
+                6 => queue.touch(u64::from(x > 0.0), TouchPhase::Began, place, x),
+                7 => queue.touch(u64::from(x > 0.0), TouchPhase::Ended, place, x),
                 3 => queue.set_input_range(place, DVec2::new(y, x)),
                 4 => queue.mouse_button_press(MouseButton::Left, x),
                 _ => queue.set_use_fixed_input_range(x > y),

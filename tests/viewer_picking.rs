@@ -124,3 +124,82 @@ fn picks_lie_on_what_the_picture_shows() {
         }
     }
 }
+
+#[test]
+fn picks_below_other_projections_lie_on_what_the_picture_shows() {
+    use glam::dcamera::rh::proj::directx as proj;
+    use terrane::scene::{CameraNode, NodeKind, ReferenceFrame, RenderOrder};
+    let Some(mut viewer) = viewer() else { return };
+    // Each its own colour, in the order of the page's drawables.
+    let colors = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1]];
+    let mut next = colors.iter();
+    let mut square = |center: DVec3, half: f64| {
+        let color = next.next().unwrap().map(|c| c as f32);
+        let corner = center - DVec3::new(half, half, 0.0);
+        let mesh = Mesh::rectangle(corner, DVec3::X * 2.0 * half, DVec3::Y * 2.0 * half);
+        let base_color = [color[0], color[1], color[2], 1.0];
+        let material = Material { base_color, unlit: true, double_sided: true, ..Material::default() };
+        Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)])
+    };
+    let below = |kind: NodeKind, children: Vec<Node>| Node { children, ..Node::new(kind) };
+    let overlay = |order, viewport_px| CameraNode {
+        frame: ReferenceFrame::Absolute,
+        projection: Some(proj::orthographic(-1.0, 1.0, -1.0, 1.0, 10.0, 0.0)),
+        viewport_px,
+        clear_color: None,
+        ..CameraNode::new(order)
+    };
+    // In the eye's own frame, ten units before it, so that the eye may stay at the origin.
+    let root = Node::group(vec![
+        square(DVec3::new(0.0, 0.0, -10.0), 2.5),
+        // Seen through a longer lens, behind and before the first.
+        below(
+            NodeKind::Projection(proj::perspective_infinite_reverse(0.4, 320.0 / 180.0, 0.1)),
+            vec![square(DVec3::new(1.5, 0.5, -12.0), 1.0), square(DVec3::new(-1.0, -0.5, -8.0), 0.6)],
+        ),
+        Node::camera(
+            overlay(RenderOrder::Nested, Some([10, 100, 100, 70])),
+            vec![square(DVec3::new(0.0, 0.0, -1.0), 0.8)],
+        ),
+        // Over everything, the one with the higher number over the other.
+        Node::camera(overlay(RenderOrder::PostRender(2), None), vec![square(DVec3::new(0.7, 0.7, -9.0), 0.2)]),
+        Node::camera(overlay(RenderOrder::PostRender(1), None), vec![square(DVec3::new(0.6, 0.6, -0.5), 0.25)]),
+        Node::camera(
+            overlay(RenderOrder::PostRender(0), Some([200, 100, 80, 60])),
+            vec![square(DVec3::new(0.5, 0.0, -5.0), 1.0)],
+        ),
+    ]);
+    viewer.camera.world_from_eye = DAffine3::IDENTITY;
+    viewer.environment.sky = Sky::Background([0, 0, 0]);
+    viewer.environment.fog.enabled = false;
+    let page = Page::from_node(root).unwrap();
+    viewer.add_root(page).unwrap();
+    viewer.camera.world_from_eye = DAffine3::IDENTITY;
+    for _ in 0..3 {
+        viewer.frame().unwrap();
+    }
+    let picture = viewer.read_back().unwrap();
+    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
+        picture.save(std::path::Path::new(&folder).join("window-picks.png")).unwrap();
+    }
+    let color = |x: u32, y: u32| picture.get_pixel(x, y).0[..3].iter().map(|c| i32::from(*c > 128)).collect::<Vec<_>>();
+    let mut seen = [0; 7];
+    for y in (2..SIZE_PX[1] - 2).step_by(2) {
+        for x in (2..SIZE_PX[0] - 2).step_by(2) {
+            let shown = color(x, y);
+            if [(1, 0), (0, 1)].iter().any(|(i, j)| color(x + i, y + j) != shown || color(x - i, y - j) != shown) {
+                continue; // an edge
+            }
+            let hits = viewer.compute_intersections(f64::from(x) + 0.5, f64::from(y) + 0.5, IntersectionLimit::Nearest);
+            let met = hits.first().map_or([0; 3], |hit| colors[hit.drawable as usize]);
+            assert_eq!(shown, met, "{x} {y}");
+            if let Some(hit) = hits.first() {
+                seen[hit.drawable as usize] += 1;
+            }
+            let [from, to] = [0.4, 0.6].map(|share| [f64::from(x) + share, f64::from(y) + share]);
+            let in_pixel = viewer.compute_intersections_in(from, to, IntersectionLimit::Nearest);
+            assert_eq!(in_pixel.first().map(|hit| hit.drawable), hits.first().map(|hit| hit.drawable), "{x} {y}");
+        }
+    }
+    assert!(seen.iter().all(|count| *count > 50), "{seen:?}");
+}

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
+use terrane::cull::SunShadows;
 use terrane::gpu::{AdapterChoice, GpuError};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
@@ -88,10 +89,11 @@ fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
     for (file, triangles) in [("coarse.glb", 6), ("medium.glb", 8), ("mirrored.glb", 9), ("fine.glb", 200)] {
         std::fs::write(folder.join(file), write_glb(&fan(triangles, [0.5, 0.5, 0.5, 1.0]))).unwrap();
     }
-    for (model, blocking) in [
-        (ThreadingModel::SingleThreaded, true),
-        (ThreadingModel::SingleThreaded, false),
-        (ThreadingModel::CullThreadPerCameraDrawThreadPerContext, false),
+    for (model, blocking, shadows) in [
+        (ThreadingModel::SingleThreaded, true, false),
+        (ThreadingModel::SingleThreaded, false, true),
+        (ThreadingModel::CullThreadPerCameraDrawThreadPerContext, false, false),
+        (ThreadingModel::CullThreadPerCameraDrawThreadPerContext, false, true),
     ] {
         let Some(mut viewer) = viewer(model, blocking) else { return };
         viewer.page_files_in(&folder).unwrap();
@@ -107,6 +109,7 @@ fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
         let root = tile(&folder, "coarse.glb", 8.0, whole, vec![medium]);
         viewer.add_root(Page::from_node(Node::group(vec![root])).unwrap()).unwrap();
         viewer.camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
+        viewer.environment.shadows = shadows.then(SunShadows::default);
         let mut time_s = 0.0;
         frames(&mut viewer, &mut time_s, 1.0);
         let created = |viewer: &Viewer, from: u32| -> u32 {
@@ -115,14 +118,15 @@ fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
         assert!(created(&viewer, 0) > 0, "the sky's comes with the first frame");
         let mut triangles = viewer.stats().last().unwrap().triangles;
         assert!(triangles > 0);
+        assert_eq!(viewer.stats().last().unwrap().shadow_leaves > 0, shadows);
         for (lod_scale, expected) in [(0.6, 8), (0.4, 9), (0.2, 200)] {
             let before = viewer.frame_stamp().frame;
             frames(&mut viewer, &mut time_s, lod_scale);
             let now = viewer.stats().last().unwrap().triangles;
             assert!(now != triangles, "{model}: {lod_scale}");
             triangles = now;
-            assert_eq!(triangles, expected, "{model}");
-            assert_eq!(created(&viewer, before), 0, "{model}, blocking {blocking}: {lod_scale}");
+            assert_eq!(triangles % expected, 0, "{model}: once, and once for each cascade");
+            assert_eq!(created(&viewer, before), 0, "{model}, blocking {blocking}, shadows {shadows}: {lod_scale}");
         }
         assert_eq!(viewer.pager().unwrap().stats().merged, 4);
     }

@@ -1,15 +1,17 @@
 //! Elevation and colour files, fed with what is nearly well: a raster or an error that names the file, never a panic.
-//! `FUZZ_SECS=600 cargo test -p terrane-data-gen --test fuzz_rasters` for longer.
+//! As `fuzz_parsers` of the library; `tools/fuzz` feeds these too.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod files;
+#[macro_use]
 #[path = "../../tests/fuzz_support/mod.rs"]
 mod fuzz_support;
 
 use std::path::Path;
 
 use files::{PLACE, heights, tiff_float32, tiff_int16};
+use fuzz_support::Parser;
 use terrane::io::write::write_height_exr;
 use terrane_data_gen::Raster;
 
@@ -28,45 +30,56 @@ fn read(path: &Path) {
     }
 }
 
-fn rasters(name: &str, file: &str, world: bool, seeds: &[Vec<u8>]) {
+fn raster(name: &'static str, file: &str, world: bool, seeds: &[Vec<u8>]) -> Parser {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(file);
     if world {
         std::fs::write(path.with_extension("wld"), "0.001\n0\n0\n-0.001\n7.5\n46.5\n").unwrap();
     }
-    fuzz_support::run(name, seeds, |bytes| {
+    Parser::new(name, seeds, move |bytes| {
+        let _ = &folder;
         std::fs::write(&path, bytes).unwrap();
         read(&path);
-    });
+    })
 }
 
-#[test]
-fn fuzz_geotiff() {
+fn geotiff() -> Parser {
     let seeds = [tiff_float32(&heights(), Some(PLACE), Some("-9999")), tiff_int16(&heights(), Some(PLACE), None)];
-    rasters("geotiff", "a.tif", false, &seeds);
+    raster("geotiff", "a.tif", false, &seeds)
 }
 
-#[test]
-fn fuzz_elevation_png_and_exr() {
+fn elevation_png() -> Parser {
     let mut png = std::io::Cursor::new(Vec::new());
     image::RgbImage::from_fn(16, 16, |x, y| image::Rgb([1, 200 + x as u8, y as u8]))
         .write_to(&mut png, image::ImageFormat::Png)
         .unwrap();
-    rasters("elevation-png", "a.png", true, &[png.into_inner()]);
-    let exr = write_height_exr("t", 16, (0..256).map(|h| h as f32).collect()).unwrap();
-    rasters("elevation-exr", "a.exr", true, &[exr]);
+    raster("elevation-png", "a.png", true, &[png.into_inner()])
 }
 
-#[test]
-fn fuzz_world_file() {
+fn exr() -> Vec<u8> {
+    write_height_exr("t", 16, (0..256).map(|h| h as f32).collect()).unwrap()
+}
+
+fn elevation_exr() -> Parser {
+    raster("elevation-exr", "a.exr", true, &[exr()])
+}
+
+fn world_file() -> Parser {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.exr");
-    std::fs::write(&path, write_height_exr("t", 16, (0..256).map(|h| h as f32).collect()).unwrap()).unwrap();
-    let seed = b"0.001\n0\n0\n-0.001\n7.5\n46.5\n".to_vec();
-    fuzz_support::run("world-file", &[seed], |bytes| {
+    std::fs::write(&path, exr()).unwrap();
+    Parser::new("world-file", ["0.001\n0\n0\n-0.001\n7.5\n46.5\n"], move |bytes| {
+        let _ = &folder;
         std::fs::write(path.with_extension("wld"), bytes).unwrap();
         read(&path);
-    });
+    })
+}
+
+parsers! {
+    geotiff,
+    elevation_png,
+    elevation_exr,
+    world_file,
 }
 
 /// Took 48 GB of memory and ended the process.

@@ -19,6 +19,7 @@
 mod camera;
 mod fade;
 mod horizon;
+mod near_far;
 mod nodes;
 mod occluders;
 mod planes;

@@ -33,7 +33,7 @@ impl Cull<'_> {
         let mut node = first;
         let small_feature = self.view.small_feature;
         let cull_mask = self.view.settings.cull_mask;
-        let takes_ranges = self.takes_ranges && small_feature == 0.0;
+        let takes_ranges = self.takes_ranges && small_feature == 0.0 && !context.by_primitives;
         let has_occluders = !self.occluders.is_empty();
         // A mask of 0 hides nodes of every mask, of those without one too.
         if cull_mask == 0 {
@@ -378,7 +378,11 @@ impl Cull<'_> {
         if context.has_clusters && self.looks_away(context, drawable) {
             return;
         }
-        let Some((depth, _)) = self.test_drawable(context, drawable, mask) else { return };
+        let range = self.range;
+        let Some((depth, reach)) = self.test_drawable(context, drawable, mask) else { return };
+        if context.by_primitives && self.put_aside(context, drawable, depth, reach) {
+            self.range = range;
+        }
         let page = context.page;
         let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
         let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);

@@ -133,11 +133,13 @@ impl Cull<'_> {
         self.views.push(view);
         let above = std::mem::replace(&mut self.view, view);
         let range = std::mem::replace(&mut self.range, DepthRange::EMPTY);
+        let aside = self.candidates.len();
         // Known before anything below it is met.
         self.chain_state(context.page, path);
         let mut below = *context;
         below.visit.view = view.index;
         self.in_frame(&below, node, eye_from_page, None);
+        self.look_at_primitives(aside, &view);
         let DepthRange { near, far } = std::mem::replace(&mut self.range, range);
         if near <= far {
             let (near_m, far_m) = (f64::from(near.max(0.0)), f64::from(far.max(0.0)));

@@ -48,7 +48,8 @@ pub struct PageRequest {
     /// Where it belongs.
     pub slot: NodeId,
     /// Larger first: the error in pixels of what is shown instead, always below that of the tile above, so that
-    /// coarse comes before fine. Tiles outside the frustum, needed so that their siblings can replace the parent,
+    /// coarse comes before fine; less by the squared cosine of the angle to the middle of the picture, down to a
+    /// quarter. Tiles outside the frustum, needed so that their siblings can replace the parent,
     /// have a quarter. Below 0: wanted later, see [`Self::ahead`].
     pub priority: f32,
     /// Error of the tile itself, in pixels, were it shown.
@@ -221,9 +222,10 @@ pub struct RenderStage {
     pub stereo_gap_px: u32,
     /// What casts shadows into its picture.
     pub shadows: StageShadows,
-    /// Nearest depth of any leaf's bound, at least 0; 0 without leaves.
+    /// Nearest depth of any leaf's bound, or of what is seen of its primitives where the camera's settings ask for it;
+    /// at least 0; 0 without leaves.
     pub near_m: f64,
-    /// Farthest depth of any leaf's bound; 0 without leaves.
+    /// Farthest depth, alike; 0 without leaves.
     pub far_m: f64,
     /// What the cull did; stages before and after it included.
     pub counters: CullCounters,

@@ -407,6 +407,18 @@ impl Cull<'_> {
         self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
     }
 
+    /// What a tile's place in the picture makes of its priority: all in the middle, a half at 45 degrees from it. Of what
+    /// lies in something else it is never more.
+    fn share_of_place(&self, walk: &Walk, tile: u32) -> f32 {
+        let bounds = &walk.tiles.bounds[tile as usize];
+        let eye_from_frame = &self.hangers[walk.view.hanger as usize].eye_from_frame;
+        let center = eye_from_frame.transform_point3(DVec3::from_array(bounds.center)).as_vec3();
+        let (aside, ahead) = (center.x.hypot(center.y), -center.z);
+        let half_angle = (bounds.radius_m / center.length()).min(1.0).asin();
+        let angle = aside.atan2(ahead) - half_angle;
+        if angle > 0.0 { angle.cos().max(0.0).powi(2).max(KEPT_SHARE) } else { 1.0 }
+    }
+
     /// Asks for the content of a tile, unless it is there or cannot come.
     #[inline(never)]
     fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, above: TileFrame) {
@@ -417,7 +429,7 @@ impl Cull<'_> {
         }
         let slot = NodeId { page: walk.id, index: walk.tiles.nodes[tile as usize] };
         let finite = |px: f32| if px > 0.0 { px.min(MOST_PX) } else { 0.0 };
-        let share = if purpose == Purpose::Keep { KEPT_SHARE } else { 1.0 };
+        let share = if purpose == Purpose::Keep { KEPT_SHARE } else { self.share_of_place(walk, tile) };
         let priority = finite(above.shown_px * share);
         // The finest tiles have none.
         let has_error = walk.tiles.bounds[tile as usize].metric_m > 0.0;

@@ -93,7 +93,7 @@ impl View {
     pub fn clamped(&self, near_m: f64, far_m: f64) -> DMat4 {
         match self.settings.compute_near_far {
             ComputeNearFar::Off => self.clip_from_eye,
-            ComputeNearFar::BoundingVolumes => clamp(&self.clip_from_eye, near_m, far_m, self.settings.near_far_ratio),
+            _ => clamp(&self.clip_from_eye, near_m, far_m, self.settings.near_far_ratio),
         }
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3, Vec4};
 
 use super::fade::{Fade, FadeBand, LodFades};
+use super::near_far::Candidate;
 use super::occluders::{FrameOccluders, Occluders};
 use super::planes::{Planes, depth_row};
 use super::shadows::{Fit, ShadowCascade};
@@ -119,6 +120,8 @@ pub(super) struct PageContext<'a> {
     pub slots: &'a [crate::scene::DrawSlot],
     /// Some drawables are culled by their normal cones.
     pub has_clusters: bool,
+    /// Near and far come from primitives.
+    pub by_primitives: bool,
     pub visit: PageVisit,
 }
 
@@ -136,6 +139,7 @@ pub struct CullVisitor {
     pub(super) graph: StateGraph,
     pub(super) leaves: Vec<RenderLeaf>,
     views: Vec<View>,
+    candidates: Vec<Candidate>,
     deferred: Vec<DeferredCamera>,
     occluders: Occluders,
     page_occluders: FrameOccluders,
@@ -175,6 +179,8 @@ pub(super) struct Cull<'a> {
     /// The stage's views; the current one is a copy.
     pub views: &'a mut Vec<View>,
     pub view: View,
+    /// Drawables whose primitives are to be looked at.
+    pub candidates: &'a mut Vec<Candidate>,
     pub deferred: &'a mut Vec<DeferredCamera>,
     pub occluders: &'a Occluders,
     pub page_occluders: &'a mut FrameOccluders,
@@ -290,6 +296,7 @@ impl CullVisitor {
         self.hangers.clear();
         self.views.clear();
         self.views.push(view);
+        self.candidates.clear();
         self.occluders.clear();
         if view.settings.culling.contains(CullingMode::SHADOW_OCCLUSION) {
             self.occluders.collect(scene, &view);
@@ -310,6 +317,7 @@ impl CullVisitor {
             leaves: &mut self.leaves,
             views: &mut self.views,
             view,
+            candidates: &mut self.candidates,
             deferred: &mut self.deferred,
             occluders: &self.occluders,
             page_occluders: &mut self.page_occluders,
@@ -415,6 +423,7 @@ impl<'a> Cull<'a> {
         self.counters.wanted_missing = self.stage.requests.len() as u32;
         self.counters.leaves = self.leaves.len() as u32;
         self.stage.counters = self.counters;
+        self.look_at_primitives(0, &{ self.views[0] });
         let DepthRange { near, far } = self.range;
         let least = self.views[0].least_depth;
         let (near, far) = if near <= far { (near.max(least), far.max(least)) } else { (0.0, 0.0) };
@@ -503,6 +512,7 @@ impl<'a> Cull<'a> {
             depth: depth_row(&visit.eye_from_page, page.origin, self.view.depth_axis),
             slots: page.draw_slots_of(self.camera.context),
             has_clusters: !page.clusters.is_empty() && self.view.settings.culling.contains(CullingMode::CLUSTER),
+            by_primitives: self.view.settings.compute_near_far == ComputeNearFar::Primitives,
             visit,
         }
     }

@@ -14,8 +14,8 @@ const FAILED: u8 = 3;
 
 /// Queries of a frame that are asked; those beyond wait for another.
 pub(super) const MOST_QUERIES: u32 = 1024;
-/// Frames whose answers may be outstanding.
-const RING: usize = 4;
+/// Draws whose answers may be outstanding: a frame has one for each target of the device.
+const RING: usize = 8;
 /// Pictures that may be outstanding.
 const MOST_PICTURES: usize = 8;
 

@@ -192,7 +192,7 @@ impl Atmosphere {
         }
         let same_aerosol = self.made_for.is_some_and(|made| made.aerosol_per_km == air.aerosol_per_km);
         if self.maker.is_none() {
-            self.maker = Some(self.maker(ctx.device()));
+            self.maker = Some(self.maker(ctx.device(), ctx.pipeline_cache()));
         }
         let Some(maker) = &mut self.maker else { return };
         let words =
@@ -214,7 +214,7 @@ impl Atmosphere {
         self.made_for = Some(*air);
     }
 
-    fn maker(&self, device: &wgpu::Device) -> Maker {
+    fn maker(&self, device: &wgpu::Device, cache: Option<&wgpu::PipelineCache>) -> Maker {
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("atmosphere"),
             source: wgpu::ShaderSource::Wgsl(ATMOSPHERE_WGSL.into()),
@@ -285,7 +285,7 @@ impl Atmosphere {
                 module: &module,
                 entry_point: Some(entry_point),
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache: None,
+                cache,
             });
             Run { pipeline, group, size }
         };

@@ -1,7 +1,8 @@
 //! Puts the pictures of two eyes together. Draw thread.
 
 use crate::cull::StereoMode;
-use crate::draw::pipelines::TargetKey;
+use crate::draw::pipelines::TargetFormats;
+use crate::gpu::GraphicsContext;
 
 const COMPOSITE_WGSL: &str = include_str!("shaders/composite.wgsl");
 
@@ -9,8 +10,10 @@ const COMPOSITE_WGSL: &str = include_str!("shaders/composite.wgsl");
 pub(super) struct Composite {
     module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
-    uniforms: wgpu::Buffer,
-    pipelines: Vec<(TargetKey, wgpu::RenderPipeline)>,
+    /// One for each stage of the frame that has two eyes.
+    uniforms: Vec<wgpu::Buffer>,
+    used: usize,
+    pipelines: Vec<(TargetFormats, wgpu::RenderPipeline)>,
 }
 
 /// The number of a mode in composite.wgsl.
@@ -54,28 +57,40 @@ impl Composite {
                 label: Some("composite"),
                 entries: &[entry(0, texture), entry(1, texture), entry(2, uniform)],
             }),
-            uniforms: device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("composite"),
-                size: 16,
-                usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            }),
+            uniforms: Vec::new(),
+            used: 0,
             pipelines: Vec::new(),
         }
     }
 
-    /// Makes the pipeline for a target unless it is there, and says what to do.
+    pub(super) fn start_frame(&mut self) {
+        self.used = 0;
+    }
+
+    /// Makes the pipeline for a target unless it is there, and says what to do in a part of it that begins at an origin;
+    /// where [`Self::draw`] finds that.
     pub(super) fn prepare(
         &mut self,
-        device: &wgpu::Device,
-        queue: &wgpu::Queue,
-        target: &TargetKey,
+        ctx: &GraphicsContext,
+        target: &TargetFormats,
         mode: StereoMode,
         gap_px: u32,
-    ) {
-        queue.write_buffer(&self.uniforms, 0, bytemuck::cast_slice(&[code(mode), gap_px, 0, 0]));
+        [x, y]: [u32; 2],
+    ) -> usize {
+        let device = ctx.device();
+        let place = self.used;
+        self.used += 1;
+        if place == self.uniforms.len() {
+            self.uniforms.push(device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("composite"),
+                size: 16,
+                usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            }));
+        }
+        ctx.queue().write_buffer(&self.uniforms[place], 0, bytemuck::cast_slice(&[code(mode), gap_px, x, y]));
         if self.pipelines.iter().any(|(key, _)| key == target) {
-            return;
+            return place;
         }
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("composite"),
@@ -110,20 +125,23 @@ impl Composite {
                 targets: &states[..1],
             }),
             multiview_mask: None,
-            cache: None,
+            cache: ctx.pipeline_cache(),
         });
         self.pipelines.push((*target, pipeline));
+        place
     }
 
-    /// Draws the eyes' pictures over the pass's target.
+    /// Draws the eyes' pictures over the pass's viewport.
     pub(super) fn draw(
         &self,
         device: &wgpu::Device,
         pass: &mut wgpu::RenderPass<'_>,
-        target: &TargetKey,
+        target: &TargetFormats,
         [left, right]: [&wgpu::TextureView; 2],
+        place: usize,
     ) {
         let Some((_, pipeline)) = self.pipelines.iter().find(|(key, _)| key == target) else { return };
+        let Some(uniforms) = self.uniforms.get(place) else { return };
         let view = |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
         let eyes = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("composite"),
@@ -131,7 +149,7 @@ impl Composite {
             entries: &[
                 view(0, left),
                 view(1, right),
-                wgpu::BindGroupEntry { binding: 2, resource: self.uniforms.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 2, resource: uniforms.as_entire_binding() },
             ],
         });
         pass.set_pipeline(pipeline);

@@ -14,7 +14,6 @@
 mod answers;
 mod atmosphere;
 mod batch;
-mod bins;
 mod callbacks;
 mod composite;
 mod environment;
@@ -25,7 +24,8 @@ mod shadow_maps;
 mod state;
 mod uniforms;
 
-pub use bins::BinDrawing;
+pub use callbacks::bins::BinDrawing;
+pub use callbacks::drawables::{CompiledDrawable, CustomDrawable, DRAWABLE_PRELUDE, DrawableInfo, custom_geometry};
 pub use callbacks::{BinCallback, CameraCallbacks, RenderInfo};
 pub use environment::{Environment, Fog, Sky, Water};
 pub use renderer::{DrawStats, FrameClock, Picture, Renderer};

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::cull::{RenderStage, StageTarget};
-use crate::draw::pipelines::{Bare, MOST_COLORS, Pipelines, TargetKey};
+use crate::draw::pipelines::{Bare, MOST_COLORS, Pipelines, TargetFormats};
 use crate::draw::renderer::prepare::clamped;
 use crate::draw::renderer::shadows::CasterPlan;
 use crate::draw::state::Dynamics;
@@ -30,8 +30,8 @@ pub(super) struct StagePlan {
     pub(super) water: Option<Bare>,
     /// What casts shadows into it.
     pub(super) casters: Option<CasterPlan>,
-    /// The textures of two eyes to be put together.
-    pub(super) eyes: Option<[Arc<TextureObject>; 2]>,
+    /// The textures of two eyes to be put together, and where it is said how.
+    pub(super) eyes: Option<([Arc<TextureObject>; 2], usize)>,
     pub(super) background: wgpu::Color,
     /// It has a part of the context's target, or shares it: it fills its viewport with this leaf instead of clearing.
     pub(super) fill: Option<u32>,
@@ -131,7 +131,7 @@ impl Targets {
         let view = ctx.color_view().ok_or("the window has no image to draw into")?.clone();
         let (size_px, samples, depth) = (ctx.size_px(), ctx.samples(), self.depth_format());
         let format = ctx.color_format();
-        let mut key = TargetKey { colors: [None; MOST_COLORS], depth, samples, writes_alpha: false };
+        let mut key = TargetFormats { colors: [None; MOST_COLORS], depth, samples, keeps_alpha: false };
         key.colors[0] = Some(format);
         let mut colors = [const { None }; MOST_COLORS];
         let mut resolves = [const { None }; MOST_COLORS];
@@ -200,7 +200,7 @@ impl Targets {
                 .ok_or_else(|| format!("texture {name:?} has no level {level} of layer {layer} to draw into"))
         };
         let mut key =
-            TargetKey { colors: [None; MOST_COLORS], depth: self.depth_format(), samples, writes_alpha: true };
+            TargetFormats { colors: [None; MOST_COLORS], depth: self.depth_format(), samples, keeps_alpha: true };
         let mut colors = [const { None }; MOST_COLORS];
         let mut resolves = [const { None }; MOST_COLORS];
         for (location, attachment) in camera.colors.iter().enumerate() {

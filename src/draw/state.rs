@@ -1,12 +1,13 @@
 //! The state of a pass, set lazily: from run to run only what differs. Counts what is set and what is not.
 
 use super::DrawStats;
-use crate::draw::batch::{Batch, Bucket, Run};
+use crate::draw::batch::{Batch, Bucket, NO_STATE, Run};
+use crate::draw::callbacks::RenderInfo;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::Kind;
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
-use crate::gpu::GraphicsContext;
+use crate::gpu::{GraphicsContext, TargetFormats};
 
 /// What is set on the pass besides pipelines and what they bind.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,6 +46,8 @@ pub(super) struct State<'p, 'e> {
     /// Chunks of group 3.
     pulled: Option<(u32, u32)>,
     pub(super) stats: DrawStats,
+    /// What the application's drawables complained about.
+    pub(super) errors: Vec<String>,
 }
 
 /// What a pass draws from.
@@ -58,6 +61,8 @@ pub(super) struct Sources<'a> {
     pub(super) pulls: &'a Pulls,
     /// Arguments of all runs, where several may be drawn by one call.
     pub(super) indirect: Option<&'a wgpu::Buffer>,
+    /// For what the application draws; `None` where shadows are cast.
+    pub(super) pass: Option<(&'a RenderInfo<'a>, TargetFormats)>,
 }
 
 /// Bytes of one run's arguments.
@@ -91,6 +96,7 @@ impl<'p, 'e> State<'p, 'e> {
             indices: None,
             pulled: None,
             stats: DrawStats::default(),
+            errors: Vec::new(),
         }
     }
 
@@ -127,7 +133,7 @@ impl<'p, 'e> State<'p, 'e> {
             self.pass.set_scissor_rect(x, y, width, height);
             self.stats.state_changes += 1;
         }
-        if before.map_or(0, |b| b.stencil_reference) != stencil_reference {
+        if differs(|a, b| a.stencil_reference == b.stencil_reference) {
             self.pass.set_stencil_reference(stencil_reference);
             self.stats.state_changes += 1;
         }
@@ -156,7 +162,12 @@ impl<'p, 'e> State<'p, 'e> {
         while at < runs.end {
             let bucket = all[at].bucket;
             let same = all[at..runs.end].iter().take_while(|r| r.bucket == bucket).count();
-            if self.bind(from, bucket) {
+            let is_custom = from.batch.buckets[bucket as usize].0.custom != NO_STATE;
+            if is_custom {
+                for run in &all[at..at + same] {
+                    self.draw_custom(from, &from.batch.buckets[bucket as usize].0, run);
+                }
+            } else if self.bind(from, bucket) {
                 let (bucket, _) = &from.batch.buckets[bucket as usize];
                 match from.indirect {
                     _ if bucket.stride > 0 => {

@@ -2,18 +2,20 @@
 //!
 //! Runs on the draw thread, between draws. An operation's drawables get their places one after the other, and
 //! each place is filled slice by slice; the queue stops when the frame's budget is spent and goes on from there
-//! in the next frame.
+//! in the next frame. Where the context has a compile thread that fills the places, and what it has recorded goes to the
+//! adapter before the next frame (`compile_thread.rs`).
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::DrawableEntry;
+use super::compile_thread::CompileThread;
+use super::custom::{CompileInfo, CustomCompile};
 use super::drawable::{DrawableTable, Pools, Shape};
-use super::height_pool::{TilePlace, table_vectors};
-use super::mesh_pool::Range;
-use super::texture_pool::{Rows, TextureLayer};
-use crate::scene::{ContentKey, DrawSlot, Drawable, Geometry, HeightTile, Mesh, MeshVertex, SharedParts, Texture};
+use super::mesh_pool::MeshUploads;
+use super::uploads::{QueueSink, Source, Upload};
+use crate::scene::{ContentKey, CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, SharedParts};
 
 /// Most bytes of one slice: about 100 us of copying, so that the time budget is met closely.
 const SLICE_BYTES: u64 = 256 << 10;
@@ -23,6 +25,14 @@ const LEAST_SLICE_BYTES: u64 = 16 << 10;
 /// take them along and which a submission in between may wait for; and while none are.
 const FLUSH_BYTES_DRAWING: u64 = 4 << 20;
 const FLUSH_BYTES: u64 = 256 << 10;
+/// Bytes that the compile thread may have before it; further operations wait for their places.
+const MOST_IN_FLIGHT: u64 = 32 << 20;
+/// Batches of the compile thread that may wait for the next frame's submission; it has some more to fill.
+const MOST_UNSUBMITTED: usize = 4;
+/// A budget of so much time is one without end.
+const ENDLESS: Duration = Duration::from_secs(60);
+/// How long such a call waits for the thread at once.
+const POLL: Duration = Duration::from_millis(1);
 
 /// Drawables to upload together, usually one page's.
 #[derive(Debug)]
@@ -93,42 +103,6 @@ pub struct CompileStats {
     pub time: Duration,
 }
 
-/// What is uploaded to where.
-enum Source {
-    Heights {
-        place: TilePlace,
-        tile: Arc<HeightTile>,
-    },
-    Tables {
-        place: TilePlace,
-        tile: Arc<HeightTile>,
-    },
-    /// A tile's image, or a white texel.
-    TileColor {
-        place: TilePlace,
-        image: Option<Arc<Texture>>,
-    },
-    Texture {
-        place: TextureLayer,
-        image: Arc<Texture>,
-    },
-    Vertices {
-        range: Range,
-        mesh: Arc<Mesh>,
-    },
-    Indices {
-        range: Range,
-        mesh: Arc<Mesh>,
-    },
-}
-
-/// One thing left to upload, and how far it is: level, and row, vertex or index in it.
-struct Upload {
-    source: Source,
-    level: u32,
-    cursor: usize,
-}
-
 struct Job {
     drawables: std::vec::IntoIter<Drawable>,
     compiled: Compiled,
@@ -141,7 +115,13 @@ pub(super) struct CompileQueue {
     job: Option<Job>,
     uploads: VecDeque<Upload>,
     finished: Vec<Compiled>,
-    table_scratch: Vec<f32>,
+    /// Carries uploads where the context has one.
+    thread: Option<CompileThread>,
+    /// Recorded by the thread and not submitted, and the staging buffers that they copy from.
+    commands: Vec<wgpu::CommandBuffer>,
+    recorded: Vec<wgpu::Buffer>,
+    /// Staging buffers whose commands were submitted.
+    submitted: Vec<wgpu::Buffer>,
     unflushed_bytes: u64,
     /// A frame was drawn since uploads were last flushed on their own.
     drawing: bool,
@@ -167,18 +147,78 @@ impl CompileQueue {
         self.drawing = true;
     }
 
+    /// With a thread of its own to carry uploads.
+    pub(super) fn threaded(device: &wgpu::Device) -> std::io::Result<Self> {
+        Ok(Self { thread: Some(CompileThread::start(device)?), ..Self::default() })
+    }
+
+    /// False once its thread has stopped although nobody told it to.
+    pub(super) fn is_alive(&self) -> bool {
+        self.thread.as_ref().is_none_or(|thread| !thread.has_died)
+    }
+
+    /// Operations that are waiting or under way.
     pub(super) fn pending(&self) -> usize {
-        self.waiting.len() + usize::from(self.job.is_some())
+        let in_thread = self.thread.as_ref().map_or(0, |thread| thread.operations);
+        self.waiting.len() + usize::from(self.job.is_some()) + in_thread
     }
 
     pub(super) fn take_finished(&mut self) -> Vec<Compiled> {
         std::mem::take(&mut self.finished)
     }
 
+    /// Commands of uploads that go to the driver with the next submission, before all that reads them.
+    pub(super) fn take_commands(&mut self, into: &mut Vec<wgpu::CommandBuffer>) {
+        into.append(&mut self.commands);
+        self.submitted.append(&mut self.recorded);
+    }
+
     pub(super) fn run(
         &mut self,
         device: &wgpu::Device,
         queue: &wgpu::Queue,
+        pools: &mut Pools,
+        drawables: &mut DrawableTable,
+        pipeline_cache: Option<&wgpu::PipelineCache>,
+        budget: &CompileBudget,
+    ) -> CompileStats {
+        let start = Instant::now();
+        // As it was made: another borrow than that of the pools.
+        let frame_layout = pools.layouts.frame.clone();
+        let info = CompileInfo { device, queue, frame_layout: &frame_layout, pipeline_cache };
+        let mut stats = match self.thread.take() {
+            Some(mut thread) => {
+                let stats = self.run_threaded(&mut thread, &info, pools, drawables, budget);
+                self.thread = Some(thread);
+                stats
+            }
+            None => self.run_here(&info, pools, drawables, budget),
+        };
+        self.unflushed_bytes += stats.bytes;
+        let most = if self.drawing { FLUSH_BYTES_DRAWING } else { FLUSH_BYTES };
+        if self.unflushed_bytes >= most {
+            self.flush(device, queue);
+        }
+        stats.pending = self.pending();
+        stats.time = start.elapsed();
+        stats
+    }
+
+    /// Hands over what waits. Staging memory (several times the bytes for small images) is only given back once it was
+    /// submitted and the device was polled.
+    fn flush(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
+        queue.submit(self.commands.drain(..));
+        self.submitted.append(&mut self.recorded);
+        if let Err(error) = device.poll(wgpu::PollType::Poll) {
+            log::error!("uploads: {error}");
+        }
+        self.unflushed_bytes = 0;
+        self.drawing = false;
+    }
+
+    fn run_here(
+        &mut self,
+        info: &CompileInfo<'_>,
         pools: &mut Pools,
         drawables: &mut DrawableTable,
         budget: &CompileBudget,
@@ -191,36 +231,28 @@ impl CompileQueue {
                 break;
             }
             if let Some(upload) = self.uploads.front_mut() {
-                let bytes = upload.step(queue, pools, &mut self.table_scratch, left_bytes, stats.slices == 0);
-                if bytes == 0 {
+                let Some((units, unit_bytes)) = upload.left() else {
+                    self.uploads.pop_front();
+                    continue;
+                };
+                let count = fitting(units, unit_bytes, left_bytes, stats.slices == 0);
+                if count == 0 {
                     break;
                 }
-                stats.bytes += bytes;
+                stats.bytes += upload.write(&mut QueueSink(info.queue), count);
                 stats.slices += 1;
-                if upload.is_done() {
+                if upload.left().is_none() {
                     self.uploads.pop_front();
                 }
-            } else if let Some(job) = &mut self.job {
-                match job.drawables.next() {
-                    Some(drawable) => prepare(device, queue, pools, drawables, drawable, job, &mut self.uploads),
-                    None => {
-                        self.finished.extend(self.job.take().map(|j| j.compiled));
+            } else if self.job.is_some() {
+                match self.prepare_next(info, pools, drawables, &mut stats) {
+                    None => {}
+                    Some(compiled) => {
+                        self.finished.push(compiled);
                         stats.finished += 1;
                     }
                 }
-            } else if let Some(operation) = self.waiting.pop_front() {
-                let count = operation.drawables.len();
-                self.job = Some(Job {
-                    drawables: operation.drawables.into_iter(),
-                    compiled: Compiled {
-                        ticket: operation.ticket,
-                        slots: Vec::with_capacity(count),
-                        bytes: 0,
-                        shared: Vec::new(),
-                        errors: Vec::new(),
-                    },
-                });
-            } else {
+            } else if !self.begin_next() {
                 break;
             }
         }
@@ -229,25 +261,109 @@ impl CompileQueue {
             self.finished.extend(self.job.take().map(|j| j.compiled));
             stats.finished += 1;
         }
-        self.unflushed_bytes += stats.bytes;
-        let most = if self.drawing { FLUSH_BYTES_DRAWING } else { FLUSH_BYTES };
-        if self.unflushed_bytes >= most {
-            // Staging memory (several times the bytes for small images) is only given back once it was submitted and
-            // the device was polled.
-            queue.submit([]);
-            if let Err(error) = device.poll(wgpu::PollType::Poll) {
-                log::error!("uploads: {error}");
-            }
-            self.unflushed_bytes = 0;
-            self.drawing = false;
-        }
-        stats.pending = self.pending();
-        stats.time = start.elapsed();
         stats
+    }
+
+    /// Gives places, and takes what the thread has recorded; both within the budget, and without waiting unless that is
+    /// without end.
+    fn run_threaded(
+        &mut self,
+        thread: &mut CompileThread,
+        info: &CompileInfo<'_>,
+        pools: &mut Pools,
+        drawables: &mut DrawableTable,
+        budget: &CompileBudget,
+    ) -> CompileStats {
+        let start = Instant::now();
+        let (mut made, mut stats) = (CompileStats::default(), CompileStats::default());
+        self.submitted.drain(..).for_each(|staging| thread.submitted(staging));
+        thread.give_back();
+        let is_over = || start.elapsed() >= budget.time;
+        while thread.bytes_in_flight() < MOST_IN_FLIGHT && (self.job.is_some() || self.begin_next()) {
+            let finished = self.prepare_next(info, pools, drawables, &mut made);
+            self.uploads.drain(..).for_each(|upload| thread.upload(upload));
+            finished.into_iter().for_each(|compiled| thread.finish(compiled));
+            if is_over() {
+                break;
+            }
+        }
+        let waits = budget.time >= ENDLESS && thread.operations > 0;
+        while stats.slices == 0 || (stats.bytes < budget.bytes && !is_over()) {
+            let patience = if waits && stats.slices == 0 { POLL } else { Duration::ZERO };
+            let Some(batch) = thread.batch(patience) else { break };
+            stats.slices += 1;
+            stats.bytes += batch.bytes;
+            stats.finished += batch.finished.len() as u32;
+            self.finished.extend(batch.finished);
+            self.commands.extend(batch.commands);
+            self.recorded.extend(batch.staging);
+        }
+        // Nobody else may submit and poll meanwhile, and the thread may wait for staging memory.
+        let is_dry = stats.slices == 0 && thread.operations > 0;
+        if waits || (is_dry && (!self.drawing || self.recorded.len() >= MOST_UNSUBMITTED)) {
+            self.flush(info.device, info.queue);
+        } else if is_dry && let Err(error) = info.device.poll(wgpu::PollType::Poll) {
+            log::error!("uploads: {error}");
+        }
+        stats.bytes += made.bytes;
+        stats.slices += made.slices;
+        stats
+    }
+
+    /// Begins with the operation that waits longest; false without one.
+    fn begin_next(&mut self) -> bool {
+        let Some(operation) = self.waiting.pop_front() else { return false };
+        let compiled = Compiled {
+            ticket: operation.ticket,
+            slots: Vec::with_capacity(operation.drawables.len()),
+            bytes: 0,
+            shared: Vec::new(),
+            errors: Vec::new(),
+        };
+        self.job = Some(Job { drawables: operation.drawables.into_iter(), compiled });
+        true
+    }
+
+    /// Gives the next drawable of the operation under way its places, or ends it where there is none. What the
+    /// application makes is made at once, and counted.
+    fn prepare_next(
+        &mut self,
+        info: &CompileInfo<'_>,
+        pools: &mut Pools,
+        drawables: &mut DrawableTable,
+        stats: &mut CompileStats,
+    ) -> Option<Compiled> {
+        let job = self.job.as_mut()?;
+        match job.drawables.next() {
+            Some(drawable) => {
+                let made = prepare(info, pools, drawables, drawable, job, &mut self.uploads);
+                stats.bytes += made.unwrap_or(0);
+                stats.slices += u32::from(made.is_some());
+                None
+            }
+            None => self.job.take().map(|job| job.compiled),
+        }
+    }
+
+    /// Takes all that the thread has under way: what shares its places may be drawn after that.
+    pub(super) fn drain_thread(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
+        let Some(mut thread) = self.thread.take() else { return };
+        while thread.bytes_in_flight() > 0 && !thread.has_died {
+            if let Some(batch) = thread.batch(POLL) {
+                self.finished.extend(batch.finished);
+                self.commands.extend(batch.commands);
+                self.recorded.extend(batch.staging);
+            }
+            self.flush(device, queue);
+            self.submitted.drain(..).for_each(|staging| thread.submitted(staging));
+            thread.give_back();
+        }
+        self.thread = Some(thread);
     }
 }
 
-/// Puts another mesh in the place of a drawable's, with all of its data at once; the bytes that were written.
+/// Puts another mesh in the place of a drawable's, with all of its data at once; true where it has
+/// places of a mesh that was there before.
 pub(super) fn rewrite(
     device: &wgpu::Device,
     queue: &wgpu::Queue,
@@ -255,43 +371,54 @@ pub(super) fn rewrite(
     table: &mut DrawableTable,
     slot: DrawSlot,
     mesh: &Arc<Mesh>,
-) -> Result<u64, String> {
+) -> Result<bool, String> {
     let entry = *table.entry(slot).ok_or("a mesh is to be rewritten that is not there")?;
     let Shape::Mesh { place: old, texture, .. } = entry.shape else {
-        return Err("a height tile is not to be rewritten as a mesh".into());
+        return Err("what is no mesh is not to be rewritten as one".into());
     };
     let placed = pools.meshes.allocate(device, &pools.limits, mesh, &SharedParts::default())?;
-    let vertices = placed.vertices.map(|range| Source::Vertices { range, mesh: mesh.clone() });
-    let indices = placed.indices.map(|range| Source::Indices { range, mesh: mesh.clone() });
-    let mut bytes = 0;
-    for source in [vertices, indices].into_iter().flatten() {
-        if let Some((units, unit_bytes)) = source.extent(0) {
-            source.write(queue, pools, &mut Vec::new(), 0, 0..units);
-            bytes += (units * unit_bytes) as u64;
+    let is_shared = placed.vertices.is_none() || placed.indices.is_none();
+    let mut uploads = VecDeque::new();
+    push_mesh(pools, &placed, mesh, &mut uploads);
+    for mut upload in uploads {
+        while let Some((units, _)) = upload.left() {
+            upload.write(&mut QueueSink(queue), units);
         }
     }
     let shape = Shape::Mesh { place: placed.place, topology: mesh.topology, texture };
     table.replace(slot, DrawableEntry { shape, ..entry });
     // Free at once: later uploads run after the draws already submitted.
     pools.meshes.release(&old);
-    Ok(bytes)
+    Ok(is_shared)
 }
 
-/// Gives a drawable its places and queues what has to be uploaded to them.
+/// What of a newly placed mesh is to be uploaded.
+fn push_mesh(pools: &Pools, placed: &MeshUploads, mesh: &Arc<Mesh>, uploads: &mut VecDeque<Upload>) {
+    let vertices = placed.vertices.and_then(|range| pools.meshes.vertex_destination(range));
+    let indices = placed.indices.and_then(|range| pools.meshes.index_destination(range));
+    uploads.extend(vertices.map(|into| Upload::new(Source::Vertices(mesh.clone()), into)));
+    uploads.extend(indices.map(|into| Upload::new(Source::Indices(mesh.clone()), into)));
+}
+
+/// Gives a drawable its places and queues what has to be uploaded to them. What the application makes is made at once:
+/// its bytes.
 fn prepare(
-    device: &wgpu::Device,
-    queue: &wgpu::Queue,
+    info: &CompileInfo<'_>,
     pools: &mut Pools,
     table: &mut DrawableTable,
     drawable: Drawable,
     job: &mut Job,
     uploads: &mut VecDeque<Upload>,
-) {
+) -> Option<u64> {
+    let CompileInfo { device, queue, .. } = *info;
     let material = &drawable.material;
+    let bytes_before = job.compiled.bytes;
     let placed = match &drawable.geometry {
         Geometry::Height(tile) => place_tile(device, pools, tile, &drawable, &mut job.compiled, uploads),
         Geometry::Mesh(mesh) => place_mesh(device, queue, pools, mesh, &drawable, &mut job.compiled, uploads),
+        Geometry::Custom(custom) => place_custom(info, pools, custom, &mut job.compiled),
     };
+    let is_custom = matches!(drawable.geometry, Geometry::Custom(_));
     let slot = match placed {
         Ok(shape) => table.insert(DrawableEntry::new(shape, material)),
         Err(error) => {
@@ -300,6 +427,20 @@ fn prepare(
         }
     };
     job.compiled.slots.push(slot);
+    is_custom.then(|| job.compiled.bytes - bytes_before)
+}
+
+fn place_custom(
+    info: &CompileInfo<'_>,
+    pools: &mut Pools,
+    custom: &CustomGeometry,
+    compiled: &mut Compiled,
+) -> Result<Shape, String> {
+    let hook = custom.hook.0.downcast_ref::<CustomCompile>();
+    let compile = hook.ok_or("a custom geometry that was not made by `draw::custom_geometry`")?;
+    let shape = (compile.0)(info, &pools.customs.targets)?;
+    compiled.bytes += shape.bytes;
+    Ok(Shape::Custom(pools.customs.insert(shape)))
 }
 
 fn place_tile(
@@ -316,9 +457,11 @@ fn place_tile(
     if !is_new {
         return Ok(Shape::Height(place));
     }
-    uploads.push_back(Upload::new(Source::Tables { place, tile: tile.clone() }));
-    uploads.push_back(Upload::new(Source::Heights { place, tile: tile.clone() }));
-    uploads.push_back(Upload::new(Source::TileColor { place, image: tile.texture.clone() }));
+    if let Some([heights, tables, color]) = pools.heights.destinations(place) {
+        uploads.push_back(Upload::new(Source::Tables(tile.clone()), tables));
+        uploads.push_back(Upload::new(Source::Heights(tile.clone()), heights));
+        uploads.push_back(Upload::new(tile.texture.clone().map_or(Source::White, Source::Image), color));
+    }
     Ok(Shape::Height(place))
 }
 
@@ -353,115 +496,11 @@ fn place_mesh(
     if image.is_some() {
         compiled.count(texture_content, pools.textures.bytes_of(texture), is_new_texture);
     }
-    if let Some(range) = placed.vertices {
-        uploads.push_back(Upload::new(Source::Vertices { range, mesh: mesh.clone() }));
-    }
-    if let Some(range) = placed.indices {
-        uploads.push_back(Upload::new(Source::Indices { range, mesh: mesh.clone() }));
-    }
-    if let Some(image) = image.filter(|_| is_new_texture) {
-        uploads.push_back(Upload::new(Source::Texture { place: texture, image: image.clone() }));
+    push_mesh(pools, &placed, mesh, uploads);
+    if let Some(image) = image.filter(|_| is_new_texture)
+        && let Some(into) = pools.textures.destination(texture)
+    {
+        uploads.push_back(Upload::new(Source::Image(image.clone()), into));
     }
     Ok(Shape::Mesh { place: placed.place, topology: mesh.topology, texture })
-}
-
-impl Upload {
-    fn new(source: Source) -> Self {
-        Self { source, level: 0, cursor: 0 }
-    }
-
-    fn is_done(&self) -> bool {
-        self.source.extent(self.level).is_none()
-    }
-
-    /// Uploads the next slice and returns its bytes; 0 when the budget has no room for it.
-    fn step(
-        &mut self,
-        queue: &wgpu::Queue,
-        pools: &Pools,
-        scratch: &mut Vec<f32>,
-        most_bytes: u64,
-        is_first: bool,
-    ) -> u64 {
-        let Some((units, unit_bytes)) = self.source.extent(self.level) else { return 0 };
-        let count = fitting(units - self.cursor, unit_bytes, most_bytes, is_first);
-        if count == 0 {
-            return 0;
-        }
-        let end = self.cursor + count;
-        self.source.write(queue, pools, scratch, self.level, self.cursor..end);
-        self.cursor = end;
-        if end >= units {
-            self.level += 1;
-            self.cursor = 0;
-        }
-        (count * unit_bytes) as u64
-    }
-}
-
-impl Source {
-    /// Units (rows, vertices, indices) of a level and the bytes of one; `None` beyond the last level. Never
-    /// without units: the pools refuse empty meshes and images.
-    fn extent(&self, level: u32) -> Option<(usize, usize)> {
-        let image_extent = |image: &Texture| {
-            image.mips.get(level as usize)?;
-            let [width, height] = level_size(image, level);
-            Some((height, width * 4))
-        };
-        match self {
-            Self::TileColor { image: Some(image), .. } | Self::Texture { image, .. } => image_extent(image),
-            _ if level > 0 => None,
-            Self::Heights { tile, .. } => Some((tile.side as usize + 2, (tile.side as usize + 2) * 4)),
-            Self::Tables { tile, .. } => Some((1, table_vectors(tile.side) as usize * 16)),
-            Self::TileColor { image: None, .. } => Some((1, 4)),
-            Self::Vertices { mesh, .. } => Some((mesh.vertices.len(), size_of::<MeshVertex>())),
-            Self::Indices { mesh, .. } => Some((mesh.indices.len(), 4)),
-        }
-    }
-
-    /// Writes some units. The ranges lie inside the data: the pools have checked its lengths.
-    fn write(
-        &self,
-        queue: &wgpu::Queue,
-        pools: &Pools,
-        scratch: &mut Vec<f32>,
-        level: u32,
-        units: std::ops::Range<usize>,
-    ) {
-        let image_rows = |image: &'_ Texture, layer: u32| {
-            let [width, _] = level_size(image, level);
-            let rows = Rows { layer, level, first: units.start as u32, count: units.len() as u32, width: width as u32 };
-            (rows, units.start * width * 4..units.end * width * 4)
-        };
-        match self {
-            Self::Heights { place, tile } => {
-                let width = place.side as usize + 2;
-                let data = &tile.heights[units.start * width..units.end * width];
-                pools.heights.write_heights(queue, *place, units.start as u32, units.len() as u32, data);
-            }
-            Self::Tables { place, tile } => pools.heights.write_tables(queue, *place, tile, scratch),
-            Self::TileColor { place, image: Some(image) } => {
-                let (rows, bytes) = image_rows(image, place.layer);
-                pools.heights.write_color(queue, *place, &rows, &image.mips[level as usize][bytes]);
-            }
-            Self::TileColor { place, image: None } => {
-                let rows = Rows { layer: place.layer, level: 0, first: 0, count: 1, width: 1 };
-                pools.heights.write_color(queue, *place, &rows, &[255; 4]);
-            }
-            Self::Texture { place, image } => {
-                let (rows, bytes) = image_rows(image, place.layer);
-                pools.textures.write(queue, *place, &rows, &image.mips[level as usize][bytes]);
-            }
-            Self::Vertices { range, mesh } => {
-                pools.meshes.write_vertices(queue, *range, units.start, &mesh.vertices[units]);
-            }
-            Self::Indices { range, mesh } => {
-                pools.meshes.write_indices(queue, *range, units.start, &mesh.indices[units]);
-            }
-        }
-    }
-}
-
-fn level_size(image: &Texture, level: u32) -> [usize; 2] {
-    [(image.width >> level).max(1) as usize, (image.height >> level).max(1) as usize]
 }

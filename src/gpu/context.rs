@@ -2,13 +2,16 @@
 //!
 //! Made in realize, then owned by the draw thread; nothing else calls its queue.
 
+use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use super::compile::{self, CompileBudget, CompileOperation, CompileQueue, CompileStats, Compiled};
 use super::drawable::{DrawableTable, Pools};
+use super::faces::{Face, surface_maker};
 use super::layouts::Layouts;
+use super::pipeline_cache::PipelineCache;
 use super::target::{Acquired, Target};
-use super::{BindClass, DrawableEntry, GpuError};
+use super::{BindClass, DrawableEntry, GpuError, TargetFormats};
 use crate::scene::{DrawSlot, Mesh};
 
 /// Which adapter to draw with.
@@ -34,23 +37,42 @@ pub struct ContextTraits {
     pub samples: u32,
     /// A window's images wait for the screen; without it (where the platform can) they do not, and may tear.
     pub vsync: bool,
+    /// A thread of the device's own copies what is uploaded and records how it gets to its place, while the thread that
+    /// draws only gives places and submits: OpenSceneGraph's compile contexts. Worth it where cores are idle and much
+    /// is uploaded at once; otherwise the same within [`CompileBudget`].
+    pub compile_thread: bool,
     /// Have the driver's validation layers check every call; ten times slower, never time with it.
     pub validation: bool,
 }
 
 impl Default for ContextTraits {
     fn default() -> Self {
-        Self { size_px: [1280, 720], adapter: AdapterChoice::Any, samples: 1, vsync: true, validation: false }
+        Self {
+            size_px: [1280, 720],
+            adapter: AdapterChoice::Any,
+            samples: 1,
+            vsync: true,
+            compile_thread: false,
+            validation: false,
+        }
     }
 }
 
 /// A device, its queue, its target and what was uploaded to it. `Send`: made on one thread, then moved to the
 /// draw thread, the only one to use it.
+///
+/// Contexts of a viewer that share a device are targets of one of these, drawn one after the other by its thread: what
+/// is uploaded is there for all of them.
 pub struct GraphicsContext {
-    device: wgpu::Device,
+    pub(super) instance: wgpu::Instance,
+    pub(super) adapter: wgpu::Adapter,
+    pub(super) device: wgpu::Device,
     queue: wgpu::Queue,
     adapter_info: wgpu::AdapterInfo,
-    target: Target,
+    /// Never empty; in the order opened.
+    pub(super) faces: Vec<Face>,
+    /// The one that is drawn into.
+    pub(super) face: usize,
     pools: Pools,
     drawables: DrawableTable,
     compiles: CompileQueue,
@@ -59,12 +81,11 @@ pub struct GraphicsContext {
     /// Written by wgpu's error callback on the draw thread, emptied by [`Self::take_device_errors`].
     errors: Arc<Mutex<Vec<String>>>,
     bytes_peak: u64,
-    traits: ContextTraits,
-    /// Makes the window's surface once more, on another instance; `None` offscreen.
-    make_surface: Option<MakeSurface>,
+    /// Written when it is dropped.
+    pipeline_cache: Option<PipelineCache>,
 }
 
-type MakeSurface = Arc<dyn Fn(&wgpu::Instance) -> Result<wgpu::Surface<'static>, GpuError> + Send + Sync>;
+pub(super) type MakeSurface = Arc<dyn Fn(&wgpu::Instance) -> Result<wgpu::Surface<'static>, GpuError> + Send + Sync>;
 
 struct Opened {
     adapter: wgpu::Adapter,
@@ -103,13 +124,14 @@ fn rank(info: &wgpu::AdapterInfo) -> (u32, u32) {
 fn open(
     instance: &wgpu::Instance,
     traits: &ContextTraits,
-    surface: Option<&wgpu::Surface<'static>>,
+    surfaces: &[Option<wgpu::Surface<'static>>],
 ) -> Result<Opened, GpuError> {
     let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
     let found = adapters.len();
     adapters.retain(|a| {
         let is_cpu = a.get_info().device_type == wgpu::DeviceType::Cpu;
-        surface.is_none_or(|s| a.is_surface_supported(s)) && (traits.adapter != AdapterChoice::Software || is_cpu)
+        surfaces.iter().flatten().all(|s| a.is_surface_supported(s))
+            && (traits.adapter != AdapterChoice::Software || is_cpu)
     });
     adapters.sort_by_key(|a| rank(&a.get_info()));
     let Some(adapter) = adapters.into_iter().next() else {
@@ -123,6 +145,7 @@ fn open(
         | wgpu::Features::DEPTH32FLOAT_STENCIL8
         | wgpu::Features::FLOAT32_FILTERABLE
         | wgpu::Features::DEPTH_CLIP_CONTROL
+        | wgpu::Features::PIPELINE_CACHE
         | wgpu::Features::INDIRECT_FIRST_INSTANCE;
     let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
         label: Some("terrane"),
@@ -158,7 +181,7 @@ fn open(
 impl GraphicsContext {
     /// A context that draws into textures of its own.
     pub fn new_offscreen(traits: &ContextTraits) -> Result<Self, GpuError> {
-        Self::open(*traits, None)
+        Self::open(vec![(*traits, None)])
     }
 
     /// A context that draws into a window (an `Arc<winit::window::Window>`, say). The window is kept, to be drawn into
@@ -167,32 +190,44 @@ impl GraphicsContext {
         target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
         traits: &ContextTraits,
     ) -> Result<Self, GpuError> {
-        let make_surface = move |instance: &wgpu::Instance| {
-            instance.create_surface(target.clone()).map_err(|e| GpuError::Surface { reason: e.to_string() })
-        };
-        Self::open(*traits, Some(Arc::new(make_surface)))
+        Self::open(vec![(*traits, Some(surface_maker(target)))])
     }
 
-    fn open(traits: ContextTraits, make_surface: Option<MakeSurface>) -> Result<Self, GpuError> {
+    /// The first of the targets decides on the adapter.
+    fn open(wanted: Vec<(ContextTraits, Option<MakeSurface>)>) -> Result<Self, GpuError> {
+        let traits = wanted.first().map_or_else(ContextTraits::default, |(traits, _)| *traits);
         let instance = instance(&traits);
-        let surface = make_surface.as_ref().map(|make| make(&instance)).transpose()?;
-        let Opened { adapter, device, queue, lost, errors } = open(&instance, &traits, surface.as_ref())?;
-        let target = match surface {
-            Some(surface) => Target::window(&adapter, &device, surface, traits.size_px, traits.vsync)?,
-            None => Target::offscreen(&device, traits.size_px)?,
+        let surfaces = wanted.iter().map(|(_, make)| make.as_ref().map(|make| make(&instance)).transpose());
+        let surfaces = surfaces.collect::<Result<Vec<_>, _>>()?;
+        let Opened { adapter, device, queue, lost, errors } = open(&instance, &traits, &surfaces)?;
+        let mut faces = Vec::with_capacity(wanted.len());
+        for ((traits, make_surface), surface) in wanted.into_iter().zip(surfaces) {
+            faces.push(Face { target: Target::new(&adapter, &device, surface, &traits)?, traits, make_surface });
+        }
+        let mut pools = Pools::new(&device, Layouts::new(&device));
+        for face in &faces {
+            let target = face.formats();
+            if !pools.customs.targets.contains(&target) {
+                pools.customs.targets.push(target);
+            }
+        }
+        let compiles = match traits.compile_thread {
+            true => CompileQueue::threaded(&device).map_err(|e| GpuError::Thread { reason: e.to_string() })?,
+            false => CompileQueue::default(),
         };
-        let pools = Pools::new(&device, Layouts::new(&device));
         Ok(Self {
             adapter_info: adapter.get_info(),
-            target,
+            instance,
+            adapter,
+            faces,
+            face: 0,
             pools,
             drawables: DrawableTable::default(),
-            compiles: CompileQueue::default(),
+            compiles,
             lost,
             errors,
             bytes_peak: 0,
-            traits,
-            make_surface,
+            pipeline_cache: None,
             device,
             queue,
         })
@@ -206,13 +241,43 @@ impl GraphicsContext {
     /// Takes a new device in the place of a lost one, of the same traits. What was uploaded is gone, and no slot is
     /// valid any more; uploads that waited are dropped. After an error it can be tried again.
     pub fn reopen(&mut self) -> Result<(), GpuError> {
-        let traits = ContextTraits { size_px: self.size_px(), ..self.traits };
+        let wanted = self.faces.iter().map(|face| {
+            let traits = ContextTraits { size_px: face.target.size_px(), ..face.traits };
+            (traits, face.make_surface.clone())
+        });
+        let wanted = wanted.collect();
         // A window has one surface at a time.
-        self.target.close();
-        let opened = Self::open(traits, self.make_surface.clone())?;
-        let bytes_peak = self.bytes_peak;
-        *self = Self { bytes_peak, ..opened };
+        self.faces.iter_mut().for_each(|face| face.target.close());
+        let opened = Self::open(wanted)?;
+        let (bytes_peak, face) = (self.bytes_peak, self.face);
+        let kept = self.pipeline_cache.take();
+        *self = Self { bytes_peak, face, ..opened };
+        if let Some(folder) = kept.map(|kept| kept.folder().to_owned())
+            && let Err(error) = self.keep_pipelines(&folder)
+        {
+            log::warn!("{error}");
+        }
         Ok(())
+    }
+
+    /// Keeps what the driver compiles in a folder, for the next start, and uses what is kept there; called before the
+    /// first draw. One file an adapter, of at most 64 MiB; written when the context is dropped. How many bytes were
+    /// there. Where they could not be used the pipelines are made anew, and kept; only where the adapter
+    /// [cannot](GpuError::NoPipelineCache) they are not.
+    pub fn keep_pipelines(&mut self, folder: &Path) -> Result<u64, GpuError> {
+        let (cache, found) = PipelineCache::open(&self.device, &self.adapter_info, folder)?;
+        self.pipeline_cache = Some(cache);
+        found
+    }
+
+    /// Writes what the driver has compiled so far to where it is kept; the bytes, 0 where nothing is.
+    pub fn save_pipelines(&mut self) -> Result<u64, GpuError> {
+        self.pipeline_cache.as_mut().map_or(Ok(0), PipelineCache::save)
+    }
+
+    /// For all pipelines that are made.
+    pub(crate) fn pipeline_cache(&self) -> Option<&wgpu::PipelineCache> {
+        self.pipeline_cache.as_ref().map(PipelineCache::cache)
     }
 
     /// Loses the device, for tests of what comes after.
@@ -226,8 +291,9 @@ impl GraphicsContext {
 
     /// Makes a window's images wait for the screen, or not.
     pub fn set_vsync(&mut self, vsync: bool) {
-        self.traits.vsync = vsync;
-        self.target.set_vsync(&self.device, vsync);
+        let face = &mut self.faces[self.face];
+        face.traits.vsync = vsync;
+        face.target.set_vsync(&self.device, vsync);
     }
 
     /// Name of the adapter and the interface it is driven through.
@@ -247,41 +313,41 @@ impl GraphicsContext {
 
     /// Width and height of the target in pixels.
     pub fn size_px(&self) -> [u32; 2] {
-        self.target.size_px()
+        self.target().size_px()
     }
 
     /// Samples a pixel of the target.
     pub fn samples(&self) -> u32 {
         // WebGPU promises 1 and 4.
-        if self.traits.samples > 1 { 4 } else { 1 }
+        if self.faces[self.face].traits.samples > 1 { 4 } else { 1 }
     }
 
     /// Format of the colour target.
     pub fn color_format(&self) -> wgpu::TextureFormat {
-        self.target.format()
+        self.target().format()
     }
 
     /// Changes the size of the target; a held window image is dropped.
     pub fn resize(&mut self, size_px: [u32; 2]) -> Result<(), GpuError> {
-        self.target.resize(&self.device, size_px)
+        self.faces[self.face].target.resize(&self.device, size_px)
     }
 
     /// Gets the image the next draw goes to. [`crate::draw::Renderer::draw`] calls it; a second call before
     /// [`Self::present`] is free. Blocks until the window has an image (Fifo).
     pub fn acquire(&mut self) -> Result<Acquired, GpuError> {
         self.check_lost()?;
-        self.target.acquire(&self.device)
+        self.faces[self.face].target.acquire(&self.device)
     }
 
     /// The image drawn into, for overlays between draw and [`Self::present`]; `None` while a window holds none.
     pub fn color_view(&self) -> Option<&wgpu::TextureView> {
-        self.target.color_view()
+        self.target().color_view()
     }
 
     /// Shows the window's image. Nothing to do offscreen.
     pub fn present(&mut self) {
         let _span = crate::timeline::span("present");
-        self.target.present(&self.queue);
+        self.faces[self.face].target.present(&self.queue);
     }
 
     /// Queues drawables to be uploaded by [`Self::run_compiles`].
@@ -292,7 +358,8 @@ impl GraphicsContext {
     /// Uploads within a budget, at least one slice; what is too big is split over calls.
     pub fn run_compiles(&mut self, budget: &CompileBudget) -> CompileStats {
         let _span = crate::timeline::span("compile");
-        let stats = self.compiles.run(&self.device, &self.queue, &mut self.pools, &mut self.drawables, budget);
+        let cache = self.pipeline_cache.as_ref().map(PipelineCache::cache);
+        let stats = self.compiles.run(&self.device, &self.queue, &mut self.pools, &mut self.drawables, cache, budget);
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
         stats
     }
@@ -311,9 +378,13 @@ impl GraphicsContext {
     /// before do not. Slot, material and texture stay.
     pub fn rewrite(&mut self, slot: DrawSlot, mesh: &Arc<Mesh>) -> Result<(), GpuError> {
         let Self { device, queue, pools, drawables, .. } = self;
-        let written = compile::rewrite(device, queue, pools, drawables, slot, mesh);
+        let is_shared = compile::rewrite(device, queue, pools, drawables, slot, mesh);
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
-        written.map(|_| ()).map_err(|reason| GpuError::Rewrite { reason })
+        if is_shared.map_err(|reason| GpuError::Rewrite { reason })? {
+            // The mesh may be on its way.
+            self.compiles.drain_thread(&self.device, &self.queue);
+        }
+        Ok(())
     }
 
     /// Gives drawables back. Their places are free at once: later uploads run after the draws already
@@ -346,9 +417,19 @@ impl GraphicsContext {
         self.errors.lock().map(|mut e| std::mem::take(&mut *e)).unwrap_or_default()
     }
 
-    /// Called by the renderer, whose submit takes along what was written before.
-    pub(crate) fn submitted(&mut self) {
+    /// Called by the renderer, whose submit takes along what was written before; gives it what it must submit before
+    /// its own.
+    pub(crate) fn submitted(&mut self, uploads: &mut Vec<wgpu::CommandBuffer>) {
         self.compiles.flushed();
+        self.compiles.take_commands(uploads);
+    }
+
+    /// What is drawn into: told to what the application compiles.
+    pub(crate) fn draws_into(&mut self, target: &TargetFormats) {
+        let targets = &mut self.pools.customs.targets;
+        if !targets.contains(target) {
+            targets.push(*target);
+        }
     }
 
     pub(crate) fn drawable(&self, slot: DrawSlot) -> Option<&DrawableEntry> {
@@ -360,6 +441,10 @@ impl GraphicsContext {
         self.drawables.classes()
     }
 
+    fn target(&self) -> &Target {
+        &self.faces[self.face].target
+    }
+
     pub(crate) fn pools(&self) -> &Pools {
         &self.pools
     }
@@ -369,10 +454,13 @@ impl GraphicsContext {
     }
 
     pub(crate) fn color_texture(&self) -> Option<&wgpu::Texture> {
-        self.target.color_texture()
+        self.target().color_texture()
     }
 
     pub(crate) fn check_lost(&self) -> Result<(), GpuError> {
+        if !self.compiles.is_alive() {
+            return Err(GpuError::DeviceLost { reason: "its compile thread has stopped".to_owned() });
+        }
         match self.lost.lock() {
             Ok(lost) => match lost.as_ref() {
                 Some(reason) => Err(GpuError::DeviceLost { reason: reason.clone() }),

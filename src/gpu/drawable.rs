@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use super::custom::CustomShapes;
 use super::height_pool::{HeightPool, TilePlace};
 use super::layouts::Layouts;
 use super::mesh_pool::{MeshPlace, MeshPool};
@@ -12,7 +13,13 @@ use crate::scene::{AlphaMode, DrawSlot, Material, Topology};
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shape {
     Height(TilePlace),
-    Mesh { place: MeshPlace, topology: Topology, texture: TextureLayer },
+    Mesh {
+        place: MeshPlace,
+        topology: Topology,
+        texture: TextureLayer,
+    },
+    /// By its place among the custom shapes.
+    Custom(u32),
 }
 
 /// What of a drawable decides what has to be bound to draw it, its state apart.
@@ -22,6 +29,8 @@ pub(crate) struct BindClass {
     pub(crate) topology: Option<Topology>,
     pub(crate) is_masked: bool,
     pub(crate) double_sided: bool,
+    /// Drawn by the application.
+    pub(crate) is_custom: bool,
     pub(crate) block: u32,
     pub(crate) vertex_chunk: u32,
     /// Chunk of meshes, side of height tiles.
@@ -60,6 +69,7 @@ impl DrawableEntry {
                 topology: None,
                 is_masked: false,
                 double_sided: true,
+                is_custom: false,
                 block: place.block,
                 vertex_chunk: 0,
                 index_chunk: place.side,
@@ -68,9 +78,19 @@ impl DrawableEntry {
                 topology: Some(*topology),
                 is_masked: matches!(self.alpha, AlphaMode::Mask(_)),
                 double_sided: self.double_sided,
+                is_custom: false,
                 block: texture.block,
                 vertex_chunk: place.vertex_chunk,
                 index_chunk: place.index_chunk,
+            },
+            Shape::Custom(_) => BindClass {
+                topology: Some(Topology::Triangles),
+                is_masked: false,
+                double_sided: false,
+                is_custom: true,
+                block: 0,
+                vertex_chunk: 0,
+                index_chunk: 0,
             },
         }
     }
@@ -137,6 +157,7 @@ pub(crate) struct Pools {
     pub(crate) heights: HeightPool,
     pub(crate) meshes: MeshPool,
     pub(crate) textures: TexturePool,
+    pub(crate) customs: CustomShapes,
     pub(super) layouts: Layouts,
     pub(super) limits: wgpu::Limits,
 }
@@ -147,6 +168,7 @@ impl Pools {
             heights: HeightPool::default(),
             meshes: MeshPool::default(),
             textures: TexturePool::default(),
+            customs: CustomShapes::default(),
             layouts,
             limits: device.limits(),
         }
@@ -163,14 +185,18 @@ impl Pools {
                 self.meshes.release(place);
                 self.textures.release(*texture);
             }
+            Shape::Custom(place) => self.customs.release(*place),
         }
     }
 
     pub(super) fn bytes_in_use(&self) -> u64 {
-        self.heights.bytes_in_use() + self.meshes.bytes_in_use() + self.textures.bytes_in_use()
+        self.heights.bytes_in_use() + self.meshes.bytes_in_use() + self.textures.bytes_in_use() + self.customs.bytes()
     }
 
     pub(super) fn bytes_allocated(&self) -> u64 {
-        self.heights.bytes_allocated() + self.meshes.bytes_allocated() + self.textures.bytes_allocated()
+        self.heights.bytes_allocated()
+            + self.meshes.bytes_allocated()
+            + self.textures.bytes_allocated()
+            + self.customs.bytes()
     }
 }

@@ -39,10 +39,30 @@ pub enum GpuError {
         /// What was wrong.
         reason: String,
     },
+    /// The adapter's driver gives away nothing that it compiled.
+    #[error("adapter {adapter} cannot keep its pipelines")]
+    NoPipelineCache {
+        /// Name of the adapter.
+        adapter: String,
+    },
+    /// Kept pipelines were not used, or could not be written; they are made anew.
+    #[error("pipelines in {file}: {reason}", file = file.display())]
+    PipelineCache {
+        /// Where they are kept.
+        file: std::path::PathBuf,
+        /// What was wrong.
+        reason: String,
+    },
     /// The picture could not be read back.
     #[error("reading the picture back: {reason}")]
     ReadBack {
         /// What was wrong.
+        reason: String,
+    },
+    /// The compile thread could not be started.
+    #[error("cannot start a compile thread: {reason}")]
+    Thread {
+        /// What the system said.
         reason: String,
     },
     /// The device is gone (driver reset, unplugged); the context must be made anew.

@@ -7,7 +7,8 @@ use std::collections::HashMap;
 
 use super::layouts::Layouts;
 use super::slots::{SlotAllocator, block_capacity};
-use super::texture_pool::{ImageSize, Rows, array_view, insert, write_rows};
+use super::texture_pool::{ImageSize, array_view, insert};
+use super::uploads::Destination;
 use crate::scene::{ContentKey, HeightTile};
 
 /// Bytes a block aims at.
@@ -61,6 +62,22 @@ pub(crate) struct HeightPool {
 /// Vectors of four floats a tile takes in the tables: header, rows, columns two a vector.
 pub(crate) fn table_vectors(side: u32) -> u32 {
     HEADER_VECTORS + side + side.div_ceil(2)
+}
+
+/// A tile's parameters, rows and columns, as the tables have them.
+pub(super) fn table_words(tile: &HeightTile) -> Vec<f32> {
+    let mut errors = [0.0f32; MORPH_LEVELS];
+    let count = tile.coarser_errors_m.len().min(MORPH_LEVELS);
+    errors[..count].copy_from_slice(&tile.coarser_errors_m[..count]);
+    let length = table_vectors(tile.side) as usize * 4;
+    let mut words = Vec::with_capacity(length);
+    words.extend([tile.p0_m, tile.skirt_m, tile.cell_m[0], tile.cell_m[1]]);
+    words.extend(errors);
+    words.extend([count as f32, 0.0]);
+    words.extend(tile.rows.iter().flatten());
+    words.extend(tile.columns.iter().flatten());
+    words.resize(length, 0.0);
+    words
 }
 
 fn tile_bytes(side: u32, color_size: &ImageSize) -> u64 {
@@ -165,42 +182,15 @@ impl HeightPool {
         self.blocks.get(place.block as usize)?.as_ref()
     }
 
-    /// Writes rows of the bordered heights; `first` counts from the southern border.
-    pub(super) fn write_heights(&self, queue: &wgpu::Queue, place: TilePlace, first: u32, count: u32, data: &[f32]) {
-        if let Some(block) = self.block(place) {
-            let rows = Rows { layer: place.layer, level: 0, first, count, width: place.side + 2 };
-            write_rows(queue, &block.heights, &rows, bytemuck::cast_slice(data));
-        }
-    }
-
-    /// Writes a tile's parameters, rows and columns.
-    pub(super) fn write_tables(
-        &self,
-        queue: &wgpu::Queue,
-        place: TilePlace,
-        tile: &HeightTile,
-        scratch: &mut Vec<f32>,
-    ) {
-        let Some(block) = self.block(place) else { return };
-        let mut errors = [0.0f32; MORPH_LEVELS];
-        let count = tile.coarser_errors_m.len().min(MORPH_LEVELS);
-        errors[..count].copy_from_slice(&tile.coarser_errors_m[..count]);
-        scratch.clear();
-        scratch.extend([tile.p0_m, tile.skirt_m, tile.cell_m[0], tile.cell_m[1]]);
-        scratch.extend(errors);
-        scratch.extend([count as f32, 0.0]);
-        scratch.extend(tile.rows.iter().flatten());
-        scratch.extend(tile.columns.iter().flatten());
-        scratch.resize(table_vectors(place.side) as usize * 4, 0.0);
-        let offset = u64::from(place.layer) * scratch.len() as u64 * 4;
-        queue.write_buffer(&block.tables, offset, bytemuck::cast_slice(scratch));
-    }
-
-    /// Writes rows of the tile's colour.
-    pub(super) fn write_color(&self, queue: &wgpu::Queue, place: TilePlace, rows: &Rows, data: &[u8]) {
-        if let Some(block) = self.block(place) {
-            write_rows(queue, &block.color, rows, data);
-        }
+    /// Where a place's heights, tables and colour lie.
+    pub(super) fn destinations(&self, place: TilePlace) -> Option<[Destination; 3]> {
+        let block = self.block(place)?;
+        let offset = u64::from(place.layer) * u64::from(table_vectors(place.side)) * 16;
+        Some([
+            Destination::Layer(block.heights.clone(), place.layer),
+            Destination::Buffer(block.tables.clone(), offset),
+            Destination::Layer(block.color.clone(), place.layer),
+        ])
     }
 
     /// One drawable fewer uses the tile's place; it is free when none does, and the block when it was the last.

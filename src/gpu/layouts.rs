@@ -1,7 +1,9 @@
-//! Bind group layouts of the pools' blocks (group 1 of the pipelines), and their samplers.
+//! Bind group layouts of the frame (group 0 of the pipelines) and of the pools' blocks (group 1), and their samplers.
 
 /// Shared by every block; made once a context.
 pub(crate) struct Layouts {
+    /// Group 0.
+    pub(crate) frame: wgpu::BindGroupLayout,
     /// Group 1 of height tiles: heights, tables, colour, sampler.
     pub(crate) height_block: wgpu::BindGroupLayout,
     /// Group 1 of meshes: colour, sampler.
@@ -30,6 +32,65 @@ fn sampler(binding: u32) -> wgpu::BindGroupLayoutEntry {
         ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
         count: None,
     }
+}
+
+/// Group 0 of everything that is drawn: what is known per frame and per leaf, the air's tables, the shadow maps.
+fn frame(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let uniform = wgpu::BufferBindingType::Uniform;
+    let buffer = |binding, visibility, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility,
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None },
+        count: None,
+    };
+    let both = wgpu::ShaderStages::VERTEX_FRAGMENT;
+    let air_texture = |binding, view_dimension| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: both,
+        ty: wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable: true },
+            view_dimension,
+            multisampled: false,
+        },
+        count: None,
+    };
+    let air_sampler = wgpu::BindGroupLayoutEntry {
+        binding: 3,
+        visibility: both,
+        ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
+        count: None,
+    };
+    let shadow_maps = wgpu::BindGroupLayoutEntry {
+        binding: 8,
+        visibility: both,
+        ty: wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Depth,
+            view_dimension: wgpu::TextureViewDimension::D2Array,
+            multisampled: false,
+        },
+        count: None,
+    };
+    let shadow_sampler = wgpu::BindGroupLayoutEntry {
+        binding: 9,
+        visibility: both,
+        ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison),
+        count: None,
+    };
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("frame"),
+        entries: &[
+            buffer(0, both, uniform, true),
+            buffer(1, both, wgpu::BufferBindingType::Storage { read_only: true }, false),
+            buffer(2, both, uniform, true),
+            air_sampler,
+            air_texture(4, wgpu::TextureViewDimension::D2),
+            air_texture(5, wgpu::TextureViewDimension::D2),
+            air_texture(6, wgpu::TextureViewDimension::D3),
+            air_texture(7, wgpu::TextureViewDimension::D3),
+            shadow_maps,
+            shadow_sampler,
+        ],
+    })
 }
 
 impl Layouts {
@@ -69,6 +130,7 @@ impl Layouts {
             })
         };
         Self {
+            frame: frame(device),
             height_block,
             texture_block,
             clamp: make_sampler("clamp", wgpu::AddressMode::ClampToEdge),

@@ -9,6 +9,7 @@ use std::sync::{Arc, Weak};
 
 use super::slots::{Identity, SlotAllocator, block_capacity, size_class};
 use super::texture_pool::insert;
+use super::uploads::Destination;
 use crate::scene::{Mesh, MeshVertex, SharedParts};
 
 /// Bytes a buffer aims at.
@@ -102,10 +103,9 @@ impl Arena {
         }
     }
 
-    fn write(&self, queue: &wgpu::Queue, range: Range, first: usize, data: &[u8]) {
-        if let Some(Some(chunk)) = self.chunks.get(range.chunk as usize) {
-            queue.write_buffer(&chunk.buffer, (u64::from(range.first) + first as u64) * self.element_bytes, data);
-        }
+    fn destination(&self, range: Range) -> Option<Destination> {
+        let buffer = self.buffer(range.chunk)?.clone();
+        Some(Destination::Buffer(buffer, u64::from(range.first) * self.element_bytes))
     }
 
     fn buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
@@ -277,12 +277,12 @@ impl MeshPool {
         record.map_or(0, |r| self.indices.bytes_of(r.range))
     }
 
-    pub(super) fn write_vertices(&self, queue: &wgpu::Queue, range: Range, first: usize, data: &[MeshVertex]) {
-        self.vertices.write(queue, range, first, bytemuck::cast_slice(data));
+    pub(super) fn vertex_destination(&self, range: Range) -> Option<Destination> {
+        self.vertices.destination(range)
     }
 
-    pub(super) fn write_indices(&self, queue: &wgpu::Queue, range: Range, first: usize, data: &[u32]) {
-        self.indices.write(queue, range, first, bytemuck::cast_slice(data));
+    pub(super) fn index_destination(&self, range: Range) -> Option<Destination> {
+        self.indices.destination(range)
     }
 
     /// One drawable fewer uses the mesh.

@@ -8,16 +8,21 @@
 //! ```text
 //! Drawable -> CompileOperation -> run_compiles (a slice at a time, within a budget) -> Compiled { slots }
 //!             slots: height tiles in blocks of texture arrays, meshes in buffers cut into size classes
+//! (with a compile thread: places by run_compiles, their contents by that thread, submitted before the next frame)
 //! release(slots) -> the places are free at once: uploads run on the same queue, after the draws that used them
 //! ```
 
 mod compile;
+mod compile_thread;
 mod context;
+mod custom;
 mod drawable;
 mod error;
+mod faces;
 mod height_pool;
 mod layouts;
 mod mesh_pool;
+mod pipeline_cache;
 mod read_back;
 mod slots;
 mod state_textures;
@@ -25,12 +30,15 @@ mod target;
 mod texture_pool;
 mod timer;
 mod transients;
+mod uploads;
 
 pub use compile::{CompileBudget, CompileOperation, CompileStats, Compiled};
 pub use context::{AdapterChoice, ContextTraits, GraphicsContext};
+pub use custom::{CompileInfo, CustomError, TargetFormats};
 pub use error::GpuError;
 pub use target::Acquired;
 
+pub(crate) use custom::{CustomCompile, CustomShape, MOST_COLORS};
 pub(crate) use drawable::{BindClass, DrawableEntry, Shape};
 #[cfg(test)]
 pub(crate) use height_pool::{HEADER_VECTORS as TABLE_HEADER_VECTORS, MORPH_LEVELS};

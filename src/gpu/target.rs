@@ -1,6 +1,6 @@
 //! What is drawn into: textures of our own, or the images of a window. Draw thread only.
 
-use super::GpuError;
+use super::{ContextTraits, GpuError};
 
 /// Colour format of offscreen targets.
 pub(super) const OFFSCREEN_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
@@ -77,12 +77,25 @@ fn present_mode(vsync: bool) -> wgpu::PresentMode {
 }
 
 impl Target {
-    pub(super) fn offscreen(device: &wgpu::Device, size_px: [u32; 2]) -> Result<Self, GpuError> {
+    /// A window's where there is a surface, offscreen otherwise.
+    pub(super) fn new(
+        adapter: &wgpu::Adapter,
+        device: &wgpu::Device,
+        surface: Option<wgpu::Surface<'static>>,
+        traits: &ContextTraits,
+    ) -> Result<Self, GpuError> {
+        match surface {
+            Some(surface) => Self::window(adapter, device, surface, traits.size_px, traits.vsync),
+            None => Self::offscreen(device, traits.size_px),
+        }
+    }
+
+    fn offscreen(device: &wgpu::Device, size_px: [u32; 2]) -> Result<Self, GpuError> {
         check_size(device, size_px)?;
         Ok(Self { color: offscreen_color(device, size_px), size_px })
     }
 
-    pub(super) fn window(
+    fn window(
         adapter: &wgpu::Adapter,
         device: &wgpu::Device,
         surface: wgpu::Surface<'static>,

@@ -8,6 +8,7 @@ use std::sync::{Arc, Weak};
 
 use super::layouts::Layouts;
 use super::slots::{Identity, SlotAllocator, block_capacity};
+use super::uploads::{Destination, QueueSink, Source, Upload};
 use crate::scene::{ContentKey, Texture};
 
 /// Bytes a block aims at; larger images get blocks of one layer.
@@ -177,7 +178,9 @@ impl TexturePool {
         }
         let size = ImageSize { width: 1, height: 1, mips: 1 };
         let place = self.take_place(device, layouts, limits, size, false)?;
-        self.write(queue, place, &Rows { layer: place.layer, level: 0, first: 0, count: 1, width: 1 }, &[255; 4]);
+        if let Some(into) = self.destination(place) {
+            Upload::new(Source::White, into).write(&mut QueueSink(queue), 1);
+        }
         self.white = Some(place);
         Ok(place)
     }
@@ -238,10 +241,9 @@ impl TexturePool {
         Ok(TextureLayer { block, layer })
     }
 
-    pub(super) fn write(&self, queue: &wgpu::Queue, place: TextureLayer, rows: &Rows, data: &[u8]) {
-        if let Some(Some(block)) = self.blocks.get(place.block as usize) {
-            write_rows(queue, &block.texture, rows, data);
-        }
+    pub(super) fn destination(&self, place: TextureLayer) -> Option<Destination> {
+        let block = self.blocks.get(place.block as usize)?.as_ref()?;
+        Some(Destination::Layer(block.texture.clone(), place.layer))
     }
 
     /// One drawable fewer uses the layer; it is free when none does.

@@ -40,6 +40,14 @@ pub enum IoError {
         /// What the client said.
         reason: String,
     },
+    /// No encrypted connection that can be trusted: its certificate is of nobody known, for another name, or past.
+    #[error("{}: {reason}", shown(.uri))]
+    Tls {
+        /// What was asked for.
+        uri: String,
+        /// What the client said.
+        reason: String,
+    },
     /// No answer, or not all of it, in time.
     #[error("{}: timed out after {seconds} s ({phase})", shown(.uri))]
     Timeout {
@@ -102,6 +110,7 @@ impl IoError {
             | Self::File { uri, .. }
             | Self::Status { uri, .. }
             | Self::Network { uri, .. }
+            | Self::Tls { uri, .. }
             | Self::Timeout { uri, .. }
             | Self::Offline { uri }
             | Self::Uri { uri, .. }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
 
-use super::archive::{LocalArchive, split_path};
+use super::archive::{Local, split_path};
 use super::{IoError, Limits};
 
 /// Archives whose directories are kept.
@@ -18,7 +18,7 @@ const KEPT_ARCHIVES: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
 pub struct FileReader {
     limits: Limits,
     /// By path; taken for moments, a directory is read outside of it.
-    archives: Mutex<LruCache<PathBuf, Arc<LocalArchive>>>,
+    archives: Mutex<LruCache<PathBuf, Arc<Local>>>,
 }
 
 impl FileReader {
@@ -55,7 +55,7 @@ impl FileReader {
             Some(metadata) => Ok(metadata.len()),
             None => {
                 let (archive, name) = self.inside(uri)?;
-                archive.size(uri, &name)
+                archive.size(uri, &name, &self.limits)
             }
         }
     }
@@ -70,18 +70,18 @@ impl FileReader {
     }
 
     /// The archive that a path goes into, and the name inside it.
-    fn inside(&self, uri: &str) -> Result<(Arc<LocalArchive>, String), IoError> {
+    fn inside(&self, uri: &str) -> Result<(Arc<Local>, String), IoError> {
         let (path, name) = split_path(uri).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
         let kept = self.kept().get(&path).cloned();
         if let Some(archive) = kept.filter(|archive| archive.is_current()) {
             return Ok((archive, name));
         }
-        let archive = Arc::new(LocalArchive::open(&path, &self.limits)?);
+        let archive = Arc::new(Local::open(&path, &self.limits)?);
         self.kept().put(path, archive.clone());
         Ok((archive, name))
     }
 
-    fn kept(&self) -> MutexGuard<'_, LruCache<PathBuf, Arc<LocalArchive>>> {
+    fn kept(&self) -> MutexGuard<'_, LruCache<PathBuf, Arc<Local>>> {
         self.archives.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use super::tileset::{self, TileJson};
-use super::{IoError, Limits, ReadOptions, Source, is_http, resolve, root_uri, shown};
+use super::{IoError, Limits, ReadOptions, Source, is_remote, resolve, root_uri, shown};
 use crate::scene::Page;
 
 /// Summary of a tile set.
@@ -138,7 +138,7 @@ impl Info {
             }
             self.contents += 1;
             self.level(level).contents += 1;
-            if is_http(&uri) {
+            if is_remote(&uri) {
                 continue;
             }
             match from.size(&uri) {

@@ -24,6 +24,8 @@ mod tileset;
 mod uri;
 pub mod write;
 
+#[doc(hidden)]
+pub use archive::pmtiles::fuzz_pmtiles;
 pub use cache::CacheStats;
 #[cfg(feature = "http")]
 #[doc(hidden)]
@@ -41,7 +43,7 @@ pub use fill::{FillOptions, Filled, fill};
 #[doc(hidden)]
 pub use http::fuzz_headers;
 #[cfg(feature = "http")]
-pub use http::{Credential, HttpBody, HttpClient, HttpConfig};
+pub use http::{Credential, HttpBody, HttpClient, HttpConfig, StoreOption};
 #[cfg(feature = "http")]
 pub(crate) use http::{HttpHere, runtime};
 pub(crate) use image::decode_file as decode_image;
@@ -50,4 +52,6 @@ pub use info::inspect_with;
 pub use info::{BoundsInfo, Info, InfoError, LevelInfo, inspect};
 pub use read::{Content, DECODER_PANICKED, Fetched, ReadOptions, companions, decode, decode_node};
 pub(crate) use source::Source;
-pub use uri::{RootScope, is_http, resolve, root_uri, shown};
+#[cfg(feature = "http")]
+pub(crate) use uri::server;
+pub use uri::{RootScope, is_http, is_remote, is_store, resolve, root_uri, shown};

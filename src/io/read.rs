@@ -117,6 +117,7 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
         (&b"i3dm"[..], "instanced model (i3dm)"),
         (b"cmpt", "composite tile (cmpt)"),
         (b"subt", "implicit tiling (subtree)"),
+        (b"PMTiles", "a whole PMTiles file as the content of a tile"),
     ] {
         if bytes.starts_with(magic) {
             return Err(IoError::unsupported(&uri, what));

@@ -1,6 +1,6 @@
 //! Bytes of any URI on the calling thread, for what is no frame: `terrane info`, roots.
 
-use super::{FileReader, IoError, Limits, is_http};
+use super::{FileReader, IoError, Limits, is_remote};
 #[cfg(feature = "http")]
 use super::{HttpConfig, HttpHere};
 
@@ -37,7 +37,7 @@ impl Source {
 
     /// Waits for the bytes.
     pub fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
-        if !is_http(uri) {
+        if !is_remote(uri) {
             return self.files.read(uri);
         }
         #[cfg(feature = "http")]

@@ -1,22 +1,25 @@
 //! URIs: where a tile set starts, and which references inside it are followed.
 //!
-//! A URI is an absolute file path or an http(s) URL. What a tile set names must stay below the folder of its root
-//! (files), or on http(s) (servers): a foreign tile set cannot make a client open local files.
+//! A URI is an absolute file path, an http(s) URL, or `s3://`, `gs://` or `az://` with a bucket and a key. What a tile set
+//! names must stay below the folder of its root (files), on http(s) (servers), or in its bucket (object stores): a foreign
+//! tile set cannot make a client open local files, nor what its keys open elsewhere.
 
 use std::borrow::Cow;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use super::IoError;
-use super::archive::is_archive;
+use super::archive::{is_archive, is_pmtiles};
 
-/// What references may reach: below a folder, or anything on http(s).
+/// What references may reach: below a folder, anything on http(s), or one bucket.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RootScope {
     /// Files below this absolute folder.
     Folder(PathBuf),
     /// Any http(s) URL.
     Http,
+    /// Objects of one bucket, as `s3://name`.
+    Bucket(String),
 }
 
 impl RootScope {
@@ -24,6 +27,8 @@ impl RootScope {
     pub fn of(root_uri: &str) -> Self {
         if is_http(root_uri) {
             Self::Http
+        } else if is_store(root_uri) {
+            Self::Bucket(server(root_uri).to_owned())
         } else {
             Self::Folder(Path::new(root_uri).parent().unwrap_or(Path::new("/")).to_path_buf())
         }
@@ -32,13 +37,34 @@ impl RootScope {
 
 /// True for http and https URLs.
 pub fn is_http(uri: &str) -> bool {
-    let lower = |prefix: &str| uri.get(..prefix.len()).is_some_and(|p| p.eq_ignore_ascii_case(prefix));
-    lower("http://") || lower("https://")
+    starts_with_any(uri, &["http://", "https://"])
+}
+
+/// True for what object stores hold: `s3://`, `gs://` (Google) and `az://` (Azure).
+pub fn is_store(uri: &str) -> bool {
+    starts_with_any(uri, &["s3://", "gs://", "az://"])
+}
+
+/// True for what is not on this machine's disks.
+pub fn is_remote(uri: &str) -> bool {
+    is_http(uri) || is_store(uri)
+}
+
+fn starts_with_any(uri: &str, prefixes: &[&str]) -> bool {
+    prefixes.iter().any(|prefix| uri.get(..prefix.len()).is_some_and(|p| p.eq_ignore_ascii_case(prefix)))
+}
+
+/// Scheme, name and port of an address; scheme and bucket of an object.
+pub(crate) fn server(uri: &str) -> &str {
+    let start = uri.find("://").map_or(0, |at| at + 3);
+    let rest = uri.get(start..).unwrap_or("");
+    let end = rest.find(['/', '?', '#']).map_or(uri.len(), |at| start + at);
+    uri.get(..end).unwrap_or(uri)
 }
 
 /// A URI for errors, logs and reports: of a URL, the name and password and the values of the query are left out.
 pub fn shown(uri: &str) -> Cow<'_, str> {
-    if !is_http(uri) {
+    if !is_remote(uri) {
         return Cow::Borrowed(uri);
     }
     let (path, query) = uri.split_once('?').map_or((uri, None), |(path, query)| (path, Some(query)));
@@ -63,16 +89,25 @@ pub fn shown(uri: &str) -> Cow<'_, str> {
 /// What a person typed, as a URI: a folder or an archive means its tileset.json, a file itself, a URL ending in `/` or
 /// in the name of an archive its tileset.json.
 pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {
-    if is_http(source) {
+    let no_set = |path: &str| match is_pmtiles(path) {
+        true => Err(IoError::unsupported(source, "PMTiles as a tile set (its tiles are contents: NAME.pmtiles/z/x/y)")),
+        false => Ok(()),
+    };
+    if is_remote(source) {
         let mut url = url::Url::parse(source).map_err(|e| bad(source, e.to_string()))?;
-        if url.path().ends_with('/') {
-            let path = format!("{}tileset.json", url.path());
+        if is_store(source) {
+            check_object(source, &url)?;
+        }
+        no_set(url.path())?;
+        if url.path().ends_with('/') || url.path().is_empty() {
+            let path = format!("{}/tileset.json", url.path().trim_end_matches('/'));
             url.set_path(&path);
         } else if is_archive(url.path()) {
             url.set_path(&format!("{}/tileset.json", url.path()));
         }
         return Ok(url.as_str().into());
     }
+    no_set(source)?;
     let path = std::path::absolute(source).map_err(|e| bad(source, e.to_string()))?;
     let is_inside = path.is_dir() || (path.is_file() && path.to_str().is_some_and(is_archive));
     let path = if is_inside { path.join("tileset.json") } else { path };
@@ -101,6 +136,20 @@ pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc
             }
             if url.query().is_none() && url.origin() == base.origin() {
                 url.set_query(base.query());
+            }
+            Ok(url.as_str().into())
+        }
+        RootScope::Bucket(bucket) => {
+            let base = url::Url::parse(base_uri).map_err(|e| bad(base_uri, e.to_string()))?;
+            let mut url = base.join(reference).map_err(|e| bad(reference, e.to_string()))?;
+            // Object names have no queries.
+            url.set_query(None);
+            url.set_fragment(None);
+            if server(url.as_str()) != bucket {
+                return Err(bad(reference, format!("leaves the tile set's bucket {bucket}")));
+            }
+            if is_3tz(url.path()) {
+                url.set_path(&format!("{}/tileset.json", url.path()));
             }
             Ok(url.as_str().into())
         }
@@ -137,6 +186,18 @@ pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc
             path.to_str().map(Arc::from).ok_or_else(|| bad(reference, "the path is not UTF-8"))
         }
     }
+}
+
+/// Bucket and nothing else before the key, and no query: keys go by the environment.
+fn check_object(source: &str, url: &url::Url) -> Result<(), IoError> {
+    let has_bucket = url.host_str().is_some_and(|host| !host.is_empty());
+    if !has_bucket || !url.username().is_empty() || url.password().is_some() || url.port().is_some() {
+        return Err(bad(source, "not of the form scheme://bucket/key"));
+    }
+    if url.query().is_some() || url.fragment().is_some() {
+        return Err(bad(source, "an object's name has no query"));
+    }
+    Ok(())
 }
 
 fn is_3tz(path: &str) -> bool {
@@ -193,6 +254,46 @@ mod tests {
         ] {
             assert_eq!(shown(uri), text);
         }
+    }
+
+    #[test]
+    fn objects_stay_in_their_bucket() {
+        let root = root_uri("s3://Tiles_1/set/").unwrap();
+        assert_eq!(&*root, "s3://Tiles_1/set/tileset.json");
+        assert_eq!(&*root_uri("S3://b").unwrap(), "s3://b/tileset.json");
+        assert_eq!(&*root_uri("gs://b/a.3tz").unwrap(), "gs://b/a.3tz/tileset.json");
+        assert_eq!(&*root_uri("az://b/a b.json").unwrap(), "az://b/a%20b.json");
+        assert!(matches!(root_uri("/d/a.pmtiles"), Err(IoError::Unsupported { .. })));
+        assert!(matches!(root_uri("http://h/a.pmtiles?k=1"), Err(IoError::Unsupported { .. })));
+        for odd in ["s3://", "s3:///key", "s3://me@b/key", "s3://b:80/key", "s3://b/key?x=1"] {
+            assert!(root_uri(odd).is_err(), "{odd}");
+        }
+        let scope = RootScope::of(&root);
+        assert_eq!(scope, RootScope::Bucket("s3://Tiles_1".to_owned()));
+        let ok = |r: &str| resolve("s3://Tiles_1/set/sub/tileset.json", r, &scope);
+        assert_eq!(&*ok("a b.glb?v=1#x").unwrap(), "s3://Tiles_1/set/sub/a%20b.glb");
+        assert_eq!(&*ok("../../../../a.glb").unwrap(), "s3://Tiles_1/a.glb");
+        assert_eq!(&*ok("/more.3tz").unwrap(), "s3://Tiles_1/more.3tz/tileset.json");
+        assert_eq!(&*ok("s3://Tiles_1/x").unwrap(), "s3://Tiles_1/x");
+        for escape in
+            ["s3://other/x", "s3://tiles_1/x", "//other/x", "gs://Tiles_1/x", "s3://k@Tiles_1/x", "s3://Tiles_1:8/x"]
+        {
+            assert!(ok(escape).is_err(), "{escape}");
+        }
+        for other in ["file:///etc/passwd", "https://h/x", "data:,x", "C:\\x"] {
+            assert!(ok(other).is_err(), "{other}");
+        }
+        assert!(resolve("http://h/t.json", "s3://b/x", &RootScope::Http).is_err());
+        assert!(resolve("/d/t.json", "s3://b/x", &RootScope::Folder("/d".into())).is_err());
+    }
+
+    #[test]
+    fn servers_are_told_by_scheme_name_and_port() {
+        assert_eq!(server("https://a.example:8080/tiles/x.glb?token=/"), "https://a.example:8080");
+        assert_eq!(server("http://a.example"), "http://a.example");
+        assert_eq!(server("http://a.example?x#y"), "http://a.example");
+        assert_eq!(server("gs://bucket/key"), "gs://bucket");
+        assert_eq!(server("odd"), "odd");
     }
 
     #[test]

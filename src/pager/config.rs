@@ -34,7 +34,7 @@ pub struct PagerConfig {
     pub http_in_flight: usize,
     /// A server that answers as quickly under more requests gets more, up to so many.
     pub http_in_flight_max: usize,
-    /// Threads that decode; the default leaves one core to the frame.
+    /// Threads that decode, behind the frame's in priority; the default is one for each core.
     pub decode_threads: usize,
     /// Contents under way at once that are wanted only later (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead));
     /// 0 loads none.
@@ -80,7 +80,7 @@ impl Default for PagerConfig {
             file_threads: 2,
             http_in_flight: 32,
             http_in_flight_max: 128,
-            decode_threads: (cores - 1).clamp(1, 16),
+            decode_threads: cores.clamp(1, 16),
             ahead_in_flight: 8,
             max_bytes_cpu: 512 << 20,
             max_bytes_gpu: 1 << 30,

@@ -10,8 +10,9 @@ use crate::io;
 use crate::scene::{NodeId, Page, PageId, Scene};
 use crate::timeline;
 
-/// Pages looked at for expiry in one frame while under the byte and tile limits' pressure.
-const EXPIRY_LOOKS: usize = 256;
+/// Pages looked at for expiry in one frame while less than [`EXPIRY_TENTHS`] are free: twice as many as in the frame
+/// before while something goes, half as many while all are in use.
+const EXPIRY_LOOKS: std::ops::RangeInclusive<usize> = 16..=256;
 /// Tenths of each budget that are kept free of what was not wanted for long.
 pub(super) const EXPIRY_TENTHS: u64 = 1;
 /// Tenths of each budget that must be free before anything is loaded that is wanted only later. More than expiry makes
@@ -37,7 +38,7 @@ impl DatabasePager {
         gpu_bytes: u64,
         contexts: &mut [&mut dyn CompileContext],
     ) -> bool {
-        let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS);
+        let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS.end());
         while self.cpu_bytes() + cpu_bytes > self.config.max_bytes_cpu
             || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
             || self.residents.len() + 1 > self.config.max_tiles
@@ -61,11 +62,14 @@ impl DatabasePager {
     /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free.
     pub(super) fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         let unused = Unused { frames: self.config.expiry_frames, time: self.config.expiry_time };
-        let mut looks = self.residents.len().min(EXPIRY_LOOKS);
+        let expired_before = self.stats.expired;
+        let mut looks = self.residents.len().min(self.expiry_looks);
         while !self.has_free(EXPIRY_TENTHS) {
             let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { break };
             self.detach(scene, id, contexts);
         }
+        let next = if self.stats.expired > expired_before { 2 * self.expiry_looks } else { self.expiry_looks / 2 };
+        self.expiry_looks = next.clamp(*EXPIRY_LOOKS.start(), *EXPIRY_LOOKS.end());
     }
 
     pub(super) fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
@@ -149,7 +153,7 @@ impl DatabasePager {
                     self.retire(page, contexts);
                 }
                 // Aborted, unless its answer is there already.
-                Progress::Loading if io::is_http(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
+                Progress::Loading if io::is_remote(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
                 _ => {}
             }
         }

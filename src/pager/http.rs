@@ -11,7 +11,7 @@ use super::flow::{Answered, Flows, Range};
 use super::list::{Answer, Job, Loaded, RequestList};
 use super::threads::SERVERS_AT_ONCE;
 use super::threads::read_bytes;
-use crate::io::{self, HttpBody, HttpClient, IoError, Limits};
+use crate::io::{self, HttpBody, HttpClient, IoError, Limits, server};
 use crate::timeline;
 
 /// At the end, bodies on their way to the cache have so long.
@@ -139,13 +139,6 @@ fn take(
     (jobs, std::mem::take(&mut waiting.abort), waiting.closed)
 }
 
-/// Scheme, name and port of an address.
-fn server(uri: &str) -> &str {
-    let start = uri.find("://").map_or(0, |at| at + 3);
-    let end = uri[start..].find(['/', '?', '#']).map_or(uri.len(), |at| start + at);
-    &uri[..end]
-}
-
 /// The content and its companions at the same time: what a tile needs is known before its bytes.
 async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Answered) {
     let start = Instant::now();
@@ -170,17 +163,4 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Answe
     let bytes_read = read_bytes(&bytes, &companions);
     let answered = Answered::of(&bytes, bytes_http, start.elapsed().as_secs_f64());
     (Loaded { job, bytes, companions, bytes_read, bytes_http }, answered)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::server;
-
-    #[test]
-    fn servers_are_told_by_scheme_name_and_port() {
-        assert_eq!(server("https://a.example:8080/tiles/x.glb?token=/"), "https://a.example:8080");
-        assert_eq!(server("http://a.example"), "http://a.example");
-        assert_eq!(server("http://a.example?x#y"), "http://a.example");
-        assert_eq!(server("odd"), "odd");
-    }
 }

@@ -112,7 +112,7 @@ impl DatabasePager {
             match entry.progress {
                 Progress::Waiting => jobs.push((entry.priority, entry)),
                 Progress::Loading
-                    if io::is_http(&entry.job.uri)
+                    if io::is_remote(&entry.job.uri)
                         && frame.saturating_sub(entry.wanted_frame) > self.config.abort_frames =>
                 {
                     waiting.abort.push(entry.job.ticket);
@@ -129,13 +129,12 @@ impl DatabasePager {
         waiting.file.clear();
         waiting.http.clear();
         for (_, entry) in &jobs {
-            let to = if io::is_http(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
+            let to = if io::is_remote(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
             to.push(entry.job.clone());
         }
         waiting.allowed = self.allowed_in_flight(list.capacity);
         self.full = waiting.allowed == 0 && !jobs.is_empty();
-        drop(waiting);
-        list.ring();
+        list.ring(waiting);
     }
 
     /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
@@ -158,10 +157,6 @@ impl DatabasePager {
         let allowed = self.allowed_in_flight(self.threads.list.capacity);
         let mut waiting = self.threads.list.lock();
         waiting.allowed = allowed;
-        let go_on = waiting.outstanding < allowed && waiting.len() > 0;
-        drop(waiting);
-        if go_on {
-            self.threads.list.ring();
-        }
+        self.threads.list.ring(waiting);
     }
 }

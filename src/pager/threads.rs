@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use crossbeam_channel::{Receiver, Sender, bounded};
+use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 use super::config::{PagerConfig, PagerError};
 #[cfg(feature = "http")]
@@ -76,7 +77,7 @@ impl Threads {
             let cache = threads.door.as_ref().and_then(|door| door.client.cache().cloned());
             let forget = move |_uri: &str| {
                 #[cfg(feature = "http")]
-                if let Some(cache) = cache.as_ref().filter(|_| io::is_http(_uri)) {
+                if let Some(cache) = cache.as_ref().filter(|_| io::is_remote(_uri)) {
                     cache.forget(_uri);
                 }
             };
@@ -97,6 +98,10 @@ impl Threads {
 
     fn spawn(&mut self, name: String, run: impl FnOnce() + Send + 'static) -> Result<(), PagerError> {
         let builder = std::thread::Builder::new().name(name.clone());
+        let run = || {
+            yield_to_frames();
+            run();
+        };
         let handle = builder.spawn(run).map_err(|source| PagerError::Thread { name, source })?;
         self.handles.push(handle);
         Ok(())
@@ -121,6 +126,17 @@ impl Drop for Threads {
                 log::error!("a pager thread panicked");
             }
         }
+    }
+}
+
+/// Lets the calling thread have a core only while no frame wants it: there is a decode thread for each core, and a frame
+/// that wakes a thread goes on before it.
+fn yield_to_frames() {
+    // Nice 9 where there is niceness: a tenth of the weight of a thread that draws.
+    let below_normal = ThreadPriorityValue::try_from(25u8).map(ThreadPriority::Crossplatform);
+    let lowered = below_normal.map(thread_priority::set_current_thread_priority);
+    if !matches!(lowered, Ok(Ok(()))) {
+        log::debug!("the priority of {:?} could not be lowered: {lowered:?}", std::thread::current().name());
     }
 }
 

@@ -32,6 +32,8 @@ pub struct DatabasePager {
     /// Arrived and compiled, waiting to be merged.
     pub(super) ready: Vec<NodeId>,
     pub(super) residents: Residents,
+    /// Pages that the next look for what may go takes in.
+    pub(super) expiry_looks: usize,
     /// What pages share, counted once.
     pub(super) shares: Shares,
     /// What is above the contents of pages that are tilesets; roots have `above_roots`.
@@ -68,6 +70,7 @@ impl DatabasePager {
             compiling: HashMap::new(),
             ready: Vec::new(),
             residents: Residents::new(),
+            expiry_looks: 0,
             above: HashMap::new(),
             shares: Shares::default(),
             next_ticket: 1,
@@ -95,7 +98,7 @@ impl DatabasePager {
 
     fn fetch(&mut self, uri: &str) -> Result<Vec<u8>, IoError> {
         #[cfg(feature = "http")]
-        if let Some(door) = self.threads.door.as_ref().filter(|_| io::is_http(uri)) {
+        if let Some(door) = self.threads.door.as_ref().filter(|_| io::is_remote(uri)) {
             let body = door.get(uri, &self.config.limits)?;
             self.stats.bytes_http += body.network_bytes;
             return Ok(body.bytes);

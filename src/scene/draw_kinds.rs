@@ -44,6 +44,8 @@ impl Scene {
             let (topology, indices) = match &drawable.geometry {
                 Geometry::Height(_) => (None, 0),
                 Geometry::Mesh(mesh) => (Some(mesh.topology), mesh.indices.len()),
+                // Its pipelines are its own.
+                Geometry::Custom(_) => continue,
             };
             let linear = page.transforms.page_from_node(of.transform).matrix3;
             let kind = (

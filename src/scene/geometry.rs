@@ -8,6 +8,7 @@ use std::sync::Arc;
 use super::kinds::NormalCone;
 use super::shared::SharedParts;
 use crate::math::Aabb;
+use crate::state::DrawHook;
 
 /// One vertex of a [`Mesh`], as the GPU reads it (28 bytes).
 #[repr(C)]
@@ -175,6 +176,18 @@ pub struct HeightTile {
     pub bounds: Aabb,
 }
 
+/// What the application draws itself, made by `draw::custom_geometry`. It is culled, sorted and faded like any
+/// other, casts no shadow and is not met by intersections.
+#[derive(Clone, Debug)]
+pub struct CustomGeometry {
+    /// Box around it in its own frame; what lies outside may be culled.
+    pub bounds: Aabb,
+    /// CPU memory that it holds.
+    pub size_bytes: u64,
+    /// Made by and given back to `draw`.
+    pub hook: DrawHook,
+}
+
 /// Geometry of a [`Drawable`].
 #[derive(Clone, Debug)]
 pub enum Geometry {
@@ -182,6 +195,19 @@ pub enum Geometry {
     Mesh(Arc<Mesh>),
     /// Heights on the shared grid.
     Height(Arc<HeightTile>),
+    /// Drawn by the application.
+    Custom(CustomGeometry),
+}
+
+impl Geometry {
+    /// Box around it in its own frame.
+    pub fn bounds(&self) -> Aabb {
+        match self {
+            Self::Mesh(mesh) => mesh.bounds,
+            Self::Height(tile) => tile.bounds,
+            Self::Custom(custom) => custom.bounds,
+        }
+    }
 }
 
 /// One thing to draw.
@@ -213,10 +239,7 @@ impl Drawable {
 
     /// Box around the drawable in its own frame.
     pub fn bounds(&self) -> Aabb {
-        match &self.geometry {
-            Geometry::Mesh(mesh) => mesh.bounds,
-            Geometry::Height(tile) => tile.bounds,
-        }
+        self.geometry.bounds()
     }
 
     /// Bytes of CPU memory the payload holds.
@@ -228,6 +251,7 @@ impl Drawable {
             Geometry::Height(t) => {
                 (t.heights.len() * 4 + t.rows.len() * 16 + t.columns.len() * 8) as u64 + texture_bytes(&t.texture)
             }
+            Geometry::Custom(custom) => custom.size_bytes,
         };
         shape + texture_bytes(&self.material.texture)
     }

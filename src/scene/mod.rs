@@ -30,13 +30,15 @@ pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMAL
 pub use draw_kinds::DrawKind;
 pub use error::SceneError;
 pub use flatten::MAX_DEPTH;
-pub use geometry::{AlphaMode, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology};
+pub use geometry::{
+    AlphaMode, CustomGeometry, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology,
+};
 pub use graph::Scene;
 pub use id::{NodeId, PageId};
 pub use intersect::{
     Dimensions, EyePoint, GroundPoint, GroundSnapshot, HeightQuery, Intersection, IntersectionLimit,
     IntersectionVisitor, Intersector, KdTree, LineSegmentIntersector, LodSelection, PolytopeIntersector,
-    RayIntersector, Vertical,
+    RayIntersector, Vertical, WindowView,
 };
 pub use kinds::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,

@@ -129,7 +129,7 @@ mod tests {
         assert!(inked(&text("")) == 0.0 && inked(&text("\n\t\r")) == 0.0);
         let size = |d: &Drawable| match &d.geometry {
             Geometry::Mesh(mesh) => 2.0 * mesh.bounds.half_size(),
-            Geometry::Height(_) => DVec3::ZERO,
+            _ => DVec3::ZERO,
         };
         assert!((size(&one).y - 2.0).abs() < 0.6, "{}", size(&one).y);
         let two = size(&text("Terrane 123\nand more"));

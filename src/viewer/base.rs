@@ -1,6 +1,7 @@
 //! [`ViewerBase`]: the frame of one view or of many; osgViewer's ViewerBase. Main thread; cull and draw run where the
 //! threading model has them.
 
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use image::RgbaImage;
@@ -9,13 +10,13 @@ use super::ViewerError;
 use super::input::OnPicture;
 use super::look_ahead::LookFrom;
 use super::paged_scene::PagedScene;
-use super::rendering::{CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rendering, millis};
+use super::rendering::{Closed, CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rendering, millis};
 use super::stats::{FrameStats, StatsHistory};
 use super::view::{ContextId, Place, Slave, SlaveId, View};
 use super::viewer::{FrameStamp, ViewerConfig};
 use crate::cull::{CullCamera, CullVisitor, RenderStage};
 use crate::draw::FrameClock;
-use crate::gpu::{CompileBudget, GpuError, GraphicsContext};
+use crate::gpu::{CompileBudget, ContextTraits, GpuError, GraphicsContext};
 use crate::timeline::{self, Span};
 
 /// How often arrivals are looked for while the draw thread is busy.
@@ -29,6 +30,7 @@ pub(super) struct ViewerBase {
     pub(super) rendering: Rendering,
     max_contexts: usize,
     min_stencil_bits: u32,
+    pipeline_cache: Option<PathBuf>,
     blocking: bool,
     look_ahead_s: f64,
     pub(super) compile_budget: CompileBudget,
@@ -86,6 +88,7 @@ impl ViewerBase {
             rendering,
             max_contexts: config.max_contexts,
             min_stencil_bits: config.min_stencil_bits,
+            pipeline_cache: config.pipeline_cache.clone(),
             blocking: config.pager.blocking,
             look_ahead_s: config.look_ahead_s.max(0.0),
             compile_budget: config.compile_budget,
@@ -109,10 +112,18 @@ impl ViewerBase {
         })
     }
 
+    fn check_room(&self) -> Result<(), ViewerError> {
+        let limit = self.max_contexts;
+        if self.rendering.context_ids().count() >= limit {
+            return Err(ViewerError::TooManyContexts { limit });
+        }
+        Ok(())
+    }
+
     /// Takes a context while others may be drawn in; all frames are drawn before, and the next one starts the threads.
     pub(super) fn open_context(
         &mut self,
-        context: GraphicsContext,
+        mut context: GraphicsContext,
         scenes: &mut [PagedScene],
     ) -> Result<ContextId, ViewerError> {
         let has_stencil = context.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
@@ -120,16 +131,30 @@ impl ViewerBase {
             let (bits, adapter) = (self.min_stencil_bits, context.adapter_name());
             return Err(ViewerError::Setting(format!("{adapter} has no {bits} bits of stencil")));
         }
-        let limit = self.max_contexts;
-        if self.rendering.context_ids().count() >= limit {
-            return Err(ViewerError::TooManyContexts { limit });
+        self.check_room()?;
+        if let Some(folder) = &self.pipeline_cache
+            && let Err(error) = context.keep_pipelines(folder)
+        {
+            log::warn!("{error}");
         }
         self.absorb_all()?;
         let number = self.rendering.add_context(context, self.stamp.frame);
         for scene in scenes {
-            scene.context_opened(&mut self.rendering, number)?;
+            scene.device_opened(&mut self.rendering, number)?;
         }
         Ok(ContextId(number))
+    }
+
+    /// Opens a context on the device of another one: what is uploaded there is here too. All frames are drawn before.
+    pub(super) fn open_context_on(
+        &mut self,
+        other: ContextId,
+        traits: &ContextTraits,
+        add: impl FnOnce(&mut GraphicsContext, &ContextTraits) -> Result<(), GpuError>,
+    ) -> Result<ContextId, ViewerError> {
+        self.check_room()?;
+        self.absorb_all()?;
+        self.rendering.add_context_on(other.0, traits, self.stamp.frame, add).map(ContextId)
     }
 
     /// Drops a context with the cameras in it; all frames are drawn before. False when there is none.
@@ -144,14 +169,17 @@ impl ViewerBase {
             Ok(()) | Err(ViewerError::DrawThreadStopped) => {}
             Err(error) => return Err(error),
         }
-        if !self.rendering.remove_context(id.0) {
+        let closed = self.rendering.remove_context(id.0);
+        if closed == Closed::Nothing {
             return Ok(false);
         }
         for view in views {
             view.context_closed(id.0);
         }
-        for scene in scenes {
-            scene.context_closed(&mut self.rendering, id.0);
+        if let Closed::Device(device) = closed {
+            for scene in scenes {
+                scene.device_closed(&mut self.rendering, device);
+            }
         }
         Ok(true)
     }
@@ -163,8 +191,8 @@ impl ViewerBase {
         viewport_px: Option<[u32; 4]>,
     ) -> Result<Place, ViewerError> {
         self.absorb_all()?;
-        let camera = self.rendering.add_camera(context.0).ok_or(ViewerError::NoContext(context))?;
-        Ok(Place { camera, context: context.0, viewport_px })
+        let (camera, device) = self.rendering.add_camera(context.0).ok_or(ViewerError::NoContext(context))?;
+        Ok(Place { camera, context: context.0, device, viewport_px })
     }
 
     pub(super) fn remove_camera(&mut self, camera: u32) -> Result<(), ViewerError> {
@@ -175,7 +203,7 @@ impl ViewerBase {
 
     pub(super) fn add_slave(&mut self, view: &mut View, slave: Slave) -> Result<SlaveId, ViewerError> {
         let place = self.add_camera(slave.context, slave.viewport_px)?;
-        Ok(view.push_slave(place.camera, slave))
+        Ok(view.push_slave(place, slave))
     }
 
     pub(super) fn remove_slave(&mut self, view: &mut View, id: SlaveId) -> Result<bool, ViewerError> {
@@ -202,20 +230,20 @@ impl ViewerBase {
     /// The last frame's picture in a context, offscreen.
     pub(super) fn read_back(&mut self, context: ContextId) -> Result<RgbaImage, ViewerError> {
         self.absorb_all()?;
-        self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?.read_back()
+        self.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?.read_back(context.0)
     }
 
     pub(super) fn set_vsync(&mut self, context: ContextId, vsync: bool) -> Result<(), ViewerError> {
-        self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?.set_vsync(vsync)
+        self.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?.set_vsync(context.0, vsync)
     }
 
     pub(super) fn lose_device(&mut self, context: ContextId) -> Result<(), ViewerError> {
-        self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?.lose_device()
+        self.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?.lose_device()
     }
 
     pub(super) fn resize(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
-        let handle = self.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?;
-        handle.resize(size_px.map(|side| side.max(1)))
+        let handle = self.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?;
+        handle.resize(context.0, size_px.map(|side| side.max(1)))
     }
 
     /// Seconds since the first frame.
@@ -246,9 +274,9 @@ impl ViewerBase {
             Err(ViewerError::Gpu(error @ GpuError::DeviceLost { .. })) if self.may_renew() => {
                 log::warn!("{error}; another takes its place");
                 self.renewed = self.stamp.frame;
-                for context in self.rendering.renew_lost()? {
+                for device in self.rendering.renew_lost()? {
                     for scene in scenes.iter_mut() {
-                        scene.context_renewed(&mut self.rendering, context)?;
+                        scene.device_renewed(&mut self.rendering, device)?;
                     }
                 }
                 Ok(())
@@ -378,6 +406,8 @@ impl ViewerBase {
         let (wanted, job) = (std::mem::take(&mut self.wanted), self.job());
         #[cfg(feature = "window")]
         let mut overlay = self.overlay.take();
+        #[cfg(feature = "window")]
+        let first = self.rendering.context_ids().next();
         let view_of = |camera| views.iter().find(|view| view.has_camera(camera));
         let FrameStamp { frame, simulation_time_s, .. } = self.stamp;
         self.asked.extend(wanted.iter().map(|context| (*context, frame)));
@@ -387,7 +417,7 @@ impl ViewerBase {
             |context| FrameJob {
                 read_back: wanted.contains(&context) || captured(context),
                 #[cfg(feature = "window")]
-                overlay: overlay.take(),
+                overlay: overlay.take_if(|_| first == Some(context)),
                 ..job.again()
             },
             |camera, last| {
@@ -405,7 +435,7 @@ impl ViewerBase {
             scene.wanted_missing = 0;
             scene.fading = 0;
         }
-        for (camera, CullOutcome { requests, counters, cull_ms }) in self.rendering.outcomes() {
+        for (camera, CullOutcome { requests, counters, cull_ms, .. }) in self.rendering.outcomes() {
             let Some(view) = view_of(camera) else { continue };
             let scene = &mut scenes[view.scene];
             scene.requests.extend_from_slice(requests);
@@ -466,9 +496,9 @@ impl ViewerBase {
     }
 
     fn absorb_arrived(&mut self) -> Result<(), ViewerError> {
-        for place in 0..self.rendering.context_count() {
-            while let Some(done) = self.rendering.context_at(place).and_then(|c| c.try_done()) {
-                self.absorb(place, *done)?;
+        for place in 0..self.rendering.device_count() {
+            while let Some(done) = self.rendering.device_at(place).and_then(|c| c.try_done()) {
+                self.absorb(*done)?;
             }
         }
         Ok(())
@@ -476,13 +506,13 @@ impl ViewerBase {
 
     fn absorb_next(&mut self, place: usize) -> Result<(), ViewerError> {
         let start = Instant::now();
-        let Some(context) = self.rendering.context_at(place) else { return Ok(()) };
+        let Some(context) = self.rendering.device_at(place) else { return Ok(()) };
         let span = timeline::span("wait for draw");
         let done = context.wait_done()?;
         drop(span);
         if let Some(done) = done {
             self.read_back_ms += done.read_back_ms.min(millis(start.elapsed()));
-            self.absorb(place, *done)?;
+            self.absorb(*done)?;
         }
         Ok(())
     }
@@ -490,7 +520,7 @@ impl ViewerBase {
     /// Waits until each camera has a free stage, merging what arrives meanwhile.
     fn wait_for_stage(&mut self, scenes: &mut [PagedScene]) -> Result<(), ViewerError> {
         let _span = timeline::span("wait for stage");
-        for place in 0..self.rendering.context_count() {
+        for place in 0..self.rendering.device_count() {
             while self.rendering.in_flight(place) >= FRAMES_IN_FLIGHT {
                 if !scenes.iter().any(PagedScene::is_paging) {
                     self.absorb_next(place)?;
@@ -500,10 +530,10 @@ impl ViewerBase {
                     scene.merge_arrived(&mut self.rendering);
                 }
                 let start = Instant::now();
-                let Some(context) = self.rendering.context_at(place) else { break };
+                let Some(context) = self.rendering.device_at(place) else { break };
                 if let Some(done) = context.wait_done_for(ARRIVAL_POLL)? {
                     self.read_back_ms += done.read_back_ms.min(millis(start.elapsed()));
-                    self.absorb(place, *done)?;
+                    self.absorb(*done)?;
                 }
             }
         }
@@ -511,7 +541,7 @@ impl ViewerBase {
     }
 
     pub(super) fn absorb_all(&mut self) -> Result<(), ViewerError> {
-        for place in 0..self.rendering.context_count() {
+        for place in 0..self.rendering.device_count() {
             while self.rendering.in_flight(place) > 0 {
                 self.absorb_next(place)?;
             }
@@ -519,7 +549,7 @@ impl ViewerBase {
         Ok(())
     }
 
-    fn absorb(&mut self, place: usize, done: FrameDone) -> Result<(), ViewerError> {
+    fn absorb(&mut self, done: FrameDone) -> Result<(), ViewerError> {
         let frame = done.frame;
         self.gpu_bytes_peak = self.gpu_bytes_peak.max(done.gpu_bytes_peak);
         if !self.rendering.overlaps() {
@@ -544,9 +574,8 @@ impl ViewerBase {
             stats.gpu_bytes += done.gpu_bytes;
             stats.drawn = is_last;
         }
-        let context = self.rendering.context_ids().nth(place);
-        if let (Some(image), Some(context)) = (done.image, context) {
-            self.picture_came(context, frame, image?);
+        if let Some(image) = done.image {
+            self.picture_came(done.context, frame, image?);
         }
         Ok(())
     }

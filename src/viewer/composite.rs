@@ -16,7 +16,7 @@ use super::stats::StatsHistory;
 use super::view::{ContextId, Slave, SlaveId, View};
 use super::viewer::{FrameStamp, UpdateCallback, ViewerConfig};
 use super::window_matrix::{WindowMatrix, camera_with_focus};
-use crate::gpu::GraphicsContext;
+use crate::gpu::{ContextTraits, GraphicsContext};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
 
@@ -53,6 +53,21 @@ impl CompositeViewer {
     /// Takes a context to draw views in; at most [`ViewerConfig::max_contexts`]. What scenes have is uploaded to it.
     pub fn open_context(&mut self, context: GraphicsContext) -> Result<ContextId, ViewerError> {
         self.base.open_context(context, &mut self.scenes)
+    }
+
+    /// Opens an offscreen context on the device of another one; see [`Viewer::open_offscreen_on`](super::Viewer::open_offscreen_on).
+    pub fn open_offscreen_on(&mut self, other: ContextId, traits: &ContextTraits) -> Result<ContextId, ViewerError> {
+        self.base.open_context_on(other, traits, GraphicsContext::add_offscreen)
+    }
+
+    /// As [`Self::open_offscreen_on`], a window; called on the thread of the event loop.
+    pub fn open_window_on(
+        &mut self,
+        other: ContextId,
+        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
+        traits: &ContextTraits,
+    ) -> Result<ContextId, ViewerError> {
+        self.base.open_context_on(other, traits, |context, traits| context.add_window(target, traits))
     }
 
     /// Closes a context, and with it the cameras that are drawn in it; the rest goes on. False when there is none.

@@ -73,6 +73,8 @@ pub struct DisplaySettings {
     pub min_alpha_bits: u32,
     /// Least bits of stencil: 8 at most, and none on adapters without a stencil.
     pub min_stencil_bits: u32,
+    /// Threads of their own for uploads; see [`ViewerConfig::compile_contexts`].
+    pub compile_contexts: bool,
 }
 
 impl Default for DisplaySettings {
@@ -94,6 +96,7 @@ impl Default for DisplaySettings {
             samples: 0,
             min_alpha_bits: 0,
             min_stencil_bits: 0,
+            compile_contexts: false,
         }
     }
 }
@@ -140,10 +143,7 @@ const SETTINGS: [(&str, &str, Setter); 17] = [
     ("TERRANE_MULTI_SAMPLES", "--multi-samples", |s, v| whole(v, 0..=64).map(|v| s.samples = v)),
     ("TERRANE_MINIMUM_ALPHA_BITS", "--min-alpha-bits", |s, v| whole(v, 0..=8).map(|v| s.min_alpha_bits = v)),
     ("TERRANE_MINIMUM_STENCIL_BITS", "--min-stencil-bits", |s, v| whole(v, 0..=8).map(|v| s.min_stencil_bits = v)),
-    ("TERRANE_COMPILE_CONTEXTS", "--compile-contexts", |_, v| match on(v)? {
-        false => Ok(()),
-        true => Err("there are none: uploads are made on the draw thread, within a budget".to_owned()),
-    }),
+    ("TERRANE_COMPILE_CONTEXTS", "--compile-contexts", |s, v| on(v).map(|v| s.compile_contexts = v)),
 ];
 
 fn one_of<T: Copy>(value: &str, names: &[(T, &str)]) -> Result<T, String> {
@@ -246,6 +246,7 @@ impl DisplaySettings {
         config.max_contexts = self.max_contexts;
         config.stereo = self.eyes();
         config.min_stencil_bits = self.min_stencil_bits;
+        config.compile_contexts = self.compile_contexts;
     }
 }
 
@@ -278,7 +279,7 @@ mod tests {
             ("TERRANE_MULTI_SAMPLES", "4"),
             ("TERRANE_MINIMUM_ALPHA_BITS", "8"),
             ("TERRANE_MINIMUM_STENCIL_BITS", "1"),
-            ("TERRANE_COMPILE_CONTEXTS", "off"),
+            ("TERRANE_COMPILE_CONTEXTS", "on"),
         ];
         assert_eq!(all.map(|(name, _)| name), SETTINGS.map(|(name, ..)| name));
         let settings = read(&all).unwrap();
@@ -299,6 +300,7 @@ mod tests {
             samples: 4,
             min_alpha_bits: 8,
             min_stencil_bits: 1,
+            compile_contexts: true,
         };
         assert_eq!(settings, expected);
         let eyes = settings.eyes().unwrap();
@@ -332,7 +334,7 @@ mod tests {
             ("TERRANE_MAX_NUMBER_OF_GRAPHICS_CONTEXTS", "0", "from 1 to"),
             ("TERRANE_MULTI_SAMPLES", "4.5", "whole number"),
             ("TERRANE_MINIMUM_STENCIL_BITS", "16", "from 0 to 8"),
-            ("TERRANE_COMPILE_CONTEXTS", "ON", "there are none"),
+            ("TERRANE_COMPILE_CONTEXTS", "2", "none of ON"),
         ] {
             let error = read(&[(name, value)]).unwrap_err();
             assert!(error.name == name && error.to_string().contains(says), "{error}");

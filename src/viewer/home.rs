@@ -231,7 +231,7 @@ impl LoadedRoot {
 
 /// The region that a local root tileset declares; a page keeps only the box around it. Reads the file once more.
 fn declared_region(uri: &Arc<str>, options: &io::ReadOptions) -> Option<BoundingVolume> {
-    if io::is_http(uri) {
+    if io::is_remote(uri) {
         return None;
     }
     let bytes = io::read_file(uri, &options.limits).ok()?;

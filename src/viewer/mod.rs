@@ -3,6 +3,8 @@
 //! [`Viewer::frame`] is advance, event, update and rendering; see `base.rs` for who may touch the scene when and
 //! `rendering` for who culls and draws. Everything here runs on the main thread, except what `rendering` sends away.
 
+mod arrangement;
+mod arrangement_file;
 mod base;
 mod camera;
 mod camera_path;
@@ -31,7 +33,12 @@ mod window;
 #[cfg(feature = "window")]
 mod window_events;
 mod window_matrix;
+#[cfg(feature = "window")]
+mod window_open;
 
+pub use arrangement::{
+    Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, SCREEN_VARIABLE, WINDOW_VARIABLE, WindowSetup,
+};
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use composite::{CompositeViewer, SceneId, ViewId};
@@ -49,7 +56,7 @@ pub use overlay::{Overlay, OverlayPaint};
 pub use rendering::{THREADING_VARIABLE, ThreadingModel};
 pub use report::{Bytes, DrawMedians, FrameTimes, Images, Phases, Report, ReportError, Settled, Sharing, Tiles, Times};
 pub use stats::{FrameStats, Samples, StatsHistory};
-pub use view::{ContextId, Slave, SlaveId, View};
+pub use view::{ContextId, Eyes, Slave, SlaveId, View};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
 #[cfg(feature = "window")]
 pub use window::{AfterFrame, BeforeFrame, OnOpen, SlaveWindow, WindowOptions, has_display, run_window};
@@ -73,6 +80,9 @@ pub enum ViewerError {
     /// A variable of the environment says what it cannot.
     #[error("{0}")]
     Setting(String),
+    /// The windows are not arranged so.
+    #[error(transparent)]
+    Arrangement(#[from] ArrangementError),
     /// The viewer has as many contexts as it may have.
     #[error("{limit} contexts are open, and ViewerConfig::max_contexts allows no more")]
     TooManyContexts {

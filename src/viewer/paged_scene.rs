@@ -115,7 +115,7 @@ impl PagedScene {
         let root = self.scene_mut().add_root(page);
         self.root.get_or_insert(root);
         if !drawables.is_empty() {
-            rendering.contexts_mut().for_each(|context| context.foresee(&kinds));
+            rendering.devices_mut().for_each(|context| context.foresee(&kinds));
             let kept = if self.keeps_drawables { drawables.clone() } else { Vec::new() };
             rendering.compile_own(self.owner, self.own.len() as u32, drawables)?;
             self.own.push(Own { page: root, drawables: kept });
@@ -220,7 +220,7 @@ impl PagedScene {
         let Some(pager) = &mut self.image_pager else { return Ok(()) };
         let _span = crate::timeline::span("images");
         for change in pager.update(simulation_time_s) {
-            for context in rendering.contexts_mut() {
+            for context in rendering.devices_mut() {
                 context.show(change.clone())?;
             }
         }
@@ -272,13 +272,13 @@ impl PagedScene {
         for rewritten in std::mem::take(scene.rewritten_mut()) {
             let Some(page) = scene.page(rewritten.page) else { continue };
             let slots = |context: u32| page.draw_slots_of(context);
-            if rendering.context_ids().any(|context| slots(context).is_empty()) {
+            if rendering.device_ids().any(|device| slots(device).is_empty()) {
                 // Not uploaded yet.
                 scene.rewritten_mut().push(rewritten);
                 continue;
             }
             is_dynamic |= rewritten.variance == DataVariance::Dynamic;
-            for context in rendering.contexts_mut() {
+            for context in rendering.devices_mut() {
                 match slots(context.number()).get(rewritten.drawable as usize) {
                     Some(slot) if *slot != DrawSlot::NONE => context.rewrite(*slot, rewritten.mesh.clone())?,
                     _ => {}
@@ -295,12 +295,12 @@ impl PagedScene {
         Ok(is_dynamic)
     }
 
-    /// Uploads everything to a context that was opened after others: the application's pages at once, paged contents
+    /// Uploads everything to a device that was opened after others: the application's pages at once, paged contents
     /// when they are asked for again.
-    pub(super) fn context_opened(&mut self, rendering: &mut Rendering, context: u32) -> Result<(), ViewerError> {
+    pub(super) fn device_opened(&mut self, rendering: &mut Rendering, device: u32) -> Result<(), ViewerError> {
         for (number, own) in (0..).zip(&self.own) {
             if !own.drawables.is_empty() {
-                rendering.compile_own_in(context, self.owner, number, own.drawables.clone())?;
+                rendering.compile_own_in(device, self.owner, number, own.drawables.clone())?;
             }
         }
         if let Some(images) = &mut self.image_pager {
@@ -310,17 +310,17 @@ impl PagedScene {
         Ok(())
     }
 
-    /// Forgets what a context had that is gone.
-    pub(super) fn context_closed(&mut self, rendering: &mut Rendering, context: u32) {
+    /// Forgets what a device had that is gone.
+    pub(super) fn device_closed(&mut self, rendering: &mut Rendering, device: u32) {
         // Uploads that wait for it would wait for ever.
         self.drop_uploads(rendering);
-        alone(&mut self.scene).forget_context(context);
+        alone(&mut self.scene).forget_context(device);
     }
 
-    /// Uploads everything to a context whose device was lost and replaced.
-    pub(super) fn context_renewed(&mut self, rendering: &mut Rendering, context: u32) -> Result<(), ViewerError> {
-        self.context_closed(rendering, context);
-        self.context_opened(rendering, context)
+    /// Uploads everything to a device that takes the place of a lost one.
+    pub(super) fn device_renewed(&mut self, rendering: &mut Rendering, device: u32) -> Result<(), ViewerError> {
+        self.device_closed(rendering, device);
+        self.device_opened(rendering, device)
     }
 
     /// Takes every paged page out, and forgets what was asked for.

@@ -1,17 +1,31 @@
 //! From window coordinates to intersections, with the camera's lens and levels of detail. Main thread, between frames.
 
-use glam::{DVec3, DVec4};
+use glam::DVec2;
 
 use super::Viewer;
 use super::camera::Camera;
 use crate::scene::{
-    EyePoint, Intersection, IntersectionLimit, IntersectionVisitor, PolytopeIntersector, RayIntersector,
+    ComputeNearFar, EyePoint, Intersection, IntersectionLimit, IntersectionVisitor, PolytopeIntersector,
+    RayIntersector, WindowView,
 };
 
 impl Camera {
     /// The eye for an [`IntersectionVisitor`], in a picture of a size.
     pub fn eye_point(&self, size_px: [u32; 2]) -> EyePoint {
         self.cull_camera(size_px, 0, 0).eye_point()
+    }
+
+    /// This camera's picture of a size, for intersectors at places of it. It is all of its target; its near plane is at
+    /// [`Self::min_near_m`].
+    pub fn window_view(&self, size_px: [u32; 2]) -> WindowView {
+        let [width, height] = size_px.map(|side| side.max(1));
+        WindowView {
+            world_from_eye: self.world_from_eye,
+            clip_from_eye: self.clip_from_eye(size_px, self.min_near_m),
+            viewport_px: [0, 0, width, height],
+            target_px: [width, height],
+            fits_depth: self.settings.compute_near_far != ComputeNearFar::Off,
+        }
     }
 
     /// A visitor that meets what this camera draws.
@@ -23,33 +37,13 @@ impl Camera {
 
     /// The ray of a place in the picture: pixels from its upper left corner, the middle of the first one at 0.5, 0.5.
     pub fn ray_at(&self, size_px: [u32; 2], x_px: f64, y_px: f64) -> RayIntersector {
-        RayIntersector::new(self.eye(), self.ray_direction(size_px, x_px, y_px))
+        RayIntersector::at_window(&self.window_view(size_px), DVec2::new(x_px, y_px))
     }
 
     /// What is seen in a rectangle of the picture, ordered by the distance in front of the eye; pixels from the upper
     /// left corner, any two corners. A rectangle without area meets nothing.
     pub fn polytope_in(&self, size_px: [u32; 2], from_px: [f64; 2], to_px: [f64; 2]) -> PolytopeIntersector {
-        let min = [0, 1].map(|k: usize| from_px[k].min(to_px[k]));
-        let max = [0, 1].map(|k: usize| from_px[k].max(to_px[k]));
-        let eye = self.eye();
-        let through = |normal: DVec3| normal.extend(-normal.dot(eye));
-        let corner = |x: f64, y: f64| self.ray_direction(size_px, x, y);
-        // Clockwise in the picture: each side looks inwards.
-        let corners = [
-            corner(min[0], min[1]),
-            corner(max[0], min[1]),
-            corner(max[0], max[1]),
-            corner(min[0], max[1]),
-            corner(min[0], min[1]),
-        ];
-        let forward = through(self.direction());
-        let has_area = min[0] < max[0] && min[1] < max[1];
-        let side = |pair: &[DVec3]| match pair {
-            [a, b] if has_area => through(a.cross(*b).normalize_or_zero()),
-            _ => DVec4::NAN,
-        };
-        let planes = corners.windows(2).map(side).chain([forward]).collect();
-        PolytopeIntersector::new(planes, forward)
+        PolytopeIntersector::at_window(&self.window_view(size_px), DVec2::from(from_px), DVec2::from(to_px))
     }
 }
 
@@ -60,8 +54,11 @@ impl Viewer {
     /// Meets what was loaded with trees ([`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees)), at
     /// the level that the camera draws. Height tiles are met as their own level is: while the picture morphs between two
     /// levels it lies off by a share of the error that the camera allows.
+    ///
+    /// What Projection nodes and cameras in the graph draw into the same picture is met where it shows: what is drawn over
+    /// others before those, and within one picture by its depth in the last frame.
     pub fn compute_intersections(&self, x_px: f64, y_px: f64, limit: IntersectionLimit) -> Vec<Intersection> {
-        let mut ray = self.camera.ray_at(self.size_px(), x_px, y_px).with_limit(limit);
+        let mut ray = RayIntersector::at_window(&self.drawn_view(), DVec2::new(x_px, y_px)).with_limit(limit);
         self.camera.intersection_visitor(self.size_px()).traverse(self.scene(), &mut ray);
         ray.take_intersections()
     }
@@ -74,15 +71,27 @@ impl Viewer {
         to_px: [f64; 2],
         limit: IntersectionLimit,
     ) -> Vec<Intersection> {
-        let mut polytope = self.camera.polytope_in(self.size_px(), from_px, to_px).with_limit(limit);
+        let (from_px, to_px) = (DVec2::from(from_px), DVec2::from(to_px));
+        let mut polytope = PolytopeIntersector::at_window(&self.drawn_view(), from_px, to_px).with_limit(limit);
         self.camera.intersection_visitor(self.size_px()).traverse(self.scene(), &mut polytope);
         polytope.take_intersections()
+    }
+
+    /// The master camera's picture with the depths of the last frame: its near plane follows what is drawn.
+    fn drawn_view(&self) -> WindowView {
+        let master = self.view.master.map(|place| place.camera);
+        let outcome = self.base.rendering.outcomes().find(|(camera, _)| Some(*camera) == master);
+        let near_m = outcome.map_or(self.camera.min_near_m, |(_, outcome)| outcome.near_m);
+        let clip_from_eye = self.camera.clip_from_eye(self.size_px(), near_m);
+        WindowView { clip_from_eye, ..self.camera.window_view(self.size_px()) }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
+
+    use glam::DVec3;
 
     use super::*;
     use crate::scene::{Drawable, Geometry, Material, Mesh, Node, Page, Scene};

@@ -26,8 +26,14 @@ impl Viewer {
         }
         let stage = std::mem::take(&mut self.base.probe_stage);
         let mut stats = FrameStats { tiles_drawn: stage.counters.tiles_drawn, ..FrameStats::default() };
-        let job = FrameJob { stage: Some((stage, environment)), read_back: true, present: false, ..self.base.job() };
-        let handle = self.base.rendering.context_mut(context.0).ok_or(ViewerError::NoContext(context))?;
+        let job = FrameJob {
+            context: context.0,
+            stage: Some((stage, environment)),
+            read_back: true,
+            present: false,
+            ..self.base.job()
+        };
+        let handle = self.base.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?;
         let done = handle.draw_alone(job)?;
         self.base.probe_stage = done.stage.unwrap_or_default();
         let drawn = done.stats?;

@@ -10,7 +10,7 @@ use super::home::{LocalFrame, SetBounds, ViewFrom, environment_for};
 use super::input::Input;
 use super::look_ahead::LookAhead;
 use super::paged_scene::PagedScene;
-use super::rendering::{CullTask, Lens, Rendering};
+use super::rendering::{CullTask, Lens, Rendering, Sight};
 use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo};
 use crate::draw::Environment;
 use crate::scene::{Attachment, CameraTarget, Inherit};
@@ -24,6 +24,20 @@ pub struct ContextId(pub(super) u32);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct SlaveId(pub(super) u32);
 
+/// Which eyes a camera draws for while its view is drawn for two.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Eyes {
+    /// Both, put together in the camera's own picture as the view's stereo mode has it.
+    #[default]
+    Both,
+    /// The left one alone: a window or a screen for each eye.
+    Left,
+    /// The right one alone.
+    Right,
+    /// None: from between them.
+    Middle,
+}
+
 /// A camera that goes with the master camera of its view: another eye of it, another window, another part of one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Slave {
@@ -35,6 +49,8 @@ pub struct Slave {
     pub projection_offset: DMat4,
     /// Applied to the master's eye space: from the master's eye to the slave's.
     pub view_offset: DAffine3,
+    /// Its eyes, where the view is drawn for two.
+    pub eyes: Eyes,
     /// Its own settings.
     pub settings: CullSettings,
     /// Which of the settings are the master's instead.
@@ -49,6 +65,7 @@ impl Slave {
             viewport_px: None,
             projection_offset: DMat4::IDENTITY,
             view_offset: DAffine3::IDENTITY,
+            eyes: Eyes::Both,
             settings: CullSettings::default(),
             inherit: Inherit::ALL,
         }
@@ -61,15 +78,21 @@ pub(super) struct Place {
     /// Number of the camera.
     pub(super) camera: u32,
     pub(super) context: u32,
+    /// Number of the context's device, by which slots are known.
+    pub(super) device: u32,
     pub(super) viewport_px: Option<[u32; 4]>,
 }
 
 struct SlaveCamera {
     /// Number of the camera.
     camera: u32,
+    /// Number of its context's device.
+    device: u32,
     /// Of its picture.
     size_px: [u32; 2],
     slave: Slave,
+    /// What its eyes' pictures are drawn into; made anew when their size changes.
+    targets: Option<[Arc<CameraTarget>; 2]>,
 }
 
 /// A scene seen by a master camera and its slaves.
@@ -90,8 +113,10 @@ pub struct View {
     size_px: [u32; 2],
     samples: u32,
     stereo: Option<Stereo>,
-    /// What the eyes' pictures are drawn into; made anew when their size changes.
-    eyes: Option<[Arc<CameraTarget>; 2]>,
+    /// Of the master camera.
+    eyes: Eyes,
+    /// What its eyes' pictures are drawn into; made anew when their size changes.
+    targets: Option<[Arc<CameraTarget>; 2]>,
     pub(super) input: Input,
 }
 
@@ -108,7 +133,8 @@ impl View {
             size_px,
             samples,
             stereo: None,
-            eyes: None,
+            eyes: Eyes::Both,
+            targets: None,
             input: Input::new(size_px),
         }
     }
@@ -137,10 +163,16 @@ impl View {
         }
     }
 
-    /// Draws the master camera for two eyes from now on, or for one. It must have all of its context.
+    /// Draws the master camera and its slaves for two eyes from now on, or for one.
     pub fn set_stereo(&mut self, stereo: Option<Stereo>) {
         self.stereo = stereo;
-        self.eyes = None;
+        self.targets = None;
+        self.slaves.iter_mut().for_each(|s| s.targets = None);
+    }
+
+    /// Which eyes the master camera draws for where there are two; [`Slave::eyes`] has the slaves'.
+    pub fn set_eyes(&mut self, eyes: Eyes) {
+        self.eyes = eyes;
     }
 
     /// The slaves in the order added.
@@ -154,8 +186,9 @@ impl View {
     }
 
     /// Adds a slave whose camera was made.
-    pub(super) fn push_slave(&mut self, camera: u32, slave: Slave) -> SlaveId {
-        self.slaves.push(SlaveCamera { camera, size_px: self.size_px, slave });
+    pub(super) fn push_slave(&mut self, place: Place, slave: Slave) -> SlaveId {
+        let Place { camera, device, .. } = place;
+        self.slaves.push(SlaveCamera { camera, device, size_px: self.size_px, slave, targets: None });
         SlaveId(camera)
     }
 
@@ -197,18 +230,30 @@ impl View {
         let size_px = self.master.and_then(|place| size_in(place.context, place.viewport_px)).unwrap_or(self.size_px);
         if self.size_px != size_px {
             self.size_px = size_px;
-            self.eyes = None;
+            self.targets = None;
             self.input.resized(size_px);
         }
         for s in &mut self.slaves {
-            s.size_px = size_in(s.slave.context.0, s.slave.viewport_px).unwrap_or(size_px);
+            let of_slave = size_in(s.slave.context.0, s.slave.viewport_px).unwrap_or(size_px);
+            if s.size_px != of_slave {
+                s.size_px = of_slave;
+                s.targets = None;
+            }
         }
         // Over a globe, up is a matter of where one is.
         if let Some(bounds) = bounds.filter(|b| b.frame.georeferenced) {
             self.environment.up_in_world = LocalFrame::at(self.camera.eye(), bounds.frame.georeferenced).up();
         }
-        if let (Some(stereo), None) = (&self.stereo, &self.eyes) {
-            self.eyes = Some(eye_targets(stereo.eye_size_px(size_px), self.samples));
+        let Some(stereo) = &self.stereo else { return };
+        let of_master = (self.eyes, size_px, &mut self.targets);
+        let of_slaves = self.slaves.iter_mut().map(|s| (s.slave.eyes, s.size_px, &mut s.targets));
+        for (eyes, size_px, targets) in std::iter::once(of_master).chain(of_slaves) {
+            match eyes {
+                Eyes::Both => {
+                    targets.get_or_insert_with(|| eye_targets(stereo.eye_size_px(size_px), self.samples));
+                }
+                Eyes::Left | Eyes::Right | Eyes::Middle => *targets = None,
+            }
         }
     }
 
@@ -221,6 +266,16 @@ impl View {
         }
     }
 
+    /// With which eyes a camera of the view is culled.
+    fn sight(&self, eyes: Eyes, targets: Option<&[Arc<CameraTarget>; 2]>) -> Sight {
+        match (&self.stereo, eyes, targets) {
+            (Some(stereo), Eyes::Both, Some(targets)) => Sight::Both(*stereo, targets.clone()),
+            (Some(stereo), Eyes::Left, _) => Sight::One(*stereo, 0),
+            (Some(stereo), Eyes::Right, _) => Sight::One(*stereo, 1),
+            _ => Sight::Middle,
+        }
+    }
+
     /// What culling one of its cameras is told; `None` where the camera is another view's.
     pub(super) fn task(
         &self,
@@ -230,20 +285,20 @@ impl View {
         requests: Vec<PageRequest>,
     ) -> Option<CullTask> {
         let horizon = paged.bounds.as_ref().and_then(SetBounds::body);
-        let master = |context| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, context) };
+        let master = |device| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, device) };
         let lens = Lens { camera: self.camera, size_px: self.size_px, offset: DMat4::IDENTITY };
-        let (camera, lens, stereo, viewport_px) = match self.master.filter(|place| place.camera == camera) {
+        let (camera, lens, sight, viewport_px) = match self.master.filter(|place| place.camera == camera) {
             Some(place) => {
-                let stereo = if place.viewport_px.is_none() { self.stereo.zip(self.eyes.clone()) } else { None };
-                (master(place.context), lens, stereo, place.viewport_px)
+                (master(place.device), lens, self.sight(self.eyes, self.targets.as_ref()), place.viewport_px)
             }
             None => {
-                let SlaveCamera { size_px, slave, .. } = self.slaves.iter().find(|s| s.camera == camera)?;
+                let SlaveCamera { size_px, slave, device, targets, .. } =
+                    self.slaves.iter().find(|s| s.camera == camera)?;
                 let offset = slave.projection_offset;
                 let lens = Lens { offset: if offset.is_finite() { offset } else { DMat4::IDENTITY }, ..lens };
                 let of_view = slave.view_offset;
                 let of_view = if of_view.is_finite() { of_view } else { DAffine3::IDENTITY };
-                let above = master(slave.context.0);
+                let above = master(*device);
                 let camera = CullCamera {
                     eye_from_world: of_view * above.eye_from_world,
                     clip_from_eye: lens.clip_from_eye(self.camera.min_near_m),
@@ -251,14 +306,14 @@ impl View {
                     settings: slave.settings.inheriting(&above.settings, slave.inherit),
                     ..above
                 };
-                (camera, lens, None, slave.viewport_px)
+                (camera, lens, self.sight(slave.eyes, targets.as_ref()), slave.viewport_px)
             }
         };
         Some(CullTask {
             scene: paged.shared(),
             camera,
             lens,
-            stereo,
+            sight,
             environment: self.environment,
             state_set: self.input.state_set.clone(),
             viewport_px,

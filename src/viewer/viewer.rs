@@ -1,7 +1,7 @@
 //! The viewer: one view of one scene, in one context or several. Main thread.
 
 use std::ops::{Deref, DerefMut};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use glam::DAffine3;
@@ -48,9 +48,11 @@ pub struct ViewerConfig {
     pub max_sse_px: f64,
     /// Uploads between two frames: more fills the picture sooner, less keeps frames even.
     pub compile_budget: CompileBudget,
+    /// Each device has a thread of its own for uploads; see [`ContextTraits::compile_thread`].
+    pub compile_contexts: bool,
     /// Frames whose statistics are kept.
     pub history_frames: usize,
-    /// The master cameras draw for two eyes.
+    /// Views are drawn for two eyes: the master cameras and, as [`Slave::eyes`] says, their slaves.
     pub stereo: Option<Stereo>,
     /// Bits of stencil that the adapter must have; 8 at most.
     pub min_stencil_bits: u32,
@@ -59,6 +61,9 @@ pub struct ViewerConfig {
     /// Keep the geometry of pages that the application made after its upload: for contexts that are opened later, and
     /// for a device that takes the place of a lost one. Without it those show such pages no more.
     pub keep_drawables: bool,
+    /// Folder in which what the driver compiles is kept for the next start; `None` keeps nothing. Of use where drivers
+    /// keep nothing themselves.
+    pub pipeline_cache: Option<PathBuf>,
 }
 
 impl Default for ViewerConfig {
@@ -75,11 +80,13 @@ impl Default for ViewerConfig {
             look_ahead_s: 1.0,
             max_sse_px: 16.0,
             compile_budget: CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
+            compile_contexts: false,
             history_frames: 100_000,
             stereo: None,
             min_stencil_bits: 0,
             max_contexts: 1,
             keep_drawables: true,
+            pipeline_cache: None,
         }
     }
 }
@@ -92,6 +99,7 @@ impl ViewerConfig {
             adapter: self.adapter,
             samples: self.samples,
             vsync: self.vsync,
+            compile_thread: self.compile_contexts,
             validation: self.validation,
         }
     }
@@ -333,11 +341,30 @@ impl Viewer {
         Ok(())
     }
 
-    /// Takes another context, to draw slaves in; at most [`ViewerConfig::max_contexts`]. The application's pages are
-    /// uploaded to it; paged contents are loaded anew, for all contexts. The threads are stopped, and started again by
-    /// the next frame.
+    /// Takes another context with a device of its own, to draw slaves in; at most [`ViewerConfig::max_contexts`]. The
+    /// application's pages are uploaded to it; paged contents are loaded anew, for all contexts
+    /// ([`Self::open_offscreen_on`] does without). The threads are stopped, and started again by the next frame.
     pub fn open_context(&mut self, context: GraphicsContext) -> Result<ContextId, ViewerError> {
         self.base.open_context(context, std::slice::from_mut(&mut self.paged))
+    }
+
+    /// Opens an offscreen context on the device of another one, to draw slaves in: pools, textures and pipelines are the
+    /// same objects, so that nothing is uploaded or loaded again, and bytes count once. The contexts of a device are
+    /// drawn by one thread, one after the other, in every threading model. Of the traits size, samples and vsync count,
+    /// the rest is the device's.
+    pub fn open_offscreen_on(&mut self, other: ContextId, traits: &ContextTraits) -> Result<ContextId, ViewerError> {
+        self.base.open_context_on(other, traits, GraphicsContext::add_offscreen)
+    }
+
+    /// As [`Self::open_offscreen_on`], a window; called on the thread of the event loop. An error where the device's
+    /// adapter cannot show anything in it.
+    pub fn open_window_on(
+        &mut self,
+        other: ContextId,
+        target: impl Into<wgpu::SurfaceTarget<'static>> + Clone + Send + Sync + 'static,
+        traits: &ContextTraits,
+    ) -> Result<ContextId, ViewerError> {
+        self.base.open_context_on(other, traits, |context, traits| context.add_window(target, traits))
     }
 
     /// Closes a context, and with it the cameras that are drawn in it; the rest goes on. False when there is none.

@@ -12,14 +12,14 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::window::{Fullscreen, Window, WindowId};
 
 use super::ViewerError;
+use super::arrangement::Arrangement;
 use super::camera_path::AnimationPath;
 use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
-use super::view::{ContextId, Slave};
+use super::view::{ContextId, Eyes};
 use super::viewer::{Viewer, ViewerConfig};
-use super::window_events;
-use crate::gpu::{ContextTraits, GraphicsContext};
+use super::{window_events, window_open};
 
 /// Called once, when the window is there.
 pub type OnOpen = Box<dyn FnOnce(&mut Viewer) -> Result<(), ViewerError>>;
@@ -42,9 +42,11 @@ pub struct SlaveWindow {
     pub size_px: [u32; 2],
     /// Its upper left corner on the screen; `None`: where the system puts it.
     pub position_px: Option<[i32; 2]>,
-    /// Of its camera; see [`Slave::projection_offset`].
+    /// It has the first window's device: see [`Viewer::open_window_on`].
+    pub shares_device: bool,
+    /// Of its camera; see [`Slave::projection_offset`](super::Slave::projection_offset).
     pub projection_offset: DMat4,
-    /// Of its camera; see [`Slave::view_offset`].
+    /// Of its camera; see [`Slave::view_offset`](super::Slave::view_offset).
     pub view_offset: DAffine3,
 }
 
@@ -58,6 +60,8 @@ pub struct WindowOptions {
     pub overlay: bool,
     /// Where pictures and recorded paths go.
     pub output_dir: PathBuf,
+    /// Which windows open. Where the application has slaves of its own, what the environment says does not count.
+    pub arrangement: Arrangement,
     /// More windows, each with a context of its own.
     pub slaves: Vec<SlaveWindow>,
     /// Called once the viewer exists, to load a set and to add handlers; the viewer has no root before.
@@ -82,6 +86,7 @@ impl Default for WindowOptions {
             path: None,
             overlay: false,
             output_dir: PathBuf::from("."),
+            arrangement: Arrangement::Usual,
             slaves: Vec::new(),
             on_open: Box::new(|_| Ok(())),
             manipulated: true,
@@ -105,7 +110,13 @@ pub fn has_display() -> bool {
 }
 
 /// Opens a window and runs it until it is closed; returns the viewer for its report. Main thread only.
-pub fn run_window(config: ViewerConfig, options: WindowOptions) -> Result<Option<Viewer>, ViewerError> {
+pub fn run_window(config: ViewerConfig, mut options: WindowOptions) -> Result<Option<Viewer>, ViewerError> {
+    if options.arrangement == Arrangement::Usual
+        && options.slaves.is_empty()
+        && let Some(said) = Arrangement::from_environment()?
+    {
+        options.arrangement = said;
+    }
     // winit panics where a library that it loads at run time is missing.
     let event_loop = std::panic::catch_unwind(EventLoop::new)
         .map_err(|_| ViewerError::Window("a window library is missing (Debian: libxkbcommon-x11-0)".to_owned()))?
@@ -138,21 +149,33 @@ struct Open {
 
 impl App {
     fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<Open, ViewerError> {
-        let window_error = |e: winit::error::OsError| ViewerError::Window(e.to_string());
-        let [width, height] = self.config.size_px;
-        let attributes = Window::default_attributes()
-            .with_title(self.options.title.clone())
-            .with_inner_size(winit::dpi::PhysicalSize::new(width, height));
-        let window = Arc::new(event_loop.create_window(attributes).map_err(window_error)?);
-        let size = window.inner_size();
-        self.config.size_px = [size.width.max(1), size.height.max(1)];
-        self.config.max_contexts = self.config.max_contexts.max(1 + self.options.slaves.len());
+        let slaves = std::mem::take(&mut self.options.slaves);
+        let setups = window_open::windows(event_loop, &self.options.arrangement, slaves, self.config.stereo.as_ref());
+        let Some((first, beside)) = setups.split_first() else {
+            return Err(ViewerError::Window("an arrangement without windows".to_owned()));
+        };
+        let (title, size_px) = (&self.options.title, self.config.size_px);
+        let window = window_open::create(event_loop, first, 0, title, size_px)?;
+        self.config.size_px = window_open::size_of(&window);
+        self.config.samples = first.samples.unwrap_or(self.config.samples);
+        self.config.vsync = first.vsync.unwrap_or(self.config.vsync);
+        self.config.max_contexts = self.config.max_contexts.max(setups.len());
         let mut viewer = Viewer::new_window(Arc::clone(&window), &self.config)?;
         let on_open = std::mem::replace(&mut self.options.on_open, Box::new(|_| Ok(())));
         on_open(&mut viewer)?;
+        let (master, others) = first.cameras.split_first().map_or((None, &[][..]), |(m, o)| (Some(m), o));
+        if let Some(viewport_px) = master.and_then(|master| master.viewport_px) {
+            viewer.set_viewport_px(Some(viewport_px));
+        }
+        viewer.set_eyes(master.map_or(Eyes::Both, |master| master.eyes));
+        if let Some(context) = viewer.context() {
+            window_open::add_slaves(&mut viewer, context, others)?;
+        }
         let mut slaves = Vec::new();
-        for slave in std::mem::take(&mut self.options.slaves) {
-            slaves.push(open_slave(event_loop, &mut viewer, &self.config, slave)?);
+        for (place, setup) in (1..).zip(beside) {
+            let window = window_open::create(event_loop, setup, place, title, size_px)?;
+            let context = window_open::add_beside(&mut viewer, &self.config, setup, &window)?;
+            slaves.push((window, context));
         }
         let stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
         handlers::add_usual(&mut viewer, &self.options.output_dir, stats);
@@ -206,6 +229,7 @@ impl App {
         let is_press = match event {
             WindowEvent::MouseInput { state, .. } => state.is_pressed(),
             WindowEvent::MouseWheel { .. } => true,
+            WindowEvent::Touch(touch) => touch.phase == winit::event::TouchPhase::Started,
             _ => false,
         };
         if !(taken && is_press) {
@@ -262,30 +286,6 @@ impl ApplicationHandler for App {
             self.closed = Some(open.viewer);
         }
     }
-}
-
-/// Opens a window, with a context and a slave camera in it.
-fn open_slave(
-    event_loop: &ActiveEventLoop,
-    viewer: &mut Viewer,
-    config: &ViewerConfig,
-    slave: SlaveWindow,
-) -> Result<(Arc<Window>, ContextId), ViewerError> {
-    let [width, height] = slave.size_px;
-    let mut attributes = Window::default_attributes()
-        .with_title(slave.title)
-        .with_inner_size(winit::dpi::PhysicalSize::new(width.max(1), height.max(1)));
-    if let Some([x, y]) = slave.position_px {
-        attributes = attributes.with_position(winit::dpi::PhysicalPosition::new(x, y));
-    }
-    let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(e.to_string()))?;
-    let window = Arc::new(window);
-    let size = window.inner_size();
-    let traits = ContextTraits { size_px: [size.width.max(1), size.height.max(1)], ..config.traits() };
-    let context = viewer.open_context(GraphicsContext::new_window(Arc::clone(&window), &traits)?)?;
-    let SlaveWindow { projection_offset, view_offset, .. } = slave;
-    viewer.add_slave(Slave { projection_offset, view_offset, ..Slave::new(context) })?;
-    Ok((window, context))
 }
 
 impl Open {

@@ -55,7 +55,8 @@ pub fn feed(queue: &mut EventQueue, event: &WindowEvent) -> bool {
             let phase = match phase {
                 winit::event::TouchPhase::Started => TouchPhase::Began,
                 winit::event::TouchPhase::Moved => TouchPhase::Moved,
-                winit::event::TouchPhase::Ended | winit::event::TouchPhase::Cancelled => TouchPhase::Ended,
+                winit::event::TouchPhase::Ended => TouchPhase::Ended,
+                winit::event::TouchPhase::Cancelled => TouchPhase::Cancelled,
             };
             queue.touch(*id, phase, DVec2::new(location.x, location.y), time_s);
         }
@@ -207,5 +208,37 @@ fn of_code(code: KeyCode) -> Key {
         C::F11 => Key::F(11),
         C::F12 => Key::F(12),
         _ => Key::Unknown,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::events::EventKind;
+    use super::*;
+
+    #[test]
+    fn fingers_keep_their_numbers_and_places_and_what_is_cancelled_is_no_click() {
+        use winit::event::TouchPhase as Phase;
+        let mut queue = EventQueue::default();
+        let phases = [Phase::Started, Phase::Moved, Phase::Cancelled, Phase::Started, Phase::Ended];
+        for (x, phase) in (0u32..).map(f64::from).zip(phases) {
+            let location = winit::dpi::PhysicalPosition::new(x, 7.0);
+            let device_id = winit::event::DeviceId::dummy();
+            let touch = Touch { device_id, phase, location, force: None, id: 3 };
+            assert!(feed(&mut queue, &WindowEvent::Touch(touch)));
+        }
+        let mut events = Vec::new();
+        queue.take_frame(&mut events, 0.0);
+        let touches: Vec<_> = events
+            .iter()
+            .filter_map(|event| match event.kind {
+                EventKind::Touch { id: 3, phase, position_px } if position_px.y == 7.0 => Some((phase, position_px.x)),
+                _ => None,
+            })
+            .collect();
+        use TouchPhase::{Began, Cancelled, Ended, Moved};
+        assert_eq!(touches, [(Began, 0.0), (Moved, 1.0), (Cancelled, 2.0), (Began, 3.0), (Ended, 4.0)]);
+        let clicks = events.iter().filter(|event| matches!(event.kind, EventKind::DoubleClick(_)));
+        assert_eq!(clicks.count(), 0);
     }
 }

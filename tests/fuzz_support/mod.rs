@@ -105,14 +105,52 @@ fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
     }
 }
 
-/// Feeds a parser with changed seeds for the time that is given, `parse` panics where it must not; what it was fed is
-/// left in a file then.
-pub fn run(name: &str, seeds: &[Vec<u8>], mut parse: impl FnMut(&[u8])) {
+/// Panics where a parser must not do what it does.
+pub type Parse = Box<dyn FnMut(&[u8])>;
+
+/// A parser of outside data: its name, inputs that are well, and what is done with any input.
+pub struct Parser {
+    pub name: &'static str,
+    pub seeds: Vec<Vec<u8>>,
+    pub parse: Parse,
+}
+
+impl Parser {
+    pub fn new(
+        name: &'static str,
+        seeds: impl IntoIterator<Item = impl AsRef<[u8]>>,
+        parse: impl FnMut(&[u8]) + 'static,
+    ) -> Self {
+        Self { name, seeds: seeds.into_iter().map(|s| s.as_ref().to_vec()).collect(), parse: Box::new(parse) }
+    }
+}
+
+/// A test for each function that makes a [`Parser`], and all of them for other programs.
+macro_rules! parsers {
+    ($($parser:ident),* $(,)?) => {
+        /// All parsers of this file.
+        #[allow(dead_code, reason = "the guided fuzzer asks for them")]
+        pub fn all() -> Vec<fuzz_support::Parser> {
+            vec![$($parser()),*]
+        }
+
+        #[cfg(test)]
+        mod fuzz {
+            $(#[test]
+            fn $parser() {
+                super::fuzz_support::run(super::$parser());
+            })*
+        }
+    };
+}
+
+/// Feeds a parser with changed seeds for the time that is given; what made it panic is left in a file.
+pub fn run(Parser { name, seeds, mut parse }: Parser) {
     let start = Instant::now();
     let until = Duration::from_secs_f64(seconds());
     let first = std::env::var("FUZZ_SEED").ok().and_then(|s| s.parse().ok()).unwrap_or(1u64);
     let mut random = Random(first ^ name.bytes().fold(0, |h, b| h << 5 ^ u64::from(b)));
-    for seed in seeds {
+    for seed in &seeds {
         parse(seed);
     }
     let (mut count, mut slowest) = (0u64, Duration::ZERO);

@@ -119,6 +119,9 @@ pub struct FlyArgs {
     /// Show the stats overlay from the start (window only)
     #[arg(long)]
     pub stats: bool,
+    /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
+    #[arg(long)]
+    pub no_pipeline_cache: bool,
     #[command(flatten)]
     pub net: NetArgs,
     /// A window to move in, without a path.
@@ -170,14 +173,30 @@ pub struct ViewArgs {
     /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
+    /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
+    #[arg(long)]
+    pub no_pipeline_cache: bool,
     #[command(flatten)]
     pub net: NetArgs,
 }
 
 impl From<ViewArgs> for Box<FlyArgs> {
     fn from(args: ViewArgs) -> Self {
-        let ViewArgs { source, size, view, path, sse, lod_fade, threading, stats, on_demand, max_fps, beside, net } =
-            args;
+        let ViewArgs {
+            source,
+            size,
+            view,
+            path,
+            sse,
+            lod_fade,
+            threading,
+            stats,
+            on_demand,
+            max_fps,
+            beside,
+            no_pipeline_cache,
+            net,
+        } = args;
         Box::new(FlyArgs {
             source: Some(source),
             size,
@@ -190,6 +209,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             on_demand,
             max_fps,
             beside,
+            no_pipeline_cache,
             net,
             interactive: true,
             ..FlyArgs::default()
@@ -258,6 +278,15 @@ pub enum Bench {
         #[arg(long, default_value_t = 10.0)]
         secs: f64,
     },
+    /// A pager with many pages while nothing changes
+    Resident {
+        /// Pages that are merged
+        #[arg(long, default_value_t = 100_000)]
+        tiles: usize,
+        /// Shortest time to measure each case, seconds
+        #[arg(long, default_value_t = 1.0)]
+        secs: f64,
+    },
     /// Files to merged pages
     Page {
         /// Frames of the flight
@@ -275,6 +304,12 @@ pub enum Bench {
         /// What the tiles hold
         #[arg(long, value_enum, default_value_t = PageContent::Mesh)]
         content: PageContent,
+        /// So many terrains along each side, all from the same files
+        #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
+        world: u32,
+        /// Fly straight on at so many metres a second, instead of along the peer's path
+        #[arg(long, value_name = "M_PER_S")]
+        speed: Option<Positive>,
         /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
         #[arg(long, value_name = "URL")]
         url: Option<String>,

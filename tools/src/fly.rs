@@ -72,6 +72,9 @@ fn fly(args: Box<FlyArgs>) -> Result<()> {
     settings.configure(&mut config);
     config.pager.blocking = args.blocking;
     config.vsync = !args.no_vsync;
+    if !args.no_pipeline_cache {
+        config.pipeline_cache = default_set::cache_folder().map(|folder| folder.join("terrane").join("pipelines"));
+    }
     config.look_ahead_s = args.look_ahead.unwrap_or(config.look_ahead_s);
     // Manipulators stay above the ground.
     config.pager.build_kd_trees = args.interactive;
@@ -112,6 +115,7 @@ fn beside(count: u32, size_px: [u32; 2]) -> Vec<SlaveWindow> {
             title: format!("Terrane {}", i + 2),
             size_px,
             position_px: None,
+            shares_device: false,
             projection_offset: DMat4::from_translation(DVec3::new(-2.0 * place, 0.0, 0.0)),
             view_offset: DAffine3::IDENTITY,
         }

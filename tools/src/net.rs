@@ -26,6 +26,9 @@ pub struct NetArgs {
     /// Query parameter for the source's server, as `key=...`; never printed
     #[arg(long, value_name = "NAME=VALUE")]
     pub query: Vec<Secret>,
+    /// PEM file of an authority to trust besides the system's
+    #[arg(long, value_name = "FILE")]
+    pub ca_file: Vec<PathBuf>,
 }
 
 impl NetArgs {
@@ -42,7 +45,8 @@ impl NetArgs {
             let (name, value) = text.split_once('=').context("--query needs NAME=VALUE")?;
             credentials.push(Credential::query(source, name, value)?);
         }
-        Ok(HttpConfig { credentials, cache: self.cache()?, ..HttpConfig::default() })
+        let root_certificates = self.ca_file.clone();
+        Ok(HttpConfig { root_certificates, credentials, cache: self.cache()?, ..HttpConfig::default() })
     }
 
     /// The cache, where one is asked for.

@@ -69,12 +69,18 @@ struct Driven {
 
 impl Driven {
     fn start(display: &Display, args: &[&str], folder: &Path) -> Self {
+        Self::start_where(display, args, folder, &[])
+    }
+
+    /// With variables of the environment.
+    fn start_where(display: &Display, args: &[&str], folder: &Path, variables: &[(&str, &str)]) -> Self {
         let program = Command::new(env!("CARGO_BIN_EXE_terrane"))
             .args(args)
             .current_dir(folder)
             .env("DISPLAY", &display.name)
             .env_remove("WAYLAND_DISPLAY")
             .env_remove("WAYLAND_SOCKET")
+            .envs(variables.iter().copied())
             .stdout(Stdio::null())
             .spawn()
             .unwrap();
@@ -125,6 +131,13 @@ impl Driven {
             let at = 4 * (y as usize * usize::from(width) + x as usize);
             image::Rgb([data[at + 2], data[at + 1], data[at]])
         })
+    }
+
+    /// Its place on the display: x, y, width and height.
+    fn place(&self) -> [i32; 4] {
+        let size = self.x.get_geometry(self.window).unwrap().reply().unwrap();
+        let at = self.x.translate_coordinates(self.window, self.root, 0, 0).unwrap().reply().unwrap();
+        [at.dst_x.into(), at.dst_y.into(), size.width.into(), size.height.into()]
     }
 
     /// Waits for a picture, and keeps it where KEEP_IMAGES names a folder.
@@ -453,4 +466,78 @@ fn a_second_window_goes_on_where_the_first_ends_and_may_be_closed() {
     w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
     w.key(ESCAPE);
     assert!(w.ended().success());
+}
+
+#[test]
+fn windows_open_as_a_file_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let config = folder.path().join("wall.json");
+    // A wall of three: one window with two parts, and one that shares its device.
+    let text = r#"{"windows": [
+        {"title": "Terrane - wall", "position_px": [10, 20], "size_px": [400, 200],
+         "cameras": [{"viewport_px": [200, 0, 200, 200]}, {"viewport_px": [0, 0, 200, 200], "shift": [-1, 0]}]},
+        {"title": "right", "position_px": [500, 20], "size_px": [200, 200], "shares_device": true,
+         "cameras": [{"shift": [1, 0]}]}]}"#;
+    std::fs::write(&config, text).unwrap();
+    let variables =
+        [("TERRANE_CONFIG_FILE", config.to_str().unwrap()), ("TERRANE_WINDOW", "0 0 50 50"), ("TERRANE_SCREEN", "7")];
+    let mut w = Driven::start_where(&display, &["view", set.to_str().unwrap()], folder.path(), &variables);
+    assert_eq!(w.place(), [10, 20, 400, 200]);
+    let first = w.window;
+    w.until("arranged: first", |picture| colours(picture) > 100);
+    std::thread::sleep(Duration::from_secs(3));
+    let wall = w.at_rest("arranged: first at rest");
+    w.window = w.wait_for("the other window", |w| w.find_named(b"right"));
+    assert_eq!(w.place(), [500, 20, 200, 200]);
+    w.until("arranged: right", |picture| colours(picture) > 8);
+    let right = w.at_rest("arranged: right at rest");
+    let column = |picture: &RgbImage, x: u32| -> Vec<u8> { (0..200).flat_map(|y| picture.get_pixel(x, y).0).collect() };
+    let apart =
+        |a: Vec<u8>, b: Vec<u8>| a.iter().zip(&b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / a.len() as f64;
+    let inside = apart(column(&wall, 199), column(&wall, 200));
+    let seam = apart(column(&wall, 399), column(&right, 0));
+    let across = apart(column(&wall, 0), column(&wall, 399));
+    assert!(inside < 4.0 && seam < 4.0 && across > 6.0, "{inside} and {seam} at the seams, {across} from end to end");
+    // The one that shares is closed, and the other goes on.
+    w.close();
+    w.wait_for("one window", |w| w.find_named(b"right").is_none().then_some(()));
+    w.window = first;
+    w.drag(1, [300, 100], [340, 100]);
+    w.until("arranged: turned alone", |picture| differing(&wall, picture) > 0.1);
+    w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
+    w.key(ESCAPE);
+    assert!(w.ended().success());
+}
+
+#[test]
+fn windows_open_where_variables_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let view = ["view", set.to_str().unwrap(), "--size", "320x240"];
+    for (variables, place) in [
+        (&[("TERRANE_WINDOW", "30 40 300 200"), ("TERRANE_SCREEN", "0")][..], [30, 40, 300, 200]),
+        (&[("TERRANE_SCREEN", "0")], [0, 0, 1280, 1024]),
+        (&[("TERRANE_SCREEN", "all")], [0, 0, 1280, 1024]),
+    ] {
+        let mut w = Driven::start_where(&display, &view, folder.path(), variables);
+        assert_eq!(w.place(), place, "{variables:?}");
+        w.until("where a variable says", |picture| colours(picture) > 100);
+        w.key(ESCAPE);
+        assert!(w.ended().success());
+    }
+    // What cannot be is one line, and no window.
+    let config = folder.path().join("wrong.json");
+    std::fs::write(&config, r#"{"windows": [{"size_px": [640, "x"]}]}"#).unwrap();
+    for (name, value, says) in [
+        ("TERRANE_CONFIG_FILE", config.to_str().unwrap(), "wrong.json: windows[0].size_px[1]: not a whole number"),
+        ("TERRANE_WINDOW", "1 2 3", "TERRANE_WINDOW: `1 2 3` is not `x y width height`"),
+        ("TERRANE_SCREEN", "3", "there is no screen 3; the display has 1"),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
+        command.args(view).current_dir(folder.path()).env("DISPLAY", &display.name).env_remove("WAYLAND_DISPLAY");
+        let output = command.env(name, value).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(1) && error.contains(says), "{error}");
+    }
 }

@@ -32,7 +32,12 @@ pub(in crate::draw) struct Bucket {
     pub(in crate::draw) statics: u32,
     /// Vertices of each mesh where one call draws many small ones; 0 elsewhere.
     pub(in crate::draw) stride: u32,
+    /// Index of the stage's state where the application draws; [`NO_STATE`] elsewhere.
+    pub(in crate::draw) custom: u32,
 }
+
+/// Of buckets that the renderer draws.
+pub(in crate::draw) const NO_STATE: u32 = u32::MAX;
 
 impl Bucket {
     /// Sorts so that dear changes are rare.
@@ -69,17 +74,20 @@ pub(in crate::draw) struct StateEntry {
     flags: [u32; 2],
     /// Not drawn: what cannot fade changes in the middle of the fade.
     is_hidden: bool,
+    /// Those that the application draws are not.
+    hides_customs: bool,
 }
 
 impl StateEntry {
     pub(in crate::draw) fn new(key: StateKey, statics: u32, state: &ResolvedState, band: FadeBand) -> Self {
         let is_whole = band.is_full() || !key.can_fade;
-        let is_hidden = !key.can_fade && !(band.from..band.to).contains(&(u8::MAX / 2));
+        let hides_customs = !(band.from..band.to).contains(&(u8::MAX / 2));
+        let is_hidden = !key.can_fade && hides_customs;
         let key = if is_whole { key } else { key.fading() };
         let band = if is_whole { 0 } else { (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT };
         let of_all = band | if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
         let flags = [false, true].map(|unlit| if state.is_lit(unlit) { of_all } else { of_all | FLAG_UNLIT });
-        Self { key, statics, class: 0, color: state.color, flags, is_hidden }
+        Self { key, statics, class: 0, color: state.color, flags, is_hidden, hides_customs }
     }
 }
 
@@ -128,10 +136,13 @@ fn stride_code(entry: &DrawableEntry, state: &StateEntry) -> u32 {
         {
             1 + (place.index_count.div_ceil(3).next_power_of_two()).trailing_zeros()
         }
+        Shape::Custom(_) => CUSTOM_CODE,
         _ => 0,
     }
 }
 
+/// In the place of a stride's: what the application draws.
+const CUSTOM_CODE: u32 = 7;
 const NO_RUN: u32 = u32::MAX;
 
 #[inline]
@@ -223,8 +234,7 @@ impl Batch {
         self.run_of.clear();
         let mut last = (u64::MAX, NO_RUN);
         for leaf in leaves {
-            let state = &self.states[leaf.state as usize];
-            let is_drawn = |entry: &DrawableEntry| !(state.is_hidden || (state.key.casts && is_thin(entry)));
+            let is_drawn = |entry: &DrawableEntry| self.takes(leaf, entry) && !self.is_hidden(leaf, entry);
             let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(entry)) else {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
@@ -259,6 +269,12 @@ impl Batch {
                 run.first_leaf += 1;
             }
         }
+    }
+
+    /// False for what casts no shadow where shadows are cast.
+    #[inline]
+    fn takes(&self, leaf: &RenderLeaf, entry: &DrawableEntry) -> bool {
+        !(self.states[leaf.state as usize].key.casts && is_thin(entry))
     }
 
     /// Leaves in `order` the runs of the group by the order of their buckets; those of one bucket as first met.
@@ -299,7 +315,9 @@ impl Batch {
     ) {
         let mut last = u64::MAX;
         for leaf in leaves {
-            let Some((entry, rows)) = drawable(ctx, stage, leaf).filter(|_| !self.is_hidden(leaf)) else { continue };
+            let is_drawn = |entry: &DrawableEntry| self.takes(leaf, entry) && !self.is_hidden(leaf, entry);
+            let found = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(entry));
+            let Some((entry, rows)) = found else { continue };
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last {
@@ -316,8 +334,9 @@ impl Batch {
     }
 
     #[inline]
-    fn is_hidden(&self, leaf: &RenderLeaf) -> bool {
-        self.states[leaf.state as usize].is_hidden
+    fn is_hidden(&self, leaf: &RenderLeaf, entry: &DrawableEntry) -> bool {
+        let state = &self.states[leaf.state as usize];
+        state.is_hidden || (state.hides_customs && matches!(entry.shape, Shape::Custom(_)))
     }
 
     /// Equal for leaves of a bucket that one run draws.
@@ -329,6 +348,7 @@ impl Batch {
                 0 => place.mesh,
                 _ => 0,
             },
+            Shape::Custom(place) => *place,
         }
     }
 
@@ -344,8 +364,9 @@ impl Batch {
     ) -> u32 {
         let state = &self.states[leaf.state as usize];
         let (code, mirrored) = (stride_code(entry, state), is_mirrored(rows));
-        let key =
-            u64::from(state.class) << 44 | u64::from(entry.class) << 8 | u64::from(code) << 1 | u64::from(mirrored);
+        // The application may ask a state for anything: states that draw alike are not one.
+        let class = if code == CUSTOM_CODE { leaf.state } else { state.class };
+        let key = u64::from(class) << 44 | u64::from(entry.class) << 8 | u64::from(code) << 1 | u64::from(mirrored);
         // Mostly that of the leaf before.
         if key == self.last_bucket.0 {
             self.last_bucket.1
@@ -360,41 +381,46 @@ impl Batch {
         ctx: &GraphicsContext,
         pipelines: &mut Pipelines,
         key: u64,
-        state: u32,
+        of: u32,
         entry: &DrawableEntry,
     ) -> u32 {
-        let state = &self.states[state as usize];
+        let state = &self.states[of as usize];
         let (code, mirrored) = ((key >> 1) as u32 & 0x7f, key & 1 != 0);
         let next = self.buckets.len() as u32;
         let bucket = self.bucket_of.get_or_insert(key, next);
         self.last_bucket = (key, bucket);
         if bucket == next {
             let class = ctx.bind_classes()[entry.class as usize];
-            let BindClass { topology, is_masked, double_sided, block, vertex_chunk, index_chunk } = class;
+            let BindClass { topology, is_masked, double_sided, is_custom, block, vertex_chunk, index_chunk } = class;
             let pipeline = match topology {
                 None => PipelineKey::height(&state.key, mirrored),
                 Some(topology) => PipelineKey::mesh(&state.key, topology, is_masked, double_sided, mirrored),
             };
             let is_height = topology.is_none();
-            let stride = if code == 0 { 0 } else { 3 << (code - 1) };
+            let stride = if code == 0 || is_custom { 0 } else { 3 << (code - 1) };
             let pipeline = if stride > 0 { pipeline.pulled() } else { pipeline };
             let statics = state.statics;
-            let new = Bucket { pipeline, statics, is_height, block, vertex_chunk, index_chunk, stride };
+            let custom = if is_custom { of } else { NO_STATE };
+            let new = Bucket { pipeline, statics, is_height, block, vertex_chunk, index_chunk, stride, custom };
             let index = match self.last_pipeline {
+                // It has its own.
+                _ if is_custom => u32::MAX,
                 Some((known, index)) if known == pipeline => index,
                 _ => pipelines.ensure(ctx, pipeline),
             };
-            self.last_pipeline = Some((pipeline, index));
+            if !is_custom {
+                self.last_pipeline = Some((pipeline, index));
+            }
             self.buckets.push((new, index));
         }
         bucket
     }
 }
 
-/// True for what casts no shadow.
+/// True for what casts no shadow: lines, points and what the application draws.
 #[inline]
 fn is_thin(entry: &DrawableEntry) -> bool {
-    matches!(&entry.shape, Shape::Mesh { topology: Topology::Lines | Topology::Points, .. })
+    matches!(&entry.shape, Shape::Mesh { topology: Topology::Lines | Topology::Points, .. } | Shape::Custom(_))
 }
 
 #[inline]
@@ -410,6 +436,7 @@ fn new_run(ctx: &GraphicsContext, bucket: u32, entry: &DrawableEntry) -> Run {
     let (base_vertex, first_index, index_count) = match &entry.shape {
         Shape::Height(place) => (0, 0, ctx.pools().heights.grid(place.side).map_or(0, |g| g.index_count)),
         Shape::Mesh { place, .. } => (place.base_vertex, place.first_index, place.index_count),
+        Shape::Custom(place) => (0, *place, 0),
     };
     Run { bucket, base_vertex, first_index, index_count, first_leaf: 0, leaf_count: 0, all_indices: 0 }
 }
@@ -421,6 +448,7 @@ impl Run {
         let index_count = match &entry.shape {
             Shape::Height(_) => self.index_count,
             Shape::Mesh { place, .. } => place.index_count,
+            Shape::Custom(_) => 0,
         };
         self.all_indices += u64::from(index_count);
     }
@@ -438,6 +466,7 @@ fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stri
             (texture.layer, place.first_index)
         }
         Shape::Mesh { texture, .. } => (texture.layer, 0),
+        Shape::Custom(_) => (0, 0),
     };
     LeafUniform {
         eye_from_drawable: *rows,

@@ -10,6 +10,7 @@ use std::collections::HashMap;
 
 use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::programs::Programs;
+pub use sources::DRAWABLE_PRELUDE;
 pub(in crate::draw) use sources::PROGRAM_PRELUDE;
 use sources::*;
 use variant::Variant;
@@ -17,21 +18,9 @@ use variant::Variant;
 use convert::{bias, factor, operation, reversed, stencil_face};
 
 use crate::gpu::GraphicsContext;
+pub(in crate::draw) use crate::gpu::{MOST_COLORS, TargetFormats};
 use crate::scene::MeshVertex;
 use crate::state::{PolygonMode, ResolvedState, TEXTURE_UNITS};
-
-/// Most colour attachments of a target.
-pub(in crate::draw) const MOST_COLORS: usize = 4;
-
-/// What pipelines must know of what is drawn into.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::draw) struct TargetKey {
-    pub(in crate::draw) colors: [Option<wgpu::TextureFormat>; MOST_COLORS],
-    pub(in crate::draw) depth: wgpu::TextureFormat,
-    pub(in crate::draw) samples: u32,
-    /// Textures keep alpha; pictures stay opaque.
-    pub(in crate::draw) writes_alpha: bool,
-}
 
 /// What is drawn without a state of the scene's, one pipeline a target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,7 +53,7 @@ pub(in crate::draw) struct Pipelines {
     /// Only looked up, never walked.
     index_of: HashMap<PipelineKey, u32>,
     parts: Parts,
-    targets: Vec<TargetKey>,
+    targets: Vec<TargetFormats>,
     /// By target.
     /// Of each target, in the order of [`Bare`].
     bare: Vec<[Option<wgpu::RenderPipeline>; BARE]>,
@@ -77,7 +66,8 @@ pub(in crate::draw) struct Pipelines {
 }
 
 impl Pipelines {
-    pub(in crate::draw) fn new(device: &wgpu::Device) -> Self {
+    pub(in crate::draw) fn new(ctx: &GraphicsContext) -> Self {
+        let device = ctx.device();
         let buffer = |binding, visibility, ty, has_dynamic_offset| wgpu::BindGroupLayoutEntry {
             binding,
             visibility,
@@ -85,54 +75,7 @@ impl Pipelines {
             count: None,
         };
         let both = wgpu::ShaderStages::VERTEX_FRAGMENT;
-        let air_texture = |binding, view_dimension| wgpu::BindGroupLayoutEntry {
-            binding,
-            visibility: both,
-            ty: wgpu::BindingType::Texture {
-                sample_type: wgpu::TextureSampleType::Float { filterable: true },
-                view_dimension,
-                multisampled: false,
-            },
-            count: None,
-        };
-        let air_sampler = wgpu::BindGroupLayoutEntry {
-            binding: 3,
-            visibility: both,
-            ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
-            count: None,
-        };
-        let shadow_maps = wgpu::BindGroupLayoutEntry {
-            binding: 8,
-            visibility: both,
-            ty: wgpu::BindingType::Texture {
-                sample_type: wgpu::TextureSampleType::Depth,
-                view_dimension: wgpu::TextureViewDimension::D2Array,
-                multisampled: false,
-            },
-            count: None,
-        };
-        let shadow_sampler = wgpu::BindGroupLayoutEntry {
-            binding: 9,
-            visibility: both,
-            ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Comparison),
-            count: None,
-        };
         let uniform = wgpu::BufferBindingType::Uniform;
-        let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("frame"),
-            entries: &[
-                buffer(0, both, uniform, true),
-                buffer(1, both, wgpu::BufferBindingType::Storage { read_only: true }, false),
-                buffer(2, both, uniform, true),
-                air_sampler,
-                air_texture(4, wgpu::TextureViewDimension::D2),
-                air_texture(5, wgpu::TextureViewDimension::D2),
-                air_texture(6, wgpu::TextureViewDimension::D3),
-                air_texture(7, wgpu::TextureViewDimension::D3),
-                shadow_maps,
-                shadow_sampler,
-            ],
-        });
         let bare = [buffer(0, both, uniform, true)];
         let mut fixed = bare.to_vec();
         let planes = [wgpu::TextureViewDimension::D2; TEXTURE_UNITS];
@@ -167,7 +110,7 @@ impl Pipelines {
             ],
         });
         Self {
-            frame_layout,
+            frame_layout: ctx.layouts().frame.clone(),
             fixed_layout,
             textured_layout,
             pull_layout,
@@ -201,7 +144,7 @@ impl Pipelines {
     }
 
     /// The index of a target; `None` when there are too many different ones.
-    pub(in crate::draw) fn target(&mut self, key: &TargetKey) -> Option<u8> {
+    pub(in crate::draw) fn target(&mut self, key: &TargetFormats) -> Option<u8> {
         let place = match self.targets.iter().position(|t| t == key) {
             Some(place) => place,
             None if self.targets.len() < MOST_TARGETS => {
@@ -214,7 +157,7 @@ impl Pipelines {
         Some(place as u8)
     }
 
-    pub(in crate::draw) fn target_key(&self, target: u8) -> Option<&TargetKey> {
+    pub(in crate::draw) fn target_key(&self, target: u8) -> Option<&TargetFormats> {
         self.targets.get(usize::from(target))
     }
 
@@ -374,7 +317,7 @@ impl Pipelines {
             attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x2, 2 => Snorm8x4, 3 => Unorm8x4],
         })];
         let mut write_mask = wgpu::ColorWrites::from_bits_truncate(key.color_mask() as u32);
-        write_mask.set(wgpu::ColorWrites::ALPHA, target.writes_alpha);
+        write_mask.set(wgpu::ColorWrites::ALPHA, target.keeps_alpha);
         let mut label = format!("{fragment} of target {}", key.target());
         if let Shading::Program(place) = key.shading() {
             label = format!("program {place}, {label}");
@@ -509,6 +452,7 @@ mod tests {
             ("query", QUERY_WGSL),
             ("fill", FILL_WGSL),
             ("program", PROGRAM_PRELUDE),
+            ("drawable", DRAWABLE_PRELUDE),
             ("shadowed height", SHADOWED_HEIGHT_WGSL),
             ("shadowed mesh", SHADOWED_MESH_WGSL),
             ("fixed height with shadows", SHADOWED_FIXED_HEIGHT_WGSL),

@@ -36,3 +36,8 @@ pub(super) const SHADOWED_WATER_WGSL: &str = wgsl![air, frame, shadows, sky, wat
 pub(super) const QUERY_WGSL: &str = wgsl![air, frame, query];
 /// What stands before the source of a program.
 pub(in crate::draw) const PROGRAM_PRELUDE: &str = wgsl![air, frame, shadows, mesh_vertex];
+/// What stands before the shaders of a drawable of the application's own
+/// ([`CustomDrawable`](crate::draw::CustomDrawable)): bind group 0 with `frame`, `leaves` (by instance) and `stage`, and
+/// the functions of `src/draw/shaders/frame.wgsl` and `shadows.wgsl`: `point_in_eye`, `direction_in_eye`,
+/// `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`.
+pub const DRAWABLE_PRELUDE: &str = wgsl![air, frame, shadows];

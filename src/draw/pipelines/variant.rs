@@ -1,6 +1,6 @@
 //! A pipeline by the parts in which pipelines differ, and how the device makes it. Draw thread.
 
-use super::{MOST_COLORS, Pipelines, TargetKey};
+use super::{MOST_COLORS, Pipelines, TargetFormats};
 use crate::gpu::GraphicsContext;
 
 /// The parts in which pipelines differ.
@@ -31,7 +31,7 @@ pub(super) struct Variant<'a> {
     pub(super) discards: bool,
     /// What is before the near plane has its depth.
     pub(super) unclipped_depth: bool,
-    pub(super) target: TargetKey,
+    pub(super) target: TargetFormats,
 }
 
 impl Pipelines {
@@ -40,7 +40,7 @@ impl Pipelines {
         label: &'a str,
         shader: &'a wgpu::ShaderModule,
         [vertex, fragment]: [&'a str; 2],
-        target: TargetKey,
+        target: TargetFormats,
     ) -> Variant<'a> {
         Variant {
             label,
@@ -130,7 +130,7 @@ impl Pipelines {
                 targets: &states[..colors],
             }),
             multiview_mask: None,
-            cache: None,
+            cache: ctx.pipeline_cache(),
         });
         match pollster::block_on(scope.pop()) {
             None => Some(pipeline),

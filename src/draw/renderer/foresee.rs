@@ -1,24 +1,40 @@
 //! Pipelines made before they are needed: when a page has arrived and its drawables are about to be uploaded.
 
-use crate::draw::pipelines::key::{PipelineKey, Shading};
-use crate::draw::pipelines::{MOST_COLORS, TargetKey};
+use crate::draw::pipelines::key::{PipelineKey, Shading, StateKey};
+use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
 use crate::draw::renderer::Renderer;
 use crate::gpu::GraphicsContext;
 use crate::scene::{DrawKind, Topology};
 
+/// What a stage was drawn into, as far as pipelines depend on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct DrawnInto {
+    /// In the pipelines.
+    pub(super) target: u8,
+    /// A light replaces the sun.
+    pub(super) has_own_light: bool,
+    /// The sun's shadows fall there.
+    pub(super) has_shadows: bool,
+}
+
 impl Renderer {
-    /// Makes the pipelines, those of fades too, that drawables of some kinds will need where the last frame drew;
-    /// before the first frame, in the context's own target. Between frames, so that no draw has to.
+    /// Makes the pipelines, those of fades and of shadows too, that drawables of some kinds will need where the last
+    /// frame drew; before the first frame, in the context's own target. Between frames, so that no draw has to.
     pub fn foresee(&mut self, ctx: &GraphicsContext, kinds: &[DrawKind]) {
         if self.drawn_into.is_empty()
             && let Some(target) = self.own_target(ctx)
         {
-            self.drawn_into.push((target, false));
+            self.drawn_into.push(DrawnInto { target, has_own_light: false, has_shadows: false });
         }
+        let has_shadows = self.drawn_into.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
             for place in 0..self.drawn_into.len() {
-                let (target, has_own_light) = self.drawn_into[place];
-                self.foresee_in(ctx, kind, target, has_own_light);
+                let made = self.foresee_in(ctx, kind, self.drawn_into[place]);
+                self.complain_of(kind, made);
+            }
+            if has_shadows {
+                let made = self.foresee_caster(ctx, kind);
+                self.complain_of(kind, made);
             }
         }
         for error in std::mem::take(&mut self.pipelines.errors) {
@@ -26,31 +42,48 @@ impl Renderer {
         }
     }
 
-    fn foresee_in(&mut self, ctx: &GraphicsContext, kind: &DrawKind, target: u8, has_own_light: bool) {
-        let shading = match self.shading_of(ctx, &kind.state, has_own_light) {
-            Ok(shading) => shading,
-            Err(problem) => {
-                let name = &kind.state.name;
-                let name = if name.is_empty() { "a state set" } else { name };
-                self.complain(format!("{name}: {problem}"));
-                Shading::Fallback
-            }
-        };
-        let whole = self.pipelines.state_key(&kind.state, shading, target);
-        for state in [whole, whole.fading()] {
-            let key = match kind.topology {
-                None => PipelineKey::height(&state, kind.mirrored),
-                Some(topology) => PipelineKey::mesh(&state, topology, kind.is_masked, kind.double_sided, kind.mirrored),
-            };
-            let is_pulled =
-                kind.is_small && state.can_pull && !kind.is_masked && kind.topology == Some(Topology::Triangles);
-            self.pipelines.ensure(ctx, if is_pulled { key.pulled() } else { key });
+    fn complain_of(&mut self, kind: &DrawKind, made: Result<(), String>) {
+        if let Err(problem) = made {
+            let name = &kind.state.name;
+            let name = if name.is_empty() { "a state set" } else { name };
+            self.complain(format!("{name}: {problem}"));
         }
+    }
+
+    fn foresee_in(&mut self, ctx: &GraphicsContext, kind: &DrawKind, drawn: DrawnInto) -> Result<(), String> {
+        let found = self.shading_of(ctx, &kind.state, drawn.has_own_light);
+        let shading = *found.as_ref().unwrap_or(&Shading::Fallback);
+        let whole = self.pipelines.state_key(&kind.state, shading, drawn.target);
+        let whole = if drawn.has_shadows { whole.shadowed() } else { whole };
+        self.foresee_key(ctx, kind, &whole);
+        self.foresee_key(ctx, kind, &whole.fading());
+        found.map(drop)
+    }
+
+    /// What it casts its shadow with.
+    fn foresee_caster(&mut self, ctx: &GraphicsContext, kind: &DrawKind) -> Result<(), String> {
+        if matches!(kind.topology, Some(Topology::Lines | Topology::Points)) {
+            return Ok(());
+        }
+        if let Some(key) = self.caster_key(ctx, &kind.state)? {
+            self.foresee_key(ctx, kind, &key);
+        }
+        Ok(())
+    }
+
+    fn foresee_key(&mut self, ctx: &GraphicsContext, kind: &DrawKind, state: &StateKey) {
+        let key = match kind.topology {
+            None => PipelineKey::height(state, kind.mirrored),
+            Some(topology) => PipelineKey::mesh(state, topology, kind.is_masked, kind.double_sided, kind.mirrored),
+        };
+        let is_pulled =
+            kind.is_small && state.can_pull && !kind.is_masked && kind.topology == Some(Topology::Triangles);
+        self.pipelines.ensure(ctx, if is_pulled { key.pulled() } else { key });
     }
 
     fn own_target(&mut self, ctx: &GraphicsContext) -> Option<u8> {
         let depth = self.targets.depth_format();
-        let mut key = TargetKey { colors: [None; MOST_COLORS], depth, samples: ctx.samples(), writes_alpha: false };
+        let mut key = TargetFormats { colors: [None; MOST_COLORS], depth, samples: ctx.samples(), keeps_alpha: false };
         key.colors[0] = Some(ctx.color_format());
         self.pipelines.target(&key)
     }

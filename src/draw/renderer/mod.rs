@@ -34,8 +34,9 @@ use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
 use crate::scene::Texture;
 use crate::state::TextureObject;
+use foresee::DrawnInto;
 
-/// Frames the processor may be ahead of the adapter.
+/// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
 /// A frame that takes longer than this has hung.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(60);
@@ -63,7 +64,8 @@ pub struct DrawStats {
     pub points: u64,
     /// Passes: the stages that were drawn.
     pub passes: u32,
-    /// Pipelines made in this draw; each takes long at its first use.
+    /// Pipelines made in this draw; each takes long at its first use. What a drawable of the application's own makes for
+    /// a target counts as one.
     pub pipelines_created: u32,
     /// Time of all passes on the adapter, of the latest frame whose timestamps have arrived; `None` without
     /// timestamps. [`Renderer::pass_ms`] has them one by one.
@@ -79,6 +81,7 @@ impl DrawStats {
         self.state_changes_skipped += other.state_changes_skipped;
         self.triangles += other.triangles;
         self.points += other.points;
+        self.pipelines_created += other.pipelines_created;
         self.passes += 1;
     }
 }
@@ -126,8 +129,8 @@ pub struct Renderer {
     batch: Batch,
     pulls: Pulls,
     statics: Vec<Statics>,
-    /// Targets of the last frame, each with whether a light replaces the sun there.
-    drawn_into: Vec<(u8, bool)>,
+    /// Of the last frame.
+    drawn_into: Vec<DrawnInto>,
     plans: Vec<StagePlan>,
     timer: Option<FrameTimer>,
     queries: Option<Queries>,
@@ -135,6 +138,8 @@ pub struct Renderer {
     /// Made when there first are two eyes.
     composite: Option<Composite>,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
+    /// Recorded by a compile thread; submitted before the frame.
+    uploads: Vec<wgpu::CommandBuffer>,
     /// Times that programs see; set by the caller before each draw.
     pub clock: FrameClock,
     errors: Vec<String>,
@@ -187,7 +192,7 @@ impl Renderer {
     pub fn new(ctx: &mut GraphicsContext) -> Self {
         let groups = Groups::new(ctx);
         let device = ctx.device();
-        let pipelines = Pipelines::new(device);
+        let pipelines = Pipelines::new(ctx);
         let leaf_buffer = leaf_buffer(device, 256);
         let limits = device.limits();
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
@@ -222,6 +227,7 @@ impl Renderer {
             pictures: PictureReads::default(),
             composite: None,
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
+            uploads: Vec::new(),
             clock: FrameClock::default(),
             errors: Vec::new(),
             said: HashSet::new(),
@@ -283,7 +289,12 @@ impl Renderer {
             return Ok(DrawStats { skipped: true, ..Default::default() });
         }
         drop(acquire);
-        ctx.submitted();
+        ctx.submitted(&mut self.uploads);
+        for drawn in &self.drawn_into {
+            if let Some(formats) = self.pipelines.target_key(drawn.target) {
+                ctx.draws_into(formats);
+            }
+        }
         let ctx = &*ctx;
         let created_before = self.pipelines.created();
         self.prepare(ctx, pictures.clone());
@@ -291,7 +302,7 @@ impl Renderer {
         let mut stats = self.record(ctx, pictures);
         stats.leaves = self.batch.leaves().len() as u32 - self.shadow_leaves;
         stats.shadow_leaves = self.shadow_leaves;
-        stats.pipelines_created = self.pipelines.created() - created_before;
+        stats.pipelines_created += self.pipelines.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
         drop(wait);
@@ -367,11 +378,10 @@ impl Renderer {
 
     /// Lets callbacks run, and waits while too many frames are under way.
     fn throttle(&mut self, ctx: &GraphicsContext) -> Result<(), GpuError> {
-        let poll = if self.in_flight.len() > FRAMES_IN_FLIGHT {
-            wgpu::PollType::Wait { submission_index: self.in_flight.pop_front(), timeout: Some(FRAME_TIMEOUT) }
-        } else {
-            wgpu::PollType::Poll
-        };
+        let mut poll = wgpu::PollType::Poll;
+        while self.in_flight.len() > FRAMES_IN_FLIGHT * ctx.face_count() {
+            poll = wgpu::PollType::Wait { submission_index: self.in_flight.pop_front(), timeout: Some(FRAME_TIMEOUT) };
+        }
         ctx.device().poll(poll).map_err(|e| GpuError::DeviceLost { reason: format!("a frame did not end: {e}") })?;
         ctx.check_lost()
     }

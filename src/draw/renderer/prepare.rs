@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::foresee::DrawnInto;
 use super::{FrameClock, Picture, Renderer};
 use crate::cull::{FadeBand, RenderStage};
 use crate::draw::answers::Queries;
@@ -24,7 +25,9 @@ impl Renderer {
         self.batch.start_frame();
         self.groups.start_frame();
         self.statics.clear();
-        self.drawn_into.clear();
+        if ctx.is_first_face() {
+            self.drawn_into.clear();
+        }
         self.plans.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
@@ -35,6 +38,9 @@ impl Renderer {
         }
         if let Some(problem) = self.targets.start_frame(pictures.clone().map(|p| p.stage)) {
             self.complain(problem);
+        }
+        if let Some(composite) = &mut self.composite {
+            composite.start_frame();
         }
         self.shadow_leaves = 0;
         self.prepare_shadow_maps(ctx, pictures.clone());
@@ -120,8 +126,11 @@ impl Renderer {
         let first_statics = self.statics.len() as u32;
         self.statics.push(base);
         let has_own_light = replaces_sun(stage);
-        if !self.drawn_into.contains(&(target.index, has_own_light)) {
-            self.drawn_into.push((target.index, has_own_light));
+        // An empty stage has none; what comes will.
+        let will_have = is_outermost && environment.shadows.is_some() && stage.leaf_count() == 0;
+        let drawn = DrawnInto { target: target.index, has_own_light, has_shadows: has_shadows || will_have };
+        if !self.drawn_into.contains(&drawn) {
+            self.drawn_into.push(drawn);
         }
         let mut states = std::mem::take(&mut self.batch.states);
         states.clear();
@@ -161,7 +170,7 @@ impl Renderer {
         if let Some(water) = water {
             self.pipelines.ensure_bare(ctx, water, target.index);
         }
-        let eyes = self.prepare_eyes(ctx, stage, &target);
+        let eyes = self.prepare_eyes(ctx, stage, &target, &base.dynamics);
         let [width, height] = target.size_px;
         let has_part = stage.target.viewport_px.is_some_and(|rect| rect != [0, 0, width, height]);
         let is_part = is_outermost && (target.is_begun || has_part);
@@ -272,13 +281,15 @@ impl Renderer {
         ctx: &GraphicsContext,
         stage: &RenderStage,
         target: &PassTarget,
-    ) -> Option<[Arc<TextureObject>; 2]> {
+        dynamics: &Dynamics,
+    ) -> Option<([Arc<TextureObject>; 2], usize)> {
         let mode = stage.stereo?;
         let key = *self.pipelines.target_key(target.index)?;
         let composite = self.composite.get_or_insert_with(|| Composite::new(ctx.device()));
-        composite.prepare(ctx.device(), ctx.queue(), &key, mode, stage.stereo_gap_px);
+        let origin = [dynamics.viewport[0] as u32, dynamics.viewport[1] as u32];
+        let place = composite.prepare(ctx, &key, mode, stage.stereo_gap_px, origin);
         let eye = |of: &RenderStage| Some(of.target.camera.as_ref()?.colors.first()?.texture.clone());
-        Some([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?])
+        Some(([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?], place))
     }
 
     /// Leaves for the boxes of a stage's occlusion queries: their first leaf and first query, and how many.

@@ -3,7 +3,7 @@
 
 use super::{DrawStats, Picture, Renderer};
 use crate::cull::RenderStage;
-use crate::draw::bins::{Bins, draw_bins};
+use crate::draw::callbacks::bins::{Bins, draw_bins};
 use crate::draw::callbacks::{CameraCallbacks, RenderInfo};
 use crate::draw::environment::Sky;
 use crate::draw::pipelines::Bare;
@@ -35,7 +35,7 @@ impl Renderer {
         if let Some(queries) = &self.queries {
             queries.resolve(&mut encoder);
         }
-        let submission = ctx.queue().submit([encoder.finish()]);
+        let submission = ctx.queue().submit(self.uploads.drain(..).chain([encoder.finish()]));
         if let Some(timer) = &mut self.timer {
             timer.submitted();
         }
@@ -58,7 +58,7 @@ impl Renderer {
         stats: &mut DrawStats,
     ) {
         let callbacks = CameraCallbacks::of(&stage.target.callbacks);
-        let info = RenderInfo { device: ctx.device(), queue: ctx.queue(), stage };
+        let info = RenderInfo { device: ctx.device(), queue: ctx.queue(), stage, clock: self.clock };
         if let Some(initial) = callbacks.and_then(|c| c.initial.as_ref()) {
             initial(&info, encoder);
         }
@@ -103,7 +103,8 @@ impl Renderer {
             occlusion_query_set: if plan.queries.is_empty() { None } else { self.queries.as_ref().map(|q| &q.set) },
             multiview_mask: None,
         });
-        let from = self.sources(ctx, &self.frame_bind_group);
+        let mut from = self.sources(ctx, &self.frame_bind_group);
+        from.pass = self.pipelines.target_key(target.index).map(|formats| (info, *formats));
         let mut state = State::new(&mut pass, target.dynamics(None));
         if let (Some(leaf), Some(fill)) = (plan.fill, self.pipelines.bare(Bare::Fill, target.index)) {
             state.apply(&from, plan.statics);
@@ -139,11 +140,13 @@ impl Renderer {
             Some((_, after_sky)) => draw_bins(&mut state, &from, info, after_sky, 0),
             None => state.draw_runs(&from, plan.see_through..plan.runs.end),
         }
-        if let (Some([left, right]), Some(composite), Some(key)) =
+        if let (Some(([left, right], place)), Some(composite), Some(key)) =
             (&plan.eyes, &self.composite, self.pipelines.target_key(target.index))
             && let (Some(left), Some(right)) = (self.groups.textures.view(left), self.groups.textures.view(right))
         {
-            composite.draw(ctx.device(), state.pass, key, [left, right]);
+            // The viewport is the stage's.
+            state.apply(&from, plan.statics);
+            composite.draw(ctx.device(), state.pass, key, [left, right], *place);
             state.stats.draw_calls += 1;
             state.stats.state_changes += 2;
             state.forget();
@@ -151,7 +154,12 @@ impl Renderer {
         if let Some(post_draw) = callbacks.and_then(|c| c.post_draw.as_ref()) {
             post_draw(info, state.pass);
         }
-        state.stats
+        let State { stats, errors, .. } = state;
+        drop(pass);
+        for error in errors {
+            self.complain(error);
+        }
+        stats
     }
 
     /// What a pass is drawn from.
@@ -165,6 +173,7 @@ impl Renderer {
             frame_group,
             pulls: &self.pulls,
             indirect: self.indirect.as_ref(),
+            pass: None,
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
 use crate::draw::environment::Environment;
 use crate::draw::pipelines::key::{Shading, StateKey};
-use crate::draw::pipelines::{MOST_COLORS, TargetKey};
+use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
 use crate::draw::plan::{PassTarget, StagePlan};
 use crate::draw::shadow_maps::FORMAT;
 use crate::draw::state::{Dynamics, State, Statics};
@@ -70,8 +70,7 @@ impl Renderer {
         target: &PassTarget,
         positioned: u32,
     ) -> (CasterPlan, usize) {
-        let key = TargetKey { colors: [None; MOST_COLORS], depth: FORMAT, samples: 1, writes_alpha: false };
-        let Some(into) = self.pipelines.target(&key) else { return Default::default() };
+        let Some(into) = self.caster_target() else { return Default::default() };
         let size_px = stage.shadows.settings.resolution_px;
         let mut plan =
             CasterPlan { count: stage.shadows.cascades.len().min(MOST_CASCADES), size_px, ..Default::default() };
@@ -86,7 +85,7 @@ impl Renderer {
             let mut states = std::mem::take(&mut self.batch.states);
             states.clear();
             for state in &cascade.stage.state_sets {
-                let drops = state.alpha_func().is_some() || state.mode_bits(Mode::ClipPlane(0), CLIP_PLANES) != 0;
+                let drops = drops_parts(state);
                 let (shading, group) = if drops || has_own_shader(state) {
                     self.shading(ctx, stage, state, drops, target)
                 } else {
@@ -113,6 +112,29 @@ impl Renderer {
         }
         self.shadow_leaves += (self.batch.leaves().len() - before) as u32;
         (plan, dropped)
+    }
+
+    /// What pipelines must know of the shadow maps.
+    fn caster_target(&mut self) -> Option<u8> {
+        self.pipelines.target(&TargetFormats {
+            colors: [None; MOST_COLORS],
+            depth: FORMAT,
+            samples: 1,
+            keeps_alpha: false,
+        })
+    }
+
+    /// The pipeline part of what casts shadows under a state, before it is drawn; why there is none.
+    pub(super) fn caster_key(
+        &mut self,
+        ctx: &GraphicsContext,
+        state: &ResolvedState,
+    ) -> Result<Option<StateKey>, String> {
+        let Some(into) = self.caster_target().filter(|_| state.casts_shadow()) else { return Ok(None) };
+        let drops = drops_parts(state);
+        let needs_shader = drops || has_own_shader(state);
+        let shading = if needs_shader { self.shading_of(ctx, state, drops)? } else { Shading::Plain };
+        Ok(Some(StateKey::caster(state, shading, drops, into)))
     }
 
     /// Draws the casters of a stage's cascades, a pass each.
@@ -161,6 +183,11 @@ fn of_map(size_px: u32) -> Dynamics {
         stencil_reference: 0,
         blend_color: None,
     }
+}
+
+/// True where an alpha test or clip planes drop parts of what casts.
+fn drops_parts(state: &ResolvedState) -> bool {
+    state.alpha_func().is_some() || state.mode_bits(Mode::ClipPlane(0), CLIP_PLANES) != 0
 }
 
 /// True where a state's own vertices or alphas decide what casts.

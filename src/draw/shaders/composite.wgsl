@@ -2,7 +2,7 @@
 
 @group(0) @binding(0) var left: texture_2d<f32>;
 @group(0) @binding(1) var right: texture_2d<f32>;
-// How they are put together, and pixels between halves.
+// How they are put together, pixels between halves, and where in the target the picture begins.
 @group(0) @binding(2) var<uniform> mode: vec4<u32>;
 
 @vertex
@@ -12,7 +12,9 @@ fn vs_composite(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f3
 
 @fragment
 fn fs_composite(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32> {
-    let pixel = vec2<i32>(position.xy);
+    // Rows and columns that take turns are the screen's.
+    let on_screen = vec2<i32>(position.xy);
+    let pixel = on_screen - vec2<i32>(mode.zw);
     let size = vec2<i32>(textureDimensions(left));
     let inside = min(pixel, size - 1);
     let gap = i32(mode.y);
@@ -37,9 +39,9 @@ fn fs_composite(@builtin(position) position: vec4<f32>) -> @location(0) vec4<f32
         }
         case 3u: {}
         case 4u: { is_right = true; }
-        case 5u: { is_right = (pixel.y & 1) == 1; }
-        case 6u: { is_right = (pixel.x & 1) == 1; }
-        default: { is_right = ((pixel.x + pixel.y) & 1) == 1; }
+        case 5u: { is_right = (on_screen.y & 1) == 1; }
+        case 6u: { is_right = (on_screen.x & 1) == 1; }
+        default: { is_right = ((on_screen.x + on_screen.y) & 1) == 1; }
     }
     if is_between {
         return vec4<f32>(0.0, 0.0, 0.0, 1.0);

@@ -29,10 +29,18 @@ impl Span {
 /// What the end of an archive says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum End {
-    /// Where the directory is.
-    Directory(Span),
+    /// Where the directory is, and of how many files it is.
+    Directory(Span, u64),
     /// Where to read on: the end record of a large archive.
     Record(Span),
+}
+
+impl Span {
+    /// This part of what was read from `start`, where it is all there.
+    pub fn of(self, bytes: &[u8], start: u64) -> Option<&[u8]> {
+        let from = usize::try_from(self.offset.checked_sub(start)?).ok()?;
+        bytes.get(from..from.checked_add(usize::try_from(self.size).ok()?)?)
+    }
 }
 
 /// A little-endian number.
@@ -67,20 +75,23 @@ impl End {
             }
         }
         let directory = Span { offset, size };
-        Self::inside(uri, directory, start + at as u64)
+        Self::inside(uri, directory, count, start + at as u64)
     }
 
     /// From the end record of a large archive, which is at `offset`.
     pub fn of_record(uri: &str, record: &[u8], offset: u64) -> Result<Self, IoError> {
-        match (signature(record, 0), number::<8>(record, 40), number::<8>(record, 48)) {
-            (Some(END_64), Some(size), Some(at)) => Self::inside(uri, Span { offset: at, size }, offset),
+        let numbers = (number::<8>(record, 32), number::<8>(record, 40), number::<8>(record, 48));
+        match (signature(record, 0), numbers) {
+            (Some(END_64), (Some(count), Some(size), Some(at))) => {
+                Self::inside(uri, Span { offset: at, size }, count, offset)
+            }
             _ => Err(IoError::invalid(uri, "zip archive: its directory's end is broken")),
         }
     }
 
-    fn inside(uri: &str, directory: Span, end: u64) -> Result<Self, IoError> {
+    fn inside(uri: &str, directory: Span, count: u64, end: u64) -> Result<Self, IoError> {
         match directory.end() {
-            Some(e) if e <= end => Ok(Self::Directory(directory)),
+            Some(e) if e <= end => Ok(Self::Directory(directory, count)),
             _ => Err(IoError::invalid(uri, "zip archive: its directory lies outside of it")),
         }
     }
@@ -108,8 +119,6 @@ pub(crate) struct Member {
 pub(crate) struct Directory {
     bytes: Vec<u8>,
     headers: Vec<u32>,
-    /// Members lie before it.
-    start: u64,
 }
 
 impl Directory {
@@ -134,7 +143,7 @@ impl Directory {
         let name = |at: &u32| name(&bytes, *at as usize).unwrap_or_default();
         // Stable: of two with one name the later is last.
         headers.sort_by(|a, b| name(a).cmp(name(b)));
-        Ok(Self { bytes, headers, start })
+        Ok(Self { bytes, headers })
     }
 
     /// The file of that name; of several, the last.
@@ -144,20 +153,15 @@ impl Directory {
         let at = self.headers.get(after.checked_sub(1)?).filter(|at| of(at) == wanted.as_bytes())?;
         header(&self.bytes, *at as usize).map(|(member, _)| member)
     }
-
-    /// Where the directory begins and members end.
-    pub fn start(&self) -> u64 {
-        self.start
-    }
 }
 
-fn name(bytes: &[u8], at: usize) -> Option<&[u8]> {
+pub(super) fn name(bytes: &[u8], at: usize) -> Option<&[u8]> {
     let length = number::<2>(bytes, at + 28)? as usize;
     bytes.get(at + HEADER_BYTES..at + HEADER_BYTES + length)
 }
 
 /// The header at a place, and where the next one is.
-fn header(bytes: &[u8], at: usize) -> Option<(Member, usize)> {
+pub(super) fn header(bytes: &[u8], at: usize) -> Option<(Member, usize)> {
     (signature(bytes, at)? == HEADER).then_some(())?;
     let name_bytes = number::<2>(bytes, at + 28)? as usize;
     let extra_bytes = number::<2>(bytes, at + 30)? as usize;
@@ -187,7 +191,7 @@ fn header(bytes: &[u8], at: usize) -> Option<(Member, usize)> {
 }
 
 /// The content of the 64-bit extra field; empty without one.
-fn wide_field(mut extra: &[u8]) -> &[u8] {
+pub(super) fn wide_field(mut extra: &[u8]) -> &[u8] {
     while let (Some(id), Some(length)) = (number::<2>(extra, 0), number::<2>(extra, 2)) {
         let Some((field, rest)) = extra.get(4..).and_then(|e| e.split_at_checked(length as usize)) else { break };
         if id == 1 {

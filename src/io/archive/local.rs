@@ -3,17 +3,23 @@
 use std::fs::File;
 use std::io::{self, Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::time::SystemTime;
 
 use super::directory::{Directory, End, Member, Span, TAIL_BYTES};
-use super::member::{data_of, piece_of, unpack};
+use super::index::{Index, own_header};
+use super::member::{SLACK_BYTES, check, data_of, piece_of, unpack};
 use crate::io::{IoError, Limits};
 
-/// An archive whose directory has been read. The file is opened for each member, so that it can be replaced.
+/// An archive whose directory or index has been read. The file is opened for each member, so that it can be replaced.
 #[derive(Debug)]
 pub(crate) struct LocalArchive {
     path: PathBuf,
-    directory: Directory,
+    /// Where the directory is. Members lie before it.
+    place: Span,
+    index: Option<Index>,
+    /// Read when there is no index, or when what it says is not enough. Several threads may read it at once.
+    directory: OnceLock<Directory>,
     length: u64,
     modified: Option<SystemTime>,
 }
@@ -27,23 +33,35 @@ impl LocalArchive {
         let length = metadata.len();
         let start = length.saturating_sub(TAIL_BYTES);
         let tail = read(&mut file, Span { offset: start, size: length - start }).map_err(failed)?;
-        let span = match End::find(&uri, &tail, start)? {
-            End::Directory(span) => span,
+        let (place, files) = match End::find(&uri, &tail, start)? {
+            End::Directory(place, files) => (place, files),
             End::Record(span) => {
                 let record = read(&mut file, inside(span, length)).map_err(failed)?;
                 match End::of_record(&uri, &record, span.offset)? {
-                    End::Directory(span) => span,
+                    End::Directory(place, files) => (place, files),
                     End::Record(_) => return Err(IoError::invalid(&uri, "zip archive: its end points to itself")),
                 }
             }
         };
-        if span.size > limits.max_file_bytes {
-            let (got, limit) = (span.size, limits.max_file_bytes);
-            return Err(IoError::TooLarge { uri, what: "directory of an archive", got, limit });
+        let modified = metadata.modified().ok();
+        let mut archive =
+            Self { path: path.to_path_buf(), place, index: None, directory: OnceLock::new(), length, modified };
+        if let Some(bytes) = place.of(&tail, start) {
+            let _ = archive.directory.set(Directory::read(&uri, bytes.to_vec(), place.offset, limits)?);
+            return Ok(archive);
         }
-        let bytes = read(&mut file, inside(span, length)).map_err(failed)?;
-        let directory = Directory::read(&uri, bytes, span.offset, limits)?;
-        Ok(Self { path: path.to_path_buf(), directory, length, modified: metadata.modified().ok() })
+        let own = Index::place(&tail, start, place);
+        if let Some((own, piece)) = own.and_then(|own| Some((own, Index::piece(&own, place)?)))
+            && piece.size <= limits.max_file_bytes
+            && files <= limits.max_elements as u64
+        {
+            let piece = read(&mut file, piece).map_err(failed)?;
+            archive.index = Index::read(&own, &piece, place, files);
+        }
+        if archive.index.is_none() {
+            archive.directory(&uri, limits)?;
+        }
+        Ok(archive)
     }
 
     /// The file is still the one whose directory was read.
@@ -54,44 +72,82 @@ impl LocalArchive {
 
     /// The file of that name, decompressed. `uri` is what errors name.
     pub fn read(&self, uri: &str, name: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
-        let failed = |e: io::Error| failed(uri, &e);
-        let member = self.find(uri, name)?;
-        let span = piece_of(uri, &member, &self.directory, limits)?;
-        let mut file = File::open(&self.path).map_err(failed)?;
-        let mut piece = read(&mut file, span).map_err(failed)?;
+        let (member, piece) = match self.by_index(uri, name, limits)? {
+            Some(found) => found,
+            None => self.by_directory(uri, name, limits)?,
+        };
         let data = data_of(uri, &member, &piece)?;
-        if data.end > piece.len() as u64 {
-            let whole = Span { offset: span.offset, size: data.end };
-            piece = read(&mut file, inside(whole, self.directory.start())).map_err(failed)?;
-        }
         let packed = piece.get(data.start as usize..data.end as usize).map(<[u8]>::to_vec);
         unpack(uri, &member, packed.ok_or_else(|| IoError::invalid(uri, "the archive ends early"))?, limits)
     }
 
     /// Bytes of the file of that name.
-    pub fn size(&self, uri: &str, name: &str) -> Result<u64, IoError> {
-        Ok(self.find(uri, name)?.size)
+    pub fn size(&self, uri: &str, name: &str, limits: &Limits) -> Result<u64, IoError> {
+        Ok(self.find(uri, name, limits)?.size)
     }
 
-    fn find(&self, uri: &str, name: &str) -> Result<Member, IoError> {
-        self.directory.find(name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })
+    /// Header and content of a file; `None` where the directory has to be asked.
+    fn by_index(&self, uri: &str, name: &str, limits: &Limits) -> Result<Option<(Member, Vec<u8>)>, IoError> {
+        let index = self.index.as_ref().filter(|_| self.directory.get().is_none());
+        let span = index.and_then(|index| index.find(name));
+        let Some(span) = span.filter(|s| s.size <= limits.max_file_bytes.saturating_add((1 << 18) + SLACK_BYTES))
+        else {
+            return Ok(None);
+        };
+        let mut file = File::open(&self.path).map_err(|e| failed(uri, &e))?;
+        let piece = read(&mut file, span).map_err(|e| failed(uri, &e))?;
+        let Some(member) = own_header(&piece, span.offset, name) else { return Ok(None) };
+        check(uri, &member, limits)?;
+        Ok(Some((member, piece)))
+    }
+
+    fn by_directory(&self, uri: &str, name: &str, limits: &Limits) -> Result<(Member, Vec<u8>), IoError> {
+        let member = self.find(uri, name, limits)?;
+        let span = piece_of(uri, &member, self.place.offset, limits)?;
+        let mut file = File::open(&self.path).map_err(|e| failed(uri, &e))?;
+        let mut piece = read(&mut file, span).map_err(|e| failed(uri, &e))?;
+        let data = data_of(uri, &member, &piece)?;
+        if data.end > piece.len() as u64 {
+            let whole = Span { offset: span.offset, size: data.end };
+            piece = read(&mut file, inside(whole, self.place.offset)).map_err(|e| failed(uri, &e))?;
+        }
+        Ok((member, piece))
+    }
+
+    fn find(&self, uri: &str, name: &str, limits: &Limits) -> Result<Member, IoError> {
+        let directory = self.directory(uri, limits)?;
+        directory.find(name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })
+    }
+
+    fn directory(&self, uri: &str, limits: &Limits) -> Result<&Directory, IoError> {
+        if let Some(directory) = self.directory.get() {
+            return Ok(directory);
+        }
+        if self.place.size > limits.max_file_bytes {
+            let (got, limit) = (self.place.size, limits.max_file_bytes);
+            return Err(IoError::TooLarge { uri: uri.to_owned(), what: "directory of an archive", got, limit });
+        }
+        let mut file = File::open(&self.path).map_err(|e| failed(uri, &e))?;
+        let bytes = read(&mut file, inside(self.place, self.length)).map_err(|e| failed(uri, &e))?;
+        let directory = Directory::read(uri, bytes, self.place.offset, limits)?;
+        Ok(self.directory.get_or_init(|| directory))
     }
 }
 
 /// As much of a span as there is.
-fn inside(span: Span, length: u64) -> Span {
+pub(super) fn inside(span: Span, length: u64) -> Span {
     let offset = span.offset.min(length);
     Span { offset, size: span.size.min(length - offset) }
 }
 
-fn read(file: &mut File, span: Span) -> io::Result<Vec<u8>> {
+pub(super) fn read(file: &mut File, span: Span) -> io::Result<Vec<u8>> {
     file.seek(SeekFrom::Start(span.offset))?;
     let mut bytes = Vec::with_capacity(span.size as usize);
     file.take(span.size).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 
-fn failed(uri: &str, error: &io::Error) -> IoError {
+pub(super) fn failed(uri: &str, error: &io::Error) -> IoError {
     match error.kind() {
         io::ErrorKind::NotFound => IoError::NotFound { uri: uri.to_owned() },
         _ => IoError::File { uri: uri.to_owned(), reason: error.to_string() },

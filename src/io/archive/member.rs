@@ -1,6 +1,6 @@
 //! One file of an archive: which piece of the archive holds it, and undoing its compression.
 
-use super::directory::{Directory, Member, Span, number};
+use super::directory::{Member, Span, number};
 use crate::io::{IoError, Limits, encoding};
 
 const LOCAL_HEADER: u64 = 0x0403_4b50;
@@ -8,12 +8,21 @@ const LOCAL_HEADER_BYTES: u64 = 30;
 /// The extra field before the content may be so much longer than the one in the directory without a second read.
 pub(crate) const SLACK_BYTES: u64 = 256;
 
-const STORED: u16 = 0;
+pub(super) const STORED: u16 = 0;
 const DEFLATED: u16 = 8;
 const ZSTD: u16 = 93;
 
-/// The piece to read: header and content, as far as the directory knows their length.
-pub(crate) fn piece_of(uri: &str, member: &Member, directory: &Directory, limits: &Limits) -> Result<Span, IoError> {
+/// The piece to read: header and content, as far as the directory knows their length. It begins at `start`.
+pub(crate) fn piece_of(uri: &str, member: &Member, start: u64, limits: &Limits) -> Result<Span, IoError> {
+    check(uri, member, limits)?;
+    let head = LOCAL_HEADER_BYTES + (member.name_bytes + member.extra_bytes) as u64 + SLACK_BYTES;
+    // The directory made sure that the offset is before its own.
+    let size = (head + member.packed).min(start - member.offset);
+    Ok(Span { offset: member.offset, size })
+}
+
+/// The file may be read.
+pub(crate) fn check(uri: &str, member: &Member, limits: &Limits) -> Result<(), IoError> {
     if member.is_encrypted {
         return Err(IoError::unsupported(uri, "an encrypted file in an archive"));
     }
@@ -23,10 +32,7 @@ pub(crate) fn piece_of(uri: &str, member: &Member, directory: &Directory, limits
             return Err(IoError::TooLarge { uri: uri.to_owned(), what: "file in an archive", got, limit });
         }
     }
-    let head = LOCAL_HEADER_BYTES + (member.name_bytes + member.extra_bytes) as u64 + SLACK_BYTES;
-    // The directory made sure that the offset is before its own.
-    let size = (head + member.packed).min(directory.start() - member.offset);
-    Ok(Span { offset: member.offset, size })
+    Ok(())
 }
 
 /// Where in a piece the content is: one that begins with the member's own header.

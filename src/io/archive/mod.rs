@@ -1,35 +1,88 @@
-//! Archives as folders: 3D Tiles archives (`.3tz`) and plain zip, without unpacking them. A URI goes on inside:
-//! `set.3tz/tileset.json`.
+//! Archives as folders: 3D Tiles archives (`.3tz`), plain zip and PMTiles, without unpacking them. A URI goes on inside:
+//! `set.3tz/tileset.json`, `imagery.pmtiles/3/1/2.png`.
 //!
-//! The directory at the end is read once, a member by one piece from the middle: of a file on the file threads
+//! The directory at the end is read once, or the much smaller index of a 3D Tiles archive; a member by one piece from the middle: of a file on the file threads
 //! ([`LocalArchive`]), from a server by range requests (`src/io/http/archive.rs`). What is here does no I/O of its own
 //! besides.
 
 mod directory;
+mod index;
 mod local;
+mod local_tiles;
 mod member;
+pub(crate) mod pmtiles;
 
 use std::path::{Path, PathBuf};
 
-#[cfg(feature = "http")]
-pub(crate) use directory::{Directory, End, Span, TAIL_BYTES};
-pub(crate) use local::LocalArchive;
-#[cfg(feature = "http")]
-pub(crate) use member::{SLACK_BYTES, data_of, piece_of, unpack};
+use super::{IoError, Limits};
 
-/// Names that are taken as archives.
-const EXTENSIONS: [&str; 2] = [".3tz", ".zip"];
+#[cfg(feature = "http")]
+pub(crate) use directory::{Directory, End, Member, Span, TAIL_BYTES};
+#[cfg(feature = "http")]
+pub(crate) use index::{Index, own_header};
+use local::LocalArchive;
+use local_tiles::LocalTiles;
+#[cfg(feature = "http")]
+pub(crate) use member::{SLACK_BYTES, check, data_of, piece_of, unpack};
 
-/// True for the name of an archive.
+/// True for the name of an archive that may hold a tile set.
 pub(crate) fn is_archive(name: &str) -> bool {
-    let end = name.len().checked_sub(4).and_then(|at| name.get(at..));
-    end.is_some_and(|end| EXTENSIONS.iter().any(|e| end.eq_ignore_ascii_case(e)))
+    ends_with(name, ".3tz") || ends_with(name, ".zip")
+}
+
+/// True for the name of a PMTiles file.
+pub(crate) fn is_pmtiles(name: &str) -> bool {
+    ends_with(name, ".pmtiles")
+}
+
+fn ends_with(name: &str, extension: &str) -> bool {
+    let end = name.len().checked_sub(extension.len()).and_then(|at| name.get(at..));
+    end.is_some_and(|end| end.eq_ignore_ascii_case(extension))
+}
+
+/// An archive in a file, of either kind.
+#[derive(Debug)]
+pub(crate) enum Local {
+    Zip(LocalArchive),
+    Tiles(LocalTiles),
+}
+
+impl Local {
+    pub fn open(path: &Path, limits: &Limits) -> Result<Self, IoError> {
+        if path.to_str().is_some_and(is_pmtiles) {
+            return LocalTiles::open(path, limits).map(Self::Tiles);
+        }
+        LocalArchive::open(path, limits).map(Self::Zip)
+    }
+
+    pub fn is_current(&self) -> bool {
+        match self {
+            Self::Zip(archive) => archive.is_current(),
+            Self::Tiles(tiles) => tiles.is_current(),
+        }
+    }
+
+    /// The file of that name, decompressed. `uri` is what errors name.
+    pub fn read(&self, uri: &str, name: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
+        match self {
+            Self::Zip(archive) => archive.read(uri, name, limits),
+            Self::Tiles(tiles) => tiles.read(uri, name, limits),
+        }
+    }
+
+    /// Bytes of the file of that name.
+    pub fn size(&self, uri: &str, name: &str, limits: &Limits) -> Result<u64, IoError> {
+        match self {
+            Self::Zip(archive) => archive.size(uri, name, limits),
+            Self::Tiles(tiles) => tiles.size(uri, name, limits),
+        }
+    }
 }
 
 /// The archive that a path goes into, and the way inside it, where there is such a file.
 pub(crate) fn split_path(path: &str) -> Option<(PathBuf, String)> {
     let archive = Path::new(path).ancestors().skip(1).find(|p| {
-        p.file_name().and_then(|n| n.to_str()).is_some_and(is_archive)
+        p.file_name().and_then(|n| n.to_str()).is_some_and(|n| is_archive(n) || is_pmtiles(n))
             && std::fs::metadata(p).is_ok_and(|m| m.is_file())
     })?;
     let inside = Path::new(path).strip_prefix(archive).ok()?;
@@ -56,7 +109,7 @@ pub(crate) fn split_url(url: &str) -> Option<(String, String)> {
 /// The last part of `host/path` is an archive, and it is not the host.
 #[cfg(feature = "http")]
 fn is_inner_archive(path: &str) -> bool {
-    path.rsplit_once('/').is_some_and(|(_, name)| is_archive(name))
+    path.rsplit_once('/').is_some_and(|(_, name)| is_archive(name) || is_pmtiles(name))
 }
 
 #[cfg(test)]
@@ -76,6 +129,7 @@ mod tests {
             ("http://h.zip/a.zip/b.zip/c", Some("http://h.zip/a.zip b.zip/c")),
             ("http://h/a.glb?from=/x.zip/y", None),
             ("http://h/.3tz/a", Some("http://h/.3tz a")),
+            ("http://h/a.PMTiles/1/0/1.png?k=1", Some("http://h/a.PMTiles?k=1 1/0/1.png")),
         ] {
             assert_eq!(split(url).as_deref(), expected, "{url}");
         }

@@ -13,7 +13,7 @@ use tokio::task::JoinSet;
 
 use super::{
     CacheStats, Content, HttpClient, HttpConfig, IoError, Limits, ReadOptions, RootScope, companions, decode_node,
-    http, is_http, root_uri, shown,
+    http, is_remote, root_uri, shown,
 };
 use crate::math::{BoundingVolume, Region};
 use crate::scene::{Node, NodeKind};
@@ -105,7 +105,7 @@ pub fn fill(
     progress: &mut dyn FnMut(&Filled) -> ControlFlow<()>,
 ) -> Result<Filled, IoError> {
     let root = root_uri(source)?;
-    if !is_http(&root) {
+    if !is_remote(&root) {
         return Err(IoError::Uri { uri: root.to_string(), reason: "only what is on a server is cached".to_owned() });
     }
     let client = HttpClient::new(config)?;

@@ -10,8 +10,9 @@ use reqwest::header::{ACCEPT_ENCODING, CONTENT_RANGE, ETAG, HeaderMap, HeaderVal
 use tokio::sync::OnceCell;
 
 use super::cached::{hit, keep_validators};
+use super::tiles::RemoteTiles;
 use super::{DECODED_HERE_BYTES, HttpBody, HttpClient, blocking, exchange};
-use crate::io::archive::{self, Directory, End, SLACK_BYTES, Span, TAIL_BYTES};
+use crate::io::archive::{self, Directory, End, Index, Member, SLACK_BYTES, Span, TAIL_BYTES, is_pmtiles};
 use crate::io::cache::{Entry, Freshness};
 use crate::io::{DiskCache, IoError, Limits, file, shown};
 
@@ -24,9 +25,25 @@ pub(super) struct Archives(Mutex<LruCache<String, Arc<OnceCell<Arc<RemoteArchive
 
 #[derive(Debug)]
 pub(super) struct RemoteArchive {
-    directory: Directory,
-    length: u64,
-    etag: Option<String>,
+    pub length: u64,
+    pub etag: Option<String>,
+    pub inside: Inside,
+}
+
+/// An archive of either kind.
+#[derive(Debug)]
+pub(super) enum Inside {
+    Zip(RemoteZip),
+    Tiles(RemoteTiles),
+}
+
+#[derive(Debug)]
+pub(super) struct RemoteZip {
+    /// Where the directory is. Members lie before it.
+    place: Span,
+    index: Option<Index>,
+    /// Read when there is no index, or when what it says is not enough.
+    directory: OnceCell<Directory>,
 }
 
 impl Archives {
@@ -45,16 +62,16 @@ impl Archives {
 }
 
 /// A part of an archive, as it came.
-struct Part {
-    bytes: Vec<u8>,
-    offset: u64,
+pub(super) struct Part {
+    pub bytes: Vec<u8>,
+    pub offset: u64,
     /// Bytes of the whole archive.
-    length: u64,
+    pub length: u64,
     headers: HeaderMap,
 }
 
 impl Part {
-    fn etag(&self) -> Option<String> {
+    pub fn etag(&self) -> Option<String> {
         self.headers.get(ETAG).and_then(|v| v.to_str().ok()).map(str::to_owned)
     }
 }
@@ -91,14 +108,30 @@ impl HttpClient {
             // What the archive's directory came with says that the archive, and with it the file, still holds.
             return Ok(HttpBody { network_bytes: network_bytes.into_inner(), ..hit(cache, &entry, bytes, true) });
         }
-        let member = archive.directory.find(&name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
-        let span = archive::piece_of(uri, &member, &archive.directory, limits)?;
-        let mut part = self.member_part(url, archive, span, limits, &network_bytes).await?;
-        let data = archive::data_of(uri, &member, &part.bytes)?;
-        if data.end > part.bytes.len() as u64 {
-            let size = data.end.min(archive.directory.start() - span.offset);
-            part = self.member_part(url, archive, Span { size, ..span }, limits, &network_bytes).await?;
+        let (bytes, part) = match &archive.inside {
+            Inside::Zip(zip) => self.get_zipped(uri, (url, &name), (archive, zip), limits, &network_bytes).await?,
+            Inside::Tiles(tiles) => self.get_tile(uri, (url, &name), (archive, tiles), limits, &network_bytes).await?,
+        };
+        if let Some(cache) = cache {
+            self.keep_member(cache, uri, &part, &bytes).await;
         }
+        Ok(HttpBody { bytes, network_bytes: network_bytes.into_inner() })
+    }
+
+    /// A file of a zip archive, decompressed, and the part that it came in.
+    async fn get_zipped(
+        &self,
+        uri: &str,
+        (url, name): (&str, &str),
+        of_zip: (&RemoteArchive, &RemoteZip),
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<(Vec<u8>, Part), IoError> {
+        let (member, part) = match self.by_index(uri, (url, name), of_zip, limits, network_bytes).await? {
+            Some(found) => found,
+            None => self.by_directory(uri, (url, name), of_zip, limits, network_bytes).await?,
+        };
+        let data = archive::data_of(uri, &member, &part.bytes)?;
         let packed = part.bytes.get(data.start as usize..data.end as usize).map(<[u8]>::to_vec);
         let packed = packed.ok_or_else(|| IoError::invalid(uri, "the archive ends early"))?;
         let (of, limits_of) = (uri.to_owned(), *limits);
@@ -106,11 +139,55 @@ impl HttpClient {
             let bytes = archive::unpack(&of, &member, packed, &limits_of)?;
             file::gunzip(&of, bytes, &limits_of)
         };
-        let bytes = if span.size < DECODED_HERE_BYTES as u64 { unpack() } else { blocking(uri, unpack).await? }?;
-        if let Some(cache) = cache {
-            self.keep_member(cache, uri, &part, &bytes).await;
+        let bytes = if member.size < DECODED_HERE_BYTES as u64 { unpack() } else { blocking(uri, unpack).await? }?;
+        Ok((bytes, part))
+    }
+
+    /// Header and content of a file; `None` where the directory has to be asked.
+    async fn by_index(
+        &self,
+        uri: &str,
+        (url, name): (&str, &str),
+        (archive, zip): (&RemoteArchive, &RemoteZip),
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<Option<(Member, Part)>, IoError> {
+        let index = zip.index.as_ref().filter(|_| !zip.directory.initialized());
+        let span = index.and_then(|index| index.find(name));
+        let Some(span) = span.filter(|s| s.size <= limits.max_file_bytes.saturating_add((1 << 18) + SLACK_BYTES))
+        else {
+            return Ok(None);
+        };
+        let part = self.member_part(url, archive, span, limits, network_bytes).await?;
+        let Some(member) = archive::own_header(&part.bytes, span.offset, name) else { return Ok(None) };
+        archive::check(uri, &member, limits)?;
+        Ok(Some((member, part)))
+    }
+
+    async fn by_directory(
+        &self,
+        uri: &str,
+        (url, name): (&str, &str),
+        (archive, zip): (&RemoteArchive, &RemoteZip),
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<(Member, Part), IoError> {
+        let read = || async {
+            check_directory(url, zip.place, limits)?;
+            let part = self.part(url, &range(zip.place), limits, network_bytes).await?;
+            same(url, &part, zip.place, archive.length, &archive.etag)?;
+            read_directory(url, part.bytes, zip.place, limits).await
+        };
+        let directory = zip.directory.get_or_try_init(read).await?;
+        let member = directory.find(name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
+        let span = archive::piece_of(uri, &member, zip.place.offset, limits)?;
+        let mut part = self.member_part(url, archive, span, limits, network_bytes).await?;
+        let data = archive::data_of(uri, &member, &part.bytes)?;
+        if data.end > part.bytes.len() as u64 {
+            let size = data.end.min(zip.place.offset - span.offset);
+            part = self.member_part(url, archive, Span { size, ..span }, limits, network_bytes).await?;
         }
-        Ok(HttpBody { bytes, network_bytes: network_bytes.into_inner() })
+        Ok((member, part))
     }
 
     async fn keep_member(&self, cache: &Arc<DiskCache>, uri: &str, part: &Part, bytes: &[u8]) {
@@ -126,13 +203,16 @@ impl HttpClient {
         self.write_behind(cache, move |cache| cache.store(&of, entry, &bytes)).await;
     }
 
-    /// Reads the directory: by one request where the archive is small, else by two or three.
+    /// Reads the directory or the index: by one request where the archive is small, else by two or three.
     async fn open_archive(
         &self,
         url: &str,
         limits: &Limits,
         network_bytes: &AtomicU64,
     ) -> Result<Arc<RemoteArchive>, IoError> {
+        if is_pmtiles(url.split('?').next().unwrap_or(url)) {
+            return self.open_tiles(url, limits, network_bytes).await;
+        }
         let tail = match self.part(url, &format!("bytes=-{TAIL_BYTES}"), limits, network_bytes).await {
             // Some servers (Azure's) know no range that counts from the end: the length comes with any other.
             Err(IoError::Unsupported { .. } | IoError::Status { status: 400 | 416, .. }) => {
@@ -143,38 +223,45 @@ impl HttpClient {
             other => other?,
         };
         let (length, etag) = (tail.length, tail.etag());
-        let at = async |span: Span| {
-            let inside = span.offset.checked_sub(tail.offset).and_then(|from| {
-                let from = usize::try_from(from).ok()?;
-                tail.bytes.get(from..from.checked_add(usize::try_from(span.size).ok()?)?)
-            });
-            match inside {
-                Some(bytes) => Ok(bytes.to_vec()),
-                None => {
-                    let part = self.part(url, &range(span), limits, network_bytes).await?;
-                    same(url, &part, span, length, &etag)?;
-                    Ok(part.bytes)
-                }
+        let at = async |span: Span| match span.of(&tail.bytes, tail.offset) {
+            Some(bytes) => Ok(bytes.to_vec()),
+            None => {
+                let part = self.part(url, &range(span), limits, network_bytes).await?;
+                same(url, &part, span, length, &etag)?;
+                Ok(part.bytes)
             }
         };
-        let span = match End::find(url, &tail.bytes, tail.offset)? {
-            End::Directory(span) => span,
+        let (place, files) = match End::find(url, &tail.bytes, tail.offset)? {
+            End::Directory(place, files) => (place, files),
             End::Record(span) => match End::of_record(url, &at(span).await?, span.offset)? {
-                End::Directory(span) => span,
+                End::Directory(place, files) => (place, files),
                 End::Record(_) => return Err(IoError::invalid(url, "zip archive: its end points to itself")),
             },
         };
-        if span.size > limits.max_file_bytes {
-            let (got, limit) = (span.size, limits.max_file_bytes);
-            return Err(IoError::TooLarge { uri: url.to_owned(), what: "directory of an archive", got, limit });
+        let is_here = place.of(&tail.bytes, tail.offset).is_some();
+        let mut index = None;
+        if !is_here
+            && let Some(own) = Index::place(&tail.bytes, tail.offset, place)
+            && let Some(piece) = Index::piece(&own, place)
+            && piece.size <= limits.max_file_bytes
+            && files <= limits.max_elements as u64
+        {
+            let piece = at(piece).await?;
+            index = blocking(url, move || Index::read(&own, &piece, place, files)).await?;
         }
-        let bytes = if span.size == 0 { Vec::new() } else { at(span).await? };
-        let (of, limits) = (url.to_owned(), *limits);
-        let directory = blocking(url, move || Directory::read(&of, bytes, span.offset, &limits)).await??;
-        Ok(Arc::new(RemoteArchive { directory, length, etag }))
+        let directory = OnceCell::new();
+        if index.is_none() {
+            check_directory(url, place, limits)?;
+            let bytes = if place.size == 0 { Vec::new() } else { at(place).await? };
+            // Nobody else has it yet.
+            let _ = directory.set(read_directory(url, bytes, place, limits).await?);
+        }
+        let inside = Inside::Zip(RemoteZip { place, index, directory });
+        Ok(Arc::new(RemoteArchive { length, etag, inside }))
     }
 
-    async fn member_part(
+    /// A part of an archive that has to be the one whose beginning or end was read.
+    pub(super) async fn member_part(
         &self,
         url: &str,
         archive: &RemoteArchive,
@@ -207,7 +294,13 @@ impl HttpClient {
         Ok(part)
     }
 
-    async fn part(&self, url: &str, range: &str, limits: &Limits, network_bytes: &AtomicU64) -> Result<Part, IoError> {
+    pub(super) async fn part(
+        &self,
+        url: &str,
+        range: &str,
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<Part, IoError> {
         let mut headers = HeaderMap::new();
         let value = HeaderValue::from_str(range).map_err(|_| IoError::invalid(url, "a range of the archive"))?;
         headers.insert(RANGE, value);
@@ -233,7 +326,20 @@ impl HttpClient {
     }
 }
 
-fn range(Span { offset, size }: Span) -> String {
+fn check_directory(url: &str, place: Span, limits: &Limits) -> Result<(), IoError> {
+    if place.size > limits.max_file_bytes {
+        let (got, limit) = (place.size, limits.max_file_bytes);
+        return Err(IoError::TooLarge { uri: url.to_owned(), what: "directory of an archive", got, limit });
+    }
+    Ok(())
+}
+
+async fn read_directory(url: &str, bytes: Vec<u8>, place: Span, limits: &Limits) -> Result<Directory, IoError> {
+    let (of, limits) = (url.to_owned(), *limits);
+    blocking(url, move || Directory::read(&of, bytes, place.offset, &limits)).await?
+}
+
+pub(super) fn range(Span { offset, size }: Span) -> String {
     format!("bytes={offset}-{}", offset.saturating_add(size).saturating_sub(1))
 }
 

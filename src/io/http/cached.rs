@@ -118,7 +118,7 @@ impl HttpClient {
 
     /// Writes on a thread that may wait, after the answer is on its way.
     pub(super) async fn write_behind(&self, cache: &Arc<DiskCache>, write: impl FnOnce(&DiskCache) + Send + 'static) {
-        let Ok(permit) = self.inner.stores.clone().acquire_owned().await else { return };
+        let Ok(permit) = self.inner.writes.clone().acquire_owned().await else { return };
         let cache = cache.clone();
         tokio::task::spawn_blocking(move || {
             write(&cache);

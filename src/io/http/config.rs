@@ -1,6 +1,7 @@
 //! How servers are talked to, and what is shown to them alone.
 
 use std::fmt;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use reqwest::header::{HeaderName, HeaderValue};
@@ -31,9 +32,14 @@ pub struct HttpConfig {
     pub seed: u64,
     /// Speak HTTP/2 without asking whether the server does, for open connections; encrypted ones agree on it.
     pub http2_only: bool,
+    /// PEM files of authorities to trust besides the system's. Where the system's are, `SSL_CERT_FILE` and `SSL_CERT_DIR`
+    /// say on Linux.
+    pub root_certificates: Vec<PathBuf>,
     /// Shown to the servers that they are for.
     pub credentials: Vec<Credential>,
-    /// Keeps what came on disk.
+    /// For object stores, before what the environment says (`AWS_*`, `GOOGLE_*`, `AZURE_*`).
+    pub store_options: Vec<StoreOption>,
+    /// Keeps what came on disk. A folder is for one endpoint of a store: buckets are told apart by name.
     pub cache: Option<CacheConfig>,
 }
 
@@ -49,7 +55,9 @@ impl Default for HttpConfig {
             max_wait: Duration::from_secs(10),
             seed: 1,
             http2_only: false,
+            root_certificates: Vec::new(),
             credentials: Vec::new(),
+            store_options: Vec::new(),
             cache: None,
         }
     }
@@ -112,6 +120,28 @@ impl fmt::Debug for Credential {
     }
 }
 
+/// An option of object stores under the name that `object_store` gives it, as `aws_endpoint`, `aws_access_key_id`,
+/// `google_service_account_path` or `azure_storage_account_name`. Its value is in no error, log or debug output.
+#[derive(Clone, PartialEq)]
+pub struct StoreOption {
+    pub(super) name: String,
+    pub(super) value: String,
+}
+
+impl StoreOption {
+    /// For the stores that the name begins with: `aws_`, `google_` or `azure_`. A name that they do not know is an error of the
+    /// first request.
+    pub fn new(name: &str, value: &str) -> Self {
+        Self { name: name.to_ascii_lowercase(), value: value.to_owned() }
+    }
+}
+
+impl fmt::Debug for StoreOption {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("StoreOption").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
 fn origin(url: &str) -> Result<String, IoError> {
     let bad = |reason: String| IoError::Uri { uri: url.to_owned(), reason };
     let parsed = Url::parse(url).map_err(|e| bad(e.to_string()))?;
@@ -132,6 +162,7 @@ mod tests {
                 Credential::header("https://h/a", "authorization", "Bearer hidden1").unwrap(),
                 Credential::query("https://h/a", "key", "hidden2").unwrap(),
             ],
+            store_options: vec![StoreOption::new("aws_secret_access_key", "hidden4")],
             ..HttpConfig::default()
         };
         let text = format!("{config:?}");

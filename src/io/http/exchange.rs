@@ -96,18 +96,24 @@ impl Exchange<'_> {
                 url.query_pairs_mut().append_pair(name, value);
             }
         }
-        let sent = self.client.get(url).headers(headers).send();
-        match tokio::time::timeout(self.config.first_byte_timeout, sent).await {
+        self.first_byte(uri, self.client.get(url).headers(headers)).await
+    }
+
+    /// Sends a request and waits for the head of its answer.
+    pub async fn first_byte(&self, uri: &str, request: reqwest::RequestBuilder) -> Result<reqwest::Response, IoError> {
+        match tokio::time::timeout(self.config.first_byte_timeout, request.send()).await {
             Ok(Ok(response)) => Ok(response),
             Ok(Err(e)) if e.is_timeout() && e.is_connect() => {
                 Err(timed_out(uri, "connecting", self.config.connect_timeout))
             }
+            Ok(Err(e)) if is_tls(&e) => Err(IoError::Tls { uri: uri.to_owned(), reason: chain(e) }),
             Ok(Err(e)) => Err(IoError::Network { uri: uri.to_owned(), reason: chain(e) }),
             Err(_) => Err(timed_out(uri, "waiting for the answer", self.config.first_byte_timeout)),
         }
     }
 
-    async fn read(&self, uri: &str, mut response: reqwest::Response) -> Result<Answer, IoError> {
+    /// The body, where it is one to be read.
+    pub async fn read(&self, uri: &str, mut response: reqwest::Response) -> Result<Answer, IoError> {
         let status = response.status().as_u16();
         let headers = std::mem::take(response.headers_mut());
         if !matches!(status, 200 | 203 | 206) {
@@ -171,11 +177,32 @@ pub(super) fn timed_out(uri: &str, phase: &'static str, limit: Duration) -> IoEr
     IoError::Timeout { uri: uri.to_owned(), phase, seconds: limit.as_secs_f64() }
 }
 
+/// The encrypted connection did not come to stand. What breaks one that stood may pass.
+fn is_tls(error: &reqwest::Error) -> bool {
+    let mut next: Option<&(dyn std::error::Error + 'static)> = Some(error);
+    while let Some(e) = next {
+        // An I/O error's source is not what it wraps, but the source of that.
+        let wrapped = e.downcast_ref::<std::io::Error>().and_then(|e| e.get_ref());
+        if e.is::<rustls::Error>() || wrapped.is_some_and(|w| w.is::<rustls::Error>()) {
+            return error.is_connect();
+        }
+        next = match wrapped {
+            Some(wrapped) => Some(wrapped),
+            None => e.source(),
+        };
+    }
+    false
+}
+
 /// An error with its causes, in one line, and without the URL: that may hold a token.
 pub(super) fn chain(error: reqwest::Error) -> String {
-    let error = error.without_url();
+    chain_of(&error.without_url())
+}
+
+/// An error with its causes, in one line.
+pub(super) fn chain_of(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
-    let mut source = std::error::Error::source(&error);
+    let mut source = error.source();
     while let Some(e) = source {
         text.push_str(": ");
         text.push_str(&e.to_string());

@@ -5,6 +5,10 @@ mod cached;
 mod config;
 mod exchange;
 mod retry;
+#[cfg(feature = "object-store")]
+mod store;
+mod tiles;
+mod tls;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,7 +16,7 @@ use std::time::Duration;
 use reqwest::header::{ACCEPT_ENCODING, CONTENT_ENCODING, HeaderMap, HeaderValue};
 
 use archive::Archives;
-pub use config::{Credential, HttpConfig};
+pub use config::{Credential, HttpConfig, StoreOption};
 
 /// Reads any text as each header that is read here: for tests.
 #[doc(hidden)]
@@ -41,12 +45,12 @@ use retry::{Backoff, Pauses};
 use tokio::sync::Semaphore;
 
 use super::archive::split_url;
-use super::{DiskCache, IoError, Limits, encoding};
+use super::{DiskCache, IoError, Limits, encoding, is_store, server};
 
 /// Beyond this, undoing compression goes to a thread of its own, so that the HTTP thread keeps to its connections.
 const DECODED_HERE_BYTES: usize = 4 << 10;
 /// Bodies that may wait to be written to the cache; with more, the next one waits for its turn.
-const STORES: usize = 64;
+const WRITES: usize = 64;
 
 /// What came for a URI.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -69,9 +73,11 @@ struct Inner {
     config: HttpConfig,
     pauses: Pauses,
     archives: Archives,
+    #[cfg(feature = "object-store")]
+    stores: store::Stores,
     cache: Option<Arc<DiskCache>>,
     /// One permit for each body on its way to the cache.
-    stores: Arc<Semaphore>,
+    writes: Arc<Semaphore>,
 }
 
 impl HttpClient {
@@ -86,6 +92,7 @@ impl HttpClient {
             .redirect(reqwest::redirect::Policy::none())
             .referer(false)
             .http2_adaptive_window(true);
+        builder = builder.tls_certs_merge(tls::root_certificates(&config.root_certificates)?);
         if config.http2_only {
             builder = builder.http2_prior_knowledge();
         }
@@ -97,8 +104,10 @@ impl HttpClient {
             config: config.clone(),
             pauses: Pauses::default(),
             archives: Archives::new(),
+            #[cfg(feature = "object-store")]
+            stores: store::Stores::new(),
             cache,
-            stores: Arc::new(Semaphore::new(STORES)),
+            writes: Arc::new(Semaphore::new(WRITES)),
         };
         Ok(Self { inner: Arc::new(inner) })
     }
@@ -111,10 +120,10 @@ impl HttpClient {
     /// Waits until everything that came is in the cache.
     pub async fn flush(&self) {
         // Fails only for a semaphore that was closed, which this one never is.
-        let _ = self.inner.stores.acquire_many(STORES as u32).await;
+        let _ = self.inner.writes.acquire_many(WRITES as u32).await;
     }
 
-    /// The body of a URL, compression undone, from the cache where it holds. A URL that goes on behind the name of an
+    /// The body of a URL or of an object in a store, compression undone, from the cache where it holds. A URL that goes on behind the name of an
     /// archive (`.3tz`, `.zip`) is a file inside it. Retries what may pass, with growing waits.
     pub async fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
         if let Some((url, name)) = split_url(uri) {
@@ -138,7 +147,10 @@ impl HttpClient {
     async fn exchange(&self, uri: &str, headers: &HeaderMap, limits: &Limits) -> Result<exchange::Answer, IoError> {
         let Inner { client, config, pauses, .. } = &*self.inner;
         let mut backoff = Backoff::new(config.retry_backoff, config.max_wait, config.seed, uri);
-        let server = exchange::origin(uri)?;
+        let server = match is_store(uri) {
+            true => server(uri).to_owned(),
+            false => exchange::origin(uri)?,
+        };
         let mut tries_left = config.max_retries;
         loop {
             // Another request's answer may have asked for a pause.
@@ -147,7 +159,7 @@ impl HttpClient {
                 tokio::time::sleep(pause).await;
             }
             let exchange = Exchange { client, config, limits, headers };
-            let answer = match tokio::time::timeout(config.total_timeout, exchange.run(uri)).await {
+            let answer = match tokio::time::timeout(config.total_timeout, self.once(uri, &exchange)).await {
                 Ok(answer) => answer,
                 Err(_) => Err(exchange::timed_out(uri, "the whole answer", config.total_timeout)),
             };
@@ -168,6 +180,16 @@ impl HttpClient {
                 None => return Err(error),
             }
         }
+    }
+
+    async fn once(&self, uri: &str, exchange: &Exchange<'_>) -> Result<exchange::Answer, IoError> {
+        if !is_store(uri) {
+            return exchange.run(uri).await;
+        }
+        #[cfg(feature = "object-store")]
+        return self.inner.stores.get(uri, exchange).await;
+        #[cfg(not(feature = "object-store"))]
+        Err(IoError::unsupported(uri, "an object store (built without the feature)"))
     }
 }
 

@@ -144,7 +144,7 @@ impl Reader {
 
     /// `None` when the list closed meanwhile.
     fn read(&self, uri: &str, _list: &List) -> Option<Result<Vec<u8>, IoError>> {
-        if !io::is_http(uri) {
+        if !io::is_remote(uri) {
             return Some(self.files.read(uri));
         }
         #[cfg(feature = "http")]

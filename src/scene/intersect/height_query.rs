@@ -165,8 +165,7 @@ impl Piece {
     fn sphere(&self) -> BoundingSphere {
         let local = match &self.surface {
             PieceSurface::Tree(tree) => tree.bounding_sphere(),
-            PieceSurface::Payload(Geometry::Mesh(mesh)) => mesh.bounds.bounding_sphere(),
-            PieceSurface::Payload(Geometry::Height(tile)) => tile.bounds.bounding_sphere(),
+            PieceSurface::Payload(geometry) => geometry.bounds().bounding_sphere(),
         };
         local.transformed(&self.world_from_drawable)
     }
@@ -189,7 +188,7 @@ struct Everywhere;
 impl Probe for Everywhere {
     type Local = ();
 
-    fn local(&self, _: &DAffine3) -> Option<()> {
+    fn local(&self, _: u32, _: &DAffine3) -> Option<()> {
         Some(())
     }
 
@@ -214,7 +213,7 @@ impl GroundSnapshot {
         of: Option<(u32, LodSelection, u64)>,
     ) -> Self {
         let mut found = Vec::new();
-        candidates(scene, &visitor.rules(), &Everywhere, &mut found);
+        candidates(scene, &visitor.rules(), &mut Everywhere, &mut found);
         let piece = |c: &super::walk::Candidate| {
             let page = scene.page_at(c.place)?;
             let surface = match (page.kd_tree(c.drawable), page.drawables.get(c.drawable as usize)) {

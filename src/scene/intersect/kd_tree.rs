@@ -95,6 +95,7 @@ impl KdTree {
                 };
                 Some(Self::with_boxes(Store::Mesh(store), axes, depth, middles.len()))
             }
+            Geometry::Custom(_) => None,
             Geometry::Height(tile) => {
                 let store = HeightCorners::new(tile)?;
                 let count = store.count();
@@ -146,6 +147,11 @@ impl KdTree {
     /// Triangles, segments or points.
     pub fn primitive_count(&self) -> usize {
         self.count
+    }
+
+    /// True where the primitives are those of a height tile, without its skirt.
+    pub(crate) fn is_of_heights(&self) -> bool {
+        matches!(self.store, Store::Heights(_))
     }
 
     /// Bytes of CPU memory.

@@ -1,55 +1,120 @@
 //! Intersections with segments and rays.
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec2, DVec3};
 
 use super::surface::Surface;
 use super::visitor::{Intersect, Intersection, IntersectionLimit, Intersector, Met};
 use super::walk::{Candidate, Probe};
+use super::window::WindowView;
 use crate::math::Ray;
+
+/// Where in a picture a line was given.
+#[derive(Clone, Copy, Debug)]
+enum At {
+    /// A place, pixels.
+    Place(DVec2),
+    /// From one place and depth to another.
+    Segment(DVec3, DVec3),
+}
+
+/// The line as a view has it.
+#[derive(Clone, Copy, Debug)]
+struct LineView {
+    /// In the world.
+    ray: Ray,
+    /// In eye space, of one that was given in a picture, with the picture.
+    in_eye: Option<(Ray, WindowView)>,
+}
 
 /// What segments and rays share.
 #[derive(Clone, Debug)]
 struct Line {
-    ray: Ray,
+    /// As it was given, and below other projections of the last traversal.
+    views: Vec<LineView>,
+    at: Option<At>,
     limit: IntersectionLimit,
     met: Vec<Met>,
     intersections: Vec<Intersection>,
 }
 
+impl At {
+    /// As a view has it; of the first one all from the eye on.
+    fn seen(self, view: &WindowView, is_first: bool) -> Option<LineView> {
+        let ray = match self {
+            At::Place(at) => view.contains(at).then(|| view.line_at(at, is_first)).flatten()?,
+            At::Segment(from, to) => {
+                let is_in = view.contains(from.truncate()) && view.contains(to.truncate());
+                let eye_at = |place: DVec3| view.eye_at(place.truncate(), place.z);
+                is_in.then_some(Ray::segment(eye_at(from)?, eye_at(to)?))?
+            }
+        };
+        Some(LineView { ray: ray.moved(&view.world_from_eye), in_eye: Some((ray, *view)) })
+    }
+}
+
 impl Line {
-    fn new(ray: Ray, limit: IntersectionLimit) -> Self {
-        Self { ray, limit, met: Vec::new(), intersections: Vec::new() }
+    fn new(ray: Ray) -> Self {
+        let views = vec![LineView { ray, in_eye: None }];
+        Self { views, at: None, limit: IntersectionLimit::NoLimit, met: Vec::new(), intersections: Vec::new() }
     }
 
-    /// Up to where more is looked for.
-    fn max_ratio(&self) -> f64 {
+    fn at_window(view: &WindowView, at: At) -> Self {
+        let nothing = Line::new(Ray::infinite(DVec3::NAN, DVec3::NAN));
+        match at.seen(view, true) {
+            Some(seen) => Self { views: vec![seen], at: Some(at), ..nothing },
+            None => nothing,
+        }
+    }
+
+    fn is_done(&self, candidate: &Candidate) -> bool {
         match (self.limit, self.met.first()) {
-            (IntersectionLimit::Nearest, Some(nearest)) => nearest.ratio,
-            _ => self.ray.max_ratio,
+            (IntersectionLimit::Nearest, Some(nearest)) => {
+                candidate.layer > nearest.candidate.layer
+                    || candidate.layer == nearest.candidate.layer && candidate.enters > nearest.ratio
+            }
+            (IntersectionLimit::One, Some(_)) => true,
+            _ => false,
         }
     }
 
-    fn is_done(&self, enters: f64) -> bool {
-        match self.limit {
-            IntersectionLimit::Nearest => enters > self.max_ratio(),
-            IntersectionLimit::One => !self.met.is_empty(),
-            IntersectionLimit::NoLimit | IntersectionLimit::OnePerDrawable => false,
+    /// Up to where more of a candidate is looked for.
+    fn max_ratio(&self, candidate: &Candidate, ray: &Ray) -> f64 {
+        match (self.limit, self.met.first()) {
+            (IntersectionLimit::Nearest, Some(nearest))
+                if candidate.view == 0 && candidate.layer == nearest.candidate.layer =>
+            {
+                nearest.ratio
+            }
+            _ => ray.max_ratio,
         }
+    }
+
+    /// Where what another view meets at a ratio would be along the line as it was given.
+    fn given_ratio(&self, view: &LineView, ratio: f64) -> f64 {
+        let given = self.views.first().and_then(|given| given.in_eye);
+        let (Some((line, window)), Some((own, other))) = (given, view.in_eye) else { return ratio };
+        let found = window.eye_of_other(&other, own.at(ratio));
+        found.map_or(0.0, |(p, is_beyond)| {
+            let there = (p - line.origin).dot(line.direction) / line.direction.length_squared();
+            if is_beyond { there + ratio } else { there }
+        })
     }
 
     fn meet(&mut self, candidate: &Candidate, surface: &Surface) {
-        let Some(local) = self.ray.moved_back(&candidate.world_from_drawable) else { return };
-        let local = Ray { max_ratio: self.max_ratio(), ..local };
+        let Some(view) = self.views.get(candidate.view as usize).copied() else { return };
+        let Some(local) = view.ray.moved_back(&candidate.world_from_drawable) else { return };
+        let local = Ray { max_ratio: self.max_ratio(candidate, &view.ray), ..local };
         let (limit, before) = (self.limit, self.met.len());
-        let met = &mut self.met;
+        let mut met = std::mem::take(&mut self.met);
         surface.intersect_line(&local, |hit| {
+            let ratio = if candidate.view == 0 { hit.ratio } else { self.given_ratio(&view, hit.ratio) };
             let new = Met {
                 candidate: *candidate,
                 primitive: hit.primitive,
                 vertices: hit.vertices,
                 weights: hit.weights,
-                ratio: hit.ratio,
-                max_ratio: hit.ratio,
+                ratio,
+                max_ratio: ratio,
                 local_point: local.at(hit.ratio),
                 local_normal: hit.normal,
             };
@@ -61,8 +126,9 @@ impl Line {
             match (kept, limit) {
                 (Some(kept), _) => {
                     // Of two at the same place the one with the lower number, whatever the tree's order is.
-                    let order = new.ratio.total_cmp(&kept.ratio).then(new.primitive.cmp(&kept.primitive));
-                    if order.is_lt() {
+                    let over = new.candidate.layer.cmp(&kept.candidate.layer);
+                    let order = over.then(new.ratio.total_cmp(&kept.ratio));
+                    if order.then(new.primitive.cmp(&kept.primitive)).is_lt() {
                         *kept = new;
                     }
                 }
@@ -74,6 +140,7 @@ impl Line {
                 IntersectionLimit::One => f64::NEG_INFINITY,
             }
         });
+        self.met = met;
     }
 }
 
@@ -83,8 +150,19 @@ macro_rules! intersects_as_line {
         impl Probe for $intersector {
             type Local = Ray;
 
-            fn local(&self, world_from_frame: &DAffine3) -> Option<Ray> {
-                self.line.ray.is_valid().then(|| self.line.ray.moved_back(world_from_frame)).flatten()
+            fn local(&self, view: u32, world_from_frame: &DAffine3) -> Option<Ray> {
+                let ray = self.line.views.get(view as usize)?.ray;
+                ray.is_valid().then(|| ray.moved_back(world_from_frame)).flatten()
+            }
+
+            fn window(&self) -> Option<WindowView> {
+                self.line.views.first()?.in_eye.map(|(_, window)| window)
+            }
+
+            fn open_view(&mut self, view: &WindowView) -> Option<u32> {
+                let seen = self.line.at?.seen(view, false)?;
+                self.line.views.push(seen);
+                u32::try_from(self.line.views.len() - 1).ok()
             }
 
             fn enters_sphere(ray: &Ray, center: DVec3, radius_m: f64) -> Option<f64> {
@@ -98,12 +176,13 @@ macro_rules! intersects_as_line {
 
         impl Intersect for $intersector {
             fn clear(&mut self) {
+                self.line.views.truncate(1);
                 self.line.met.clear();
                 self.line.intersections.clear();
             }
 
-            fn is_done(&self, enters: f64) -> bool {
-                self.line.is_done(enters)
+            fn is_done(&self, candidate: &Candidate) -> bool {
+                self.line.is_done(candidate)
             }
 
             fn meet(&mut self, candidate: &Candidate, surface: &Surface) {
@@ -151,7 +230,17 @@ pub struct LineSegmentIntersector {
 impl LineSegmentIntersector {
     /// From `start` to `end`, metres in the world. Points that are not finite, or are the same, meet nothing.
     pub fn new(start: DVec3, end: DVec3) -> Self {
-        Self { line: Line::new(Ray::segment(start, end), IntersectionLimit::NoLimit) }
+        Self { line: Line::new(Ray::segment(start, end)) }
+    }
+
+    /// Between two places of a picture, each in pixels with a depth (1 at the near plane, 0 at the far plane or
+    /// infinitely far, where nothing can end), under every projection that draws there; OSG's intersector in window
+    /// coordinates. Both must be in the viewport of what is met.
+    ///
+    /// Of what other projections draw, the ratio is where it would be along the line in the picture itself, were it there
+    /// at the same depth; what is drawn over others comes first whatever the ratio.
+    pub fn at_window(view: &WindowView, from: DVec3, to: DVec3) -> Self {
+        Self { line: Line::at_window(view, At::Segment(from, to)) }
     }
 }
 
@@ -165,7 +254,12 @@ impl RayIntersector {
     /// From `start` (metres in the world) along `direction` of any length. A start that is not finite, or a direction of
     /// length zero, meets nothing.
     pub fn new(start: DVec3, direction: DVec3) -> Self {
-        Self { line: Line::new(Ray::infinite(start, direction.normalize_or_zero()), IntersectionLimit::NoLimit) }
+        Self { line: Line::new(Ray::infinite(start, direction.normalize_or_zero())) }
+    }
+
+    /// All that shows at a place of a picture, pixels, from the eye on; see [`LineSegmentIntersector::at_window`].
+    pub fn at_window(view: &WindowView, at_px: DVec2) -> Self {
+        Self { line: Line::at_window(view, At::Place(at_px)) }
     }
 }
 

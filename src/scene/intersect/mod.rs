@@ -10,6 +10,9 @@
 //!     -> Intersection   node path, drawable, primitive, point, normal                                  visitor
 //! ```
 //!
+//! Shapes are given in the world, or at places of a picture ([`WindowView`]); only the latter meet what other
+//! projections draw into it.
+//!
 //! A [`HeightQuery`] answers threads that do not hold the scene.
 
 mod height_query;
@@ -20,9 +23,11 @@ mod primitives;
 mod surface;
 mod visitor;
 mod walk;
+mod window;
 
 pub use height_query::{GroundPoint, GroundSnapshot, HeightQuery, Vertical};
 pub use kd_tree::KdTree;
 pub use line::{LineSegmentIntersector, RayIntersector};
 pub use polytope::{Dimensions, PolytopeIntersector};
 pub use visitor::{EyePoint, Intersection, IntersectionLimit, IntersectionVisitor, Intersector, LodSelection};
+pub use window::WindowView;

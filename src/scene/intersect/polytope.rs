@@ -1,11 +1,13 @@
 //! Intersections with convex volumes: a rectangle of the picture, a box, a tube.
 
-use glam::{DAffine3, DMat3, DVec3, DVec4};
+use glam::{DAffine3, DMat3, DVec2, DVec3, DVec4};
 
 use super::primitives::Primitive;
 use super::surface::Surface;
 use super::visitor::{Intersect, Intersection, IntersectionLimit, Intersector, Met};
 use super::walk::{Candidate, Probe};
+use super::window::WindowView;
+use crate::math::Ray;
 
 /// Which primitives a [`PolytopeIntersector`] meets; OSG's dimension mask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,14 +36,63 @@ impl Dimensions {
 /// Meets points, segments and triangles of which something is inside a convex polytope.
 #[derive(Clone, Debug)]
 pub struct PolytopeIntersector {
-    planes: Vec<DVec4>,
-    reference: DVec4,
+    /// As it was given, and below other projections of the last traversal.
+    views: Vec<PolytopeView>,
+    /// Corners of the rectangle of a picture, pixels.
+    at: Option<[DVec2; 2]>,
     limit: IntersectionLimit,
     dimensions: Dimensions,
     met: Vec<Met>,
     intersections: Vec<Intersection>,
     cut: Vec<DVec3>,
     spare: Vec<DVec3>,
+}
+
+/// The planes as a view has them, in the world.
+#[derive(Clone, Debug)]
+struct PolytopeView {
+    planes: Vec<DVec4>,
+    reference: DVec4,
+    /// Of a rectangle of a picture: its middle in eye space, and the picture.
+    in_eye: Option<(Ray, WindowView)>,
+}
+
+impl PolytopeView {
+    /// A rectangle of a picture, ordered by the distance before the eye; `None` where nothing of it is in the viewport.
+    fn seen([from, to]: [DVec2; 2], window: &WindowView, is_first: bool) -> Option<Self> {
+        let [least, most] = window.corners();
+        let (min, max) = (from.min(to), from.max(to));
+        let (min, max) = if is_first { (min, max) } else { (min.max(least), max.min(most)) };
+        if !min.cmplt(max).all() {
+            return None;
+        }
+        let middle = window.line_at(0.5 * (min + max), is_first)?;
+        let corners = [min, DVec2::new(max.x, min.y), max, DVec2::new(min.x, max.y), min];
+        let world = window.world_from_eye;
+        let in_world = |plane: DVec4| {
+            let normal = world.matrix3 * plane.truncate();
+            normal.extend(plane.w - normal.dot(world.translation))
+        };
+        let mut planes = Vec::with_capacity(6);
+        for side in corners.windows(2) {
+            let &[a, b] = side else { continue };
+            let (near, far, beside) = (window.eye_at(a, 1.0)?, window.eye_at(a, 0.5)?, window.eye_at(b, 1.0)?);
+            let normal = (far - near).cross(beside - near).try_normalize()?;
+            let plane = normal.extend(-normal.dot(near));
+            // Inwards, whatever the projection mirrors.
+            let inside = plane.dot(middle.at(1.0).extend(1.0));
+            planes.push(in_world(plane * inside.signum()));
+        }
+        let forward = DVec4::new(0.0, 0.0, -1.0, 0.0);
+        if is_first || window.fits_depth {
+            planes.push(in_world(forward));
+        } else {
+            let (depth, w) = (window.clip_from_eye.row(2), window.clip_from_eye.row(3));
+            let cuts = [w - depth, depth].into_iter().filter(|plane| plane.truncate() != DVec3::ZERO);
+            planes.extend(cuts.map(|plane| in_world(plane / plane.truncate().length())));
+        }
+        Some(Self { planes, reference: in_world(forward), in_eye: Some((middle, *window)) })
+    }
 }
 
 /// The planes in a frame.
@@ -56,8 +107,8 @@ impl PolytopeIntersector {
     /// ordered by `reference`, of which the normal is of unit length. With a plane that is not finite nothing is met.
     pub fn new(planes: Vec<DVec4>, reference: DVec4) -> Self {
         Self {
-            planes,
-            reference,
+            views: vec![PolytopeView { planes, reference, in_eye: None }],
+            at: None,
             limit: IntersectionLimit::NoLimit,
             dimensions: Dimensions::ALL,
             met: Vec::new(),
@@ -74,6 +125,19 @@ impl PolytopeIntersector {
             .flat_map(|axis| [axis.extend(-axis.dot(min)), (-axis).extend(axis.dot(max))])
             .collect();
         Self::new(planes, DVec4::new(0.0, 0.0, 1.0, -min.z))
+    }
+
+    /// What shows in a rectangle of a picture (any two corners, pixels), under every projection that draws there, ordered by
+    /// the distance before the eye. A rectangle without area meets nothing.
+    ///
+    /// Of what other projections draw, the ratios are where it would be in the picture itself, were it there at the same
+    /// depth; what is drawn over others comes first whatever the ratio.
+    pub fn at_window(view: &WindowView, from_px: DVec2, to_px: DVec2) -> Self {
+        let nothing = Self::new(vec![DVec4::NAN], DVec4::NAN);
+        match PolytopeView::seen([from_px, to_px], view, true) {
+            Some(seen) => Self { views: vec![seen], at: Some([from_px, to_px]), ..nothing },
+            None => nothing,
+        }
     }
 
     /// The same, keeping other intersections.
@@ -112,7 +176,9 @@ impl PolytopeIntersector {
         };
         match kept {
             Some(kept) => {
-                if new.ratio.total_cmp(&kept.ratio).then(new.primitive.cmp(&kept.primitive)).is_lt() {
+                let over = new.candidate.layer.cmp(&kept.candidate.layer);
+                let order = over.then(new.ratio.total_cmp(&kept.ratio));
+                if order.then(new.primitive.cmp(&kept.primitive)).is_lt() {
                     *kept = new;
                 }
             }
@@ -120,23 +186,43 @@ impl PolytopeIntersector {
         }
         self.limit != IntersectionLimit::One
     }
+
+    /// Where in the picture itself something at a distance before the eye of another view would be.
+    fn given_distance(&self, view: usize, distance_m: f64) -> f64 {
+        let in_eye = |view: usize| self.views.get(view).and_then(|v| v.in_eye);
+        let (Some((_, window)), Some((middle, other))) = (in_eye(0), in_eye(view)) else { return distance_m };
+        let point = middle.at((-distance_m - middle.origin.z) / middle.direction.z);
+        let found = window.eye_of_other(&other, point);
+        found.map_or(0.0, |(p, is_beyond)| if is_beyond { distance_m - p.z } else { -p.z })
+    }
 }
 
 impl Probe for PolytopeIntersector {
     type Local = LocalPolytope;
 
-    fn local(&self, world_from_frame: &DAffine3) -> Option<LocalPolytope> {
+    fn local(&self, view: u32, world_from_frame: &DAffine3) -> Option<LocalPolytope> {
+        let view = self.views.get(view as usize)?;
         let normals = world_from_frame.matrix3.transpose();
         let move_back = |plane: &DVec4| {
             let normal = plane.truncate();
             (normals * normal).extend(normal.dot(world_from_frame.translation) + plane.w)
         };
         let local = LocalPolytope {
-            planes: self.planes.iter().map(move_back).collect(),
-            reference: move_back(&self.reference),
+            planes: view.planes.iter().map(move_back).collect(),
+            reference: move_back(&view.reference),
         };
         let is_finite = local.planes.iter().chain([&local.reference]).all(|p| p.is_finite());
         (is_finite && !local.planes.is_empty()).then_some(local)
+    }
+
+    fn window(&self) -> Option<WindowView> {
+        self.views.first()?.in_eye.map(|(_, window)| window)
+    }
+
+    fn open_view(&mut self, view: &WindowView) -> Option<u32> {
+        let seen = PolytopeView::seen(self.at?, view, false)?;
+        self.views.push(seen);
+        u32::try_from(self.views.len() - 1).ok()
     }
 
     fn enters_sphere(local: &LocalPolytope, center: DVec3, radius_m: f64) -> Option<f64> {
@@ -160,20 +246,24 @@ impl LocalPolytope {
 
 impl Intersect for PolytopeIntersector {
     fn clear(&mut self) {
+        self.views.truncate(1);
         self.met.clear();
         self.intersections.clear();
     }
 
-    fn is_done(&self, enters: f64) -> bool {
-        match self.limit {
-            IntersectionLimit::Nearest => self.met.first().is_some_and(|nearest| enters > nearest.ratio),
-            IntersectionLimit::One => !self.met.is_empty(),
-            IntersectionLimit::NoLimit | IntersectionLimit::OnePerDrawable => false,
+    fn is_done(&self, candidate: &Candidate) -> bool {
+        match (self.limit, self.met.first()) {
+            (IntersectionLimit::Nearest, Some(nearest)) => {
+                candidate.layer > nearest.candidate.layer
+                    || candidate.layer == nearest.candidate.layer && candidate.enters > nearest.ratio
+            }
+            (IntersectionLimit::One, Some(_)) => true,
+            _ => false,
         }
     }
 
     fn meet(&mut self, candidate: &Candidate, surface: &Surface) {
-        let Some(local) = self.local(&candidate.world_from_drawable) else { return };
+        let Some(local) = self.local(candidate.view, &candidate.world_from_drawable) else { return };
         let before = self.met.len();
         let mut boxes = |b: &super::kd_tree::BoxInDrawable| local.planes.iter().all(|plane| b.range(*plane).1 >= 0.0);
         let (mut cut, mut spare) = (std::mem::take(&mut self.cut), std::mem::take(&mut self.spare));
@@ -189,13 +279,17 @@ impl Intersect for PolytopeIntersector {
             let Some(sum) = cut.iter().copied().reduce(|a, b| a + b) else { return true };
             let local_point = sum / cut.len() as f64;
             let distance = |p: &DVec3| local.reference.truncate().dot(*p) + local.reference.w;
+            let given = |distance_m: f64| match candidate.view {
+                0 => distance_m,
+                view => self.given_distance(view as usize, distance_m),
+            };
             let new = Met {
                 candidate: *candidate,
                 primitive: primitive.number,
                 vertices: primitive.vertices,
                 weights: weights_of(primitive, local_point),
-                ratio: cut.iter().map(distance).fold(f64::INFINITY, f64::min),
-                max_ratio: cut.iter().map(distance).fold(f64::NEG_INFINITY, f64::max),
+                ratio: given(cut.iter().map(distance).fold(f64::INFINITY, f64::min)),
+                max_ratio: given(cut.iter().map(distance).fold(f64::NEG_INFINITY, f64::max)),
                 local_point,
                 local_normal: primitive.normal,
             };

@@ -48,7 +48,7 @@ impl EyePoint {
     }
 }
 
-/// Which intersections an intersector keeps.
+/// Which intersections an intersector keeps. Of pictures drawn over each other the uppermost is the nearest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum IntersectionLimit {
     /// All of them.
@@ -78,7 +78,7 @@ pub struct Intersection {
     /// Shares of the corners in the point: what to blend their attributes by.
     pub weights: [f64; 3],
     /// Where along the intersector it is: of a segment 0 to 1, of a ray in metres, of a polytope the least distance
-    /// from its reference plane.
+    /// from its reference plane. Of what another projection draws: where in the picture itself it would have that depth.
     pub ratio: f64,
     /// The largest distance from the reference plane of what a polytope meets of it; else as `ratio`.
     pub max_ratio: f64,
@@ -92,7 +92,7 @@ pub struct Intersection {
 }
 
 impl Intersection {
-    /// The point in the world, metres.
+    /// The point in the world, metres; below an absolute camera with a picture of its own, in the world of that camera.
     pub fn world_point(&self) -> DVec3 {
         self.world_from_local.transform_point3(self.local_point)
     }
@@ -125,8 +125,8 @@ pub struct Met {
 pub trait Intersect: Probe {
     /// Forgets what was found.
     fn clear(&mut self);
-    /// True where nothing that is entered at `enters` or later could change what is kept.
-    fn is_done(&self, enters: f64) -> bool;
+    /// True where neither this candidate nor those behind it could change what is kept.
+    fn is_done(&self, candidate: &Candidate) -> bool;
     /// Meets a drawable.
     fn meet(&mut self, candidate: &Candidate, surface: &Surface);
     /// What was met, and where it goes.
@@ -141,9 +141,12 @@ pub trait Intersector: Intersect {}
 /// the next.
 ///
 /// Follows masks, transforms, switches and levels of detail as cull does. Cull callbacks are not asked, clip planes and
-/// occlusion queries do not hide, skirts of height tiles are not met. What is below a Projection, or a camera with a
-/// projection, viewport or target of its own, belongs to another picture and is not met. Billboards and what hangs in the
-/// eye's frame are met where there is an eye.
+/// occlusion queries do not hide, skirts of height tiles are not met. Billboards and what hangs in the eye's frame are
+/// met where there is an eye.
+///
+/// What is below a Projection, or a camera with a projection or viewport of its own, is met by intersectors that were
+/// given at a place of a picture ([`WindowView`](crate::scene::WindowView)): where it shows there. Intersectors of the
+/// world do not meet it. A camera that draws into a texture shows where the texture does; what it draws is never met.
 ///
 /// A drawable is met by its [`KdTree`](crate::scene::KdTree), without one by its payload, as long as that is in the page;
 /// [`Self::unmet_drawables`] counts those that have neither.
@@ -188,7 +191,7 @@ impl IntersectionVisitor {
         self.unmet = 0;
         candidates(scene, &self.rules(), intersector, &mut self.found);
         for candidate in &self.found {
-            if intersector.is_done(candidate.enters) {
+            if intersector.is_done(candidate) {
                 break;
             }
             match scene.page_at(candidate.place).and_then(|page| Surface::of(page, candidate.drawable)) {
@@ -197,7 +200,7 @@ impl IntersectionVisitor {
             }
         }
         let (met, results) = intersector.results();
-        met.sort_by(|a, b| a.ratio.total_cmp(&b.ratio));
+        met.sort_by(|a, b| a.candidate.layer.cmp(&b.candidate.layer).then(a.ratio.total_cmp(&b.ratio)));
         results.reserve(met.len());
         for m in met.iter() {
             let last = results.last().filter(|r: &&Intersection| {

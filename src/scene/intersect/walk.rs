@@ -5,17 +5,29 @@
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::visitor::{EyePoint, LodSelection};
+use super::window::WindowView;
 use crate::scene::page::{NONE, Page, Special, UNBOUNDED, kind};
 use crate::scene::tiles::{TileBounds, TileRecord, Tiles, flag};
-use crate::scene::{CameraNode, INACTIVE, ReferenceFrame, Scene};
+use crate::scene::{CameraNode, ComputeNearFar, INACTIVE, Inherit, ReferenceFrame, RenderOrder, Scene};
 
 /// A shape in the world that can be moved into other frames.
 pub trait Probe {
     /// The shape in a frame.
     type Local;
 
-    /// The shape in the frame that `world_from_frame` comes from; `None` where that map has no inverse.
-    fn local(&self, world_from_frame: &DAffine3) -> Option<Self::Local>;
+    /// The shape as a view has it, in the frame that `world_from_frame` comes from; `None` where that map has no
+    /// inverse. View 0 is the one that the shape was made for, others are numbered by [`Self::open_view`].
+    fn local(&self, view: u32, world_from_frame: &DAffine3) -> Option<Self::Local>;
+
+    /// The picture that the shape was made for, if it is a place of one.
+    fn window(&self) -> Option<WindowView> {
+        None
+    }
+
+    /// The same place as another view has it; `None` where it is not in that one.
+    fn open_view(&mut self, _view: &WindowView) -> Option<u32> {
+        None
+    }
 
     /// Where along the shape it enters a sphere; `None` where it misses.
     fn enters_sphere(local: &Self::Local, center: DVec3, radius_m: f64) -> Option<f64>;
@@ -33,6 +45,10 @@ pub struct Candidate {
     pub place: u32,
     pub drawable: u32,
     pub world_from_drawable: DAffine3,
+    /// Number of the view, as the shape knows it.
+    pub view: u32,
+    /// Pictures drawn over others come first: 0 is over all.
+    pub layer: u32,
 }
 
 /// What decides which nodes are visited.
@@ -48,29 +64,94 @@ struct InPage<'a, L> {
     page: &'a Page,
     place: u32,
     world_from_page: DAffine3,
-    local: L,
+    /// `None` where the view does not hold the place: other views below may.
+    local: Option<L>,
 }
+
+/// Number of a view that the shape is not in.
+const NOWHERE: u32 = u32::MAX;
+
+/// What decides below a Projection or a camera: the rules, and the picture there.
+#[derive(Clone, Copy)]
+struct View {
+    rules: Rules,
+    /// Of shapes at a place of a picture.
+    window: Option<WindowView>,
+    /// Number of the shape's view.
+    shape: u32,
+    /// Of [`Walk::stages`].
+    stage: usize,
+}
+
+/// Of a camera drawn before or after the stage it hangs in: where in the order of drawing it comes.
+struct Stage {
+    above: usize,
+    is_after: bool,
+    order: i32,
+}
+
+/// More views than this in one picture are not followed.
+const MOST_VIEWS: usize = 1024;
 
 struct Walk<'a, P: Probe> {
     scene: &'a Scene,
-    rules: &'a Rules,
-    probe: &'a P,
-    pages: Vec<(u32, DAffine3)>,
+    view: View,
+    probe: &'a mut P,
+    pages: Vec<(u32, DAffine3, View)>,
+    /// Number 0 is the picture itself.
+    stages: Vec<Stage>,
+    views: usize,
     found: &'a mut Vec<Candidate>,
 }
 
 /// Finds the drawables that a shape may meet, in the order in which it enters their boxes.
-pub fn candidates<P: Probe>(scene: &Scene, rules: &Rules, probe: &P, found: &mut Vec<Candidate>) {
+pub fn candidates<P: Probe>(scene: &Scene, rules: &Rules, probe: &mut P, found: &mut Vec<Candidate>) {
     found.clear();
-    let pages = scene.roots().iter().rev().map(|root| (root.slot, DAffine3::IDENTITY)).collect();
-    let mut walk = Walk { scene, rules, probe, pages, found };
-    while let Some((place, world_from_page)) = walk.pages.pop() {
+    let view = View { rules: *rules, window: probe.window(), shape: 0, stage: 0 };
+    let pages = scene.roots().iter().rev().map(|root| (root.slot, DAffine3::IDENTITY, view)).collect();
+    let stages = vec![Stage { above: 0, is_after: false, order: 0 }];
+    let mut walk = Walk { scene, view, probe, pages, stages, views: 1, found };
+    while let Some((place, world_from_page, view)) = walk.pages.pop() {
         let Some(page) = scene.page_at(place) else { continue };
-        if let Some(local) = probe.local(&world_from_page) {
+        walk.view = view;
+        let local = walk.probe.local(view.shape, &world_from_page);
+        if local.is_some() {
             walk.nodes(&InPage { page, place, world_from_page, local }, 0, page.node_count() as u32);
         }
     }
-    found.sort_by(|a, b| a.enters.total_cmp(&b.enters));
+    if walk.stages.len() > 1 {
+        let layers = layers(&walk.stages);
+        for candidate in walk.found.iter_mut() {
+            candidate.layer = layers.get(candidate.layer as usize).copied().unwrap_or(u32::MAX);
+        }
+    }
+    found.sort_by(|a, b| a.layer.cmp(&b.layer).then(a.enters.total_cmp(&b.enters)));
+}
+
+/// The layer of each stage: how many are drawn after it.
+fn layers(stages: &[Stage]) -> Vec<u32> {
+    // A stage's place in the order: at each stage above, whether it comes before or after, its number, and who is first.
+    let path = |stage: usize| {
+        let mut path = Vec::new();
+        let mut at = stage;
+        while let Some(Stage { above, is_after, order }) = stages.get(at).filter(|_| at != 0) {
+            path.push((if *is_after { 1 } else { -1 }, *order, at));
+            at = *above;
+        }
+        path.reverse();
+        // The stage itself comes between those before and those after it.
+        path.push((0, 0, 0));
+        path
+    };
+    let mut in_order: Vec<_> = (0..stages.len()).map(|stage| (path(stage), stage)).collect();
+    in_order.sort();
+    let mut layers = vec![0; stages.len()];
+    for (after, (_, stage)) in in_order.iter().rev().enumerate() {
+        if let Some(layer) = layers.get_mut(*stage) {
+            *layer = after as u32;
+        }
+    }
+    layers
 }
 
 impl<P: Probe> Walk<'_, P> {
@@ -83,13 +164,17 @@ impl<P: Probe> Walk<'_, P> {
             let record = page.nodes[index];
             let end = node + record.skip;
             let sphere = page.spheres[index];
-            let is_hidden = page.masks.get(index).is_some_and(|mask| mask & self.rules.mask == 0);
+            let is_hidden = page.masks.get(index).is_some_and(|mask| mask & self.view.rules.mask == 0);
             // Bounds of nodes that are not culled say nothing.
             let is_missed = record.flags & INACTIVE == 0
                 && (sphere.w < 0.0
-                    || sphere.w < UNBOUNDED
-                        && P::enters_sphere(&here.local, page.origin + sphere.truncate().as_dvec3(), sphere.w.into())
-                            .is_none());
+                    || match &here.local {
+                        Some(local) if sphere.w < UNBOUNDED => {
+                            let center = page.origin + sphere.truncate().as_dvec3();
+                            P::enters_sphere(local, center, sphere.w.into()).is_none()
+                        }
+                        local => local.is_none(),
+                    });
             if is_hidden || is_missed {
                 node = end;
                 continue;
@@ -100,7 +185,7 @@ impl<P: Probe> Walk<'_, P> {
                         if let Some(enters) = self.enters_drawable(here, drawable) {
                             let transform = page.drawable_refs[drawable as usize].transform;
                             let world_from_drawable = here.world_from_page * page.transforms.page_from_node(transform);
-                            self.found.push(Candidate { enters, place: here.place, drawable, world_from_drawable });
+                            self.find(enters, here.place, drawable, world_from_drawable);
                         }
                     }
                     node + 1
@@ -137,6 +222,13 @@ impl<P: Probe> Walk<'_, P> {
         }
     }
 
+    fn find(&mut self, enters: f64, place: u32, drawable: u32, world_from_drawable: DAffine3) {
+        let View { shape: view, stage, .. } = self.view;
+        // Where another view enters it says nothing about where that is in this one.
+        let enters = if view == 0 { enters } else { f64::NEG_INFINITY };
+        self.found.push(Candidate { enters, place, drawable, world_from_drawable, view, layer: stage as u32 });
+    }
+
     fn children(&mut self, here: &InPage<P::Local>, node: u32, is_shown: impl Fn(usize) -> bool) {
         let nodes = &here.page.nodes;
         let end = node + nodes[node as usize].skip;
@@ -151,6 +243,7 @@ impl<P: Probe> Walk<'_, P> {
     }
 
     fn enters_drawable(&self, here: &InPage<P::Local>, drawable: u32) -> Option<f64> {
+        let local = here.local.as_ref()?;
         let four = here.page.boxes.get(drawable as usize / 4)?;
         let lane = drawable as usize % 4;
         let half = four.half.map(|h| f64::from(h[lane]));
@@ -158,12 +251,12 @@ impl<P: Probe> Walk<'_, P> {
             return Some(f64::NEG_INFINITY);
         }
         let center = here.page.origin + DVec3::from_array(four.center.map(|c| f64::from(c[lane])));
-        P::enters_box(&here.local, center, &DMat3::IDENTITY, DVec3::from_array(half))
+        P::enters_box(local, center, &DMat3::IDENTITY, DVec3::from_array(half))
     }
 
     /// Distance that a LOD node compares; `None` where no eye decides.
     fn lod_distance(&self, here: &InPage<P::Local>, node: u32, center: DVec3) -> Option<f64> {
-        let eye = self.rules.eye.filter(|_| self.rules.lods == LodSelection::AsSeen)?;
+        let eye = self.view.rules.eye.filter(|_| self.view.rules.lods == LodSelection::AsSeen)?;
         let eye_in_page = in_frame(&here.world_from_page, eye.position());
         let page = here.page;
         let eye_in_node = page.transforms.point_in_node(page.enclosing_transform(node), eye_in_page);
@@ -176,7 +269,7 @@ impl<P: Probe> Walk<'_, P> {
         let Some(special) = page.specials.get(page.payloads[node as usize] as usize) else { return false };
         match special {
             Special::Billboard { mode, positions } => {
-                let Some(eye) = self.rules.eye else { return false };
+                let Some(eye) = self.view.rules.eye else { return false };
                 let world_from_node =
                     here.world_from_page * page.transforms.page_from_node(page.enclosing_transform(node));
                 let eye_in_node = in_frame(&world_from_node, eye.position());
@@ -185,12 +278,12 @@ impl<P: Probe> Walk<'_, P> {
                     let Some(enters) = self.enters_drawable(here, drawable) else { continue };
                     let eye_from_drawable = mode.eye_from_drawable(&eye_from_node, eye_in_node, *position);
                     let world_from_drawable = eye.world_from_eye * eye_from_drawable;
-                    self.found.push(Candidate { enters, place: here.place, drawable, world_from_drawable });
+                    self.find(enters, here.place, drawable, world_from_drawable);
                 }
                 false
             }
             Special::AbsoluteTransform => {
-                if let Some(eye) = self.rules.eye {
+                if let Some(eye) = self.view.rules.eye {
                     let above = page.transforms.page_from_node(page.enclosing_transform(node));
                     self.below(here, node, eye.world_from_eye * above.inverse());
                 }
@@ -200,32 +293,114 @@ impl<P: Probe> Walk<'_, P> {
                 self.camera(here, node, camera);
                 true
             }
-            // Another picture: a place in the world says nothing about where it is there.
-            Special::Projection { .. } => true,
+            Special::Projection { clip_from_eye, .. } => {
+                if let Some(window) = self.view.window {
+                    let window = WindowView { clip_from_eye: *clip_from_eye, ..window };
+                    self.in_view(here, node, window, self.view, here.world_from_page);
+                }
+                true
+            }
             _ => false,
         }
     }
 
     fn camera(&mut self, here: &InPage<P::Local>, node: u32, camera: &CameraNode) {
-        if camera.target.is_some() || camera.projection.is_some() || camera.viewport_px.is_some() {
-            return; // another picture
+        if camera.target.is_some() && camera.order != RenderOrder::Nested {
+            return; // a picture of its own, shown by whatever has its texture
         }
         let page = here.page;
         let above = page.transforms.page_from_node(page.enclosing_transform(node));
-        match (camera.frame, self.rules.eye) {
-            (ReferenceFrame::Absolute, Some(eye)) => {
-                self.below(here, node, eye.world_from_eye * camera.view * above.inverse());
-            }
-            (ReferenceFrame::Absolute, None) => {}
-            (ReferenceFrame::Relative, _) => {
-                self.below(here, node, here.world_from_page * above * camera.view * above.inverse());
-            }
+        let view = self.view_of(camera);
+        if camera.projection.is_none() && camera.viewport_px.is_none() {
+            let world_from_page = match (camera.frame, self.view.rules.eye) {
+                (ReferenceFrame::Absolute, Some(eye)) => eye.world_from_eye * camera.view * above.inverse(),
+                (ReferenceFrame::Absolute, None) => return,
+                (ReferenceFrame::Relative, _) => here.world_from_page * above * camera.view * above.inverse(),
+            };
+            let outer = std::mem::replace(&mut self.view, view);
+            self.below(here, node, world_from_page);
+            self.view = outer;
+            return;
         }
+        // A place in the world says nothing about where it is in another picture.
+        let Some(window) = self.view.window else { return };
+        // As in cull: what is below an absolute camera is in a world of its own, else the eye is elsewhere.
+        let (world_from_eye, world_from_page) = match camera.frame {
+            ReferenceFrame::Absolute => (camera.view.inverse(), above.inverse()),
+            ReferenceFrame::Relative => {
+                let world_from_node = here.world_from_page * above;
+                let moved = world_from_node * camera.view.inverse() * world_from_node.inverse();
+                (moved * window.world_from_eye, here.world_from_page)
+            }
+        };
+        let whole = [0, 0, window.target_px[0], window.target_px[1]];
+        let unless_said = if camera.order == RenderOrder::Nested { window.viewport_px } else { whole };
+        let fits_depth = match camera.inherit.has(Inherit::NEAR_FAR) {
+            true => window.fits_depth,
+            false => camera.settings.compute_near_far != ComputeNearFar::Off,
+        };
+        let window = WindowView {
+            world_from_eye,
+            clip_from_eye: camera.projection.unwrap_or(window.clip_from_eye),
+            viewport_px: camera.viewport_px.unwrap_or(unless_said),
+            fits_depth,
+            ..window
+        };
+        self.in_view(here, node, window, view, world_from_page);
+    }
+
+    /// What a camera says of masks, levels of detail and order, where it does not leave that to the one above.
+    fn view_of(&mut self, camera: &CameraNode) -> View {
+        let mut view = self.view;
+        if !camera.inherit.has(Inherit::CULL_MASK) {
+            view.rules.mask = camera.settings.cull_mask;
+        }
+        if let Some(eye) = view.rules.eye.as_mut().filter(|_| !camera.inherit.has(Inherit::LOD_SCALE)) {
+            (eye.lod_scale, eye.max_sse_px) = (camera.settings.lod_scale, camera.settings.max_sse_px);
+        }
+        let (is_after, order) = match camera.order {
+            RenderOrder::Nested => return view,
+            // Drawn with the depths that are there, it is among what is drawn before.
+            RenderOrder::PostRender(_) if !camera.clear_depth => return view,
+            RenderOrder::PostRender(order) => (true, order),
+            RenderOrder::PreRender(order) => (false, order),
+        };
+        // Of shapes in the world only the way along them counts.
+        if view.window.is_some() && self.stages.len() < MOST_VIEWS {
+            self.stages.push(Stage { above: view.stage, is_after, order });
+            view.stage = self.stages.len() - 1;
+        }
+        view
+    }
+
+    /// Visits the children of a node under another view.
+    fn in_view(
+        &mut self,
+        here: &InPage<P::Local>,
+        node: u32,
+        window: WindowView,
+        mut view: View,
+        world_from_page: DAffine3,
+    ) {
+        if self.views >= MOST_VIEWS {
+            return;
+        }
+        let shape = self.probe.open_view(&window).unwrap_or(NOWHERE);
+        self.views += 1;
+        (view.shape, view.window) = (shape, Some(window));
+        if let Some(eye) = &mut view.rules.eye {
+            eye.world_from_eye = window.world_from_eye;
+            eye.px_per_radian = 0.5 * f64::from(window.viewport_px[3]) * window.clip_from_eye.y_axis.y.abs();
+        }
+        let outer = std::mem::replace(&mut self.view, view);
+        self.below(here, node, world_from_page);
+        self.view = outer;
     }
 
     /// Visits the children of a node as if the page lay elsewhere.
     fn below(&mut self, here: &InPage<P::Local>, node: u32, world_from_page: DAffine3) {
-        if let Some(local) = self.probe.local(&world_from_page) {
+        let local = self.probe.local(self.view.shape, &world_from_page);
+        if local.is_some() || self.view.shape == NOWHERE {
             let end = node + here.page.nodes[node as usize].skip;
             self.nodes(&InPage { page: here.page, place: here.place, world_from_page, local }, node + 1, end);
         }
@@ -236,15 +411,16 @@ impl<P: Probe> Walk<'_, P> {
         let tiles = &here.page.tiles;
         let Ok(root) = tiles.roots.binary_search_by_key(&first, |r| r.tile) else { return };
         let world_from_tile = here.world_from_page * here.page.transforms.page_from_node(tiles.roots[root].transform);
-        let Some(local) = self.probe.local(&world_from_tile) else { return };
-        let eye = self.rules.eye.map(|eye| in_frame(&world_from_tile, eye.position()));
+        let Some(local) = self.probe.local(self.view.shape, &world_from_tile) else { return };
+        let eye = self.view.rules.eye.map(|eye| in_frame(&world_from_tile, eye.position()));
         let base_depth = self.scene.base_depth(self.scene.page_id_at(here.place));
         let last = first + tiles.records[first as usize].skip;
         let mut tile = first;
         while tile < last {
             let index = tile as usize;
             let (record, bounds) = (&tiles.records[index], &tiles.bounds[index]);
-            let hidden = here.page.masks.get(tiles.nodes[index] as usize).is_some_and(|m| m & self.rules.mask == 0);
+            let hidden =
+                here.page.masks.get(tiles.nodes[index] as usize).is_some_and(|m| m & self.view.rules.mask == 0);
             let outside_request =
                 record.has(flag::REQUEST_VOLUME) && eye.is_some_and(|eye| !tiles.may_be_requested(tile, eye));
             if hidden || outside_request || !enters_tile::<P>(&local, tiles, bounds, record) {
@@ -264,11 +440,11 @@ impl<P: Probe> Walk<'_, P> {
                 (false, true)
             } else {
                 // Something is better than nothing, but where an eye decides nothing is drawn there.
-                (resident, !resident && (ready || self.rules.lods != LodSelection::AsSeen))
+                (resident, !resident && (ready || self.view.rules.lods != LodSelection::AsSeen))
             };
             if draws {
                 let content = &tiles.content_transforms[tiles.content_transform_of[index] as usize];
-                self.pages.push((record.resident, world_from_tile * *content));
+                self.pages.push((record.resident, world_from_tile * *content, self.view));
             }
             tile += if descends { 1 } else { record.skip };
         }
@@ -276,7 +452,7 @@ impl<P: Probe> Walk<'_, P> {
 
     fn wants_children(&self, tiles: &Tiles, tile: u32, eye_in_tile: Option<DVec3>, base_depth: u32) -> bool {
         let record = &tiles.records[tile as usize];
-        match (self.rules.lods, self.rules.eye, eye_in_tile) {
+        match (self.view.rules.lods, self.view.rules.eye, eye_in_tile) {
             (LodSelection::Level(level), ..) => base_depth + u32::from(record.depth) < level,
             (LodSelection::AsSeen, Some(eye), Some(eye_in_tile)) => {
                 let bounds = &tiles.bounds[tile as usize];

@@ -352,6 +352,7 @@ impl SharedStateManager {
                 let texture = tile.texture.as_ref().map(|t| texels_key(t));
                 drawable.shared.geometry = self.height_tile(tile, texture.as_ref());
             }
+            Geometry::Custom(_) => {}
         }
     }
 

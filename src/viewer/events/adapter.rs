@@ -12,7 +12,7 @@ use super::Key;
 /// A button of the pointer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum MouseButton {
-    /// The first button; a finger on a touch screen counts as it.
+    /// The first button; a single finger on a touch screen counts as it.
     Left,
     /// The wheel's button.
     Middle,
@@ -85,6 +85,9 @@ pub enum TouchPhase {
     Moved,
     /// Lifted.
     Ended,
+    /// The window system took it away (a palm, a gesture of its own, the focus went): what it did is no click and no
+    /// throw.
+    Cancelled,
 }
 
 /// An event of the application's own.
@@ -122,7 +125,7 @@ pub enum EventKind {
         /// As for [`Self::KeyDown`].
         unmodified: Key,
     },
-    /// A finger; the first one moves the pointer too.
+    /// A finger; one that is down alone moves the pointer too.
     Touch {
         /// Tells fingers apart while they are down.
         id: u64,

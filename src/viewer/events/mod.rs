@@ -5,6 +5,7 @@
 //! for [`UserEvents`], through which any thread sends events of its own.
 
 mod adapter;
+mod fingers;
 mod handler;
 mod key;
 mod queue;

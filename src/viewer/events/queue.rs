@@ -6,6 +6,7 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender};
 use glam::DVec2;
 
+use super::fingers::{Fingers, MOST_FINGERS};
 use super::{EventKind, GuiEventAdapter, InputState, Key, Modifiers, MouseButton, TouchPhase, UserEvent, YOrientation};
 
 /// Longest time between the two presses of a double click.
@@ -39,7 +40,7 @@ pub struct EventQueue {
     fixed_range: bool,
     held: Vec<(Key, Key)>,
     last_push: Option<(MouseButton, f64, DVec2)>,
-    first_finger: Option<u64>,
+    pub(super) fingers: Fingers,
     events: Vec<GuiEventAdapter>,
     sender: Sender<UserEvent>,
     from_threads: Receiver<UserEvent>,
@@ -54,7 +55,7 @@ impl Default for EventQueue {
             fixed_range: false,
             held: Vec::new(),
             last_push: None,
-            first_finger: None,
+            fingers: Fingers::default(),
             events: Vec::new(),
             sender,
             from_threads,
@@ -113,27 +114,24 @@ impl EventQueue {
         if !position.is_finite() {
             return;
         }
-        self.state.position = position;
-        self.clamp();
+        self.set_position(position);
         let kind = if self.state.buttons.is_empty() { EventKind::Move } else { EventKind::Drag };
-        if self.events.len() > MANY
-            && let Some(last) = self.events.last_mut()
-            && std::mem::discriminant(&last.kind) == std::mem::discriminant(&kind)
-        {
-            (last.state, last.time_s) = (self.state, time_s);
-            return;
-        }
-        self.add(kind, time_s);
+        self.add_motion(kind, time_s);
     }
 
     /// A button went down; the second time within a short while it is a double click.
     pub fn mouse_button_press(&mut self, button: MouseButton, time_s: f64) {
+        self.press(button, time_s, DOUBLE_CLICK_PX);
+    }
+
+    /// A button went down; near the place of the last time it may be a double click.
+    pub(super) fn press(&mut self, button: MouseButton, time_s: f64, double_within_px: f64) {
         self.state.buttons = self.state.buttons.with(button, true);
         let position = self.state.position;
         let again = self.last_push.take().is_some_and(|(last, at_s, place)| {
             last == button
                 && (0.0..DOUBLE_CLICK_S).contains(&(time_s - at_s))
-                && place.distance(position) < DOUBLE_CLICK_PX
+                && place.distance(position) < double_within_px
         });
         if again {
             self.add(EventKind::DoubleClick(button), time_s);
@@ -180,30 +178,6 @@ impl EventQueue {
         }
     }
 
-    /// A finger came, moved or went; the first one is the pointer with its left button as well.
-    pub fn touch(&mut self, id: u64, phase: TouchPhase, position_px: DVec2, time_s: f64) {
-        if !position_px.is_finite() {
-            return;
-        }
-        self.add(EventKind::Touch { id, phase, position_px }, time_s);
-        if phase == TouchPhase::Began {
-            self.first_finger.get_or_insert(id);
-        }
-        if self.first_finger == Some(id) {
-            if phase == TouchPhase::Began {
-                // The finger did not drag anything on its way here.
-                self.state.position = position_px;
-                self.mouse_button_press(MouseButton::Left, time_s);
-            } else {
-                self.mouse_motion(position_px, time_s);
-            }
-            if phase == TouchPhase::Ended {
-                self.first_finger = None;
-                self.mouse_button_release(MouseButton::Left, time_s);
-            }
-        }
-    }
-
     /// Files were dropped on the window.
     pub fn drop_files(&mut self, files: Vec<PathBuf>, time_s: f64) {
         self.add(EventKind::Drop(files), time_s);
@@ -229,6 +203,7 @@ impl EventQueue {
     /// The keyboard's focus came or went; when it goes, what is down comes up first, since its release goes elsewhere.
     pub fn focus(&mut self, has_focus: bool, time_s: f64) {
         if !has_focus {
+            self.cancel_fingers(time_s);
             while let Some((key, unmodified)) = self.held.pop() {
                 self.add(EventKind::KeyUp { key, unmodified }, time_s);
             }
@@ -236,7 +211,6 @@ impl EventQueue {
                 self.mouse_button_release(button, time_s);
             }
             self.state.modifiers = Modifiers::default();
-            self.first_finger = None;
         }
         self.add(EventKind::Focus(has_focus), time_s);
     }
@@ -263,7 +237,41 @@ impl EventQueue {
         }
     }
 
-    fn add(&mut self, kind: EventKind, time_s: f64) {
+    pub(super) fn set_position(&mut self, position: DVec2) {
+        self.state.position = position;
+        self.clamp();
+    }
+
+    /// The next press is the first one.
+    pub(super) fn forget_last_push(&mut self) {
+        self.last_push = None;
+    }
+
+    /// Adds a motion, in place of the last one of its kind (and finger) where too many events wait.
+    pub(super) fn add_motion(&mut self, kind: EventKind, time_s: f64) {
+        if self.events.len() > MANY {
+            let is_same = |event: &&mut GuiEventAdapter| match (&event.kind, &kind) {
+                (EventKind::Touch { id: a, phase: was, .. }, EventKind::Touch { id: b, .. }) => {
+                    a == b && *was == TouchPhase::Moved
+                }
+                (last, next) => std::mem::discriminant(last) == std::mem::discriminant(next),
+            };
+            // Behind it there are at most the motions of the other fingers and of the pointer.
+            let recent = self.events.iter_mut().rev().take(MOST_FINGERS + 1);
+            let mut motions = recent.take_while(|event| is_motion(&event.kind));
+            if let Some(last) = motions.find(is_same) {
+                *last = GuiEventAdapter { kind, time_s, state: self.state, handled: false };
+                return;
+            }
+        }
+        self.add(kind, time_s);
+    }
+
+    pub(super) fn add(&mut self, kind: EventKind, time_s: f64) {
         self.events.push(GuiEventAdapter { kind, time_s, state: self.state, handled: false });
     }
+}
+
+fn is_motion(kind: &EventKind) -> bool {
+    matches!(kind, EventKind::Move | EventKind::Drag | EventKind::Touch { phase: TouchPhase::Moved, .. })
 }

@@ -3,6 +3,7 @@
 use glam::{DAffine3, DVec3};
 
 use super::inertia::{left_after, steps};
+use super::touch::{Fingers, Pinch, Touched};
 use super::walk::{Look, Push, faster};
 use super::{CameraManipulator, ManipulatorView, carried, heading_and_pitch, looking, usage};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
@@ -13,6 +14,8 @@ const SPEEDS_UP_S: f64 = 1.0;
 const FOLLOWS_S: f64 = 0.1;
 /// Fastest turn, radians a second.
 const TURN: f64 = 0.8;
+/// Way of the fingers to full speed, picture heights.
+const LEVER: f64 = 0.2;
 /// Steepest slope that is looked along.
 const MOST_SLOPE: f64 = 0.8;
 
@@ -31,6 +34,7 @@ pub struct DriveManipulator {
     /// Where one looks besides: turned from there.
     look: Look,
     push: Push,
+    fingers: Fingers,
     is_settling: bool,
 }
 
@@ -45,6 +49,7 @@ impl Default for DriveManipulator {
             slope: 0.0,
             look: Look::default(),
             push: Push::default(),
+            fingers: Fingers::default(),
             is_settling: true,
         }
     }
@@ -54,6 +59,17 @@ impl DriveManipulator {
     /// Metres a second, backwards negative.
     pub fn speed_m_per_s(&self) -> f64 {
         self.speed_m_per_s
+    }
+
+    /// Several fingers hold wheel and lever: up or apart accelerates, aside or turned steers, until they go.
+    fn pinch(&mut self, pinch: &Pinch) {
+        let lever = &mut self.push.lever;
+        let aside = pinch.shift().x - 0.5 * LEVER * pinch.twist;
+        let ahead = pinch.shift().y + 0.5 * LEVER * pinch.stretch;
+        let moved = *lever + DVec3::new(aside, 0.0, -ahead) / LEVER;
+        if moved.is_finite() {
+            *lever = moved.clamp(DVec3::NEG_ONE, DVec3::ONE);
+        }
     }
 
     /// The fastest it goes: a thirtieth of the set a second, within what is sensible on the ground.
@@ -113,7 +129,14 @@ impl CameraManipulator for DriveManipulator {
             self.speed_factor = faster(self.speed_factor, notches.y);
             return true;
         }
-        self.push.handle(event) || self.look.handle(event, view)
+        let touched = self.fingers.handle(event);
+        if let Touched::Pinched(pinch) = touched {
+            self.pinch(&pinch);
+        }
+        if self.fingers.count() < 2 {
+            self.push.lever = DVec3::ZERO;
+        }
+        matches!(touched, Touched::Pinched(_)) || self.push.handle(event) || self.look.handle(event, view)
     }
 
     fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
@@ -132,6 +155,7 @@ impl CameraManipulator for DriveManipulator {
             (self.heading, self.slope, self.speed_m_per_s) = (heading, 0.0, 0.0);
             self.look.set((0.0, pitch));
             self.push.stop();
+            self.fingers.stop();
             self.is_settling = true;
         }
     }
@@ -145,6 +169,7 @@ impl CameraManipulator for DriveManipulator {
             usage("Up, down", "accelerate, brake and go back"),
             usage("Left, right", "steer"),
             usage("Drag", "look around"),
+            usage("Two fingers", "up accelerates, down brakes, aside or turned steers"),
             usage("Wheel", "faster or slower"),
         ]
     }

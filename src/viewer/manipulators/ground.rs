@@ -1,11 +1,11 @@
-//! The ground as the scene has it.
+//! The ground as the scene has it, and level ground where it is not asked.
 
 use std::cell::RefCell;
 
 use glam::DVec3;
 
-use super::GroundHeight;
-use crate::math::WGS84;
+use super::{GroundHeight, ManipulatorView};
+use crate::math::{Ellipsoid, WGS84};
 use crate::scene::{IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, Scene};
 
 /// Points farther from the origin are taken as earth-centred.
@@ -47,4 +47,27 @@ impl GroundHeight for SceneGround {
         self.visitor.try_borrow_mut().ok()?.traverse(scene, &mut segment);
         segment.first_intersection().map(|met| met.world_point())
     }
+}
+
+/// Where a ray comes down to the level of a point: of the plane, or of the ellipsoid of the same height. Both on the
+/// same side of the earth; `None` where the ray goes above it.
+pub(super) fn level_under(view: &ManipulatorView<'_>, level: DVec3, eye: DVec3, direction: DVec3) -> Option<DVec3> {
+    let metres = if view.frame_at(level).georeferenced {
+        let height_m = WGS84.geodetic(level).height_m;
+        let Ellipsoid { semi_major_m, semi_minor_m } = WGS84;
+        let (major_m, minor_m) = (semi_major_m + height_m, semi_minor_m + height_m);
+        if !(major_m > 0.0 && minor_m > 0.0) {
+            return None;
+        }
+        // Stretched along the axis it is a sphere.
+        let stretch = DVec3::new(1.0, 1.0, major_m / minor_m);
+        let (eye, direction) = (eye * stretch, direction * stretch);
+        let (down, above) = (-eye.dot(direction), eye.length_squared() - major_m * major_m);
+        let root = (down * down - direction.length_squared() * above).sqrt();
+        above / (down + root)
+    } else {
+        (level.z - eye.z) / direction.z
+    };
+    let met = eye + direction * metres;
+    (metres >= 0.0 && met.is_finite()).then_some(met)
 }

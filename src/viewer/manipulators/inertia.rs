@@ -1,9 +1,12 @@
 //! Pointer drags that go on a little after the button came up, values that ease towards others, and steps of time;
 //! all of them functions of time, whatever the frame rate.
 
-use glam::{DVec2, DVec3};
+use std::ops::{Add, Mul};
 
-use crate::viewer::events::{EventKind, GuiEventAdapter, MouseButton};
+use glam::{DVec2, DVec3, DVec4};
+
+use super::touch::{Fingers, Pinch, Touched};
+use crate::viewer::events::{EventKind, GuiEventAdapter, InputState, MouseButton};
 
 /// A frame that took longer (a debugger, a suspended machine) must not fling the camera away.
 const MOST_S: f64 = 0.5;
@@ -62,6 +65,13 @@ impl Eased {
         }
     }
 
+    /// Becomes smaller by e to a power at once, and stays there; by what power it did.
+    pub fn shrink_now(&mut self, power: f64) -> f64 {
+        let before = self.value;
+        self.set(if power.is_finite() { before * (-power).exp() } else { before });
+        (before / self.value).ln()
+    }
+
     pub fn advance(&mut self, dt_s: f64) {
         let eased = self.target * (self.value / self.target).powf(left_after(dt_s, 0.1));
         // Settles, so that what draws on demand comes to rest.
@@ -99,45 +109,143 @@ impl Drag {
     }
 }
 
-/// Follows the pointer, and goes on after it: a manipulator gives each piece of a drag a motion, and gets such motions
-/// back after the release.
+/// What the pointer does to the picture.
+#[derive(Clone, Copy, Debug)]
+pub enum Moved {
+    /// It, or a single finger, drags.
+    Drag(Drag),
+    /// Several fingers move.
+    Pinch(Pinch),
+}
+
+/// What goes on after the pointer.
+#[derive(Clone, Copy, Debug)]
+pub enum Thrown {
+    /// A motion as a manipulator gave it to [`Pointer::moved`].
+    Drag(Gesture, DVec3),
+    /// What several fingers did.
+    Pinch(Pinch),
+}
+
+/// A motion that is measured, let go, and fades.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Pointer {
-    last: Option<DVec2>,
-    /// What is thrown: motion a second, measured at a time.
-    thrown: Option<(Gesture, DVec3, f64)>,
-    /// The button is up and the throw goes on.
+pub struct Throw<V> {
+    /// Motion a second, and when it was measured.
+    speed: Option<(V, f64)>,
+    /// Let go.
     is_free: bool,
 }
 
+impl<V> Throw<V>
+where
+    V: Copy + Default + Add<Output = V> + Mul<f64, Output = V> + Length,
+{
+    /// Measures a piece of motion.
+    pub fn moved(&mut self, motion: V, time_s: f64) {
+        if !(motion.length().is_finite() && time_s.is_finite()) {
+            return;
+        }
+        let (speed, since_s) = self.speed.unwrap_or((V::default(), time_s));
+        let left = (-(time_s - since_s).max(0.0) / MEASURED_OVER_S).exp();
+        self.speed = Some((speed * left + motion * (1.0 / MEASURED_OVER_S), time_s));
+        self.is_free = false;
+    }
+
+    /// Lets go: what is fast enough goes on.
+    pub fn release(&mut self, time_s: f64) {
+        if let Some((speed, since_s)) = &mut self.speed {
+            *speed = *speed * (-(time_s - *since_s).max(0.0) / MEASURED_OVER_S).exp();
+            let length = speed.length();
+            self.is_free = length.is_finite() && length > SLOWEST_THROW;
+        }
+        if !self.is_free {
+            self.stop();
+        }
+    }
+
+    /// The motion of a time since it was let go.
+    pub fn advance(&mut self, dt_s: f64) -> Option<V> {
+        let (speed, _) = self.speed.as_mut().filter(|_| self.is_free)?;
+        let left = left_after(dt_s, THROW_FADES_S);
+        let motion = *speed * (THROW_FADES_S * (1.0 - left));
+        *speed = *speed * left;
+        if speed.length() < 5e-4 {
+            self.stop();
+        }
+        Some(motion)
+    }
+
+    pub fn stop(&mut self) {
+        (self.speed, self.is_free) = (None, false);
+    }
+
+    pub fn is_free(&self) -> bool {
+        self.is_free
+    }
+}
+
+/// How long a motion is.
+pub trait Length {
+    fn length(&self) -> f64;
+}
+
+impl Length for DVec3 {
+    fn length(&self) -> f64 {
+        DVec3::length(*self)
+    }
+}
+
+impl Length for DVec4 {
+    fn length(&self) -> f64 {
+        DVec4::length(*self)
+    }
+}
+
+/// Follows the pointer and the fingers, and goes on after them: a manipulator gives each piece of a drag a motion, and
+/// gets such motions back after the release.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Pointer {
+    last: Option<DVec2>,
+    gesture: Option<Gesture>,
+    throw: Throw<DVec3>,
+    fingers: Fingers,
+}
+
 impl Pointer {
-    /// Looks at an event; the piece of a drag that it is.
-    pub fn handle(&mut self, event: &GuiEventAdapter) -> Option<Drag> {
+    /// Looks at an event; the piece of a drag or of a gesture that it is.
+    pub fn handle(&mut self, event: &GuiEventAdapter) -> Option<Moved> {
+        match self.fingers.handle(event) {
+            Touched::No => {}
+            Touched::Rests => {
+                self.throw.stop();
+                return None;
+            }
+            Touched::Pinched(pinch) => {
+                self.throw.stop();
+                return Some(Moved::Pinch(pinch));
+            }
+        }
         let at = place(event);
         match event.kind {
             EventKind::Push(_) | EventKind::DoubleClick(_) => {
-                *self = Self { last: Some(at), ..Self::default() };
+                self.last = Some(at);
+                self.throw.stop();
                 None
             }
             EventKind::Drag => {
                 let from = self.last.replace(at)?;
                 let gesture = gesture(event)?;
-                (from != at).then_some(Drag { gesture, from, to: at })
+                (from != at).then_some(Moved::Drag(Drag { gesture, from, to: at }))
+            }
+            EventKind::Release(_) if event.state.buttons.is_empty() => {
+                self.last = None;
+                self.throw.release(event.time_s);
+                None
             }
             EventKind::Release(_) => {
-                if event.state.buttons.is_empty() {
-                    self.last = None;
-                    if let Some((_, speed, since_s)) = &mut self.thrown {
-                        *speed *= (-(event.time_s - *since_s).max(0.0) / MEASURED_OVER_S).exp();
-                        self.is_free = speed.is_finite() && speed.length() > SLOWEST_THROW;
-                    }
-                    if !self.is_free {
-                        self.thrown = None;
-                    }
-                } else {
-                    // Another gesture begins with the buttons that are left.
-                    *self = Self { last: Some(at), ..Self::default() };
-                }
+                // Another gesture begins with the buttons that are left.
+                self.last = Some(at);
+                self.throw.stop();
                 None
             }
             _ => None,
@@ -146,45 +254,43 @@ impl Pointer {
 
     /// Measures the motion that a piece of a drag was given.
     pub fn moved(&mut self, gesture: Gesture, motion: DVec3, time_s: f64) {
-        if !motion.is_finite() {
-            return;
+        if self.gesture.replace(gesture) != Some(gesture) {
+            self.throw.stop();
         }
-        let (speed, since_s) = match self.thrown {
-            Some((same, speed, since_s)) if same == gesture => (speed, since_s),
-            _ => (DVec3::ZERO, time_s),
-        };
-        let faded = speed * (-(time_s - since_s).max(0.0) / MEASURED_OVER_S).exp();
-        self.thrown = Some((gesture, faded + motion / MEASURED_OVER_S, time_s));
+        self.throw.moved(motion, time_s);
     }
 
     /// The motion of a time after the release.
-    pub fn advance(&mut self, dt_s: f64) -> Option<(Gesture, DVec3)> {
-        let (gesture, speed, _) = self.thrown.as_mut().filter(|_| self.is_free)?;
-        let left = left_after(dt_s, THROW_FADES_S);
-        let motion = *speed * (THROW_FADES_S * (1.0 - left));
-        let gesture = *gesture;
-        *speed *= left;
-        if speed.length() < 5e-4 {
-            self.stop();
+    pub fn advance(&mut self, dt_s: f64) -> Option<Thrown> {
+        if let Some(pinch) = self.fingers.advance(dt_s) {
+            return Some(Thrown::Pinch(pinch));
         }
-        Some((gesture, motion))
+        let motion = self.throw.advance(dt_s)?;
+        Some(Thrown::Drag(self.gesture?, motion))
     }
 
     /// Comes to rest.
     pub fn stop(&mut self) {
-        (self.thrown, self.is_free) = (None, false);
+        self.throw.stop();
+        self.fingers.stop();
     }
 
     pub fn is_moving(&self) -> bool {
-        self.is_free
+        self.throw.is_free() || self.fingers.is_moving()
     }
 }
 
 /// The pointer in picture heights from the middle, y up.
 fn place(event: &GuiEventAdapter) -> DVec2 {
-    let size = event.state.max - event.state.min;
+    place_of(event.state.position, &event.state)
+}
+
+/// A place of the input range in picture heights from the middle, y up.
+pub fn place_of(position_px: DVec2, state: &InputState) -> DVec2 {
+    let size = state.max - state.min;
     let aspect = if size.y > 0.0 { size.x / size.y } else { 1.0 };
-    let at = 0.5 * event.state.normalized() * DVec2::new(aspect, 1.0);
+    let state = InputState { position: position_px, ..*state };
+    let at = 0.5 * state.normalized() * DVec2::new(aspect, 1.0);
     if at.is_finite() { at.clamp(DVec2::splat(-100.0), DVec2::splat(100.0)) } else { DVec2::ZERO }
 }
 

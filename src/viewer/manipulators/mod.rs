@@ -16,6 +16,7 @@ mod key_switch;
 mod node_tracker;
 mod orbit;
 mod terrain;
+mod touch;
 mod trackball;
 mod walk;
 

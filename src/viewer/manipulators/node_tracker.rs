@@ -1,8 +1,10 @@
 //! Around a node that moves.
 
+use std::f64::consts::PI;
+
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::orbit::{Around, distance_to_middle};
+use super::orbit::{Around, Shift, distance_to_middle};
 use super::{CameraManipulator, ManipulatorView, usage};
 use crate::scene::NodeId;
 use crate::viewer::events::{GuiEventAdapter, Usage};
@@ -47,6 +49,14 @@ impl NodeTrackerManipulator {
         self.around.distance_m.value
     }
 
+    /// A pan would lose the node: two fingers turn about it as one does.
+    fn shift(&mut self, shift: Shift) {
+        if let Shift::Pinch(pinch) = shift {
+            self.around.stretch_and_twist(&pinch);
+            self.around.turn(PI * pinch.shift().x, PI * pinch.shift().y);
+        }
+    }
+
     fn follow(&mut self, view: &ManipulatorView<'_>) {
         let Some(world_from_node) = view.scene.world_from_node(self.node).filter(DAffine3::is_finite) else { return };
         let sphere = view.scene.node_sphere(self.node);
@@ -72,13 +82,15 @@ impl NodeTrackerManipulator {
 
 impl CameraManipulator for NodeTrackerManipulator {
     fn handle(&mut self, event: &GuiEventAdapter, _: &ManipulatorView<'_>) -> bool {
-        // A pan would lose the node.
-        self.around.handle(event).is_some()
+        let shift = self.around.handle(event);
+        shift.into_iter().for_each(|shift| self.shift(shift));
+        shift.is_some()
     }
 
     fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
         self.follow(view);
-        self.around.advance(dt_s);
+        let shift = self.around.advance(dt_s);
+        self.shift(shift);
         self.around.pose(&self.frame, self.center)
     }
 
@@ -105,6 +117,10 @@ impl CameraManipulator for NodeTrackerManipulator {
     }
 
     fn usage(&self) -> Vec<Usage> {
-        vec![usage("Left drag", "turn about what is followed"), usage("Right drag, wheel", "zoom")]
+        vec![
+            usage("Left drag", "turn about what is followed"),
+            usage("Right drag, wheel", "zoom"),
+            usage("Two fingers", "zoom and turn"),
+        ]
     }
 }

@@ -4,7 +4,8 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::inertia::{Eased, Gesture, Pointer};
+use super::inertia::{Eased, Gesture, Moved, Pointer, Thrown};
+use super::touch::Pinch;
 use super::{CameraManipulator, ManipulatorView, heading_and_pitch, looking, usage};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 
@@ -40,40 +41,60 @@ impl Default for Around {
     }
 }
 
+/// What a manipulator around a point does itself.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Shift {
+    /// Nothing is left to do.
+    None,
+    /// Picture heights.
+    Pan(DVec3),
+    /// What several fingers do.
+    Pinch(Pinch),
+}
+
 impl Around {
-    /// Rotation and zoom are done here; a pan comes back in picture heights.
-    pub fn handle(&mut self, event: &GuiEventAdapter) -> Option<Option<DVec3>> {
-        if let Some(drag) = self.pointer.handle(event) {
-            self.pointer.moved(drag.gesture, drag.delta(), event.time_s);
-            return Some(self.apply(drag.gesture, drag.delta()));
+    /// Rotation and zoom of the pointer are done here; `None` for what means nothing.
+    pub fn handle(&mut self, event: &GuiEventAdapter) -> Option<Shift> {
+        match self.pointer.handle(event) {
+            Some(Moved::Drag(drag)) => {
+                self.pointer.moved(drag.gesture, drag.delta(), event.time_s);
+                return Some(self.apply(drag.gesture, drag.delta()));
+            }
+            Some(Moved::Pinch(pinch)) => return Some(Shift::Pinch(pinch)),
+            None => {}
         }
         match event.kind {
             EventKind::Scroll(notches) => {
                 self.distance_m.scale(NOTCH.powf(notches.y.clamp(-50.0, 50.0)));
-                Some(None)
+                Some(Shift::None)
             }
             _ => None,
         }
     }
 
     /// As [`Self::handle`], with what is thrown.
-    pub fn advance(&mut self, dt_s: f64) -> Option<DVec3> {
+    pub fn advance(&mut self, dt_s: f64) -> Shift {
         self.distance_m.advance(dt_s);
-        self.pointer.advance(dt_s).and_then(|(gesture, motion)| self.apply(gesture, motion))
+        match self.pointer.advance(dt_s) {
+            Some(Thrown::Drag(gesture, motion)) => self.apply(gesture, motion),
+            Some(Thrown::Pinch(pinch)) => Shift::Pinch(pinch),
+            None => Shift::None,
+        }
     }
 
-    fn apply(&mut self, gesture: Gesture, motion: DVec3) -> Option<DVec3> {
+    fn apply(&mut self, gesture: Gesture, motion: DVec3) -> Shift {
         match gesture {
-            Gesture::Rotate => {
-                self.turn(PI * motion.x, PI * motion.y);
-                None
-            }
-            Gesture::Zoom => {
-                self.distance_m.scale((-3.0 * motion.y).exp());
-                None
-            }
-            Gesture::Pan => Some(motion),
+            Gesture::Rotate => self.turn(PI * motion.x, PI * motion.y),
+            Gesture::Zoom => self.distance_m.scale((-3.0 * motion.y).exp()),
+            Gesture::Pan => return Shift::Pan(motion),
         }
+        Shift::None
+    }
+
+    /// Stretches and turns as fingers do, about the point looked at.
+    pub fn stretch_and_twist(&mut self, pinch: &Pinch) {
+        self.distance_m.shrink_now(pinch.stretch);
+        self.turn(turned_by(pinch.twist, self.pitch), 0.0);
     }
 
     /// Turns, radians clockwise and up.
@@ -105,6 +126,12 @@ impl Around {
     pub fn is_moving(&self) -> bool {
         self.pointer.is_moving() || self.distance_m.is_moving()
     }
+}
+
+/// Radians clockwise that turn the picture counterclockwise by so many, about the vertical: from below it looks the
+/// other way round.
+pub(super) fn turned_by(twist: f64, pitch: f64) -> f64 {
+    if pitch > 0.0 { -twist } else { twist }
 }
 
 /// The metres from an eye to what it looks at: where it is nearest to the middle of the bounds.
@@ -140,21 +167,45 @@ impl OrbitManipulator {
     }
 }
 
-impl CameraManipulator for OrbitManipulator {
-    fn handle(&mut self, event: &GuiEventAdapter, view: &ManipulatorView<'_>) -> bool {
-        match self.around.handle(event) {
-            Some(pan) => {
-                pan.into_iter().for_each(|motion| self.pan(motion, view));
-                true
-            }
-            None => false,
+impl OrbitManipulator {
+    /// What is under the middle of the fingers, in the plane of the point looked at, stays under it.
+    fn pinch(&mut self, pinch: &Pinch, view: &ManipulatorView<'_>) {
+        let eye_axes = |orbit: &Self, center: DVec3| {
+            orbit.around.pose(&view.frame_at(center).world_from_local.matrix3, center).matrix3
+        };
+        let scale_m = view.picture_height() * self.distance_m();
+        let under = self.center + eye_axes(self, self.center) * (pinch.from * scale_m).extend(0.0);
+        self.around.stretch_and_twist(pinch);
+        let scale_m = view.picture_height() * self.distance_m();
+        let mut center = self.center;
+        // The vertical is another elsewhere.
+        for _ in 0..3 {
+            center = under - eye_axes(self, center) * (pinch.to * scale_m).extend(0.0);
+        }
+        if center.is_finite() {
+            self.center = center;
         }
     }
 
-    fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
-        if let Some(motion) = self.around.advance(dt_s) {
-            self.pan(motion, view);
+    fn shift(&mut self, shift: Shift, view: &ManipulatorView<'_>) {
+        match shift {
+            Shift::None => {}
+            Shift::Pan(motion) => self.pan(motion, view),
+            Shift::Pinch(pinch) => self.pinch(&pinch, view),
         }
+    }
+}
+
+impl CameraManipulator for OrbitManipulator {
+    fn handle(&mut self, event: &GuiEventAdapter, view: &ManipulatorView<'_>) -> bool {
+        let shift = self.around.handle(event);
+        shift.into_iter().for_each(|shift| self.shift(shift, view));
+        shift.is_some()
+    }
+
+    fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
+        let shift = self.around.advance(dt_s);
+        self.shift(shift, view);
         self.around.pose(&view.frame_at(self.center).world_from_local.matrix3, self.center)
     }
 
@@ -176,6 +227,7 @@ impl CameraManipulator for OrbitManipulator {
             usage("Left drag", "orbit"),
             usage("Middle drag, Shift+left drag", "pan"),
             usage("Right drag, wheel", "zoom"),
+            usage("Two fingers", "pan, zoom and turn"),
         ]
     }
 }

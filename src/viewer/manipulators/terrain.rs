@@ -2,11 +2,14 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DQuat, DVec2, DVec3};
 
+use super::ground::level_under;
 use super::inertia::left_after;
-use super::orbit::{Around, distance_to_middle};
+use super::orbit::{Around, Shift, distance_to_middle};
+use super::touch::Pinch;
 use super::{CameraManipulator, ManipulatorView, carried, usage};
+use crate::math::WGS84;
 use crate::viewer::camera::world_from_eye;
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 
@@ -14,6 +17,8 @@ use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 const LEAST_SHARE: f64 = 0.02;
 /// Nearly level: the horizon is seen, but never from below.
 const FLATTEST_PITCH: f64 = -0.02;
+/// What several fingers hold lies at most so many distances away.
+const FARTHEST_HOLD: f64 = 20.0;
 /// In this time the point looked at comes 63 % nearer to the ground.
 const SETTLES_S: f64 = 0.15;
 
@@ -69,6 +74,53 @@ impl TerrainManipulator {
         self.is_settling = true;
     }
 
+    /// Stretches and turns, and moves along the ground so that what was under the middle of the fingers is there again.
+    fn pinch(&mut self, pinch: &Pinch, view: &ManipulatorView<'_>) {
+        let Some(held) = self.under(pinch.from, view) else {
+            // Between the fingers is the sky.
+            self.around.stretch_and_twist(pinch);
+            self.pan(pinch.shift().extend(0.0), view);
+            return;
+        };
+        self.around.stretch_and_twist(pinch);
+        self.is_settling = true;
+        // On the ellipsoid the vertical is another elsewhere; in a plane the first round is exact.
+        for _ in 0..4 {
+            let Some(now) = self.under(pinch.to, view) else { return };
+            let before = view.frame_at(self.center);
+            let moved = if before.georeferenced {
+                let over =
+                    DQuat::from_rotation_arc(now.normalize_or(DVec3::Z), held.normalize_or(DVec3::Z)) * self.center;
+                let (here, mut there) = (WGS84.geodetic(self.center), WGS84.geodetic(over));
+                there.height_m = here.height_m;
+                WGS84.ecef(&there)
+            } else {
+                self.center + (held - now)
+            };
+            if !moved.is_finite() {
+                return;
+            }
+            self.center = moved;
+            self.around.heading = carried(self.around.heading, &before, &view.frame_at(moved));
+        }
+    }
+
+    /// The place at the level of the point looked at that is seen at a place of the picture.
+    fn under(&self, at: DVec2, view: &ManipulatorView<'_>) -> Option<DVec3> {
+        let pose = self.around.pose(&view.frame_at(self.center).world_from_local.matrix3, self.center);
+        let direction = pose.matrix3 * (at * view.picture_height()).extend(-1.0);
+        let met = level_under(view, self.center, pose.translation, direction)?;
+        (met.distance(pose.translation) < FARTHEST_HOLD * self.distance_m()).then_some(met)
+    }
+
+    fn shift(&mut self, shift: Shift, view: &ManipulatorView<'_>) {
+        match shift {
+            Shift::None => {}
+            Shift::Pan(motion) => self.pan(motion, view),
+            Shift::Pinch(pinch) => self.pinch(&pinch, view),
+        }
+    }
+
     fn settle(&mut self, dt_s: f64, view: &ManipulatorView<'_>) {
         let Some(ground) = view.ground_at(self.center) else {
             self.is_settling = false;
@@ -110,19 +162,14 @@ impl CameraManipulator for TerrainManipulator {
             self.around.distance_m.scale(0.5);
             return true;
         }
-        match self.around.handle(event) {
-            Some(pan) => {
-                pan.into_iter().for_each(|motion| self.pan(motion, view));
-                true
-            }
-            None => false,
-        }
+        let shift = self.around.handle(event);
+        shift.into_iter().for_each(|shift| self.shift(shift, view));
+        shift.is_some()
     }
 
     fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
-        if let Some(motion) = self.around.advance(dt_s) {
-            self.pan(motion, view);
-        }
+        let shift = self.around.advance(dt_s);
+        self.shift(shift, view);
         if self.is_settling {
             self.settle(dt_s, view);
         }
@@ -160,6 +207,7 @@ impl CameraManipulator for TerrainManipulator {
             usage("Left drag", "turn about the point looked at"),
             usage("Middle drag, Shift+left drag", "move over the ground"),
             usage("Right drag, wheel", "zoom"),
+            usage("Two fingers", "move over the ground, zoom and turn"),
             usage("Double click", "towards the place clicked"),
         ]
     }

@@ -4,8 +4,9 @@ use std::f64::consts::PI;
 
 use glam::{DAffine3, DMat3, DQuat, DVec2, DVec3};
 
-use super::inertia::{Eased, Gesture, Pointer};
+use super::inertia::{Eased, Gesture, Moved, Pointer, Thrown};
 use super::orbit::{FARTHEST_M, NEAREST_M, NOTCH, distance_to_middle};
+use super::touch::Pinch;
 use super::{CameraManipulator, ManipulatorView, usage};
 use crate::viewer::events::{EventKind, GuiEventAdapter, Usage};
 
@@ -61,6 +62,20 @@ impl TrackballManipulator {
         }
     }
 
+    /// What is under each finger, in the plane of the point looked at, stays under it.
+    fn pinch(&mut self, pinch: &Pinch, view: &ManipulatorView<'_>) {
+        let from_distance_m = self.distance_m.value;
+        let factor = self.distance_m.shrink_now(pinch.stretch).exp();
+        // What comes to the middle of the picture.
+        let middle = pinch.from - DVec2::from_angle(-pinch.twist).rotate(pinch.to) / factor;
+        let moved_m = self.world_from_eye * (middle.extend(0.0) * view.picture_height() * from_distance_m);
+        let turned = self.world_from_eye * DQuat::from_rotation_z(-pinch.twist);
+        if moved_m.is_finite() && turned.is_finite() {
+            self.center += moved_m;
+            self.world_from_eye = turned.normalize();
+        }
+    }
+
     fn pose(&self) -> DAffine3 {
         let back = self.world_from_eye * DVec3::Z;
         DAffine3::from_rotation_translation(self.world_from_eye, self.center + back * self.distance_m.value)
@@ -88,7 +103,12 @@ fn on_ball(at: DVec2) -> DVec3 {
 
 impl CameraManipulator for TrackballManipulator {
     fn handle(&mut self, event: &GuiEventAdapter, view: &ManipulatorView<'_>) -> bool {
-        if let Some(drag) = self.pointer.handle(event) {
+        let moved = self.pointer.handle(event);
+        if let Some(Moved::Pinch(pinch)) = moved {
+            self.pinch(&pinch, view);
+            return true;
+        }
+        if let Some(Moved::Drag(drag)) = moved {
             let motion = match drag.gesture {
                 Gesture::Rotate => turn(drag.from, drag.to),
                 Gesture::Pan | Gesture::Zoom => drag.delta(),
@@ -108,8 +128,10 @@ impl CameraManipulator for TrackballManipulator {
 
     fn advance(&mut self, dt_s: f64, view: &ManipulatorView<'_>) -> DAffine3 {
         self.distance_m.advance(dt_s);
-        if let Some((gesture, motion)) = self.pointer.advance(dt_s) {
-            self.apply(gesture, motion, view);
+        match self.pointer.advance(dt_s) {
+            Some(Thrown::Drag(gesture, motion)) => self.apply(gesture, motion, view),
+            Some(Thrown::Pinch(pinch)) => self.pinch(&pinch, view),
+            None => {}
         }
         self.pose()
     }
@@ -134,6 +156,7 @@ impl CameraManipulator for TrackballManipulator {
             usage("Left drag", "turn the ball"),
             usage("Middle drag, Shift+left drag", "pan"),
             usage("Right drag, wheel", "zoom"),
+            usage("Two fingers", "pan, zoom and roll"),
         ]
     }
 }

@@ -22,6 +22,8 @@ pub(super) struct Push {
     held: [bool; 6],
     /// Right, up and back, each -1 to 1: where the keys push.
     pub now: DVec3,
+    /// What something else than keys asks for besides.
+    pub lever: DVec3,
 }
 
 impl Push {
@@ -57,7 +59,8 @@ impl Push {
     /// What the keys ask for.
     pub fn wanted(&self) -> DVec3 {
         let [right, left, up, down, back, ahead] = self.held.map(|held| f64::from(u8::from(held)));
-        DVec3::new(right - left, up - down, back - ahead).normalize_or_zero()
+        let keys = DVec3::new(right - left, up - down, back - ahead).normalize_or_zero();
+        (keys + self.lever).clamp_length_max(1.0)
     }
 
     /// The mean push over a step of time, at whose end it is [`Self::now`].

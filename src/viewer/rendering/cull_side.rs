@@ -11,7 +11,7 @@ use crossbeam_channel::{Receiver, Sender, TryRecvError};
 use glam::DMat4;
 
 use super::millis;
-use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo};
+use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo, StereoMode};
 use crate::draw::{BinCallback, CameraCallbacks, Environment};
 use crate::scene::{CameraTarget, ComputeNearFar, DataVariance, Scene};
 use crate::state::StateSet;
@@ -29,7 +29,7 @@ pub(in crate::viewer) struct CullTask {
     pub(in crate::viewer) camera: CullCamera,
     /// Gives the projection again once the nearest thing is known.
     pub(in crate::viewer) lens: Lens,
-    pub(in crate::viewer) stereo: Option<(Stereo, [Arc<CameraTarget>; 2])>,
+    pub(in crate::viewer) sight: Sight,
     /// Sun, sky and fog of its picture.
     pub(in crate::viewer) environment: Environment,
     /// State above all roots.
@@ -40,6 +40,17 @@ pub(in crate::viewer) struct CullTask {
     pub(in crate::viewer) is_dynamic: bool,
     /// Memory for the requests.
     pub(in crate::viewer) requests: Vec<PageRequest>,
+}
+
+/// With which eyes a camera sees.
+#[derive(Clone)]
+pub(in crate::viewer) enum Sight {
+    /// One, its own.
+    Middle,
+    /// One of two: 0 is the left one.
+    One(Stereo, usize),
+    /// Two, whose pictures are drawn into targets and put together.
+    Both(Stereo, [Arc<CameraTarget>; 2]),
 }
 
 /// What a camera sees through.
@@ -63,6 +74,8 @@ pub(in crate::viewer) struct CullOutcome {
     pub(in crate::viewer) requests: Vec<PageRequest>,
     pub(in crate::viewer) counters: CullCounters,
     pub(in crate::viewer) cull_ms: f64,
+    /// Where the near plane is, metres.
+    pub(in crate::viewer) near_m: f64,
 }
 
 /// A stage on its way to draw.
@@ -77,19 +90,29 @@ impl CullTask {
     /// Culls into a stage; the scene is dropped.
     pub(in crate::viewer) fn run(self, visitor: &mut CullVisitor, stage: &mut RenderStage) -> CullOutcome {
         let start = Instant::now();
-        let Self { scene, camera, lens, stereo, environment, state_set, viewport_px, mut requests, .. } = self;
+        let Self { scene, camera, lens, sight, environment, state_set, viewport_px, mut requests, .. } = self;
         visitor.state_set = state_set;
         visitor.shadow_light = environment.shadow_light();
         let fits_itself = camera.settings.compute_near_far != ComputeNearFar::Off;
-        match &stereo {
-            None => {
+        match &sight {
+            Sight::Middle => {
                 visitor.cull(&scene, &camera, stage);
                 if !fits_itself {
                     // The near plane of this very frame, from what cull has just found.
                     stage.camera.clip_from_eye = lens.clip_from_eye(lens.camera.near_for(stage.near_m));
                 }
             }
-            Some((stereo, targets)) => {
+            Sight::One(stereo, place) => {
+                // In a picture of its own, whatever both would share.
+                let stereo = Stereo { mode: StereoMode::LeftEye, ..*stereo };
+                visitor.cull(&scene, &stereo.eyes(&camera)[*place], stage);
+                if !fits_itself {
+                    let near_m = lens.camera.near_for(stage.near_m);
+                    let camera = CullCamera { clip_from_eye: lens.clip_from_eye(near_m), ..camera };
+                    stage.camera.clip_from_eye = stereo.eyes(&camera)[*place].clip_from_eye;
+                }
+            }
+            Sight::Both(stereo, targets) => {
                 visitor.cull_stereo(&scene, &camera, stereo, targets, stage);
                 if !fits_itself {
                     let near_m = lens.camera.near_for(stage.near_m);
@@ -105,7 +128,8 @@ impl CullTask {
         requests.clear();
         // The stage goes to the draw thread; its requests stay for the next update.
         std::mem::swap(&mut requests, &mut stage.requests);
-        CullOutcome { requests, counters: stage.counters, cull_ms: millis(start.elapsed()) }
+        let near_m = stage.camera.clip_from_eye.w_axis.z;
+        CullOutcome { requests, counters: stage.counters, cull_ms: millis(start.elapsed()), near_m }
     }
 }
 

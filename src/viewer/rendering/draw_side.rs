@@ -1,8 +1,9 @@
-//! [`DrawSide`]: the graphics context with its renderer and the compiles under way, what one thread owns; and the
+//! [`DrawSide`]: a device with its renderer, its contexts and the compiles under way, what one thread owns; and the
 //! commands it takes.
 //!
 //! Commands go through one FIFO channel, so a tile's compile comes before the first frame that draws it and its release
-//! after the last. A frame's command names no stage: the stages come from whoever culls, one for each camera.
+//! after the last. A frame comes as a command for each context of the device. It names no stage: the stages come from
+//! whoever culls, one for each camera.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,9 +22,11 @@ use crate::scene::{DrawKind, DrawSlot, Mesh};
 use crate::sync::BlockCount;
 use crate::timeline;
 
-/// One frame's work for the thread that owns the context.
+/// One frame's work in one context.
 #[derive(Default)]
 pub(in crate::viewer) struct FrameJob {
+    /// Number of the context.
+    pub(in crate::viewer) context: u32,
     pub(in crate::viewer) frame: u32,
     /// Drawn instead of what the cameras culled, under a light and a sky; comes back.
     pub(in crate::viewer) stage: Option<(RenderStage, Environment)>,
@@ -50,20 +53,21 @@ impl FrameJob {
 
 /// What comes back from a [`FrameJob`].
 pub(in crate::viewer) struct FrameDone {
+    pub(in crate::viewer) context: u32,
     pub(in crate::viewer) frame: u32,
     /// The job's own.
     pub(in crate::viewer) stage: Option<RenderStage>,
     /// What was drawn.
     pub(in crate::viewer) stats: Result<DrawStats, GpuError>,
-    /// Time to record and submit, milliseconds.
+    /// Time to record and submit, milliseconds, that of the device's contexts before this one included.
     pub(in crate::viewer) draw_ms: f64,
-    /// Time to upload, milliseconds.
+    /// Time to upload, milliseconds; in the first context of its device.
     pub(in crate::viewer) compile_ms: f64,
     /// Time to read the picture back, milliseconds.
     pub(in crate::viewer) read_back_ms: f64,
     /// The picture when it was asked for.
     pub(in crate::viewer) image: Option<Result<RgbaImage, GpuError>>,
-    /// Bytes that are taken in the pools.
+    /// Bytes that are taken in the pools; in the first context of their device.
     pub(in crate::viewer) gpu_bytes: u64,
     /// Most bytes that the pools held so far.
     pub(in crate::viewer) gpu_bytes_peak: u64,
@@ -89,12 +93,12 @@ pub(super) enum DrawCommand {
     FinishCompiles,
     /// Upload within the budget and draw; answered by [`Reply::Frame`].
     Frame(Box<FrameJob>),
-    /// The target has a new size in pixels.
-    Resize([u32; 2]),
-    /// Read the last picture, offscreen; answered by [`Reply::Image`].
-    ReadBack,
-    /// Wait for the screen, or not.
-    SetVsync(bool),
+    /// The target of a context has a new size in pixels.
+    Resize { context: u32, size_px: [u32; 2] },
+    /// Read the last picture of a context, offscreen; answered by [`Reply::Image`].
+    ReadBack { context: u32 },
+    /// A context waits for the screen, or not.
+    SetVsync { context: u32, vsync: bool },
     /// The device goes, as if the driver had lost it.
     LoseDevice,
     /// Look whether the thread is to end.
@@ -116,17 +120,50 @@ pub(super) struct DrawEnd {
     pub(super) available: Sender<RenderStage>,
 }
 
-/// The context with its renderer: what one thread owns.
-pub(super) struct DrawSide {
-    pub(super) context: GraphicsContext,
-    renderer: Renderer,
+/// A context of the device.
+pub(super) struct DrawnContext {
+    /// Its number.
+    id: u32,
+    /// Its cameras in the order drawn.
+    pub(super) cameras: Vec<DrawEnd>,
+    /// Memory for the stages of a frame, with whether each completes.
+    stages: Vec<Culled>,
     /// A resize that failed; told with the next frame.
     failed: Option<GpuError>,
-    /// What else went wrong between frames; told with the next one.
-    errors: Vec<String>,
     /// Made when the first overlay comes.
     #[cfg(feature = "window")]
     overlay: Option<crate::viewer::overlay::OverlayPainter>,
+}
+
+impl DrawnContext {
+    pub(super) fn new(id: u32) -> Self {
+        Self {
+            id,
+            cameras: Vec::new(),
+            stages: Vec::new(),
+            failed: None,
+            #[cfg(feature = "window")]
+            overlay: None,
+        }
+    }
+
+    /// Lets the stages be culled into again.
+    fn give_back_stages(&mut self) {
+        for (camera, culled) in self.cameras.iter().zip(self.stages.drain(..)) {
+            // As many fit as there are.
+            let _ = camera.available.try_send(culled.stage);
+        }
+    }
+}
+
+/// The device with its renderer: what one thread owns.
+pub(super) struct DrawSide {
+    pub(super) context: GraphicsContext,
+    renderer: Renderer,
+    /// By place among the device's targets, in which they are drawn one after the other.
+    pub(super) contexts: Vec<DrawnContext>,
+    /// What else went wrong between frames; told with the next one.
+    errors: Vec<String>,
     pub(super) commands: Receiver<DrawCommand>,
     /// Never blocks: as many are on the way as were asked for.
     replies: Sender<Reply>,
@@ -136,22 +173,18 @@ pub(super) struct DrawSide {
     running_compiles: Arc<AtomicBool>,
     /// To the main side; never blocks (its length is bounded by what the pager has in flight).
     compiled: Sender<Compiled>,
-    /// The context's cameras in the order drawn.
-    pub(super) cameras: Vec<DrawEnd>,
-    /// Those that this thread culls too.
+    /// Those cameras that this thread culls too.
     pub(super) culls: Vec<CullSide>,
     /// The main thread waits at it at the end of the frame, in models that overlap frames.
     pub(super) end_of_dynamic: Option<Arc<BlockCount>>,
     /// The frame under way is one of all contexts: their threads meet for it.
     pub(super) meets_others: bool,
-    /// The frame that is to be drawn next.
-    job: Option<Box<FrameJob>>,
+    /// The frame that is to be drawn next: a job for each context, or one that brings its stage.
+    jobs: Vec<FrameJob>,
     /// Drawn, to be shown.
-    drawn: Option<(Box<FrameDone>, bool)>,
+    drawn: Vec<(Box<FrameDone>, bool)>,
     /// To be shown from the next frame on.
     images: Vec<ImageChange>,
-    /// Memory for the stages of a frame, with whether each completes.
-    stages: Vec<Culled>,
 }
 
 /// The main side's channels.
@@ -164,41 +197,66 @@ pub(super) struct DrawSideEnds {
 }
 
 impl DrawSide {
-    pub(super) fn new(mut context: GraphicsContext, ends: DrawSideEnds) -> Self {
+    /// `first` is the number of the device's first context.
+    pub(super) fn new(mut context: GraphicsContext, first: u32, ends: DrawSideEnds) -> Self {
         let renderer = Renderer::new(&mut context);
         let DrawSideEnds { commands, replies, stopping, running_compiles, compiled } = ends;
         Self {
             context,
             renderer,
-            failed: None,
+            contexts: vec![DrawnContext::new(first)],
             errors: Vec::new(),
-            #[cfg(feature = "window")]
-            overlay: None,
             commands,
             replies,
             stopping,
             running_compiles,
             compiled,
-            cameras: Vec::new(),
             culls: Vec::new(),
             end_of_dynamic: None,
             meets_others: false,
-            job: None,
-            drawn: None,
+            jobs: Vec::new(),
+            drawn: Vec::new(),
             images: Vec::new(),
-            stages: Vec::new(),
         }
+    }
+
+    fn place_of(&self, context: u32) -> Option<usize> {
+        self.contexts.iter().position(|c| c.id == context)
+    }
+
+    /// A context of the device.
+    pub(super) fn drawn_mut(&mut self, context: u32) -> Option<&mut DrawnContext> {
+        self.contexts.iter_mut().find(|c| c.id == context)
+    }
+
+    /// Takes a context whose target the device has as its last one.
+    pub(super) fn push_context(&mut self, id: u32) {
+        self.contexts.push(DrawnContext::new(id));
+        debug_assert_eq!(self.contexts.len(), self.context.face_count());
+    }
+
+    /// Closes a context, not the last one.
+    pub(super) fn remove_context(&mut self, id: u32) {
+        if let Some(place) = self.place_of(id) {
+            self.contexts.remove(place);
+            self.context.remove_face(place);
+        }
+    }
+
+    /// All that the next frame is made of has come.
+    fn has_frame(&self) -> bool {
+        self.jobs.len() >= self.contexts.len() || self.jobs.iter().any(|job| job.stage.is_some())
     }
 
     /// Does what it is told, until it is told to draw a frame or to end.
     pub(super) fn await_frame(&mut self) {
-        while self.job.is_none() && !self.stopping.load(Ordering::Acquire) {
+        while !self.has_frame() && !self.stopping.load(Ordering::Acquire) {
             match self.commands.recv() {
                 Ok(DrawCommand::Wake) | Err(_) => break,
                 Ok(command) => self.execute(command),
             }
         }
-        self.meets_others = self.job.as_ref().is_some_and(|job| job.present);
+        self.meets_others = self.has_frame() && self.jobs.iter().any(|job| job.present);
     }
 
     /// Does what was left to do when its thread ended; frames that it has not drawn are forgotten.
@@ -206,9 +264,12 @@ impl DrawSide {
         while let Ok(command) = self.commands.try_recv() {
             self.execute(command);
         }
-        (self.job, self.drawn) = (None, None);
-        self.stages.clear();
-        for camera in &self.cameras {
+        self.jobs.clear();
+        self.drawn.clear();
+        for context in &mut self.contexts {
+            context.stages.clear();
+        }
+        for camera in self.contexts.iter().flat_map(|context| &context.cameras) {
             while let Ok(culled) = camera.culled.try_recv() {
                 // As many fit as there are.
                 let _ = camera.available.try_send(culled.stage);
@@ -241,15 +302,35 @@ impl DrawSide {
                 self.finish_compiles();
                 Reply::CompilesFinished
             }
-            DrawCommand::Frame(job) => return self.job = Some(job),
-            DrawCommand::Resize(size_px) => return self.failed = self.context.resize(size_px).err(),
-            DrawCommand::SetVsync(vsync) => return self.context.set_vsync(vsync),
+            DrawCommand::Frame(job) => return self.jobs.push(*job),
+            DrawCommand::Resize { context, size_px } => {
+                if let Some(place) = self.select(context) {
+                    self.contexts[place].failed = self.context.resize(size_px).err();
+                }
+                return;
+            }
+            DrawCommand::SetVsync { context, vsync } => {
+                if self.select(context).is_some() {
+                    self.context.set_vsync(vsync);
+                }
+                return;
+            }
             DrawCommand::LoseDevice => return self.context.lose_device(),
-            DrawCommand::ReadBack => Reply::Image(self.renderer.read_back(&mut self.context)),
+            DrawCommand::ReadBack { context } => {
+                self.select(context);
+                Reply::Image(self.renderer.read_back(&mut self.context))
+            }
             DrawCommand::Wake => return,
         };
         // The main side may be gone while the viewer is dropped.
         let _ = self.replies.send(reply);
+    }
+
+    /// Turns to a context's target; its place.
+    fn select(&mut self, context: u32) -> Option<usize> {
+        let place = self.place_of(context)?;
+        self.context.select_face(place);
+        Some(place)
     }
 
     /// Takes a new device where the old one is lost, with nothing uploaded to it; false where it is not lost.
@@ -259,10 +340,12 @@ impl DrawSide {
         }
         self.context.reopen()?;
         self.renderer = Renderer::new(&mut self.context);
-        self.failed = None;
-        #[cfg(feature = "window")]
-        {
-            self.overlay = None;
+        for context in &mut self.contexts {
+            context.failed = None;
+            #[cfg(feature = "window")]
+            {
+                context.overlay = None;
+            }
         }
         self.running_compiles.store(false, Ordering::Release);
         Ok(true)
@@ -284,36 +367,56 @@ impl DrawSide {
         self.pass_on_compiled();
     }
 
-    /// Culls what this thread culls itself, and draws the frame it was told to draw, if any.
+    /// Culls what this thread culls itself, and draws the frame it was told to draw, if any: the contexts of the device
+    /// one after the other.
     pub(super) fn render(&mut self) {
-        let Some(mut job) = self.job.take() else { return };
+        if !self.has_frame() {
+            return;
+        }
+        let mut jobs = std::mem::take(&mut self.jobs);
         let start = Instant::now();
-        self.context.run_compiles(&job.budget);
+        if let Some(first) = jobs.first() {
+            self.context.run_compiles(&first.budget);
+        }
         self.pass_on_compiled();
         for ImageChange { texture, image } in self.images.drain(..) {
             if let Err(problem) = self.renderer.show_image(&self.context, &texture, &image) {
                 self.errors.push(problem);
             }
         }
-        let compiled = Instant::now();
+        let (mut compile_ms, mut draw_ms) = (millis(start.elapsed()), 0.0);
+        if jobs.iter().all(|job| job.stage.is_none()) {
+            for cull in &mut self.culls {
+                cull.cull();
+            }
+        }
+        for job in jobs.drain(..) {
+            if let Some(place) = self.select(job.context) {
+                draw_ms = self.render_context(place, job, std::mem::take(&mut compile_ms), draw_ms);
+            }
+        }
+        // The memory goes on.
+        self.jobs = jobs;
+    }
+
+    /// Draws one context; `draw_ms` with its own time.
+    fn render_context(&mut self, place: usize, mut job: FrameJob, compile_ms: f64, draw_ms: f64) -> f64 {
+        let context = &mut self.contexts[place];
         let own_stage = job.stage.is_some();
         match job.stage.take() {
-            Some((stage, environment)) => self.stages.push(Culled { stage, environment, completes: false }),
+            Some((stage, environment)) => context.stages.push(Culled { stage, environment, completes: false }),
             None => {
-                for cull in &mut self.culls {
-                    cull.cull();
-                }
                 // Whoever culls ends with sending a stage, or is gone.
                 let _span = timeline::span("wait for cull");
-                self.stages.extend(self.cameras.iter().filter_map(|camera| camera.culled.recv().ok()));
+                context.stages.extend(context.cameras.iter().filter_map(|camera| camera.culled.recv().ok()));
             }
         }
         let culled = Instant::now();
-        let stats = self.draw(job.clock);
-        self.complete_dynamic();
+        let stats = self.draw(place, job.clock);
+        self.complete_dynamic(place);
         #[cfg(feature = "window")]
         if let Some(mut paint) = job.overlay.take() {
-            self.paint(&mut paint);
+            self.paint(place, &mut paint);
         }
         let submitted = Instant::now();
         if job.read_back {
@@ -326,63 +429,63 @@ impl DrawSide {
         let read_back_ms = if image.is_some() { millis(drawn.elapsed()) } else { 0.0 };
         let mut errors = self.renderer.take_errors();
         errors.append(&mut self.errors);
-        let stage = if own_stage { self.stages.pop().map(|culled| culled.stage) } else { None };
-        self.give_back_stages();
+        let context = &mut self.contexts[place];
+        let stage = if own_stage { context.stages.pop().map(|culled| culled.stage) } else { None };
+        context.give_back_stages();
+        let draw_ms = draw_ms + millis(submitted - culled);
         let done = FrameDone {
+            context: job.context,
             frame: job.frame,
             stage,
             stats,
-            draw_ms: millis(submitted - culled),
-            compile_ms: millis(compiled - start),
+            draw_ms,
+            compile_ms,
             read_back_ms,
             image,
-            gpu_bytes: self.context.bytes_in_use(),
+            gpu_bytes: if place == 0 { self.context.bytes_in_use() } else { 0 },
             gpu_bytes_peak: self.context.bytes_peak(),
             errors,
         };
-        self.drawn = Some((Box::new(done), job.present));
+        self.drawn.push((Box::new(done), job.present));
+        draw_ms
     }
 
-    fn draw(&mut self, clock: FrameClock) -> Result<DrawStats, GpuError> {
-        if let Some(error) = self.failed.take() {
+    fn draw(&mut self, place: usize, clock: FrameClock) -> Result<DrawStats, GpuError> {
+        let context = &mut self.contexts[place];
+        if let Some(error) = context.failed.take() {
             return Err(error);
         }
         self.renderer.clock = clock;
-        if self.stages.is_empty() {
+        if context.stages.is_empty() {
             return Ok(DrawStats::default());
         }
-        let pictures = self.stages.iter().map(|c| Picture { stage: &c.stage, environment: &c.environment });
+        let pictures = context.stages.iter().map(|c| Picture { stage: &c.stage, environment: &c.environment });
         self.renderer.draw_pictures(&mut self.context, pictures)
     }
 
     /// Says that what is dynamic was read.
-    fn complete_dynamic(&self) {
-        if let Some(block) = &self.end_of_dynamic {
-            self.stages.iter().filter(|culled| culled.completes).for_each(|_| block.completed());
-        }
-    }
-
-    /// Lets the stages be culled into again.
-    fn give_back_stages(&mut self) {
-        for (camera, culled) in self.cameras.iter().zip(self.stages.drain(..)) {
-            // As many fit as there are.
-            let _ = camera.available.try_send(culled.stage);
+    fn complete_dynamic(&self, place: usize) {
+        if let (Some(block), Some(context)) = (&self.end_of_dynamic, self.contexts.get(place)) {
+            context.stages.iter().filter(|culled| culled.completes).for_each(|_| block.completed());
         }
     }
 
     /// Shows what was drawn and tells the main side.
     pub(super) fn swap(&mut self) {
-        let Some((done, present)) = self.drawn.take() else { return };
-        if present {
-            self.context.present();
+        let mut drawn = std::mem::take(&mut self.drawn);
+        for (done, present) in drawn.drain(..) {
+            if present && self.select(done.context).is_some() {
+                self.context.present();
+            }
+            let _ = self.replies.send(Reply::Frame(done));
         }
-        let _ = self.replies.send(Reply::Frame(done));
+        self.drawn = drawn;
     }
 
     #[cfg(feature = "window")]
-    fn paint(&mut self, paint: &mut crate::viewer::overlay::OverlayPaint) {
+    fn paint(&mut self, place: usize, paint: &mut crate::viewer::overlay::OverlayPaint) {
         let context = &self.context;
-        let painter = self.overlay.get_or_insert_with(|| {
+        let painter = self.contexts[place].overlay.get_or_insert_with(|| {
             crate::viewer::overlay::OverlayPainter::new(context.device(), context.color_format())
         });
         painter.paint(context.device(), context.queue(), context.color_view(), paint);

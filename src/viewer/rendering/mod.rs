@@ -14,8 +14,8 @@
 //! ```
 //! Whichever thread culls has dropped the scene by then, so that between two frames it is the main thread's alone.
 
-mod context;
 mod cull_side;
+mod device;
 mod draw_side;
 mod model;
 mod operations;
@@ -26,16 +26,17 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use self::context::{ContextHandle, ContextOfScene};
-pub(super) use cull_side::{CullOutcome, CullTask, Lens};
+use self::device::{DeviceHandle, DeviceOfScene};
+pub(super) use cull_side::{CullOutcome, CullTask, Lens, Sight};
 pub(super) use draw_side::{FrameDone, FrameJob};
 pub use model::{THREADING_VARIABLE, ThreadingModel};
 
 use self::cull_side::{CullSide, SCENE_VIEWS};
 use self::draw_side::DrawEnd;
 use super::ViewerError;
+use super::view::ContextId;
 use crate::cull::{CullVisitor, RenderStage};
-use crate::gpu::{Compiled, GraphicsContext};
+use crate::gpu::{Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::CompileContext;
 use crate::scene::{DrawSlot, Drawable};
 use crate::sync::{Barrier, BlockCount, OperationThread};
@@ -85,9 +86,20 @@ struct Running {
     end_of_dynamic: Option<Arc<BlockCount>>,
 }
 
-/// Contexts, cameras and threads of a viewer.
+/// What closing a context came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Closed {
+    /// There is none.
+    Nothing,
+    /// The context alone: others have its device.
+    Context,
+    /// Its device of a number too.
+    Device(u32),
+}
+
+/// Devices with their contexts, cameras and threads of a viewer.
 pub(super) struct Rendering {
-    contexts: Vec<ContextHandle>,
+    devices: Vec<DeviceHandle>,
     /// In the order drawn within their contexts.
     cameras: Vec<CameraHandle>,
     next_context: u32,
@@ -105,7 +117,7 @@ impl Rendering {
     /// Without contexts and cameras; `blocking` contexts finish all uploads when they are asked for them.
     pub(super) fn new(blocking: bool, keeps_cores: bool) -> Self {
         Self {
-            contexts: Vec::new(),
+            devices: Vec::new(),
             cameras: Vec::new(),
             next_context: 0,
             next_camera: 0,
@@ -116,119 +128,157 @@ impl Rendering {
         }
     }
 
-    pub(super) fn contexts_mut(&mut self) -> impl Iterator<Item = &mut ContextHandle> {
-        self.contexts.iter_mut()
+    pub(super) fn devices_mut(&mut self) -> impl Iterator<Item = &mut DeviceHandle> {
+        self.devices.iter_mut()
+    }
+
+    /// Numbers of the devices: of the contexts that they were opened for.
+    pub(super) fn device_ids(&self) -> impl Iterator<Item = u32> {
+        self.devices.iter().map(DeviceHandle::number)
     }
 
     /// Numbers of the contexts, in the order opened.
-    pub(super) fn context_ids(&self) -> impl Iterator<Item = u32> {
-        self.contexts.iter().map(ContextHandle::number)
+    pub(super) fn context_ids(&self) -> impl Iterator<Item = u32> + use<> {
+        let mut contexts: Vec<u32> = self.devices.iter().flat_map(DeviceHandle::context_ids).collect();
+        contexts.sort_unstable();
+        contexts.into_iter()
     }
 
-    pub(super) fn context_count(&self) -> usize {
-        self.contexts.len()
+    pub(super) fn device_count(&self) -> usize {
+        self.devices.len()
     }
 
-    pub(super) fn context_mut(&mut self, context: u32) -> Option<&mut ContextHandle> {
-        self.contexts.iter_mut().find(|c| c.number() == context)
+    pub(super) fn device_at(&mut self, place: usize) -> Option<&mut DeviceHandle> {
+        self.devices.get_mut(place)
     }
 
-    pub(super) fn context_at(&mut self, place: usize) -> Option<&mut ContextHandle> {
-        self.contexts.get_mut(place)
+    /// The device of a context.
+    pub(super) fn device_of(&mut self, context: u32) -> Option<&mut DeviceHandle> {
+        self.devices.iter_mut().find(|d| d.size_px(context).is_some())
     }
 
     /// Size of a context's target.
     pub(super) fn size_px(&self, context: u32) -> Option<[u32; 2]> {
-        self.contexts.iter().find(|c| c.number() == context).map(ContextHandle::size_px)
+        self.devices.iter().find_map(|d| d.size_px(context))
     }
 
     /// Name of the first context's adapter.
     pub(super) fn adapter_name(&self) -> &str {
-        self.contexts.first().map_or("", ContextHandle::adapter_name)
+        self.devices.first().map_or("", DeviceHandle::adapter_name)
     }
 
-    /// Frames that a context was sent and has not answered; 0 where there is none.
+    /// Frames that a device was sent and has not answered; 0 where there is none.
     pub(super) fn in_flight(&self, place: usize) -> usize {
-        self.contexts.get(place).map_or(0, ContextHandle::in_flight)
+        self.devices.get(place).map_or(0, DeviceHandle::in_flight)
     }
 
     /// All contexts have drawn a frame.
     pub(super) fn all_done(&self, frame: u32) -> bool {
-        self.contexts.iter().all(|c| c.done_frame >= frame)
+        self.devices.iter().all(|d| d.is_done(frame))
     }
 
-    /// Lets the pager of a scene upload to all contexts.
+    /// Lets the pager of a scene upload to all devices.
     pub(super) fn compile_for<R>(&mut self, owner: u16, work: impl FnOnce(&mut [&mut dyn CompileContext]) -> R) -> R {
-        let mut contexts: Vec<_> = self.contexts.iter_mut().map(|handle| ContextOfScene { handle, owner }).collect();
+        let mut contexts: Vec<_> = self.devices.iter_mut().map(|handle| DeviceOfScene { handle, owner }).collect();
         let mut contexts: Vec<_> = contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
         work(&mut contexts)
     }
 
-    /// Uploads what the application made to all contexts, under a number of its scene's.
+    /// Uploads what the application made to all devices, under a number of its scene's.
     pub(super) fn compile_own(&mut self, owner: u16, number: u32, drawables: Vec<Drawable>) -> Result<(), ViewerError> {
-        let Some((last, others)) = self.contexts.split_last_mut() else { return Ok(()) };
+        let Some((last, others)) = self.devices.split_last_mut() else { return Ok(()) };
         for context in others {
             context.compile_own(owner, number, drawables.clone())?;
         }
         last.compile_own(owner, number, drawables)
     }
 
-    /// As [`Self::compile_own`], to one context.
+    /// As [`Self::compile_own`], to one device.
     pub(super) fn compile_own_in(
         &mut self,
-        context: u32,
+        device: u32,
         owner: u16,
         number: u32,
         drawables: Vec<Drawable>,
     ) -> Result<(), ViewerError> {
-        self.context_mut(context).map_or(Ok(()), |c| c.compile_own(owner, number, drawables))
+        self.numbered(device).map_or(Ok(()), |d| d.compile_own(owner, number, drawables))
     }
 
-    /// What was uploaded for a scene's own pages: context, number, slots.
+    /// What was uploaded for a scene's own pages: device, number, slots.
     pub(super) fn take_compiled_own(&mut self, owner: u16) -> Vec<(u32, u32, Compiled)> {
-        let of_context = |c: &mut ContextHandle| {
-            let context = c.number();
-            c.take_compiled(owner, true).into_iter().map(move |compiled| (context, compiled.ticket as u32, compiled))
+        let of_device = |d: &mut DeviceHandle| {
+            let device = d.number();
+            d.take_compiled(owner, true).into_iter().map(move |compiled| (device, compiled.ticket as u32, compiled))
         };
-        self.contexts.iter_mut().flat_map(of_context).collect()
+        self.devices.iter_mut().flat_map(of_device).collect()
     }
 
-    /// Frees slots of a context after the last frame that draws them.
-    pub(super) fn release(&mut self, context: u32, slots: Vec<DrawSlot>) {
-        if let Some(context) = self.context_mut(context) {
-            context.release(slots);
+    fn numbered(&mut self, device: u32) -> Option<&mut DeviceHandle> {
+        self.devices.iter_mut().find(|d| d.number() == device)
+    }
+
+    /// Frees slots of a device after the last frame that draws them.
+    pub(super) fn release(&mut self, device: u32, slots: Vec<DrawSlot>) {
+        if let Some(device) = self.numbered(device) {
+            device.release(slots);
         }
     }
 
-    /// Adds a context; its number. Ends the threads.
-    pub(super) fn add_context(&mut self, context: GraphicsContext, frame: u32) -> u32 {
-        self.stop_threads();
+    fn next_context(&mut self) -> u32 {
         let number = self.next_context;
         self.next_context += 1;
-        self.contexts.push(ContextHandle::new(number, context, self.blocking, frame));
         number
     }
 
-    /// Drops a context and its cameras; false when there is none. Ends the threads.
-    pub(super) fn remove_context(&mut self, context: u32) -> bool {
+    /// Adds a device with one context; its number, which is the device's too. Ends the threads.
+    pub(super) fn add_context(&mut self, context: GraphicsContext, frame: u32) -> u32 {
         self.stop_threads();
-        let before = self.contexts.len();
-        self.contexts.retain(|c| c.number() != context);
-        self.cameras.retain(|c| c.context != context);
-        self.contexts.len() < before
+        let number = self.next_context();
+        self.devices.push(DeviceHandle::new(number, context, self.blocking, frame));
+        number
     }
 
-    /// Gives contexts whose devices are lost new ones, with nothing uploaded to them; their numbers. Ends the threads,
-    /// and drops what is under way.
+    /// Adds a context on the device of another one, which `add` gives its target; its number. Ends the threads.
+    pub(super) fn add_context_on(
+        &mut self,
+        other: u32,
+        traits: &ContextTraits,
+        frame: u32,
+        add: impl FnOnce(&mut GraphicsContext, &ContextTraits) -> Result<(), GpuError>,
+    ) -> Result<u32, ViewerError> {
+        self.stop_threads();
+        let number = self.next_context;
+        let device = self.device_of(other).ok_or(ViewerError::NoContext(ContextId(other)))?;
+        device.add_context(number, traits, frame, add)?;
+        Ok(self.next_context())
+    }
+
+    /// Drops a context and its cameras, and its device where no other context has that. Ends the threads.
+    pub(super) fn remove_context(&mut self, context: u32) -> Closed {
+        self.stop_threads();
+        let Some(device) = self.device_of(context) else { return Closed::Nothing };
+        let number = device.number();
+        self.cameras.retain(|c| c.context != context);
+        match self.device_of(context).is_some_and(|d| d.remove_context(context)) {
+            true => Closed::Context,
+            false => {
+                self.devices.retain(|d| d.number() != number);
+                Closed::Device(number)
+            }
+        }
+    }
+
+    /// Gives contexts whose devices are lost new ones, with nothing uploaded to them; the devices' numbers, which stay.
+    /// Ends the threads, and drops what is under way.
     pub(super) fn renew_lost(&mut self) -> Result<Vec<u32>, ViewerError> {
-        for context in &mut self.contexts {
-            context.drop_frames()?;
+        for device in &mut self.devices {
+            device.drop_frames()?;
         }
         self.stop_threads();
         let mut renewed = Vec::new();
-        for context in &mut self.contexts {
-            if context.renew()? {
-                renewed.push(context.number());
+        for device in &mut self.devices {
+            if device.renew()? {
+                renewed.push(device.number());
             }
         }
         Ok(renewed)
@@ -237,18 +287,20 @@ impl Rendering {
     /// Drops a camera. Ends the threads.
     pub(super) fn remove_camera(&mut self, number: u32) {
         self.stop_threads();
-        for side in self.contexts.iter_mut().filter_map(ContextHandle::here) {
-            side.cameras.retain(|end| end.camera != number);
+        for side in self.devices.iter_mut().filter_map(DeviceHandle::here) {
+            side.contexts.iter_mut().for_each(|context| context.cameras.retain(|end| end.camera != number));
         }
         self.cameras.retain(|c| c.number != number);
     }
 
-    /// Adds a camera that is drawn in a context after those that are there; its number. Ends the threads.
-    pub(super) fn add_camera(&mut self, context: u32) -> Option<u32> {
+    /// Adds a camera that is drawn in a context after those that are there; the numbers of the camera and of the device
+    /// that draws it. Ends the threads.
+    pub(super) fn add_camera(&mut self, context: u32) -> Option<(u32, u32)> {
         self.stop_threads();
-        let side = self.contexts.iter_mut().find(|c| c.number() == context)?.here()?;
         let number = self.next_camera;
-        self.next_camera += 1;
+        let device = self.device_of(context)?;
+        let device_id = device.number();
+        let drawn = device.here()?.drawn_mut(context)?;
         let (tasks, tasks_in) = crossbeam_channel::bounded(1);
         let (outcomes_out, outcomes) = crossbeam_channel::bounded(1);
         let (culled_out, culled) = crossbeam_channel::bounded(SCENE_VIEWS);
@@ -257,7 +309,7 @@ impl Rendering {
             // There is room for as many.
             let _ = available.try_send(RenderStage::new());
         }
-        side.cameras.push(DrawEnd { camera: number, culled, available });
+        drawn.cameras.push(DrawEnd { camera: number, culled, available });
         let cull = CullSide {
             camera: number,
             visitor: CullVisitor::new(),
@@ -271,7 +323,8 @@ impl Rendering {
         let outcome = CullOutcome::default();
         let tasks = Some(tasks);
         self.cameras.push(CameraHandle { number, context, side, tasks, outcomes, next: None, outcome });
-        Some(number)
+        self.next_camera += 1;
+        Some((number, device_id))
     }
 
     /// Renders one frame of all contexts. `job` gives the job of each context, `task` the task of each camera from its
@@ -309,9 +362,11 @@ impl Rendering {
         if let Some(block) = &running.end_of_dynamic {
             block.reset();
         }
-        for context in &mut self.contexts {
-            let job = job(context.number());
-            result = result.and(context.frame(job));
+        for device in &mut self.devices {
+            for place in 0..device.context_ids().count() {
+                let Some(context) = device.context_ids().nth(place) else { break };
+                result = result.and(device.frame(FrameJob { context, ..job(context) }));
+            }
         }
         for camera in &mut self.cameras {
             let Some(task) = camera.next.take() else { continue };
@@ -327,13 +382,13 @@ impl Rendering {
                 side.cull();
             }
         }
-        for context in &mut self.contexts {
-            if let Some(side) = context.here() {
+        for device in &mut self.devices {
+            if let Some(side) = device.here() {
                 side.render();
             }
         }
-        for context in &mut self.contexts {
-            if let Some(side) = context.here() {
+        for device in &mut self.devices {
+            if let Some(side) = device.here() {
                 side.swap();
             }
         }

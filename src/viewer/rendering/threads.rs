@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::cull_side::CullSide;
 use super::draw_side::DrawSide;
 use super::operations::{BarrierOperation, Cull, Pin, StartOfCull, Step, pins};
-use super::{CameraSide, ContextHandle, Rendering, Running, ThreadingModel};
+use super::{CameraSide, DeviceHandle, Rendering, Running, ThreadingModel};
 use crate::sync::{Barrier, BlockCount, Operation, OperationThread};
 use crate::viewer::ViewerError;
 
@@ -21,14 +21,14 @@ impl Rendering {
             Some(running) => running.model,
             // What the environment says was looked at when the model was set.
             None => {
-                self.model.resolved(self.contexts.len(), self.cameras.len()).unwrap_or(ThreadingModel::SingleThreaded)
+                self.model.resolved(self.devices.len(), self.cameras.len()).unwrap_or(ThreadingModel::SingleThreaded)
             }
         }
     }
 
     /// Has another model from the next frame on; no frame may be on its way.
     pub(in crate::viewer) fn set_model(&mut self, model: ThreadingModel) -> Result<(), ViewerError> {
-        model.resolved(self.contexts.len(), self.cameras.len()).map_err(ViewerError::Setting)?;
+        model.resolved(self.devices.len(), self.cameras.len()).map_err(ViewerError::Setting)?;
         self.stop_threads();
         self.model = model;
         Ok(())
@@ -44,7 +44,7 @@ impl Rendering {
         if self.running.is_some() {
             return Ok(());
         }
-        let (contexts, cameras) = (self.contexts.len(), self.cameras.len());
+        let (contexts, cameras) = (self.devices.len(), self.cameras.len());
         let model = self.model.resolved(contexts, cameras).map_err(ViewerError::Setting)?;
         let barrier = |threads| Some(Arc::new(Barrier::new(threads)));
         let (start, end) = match model {
@@ -53,7 +53,7 @@ impl Rendering {
             _ => (None, None),
         };
         let end_of_dynamic = overlaps(model).then(|| Arc::new(BlockCount::new(cameras)));
-        for context in &mut self.contexts {
+        for context in &mut self.devices {
             let side = context.here().ok_or(ViewerError::DrawThreadStopped)?;
             side.end_of_dynamic = end_of_dynamic.clone();
         }
@@ -84,7 +84,7 @@ impl Rendering {
     /// A context's thread culls its cameras itself.
     fn give_cameras_to_contexts(&mut self) {
         for camera in &mut self.cameras {
-            let context = self.contexts.iter_mut().find(|c| c.number() == camera.context);
+            let context = self.devices.iter_mut().find(|c| c.size_px(camera.context).is_some());
             let Some(side) = context.and_then(|c| c.here()) else { continue };
             match std::mem::replace(&mut camera.side, CameraSide::AtContext) {
                 CameraSide::Here(cull) => side.culls.push(*cull),
@@ -99,9 +99,9 @@ impl Rendering {
         end: Option<&Arc<Barrier>>,
         end_of_dynamic: Option<&Arc<BlockCount>>,
     ) -> Result<(), ViewerError> {
-        let swap_ready = Arc::new(Barrier::new(self.contexts.len()));
+        let swap_ready = Arc::new(Barrier::new(self.devices.len()));
         let mut cores = self.keeps_cores.then(pins).into_iter().flatten();
-        for context in &mut self.contexts {
+        for context in &mut self.devices {
             let step = |name, run: fn(&mut DrawSide)| -> Arc<dyn Operation<DrawSide>> {
                 Arc::new(Step { name, run, end_of_dynamic: end_of_dynamic.cloned() })
             };
@@ -127,7 +127,7 @@ impl Rendering {
         end_of_dynamic: Option<&Arc<BlockCount>>,
     ) -> Result<(), ViewerError> {
         // After the contexts' cores.
-        let mut cores = self.keeps_cores.then(pins).into_iter().flatten().skip(self.contexts.len());
+        let mut cores = self.keeps_cores.then(pins).into_iter().flatten().skip(self.devices.len());
         for camera in &mut self.cameras {
             camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
                 CameraSide::Here(side) => {
@@ -160,9 +160,9 @@ impl Rendering {
         };
         // All of them before any: a barrier that is let go for one is let go for all that meet at it.
         camera_threads().for_each(OperationThread::end);
-        self.contexts.iter().for_each(ContextHandle::end);
+        self.devices.iter().for_each(DeviceHandle::end);
         camera_threads().for_each(OperationThread::cancel);
-        self.contexts.iter().for_each(ContextHandle::cancel);
+        self.devices.iter().for_each(DeviceHandle::cancel);
         // What culls first: a context's thread may wait for its stages.
         for camera in &mut self.cameras {
             camera.side = match std::mem::replace(&mut camera.side, CameraSide::Lost) {
@@ -176,7 +176,7 @@ impl Rendering {
                 other => other,
             };
         }
-        for context in &mut self.contexts {
+        for context in &mut self.devices {
             context.stop();
             let Some(side) = context.here() else { continue };
             side.end_of_dynamic = None;

@@ -4,12 +4,16 @@ pub mod cull;
 pub mod frame;
 pub mod page;
 pub mod pick;
+pub mod resident;
 pub mod share;
 pub mod submit;
 pub mod threading;
 pub mod tiles;
 
 use anyhow::Result;
+use terrane::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
+use terrane::pager::CompileContext;
+use terrane::scene::DrawSlot;
 
 use crate::args::{Bench, BenchArgs};
 
@@ -31,15 +35,43 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         Bench::Frame { secs } => frame::run(*secs),
         Bench::Threading { secs } => threading::run(*secs),
         Bench::Share { secs } => share::run(*secs),
-        Bench::Page { frames, pace, draw, tiles, content, url, net } => page::run(page::Options {
+        Bench::Resident { tiles, secs } => resident::run(*tiles, *secs),
+        Bench::Page { frames, pace, draw, tiles, content, world, speed, url, net } => page::run(page::Options {
             frames: *frames,
             pace_hz: *pace,
             draw: *draw,
             tiles: *tiles,
             content: *content,
+            world: *world,
+            speed_m_s: speed.map(|speed| speed.0),
             url: url.clone(),
             net: net.clone(),
         }),
+    }
+}
+
+/// A graphics context that uploads on the thread that updates: a viewer without a draw thread.
+struct Uploads(GraphicsContext);
+
+impl CompileContext for Uploads {
+    fn id(&self) -> u32 {
+        0
+    }
+
+    fn compile(&mut self, operation: CompileOperation) {
+        self.0.compile(operation);
+    }
+
+    fn run_compiles(&mut self, budget: &CompileBudget) {
+        self.0.run_compiles(budget);
+    }
+
+    fn take_compiled(&mut self) -> Vec<Compiled> {
+        self.0.take_compiled()
+    }
+
+    fn release(&mut self, slots: Vec<DrawSlot>) {
+        self.0.release(&slots);
     }
 }
 

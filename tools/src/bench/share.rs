@@ -12,16 +12,14 @@ use anyhow::{Result, ensure};
 use glam::{DAffine3, DMat3, DVec3};
 use serde_json::json;
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
-use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
+use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{Content, Limits, ReadOptions, decode};
 use terrane::math::{BoundingVolume, OrientedBox};
-use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
-use terrane::scene::{
-    DrawSlot, Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, ShareModes, SharedStateManager,
-};
+use terrane::pager::{DatabasePager, PagerConfig};
+use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, ShareModes, SharedStateManager};
 
-use super::percentile;
+use super::{Uploads, percentile};
 
 const TILES: usize = 1024;
 /// Contents of the set that repeats.
@@ -121,31 +119,6 @@ impl Drop for Folder {
     }
 }
 
-struct Context(GraphicsContext);
-
-impl CompileContext for Context {
-    fn id(&self) -> u32 {
-        0
-    }
-
-    fn compile(&mut self, operation: CompileOperation) {
-        self.0.compile(operation);
-    }
-
-    fn run_compiles(&mut self, budget: &CompileBudget) {
-        self.0.run_compiles(budget);
-    }
-
-    fn take_compiled(&mut self) -> Vec<Compiled> {
-        self.0.run_compiles(&CompileBudget::UNLIMITED);
-        self.0.take_compiled()
-    }
-
-    fn release(&mut self, slots: Vec<DrawSlot>) {
-        self.0.release(&slots);
-    }
-}
-
 /// A square of tiles beside each other.
 fn root(folder: &str) -> Result<Page> {
     let across = TILES.isqrt();
@@ -170,7 +143,7 @@ fn root(folder: &str) -> Result<Page> {
 /// Loads and uploads everything; seconds, GPU bytes that were taken, and the pager's counters.
 fn load_all(folder: &str, modes: ShareModes) -> Result<(f64, u64, terrane::pager::PagerStats)> {
     let traits = ContextTraits { adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() };
-    let mut context = Context(GraphicsContext::new_offscreen(&traits)?);
+    let mut context = Uploads(GraphicsContext::new_offscreen(&traits)?);
     let config = PagerConfig { sharing: modes, ..PagerConfig::default() };
     let options = ReadOptions::for_root(&format!("{folder}/tileset.json"), Limits::default());
     let mut pager = DatabasePager::new(config, options)?;

@@ -1,10 +1,14 @@
 //! What an application may do while a camera is drawn. Called on the draw thread; must not keep what it is given.
 
+pub(super) mod bins;
+pub(super) mod drawables;
+
 use std::sync::Arc;
 
-use super::bins::BinDrawing;
+use super::FrameClock;
 use crate::cull::RenderStage;
 use crate::scene::{DataVariance, DrawHook};
+use bins::BinDrawing;
 
 /// What a callback is given, and may use.
 pub struct RenderInfo<'a> {
@@ -12,8 +16,10 @@ pub struct RenderInfo<'a> {
     pub device: &'a wgpu::Device,
     /// To write to them; submit nothing.
     pub queue: &'a wgpu::Queue,
-    /// What is drawn.
+    /// What is drawn, with the camera it was culled for.
     pub stage: &'a RenderStage,
+    /// Times of the frame, whose number the camera has.
+    pub clock: FrameClock,
 }
 
 type OnEncoder = Box<dyn Fn(&RenderInfo<'_>, &mut wgpu::CommandEncoder) + Send + Sync>;

@@ -1,4 +1,4 @@
-//! [`ContextHandle`]: the main thread's end of a graphics context, whatever thread owns it.
+//! [`DeviceHandle`]: the main thread's end of a device and its contexts, whatever thread owns them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,7 +8,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use image::RgbaImage;
 
 use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
-use crate::gpu::{CompileBudget, CompileOperation, Compiled, GraphicsContext};
+use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{DrawKind, DrawSlot, Drawable, Mesh};
 use crate::sync::{Operation, OperationThread};
@@ -35,7 +35,7 @@ fn owner_bits(owner: u16, is_own: bool) -> u64 {
     (u64::from(owner & 0x7fff) << OWNER_SHIFT) | if is_own { OWN_TICKET } else { 0 }
 }
 
-/// Who owns the context now.
+/// Who owns the device now.
 enum Side {
     /// The main thread.
     Here(Box<DrawSide>),
@@ -45,9 +45,20 @@ enum Side {
     Lost,
 }
 
-/// Sends commands, takes answers, and is what the pager compiles through.
-pub(in crate::viewer) struct ContextHandle {
+/// A context, as the main thread knows it.
+struct ContextOnDevice {
     id: u32,
+    size_px: [u32; 2],
+    /// Last frame that came back.
+    done_frame: u32,
+}
+
+/// Sends commands, takes answers, and is what the pager compiles through.
+pub(in crate::viewer) struct DeviceHandle {
+    /// Of its first context, even once that was closed.
+    id: u32,
+    /// In the order opened.
+    contexts: Vec<ContextOnDevice>,
     side: Side,
     commands: Sender<DrawCommand>,
     replies: Receiver<Reply>,
@@ -60,19 +71,17 @@ pub(in crate::viewer) struct ContextHandle {
     running_compiles: Arc<AtomicBool>,
     /// Compiled and not asked for yet by those whose they are.
     arrived: Vec<Compiled>,
-    size_px: [u32; 2],
+    /// Pictures sent for and not yet back: one for each context of a frame.
     in_flight: usize,
-    /// Last frame that came back.
-    pub(super) done_frame: u32,
     /// Wait for every upload when the pager asks what is compiled: the blocking mode.
     finish_compiles: bool,
     adapter_name: String,
 }
 
-impl ContextHandle {
-    /// Takes the context; it is the main thread's until threads are started.
+impl DeviceHandle {
+    /// Takes a device with one context of a number; it is the main thread's until threads are started.
     pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
-        let size_px = context.size_px();
+        let contexts = vec![ContextOnDevice { id, size_px: context.size_px(), done_frame: frame }];
         let adapter_name = context.adapter_name();
         let (commands, to_do) = crossbeam_channel::bounded(COMMAND_QUEUE);
         let (compiled_sender, compiled) = crossbeam_channel::unbounded();
@@ -88,7 +97,8 @@ impl ContextHandle {
         };
         Self {
             id,
-            side: Side::Here(Box::new(DrawSide::new(context, ends))),
+            contexts,
+            side: Side::Here(Box::new(DrawSide::new(context, id, ends))),
             commands,
             replies,
             stopping,
@@ -96,22 +106,57 @@ impl ContextHandle {
             compiling: 0,
             running_compiles,
             arrived: Vec::new(),
-            size_px,
             in_flight: 0,
-            done_frame: frame,
             finish_compiles: blocking,
             adapter_name,
         }
     }
 
-    /// Never the same again.
+    /// Never the same again; what uploads are known by.
     pub(in crate::viewer) fn number(&self) -> u32 {
         self.id
     }
 
-    /// Size of the target, or what it will be.
-    pub(super) fn size_px(&self) -> [u32; 2] {
-        self.size_px
+    /// Numbers of its contexts, in the order opened.
+    pub(super) fn context_ids(&self) -> impl Iterator<Item = u32> {
+        self.contexts.iter().map(|context| context.id)
+    }
+
+    /// Size of a context's target, or what it will be; `None` where it is another device's.
+    pub(super) fn size_px(&self, context: u32) -> Option<[u32; 2]> {
+        self.contexts.iter().find(|c| c.id == context).map(|c| c.size_px)
+    }
+
+    /// Takes a context on the device, with no thread; `add` gives the device its target.
+    pub(super) fn add_context(
+        &mut self,
+        id: u32,
+        traits: &ContextTraits,
+        frame: u32,
+        add: impl FnOnce(&mut GraphicsContext, &ContextTraits) -> Result<(), GpuError>,
+    ) -> Result<(), ViewerError> {
+        let side = self.here().ok_or(ViewerError::DrawThreadStopped)?;
+        add(&mut side.context, traits)?;
+        side.push_context(id);
+        self.contexts.push(ContextOnDevice { id, size_px: traits.size_px, done_frame: frame });
+        Ok(())
+    }
+
+    /// Closes a context with no thread; true where others are left.
+    pub(super) fn remove_context(&mut self, id: u32) -> bool {
+        if self.contexts.len() > 1
+            && let Some(side) = self.here()
+        {
+            side.remove_context(id);
+            self.contexts.retain(|context| context.id != id);
+            return true;
+        }
+        false
+    }
+
+    /// All of its contexts have drawn a frame.
+    pub(super) fn is_done(&self, frame: u32) -> bool {
+        self.contexts.iter().all(|context| context.done_frame >= frame)
     }
 
     /// Name of the adapter that draws.
@@ -121,7 +166,7 @@ impl ContextHandle {
 
     /// Frames sent and not yet back.
     pub(in crate::viewer) fn in_flight(&self) -> usize {
-        self.in_flight
+        self.in_flight.div_ceil(self.contexts.len().max(1))
     }
 
     /// What the main thread owns; `None` while a thread does.
@@ -186,7 +231,7 @@ impl ContextHandle {
         };
     }
 
-    /// Sends a frame. Where the main thread owns the context, it is drawn by [`Self::draw_here`].
+    /// Sends a frame's work in one of the contexts. Where the main thread owns the device, it draws once it has all.
     pub(in crate::viewer) fn frame(&mut self, job: FrameJob) -> Result<(), ViewerError> {
         self.send(DrawCommand::Frame(Box::new(job)))?;
         self.in_flight += 1;
@@ -208,7 +253,9 @@ impl ContextHandle {
         match reply {
             Reply::Frame(done) => {
                 self.in_flight = self.in_flight.saturating_sub(1);
-                self.done_frame = self.done_frame.max(done.frame);
+                if let Some(context) = self.contexts.iter_mut().find(|c| c.id == done.context) {
+                    context.done_frame = context.done_frame.max(done.frame);
+                }
                 Some(done)
             }
             // Images and finished compiles are taken by those who asked, once no frame is in flight before them.
@@ -311,15 +358,17 @@ impl ContextHandle {
         self.send(DrawCommand::Show(change))
     }
 
-    /// The target has a new size.
-    pub(in crate::viewer) fn resize(&mut self, size_px: [u32; 2]) -> Result<(), ViewerError> {
-        self.size_px = size_px;
-        self.send(DrawCommand::Resize(size_px))
+    /// The target of a context has a new size.
+    pub(in crate::viewer) fn resize(&mut self, context: u32, size_px: [u32; 2]) -> Result<(), ViewerError> {
+        if let Some(of) = self.contexts.iter_mut().find(|c| c.id == context) {
+            of.size_px = size_px;
+        }
+        self.send(DrawCommand::Resize { context, size_px })
     }
 
-    /// Frames wait for the screen, or not.
-    pub(in crate::viewer) fn set_vsync(&mut self, vsync: bool) -> Result<(), ViewerError> {
-        self.send(DrawCommand::SetVsync(vsync))
+    /// Frames of a context wait for the screen, or not.
+    pub(in crate::viewer) fn set_vsync(&mut self, context: u32, vsync: bool) -> Result<(), ViewerError> {
+        self.send(DrawCommand::SetVsync { context, vsync })
     }
 
     /// The device goes.
@@ -346,10 +395,10 @@ impl ContextHandle {
         Ok(renewed)
     }
 
-    /// The picture of the last frame; the caller has taken all frames in flight before.
-    pub(in crate::viewer) fn read_back(&mut self) -> Result<RgbaImage, ViewerError> {
+    /// The picture of a context's last frame; the caller has taken all frames in flight before.
+    pub(in crate::viewer) fn read_back(&mut self, context: u32) -> Result<RgbaImage, ViewerError> {
         debug_assert_eq!(self.in_flight, 0, "frames in flight would answer first");
-        self.send(DrawCommand::ReadBack)?;
+        self.send(DrawCommand::ReadBack { context })?;
         match self.replies.recv() {
             Ok(Reply::Image(image)) => Ok(image?),
             _ => Err(ViewerError::DrawThreadStopped),
@@ -368,14 +417,14 @@ impl ContextHandle {
     }
 }
 
-/// A context as the pager of one scene sees it.
-pub(super) struct ContextOfScene<'a> {
-    pub(super) handle: &'a mut ContextHandle,
+/// A device as the pager of one scene sees it.
+pub(super) struct DeviceOfScene<'a> {
+    pub(super) handle: &'a mut DeviceHandle,
     /// Tells the scene's uploads from others.
     pub(super) owner: u16,
 }
 
-impl CompileContext for ContextOfScene<'_> {
+impl CompileContext for DeviceOfScene<'_> {
     fn id(&self) -> u32 {
         self.handle.id
     }

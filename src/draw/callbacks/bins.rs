@@ -33,9 +33,9 @@ impl<'e> BinDrawing<'_, '_, 'e> {
 
 /// Bins in draw order, with where the runs of each begin, and where the last one's end.
 #[derive(Clone, Copy)]
-pub(super) struct Bins<'a> {
-    pub(super) bins: &'a [RenderBin],
-    pub(super) starts: &'a [u32],
+pub(in crate::draw) struct Bins<'a> {
+    pub(in crate::draw) bins: &'a [RenderBin],
+    pub(in crate::draw) starts: &'a [u32],
 }
 
 impl<'a> Bins<'a> {
@@ -54,7 +54,7 @@ impl<'a> Bins<'a> {
     }
 
     /// Apart: those that end before a run, and the others. Bins inside the same one stay together.
-    pub(super) fn split_before(self, run: usize) -> (Self, Self) {
+    pub(in crate::draw) fn split_before(self, run: usize) -> (Self, Self) {
         let mut at = 0;
         while at < self.bins.len() {
             let next = at + self.part(at..self.bins.len()).nested(0);
@@ -68,7 +68,7 @@ impl<'a> Bins<'a> {
 }
 
 /// Draws bins that are inside the same `depth` bins, or has them drawn.
-pub(super) fn draw_bins(
+pub(in crate::draw) fn draw_bins(
     state: &mut State<'_, '_>,
     from: &Sources<'_>,
     info: &RenderInfo<'_>,

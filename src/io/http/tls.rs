@@ -1,0 +1,38 @@
+//! Authorities that encrypted connections are trusted by, besides the system's.
+
+use std::path::{Path, PathBuf};
+
+use reqwest::Certificate;
+use rustls::pki_types::CertificateDer;
+use rustls::pki_types::pem::{Error, PemObject as _};
+
+use crate::io::IoError;
+
+/// The certificates of PEM files.
+pub(super) fn root_certificates(files: &[PathBuf]) -> Result<Vec<Certificate>, IoError> {
+    let mut found = Vec::new();
+    for file in files {
+        found.extend(certificates(file)?);
+    }
+    Ok(found)
+}
+
+fn certificates(file: &Path) -> Result<Vec<Certificate>, IoError> {
+    let uri = file.display().to_string();
+    let bytes = std::fs::read(file).map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => IoError::NotFound { uri: uri.clone() },
+        _ => IoError::File { uri: uri.clone(), reason: e.to_string() },
+    })?;
+    let bad = |e: &dyn std::fmt::Display| IoError::invalid(&uri, format!("no certificate: {e}"));
+    let ders = CertificateDer::pem_slice_iter(&bytes).collect::<Result<Vec<_>, Error>>().map_err(|e| bad(&e))?;
+    if ders.is_empty() {
+        return Err(IoError::invalid(&uri, "no certificate in it"));
+    }
+    // Read once here, so that the error names the file.
+    let mut store = rustls::RootCertStore::empty();
+    let read = |der: CertificateDer<'static>| {
+        store.add(der.clone()).map_err(|e| bad(&e))?;
+        Certificate::from_der(&der).map_err(|e| bad(&e))
+    };
+    ders.into_iter().map(read).collect()
+}

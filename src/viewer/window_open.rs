@@ -1,0 +1,138 @@
+//! Opening the windows of an [`Arrangement`], each with its context and cameras. Main thread, in the event loop.
+
+use std::sync::Arc;
+
+use winit::dpi::{PhysicalPosition, PhysicalSize};
+use winit::event_loop::ActiveEventLoop;
+use winit::monitor::MonitorHandle;
+use winit::window::{Fullscreen, Window};
+
+use super::ViewerError;
+use super::arrangement::{Arrangement, CameraSetup, WindowSetup, across, an_eye_each};
+use super::view::{ContextId, Slave};
+use super::viewer::{Viewer, ViewerConfig};
+use super::window::SlaveWindow;
+use crate::cull::{Stereo, StereoMode};
+use crate::gpu::{ContextTraits, GraphicsContext};
+
+/// The windows that an arrangement comes to here; the application's own slaves come before what the environment says.
+pub(super) fn windows(
+    event_loop: &ActiveEventLoop,
+    arrangement: &Arrangement,
+    slaves: Vec<SlaveWindow>,
+    stereo: Option<&Stereo>,
+) -> Vec<WindowSetup> {
+    let mut windows = match arrangement {
+        Arrangement::Windows(windows) => windows.clone(),
+        Arrangement::Usual => Vec::new(),
+        Arrangement::AllScreens => {
+            let place = |monitor: MonitorHandle| {
+                let (PhysicalPosition { x, y }, PhysicalSize { width, height }) = (monitor.position(), monitor.size());
+                [x, y, width as i32, height as i32]
+            };
+            let screens: Vec<_> = event_loop.available_monitors().map(place).collect();
+            let split = stereo.filter(|stereo| stereo.mode == StereoMode::HorizontalSplit);
+            split.and_then(|_| an_eye_each(&screens)).unwrap_or_else(|| across(&screens))
+        }
+    };
+    if windows.is_empty() {
+        windows.push(WindowSetup::default());
+    }
+    windows.extend(slaves.into_iter().map(WindowSetup::from));
+    windows
+}
+
+impl From<SlaveWindow> for WindowSetup {
+    fn from(slave: SlaveWindow) -> Self {
+        let SlaveWindow { title, size_px, position_px, shares_device, projection_offset, view_offset } = slave;
+        Self {
+            title: Some(title),
+            position_px,
+            size_px: Some(size_px),
+            shares_device,
+            cameras: vec![CameraSetup { projection_offset, view_offset, ..CameraSetup::default() }],
+            ..Self::default()
+        }
+    }
+}
+
+/// Opens a window; `place` counts from 0.
+pub(super) fn create(
+    event_loop: &ActiveEventLoop,
+    setup: &WindowSetup,
+    place: usize,
+    title: &str,
+    size_px: [u32; 2],
+) -> Result<Arc<Window>, ViewerError> {
+    let monitor = match setup.screen {
+        Some(number) => {
+            let monitor = event_loop.available_monitors().nth(number);
+            let count = event_loop.available_monitors().count();
+            let none = || ViewerError::Window(format!("there is no screen {number}; the display has {count}"));
+            Some(monitor.ok_or_else(none)?)
+        }
+        None => event_loop.primary_monitor().or_else(|| event_loop.available_monitors().next()),
+    };
+    let origin = monitor.as_ref().map_or(PhysicalPosition::new(0, 0), MonitorHandle::position);
+    let [mut width, mut height] = setup.size_px.unwrap_or(size_px);
+    let mut position = setup.position_px.or(setup.screen.map(|_| [0, 0]));
+    if let (true, Some(monitor)) = (setup.full_screen, &monitor) {
+        // Where there is no window manager that would fill the screen.
+        (width, height) = monitor.size().into();
+        position = Some([0, 0]);
+    }
+    let title = match (&setup.title, place) {
+        (Some(title), _) => title.clone(),
+        (None, 0) => title.to_owned(),
+        (None, place) => format!("{title} {}", place + 1),
+    };
+    let mut attributes = Window::default_attributes()
+        .with_title(title)
+        .with_inner_size(PhysicalSize::new(width.max(1), height.max(1)))
+        .with_decorations(setup.decorated);
+    if let Some([x, y]) = position {
+        attributes = attributes.with_position(PhysicalPosition::new(origin.x + x, origin.y + y));
+    }
+    if setup.full_screen {
+        attributes = attributes.with_fullscreen(Some(Fullscreen::Borderless(monitor)));
+    }
+    let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(e.to_string()))?;
+    Ok(Arc::new(window))
+}
+
+/// Size of what is drawn into a window.
+pub(super) fn size_of(window: &Window) -> [u32; 2] {
+    let size = window.inner_size();
+    [size.width.max(1), size.height.max(1)]
+}
+
+/// Gives a window beside the first one a context with its cameras.
+pub(super) fn add_beside(
+    viewer: &mut Viewer,
+    config: &ViewerConfig,
+    setup: &WindowSetup,
+    window: &Arc<Window>,
+) -> Result<ContextId, ViewerError> {
+    let traits = ContextTraits {
+        size_px: size_of(window),
+        samples: setup.samples.unwrap_or(config.samples),
+        vsync: setup.vsync.unwrap_or(config.vsync),
+        ..config.traits()
+    };
+    let first = viewer.contexts().next().filter(|_| setup.shares_device);
+    let context = match first {
+        Some(first) => viewer.open_window_on(first, Arc::clone(window), &traits)?,
+        None => viewer.open_context(GraphicsContext::new_window(Arc::clone(window), &traits)?)?,
+    };
+    add_slaves(viewer, context, &setup.cameras)?;
+    Ok(context)
+}
+
+/// Cameras that go with the master.
+pub(super) fn add_slaves(viewer: &mut Viewer, context: ContextId, cameras: &[CameraSetup]) -> Result<(), ViewerError> {
+    for camera in cameras {
+        let CameraSetup { viewport_px, projection_offset, view_offset, eyes } = *camera;
+        viewer.add_slave(Slave { viewport_px, projection_offset, view_offset, eyes, ..Slave::new(context) })?;
+    }
+    Ok(())
+}

@@ -1,0 +1,39 @@
+//! Feeds the parser that `FUZZ_PARSER` names with what libFuzzer thinks of. Without a name it lists them; with
+//! `FUZZ_SEEDS` set to a folder it first writes the parser's seeds there.
+#![no_main]
+
+use std::cell::RefCell;
+
+#[path = "../fuzz_parsers.rs"]
+mod parsers;
+#[path = "../../data-gen/tests/fuzz_rasters.rs"]
+mod rasters;
+
+type Parse = Box<dyn FnMut(&[u8])>;
+
+thread_local! {
+    static PARSE: RefCell<Parse> = RefCell::new(chosen());
+}
+
+fn chosen() -> Parse {
+    let wanted = std::env::var("FUZZ_PARSER").unwrap_or_default();
+    let known = parsers::all().into_iter().map(|p| (p.name, p.seeds, p.parse));
+    let known = known.chain(rasters::all().into_iter().map(|p| (p.name, p.seeds, p.parse)));
+    let mut names = Vec::new();
+    for (name, seeds, parse) in known {
+        if name == wanted {
+            if let Some(folder) = std::env::var_os("FUZZ_SEEDS") {
+                for (number, seed) in seeds.iter().enumerate() {
+                    let file = std::path::Path::new(&folder).join(format!("seed-{number}"));
+                    std::fs::write(&file, seed).expect("the folder of seeds can be written");
+                }
+            }
+            return parse;
+        }
+        names.push(name);
+    }
+    println!("{}", names.join("\n"));
+    std::process::exit(if wanted.is_empty() { 0 } else { 2 });
+}
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| PARSE.with(|parse| (parse.borrow_mut())(data)));
