@@ -21,7 +21,7 @@ const HALF_M: f64 = 20_000.0;
 
 /// What is there of the tiles' contents.
 #[derive(Clone, Copy, PartialEq)]
-pub enum Content {
+enum Content {
     /// Everything: tiles are drawn.
     All,
     /// One tile in sixteen of the last level is missing.
@@ -78,7 +78,7 @@ fn content(slot: u32) -> Result<Page, SceneError> {
     Ok(page)
 }
 
-pub fn scene(levels: u32, there: Content) -> anyhow::Result<Scene> {
+fn scene(levels: u32, there: Content) -> anyhow::Result<Scene> {
     let mut scene = Scene::new();
     let root = scene.add_root(Page::from_node(quad(levels, DVec3::ZERO, HALF_M, 2_000.0))?);
     if there == Content::None {
@@ -94,7 +94,7 @@ pub fn scene(levels: u32, there: Content) -> anyhow::Result<Scene> {
     Ok(scene)
 }
 
-pub fn camera(view: &str) -> CullCamera {
+fn camera(view: &str) -> CullCamera {
     let (eye, error_px) = match view {
         "above" => (DVec3::new(0.0, -10.0, 42_000.0), 1e-6),
         _ => (DVec3::new(0.0, -12_000.0, 1_500.0), 1.0),
