@@ -205,7 +205,7 @@ impl Cull<'_> {
         let resident = record.has(flag::RESIDENT);
         if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
-                self.request_missing(walk, tile, purpose, above);
+                self.request_missing(walk, tile, purpose, &above);
             }
             if purpose == Purpose::Draw {
                 if !stays(marks, tile, walk.step, false, resident) {
@@ -221,8 +221,9 @@ impl Cull<'_> {
         let wants = distance2 < range2;
         let ready = record.not_ready_children == 0;
         let is_refined = purpose == Purpose::Draw && ready && (wants || !resident);
+        let mut above = above;
         if !(resident || (is_refined && wants)) {
-            self.request_missing(walk, tile, purpose, above);
+            above.shown_px = self.request_missing(walk, tile, purpose, &above);
         }
         if purpose == Purpose::Draw {
             if !stays(marks, tile, walk.step, is_refined, resident) {
@@ -254,8 +255,9 @@ impl Cull<'_> {
     ) -> Option<TileFrame> {
         let record = &walk.tiles.records[tile as usize];
         let resident = record.has(flag::RESIDENT);
+        let mut above = above;
         if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
-            self.request_missing(walk, tile, purpose, above);
+            above.shown_px = self.request_missing(walk, tile, purpose, &above);
         }
         let below = |purpose, required, shown_px| walk.below(tile, purpose, mask, required, shown_px, above.fade);
         if record.has(flag::PROXY | flag::EXTERNAL) {
@@ -407,25 +409,32 @@ impl Cull<'_> {
         self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
     }
 
-    /// What a tile's place in the picture makes of its priority: all in the middle, a half at 45 degrees from it. Of what
-    /// lies in something else it is never more.
+    /// What a tile's place in the picture makes of its priority: all in the middle, a half where its bounds begin 45
+    /// degrees from it.
     fn share_of_place(&self, walk: &Walk, tile: u32) -> f32 {
         let bounds = &walk.tiles.bounds[tile as usize];
         let eye_from_frame = &self.hangers[walk.view.hanger as usize].eye_from_frame;
         let center = eye_from_frame.transform_point3(DVec3::from_array(bounds.center)).as_vec3();
-        let (aside, ahead) = (center.x.hypot(center.y), -center.z);
-        let half_angle = (bounds.radius_m / center.length()).min(1.0).asin();
-        let angle = aside.atan2(ahead) - half_angle;
-        if angle > 0.0 { angle.cos().max(0.0).powi(2).max(KEPT_SHARE) } else { 1.0 }
+        let distance = center.length();
+        // Of the angle to the centre, and of half the angle that the bounds take in.
+        let (sin, cos) = (center.truncate().length() / distance, -center.z / distance);
+        let half_sin = (bounds.radius_m / distance).min(1.0);
+        let half_cos = (1.0 - half_sin * half_sin).sqrt();
+        if sin * half_cos > cos * half_sin {
+            (cos * half_cos + sin * half_sin).max(0.0).powi(2).max(KEPT_SHARE)
+        } else {
+            1.0
+        }
     }
 
-    /// Asks for the content of a tile, unless it is there or cannot come.
+    /// Asks for the content of a tile, unless it is there or cannot come. What tiles below may have for an error of
+    /// what is shown, so that they come later.
     #[inline(never)]
-    fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, above: TileFrame) {
+    fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, above: &TileFrame) -> f32 {
         let record = &walk.tiles.records[tile as usize];
         let may_come = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
         if !may_come || above.fade.leaving() || !walk.asks {
-            return;
+            return above.shown_px;
         }
         let slot = NodeId { page: walk.id, index: walk.tiles.nodes[tile as usize] };
         let finite = |px: f32| if px > 0.0 { px.min(MOST_PX) } else { 0.0 };
@@ -435,6 +444,7 @@ impl Cull<'_> {
         let has_error = walk.tiles.bounds[tile as usize].metric_m > 0.0;
         let error_px = if has_error { finite(walk.px(walk.range_and_distance(tile, record))) } else { 0.0 };
         self.stage.requests.push(PageRequest { slot, priority, error_px });
+        priority
     }
 }
 
