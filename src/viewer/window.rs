@@ -245,6 +245,9 @@ impl App {
         if let Some(place) = open.slaves.iter().position(|(slave, _)| slave.id() == window) {
             return open.handle_slave(place, event);
         }
+        if window != open.window.id() {
+            return Ok(()); // the last events of one that was closed
+        }
         match event {
             WindowEvent::RedrawRequested => {
                 if open.frame(&mut self.options)? {
