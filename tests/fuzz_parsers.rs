@@ -12,7 +12,7 @@ use std::sync::Arc;
 use fuzz_support::Parser;
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
 use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode};
-use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers};
+use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_pmtiles};
 use terrane::viewer::{AnimationPath, DisplaySettings};
 
 fn limits() -> Limits {

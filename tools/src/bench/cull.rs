@@ -16,7 +16,7 @@ use terrane::state::{BinDetails, SortMode, StateSet};
 
 use glam::{DAffine3, DVec3};
 
-use super::percentile;
+use super::{percentile, say};
 
 /// Measures every case for about `seconds` each and prints a line for it.
 pub fn run(seconds: f64) {
@@ -25,7 +25,7 @@ pub fn run(seconds: f64) {
         for state_sets in [1, 64] {
             for view in [View::Tilted, View::All, View::Tenth] {
                 for (name, sort) in SORTS {
-                    println!("{}", measure(cells, state_sets, view, name, sort, Duration::from_secs_f64(seconds)));
+                    say(measure(cells, state_sets, view, name, sort, Duration::from_secs_f64(seconds)));
                 }
             }
         }

@@ -13,7 +13,7 @@ use terrane::state::StateSet;
 use terrane::viewer::{FieldOfView, ThreadingModel, Viewer, ViewerConfig};
 
 use super::cull::{Grid, View};
-use super::percentile;
+use super::{percentile, say};
 
 /// Measures every case for about `seconds` each and prints a line for it.
 pub fn run(seconds: f64) -> Result<()> {
@@ -22,7 +22,7 @@ pub fn run(seconds: f64) -> Result<()> {
         for state_sets in [1, 64] {
             for view in [View::All, View::Tenth] {
                 for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
-                    println!("{}", measure(cells, state_sets, view, threading, time)?);
+                    say(measure(cells, state_sets, view, threading, time)?);
                 }
             }
         }

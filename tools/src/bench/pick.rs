@@ -13,7 +13,7 @@ use terrane::scene::{
     Vertical,
 };
 
-use super::percentile;
+use super::{percentile, say};
 
 /// Half the side of the terrain, metres.
 const HALF_M: f64 = 10_000.0;
@@ -33,13 +33,13 @@ pub fn run(seconds: f64) {
             "build_ms": round(build * 1e3, 1), "build_ns_per_triangle": round(build * 1e9 / memory.0 as f64, 1),
             "bytes_per_triangle": round(memory.1 as f64 / memory.0 as f64, 2),
         });
-        println!("{made}");
+        say(made);
         for lines in [Lines::Down, Lines::Slanted, Lines::Grazing] {
             for limit in [IntersectionLimit::Nearest, IntersectionLimit::NoLimit] {
-                println!("{}", pick(name, &scene, lines, limit, time));
+                say(pick(name, &scene, lines, limit, time));
             }
         }
-        println!("{}", heights(name, &scene, time));
+        say(heights(name, &scene, time));
     }
 }
 

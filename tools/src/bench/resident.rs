@@ -17,7 +17,7 @@ use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene};
 
-use super::{Uploads, percentile};
+use super::{Uploads, percentile, say};
 
 /// Contents asked for at once while the scene is filled.
 const ASKED_AT_ONCE: usize = 2_000;
@@ -97,14 +97,11 @@ pub fn run(tiles: usize, secs: f64) -> Result<()> {
     for (budget, max_tiles) in [("room to spare", tiles * 2), ("full", tiles)] {
         let (mut times_us, resident) = updates(&uri, tiles, max_tiles, secs)?;
         let round = |v: f64| (v * 100.0).round() / 100.0;
-        println!(
-            "{}",
-            json!({
-                "bench": "resident", "budget": budget, "resident": resident, "frames": times_us.len(),
-                "update_p50_us": round(percentile(&mut times_us, 0.5)),
-                "update_p99_us": round(percentile(&mut times_us, 0.99)),
-            })
-        );
+        say(json!({
+            "bench": "resident", "budget": budget, "resident": resident, "frames": times_us.len(),
+            "update_p50_us": round(percentile(&mut times_us, 0.5)),
+            "update_p99_us": round(percentile(&mut times_us, 0.99)),
+        }));
     }
     std::fs::remove_dir_all(&folder)?;
     Ok(())

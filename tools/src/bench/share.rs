@@ -19,7 +19,7 @@ use terrane::math::{BoundingVolume, OrientedBox};
 use terrane::pager::{DatabasePager, PagerConfig};
 use terrane::scene::{Node, NodeKind, Page, PagedLod, RangeMode, Refine, Scene, ShareModes, SharedStateManager};
 
-use super::{Uploads, percentile};
+use super::{Uploads, percentile, say};
 
 const TILES: usize = 1024;
 /// Contents of the set that repeats.
@@ -194,19 +194,16 @@ pub fn run(secs: f64) -> Result<()> {
             loads.sort_by(|a, b| a.0.total_cmp(&b.0));
             let (seconds, gpu_bytes, stats) = loads[1];
             let mb = |bytes: u64| (bytes as f64 / f64::from(1 << 20) * 10.0).round() / 10.0;
-            println!(
-                "{}",
-                json!({
-                    "bench": "share", "set": set, "sharing": name, "tiles": TILES, "different": different,
-                    "decode_tiles_per_s": percentile(rates, 0.5).round(),
-                    "decode_ratio_on_to_off": (ratio * 1e3).round() / 1e3, "rounds": rates.len(),
-                    "load_all_s": (seconds * 1e3).round() / 1e3,
-                    "gpu_mb": mb(gpu_bytes), "gpu_saved_mb": mb(stats.shared_gpu_bytes_saved),
-                    "payload_spared_mb": mb(stats.sharing.payload_bytes_spared),
-                    "decodes_spared": stats.sharing.decodes_spared,
-                    "geometry_hits": stats.sharing.geometry_hits, "texture_hits": stats.sharing.texture_hits,
-                })
-            );
+            say(json!({
+                "bench": "share", "set": set, "sharing": name, "tiles": TILES, "different": different,
+                "decode_tiles_per_s": percentile(rates, 0.5).round(),
+                "decode_ratio_on_to_off": (ratio * 1e3).round() / 1e3, "rounds": rates.len(),
+                "load_all_s": (seconds * 1e3).round() / 1e3,
+                "gpu_mb": mb(gpu_bytes), "gpu_saved_mb": mb(stats.shared_gpu_bytes_saved),
+                "payload_spared_mb": mb(stats.sharing.payload_bytes_spared),
+                "decodes_spared": stats.sharing.decodes_spared,
+                "geometry_hits": stats.sharing.geometry_hits, "texture_hits": stats.sharing.texture_hits,
+            }));
         }
     }
     Ok(())

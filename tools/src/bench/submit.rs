@@ -15,7 +15,7 @@ use terrane::scene::{Drawable, Geometry, HeightTile, Material, Mesh, Node, Page,
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 
 use super::cull::triangle;
-use super::percentile;
+use super::{percentile, say};
 
 /// What is drawn.
 #[derive(Clone, Copy, PartialEq)]
@@ -33,7 +33,7 @@ pub fn run(seconds: f64) -> Result<()> {
     let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
     for leaves in [1_000, 10_000] {
         for content in [Content::Height, Content::Mesh(1), Content::Mesh(64), Content::Small(1), Content::Small(64)] {
-            println!("{}", measure(content, leaves, time)?);
+            say(measure(content, leaves, time)?);
         }
     }
     Ok(())

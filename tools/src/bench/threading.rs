@@ -14,7 +14,7 @@ use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 use terrane::viewer::{FrameStats, ThreadingModel, Viewer, ViewerConfig};
 
 use super::cull::triangle;
-use super::percentile;
+use super::{percentile, say};
 
 /// Drawables, each under a transform of its own.
 const LEAVES: u32 = 60_000;
@@ -32,7 +32,7 @@ pub fn run(seconds: f64) -> Result<()> {
         // Update, cull and draw of the model that runs them one after the other.
         let mut alone = None;
         for threading in ThreadingModel::ALL {
-            println!("{}", measure(moved, threading, time, &mut alone)?);
+            say(measure(moved, threading, time, &mut alone)?);
         }
     }
     Ok(())

@@ -14,7 +14,7 @@ use terrane::scene::{
     Scene, SceneError, Topology,
 };
 
-use super::percentile;
+use super::{percentile, say};
 
 /// Half the side of the terrain, metres.
 const HALF_M: f64 = 20_000.0;
@@ -38,10 +38,10 @@ pub fn run(seconds: f64) {
             match scene(levels, content) {
                 Ok(scene) => {
                     for view in ["above", "low"] {
-                        println!("{}", measure(&scene, levels, content, view, time));
+                        say(measure(&scene, levels, content, view, time));
                     }
                 }
-                Err(error) => println!("{}", json!({"bench": "terrane_tiles", "error": error.to_string()})),
+                Err(error) => say(json!({"bench": "terrane_tiles", "error": error.to_string()})),
             }
         }
     }

@@ -17,7 +17,7 @@ use terrane::io::{Limits, ReadOptions};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
 use terrane::scene::{Node, Page, Scene};
 
-use super::{Uploads, percentile};
+use super::{Uploads, percentile, say};
 use crate::args::PageContent;
 use crate::net::NetArgs;
 use tiles::{ROOT, WORLD_M, height_m};
@@ -171,7 +171,7 @@ pub fn run(options: Options) -> Result<()> {
         rss_start_mb: status_mb("VmRSS"),
     };
     for phase in ["converge_start", "fly", "converge_end"] {
-        println!("{}", bench.phase(phase)?);
+        say(bench.phase(phase)?);
     }
     Ok(())
 }
