@@ -287,6 +287,26 @@ fn what_passes_is_tried_again() {
     assert_eq!((error_of(&run, "child2.glb").count, server.requests("/set/child2.glb")), (1, 3));
 }
 
+/// Nobody looks at it for long; whoever comes back finds the tries that were made.
+#[test]
+fn tries_are_not_forgotten_while_nobody_looks() {
+    let server =
+        Server::start(set(), |path, _| if path == "/set/child2.glb" { Answer::Status(503) } else { Answer::Whole });
+    let wait = Duration::from_millis(20);
+    let mut run = run_of(&server, PagerConfig { max_tries: 2, retry_after: wait, ..impatient() });
+    let rest = |run: &mut Run, eye| {
+        let end = Instant::now() + 10 * wait;
+        run.until(eye, "", |_| Instant::now() > end);
+    };
+    run.until(NEAR, "does not fail", |r| r.pager.stats().failed == 1);
+    rest(&mut run, FAR);
+    assert_eq!((run.pager.stats().failed, run.pager.stats().stale), (1, 0));
+    run.until(NEAR, "is not tried again", |r| r.pager.stats().failed == 2);
+    rest(&mut run, FAR);
+    rest(&mut run, NEAR);
+    assert_eq!((run.pager.stats().failed, run.pager.stats().retried), (2, 1));
+}
+
 #[test]
 fn a_hung_request_blocks_nobody() {
     let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });

@@ -20,11 +20,12 @@ pub(super) struct Spare {
 pub(super) struct Sorter {
     /// By state: its bin.
     bin_of_state: Vec<u32>,
-    /// By state or group: leaves, then the place of the next one.
+    /// By state: leaves, then the place of the next one.
     places: Vec<u32>,
-    /// By state: its group, where groups are ordered by their nearest leaf.
-    group_of_state: Vec<u32>,
+    /// States by their nearest leaf.
     nearest: Vec<(f32, u32)>,
+    /// By state in that order: the place behind its last leaf.
+    ends: Vec<u32>,
     keys: Vec<u64>,
     keys_scratch: Vec<u64>,
     custom: Vec<(u64, u32)>,
@@ -154,8 +155,10 @@ impl Sorter {
             }
             SortMode::ByStateThenFrontToBack | SortMode::FrontToBack | SortMode::BackToFront => {
                 self.sort_by_depth(leaves, bin.sort, states);
-                bin.leaves.clear();
-                bin.leaves.extend(self.keys.iter().map(|key| leaves[*key as u32 as usize]));
+                resize(&mut bin.leaves, leaves.len());
+                for (leaf, key) in bin.leaves.iter_mut().zip(&self.keys) {
+                    *leaf = leaves[*key as u32 as usize];
+                }
             }
         }
     }
@@ -168,13 +171,12 @@ impl Sorter {
             self.group_by_nearest(leaves, states);
             self.keys.resize(leaves.len(), 0);
             for (index, leaf) in leaves.iter().enumerate() {
-                let place = &mut self.places[self.group_of_state[leaf.state as usize] as usize];
+                let place = &mut self.places[leaf.state as usize];
                 self.keys[*place as usize] = key(index, leaf);
                 *place += 1;
             }
-            // The place behind the last leaf of a group is now the start of the next.
             let mut start = 0;
-            for end in &self.places {
+            for end in &self.ends {
                 self.radix.sort(&mut self.keys[start..*end as usize], &mut self.keys_scratch);
                 start = *end as usize;
             }
@@ -195,7 +197,7 @@ impl Sorter {
         starts(&mut self.places);
     }
 
-    /// Leaves in `places` where each group's leaves start; groups are states by their nearest leaf.
+    /// Leaves in `places` where each state's leaves start, and in `ends` where they end; states by their nearest leaf.
     fn group_by_nearest(&mut self, leaves: &[RenderLeaf], states: usize) {
         self.places.clear();
         self.places.resize(states, 0);
@@ -207,18 +209,11 @@ impl Sorter {
             *nearest = if leaf.depth < *nearest { leaf.depth } else { *nearest };
         }
         self.nearest.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        self.group_of_state.clear();
-        self.group_of_state.resize(states, 0);
-        let mut start = 0;
-        for (group, (_, state)) in self.nearest.iter_mut().enumerate() {
-            self.group_of_state[*state as usize] = group as u32;
-            // The start of the group takes the place of the state.
-            let count = self.places[*state as usize];
-            *state = start;
-            start += count;
-        }
-        for (place, (_, start)) in self.places.iter_mut().zip(&self.nearest) {
-            *place = *start;
+        self.ends.clear();
+        let mut end = 0;
+        for (_, state) in &self.nearest {
+            end += std::mem::replace(&mut self.places[*state as usize], end);
+            self.ends.push(end);
         }
     }
 }

@@ -14,6 +14,9 @@ use crate::timeline;
 /// Decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing is loaded.
 const MOST_PENDING_BYTES: u64 = 24 << 20;
 
+/// What was met in the last so many frames is seen.
+const MET_FRAMES: u32 = 2;
+
 impl DatabasePager {
     /// Takes up new requests and renews those that are known.
     pub(super) fn accept(&mut self, scene: &Scene, requests: &[PageRequest]) {
@@ -59,12 +62,14 @@ impl DatabasePager {
         }
     }
 
-    /// Lets failures whose wait is over be requested again.
+    /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while
+    /// nobody does.
     pub(super) fn retry(&mut self, scene: &mut Scene) {
-        let now = Instant::now();
+        let (now, frame) = (Instant::now(), self.frame);
         for entry in self.entries.values_mut() {
             if let Progress::Failed { retry_at: Some(at) } = entry.progress
                 && at <= now
+                && scene.slot(entry.job.slot).is_some_and(|s| frame.saturating_sub(s.last_used_frame) <= MET_FRAMES)
             {
                 scene.set_failed(entry.job.slot, false);
                 entry.job.ticket = self.next_ticket;
