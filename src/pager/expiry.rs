@@ -19,6 +19,9 @@ pub(super) const EXPIRY_TENTHS: u64 = 1;
 /// free, so that nothing goes for it and comes again.
 pub(super) const AHEAD_TENTHS: u64 = 2;
 
+/// In want of room, the last two frames' tiles alone are safe.
+const UNSEEN: Unused = Unused { frames: 2, time: Duration::ZERO };
+
 impl DatabasePager {
     /// Of merged pages, what they share once.
     pub(super) fn cpu_bytes(&self) -> u64 {
@@ -43,9 +46,7 @@ impl DatabasePager {
             || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
             || self.residents.len() + 1 > self.config.max_tiles
         {
-            // In want of room, the last two frames' tiles alone are safe.
-            let unused = Unused { frames: 2, time: Duration::ZERO };
-            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { return false };
+            let Some(id) = self.residents.pop_expired(scene, self.frame, UNSEEN, &mut looks) else { return false };
             self.detach(scene, id, contexts);
         }
         true
@@ -59,9 +60,16 @@ impl DatabasePager {
             && is_free(self.residents.len() as u64, self.config.max_tiles as u64)
     }
 
-    /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free.
+    /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free; what is in no
+    /// picture just now, where there is no room for what is missing in one.
     pub(super) fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
-        let unused = Unused { frames: self.config.expiry_frames, time: self.config.expiry_time };
+        let unused = match self.is_short {
+            true => UNSEEN,
+            false => Unused { frames: self.config.expiry_frames, time: self.config.expiry_time },
+        };
+        if self.is_short {
+            self.expiry_looks = *EXPIRY_LOOKS.end();
+        }
         let expired_before = self.stats.expired;
         let mut looks = self.residents.len().min(self.expiry_looks);
         while !self.has_free(EXPIRY_TENTHS) {

@@ -139,6 +139,7 @@ impl DatabasePager {
         }
         waiting.allowed = self.allowed_in_flight(list.capacity);
         self.full = waiting.allowed == 0 && !jobs.is_empty();
+        self.is_short = waiting.allowed < list.capacity.min(waiting.outstanding + jobs.len());
         list.ring(waiting);
     }
 

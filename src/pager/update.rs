@@ -48,6 +48,8 @@ pub struct DatabasePager {
     pub(super) mean_gpu_bytes: u64,
     /// The scene's budget is full of what is visible.
     pub(super) full: bool,
+    /// More waits than there is room for.
+    pub(super) is_short: bool,
     pub(super) is_paused: bool,
     pub(super) takes_requests: bool,
 }
@@ -80,6 +82,7 @@ impl DatabasePager {
             mean_cpu_bytes: 0,
             mean_gpu_bytes: 0,
             full: false,
+            is_short: false,
             is_paused: false,
             takes_requests: true,
         })
