@@ -447,6 +447,7 @@ impl ViewerBase {
             stats.wanted_missing += counters.wanted_missing;
             stats.cull_ms += cull_ms;
         }
+        scenes.iter_mut().for_each(PagedScene::request);
         Ok(())
     }
 

@@ -227,6 +227,13 @@ impl PagedScene {
         Ok(())
     }
 
+    /// Hands over what the last culls lack: it is read while this frame is drawn, not from the next update on.
+    pub(super) fn request(&mut self) {
+        if let (Some(pager), false) = (&mut self.pager, self.pager_config.blocking) {
+            pager.request(&self.scene, &self.requests);
+        }
+    }
+
     /// True where something may arrive and be merged while the main thread waits.
     pub(super) fn is_paging(&self) -> bool {
         !self.pager_config.blocking && self.pager.as_ref().is_some_and(|pager| !pager.is_idle())

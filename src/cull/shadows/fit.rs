@@ -322,13 +322,16 @@ mod tests {
                     clip.truncate() * 1024.0
                 };
                 let moved = texel(&before, c, &a) - texel(&after, d, &b);
-                // A camera that crosses from one anchor to the next has another grid.
-                let anchor = |f: &Fit, c: &CascadeFit, camera: &CullCamera| {
+                // A camera that crosses from one anchor to the next has another grid. Centres were moved to whole texels
+                // after the anchor was chosen: near the edge between two of them, nothing can be said.
+                let place = |f: &Fit, c: &CascadeFit, camera: &CullCamera| {
                     let world_from_eye = camera.eye_from_world.inverse();
                     let world = world_from_eye.transform_point3(f.light_from_eye.transpose() * c.center);
-                    (world / (ANCHOR_TEXELS * c.texel_m)).round()
+                    world / (ANCHOR_TEXELS * c.texel_m)
                 };
-                if anchor(&before, c, &a) == anchor(&after, d, &b) {
+                let [from, to] = [place(&before, c, &a), place(&after, d, &b)];
+                let is_clear = |p: DVec3| ((p - p.round()).abs() - 0.5).abs().min_element() > 2.0 / ANCHOR_TEXELS;
+                if from.round() == to.round() && is_clear(from) && is_clear(to) {
                     prop_assert!((moved - moved.round()).abs().max_element() < 1e-3, "{moved}");
                 }
             }
