@@ -5,12 +5,14 @@
 #![cfg(all(target_os = "linux", feature = "window"))]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::io::{BufRead as _, BufReader};
-use std::process::{Child, Command, Stdio};
+mod display_support;
+
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use display_support::Display;
 use glam::DVec3;
 use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, Page};
@@ -29,45 +31,10 @@ const PATIENCE: Duration = Duration::from_secs(90);
 /// Says how many switches the program on the display makes.
 const SWITCHES: &str = "TERRANE_TEST_SWITCHES";
 
-/// A virtual display; ends on drop.
-struct Display {
-    xvfb: Child,
-    name: String,
-}
-
-impl Display {
-    /// `None`, said aloud, where there is no Xvfb (a failure with REQUIRE_GPU=1, as in CI).
-    fn start() -> Option<Self> {
-        let xvfb = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", "640x480x24", "-nolisten", "tcp"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn();
-        let mut xvfb = match xvfb {
-            Ok(xvfb) => xvfb,
-            Err(error) => {
-                assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: no Xvfb: {error}");
-                eprintln!("SKIPPED: no Xvfb: {error}");
-                return None;
-            }
-        };
-        let mut line = String::new();
-        BufReader::new(xvfb.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        Some(Self { xvfb, name: format!(":{}", line.trim()) })
-    }
-}
-
-impl Drop for Display {
-    fn drop(&mut self) {
-        let _ = self.xvfb.kill();
-        let _ = self.xvfb.wait();
-    }
-}
-
 /// Runs [`on_a_display`] in a process of its own, which has a display: a process has one event loop, and its variables are
 /// not changed while it runs.
 fn churn(switches: u64) {
-    let Some(display) = Display::start() else { return };
+    let Some(display) = Display::start([640, 480]) else { return };
     let output = Command::new(std::env::current_exe().unwrap())
         .args(["--exact", "on_a_display", "--ignored", "--nocapture"])
         .env("DISPLAY", &display.name)

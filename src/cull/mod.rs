@@ -28,6 +28,7 @@ mod sort;
 mod special;
 mod stage;
 mod state_graph;
+mod states;
 mod stereo;
 mod tiles;
 mod view;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec4};
 
-use super::fade::{Fade, FadeBand, LodFades};
+use super::fade::{Fade, LodFades};
 use super::near_far::Candidate;
 use super::occluders::{FrameOccluders, Occluders};
 use super::planes::{Planes, depth_row};
@@ -16,7 +16,7 @@ use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{MOST_PX, TileFrame, TileView};
 use super::view::{View, clamp};
 use super::{CullCamera, ShadowLight, Stereo};
-use crate::scene::{BLEND, CameraTarget, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene, VIEW};
+use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene};
 use crate::state::StateSet;
 
 /// Why a page or tile is visited.
@@ -529,77 +529,6 @@ impl<'a> Cull<'a> {
         let index = self.stage.eye_from_drawable.len() as u32;
         self.stage.eye_from_drawable.push(rows(eye_from_node));
         index
-    }
-
-    /// The place in the stage of the state of the leaves of one of the page's chains.
-    #[inline(always)]
-    pub(super) fn state_of(&mut self, page: &Page, path: u32) -> u32 {
-        match self.memo.get(path as usize) {
-            Some(&state) if state != NONE => state,
-            _ => self.meet_state(page, path),
-        }
-    }
-
-    #[cold]
-    fn meet_state(&mut self, page: &Page, path: u32) -> u32 {
-        let state = self.chain_state(page, path);
-        let state = self.graph.meet(state, self.stage);
-        if let Some(known) = self.memo.get_mut(path as usize) {
-            *known = state;
-        }
-        state
-    }
-
-    /// A state, drawn in a part of the pixels.
-    #[inline(always)]
-    pub(super) fn faded_state(&mut self, state: u32, band: FadeBand) -> u32 {
-        if band.is_full() { state } else { self.find_faded_state(state, band) }
-    }
-
-    #[cold]
-    fn find_faded_state(&mut self, state: u32, band: FadeBand) -> u32 {
-        let fades = &mut self.stage.fades;
-        let place = fades.iter().position(|b| *b == band).unwrap_or_else(|| {
-            fades.push(band);
-            fades.len() - 1
-        });
-        self.graph.find_or_insert_fade(state, place as u32 + 1)
-    }
-
-    /// The state below one of the page's chains, whether or not it has leaves.
-    #[inline(always)]
-    pub(super) fn chain_state(&mut self, page: &Page, path: u32) -> u32 {
-        match self.chains.get(path as usize) {
-            Some(&state) if state != NONE => state,
-            _ => self.find_chain(page, path),
-        }
-    }
-
-    #[inline(never)]
-    fn find_chain(&mut self, page: &Page, path: u32) -> u32 {
-        // Up to the first chain that is known, one step down, again; chains are as deep as the graph at most.
-        loop {
-            let mut at = path;
-            let above = loop {
-                let Some(link) = page.paths.get(at as usize) else { return ROOT };
-                match self.chains.get(link.parent as usize) {
-                    Some(&state) if state != NONE => break state,
-                    Some(_) if link.parent != at => at = link.parent,
-                    _ => break ROOT,
-                }
-            };
-            let set = page.paths[at as usize].set;
-            let below = match page.state_sets.get(set as usize) {
-                Some(set) => self.graph.find_or_insert(above, set),
-                None if set == BLEND => self.graph.find_or_insert_blend(above),
-                None if set == VIEW => self.graph.find_or_insert_view(above, self.view.index),
-                None => above,
-            };
-            self.chains[at as usize] = below;
-            if at == path {
-                return below;
-            }
-        }
     }
 }
 

@@ -139,11 +139,11 @@ impl DatabasePager {
         }
         waiting.allowed = self.allowed_in_flight(list.capacity);
         self.full = waiting.allowed == 0 && !jobs.is_empty();
-        self.is_short = waiting.allowed < list.capacity.min(waiting.outstanding + jobs.len());
+        self.is_short = !self.is_paused && waiting.allowed < list.capacity.min(waiting.outstanding + jobs.len());
         list.ring(waiting);
     }
 
-    /// How many loads the budgets have room for, at the mean size so far; what can expire counts as room.
+    /// How many loads the budgets have room for, at the mean size so far.
     pub(super) fn allowed_in_flight(&self, capacity: usize) -> usize {
         if self.is_paused {
             return 0;

@@ -3,11 +3,14 @@
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::io::{BufRead as _, BufReader};
+#[path = "../../tests/display_support/mod.rs"]
+mod display_support;
+
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
+use display_support::Display;
 use image::{GenericImageView as _, RgbImage};
 use x11rb::connection::Connection as _;
 use x11rb::protocol::xproto::{
@@ -25,40 +28,6 @@ const BUTTON_RELEASE: u8 = 5;
 const MOTION: u8 = 6;
 /// The picture is drawn by a debug build on a software adapter.
 const PATIENCE: Duration = Duration::from_secs(60);
-
-/// A virtual display; ends on drop.
-struct Display {
-    xvfb: Child,
-    name: String,
-}
-
-impl Display {
-    /// `None`, said aloud, where there is no Xvfb (a failure with REQUIRE_GPU=1, as in CI).
-    fn start() -> Option<Self> {
-        let xvfb = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", "1280x1024x24", "-nolisten", "tcp"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn();
-        let mut xvfb = match xvfb {
-            Ok(xvfb) => xvfb,
-            Err(error) => {
-                eprintln!("SKIPPED: no Xvfb: {error}");
-                return None;
-            }
-        };
-        let mut line = String::new();
-        BufReader::new(xvfb.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        Some(Self { xvfb, name: format!(":{}", line.trim()) })
-    }
-}
-
-impl Drop for Display {
-    fn drop(&mut self) {
-        let _ = self.xvfb.kill();
-        let _ = self.xvfb.wait();
-    }
-}
 
 /// A program with a window, seen and driven through the X protocol.
 struct Driven {
@@ -282,7 +251,7 @@ const SPACE: u32 = 0x20;
 #[test]
 fn a_user_moves_looks_around_and_closes_the_window() {
     let folder = tempfile::tempdir().unwrap();
-    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let set = set.to_str().unwrap().to_owned();
     let mut w = Driven::start(&display, &["view", &set, "--size", "640x360"], folder.path());
     w.until("terrain", |picture| picture.dimensions() == (640, 360) && colours(picture) > 200);
@@ -386,7 +355,7 @@ fn a_user_moves_looks_around_and_closes_the_window() {
 #[test]
 fn a_window_that_draws_on_demand_rests_and_wakes() {
     let folder = tempfile::tempdir().unwrap();
-    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let args = ["view", set.to_str().unwrap(), "--size", "320x180", "--on-demand", "--max-fps", "30"];
     let mut w = Driven::start(&display, &args, folder.path());
     w.until("terrain on demand", |picture| colours(picture) > 100);
@@ -414,7 +383,7 @@ fn a_window_that_draws_on_demand_rests_and_wakes() {
 #[test]
 fn escape_ends_a_flight_in_a_window_and_the_report_is_written() {
     let folder = tempfile::tempdir().unwrap();
-    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let report = folder.path().join("report.json");
     let args = ["fly", set.to_str().unwrap(), "--size", "320x180", "--frames", "100000", "--report"];
     let args: Vec<&str> = args.into_iter().chain([report.to_str().unwrap()]).collect();
@@ -430,7 +399,7 @@ fn escape_ends_a_flight_in_a_window_and_the_report_is_written() {
 #[test]
 fn a_second_window_goes_on_where_the_first_ends_and_may_be_closed() {
     let folder = tempfile::tempdir().unwrap();
-    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let set = set.to_str().unwrap().to_owned();
     let mut w = Driven::start(&display, &["view", &set, "--size", "320x240", "--beside", "1"], folder.path());
     let first = w.window;
@@ -472,7 +441,7 @@ fn a_second_window_goes_on_where_the_first_ends_and_may_be_closed() {
 #[test]
 fn windows_open_as_a_file_says() {
     let folder = tempfile::tempdir().unwrap();
-    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let config = folder.path().join("wall.json");
     // A wall of three: one window with two parts, and one that shares its device.
     let text = r#"{"windows": [
@@ -514,7 +483,7 @@ fn windows_open_as_a_file_says() {
 #[test]
 fn windows_open_where_variables_say() {
     let folder = tempfile::tempdir().unwrap();
-    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let view = ["view", set.to_str().unwrap(), "--size", "320x240"];
     for (variables, place) in [
         (&[("TERRANE_WINDOW", "30 40 300 200"), ("TERRANE_SCREEN", "0")][..], [30, 40, 300, 200]),
@@ -546,7 +515,7 @@ fn windows_open_where_variables_say() {
 #[test]
 fn a_window_opens_in_one_of_another_program_fills_it_and_ends_with_it() {
     let folder = tempfile::tempdir().unwrap();
-    let (Some(display), Some(set)) = (Display::start(), tile_set(folder.path())) else { return };
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     // The host is this test, with a plain window.
     let (x, screen) = x11rb::connect(Some(&display.name)).unwrap();
     let root = x.setup().roots[screen].root;

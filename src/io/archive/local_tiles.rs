@@ -1,4 +1,4 @@
-//! A PMTiles file on disk.
+//! A PMTiles file on disk. File threads.
 
 use std::fs::File;
 use std::io;

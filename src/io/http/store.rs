@@ -2,7 +2,7 @@
 //!
 //! `object_store` knows the stores: addresses, keys, signatures, tokens. It hands each signed request to [`Transport`],
 //! which sends it as any other and keeps the answer for whoever asked: limits, timeouts, retries, ranges and the cache
-//! are those of HTTP.
+//! are those of HTTP. HTTP thread.
 
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, PoisonError};

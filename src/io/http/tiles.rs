@@ -1,4 +1,5 @@
-//! PMTiles on servers: the head by one request, each directory below it and each tile by another.
+//! PMTiles on servers: the head by one request, each directory below it and each tile by another. HTTP
+//! thread.
 
 use std::num::NonZeroUsize;
 use std::sync::atomic::AtomicU64;

@@ -1,4 +1,4 @@
-//! Authorities that encrypted connections are trusted by, besides the system's.
+//! Authorities that encrypted connections are trusted by, besides the system's: read once, where a client is made.
 
 use std::path::{Path, PathBuf};
 
