@@ -3,7 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::path::Path;
+mod viewer_support;
+
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat4, DVec3};
@@ -11,10 +12,11 @@ use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::pager::PagerConfig;
-use terrane::scene::{DataVariance, Drawable, Geometry, Inherit, Material, Mesh, Node, NodeId, Page};
+use terrane::scene::{DataVariance, Inherit, Mesh, Node, NodeId, Page};
 use terrane::viewer::{
     CompositeViewer, ContextId, KEY_COLOR, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError, coverage,
 };
+use viewer_support::{ball, small_set};
 
 fn config(threading: ThreadingModel, size_px: [u32; 2], blocking: bool) -> ViewerConfig {
     ViewerConfig {
@@ -39,21 +41,6 @@ fn context(size_px: [u32; 2]) -> Option<GraphicsContext> {
             None
         }
     }
-}
-
-fn small_set(folder: &Path) -> String {
-    let set = folder.join("set");
-    let args =
-        terrane_data_gen::GenArgs { levels: Some(3), seed: 5, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
-    set.display().to_string()
-}
-
-fn ball(at: DVec3, radius: f64, color: [f32; 4]) -> Node {
-    let mesh = Mesh::sphere(DVec3::ZERO, radius, 24);
-    let material = Material { base_color: color, unlit: true, ..Material::default() };
-    let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
-    Node::transform(DAffine3::from_translation(at), vec![geode])
 }
 
 fn page(color: [f32; 4]) -> Page {

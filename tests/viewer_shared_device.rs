@@ -3,17 +3,20 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::path::Path;
+mod viewer_support;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use glam::{DAffine3, DMat4, DVec3};
+use glam::{DMat4, DVec3};
 use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
 use terrane::pager::PagerConfig;
-use terrane::scene::{DataVariance, Drawable, Geometry, Material, Mesh, Node, NodeId, Page};
+use terrane::scene::{DataVariance, Mesh, Node, NodeId, Page};
 use terrane::viewer::{CompositeViewer, ContextId, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError};
+
+use viewer_support::{ball, small_set};
 
 const SIZE: [u32; 2] = [96, 72];
 
@@ -43,21 +46,6 @@ fn context() -> Option<GraphicsContext> {
             None
         }
     }
-}
-
-fn small_set(folder: &Path) -> String {
-    let set = folder.join("set");
-    let args =
-        terrane_data_gen::GenArgs { levels: Some(3), seed: 5, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
-    terrane_data_gen::run(&args).unwrap();
-    set.display().to_string()
-}
-
-fn ball(at: DVec3, radius: f64, color: [f32; 4]) -> Node {
-    let mesh = Mesh::sphere(DVec3::ZERO, radius, 24);
-    let material = Material { base_color: color, unlit: true, ..Material::default() };
-    let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
-    Node::transform(DAffine3::from_translation(at), vec![geode])
 }
 
 /// The camera that sees what is beside the master's picture.

@@ -1,0 +1,23 @@
+//! What the tests of contexts show: a small tile set, and balls.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use terrane::scene::{Drawable, Geometry, Material, Mesh, Node};
+
+pub fn small_set(folder: &Path) -> String {
+    let set = folder.join("set");
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(3), seed: 5, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    set.display().to_string()
+}
+
+pub fn ball(at: DVec3, radius: f64, color: [f32; 4]) -> Node {
+    let mesh = Mesh::sphere(DVec3::ZERO, radius, 24);
+    let material = Material { base_color: color, unlit: true, ..Material::default() };
+    let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
+    Node::transform(DAffine3::from_translation(at), vec![geode])
+}
