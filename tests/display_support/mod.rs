@@ -15,8 +15,9 @@ impl Display {
     /// `None`, said aloud, where there is no Xvfb (a failure with REQUIRE_GPU=1, as in CI).
     pub fn start([width, height]: [u32; 2]) -> Option<Self> {
         let screen = format!("{width}x{height}x24");
+        // Without -noreset the server starts over when its last client goes, and drops who connects just then.
         let xvfb = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", &screen, "-nolisten", "tcp"])
+            .args(["-noreset", "-displayfd", "1", "-screen", "0", &screen, "-nolisten", "tcp"])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn();
