@@ -213,6 +213,8 @@ impl Cull<'_> {
                 clear_depth: camera.clear_depth,
                 order,
                 callbacks: camera.callbacks.clone(),
+                environment: camera.environment.clone(),
+                shadows: camera.shadows,
             },
             clamp_projection: camera.clamp_projection,
         });

@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::sort::Spare;
 use super::{CullCamera, FadeBand, StageShadows, StereoMode};
-use crate::scene::{CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
+use crate::scene::{CameraEnvironment, CameraShadows, CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
 use crate::state::{BinDetails, Light, ResolvedState, SortMode, TexGen};
 
 /// Something to draw; 16 bytes.
@@ -83,6 +83,8 @@ pub struct CullCounters {
     pub occluded: u32,
     /// Leaves that cast shadows, once for each cascade.
     pub shadow_leaves: u32,
+    /// Cameras in the graph that asked for shadows when there were as many as there may be.
+    pub shadows_refused: u32,
     /// Tiles and Lods between two levels of detail.
     pub fading: u32,
 }
@@ -97,6 +99,7 @@ impl CullCounters {
         self.wanted_missing += other.wanted_missing;
         self.occluded += other.occluded;
         self.shadow_leaves += other.shadow_leaves;
+        self.shadows_refused += other.shadows_refused;
         self.fading += other.fading;
     }
 }
@@ -177,6 +180,10 @@ pub struct StageTarget {
     pub order: i32,
     /// Called while it is drawn.
     pub callbacks: Option<DrawHook>,
+    /// Its light and air, of a camera in the graph.
+    pub environment: CameraEnvironment,
+    /// Its shadows, of a camera in the graph.
+    pub shadows: CameraShadows,
 }
 
 /// What is drawn for a camera.

@@ -30,12 +30,20 @@ pub(super) struct ShadowMaps {
 
 /// Texels a side and layers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Wanted {
+pub(super) struct Wanted {
     size_px: u32,
     layers: usize,
 }
 
 impl Wanted {
+    /// With room for a stage's shadows, if the adapter has maps that large.
+    pub(super) fn add(&mut self, shadows: &StageShadows, most_px: u32) {
+        let (size_px, layers) = (shadows.settings.resolution_px, shadows.cascades.len().min(MOST_CASCADES));
+        if layers > 0 && size_px <= most_px {
+            *self = self.max(Self { size_px, layers });
+        }
+    }
+
     fn max(self, other: Self) -> Self {
         Self { size_px: self.size_px.max(other.size_px), layers: self.layers.max(other.layers) }
     }
@@ -92,10 +100,7 @@ impl ShadowMaps {
     }
 
     /// Makes room for the shadows of a draw's pictures, if any; true when the texture is another one than before.
-    pub(super) fn ensure<'a>(&mut self, device: &wgpu::Device, wanted: impl Iterator<Item = &'a StageShadows>) -> bool {
-        let wanted = wanted.filter(|s| !s.cascades.is_empty()).fold(Wanted::default(), |all, s| {
-            all.max(Wanted { size_px: s.settings.resolution_px, layers: s.cascades.len().min(MOST_CASCADES) })
-        });
+    pub(super) fn ensure(&mut self, device: &wgpu::Device, wanted: Wanted) -> bool {
         let changes = self.sizing.want(wanted);
         if changes {
             let has = self.sizing.has;

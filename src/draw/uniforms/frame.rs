@@ -4,15 +4,13 @@ use glam::{DMat4, DVec3, Mat4, Vec3};
 
 use crate::cull::{MOST_CASCADES, RenderStage, StageShadows};
 use crate::draw::atmosphere::Air;
-use crate::draw::environment::{Environment, Sky};
 use crate::math::WGS84;
+use crate::scene::{Environment, Sky, is_over_globe};
 
 /// Share of a level's range at which its vertices start to morph into the coarser level.
 const MORPH_START: f32 = 0.7;
 /// Height in metres over which air thins to 1/e.
 const AIR_SCALE_HEIGHT_M: f64 = 8_000.0;
-/// Eyes closer to the world's origin are in a local frame; the earth's poles are 6,357 km from it.
-const LOCAL_WORLD_RADIUS_M: f64 = 6_200_000.0;
 
 /// Per frame; `Frame` in frame.wgsl.
 #[repr(C)]
@@ -116,7 +114,7 @@ pub(in crate::draw) fn clear_color(environment: &Environment, frame: &FrameUnifo
 /// flat, with its ground at 0.
 pub(in crate::draw) fn eye_height_m(stage: &RenderStage, environment: &Environment) -> (f64, bool) {
     let eye = stage.camera.eye_from_world.inverse().translation;
-    let is_globe = eye.length() > LOCAL_WORLD_RADIUS_M;
+    let is_globe = is_over_globe(eye);
     let height_m = if is_globe { WGS84.geodetic(eye).height_m } else { eye.dot(environment.up_in_world) };
     (if height_m.is_finite() { height_m.max(0.0) } else { 0.0 }, is_globe)
 }
