@@ -12,7 +12,8 @@ use image::RgbaImage;
 use terrane::cull::CullCamera;
 use terrane::draw::{DrawStats, Environment, Fog, Sky, Water};
 use terrane::scene::{
-    CameraEnvironment, CameraNode, CameraTarget, Node, PictureSink, ReferenceFrame, RenderOrder, Scene, SceneError,
+    CameraEnvironment, CameraNode, CameraTarget, Node, NodeKind, PictureSink, ReferenceFrame, RenderOrder, Scene,
+    SceneError,
 };
 use terrane::state::{TextureFormat, TextureObject};
 
@@ -219,6 +220,58 @@ fn a_mirror_in_a_corner_shows_its_own_air() {
     let with = draw(CameraEnvironment::Inherited, Sky::Background([1, 2, 250]));
     assert_eq!(with.get_pixel(152, 12).0, [1, 2, 250, 255]);
     assert_ne!(with.get_pixel(128, 180).0, [1, 2, 250, 255]);
+    no_errors(rig);
+}
+
+#[test]
+fn nested_cameras_see_light_and_air_by_their_own_eye() {
+    let Some(mut rig) = rig("nested_cameras_see_light_and_air_by_their_own_eye") else { return };
+    let rig = &mut *rig;
+    let camera = looking(SIZE, [0.3, 0.3], 900.0, [0.6, 0.7]);
+    let expected = picture(rig, &camera, &around(&camera));
+    let outer = CullCamera { viewport_px: SIZE, clip_from_eye: camera.clip_from_eye, ..elsewhere() };
+    let main = around(&outer);
+    let node = like(&camera, CameraEnvironment::default());
+    let (bare, _) = drawn(rig, node.clone(), vec![terrain(&camera)], &main);
+    let mut draw = |environment: CameraEnvironment, is_below_projection: bool| {
+        let order = RenderOrder::Nested;
+        let mut nested = CameraNode { environment, order, target: None, ..node.clone() };
+        let mut children = vec![terrain(&camera)];
+        if is_below_projection {
+            // A projection has the light and air of the camera above it.
+            let mut projection = Node::new(NodeKind::Projection(camera.clip_from_eye));
+            projection.children = children;
+            children = vec![projection];
+            nested.projection = None;
+        }
+        let scene = rig.scene(Node::camera(nested, children));
+        let picture = rig.picture(&scene, &outer, &main);
+        rig.release(scene);
+        picture
+    };
+    // Where there is ground; the sky is the main picture's.
+    let apart = |found: &RgbaImage, by: u8| {
+        let pixels = found.pixels().zip(expected.pixels()).zip(bare.pixels()).filter(|(_, b)| b.0 != [0, 0, 0, 255]);
+        let far = |a: [u8; 4], b: [u8; 4]| (0..3).any(|i| a[i].abs_diff(b[i]) > by);
+        let (mut all, mut apart) = (0, 0);
+        for ((found, expected), _) in pixels {
+            all += 1;
+            apart += usize::from(far(found.0, expected.0));
+        }
+        assert!(all > 10_000, "{all}");
+        apart
+    };
+    let found = draw(CameraEnvironment::Inherited, false);
+    keep("air-nested", &found);
+    assert_eq!(apart(&found, 1), 0);
+    assert_eq!(apart(&draw(CameraEnvironment::Inherited, true), 1), 0);
+    assert!(apart(&draw(CameraEnvironment::Light, false), 8) > 10_000);
+    let own = Environment { sun_color: [0.3, 0.1, 0.5], ..around(&camera) };
+    let found = draw(CameraEnvironment::Own(Arc::new(own)), false);
+    let expected = picture(rig, &camera, &own);
+    let is_ground = |x, y| bare.get_pixel(x, y).0 != [0, 0, 0, 255];
+    let near = |a: &[u8], b: &[u8]| (0..3).all(|i| a[i].abs_diff(b[i]) <= 1);
+    assert!(found.enumerate_pixels().all(|(x, y, p)| !is_ground(x, y) || near(&p.0, &expected.get_pixel(x, y).0)));
     no_errors(rig);
 }
 

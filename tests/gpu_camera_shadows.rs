@@ -186,5 +186,10 @@ fn no_more_cameras_than_may_have_shadows() {
         assert_eq!(with(&rig.stage), 3 - refused as usize);
     }
     rig.release(scene);
+    // A nested one has none, whatever there may be.
+    let scene = rig.scene(Node::camera(asks(RenderOrder::Nested), vec![things()]));
+    rig.draw(&scene, &near(), &sunny(to_sun()));
+    assert_eq!(rig.stage.counters.shadows_refused, 1);
+    rig.release(scene);
     no_errors(rig);
 }

@@ -105,12 +105,18 @@ impl CullCounters {
 }
 
 /// Another projection and viewport inside a stage, of a Projection node or a nested camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StageView {
     /// Reversed-Z projection.
     pub clip_from_eye: DMat4,
     /// x, y, width and height; `None`: that of the stage.
     pub viewport_px: Option<[u32; 4]>,
+    /// What was culled for, before near and far were fitted.
+    pub camera: CullCamera,
+    /// The view that it hangs in: 0 is the stage's own, others are one more than their index in [`RenderStage::views`].
+    pub above: u32,
+    /// Light and air of a nested camera.
+    pub environment: CameraEnvironment,
 }
 
 /// A light where it shines.

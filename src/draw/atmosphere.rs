@@ -11,7 +11,7 @@
 
 use std::f64::consts::PI;
 
-use crate::cull::RenderStage;
+use crate::cull::CullCamera;
 use crate::draw::uniforms::frame::{eye_height_m, sun_height};
 use crate::gpu::GraphicsContext;
 use crate::scene::Environment;
@@ -61,12 +61,12 @@ fn rounded(x: f64) -> f64 {
 }
 
 impl Air {
-    /// As a stage's eye sees it.
-    pub(super) fn of(stage: &RenderStage, environment: &Environment) -> Self {
-        let (height_m, _) = eye_height_m(stage, environment);
+    /// As a camera's eye sees it.
+    pub(super) fn of(camera: &CullCamera, environment: &Environment) -> Self {
+        let (height_m, _) = eye_height_m(camera, environment);
         let density = f64::from(environment.fog.density_per_m) * 1e3;
         let aerosol = if density.is_finite() { density.clamp(0.0, MOST_AEROSOL_PER_KM) } else { 0.0 };
-        Self::at(rounded(height_m * 1e-3), sun_height(stage, environment), aerosol)
+        Self::at(rounded(height_m * 1e-3), sun_height(camera, environment), aerosol)
     }
 
     fn at(height_km: f64, sun_cosine: f64, aerosol_per_km: f64) -> Self {

@@ -107,8 +107,8 @@ pub(crate) fn is_over_globe(eye_in_world: DVec3) -> bool {
     eye_in_world.is_finite() && eye_in_world.length() > LOCAL_WORLD_RADIUS_M
 }
 
-/// Light and air in the picture of a camera in the graph that is drawn before or after; a nested one has those of the
-/// picture that it is drawn in.
+/// Light and air in the picture of a camera in the graph. A nested one is drawn into another picture, among its things: it
+/// has neither background nor sky nor water.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum CameraEnvironment {
     /// The light of the picture that it hangs in, the air as that picture's eye has it, no sky and no water: models,
@@ -139,7 +139,8 @@ impl CameraEnvironment {
 }
 
 /// Shadows of the sun in the picture of a camera in the graph that is drawn before or after: cascades of its own, cast
-/// by what is below it. Each is culled and drawn for itself; see [`CullSettings::shadowed_cameras`].
+/// by what is below it. Each is culled and drawn for itself; see [`CullSettings::shadowed_cameras`]. Nested cameras, which
+/// share the maps of the picture that they are drawn in, have none; where one asks it is counted as refused.
 ///
 /// [`CullSettings::shadowed_cameras`]: super::CullSettings::shadowed_cameras
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -23,7 +23,7 @@ pub struct SunShadows {
     /// et al., Parallel-Split Shadow Maps for Large-Scale Virtual Environments, 2006.
     pub split_lambda: f64,
     /// How far a point is moved along its surface's normal before it is looked up, in texels, where the sun grazes it.
-    /// Less leaves stripes on lit slopes, more takes shadows off the foot of what casts them.
+    /// Less than the 3 that the filter reaches leaves stripes on lit slopes, more takes shadows off what is low.
     pub normal_bias_texels: f32,
     /// How far a point is moved towards the sun, in texels.
     pub depth_bias_texels: f32,
@@ -39,7 +39,7 @@ impl Default for SunShadows {
             resolution_px: 2048,
             distance_m: 20_000.0,
             split_lambda: 0.95,
-            normal_bias_texels: 2.5,
+            normal_bias_texels: 3.0,
             depth_bias_texels: 0.5,
             caster_mask: u32::MAX,
         }

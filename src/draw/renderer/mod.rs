@@ -35,6 +35,8 @@ use crate::scene::Environment;
 use crate::scene::Texture;
 use crate::state::TextureObject;
 use foresee::DrawnInto;
+use glam::DAffine3;
+use prepare::Surroundings;
 
 /// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -131,6 +133,8 @@ pub struct Renderer {
     batch: Batch,
     pulls: Pulls,
     statics: Vec<Statics>,
+    /// Eyes of the views inside a stage, and what is around them; only while it is prepared.
+    views: Vec<(DAffine3, Surroundings)>,
     /// Of the last frame.
     drawn_into: Vec<DrawnInto>,
     plans: Vec<StagePlan>,
@@ -225,6 +229,7 @@ impl Renderer {
             batch: Batch::default(),
             pulls: Pulls::default(),
             statics: Vec::new(),
+            views: Vec::new(),
             drawn_into: Vec::new(),
             plans: Vec::new(),
             timer: FrameTimer::new(device, ctx.queue()),
@@ -425,7 +430,7 @@ mod tests {
     use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
     use crate::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page, Scene};
     use crate::state::{Attribute, BinDetails, CullFace, Scissor, SortMode, StateSet, SurfaceMaterial};
-    use glam::{DAffine3, DVec3};
+    use glam::DVec3;
 
     /// How often a thing changes along the runs; the first time counts.
     fn changes<T: PartialEq>(things: impl Iterator<Item = T>) -> u32 {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::foresee::DrawnInto;
 use super::{FrameClock, Picture, Renderer};
-use crate::cull::{FadeBand, RenderStage};
+use crate::cull::{CullCamera, FadeBand, RenderStage};
 use crate::draw::answers::Queries;
 use crate::draw::atmosphere::{Air, FoundAir};
 use crate::draw::batch::StateEntry;
@@ -17,7 +17,7 @@ use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, StageUniform, replaces_sun};
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform, clear_color};
 use crate::gpu::GraphicsContext;
-use crate::scene::{Environment, Sky, SunShadows};
+use crate::scene::{CameraEnvironment, Environment, Sky, SunShadows};
 use crate::state::{ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
@@ -47,7 +47,7 @@ impl Renderer {
         self.prepare_shadow_maps(ctx, pictures.clone());
         let mut dropped = 0;
         for Picture { stage, environment } in pictures {
-            let air = self.air_of(ctx, stage, environment);
+            let air = self.air_of(ctx, &stage.camera, environment);
             let shadows = environment.shadows;
             let around = Surroundings { environment: *environment, shadows, air, is_outermost: true, is_whole: true };
             dropped += self.prepare_all(ctx, stage, &around);
@@ -63,9 +63,9 @@ impl Renderer {
         }
     }
 
-    /// The tables of the air as a stage's eye sees it.
-    fn air_of(&mut self, ctx: &GraphicsContext, stage: &RenderStage, environment: &Environment) -> FoundAir {
-        let air = Air::of(stage, environment);
+    /// The tables of the air as a camera's eye sees it.
+    fn air_of(&mut self, ctx: &GraphicsContext, camera: &CullCamera, environment: &Environment) -> FoundAir {
+        let air = Air::of(camera, environment);
         if environment.sky != Sky::Atmosphere {
             return FoundAir { place: 0, air, is_refused: false };
         }
@@ -75,17 +75,60 @@ impl Renderer {
     }
 
     /// What is around a camera in the graph that hangs in a picture.
-    fn surroundings_of(&mut self, ctx: &GraphicsContext, stage: &RenderStage, above: &Surroundings) -> Surroundings {
-        let said = &stage.target.environment;
-        let eye_in_world = stage.camera.eye_from_world.inverse().translation;
+    fn surroundings_of(
+        &mut self,
+        ctx: &GraphicsContext,
+        said: &CameraEnvironment,
+        camera: &CullCamera,
+        above: &Surroundings,
+    ) -> Surroundings {
+        let eye_in_world = camera.eye_from_world.inverse().translation;
         let environment = said.of_camera(Some(&above.environment), eye_in_world).unwrap_or(above.environment);
+        let air = if said.is_whole() { self.air_of(ctx, camera, &environment) } else { above.air };
+        Surroundings { shadows: None, air, environment, is_outermost: false, is_whole: false }
+    }
+
+    /// The same for one that has a stage.
+    fn surroundings_of_stage(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        above: &Surroundings,
+    ) -> Surroundings {
+        let said = &stage.target.environment;
+        let around = self.surroundings_of(ctx, said, &stage.camera, above);
         Surroundings {
-            shadows: stage.target.shadows.under(&environment),
-            air: if said.is_whole() { self.air_of(ctx, stage, &environment) } else { above.air },
-            environment,
-            is_outermost: false,
+            shadows: stage.target.shadows.under(&around.environment),
             is_whole: said.is_whole() && stage.target.clear_color.is_some(),
+            ..around
         }
+    }
+
+    /// Frames of the views inside a stage, the stage's own first, and their sets of the air's tables.
+    fn prepare_views(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        around: &Surroundings,
+        own: u32,
+    ) -> [(u32, u8); MOST_VIEWS] {
+        let mut frames = [(own, around.air.place); MOST_VIEWS];
+        let mut views = std::mem::take(&mut self.views);
+        views.clear();
+        views.push((stage.camera.eye_from_world, *around));
+        for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
+            let (eye_from_world, above) = *views.get(view.above as usize).unwrap_or(&views[0]);
+            let (camera, around) = if view.environment.is_whole() {
+                (view.camera, self.surroundings_of(ctx, &view.environment, &view.camera, &above))
+            } else {
+                (CullCamera { eye_from_world, ..view.camera }, above)
+            };
+            views.push((camera.eye_from_world, around));
+            let uniform = FrameUniform::new(&camera, &view.clip_from_eye, &around.environment, &around.air.air);
+            *place = (self.groups.push(&uniform), around.air.place);
+        }
+        self.views = views;
+        frames
     }
 
     /// Prepares a stage and those around it, in the order drawn; how many leaves there was no room for.
@@ -94,12 +137,12 @@ impl Renderer {
         for before in &stage.pre_render {
             // An eye's picture is a whole one, with its sky.
             let of_eye = stage.stereo.is_some() && around.is_outermost;
-            let around = if of_eye { *around } else { self.surroundings_of(ctx, before, around) };
+            let around = if of_eye { *around } else { self.surroundings_of_stage(ctx, before, around) };
             dropped += self.prepare_all(ctx, before, &around);
         }
         dropped += self.prepare_stage(ctx, stage, around);
         for after in &stage.post_render {
-            let around = self.surroundings_of(ctx, after, around);
+            let around = self.surroundings_of_stage(ctx, after, around);
             dropped += self.prepare_all(ctx, after, &around);
         }
         dropped
@@ -117,7 +160,7 @@ impl Renderer {
                 return 0;
             }
         };
-        let mut uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment, air);
+        let mut uniform = FrameUniform::new(&stage.camera, &stage.camera.clip_from_eye, environment, air);
         let has_shadows = around.shadows.is_some() && self.has_shadows(stage);
         if has_shadows {
             uniform = uniform.with_shadows(&stage.shadows, self.shadow_maps.size_px());
@@ -125,10 +168,7 @@ impl Renderer {
         let clear = clear_color(environment, &uniform);
         let first_frame = self.groups.push(&uniform);
         let positioned = self.groups.push(&StageUniform::new(stage));
-        let mut frames = [first_frame; MOST_VIEWS];
-        for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
-            *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment, air));
-        }
+        let frames = self.prepare_views(ctx, stage, around, first_frame);
         let (casters, mut dropped) = if has_shadows {
             let (plan, dropped) = self.prepare_casters(ctx, stage, environment, air, &target, positioned);
             (Some(plan), dropped)
@@ -156,7 +196,7 @@ impl Renderer {
         for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
             let (shading, group) = self.shading(ctx, stage, state, has_own_light, &target);
             let mut statics = Statics { group, ..base };
-            statics.frame[0] = frames.get(*view as usize).copied().unwrap_or(first_frame);
+            (statics.frame[0], statics.air) = frames.get(*view as usize).copied().unwrap_or(frames[0]);
             let viewport = stage.views.get((*view as usize).wrapping_sub(1)).and_then(|v| v.viewport_px);
             apply_state(&mut statics.dynamics, state, viewport, target.size_px);
             let recent = self.statics.len().saturating_sub(STATICS_COMPARED).max(first_statics as usize);
@@ -316,7 +356,7 @@ impl Renderer {
         ctx: &GraphicsContext,
         stage: &RenderStage,
         target: &PassTarget,
-        frames: &[u32],
+        frames: &[(u32, u8)],
         base: Statics,
     ) -> Vec<(u32, u32, u32)> {
         if stage.queries.is_empty() {
@@ -335,8 +375,8 @@ impl Renderer {
                 break;
             }
             let Some(index) = queries.ask(query) else { break };
-            let frame = [frames.get(query.view as usize).copied().unwrap_or(frames[0]), base.frame[1]];
-            let statics = Statics { frame, ..base };
+            let (frame, air) = frames.get(query.view as usize).copied().unwrap_or(frames[0]);
+            let statics = Statics { frame: [frame, base.frame[1]], air, ..base };
             let place = match self.statics.iter().rposition(|s| *s == statics) {
                 Some(place) => place,
                 None => {
@@ -353,7 +393,7 @@ impl Renderer {
 
 /// What is around what a stage shows.
 #[derive(Clone, Copy)]
-struct Surroundings {
+pub(super) struct Surroundings {
     environment: Environment,
     shadows: Option<SunShadows>,
     air: FoundAir,

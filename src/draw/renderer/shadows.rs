@@ -74,7 +74,7 @@ impl Renderer {
         let before = self.batch.leaves().len();
         for (runs, cascade) in plan.runs.iter_mut().zip(&stage.shadows.cascades) {
             // The picture's own eye and levels of detail, seen along the sun's rays.
-            let frame = self.groups.push(&FrameUniform::new(stage, &cascade.clip_from_eye, environment, air));
+            let frame = self.groups.push(&FrameUniform::new(&stage.camera, &cascade.clip_from_eye, environment, air));
             let base = Statics { dynamics: of_map(size_px), frame: [frame, positioned], air: 0, group: None };
             let plain = self.statics.len() as u32;
             self.statics.push(base);
