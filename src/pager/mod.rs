@@ -19,6 +19,7 @@ mod flow;
 mod http;
 mod images;
 mod list;
+mod look_ahead;
 mod requests;
 mod residents;
 mod shares;
@@ -31,6 +32,7 @@ pub use images::{
     ImagePager, ImagePagerConfig, ImagePagerStats, ImageSequence, LoopingMode, SequenceImage, SequenceMode,
     StreamStatus,
 };
+pub use look_ahead::{PathLooks, frames_until};
 pub use stats::{ErrorRecord, PagerStats};
 pub use update::DatabasePager;
 
