@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use glam::DAffine3;
 
+use super::states::Stage;
 use crate::io::{Fetched, IoError};
 use crate::scene::{NodeId, Page, PagingOptions};
 
@@ -22,6 +23,8 @@ pub(super) struct Job {
     pub reader_data: Option<Arc<str>>,
     /// Tilesets above.
     pub above: Above,
+    /// Where the threads are with it; clones of the job have the same.
+    pub stage: Arc<Stage>,
 }
 
 /// The tilesets above what is in a page.
@@ -151,6 +154,7 @@ impl RequestList {
             {
                 waiting.outstanding += 1;
                 waiting.taken.push(job.ticket);
+                job.stage.reads();
                 if waiting.has_file_for(self.for_files) {
                     self.file_bell.notify_one();
                 }

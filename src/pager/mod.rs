@@ -22,6 +22,7 @@ mod list;
 mod requests;
 mod residents;
 mod shares;
+mod states;
 mod stats;
 mod threads;
 mod update;
@@ -31,6 +32,7 @@ pub use images::{
     ImagePager, ImagePagerConfig, ImagePagerStats, ImageSequence, LoopingMode, SequenceImage, SequenceMode,
     StreamStatus,
 };
+pub use states::RequestState;
 pub use stats::{ErrorRecord, PagerStats};
 pub use update::DatabasePager;
 
