@@ -64,7 +64,7 @@ mod show {
     //! The tiles' boxes as lines, projected here: no part of the scene.
 
     use egui::{Align2, Color32, FontId, Rect, RichText, Ui};
-    use glam::{DVec3, DVec4};
+    use glam::{DVec2, DVec3, DVec4};
 
     use super::{GuiActionAdapter, TileColors};
     use crate::scene::TileInfo;
@@ -119,9 +119,11 @@ mod show {
     pub fn tiles(ui: &egui::Context, viewer: &GuiActionAdapter<'_>, colors: TileColors) {
         // Cull has stamped the frame before this one.
         let culled = viewer.frame_stamp().frame.saturating_sub(1);
-        let painter = ui.layer_painter(egui::LayerId::background());
         let matrix = viewer.window_matrix();
         let scale = 1.0 / f64::from(ui.pixels_per_point());
+        let point = |px: DVec2| egui::pos2((px.x * scale) as f32, (px.y * scale) as f32);
+        let part = Rect::from_min_max(point(matrix.origin_px), point(matrix.origin_px + matrix.size_px));
+        let painter = ui.layer_painter(egui::LayerId::background()).with_clip_rect(part);
         let mut counts = Counts::default();
         let mut is_cut = false;
         // What is on its way lies over the rest.
@@ -212,8 +214,8 @@ mod show {
                 if let Some([a, b]) = in_front(clip[from], clip[to]) {
                     let at = |p: DVec4| {
                         let ndc = p.truncate() / p.w;
-                        let px = 0.5 * glam::DVec2::new(1.0 + ndc.x, 1.0 - ndc.y) * matrix.size_px * scale;
-                        let px = px.clamp(glam::DVec2::splat(-1e5), glam::DVec2::splat(1e5));
+                        let in_part = 0.5 * DVec2::new(1.0 + ndc.x, 1.0 - ndc.y) * matrix.size_px;
+                        let px = ((matrix.origin_px + in_part) * scale).clamp(DVec2::splat(-1e5), DVec2::splat(1e5));
                         egui::pos2(px.x as f32, px.y as f32)
                     };
                     let (a, b) = (at(a), at(b));
