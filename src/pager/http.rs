@@ -160,6 +160,7 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Answe
     let bytes = bytes_of(body);
     let companions: Vec<io::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
     let bytes_read = read_bytes(&bytes, &companions);
+    job.stage.decodes();
     let answered = Answered::of(&bytes, bytes_http, start.elapsed().as_secs_f64());
     (Loaded { job, bytes, companions, bytes_read, bytes_http }, answered)
 }

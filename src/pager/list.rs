@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use glam::DAffine3;
 
+use super::states::Stage;
 use crate::io::{Fetched, IoError};
 use crate::scene::{NodeId, Page, PagingOptions};
 
@@ -24,6 +25,8 @@ pub(super) struct Job {
     pub above: Above,
     /// Wanted later, when it was listed.
     pub is_ahead: bool,
+    /// Where the threads are with it; clones of the job have the same.
+    pub stage: Arc<Stage>,
 }
 
 /// The tilesets above what is in a page.
@@ -92,6 +95,7 @@ impl Waiting {
         self.outstanding += 1;
         self.ahead_outstanding += usize::from(job.is_ahead);
         self.taken.push(job.ticket);
+        job.stage.reads();
     }
 
     pub fn answered(&mut self, job: &Job) {

@@ -23,6 +23,7 @@ mod look_ahead;
 mod requests;
 mod residents;
 mod shares;
+mod states;
 mod stats;
 mod threads;
 mod update;
@@ -33,6 +34,7 @@ pub use images::{
     StreamStatus,
 };
 pub use look_ahead::{PathLooks, frames_until};
+pub use states::RequestState;
 pub use stats::{ErrorRecord, PagerStats};
 pub use update::DatabasePager;
 

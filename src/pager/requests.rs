@@ -1,6 +1,7 @@
 //! What is asked for: requests of culls become entries, and entries the list that the threads take from. Update thread.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::DatabasePager;
@@ -61,6 +62,7 @@ impl DatabasePager {
                 reader_data: slot.reader_data.cloned(),
                 above,
                 is_ahead: request.ahead_frames > 0,
+                stage: Arc::default(),
             };
             timeline::request_begins(self.threads.list.ticket_source | job.ticket, &job.uri);
             self.next_ticket += 1;
@@ -90,6 +92,7 @@ impl DatabasePager {
             {
                 scene.set_failed(entry.job.slot, false);
                 entry.job.ticket = self.next_ticket;
+                entry.job.stage.waits();
                 timeline::request_begins(self.threads.list.ticket_source | self.next_ticket, &entry.job.uri);
                 self.next_ticket += 1;
                 entry.wanted_frame = self.frame;

@@ -9,6 +9,7 @@ use super::list::{Above, Entry, Progress};
 use super::requests::AheadShort;
 use super::residents::Residents;
 use super::shares::Shares;
+use super::states::RequestState;
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
 use crate::cull::PageRequest;
@@ -261,8 +262,20 @@ impl DatabasePager {
             s.sharing = sharing.stats();
         }
         s.resident = self.residents.len() as u64;
-        s.waiting = self.entries.values().filter(|e| matches!(e.progress, Progress::Waiting)).count() as u64;
-        let flying = |e: &&Entry| matches!(e.progress, Progress::Loading | Progress::Arrived(_));
-        s.in_flight = self.entries.values().filter(flying).count() as u64;
+        (s.waiting, s.in_flight, s.decoding, s.compiling) = (0, 0, 0, 0);
+        for entry in self.entries.values() {
+            match entry.progress {
+                Progress::Waiting => s.waiting += 1,
+                Progress::Loading | Progress::Arrived(_) => {
+                    s.in_flight += 1;
+                    match entry.state() {
+                        RequestState::Decoding => s.decoding += 1,
+                        RequestState::Compiling | RequestState::Merging => s.compiling += 1,
+                        _ => {}
+                    }
+                }
+                Progress::Failed { .. } => {}
+            }
+        }
     }
 }
