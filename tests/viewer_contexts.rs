@@ -12,7 +12,7 @@ use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::pager::PagerConfig;
-use terrane::scene::{DataVariance, Inherit, Mesh, Node, NodeId, Page};
+use terrane::scene::{DataVariance, Inherit, Mesh, Node, NodeId, Page, ShareModes};
 use terrane::viewer::{
     CompositeViewer, ContextId, KEY_COLOR, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError, coverage,
 };
@@ -178,6 +178,47 @@ fn a_context_that_comes_later_shows_all() {
         viewer.close_context(first).unwrap();
         settle(&mut viewer);
         assert!(viewer.read_back_of(later).unwrap() == before);
+    }
+}
+
+#[test]
+fn what_a_closed_context_held_counts_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let size = [120, 90];
+    // Tiles that share, and tiles that do not.
+    for sharing in [ShareModes::STATIC, ShareModes::NONE] {
+        let Some(of_first) = context(size) else { return };
+        let mut config = config(ThreadingModel::DrawThreadPerContext, size, false);
+        config.pager.sharing = sharing;
+        let mut viewer = Viewer::new(of_first, &config).unwrap();
+        viewer.load(&set).unwrap();
+        let settle = |viewer: &mut Viewer| {
+            let until = std::time::Instant::now() + std::time::Duration::from_secs(60);
+            loop {
+                viewer.frame().unwrap();
+                if viewer.is_settled() || std::time::Instant::now() > until {
+                    break *viewer.pager().unwrap().stats();
+                }
+            }
+        };
+        let one = settle(&mut viewer);
+        let later = viewer.open_context(context(size).unwrap()).unwrap();
+        viewer.add_slave(Slave::new(later)).unwrap();
+        let both = settle(&mut viewer);
+        assert!(one.gpu_bytes > 0 && one.resident == both.resident, "{one:?} {both:?}");
+        assert_eq!((both.gpu_bytes, both.cpu_bytes), (2 * one.gpu_bytes, one.cpu_bytes));
+        let first = viewer.context().unwrap();
+        viewer.close_context(first).unwrap();
+        // At once, and after frames with what is left.
+        assert_eq!(viewer.pager().unwrap().stats().gpu_bytes, one.gpu_bytes);
+        let left = settle(&mut viewer);
+        assert_eq!((left.gpu_bytes, left.resident, left.expired), (one.gpu_bytes, one.resident, both.expired));
+        assert_eq!(left.shared_gpu_bytes_saved, one.shared_gpu_bytes_saved);
+        // Nothing is left over when the pages go.
+        viewer.clear_pages();
+        let none = *viewer.pager().unwrap().stats();
+        assert_eq!((none.gpu_bytes, none.shared_gpu_bytes_saved), (0, 0));
     }
 }
 
