@@ -158,6 +158,7 @@ impl DatabasePager {
     ) {
         let dropped: Vec<Entry> =
             self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
+        self.is_listed &= dropped.is_empty();
         for Entry { job, progress, .. } in dropped {
             if matches!(progress, Progress::Failed { .. }) {
                 continue;

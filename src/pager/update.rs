@@ -52,6 +52,8 @@ pub struct DatabasePager {
     pub(super) is_short: bool,
     pub(super) is_paused: bool,
     pub(super) takes_requests: bool,
+    /// [`Self::request`] has written the list, and nothing has changed what it is to be.
+    pub(super) is_listed: bool,
 }
 
 impl DatabasePager {
@@ -85,6 +87,7 @@ impl DatabasePager {
             is_short: false,
             is_paused: false,
             takes_requests: true,
+            is_listed: false,
         })
     }
 
@@ -122,7 +125,11 @@ impl DatabasePager {
         self.accept(scene, requests);
         self.merge_arrived(scene, contexts);
         self.retry(scene);
-        self.rewrite_list();
+        // As a rule the same is asked for as after the last cull, and listed as it is to be.
+        if !self.is_listed {
+            self.rewrite_list();
+        }
+        self.is_listed = false;
         while self.config.blocking && self.is_busy() {
             let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
             if let Some(answer) = answer {
@@ -140,6 +147,7 @@ impl DatabasePager {
         if !requests.is_empty() {
             self.accept(scene, requests);
             self.rewrite_list();
+            self.is_listed = true;
         }
     }
 
@@ -189,6 +197,7 @@ impl DatabasePager {
     /// next update on.
     pub fn set_paused(&mut self, is_paused: bool) {
         self.is_paused = is_paused;
+        self.is_listed = false;
     }
 
     /// Whether requests for contents that were not asked for before are taken up; those that were go on.
