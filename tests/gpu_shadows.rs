@@ -90,7 +90,7 @@ fn tilted_plates_throw_no_shadows_on_themselves() {
     for turn in 0..12 {
         // The sun's angle over the plate: 4 to 60 degrees; where it lies in the map: all around.
         for over in [0.07, 0.21, 0.5, 1.05f64] {
-            let across = DQuat::from_axis_angle(to_sun, f64::from(turn) * 0.5236) * side;
+            let across = DQuat::from_axis_angle(to_sun, f64::from(turn) * std::f64::consts::FRAC_PI_6) * side;
             let normal = to_sun * over.sin() + across * over.cos();
             let (x, y) = normal.any_orthonormal_pair();
             let plate = Mesh::rectangle((x + y) * -40.0, x * 80.0, y * 80.0);

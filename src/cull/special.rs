@@ -3,6 +3,7 @@
 use glam::{DAffine3, DMat3, DVec3, DVec4};
 
 use super::CullCamera;
+use super::occluders::NO_OCCLUDERS;
 use super::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView, moved, plane_moved,
 };
@@ -145,6 +146,7 @@ impl Cull<'_> {
         view.derive();
         self.views.push(view);
         let above = std::mem::replace(&mut self.view, view);
+        let occluders = std::mem::replace(&mut self.occluders, &NO_OCCLUDERS);
         let range = std::mem::replace(&mut self.range, DepthRange::EMPTY);
         let aside = self.candidates.len();
         // Known before anything below it is met.
@@ -166,6 +168,7 @@ impl Cull<'_> {
             self.stage.views[index - 1].clip_from_eye = clamped;
         }
         self.view = above;
+        self.occluders = occluders;
     }
 
     fn camera_node(&mut self, context: &PageContext, node: u32, camera: &CameraNode, path: u32, mask: u8) {

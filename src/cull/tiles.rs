@@ -328,9 +328,7 @@ impl Cull<'_> {
         let ready = record.not_ready_children == 0;
         let (range2, distance2) = walk.range_and_distance(tile, record);
         let wants = record.has_children() && distance2 < range2;
-        // Children in the tile's place; also where it has no content itself.
-        let gives_way = ready && record.has_children() && (wants || !resident);
-        let is_refined = if replaces { gives_way } else { wants };
+        let is_refined = shows_children(record, (range2, distance2));
         let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
         let (mut own, mut children) = (fade.band(), fade.band());
         if let Some(mark) = marks.get_mut(tile as usize)
@@ -468,6 +466,15 @@ impl Cull<'_> {
         self.stage.requests.push(PageRequest { slot, priority, error_px, ahead_frames: 0 });
         priority
     }
+}
+
+/// Whether a tile with content that is met to be drawn shows its children: in its own place also where its content is
+/// not there.
+pub(super) fn shows_children(record: &TileRecord, (range2, distance2): (f32, f32)) -> bool {
+    let wants = distance2 < range2;
+    let replaces = !record.has(flag::ADD);
+    let may = !replaces || record.not_ready_children == 0;
+    record.has_children() && may && (wants || (replaces && !record.has(flag::RESIDENT)))
 }
 
 /// True for a tile that is what it is to be.

@@ -142,8 +142,17 @@ impl DatabasePager {
         self.count();
     }
 
-    /// Drops what was loaded and waits for its upload or its merge, to be asked for again. For contexts that go, whose
-    /// uploads nobody would finish.
+    /// Forgets a context that is gone: what pages held there counts no more, and what waits for its upload or its merge
+    /// is dropped, to be asked for again. `contexts` are those that stay.
+    pub fn forget_context(&mut self, context: u32, contexts: &mut [&mut dyn CompileContext]) {
+        self.drop_uploads(contexts);
+        self.residents.forget_context(context);
+        self.shares.forget_context(context);
+        self.count();
+    }
+
+    /// Drops what was loaded and waits for its upload or its merge, to be asked for again: nobody would finish what a
+    /// context that goes has begun.
     pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
         self.drop_entries(contexts, |_, entry| matches!(entry.progress, Progress::Arrived(_)));
         self.compiling.clear();
@@ -158,6 +167,7 @@ impl DatabasePager {
     ) {
         let dropped: Vec<Entry> =
             self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
+        self.is_listed &= dropped.is_empty();
         for Entry { job, progress, .. } in dropped {
             if matches!(progress, Progress::Failed { .. }) {
                 continue;

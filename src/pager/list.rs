@@ -195,7 +195,8 @@ impl RequestList {
 /// A page that waits for its contexts, or for its turn to merge.
 pub(super) struct Arrived {
     pub page: Box<Page>,
-    pub gpu_bytes: u64,
+    /// By context.
+    pub gpu_bytes: Vec<(u32, u64)>,
     /// Contexts that still compile.
     pub contexts_left: usize,
 }

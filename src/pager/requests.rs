@@ -37,6 +37,7 @@ impl DatabasePager {
         for request in requests {
             if let Some(entry) = self.entries.get_mut(&request.slot) {
                 let priority = entry.paging.priority(request.priority);
+                self.is_listed &= entry.priority == priority;
                 if entry.wanted_frame == self.frame {
                     entry.priority = entry.priority.max(priority);
                     entry.ahead_frames = entry.ahead_frames.min(request.ahead_frames);
@@ -78,6 +79,7 @@ impl DatabasePager {
                 progress: Progress::Waiting,
             };
             self.entries.insert(request.slot, entry);
+            self.is_listed = false;
         }
     }
 
@@ -98,6 +100,7 @@ impl DatabasePager {
                 entry.wanted_frame = self.frame;
                 entry.progress = Progress::Waiting;
                 self.stats.retried += 1;
+                self.is_listed = false;
             }
         }
     }

@@ -135,7 +135,7 @@ mod tests {
         taken.stage.decodes();
         assert_eq!(entry.state(), RequestState::Decoding);
         let page = Box::new(Page::from_node(Node::group(vec![])).unwrap());
-        entry.progress = Progress::Arrived(Arrived { page, gpu_bytes: 0, contexts_left: 2 });
+        entry.progress = Progress::Arrived(Arrived { page, gpu_bytes: Vec::new(), contexts_left: 2 });
         assert_eq!(entry.state(), RequestState::Compiling);
         if let Progress::Arrived(arrived) = &mut entry.progress {
             arrived.contexts_left = 0;

@@ -56,6 +56,8 @@ pub struct DatabasePager {
     pub(super) ahead_short: Option<AheadShort>,
     pub(super) is_paused: bool,
     pub(super) takes_requests: bool,
+    /// [`Self::request`] has written the list, and nothing has changed what it is to be.
+    pub(super) is_listed: bool,
 }
 
 impl DatabasePager {
@@ -90,6 +92,7 @@ impl DatabasePager {
             ahead_short: None,
             is_paused: false,
             takes_requests: true,
+            is_listed: false,
         })
     }
 
@@ -127,7 +130,11 @@ impl DatabasePager {
         self.accept(scene, requests);
         self.merge_arrived(scene, contexts);
         self.retry(scene);
-        self.rewrite_list();
+        // As a rule the same is asked for as after the last cull, and listed as it is to be.
+        if !self.is_listed {
+            self.rewrite_list();
+        }
+        self.is_listed = false;
         self.threads.list.ring_if_due();
         while self.config.blocking && self.is_busy() {
             let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
@@ -149,6 +156,7 @@ impl DatabasePager {
         self.accept(scene, requests);
         if self.next_ticket != known {
             self.rewrite_list();
+            self.is_listed = true;
         }
     }
 
@@ -198,6 +206,7 @@ impl DatabasePager {
     /// next update on.
     pub fn set_paused(&mut self, is_paused: bool) {
         self.is_paused = is_paused;
+        self.is_listed = false;
     }
 
     /// Whether requests for contents that were not asked for before are taken up; those that were go on.
