@@ -8,9 +8,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
-use scenes::{Grid, content, look_at, page, quadtree, state_sets};
+use scenes::{Grid, content, drawable, look_at, page, quadtree, state_sets};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage, SunShadows};
-use terrane::scene::{CameraEnvironment, CameraNode, CameraShadows, Environment, Node, Refine, RenderOrder, Scene};
+use terrane::math::Aabb;
+use terrane::scene::{
+    CameraEnvironment, CameraNode, CameraShadows, ConvexPlanarOccluder, Environment, Node, NodeKind, Page, Refine,
+    RenderOrder, Scene,
+};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
 struct Counting;
@@ -69,6 +73,15 @@ fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCam
     (allocations, fading)
 }
 
+/// Content with an occluder across.
+fn walled(slot: u32) -> Page {
+    let corners = [(-30.0, 0.0), (30.0, 0.0), (30.0, 20.0), (-30.0, 20.0)].map(|(x, z)| DVec3::new(x, x, z));
+    let occluder = ConvexPlanarOccluder { corners: corners.to_vec(), holes: vec![corners[..3].to_vec()] };
+    let bounds = Aabb { min: DVec3::splat(-50.0), max: DVec3::splat(50.0) };
+    let occluder = Node::new(NodeKind::OccluderNode(Box::new(occluder)));
+    page(Node::group(vec![Node::geode(vec![drawable(bounds)]), occluder]), slot)
+}
+
 // One test, so that no other thread of the harness counts in between.
 #[test]
 fn a_steady_cull_allocates_nothing() {
@@ -99,7 +112,8 @@ fn a_steady_cull_allocates_nothing() {
     let root = scene.add_root(page(quadtree(6, 2000.0, 200.0, Refine::Replace), 0));
     for (i, slot) in scene.slots_of_page(root).collect::<Vec<_>>().into_iter().enumerate() {
         if i % 7 != 3 || i < 3 {
-            assert!(scene.attach(slot, content(50.0, i as u32)).is_ok());
+            let content = if i % 5 == 0 { walled(i as u32) } else { content(50.0, i as u32) };
+            assert!(scene.attach(slot, content).is_ok());
         }
     }
     let (round, fading) = allocations_of_second_round(&scene, |frame| {

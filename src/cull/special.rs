@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3, DVec4};
 
+use super::occluders::NO_OCCLUDERS;
 use super::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView, moved, plane_moved,
 };
@@ -153,6 +154,7 @@ impl Cull<'_> {
         view.derive();
         self.views.push(view);
         let above = std::mem::replace(&mut self.view, view);
+        let occluders = std::mem::replace(&mut self.occluders, &NO_OCCLUDERS);
         let range = std::mem::replace(&mut self.range, DepthRange::EMPTY);
         let aside = self.candidates.len();
         // Known before anything below it is met.
@@ -175,6 +177,7 @@ impl Cull<'_> {
             (of_view.clip_from_eye, of_view.range_m) = (clamped, [near_m, far_m]);
         }
         self.view = above;
+        self.occluders = occluders;
     }
 
     fn camera_node(&mut self, context: &PageContext, node: u32, camera: &CameraNode, path: u32, mask: u8) {

@@ -54,13 +54,20 @@ pub struct PageRequest {
     pub priority: f32,
     /// Error of the tile itself, in pixels, were it shown.
     pub error_px: f32,
+    /// Frames until a picture will lack it; 0 where one does.
+    pub ahead_frames: u32,
 }
 
 impl PageRequest {
-    /// The same for later, from where an eye will be: it comes after all that a picture lacks now, in the same order,
-    /// and gets only room that nothing else needs.
-    pub fn ahead(self) -> Self {
-        Self { priority: -(1.0 / (1.0 + self.priority.max(0.0))).max(f32::MIN_POSITIVE), ..self }
+    /// The same for later, from where an eye will be in so many frames (one at least): it comes after all that a
+    /// picture lacks now, sooner before later, in the same order else, and gets only room that nothing else needs.
+    ///
+    /// What is there already will be wanted too: the look is culled with as many
+    /// [`CullCamera::ahead_frames`](super::CullCamera::ahead_frames), so that no page gives way to one wanted later.
+    pub fn ahead(self, frames: u32) -> Self {
+        let ahead_frames = frames.max(1);
+        let urgency = self.priority.max(0.0) / ahead_frames as f32;
+        Self { priority: -(1.0 / (1.0 + urgency)).max(f32::MIN_POSITIVE), ahead_frames, ..self }
     }
 }
 

@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3, Vec4};
 
 use super::fade::{Fade, LodFades};
 use super::near_far::Candidate;
-use super::occluders::{FrameOccluders, Occluders};
+use super::occluders::{Collector, FrameOccluders, NO_OCCLUDERS, Occluders};
 use super::planes::{Planes, depth_row};
 use super::shadows::ShadowLight;
 use super::sort::Sorter;
@@ -203,6 +203,9 @@ pub(super) struct Cull<'a> {
     pub candidates: &'a mut Vec<Candidate>,
     pub deferred: &'a mut Vec<DeferredCamera>,
     pub nested: &'a mut Vec<NestedCamera>,
+    /// Of the stage's own view.
+    pub stage_occluders: &'a Occluders,
+    /// Of the current view.
     pub occluders: &'a Occluders,
     pub page_occluders: &'a mut FrameOccluders,
     pub tile_occluders: &'a mut FrameOccluders,
@@ -325,7 +328,8 @@ impl CullVisitor {
         self.nested.clear();
         self.occluders.clear();
         if view.settings.culling.contains(CullingMode::SHADOW_OCCLUSION) {
-            self.occluders.collect(scene, &view);
+            let fades = &self.fades[self.eye];
+            self.occluders.collect(&Collector { scene, view: &view, camera: met, fades, frame: camera.frame });
         }
         let root_state = self.state_set.as_ref().map_or(ROOT, |set| self.graph.find_or_insert(ROOT, set));
         let mut cull = Cull {
@@ -346,6 +350,7 @@ impl CullVisitor {
             candidates: &mut self.candidates,
             deferred: &mut self.deferred,
             nested: &mut self.nested,
+            stage_occluders: &self.occluders,
             occluders: &self.occluders,
             page_occluders: &mut self.page_occluders,
             tile_occluders: &mut self.tile_occluders,
@@ -491,6 +496,8 @@ impl<'a> Cull<'a> {
         let visit = PageVisit { place, eye_from_page, mask, purpose, required, state, view, shown_px, fade };
         if visit.view != self.view.index {
             self.view = self.views[visit.view as usize];
+            // Those of other views are not looked for.
+            self.occluders = if visit.view == 0 { self.stage_occluders } else { &NO_OCCLUDERS };
         }
         self.open_page(page, visit.state);
         if visit.purpose != Purpose::Draw {

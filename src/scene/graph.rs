@@ -23,6 +23,8 @@ struct Entry {
     slot: Option<NodeId>,
     /// Tiles above the page's top tiles.
     base_depth: u32,
+    /// Its place in `Scene::occluder_pages`, where it is there.
+    occluders_at: u32,
 }
 
 /// Owns pages. Update holds `&mut Scene`, cull `&Scene`.
@@ -37,6 +39,8 @@ pub struct Scene {
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
     pub(super) callback_pages: CallbackPages,
+    /// Places of the pages that have OccluderNodes, in no order.
+    occluder_pages: Vec<u32>,
     /// Meshes that were changed and have not been sent to be drawn.
     pub(super) rewritten: Vec<Rewritten>,
 }
@@ -252,15 +256,20 @@ impl Scene {
         self.callback_pages.note(place, &page);
         self.revision += 1;
         self.page_count += 1;
+        let occluders_at = self.occluder_pages.len() as u32;
+        if !page.occluders.is_empty() {
+            self.occluder_pages.push(place);
+        }
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {
                 let entry = &mut self.entries[place as usize];
                 (entry.page, entry.slot, entry.base_depth) = (page, slot, base_depth);
+                entry.occluders_at = occluders_at;
                 PageId { slot: place, generation: entry.generation }
             }
             None => {
-                self.entries.push(Entry { generation: 0, page, slot, base_depth });
+                self.entries.push(Entry { generation: 0, page, slot, base_depth, occluders_at });
                 PageId { slot: self.entries.len() as u32 - 1, generation: 0 }
             }
         }
@@ -277,7 +286,19 @@ impl Scene {
         self.free.push(id.slot);
         self.page_count -= 1;
         self.revision += 1;
+        if !page.occluders.is_empty() {
+            let at = entry.occluders_at;
+            self.occluder_pages.swap_remove(at as usize);
+            if let Some(moved) = self.occluder_pages.get(at as usize) {
+                self.entries[*moved as usize].occluders_at = at;
+            }
+        }
         Some(*page)
+    }
+
+    /// Places of the pages that have OccluderNodes.
+    pub(crate) fn occluder_pages(&self) -> &[u32] {
+        &self.occluder_pages
     }
 
     pub(super) fn base_depth(&self, id: PageId) -> u32 {
@@ -294,7 +315,7 @@ impl Scene {
         self.entries.get_mut(place as usize)?.page.as_deref_mut()
     }
 
-    pub(super) fn slot_at(&self, place: u32) -> Option<NodeId> {
+    pub(crate) fn slot_at(&self, place: u32) -> Option<NodeId> {
         self.entries.get(place as usize)?.slot
     }
 

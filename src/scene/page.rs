@@ -222,7 +222,11 @@ impl Page {
             + self.drawable_refs.len() * (size_of::<DrawableRef>() + size_of::<Aabb>());
         let slots: usize = self.draw_slots.iter().map(|(_, slots)| slots.len() * 4).sum();
         let states = self.paths.len() * size_of::<StatePath>() + self.state_sets.len() * size_of::<StateSet>();
-        (size_of::<Self>() + nodes + drawables + slots + states) as u64
+        let corners = |o: &ConvexPlanarOccluder| o.corners.len() + o.holes.iter().map(Vec::len).sum::<usize>();
+        let corners: usize = self.occluders.iter().map(|(_, _, o)| corners(o)).sum();
+        let occluders =
+            self.occluders.len() * size_of::<(u32, u32, ConvexPlanarOccluder)>() + corners * size_of::<DVec3>();
+        (size_of::<Self>() + nodes + drawables + slots + states + occluders) as u64
             + self.transforms.size_bytes()
             + self.tiles.size_bytes()
             + self.payload_bytes
@@ -495,13 +499,18 @@ impl Page {
             return true;
         }
         let shown = &self.switches[self.payloads[node as usize] as usize];
+        shown.get(self.child_index(node, child)).copied().unwrap_or(false)
+    }
+
+    /// Which of a node's children one is.
+    pub(crate) fn child_index(&self, node: u32, child: u32) -> usize {
         let mut at = node + 1;
         let mut index = 0;
         while at < child {
             at += self.nodes[at as usize].skip;
             index += 1;
         }
-        shown.get(index).copied().unwrap_or(false)
+        index
     }
 
     /// True for nodes whose children are not in the frame of what is above.
