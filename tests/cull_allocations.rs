@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 use scenes::{Grid, content, drawable, look_at, page, quadtree, state_sets};
-use terrane::cull::{CullCamera, CullVisitor, RenderStage, ShadowLight, SunShadows};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage, SunShadows};
 use terrane::math::Aabb;
 use terrane::scene::{ConvexPlanarOccluder, Environment, Node, NodeKind, Page, Refine, Scene};
 use terrane::state::{BinDetails, SortMode, StateSet};
