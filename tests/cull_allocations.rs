@@ -8,9 +8,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
-use scenes::{Grid, content, look_at, page, quadtree, state_sets};
-use terrane::cull::{CullCamera, CullVisitor, RenderStage, ShadowLight, SunShadows};
-use terrane::scene::{Refine, Scene};
+use scenes::{Grid, content, drawable, look_at, page, quadtree, state_sets};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage, SunShadows};
+use terrane::math::Aabb;
+use terrane::scene::{
+    CameraEnvironment, CameraNode, CameraShadows, ConvexPlanarOccluder, Environment, Node, NodeKind, Page, Refine,
+    RenderOrder, Scene,
+};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
 struct Counting;
@@ -45,7 +49,9 @@ static ALLOCATOR: Counting = Counting;
 fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCamera) -> (u64, u32) {
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
     let to_sun = DVec3::new(0.6, 0.0, 0.8);
-    visitor.shadow_light = Some(ShadowLight { to_sun, up: to_sun, shadows: SunShadows::default() });
+    let shadows = Some(SunShadows::default());
+    visitor.environment =
+        Some(Environment { sun_direction: to_sun, up_in_world: to_sun, shadows, ..Environment::default() });
     let mut casters = 0;
     let mut before = 0;
     let (mut leaves, mut fading) = (0, 0);
@@ -65,6 +71,15 @@ fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCam
     let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
     assert!(leaves > 1_000 && casters > 1_000);
     (allocations, fading)
+}
+
+/// Content with an occluder across.
+fn walled(slot: u32) -> Page {
+    let corners = [(-30.0, 0.0), (30.0, 0.0), (30.0, 20.0), (-30.0, 20.0)].map(|(x, z)| DVec3::new(x, x, z));
+    let occluder = ConvexPlanarOccluder { corners: corners.to_vec(), holes: vec![corners[..3].to_vec()] };
+    let bounds = Aabb { min: DVec3::splat(-50.0), max: DVec3::splat(50.0) };
+    let occluder = Node::new(NodeKind::OccluderNode(Box::new(occluder)));
+    page(Node::group(vec![Node::geode(vec![drawable(bounds)]), occluder]), slot)
 }
 
 // One test, so that no other thread of the harness counts in between.
@@ -97,7 +112,8 @@ fn a_steady_cull_allocates_nothing() {
     let root = scene.add_root(page(quadtree(6, 2000.0, 200.0, Refine::Replace), 0));
     for (i, slot) in scene.slots_of_page(root).collect::<Vec<_>>().into_iter().enumerate() {
         if i % 7 != 3 || i < 3 {
-            assert!(scene.attach(slot, content(50.0, i as u32)).is_ok());
+            let content = if i % 5 == 0 { walled(i as u32) } else { content(50.0, i as u32) };
+            assert!(scene.attach(slot, content).is_ok());
         }
     }
     let (round, fading) = allocations_of_second_round(&scene, |frame| {
@@ -107,4 +123,25 @@ fn a_steady_cull_allocates_nothing() {
     });
     assert_eq!(round, 0);
     assert!(fading > 200, "{fading}");
+
+    // Cameras in the graph, one of them nested, with shadows and environments of their own.
+    let own = CameraEnvironment::Own(Arc::new(Environment::default()));
+    let cameras = [RenderOrder::PreRender(0), RenderOrder::Nested, RenderOrder::PostRender(0)].map(|order| {
+        let shadows = CameraShadows::Own(SunShadows::default());
+        let camera = CameraNode { environment: own.clone(), shadows, ..CameraNode::new(order) };
+        Node::camera(camera, vec![Grid::new(1_000).build(&sets_of(3))])
+    });
+    let mut scene = Scene::new();
+    scene.add_root(page(Node::group(cameras.to_vec()), 0));
+    let (round, _) = allocations_of_second_round(&scene, |frame| {
+        let angle = f64::from(frame) * 0.0628;
+        let center = DVec3::new(16.0, 16.0, 0.0);
+        look_at(center + DVec3::new(30.0 * angle.cos(), 30.0 * angle.sin(), 20.0), center, DVec3::Z)
+    });
+    assert_eq!(round, 0);
+}
+
+fn sets_of(count: i32) -> Vec<Arc<StateSet>> {
+    let set = |number| StateSet { bin: Some(BinDetails { number, sort: SortMode::ByState }), ..StateSet::default() };
+    (0..count).map(|number| Arc::new(set(number))).collect()
 }

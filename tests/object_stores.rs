@@ -127,6 +127,117 @@ fn without_keys_nothing_is_signed() {
     assert_eq!(server.seen()[0].header("authorization"), None);
 }
 
+/// True, said visibly, where the environment has keys of its own.
+fn has_keys_in_environment() -> bool {
+    let found = std::env::vars_os().find(|(name, _)| {
+        let name = name.to_string_lossy().to_uppercase();
+        ["AWS_", "GOOGLE_", "AZURE_", "GCE_METADATA", "SERVICE_ACCOUNT"].iter().any(|p| name.starts_with(p))
+    });
+    if let Some((name, _)) = &found {
+        eprintln!("SKIPPED: {} is set", name.to_string_lossy());
+    }
+    found.is_some()
+}
+
+#[test]
+fn without_keys_no_metadata_service_is_asked() {
+    if has_keys_in_environment() {
+        return;
+    }
+    let server = Server::start(|_| Reply::ok(vec![5; 9]).with("ETag", "\"1\""));
+    let url = server.url.as_str();
+    for (scheme, of) in [
+        ("s3", vec![("aws_endpoint", url), ("aws_allow_http", "true")]),
+        ("gs", vec![("google_base_url", url), ("google_allow_http", "true")]),
+        (
+            "az",
+            vec![("azure_storage_endpoint", url), ("azure_allow_http", "true"), ("azure_storage_account_name", "a")],
+        ),
+    ] {
+        let before = server.count();
+        // What goes to no server here goes to one that the network knows nothing of, and waits there.
+        let config = HttpConfig { store_options: options(&of), ..HttpConfig::default() };
+        let start = std::time::Instant::now();
+        assert_eq!(get_with(&config, &format!("{scheme}://open/a.glb")).unwrap(), [5; 9]);
+        assert!(start.elapsed() < Duration::from_secs(1), "{scheme}: {:?}", start.elapsed());
+        let seen = server.seen().split_off(before);
+        assert_eq!(seen.len(), 1, "{scheme}: {seen:?}");
+        assert_eq!(seen[0].header("authorization"), None);
+    }
+}
+
+#[test]
+fn a_metadata_service_that_is_named_is_asked_and_not_waited_for_long() {
+    if has_keys_in_environment() {
+        return;
+    }
+    let store = bucket(BTreeMap::from([("/b/a.glb".to_owned(), vec![5; 9])]));
+    let with = |metadata: &str| HttpConfig {
+        store_options: options(&[
+            ("aws_endpoint", &store.url),
+            ("aws_allow_http", "true"),
+            ("aws_metadata_endpoint", metadata),
+        ]),
+        max_retries: 0,
+        ..HttpConfig::default()
+    };
+    let cloud = Server::start(|r| match r.path() {
+        "/latest/api/token" => Reply::ok("token"),
+        "/latest/meta-data/iam/security-credentials/" => Reply::ok("role"),
+        "/latest/meta-data/iam/security-credentials/role" => Reply::ok(
+            r#"{"AccessKeyId":"AKIAROLE","SecretAccessKey":"secret","Token":"t","Expiration":"2199-01-01T00:00:00Z"}"#,
+        ),
+        _ => Reply::new(404, ""),
+    });
+    assert_eq!(get_with(&with(&cloud.url), "s3://b/a.glb").unwrap(), [5; 9]);
+    let signed = store.seen()[0].header("authorization").unwrap().to_owned();
+    assert!(signed.contains("Credential=AKIAROLE/"), "{signed}");
+
+    let silent = Server::start(|_| Reply::ok("").how(How::Silent));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let client = HttpClient::new(&with(&silent.url)).unwrap();
+        let start = std::time::Instant::now();
+        for _ in 0..20 {
+            let error = client.get("s3://b/a.glb", &Limits::default()).await.unwrap_err();
+            assert!(matches!(error, IoError::Network { .. }) && error.to_string().contains("metadata"), "{error}");
+        }
+        // Once, not for each object.
+        assert!(start.elapsed() < Duration::from_secs(6), "{:?}", start.elapsed());
+    });
+    assert_eq!((silent.count(), store.count()), (1, 1));
+}
+
+#[test]
+fn caches_tell_stores_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let stores = [1u8, 2].map(|n| {
+        bucket(BTreeMap::from([("/b/tile.glb".to_owned(), vec![n; 500]), ("/tiles/tile.glb".to_owned(), vec![n; 500])]))
+    });
+    let cached = |http: HttpConfig, offline| HttpConfig {
+        cache: Some(CacheConfig { offline, ..CacheConfig::new(folder.path()) }),
+        ..http
+    };
+    let azure = |url: &str| HttpConfig {
+        store_options: options(&[
+            ("azure_storage_endpoint", url),
+            ("azure_allow_http", "true"),
+            ("azure_storage_account_name", "account"),
+            ("azure_skip_signature", "true"),
+        ]),
+        ..HttpConfig::default()
+    };
+    for offline in [false, true] {
+        for (store, n) in stores.iter().zip([1u8, 2]) {
+            let from = |config, uri| get_with(&cached(config, offline), uri).unwrap();
+            assert_eq!(from(s3(&store.url), "s3://b/tile.glb"), [n; 500], "offline {offline}");
+            assert_eq!(from(azure(&store.url), "az://tiles/tile.glb"), [n; 500], "offline {offline}");
+        }
+    }
+    let third = s3("http://127.0.0.1:1");
+    assert!(matches!(get_with(&cached(third, true), "s3://b/tile.glb"), Err(IoError::Offline { .. })));
+}
+
 #[test]
 fn google_and_azure_are_asked_in_their_ways() {
     let set = zipped(&BTreeMap::from([("tileset.json".to_owned(), vec![b' '; 300_000])]));

@@ -249,6 +249,31 @@ fn over(x: f64, height_m: f64) -> DVec3 {
 }
 
 #[test]
+fn what_a_closed_context_held_counts_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path(), 4, |n| glb((n % 3) as u8, (n % 2) as u8));
+    for sharing in [ShareModes::STATIC, ShareModes::NONE] {
+        let mut run = Run::new(folder.path(), PagerConfig { sharing, ..PagerConfig::default() }, 3);
+        let all = run.settle(over(0.5, 600_000.0));
+        // The second goes, on the way to more tiles; the first, at rest.
+        run.frame(over(0.3, 200.0));
+        for (left, goes) in [(2, 1), (1, 0)] {
+            let gone = run.contexts.remove(goes);
+            let mut contexts: Vec<_> = run.contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
+            run.pager.forget_context(gone.id, &mut contexts);
+            let held: u64 = run.contexts.iter().map(|c| c.gpu.bytes_in_use()).sum();
+            assert!(held > 0 && run.pager.stats().gpu_bytes <= held, "what is not merged does not count");
+            let stats = run.settle(over(0.3, 200.0));
+            assert!(stats.resident > all.resident && stats.expired == 0, "{left} left: {stats:?}");
+        }
+        let mut contexts: Vec<_> = run.contexts.iter_mut().map(|c| c as &mut dyn CompileContext).collect();
+        run.pager.clear(&mut run.scene, &mut contexts);
+        let stats = run.pager.stats();
+        assert_eq!((stats.gpu_bytes, stats.shared_gpu_bytes_saved, stats.cpu_bytes), (0, 0, 0));
+    }
+}
+
+#[test]
 fn each_content_is_uploaded_once_a_context_and_counted_once() {
     let folder = tempfile::tempdir().unwrap();
     // Three meshes and two images.

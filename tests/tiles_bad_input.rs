@@ -56,6 +56,32 @@ fn tileset(volume: &str, error: &str, content: &str) -> Vec<u8> {
     .into_bytes()
 }
 
+#[test]
+fn occluders_that_are_none_are_refused() {
+    let gltf = |occluder: &str| {
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1]}},{{"extras":{{"terrane":{{"occluder":{occluder}}}}}}}]}}"#
+        )
+    };
+    let polygon = |corners: &str| gltf(&format!(r#"{{"corners":[{corners}]}}"#));
+    assert!(read(polygon("[0,0,0],[1,0,0],[0,1,0]").as_bytes(), None).is_ok());
+    let many = vec!["[0,0,0]"; 65].join(",");
+    for (occluder, reason) in [
+        (gltf("7"), "invalid type"),
+        (polygon("[0,0,0],[1,0]"), "invalid length"),
+        (polygon("[0,0,0],[1,0,0]"), "2 corners"),
+        (polygon(&many), "65 corners"),
+        (polygon("[0,0,0],[1,0,0],[2,0,0]"), "no area"),
+        (polygon("[0,0,0],[1e300,0,0],[0,1e300,0]"), "no area"),
+        (polygon("[0,0,0],[1,0,0],[1,1,0.2],[0,1,0]"), "in a plane"),
+        (polygon("[0,0,0],[2,0,0],[0.5,0.5,0],[0,2,0]"), "not convex"),
+        (gltf(r#"{"corners":[[0,0,0],[1,0,0],[0,1,0]],"holes":[[[0,0,0]]]}"#), "1 corners"),
+    ] {
+        let said = refused(occluder.as_bytes());
+        assert!(said.contains("occluder of node 1") && said.contains(reason), "{said}");
+    }
+}
+
 const SPHERE: &str = r#""sphere":[0,0,0,5]"#;
 
 #[test]

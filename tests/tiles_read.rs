@@ -217,6 +217,28 @@ fn gltf_in_json_with_data_uris_strips_and_materials() {
 }
 
 #[test]
+fn gltf_nodes_bring_their_occluders() {
+    let gltf = r#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],"nodes":[{"translation":[0,0,7],
+        "children":[1,2,3,4],"extras":{"terrane":{"occluder":{"corners":[[0,0,0],[4,0,0],[4,3,0],[0,3,0]],
+        "holes":[[[1,1,0],[2,1,0],[1,2,0]]]}}}},{"name":"occluder","extras":"of another kind"},
+        {"extras":{"occluder":5,"terrane":{"else":1}}},{"extras":["terrane"]},{"extras":"\"terrane\":\"occluder\""}]}"#;
+    let mut open = vec![(DAffine3::IDENTITY, read(gltf))];
+    let mut found = Vec::new();
+    while let Some((world, node)) = open.pop() {
+        let world = match node.kind {
+            NodeKind::Transform(map) => world * map,
+            NodeKind::OccluderNode(ref occluder) => {
+                found.push((world.transform_point3(occluder.corners[2]), occluder.holes[0].len()));
+                world
+            }
+            _ => world,
+        };
+        open.extend(node.children.into_iter().map(|child| (world, child)));
+    }
+    assert_eq!(found, [(DVec3::new(4.0, -7.0, 3.0), 3)], "z is up, and the node's transform holds");
+}
+
+#[test]
 fn tiles_of_one_file_share_their_indices() {
     let [a, b] = [0, 1].map(|_| only_drawable(&read(triangle())).1);
     let [Geometry::Mesh(a), Geometry::Mesh(b)] = [&a.geometry, &b.geometry] else { panic!("meshes") };

@@ -12,7 +12,7 @@ use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::pager::PagerConfig;
-use terrane::scene::{DataVariance, Inherit, Mesh, Node, NodeId, Page};
+use terrane::scene::{DataVariance, Inherit, Mesh, Node, NodeId, Page, ShareModes};
 use terrane::viewer::{
     CompositeViewer, ContextId, KEY_COLOR, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError, coverage,
 };
@@ -182,6 +182,47 @@ fn a_context_that_comes_later_shows_all() {
 }
 
 #[test]
+fn what_a_closed_context_held_counts_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let size = [120, 90];
+    // Tiles that share, and tiles that do not.
+    for sharing in [ShareModes::STATIC, ShareModes::NONE] {
+        let Some(of_first) = context(size) else { return };
+        let mut config = config(ThreadingModel::DrawThreadPerContext, size, false);
+        config.pager.sharing = sharing;
+        let mut viewer = Viewer::new(of_first, &config).unwrap();
+        viewer.load(&set).unwrap();
+        let settle = |viewer: &mut Viewer| {
+            let until = std::time::Instant::now() + std::time::Duration::from_secs(60);
+            loop {
+                viewer.frame().unwrap();
+                if viewer.is_settled() || std::time::Instant::now() > until {
+                    break *viewer.pager().unwrap().stats();
+                }
+            }
+        };
+        let one = settle(&mut viewer);
+        let later = viewer.open_context(context(size).unwrap()).unwrap();
+        viewer.add_slave(Slave::new(later)).unwrap();
+        let both = settle(&mut viewer);
+        assert!(one.gpu_bytes > 0 && one.resident == both.resident, "{one:?} {both:?}");
+        assert_eq!(both.gpu_bytes, 2 * one.gpu_bytes);
+        let first = viewer.context().unwrap();
+        viewer.close_context(first).unwrap();
+        // At once, and after frames with what is left.
+        assert_eq!(viewer.pager().unwrap().stats().gpu_bytes, one.gpu_bytes);
+        let left = settle(&mut viewer);
+        assert_eq!((left.gpu_bytes, left.resident, left.expired), (one.gpu_bytes, one.resident, both.expired));
+        assert_eq!(left.shared_gpu_bytes_saved, one.shared_gpu_bytes_saved);
+        // Nothing is left over when the pages go.
+        viewer.clear_pages();
+        let none = *viewer.pager().unwrap().stats();
+        assert_eq!((none.gpu_bytes, none.shared_gpu_bytes_saved), (0, 0));
+    }
+}
+
+#[test]
 fn slaves_have_settings_of_their_own() {
     let size = [120, 90];
     let Some(of_first) = context(size) else { return };
@@ -307,6 +348,54 @@ fn a_lost_device_is_replaced_and_everything_is_shown_again() {
         viewer.lose_device(context).unwrap();
         let failed = (0..4).find_map(|_| viewer.frame().err()).or_else(|| viewer.finish().err());
         assert!(viewer.frame_stamp().frame > 60 || failed.is_some(), "{threading}");
+    }
+}
+
+#[test]
+fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
+    let size = [120, 90];
+    for threading in ThreadingModel::ALL {
+        let Some(of_first) = context(size) else { return };
+        let mut viewer = Viewer::new(of_first, &config(threading, size, false)).unwrap();
+        viewer.add_root(page([1.0, 0.0, 0.0, 1.0])).unwrap();
+        let drawn = |viewer: &mut Viewer| {
+            // As many as may be under way, the one that is told, and those that upload.
+            (0..8).for_each(|_| viewer.frame().unwrap());
+            viewer.finish().unwrap();
+            viewer.read_back().unwrap()
+        };
+        let before = drawn(&mut viewer);
+        let main = viewer.context().unwrap();
+        let is_lost = |got: Result<RgbaImage, ViewerError>| {
+            matches!(got, Err(ViewerError::Gpu(terrane::gpu::GpuError::DeviceLost { .. })))
+        };
+        // With nothing under way: no picture, again and again, and none of the waits fails.
+        viewer.lose_device(main).unwrap();
+        for _ in 0..2 {
+            viewer.finish().unwrap();
+            assert!(is_lost(viewer.read_back()), "{threading}");
+        }
+        assert!(drawn(&mut viewer) == before, "{threading}");
+        (0..70).for_each(|_| viewer.frame().unwrap());
+        // With a frame under way, which waits, other contexts and other models take along.
+        viewer.lose_device(main).unwrap();
+        viewer.frame().unwrap();
+        viewer.finish().unwrap();
+        viewer.finish().unwrap();
+        let _ = viewer.read_back();
+        let other = viewer.open_context(context(size).unwrap()).unwrap();
+        viewer.add_slave(Slave::new(other)).unwrap();
+        viewer.set_threading_model(ThreadingModel::SingleThreaded).unwrap();
+        assert!(drawn(&mut viewer) == before && viewer.read_back_of(other).unwrap() == before, "{threading}");
+        // Too soon after the last one: an error of the frame, each time, until it has been long enough.
+        viewer.lose_device(main).unwrap();
+        let failed = (0..3).filter(|_| viewer.frame().is_err()).count();
+        assert_eq!(failed, 3, "{threading}");
+        viewer.finish().unwrap();
+        assert!(is_lost(viewer.read_back()), "{threading}");
+        let recovered = (0..70).position(|_| viewer.frame().is_ok()).unwrap();
+        assert!(recovered > 30, "{threading}: {recovered}");
+        assert!(drawn(&mut viewer) == before, "{threading}");
     }
 }
 

@@ -88,6 +88,17 @@ pub(super) struct TileMark {
     shares: [u16; 2],
 }
 
+/// Of what a tile shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum TilePart {
+    /// Its content, which the tiles below replace.
+    Own,
+    /// Its content, to which the tiles below are added.
+    Added,
+    /// The tiles below.
+    Below,
+}
+
 /// What a tile draws.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Turn {
@@ -170,6 +181,34 @@ impl LodFades {
         if let Some(page) = self.pages.get_mut(place as usize) {
             page.tiles = tiles;
         }
+    }
+
+    /// False for a tile that gives way to its children or comes in: what it shows is not yet (or no more) there in every
+    /// pixel. Before the tile is met in a cull.
+    pub fn tile_rests(&self, place: u32, generation: u32, tile: u32, shown: TilePart) -> bool {
+        let mark = self.met(place, generation).and_then(|p| p.tiles.get(tile as usize));
+        let rests = |m: &TileMark| match (shown, m.shares) {
+            (TilePart::Below, [refined, _]) => refined == WHOLE,
+            (TilePart::Added, [_, own]) => own == WHOLE,
+            (TilePart::Own, shares) => shares == [0, WHOLE],
+        };
+        mark.is_none_or(|m| !self.is_recent(m.cull) || rests(m))
+    }
+
+    /// False for a child of a Lod that comes in.
+    pub fn lod_rests(&self, place: u32, generation: u32, lod: usize, child: usize) -> bool {
+        let mark = self.met(place, generation).and_then(|p| p.lods.get(lod));
+        let rests = |m: &LodMark| m.share == WHOLE && m.new.checked_shr(child as u32).is_none_or(|bits| bits & 1 != 0);
+        mark.is_none_or(|m| !self.is_recent(m.cull) || rests(m))
+    }
+
+    fn met(&self, place: u32, generation: u32) -> Option<&PageMarks> {
+        self.pages.get(place as usize).filter(|p| p.generation == generation)
+    }
+
+    /// In this cull or in the one before.
+    fn is_recent(&self, cull: u32) -> bool {
+        cull == self.cull || cull == before(self.cull)
     }
 
     fn page(&mut self, place: u32, generation: u32) -> &mut PageMarks {

@@ -3,9 +3,10 @@
 use glam::{DAffine3, DVec3, Vec4};
 
 use super::fade::{Fade, LodShares, WHOLE};
+use super::occluders::cull_info;
 use super::stage::RenderLeaf;
 use super::visitor::{Cull, DepthRange, PageContext, Purpose};
-use crate::scene::{CALLBACK, CullAction, CullInfo, DrawSlot, INACTIVE, PLAIN, UNBOUNDED, kind};
+use crate::scene::{CALLBACK, CullAction, DrawSlot, INACTIVE, PLAIN, UNBOUNDED, kind};
 
 /// What holds again behind a subtree.
 #[derive(Clone, Copy, Debug)]
@@ -296,14 +297,7 @@ impl Cull<'_> {
     fn asks_to_visit(&mut self, context: &PageContext, node: u32) -> bool {
         let page = context.page;
         let Ok(place) = page.callbacks.binary_search_by_key(&node, |(n, _)| *n) else { return true };
-        let sphere = page.spheres[node as usize];
-        let middle = page.origin + sphere.truncate().as_dvec3();
-        let is_bounded = (0.0..UNBOUNDED).contains(&sphere.w);
-        let info = CullInfo {
-            frame: self.camera.frame,
-            eye_in_page: context.eye,
-            distance_m: if is_bounded { middle.distance(context.eye) } else { f64::INFINITY },
-        };
+        let info = cull_info(page, node, context.eye, self.camera.frame);
         matches!((page.callbacks[place].1.0)(&info), CullAction::Traverse)
     }
 

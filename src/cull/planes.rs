@@ -54,6 +54,12 @@ impl EyePlanes {
         Self { planes, mask }
     }
 
+    /// True when points in eye space are all outside the same plane.
+    pub fn are_outside(&self, points: &[DVec3]) -> bool {
+        let is_outside = |plane: &DVec4| points.iter().all(|p| plane.truncate().dot(*p) + plane.w < 0.0);
+        self.planes.iter().enumerate().any(|(bit, plane)| self.mask & 1 << bit != 0 && is_outside(plane))
+    }
+
     /// The planes in the frame of `eye_from_frame`, relative to a point of it.
     pub fn in_frame(&self, eye_from_frame: &DAffine3, origin: DVec3) -> Planes {
         let to_frame: DMat3 = eye_from_frame.matrix3.transpose();

@@ -2,14 +2,16 @@
 
 use glam::{DAffine3, DMat3, DVec3, DVec4};
 
+use super::occluders::NO_OCCLUDERS;
 use super::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView, moved, plane_moved,
 };
 use super::view::{View, clamp};
-use super::visitor::{Cull, DeferredCamera, DepthRange, PageContext};
+use super::visitor::{CameraPlace, Cull, DeferredCamera, DepthRange, NestedCamera, PageContext};
+use super::{CullCamera, StageShadows};
 use crate::scene::{
-    BillboardMode, CameraNode, ComputeNearFar, DrawSlot, NONE, OcclusionQueryNode, ReferenceFrame, RenderOrder,
-    Special, UNBOUNDED,
+    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, ComputeNearFar, DrawSlot, NONE, OcclusionQueryNode,
+    ReferenceFrame, RenderOrder, Special, UNBOUNDED,
 };
 use crate::state::TexGen;
 
@@ -72,7 +74,8 @@ impl Cull<'_> {
             Special::Projection { clip_from_eye, path } => {
                 let mut view = self.view;
                 view.clip_from_eye = *clip_from_eye;
-                self.in_view(context, node, view, None, context.visit.eye_from_page, *path);
+                let environment = CameraEnvironment::Light;
+                self.in_view(context, node, view, environment, None, context.visit.eye_from_page, *path);
                 true
             }
             Special::AbsoluteTransform => {
@@ -116,22 +119,42 @@ impl Cull<'_> {
     }
 
     /// Scans the children of a node under another view of the same stage.
+    #[allow(clippy::too_many_arguments, reason = "what a view is made of")]
     fn in_view(
         &mut self,
         context: &PageContext,
         node: u32,
         mut view: View,
+        environment: CameraEnvironment,
         clamp_projection: Option<crate::scene::ClampProjection>,
         eye_from_page: DAffine3,
         path: u32,
     ) {
         let clip_from_eye = view.clip_from_eye;
-        self.stage.views.push(StageView { clip_from_eye, viewport_px: view.viewport_rect });
+        let camera = CullCamera {
+            eye_from_world: view.eye_from_world,
+            clip_from_eye,
+            viewport_px: view.viewport_px,
+            settings: view.settings,
+            horizon: view.horizon,
+            ..*self.camera
+        };
+        let above = self.view.index;
+        self.stage.views.push(StageView {
+            clip_from_eye,
+            viewport_px: view.viewport_rect,
+            camera,
+            above,
+            environment,
+            shadows: StageShadows::default(),
+            range_m: [0.0; 2],
+        });
         let index = self.stage.views.len();
         view.index = index as u32;
         view.derive();
         self.views.push(view);
         let above = std::mem::replace(&mut self.view, view);
+        let occluders = std::mem::replace(&mut self.occluders, &NO_OCCLUDERS);
         let range = std::mem::replace(&mut self.range, DepthRange::EMPTY);
         let aside = self.candidates.len();
         // Known before anything below it is met.
@@ -150,9 +173,11 @@ impl Cull<'_> {
                 }
                 _ => view.clamped(near_m, far_m),
             };
-            self.stage.views[index - 1].clip_from_eye = clamped;
+            let of_view = &mut self.stage.views[index - 1];
+            (of_view.clip_from_eye, of_view.range_m) = (clamped, [near_m, far_m]);
         }
         self.view = above;
+        self.occluders = occluders;
     }
 
     fn camera_node(&mut self, context: &PageContext, node: u32, camera: &CameraNode, path: u32, mask: u8) {
@@ -185,7 +210,15 @@ impl Cull<'_> {
         }
         let order = match camera.order {
             RenderOrder::Nested => {
-                self.in_view(context, node, view, camera.clamp_projection, eye_from_page, path);
+                let place = self.stage.views.len() as u32 + 1;
+                let environment = camera.environment.clone();
+                self.in_view(context, node, view, environment, camera.clamp_projection, eye_from_page, path);
+                if camera.shadows != CameraShadows::None {
+                    let (state, mut visit) = (self.chain_state(page, path), context.visit);
+                    (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
+                    let met = CameraPlace { visit, node, state, path };
+                    self.nested.push(NestedCamera { met, place, shadows: camera.shadows });
+                }
                 return;
             }
             RenderOrder::PreRender(order) | RenderOrder::PostRender(order) => order,
@@ -200,10 +233,7 @@ impl Cull<'_> {
         (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
         let state = self.chain_state(page, path);
         self.deferred.push(DeferredCamera {
-            visit,
-            node,
-            state,
-            path,
+            met: CameraPlace { visit, node, state, path },
             view,
             is_pre: matches!(camera.order, RenderOrder::PreRender(_)),
             target: StageTarget {
@@ -213,6 +243,8 @@ impl Cull<'_> {
                 clear_depth: camera.clear_depth,
                 order,
                 callbacks: camera.callbacks.clone(),
+                environment: camera.environment.clone(),
+                shadows: camera.shadows,
             },
             clamp_projection: camera.clamp_projection,
         });

@@ -13,11 +13,11 @@ use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::{Mode, Semantic};
 use lru::LruCache;
 
-use super::{IoError, Limits, image};
+use super::{IoError, Limits, image, occluder};
 use crate::math::Aabb;
 use crate::scene::{
-    AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Node, SharedParts, SharedStateManager,
-    Topology,
+    AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, SharedParts,
+    SharedStateManager, Topology,
 };
 
 /// Extensions that may be required.
@@ -246,6 +246,11 @@ impl<'a> Reader<'a> {
         let mut children = Vec::new();
         if let Some(mesh) = node.mesh() {
             children.push(self.mesh(&mesh)?);
+        }
+        if let Some(extras) = node.extras()
+            && let Some(occluder) = occluder::of_node(self.uri, node.index(), extras.get())?
+        {
+            children.push(Node::new(NodeKind::OccluderNode(Box::new(occluder))));
         }
         for child in node.children() {
             children.push(self.node(&child, depth + 1)?);

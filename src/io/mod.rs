@@ -17,6 +17,7 @@ mod height;
 mod http;
 mod image;
 mod info;
+mod occluder;
 mod pnts;
 mod read;
 mod source;

@@ -22,10 +22,7 @@ impl DatabasePager {
     }
 
     pub(super) fn answer(&mut self, scene: &mut Scene, answer: Answer, contexts: &mut [&mut dyn CompileContext]) {
-        {
-            let mut waiting = self.threads.list.lock();
-            waiting.outstanding = waiting.outstanding.saturating_sub(1);
-        }
+        self.threads.list.lock().answered(&answer.job);
         self.stats.bytes_read += answer.bytes_read;
         self.stats.bytes_http += answer.bytes_http;
         let slot = answer.job.slot;
@@ -62,7 +59,8 @@ impl DatabasePager {
                 self.shares.take(&page);
                 let ticket = entry.job.ticket;
                 let contexts_left = if drawables.is_empty() { 0 } else { contexts.len() };
-                entry.progress = Progress::Arrived(Arrived { page: Box::new(page), gpu_bytes: 0, contexts_left });
+                entry.progress =
+                    Progress::Arrived(Arrived { page: Box::new(page), gpu_bytes: Vec::new(), contexts_left });
                 if contexts_left == 0 {
                     self.ready.push(slot);
                     return;
@@ -97,7 +95,7 @@ impl DatabasePager {
                     context.release(compiled.slots);
                     continue;
                 };
-                arrived.gpu_bytes += compiled.bytes;
+                arrived.gpu_bytes.push((context.id(), compiled.bytes));
                 arrived.page.set_draw_slots(context.id(), compiled.slots);
                 arrived.contexts_left = arrived.contexts_left.saturating_sub(1);
                 if arrived.contexts_left == 0 {
@@ -126,9 +124,10 @@ impl DatabasePager {
             }
             let Some(entry) = self.entries.remove(&slot) else { continue };
             let is_ahead = entry.is_ahead();
-            let Progress::Arrived(Arrived { page, gpu_bytes, .. }) = entry.progress else { continue };
+            let Progress::Arrived(Arrived { page, gpu_bytes: by_context, .. }) = entry.progress else { continue };
             let ticket = self.threads.list.ticket_source | entry.job.ticket;
             let cpu_bytes = page.own_bytes();
+            let gpu_bytes = by_context.iter().map(|(_, bytes)| bytes).sum::<u64>();
             let shared = self.shares.of(&page);
             let alone = (cpu_bytes + shared.cpu, gpu_bytes + shared.gpu);
             if alone.0 > self.config.max_bytes_cpu || alone.1 > self.config.max_bytes_gpu {
@@ -153,11 +152,14 @@ impl DatabasePager {
                 Ok(id) => {
                     let latency_s = entry.since.elapsed().as_secs_f64();
                     self.stats.merged += 1;
-                    self.stats.merged_ahead += u64::from(is_ahead);
+                    if is_ahead {
+                        self.stats.merged_ahead += 1;
+                        self.ahead_short.iter_mut().for_each(|ahead| ahead.count = ahead.count.saturating_sub(1));
+                    }
                     timeline::request_ends(ticket, "merged");
                     self.stats.latency_sum_s += latency_s;
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
-                    self.residents.insert(id, Resident::new(slot, (cpu_bytes, gpu_bytes), entry.paging));
+                    self.residents.insert(id, Resident::new(slot, cpu_bytes, by_context, entry.paging));
                     if tile_tree {
                         let Above { chain, set_from_page } = entry.job.above;
                         let chain = chain.iter().cloned().chain([entry.job.uri.clone()]).collect();
@@ -190,6 +192,7 @@ impl DatabasePager {
             job,
             priority: 0.0,
             wanted_frame: self.frame,
+            ahead_frames: 0,
             since: Instant::now(),
             tries: self.config.max_tries,
             progress: Progress::Failed { retry_at: None },

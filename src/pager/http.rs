@@ -125,15 +125,13 @@ fn take(
     let mut jobs: Vec<Job> = Vec::new();
     // The most urgent are last.
     let mut next = waiting.http.len();
-    while next > 0 && running.len() + jobs.len() < most && waiting.outstanding < waiting.allowed {
+    while next > 0 && running.len() + jobs.len() < most && waiting.may_take(&waiting.http[next - 1]) {
         next -= 1;
         let of = server(&waiting.http[next].uri);
         let started = jobs.iter().filter(|j| server(&j.uri) == of).count();
         if at_server.get(of).copied().unwrap_or(0) + started < flows.limit(of) {
             let job = waiting.http.remove(next);
-            waiting.outstanding += 1;
-            waiting.taken.push(job.ticket);
-            job.stage.reads();
+            waiting.took(&job);
             jobs.push(job);
         }
     }

@@ -19,6 +19,7 @@ mod flow;
 mod http;
 mod images;
 mod list;
+mod look_ahead;
 mod requests;
 mod residents;
 mod shares;
@@ -32,6 +33,7 @@ pub use images::{
     ImagePager, ImagePagerConfig, ImagePagerStats, ImageSequence, LoopingMode, SequenceImage, SequenceMode,
     StreamStatus,
 };
+pub use look_ahead::{PathLooks, frames_until};
 pub use states::RequestState;
 pub use stats::{ErrorRecord, PagerStats};
 pub use update::DatabasePager;

@@ -7,25 +7,30 @@ use lru::LruCache;
 use crate::scene::{NodeId, PageId, PagingOptions, Scene};
 
 /// What a merged page holds.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Resident {
     slot: NodeId,
     cpu_bytes: u64,
-    gpu_bytes: u64,
+    /// By context.
+    gpu_bytes: Box<[(u32, u64)]>,
     paging: PagingOptions,
     /// Frame in which it was last wanted and when that was noticed.
     noticed: Option<(u32, Instant)>,
 }
 
 impl Resident {
-    pub fn new(slot: NodeId, (cpu_bytes, gpu_bytes): (u64, u64), paging: PagingOptions) -> Self {
-        Self { slot, cpu_bytes, gpu_bytes, paging, noticed: None }
+    pub fn new(slot: NodeId, cpu_bytes: u64, gpu_bytes: Vec<(u32, u64)>, paging: PagingOptions) -> Self {
+        Self { slot, cpu_bytes, gpu_bytes: gpu_bytes.into_boxed_slice(), paging, noticed: None }
     }
 
-    /// Not wanted for as long as is asked for, by the pager and by its own options.
+    fn gpu(&self) -> u64 {
+        self.gpu_bytes.iter().map(|(_, bytes)| bytes).sum()
+    }
+
+    /// Not wanted for as long as is asked for, by the pager and by its own options, nor to be wanted before as long.
     fn is_unused(&mut self, last_used: u32, frame: u32, unused: Unused) -> bool {
         let frames = unused.frames.max(self.paging.min_expiry_frames);
-        if self.paging.cannot_expire || frame.saturating_sub(last_used) <= frames {
+        if self.paging.cannot_expire || frame.abs_diff(last_used) <= frames {
             return false;
         }
         let own = Duration::try_from_secs_f32(self.paging.min_expiry_s).unwrap_or_default();
@@ -68,7 +73,7 @@ impl Residents {
 
     pub fn insert(&mut self, id: PageId, resident: Resident) {
         self.cpu_bytes += resident.cpu_bytes;
-        self.gpu_bytes += resident.gpu_bytes;
+        self.gpu_bytes += resident.gpu();
         self.pages.put(id, resident);
     }
 
@@ -77,9 +82,18 @@ impl Residents {
         let taken: Vec<PageId> = self.pages.iter().rev().map(|(id, _)| *id).filter(|id| holds(*id)).collect();
         for resident in taken.iter().filter_map(|id| self.pages.pop(id)).collect::<Vec<_>>() {
             self.cpu_bytes -= resident.cpu_bytes;
-            self.gpu_bytes -= resident.gpu_bytes;
+            self.gpu_bytes -= resident.gpu();
         }
         taken
+    }
+
+    /// What pages hold in a context is gone with it.
+    pub fn forget_context(&mut self, context: u32) {
+        for (_, resident) in &mut self.pages {
+            for (_, bytes) in resident.gpu_bytes.iter_mut().filter(|(of, _)| *of == context) {
+                self.gpu_bytes -= std::mem::take(bytes);
+            }
+        }
     }
 
     /// The page that was not wanted for longest, if it was not wanted for long enough and can go: nothing hangs in it
@@ -93,7 +107,7 @@ impl Residents {
             if resident.is_unused(last_used, frame, unused) && scene.is_expirable(id) {
                 let resident = self.pages.pop(&id)?;
                 self.cpu_bytes -= resident.cpu_bytes;
-                self.gpu_bytes -= resident.gpu_bytes;
+                self.gpu_bytes -= resident.gpu();
                 return Some(id);
             }
             self.pages.promote(&id);

@@ -29,7 +29,7 @@ pub(super) struct Held {
     pub gpu: u64,
 }
 
-/// Shared contents by key; only looked up, never walked.
+/// Shared contents by key; only looked up, walked when a context closes.
 #[derive(Debug, Default)]
 pub(super) struct Shares {
     by_key: HashMap<ContentKey, Share>,
@@ -62,6 +62,18 @@ impl Shares {
                 let after = share.gpu();
                 self.held.gpu = self.held.gpu + after - before;
                 self.saved.gpu = self.saved.gpu + u64::from(others) * after - u64::from(others) * before;
+            }
+        }
+    }
+
+    /// A context is gone, and all that was in it.
+    pub fn forget_context(&mut self, context: u32) {
+        for share in self.by_key.values_mut() {
+            let Some(place) = share.gpu_bytes.iter().position(|(of, _)| *of == context) else { continue };
+            let (_, bytes) = share.gpu_bytes.swap_remove(place);
+            if let Some(others) = share.merged.checked_sub(1) {
+                self.held.gpu -= bytes;
+                self.saved.gpu -= u64::from(others) * bytes;
             }
         }
     }

@@ -103,9 +103,26 @@ mod tests {
             let above = Above { chain: Arc::default(), set_from_page: DAffine3::IDENTITY };
             let page = Page::from_node(Node::group(vec![])).unwrap();
             let slot = NodeId { page: Scene::new().add_root(page), index: 0 };
-            let job = Job { ticket: 1, slot, uri: uri.into(), reader_data: None, above, stage: Arc::default() };
+            let job = Job {
+                ticket: 1,
+                slot,
+                uri: uri.into(),
+                reader_data: None,
+                above,
+                is_ahead: false,
+                stage: Arc::default(),
+            };
             let (since, paging) = (Instant::now(), PagingOptions::default());
-            Entry { job, priority: 1.0, wanted_frame: 1, since, tries: 0, progress: Progress::Waiting, paging }
+            Entry {
+                job,
+                priority: 1.0,
+                wanted_frame: 1,
+                ahead_frames: 0,
+                since,
+                tries: 0,
+                progress: Progress::Waiting,
+                paging,
+            }
         };
         let mut entry = entry_of("/set/a.glb");
         assert_eq!(entry.state(), RequestState::Waiting);
@@ -118,7 +135,7 @@ mod tests {
         taken.stage.decodes();
         assert_eq!(entry.state(), RequestState::Decoding);
         let page = Box::new(Page::from_node(Node::group(vec![])).unwrap());
-        entry.progress = Progress::Arrived(Arrived { page, gpu_bytes: 0, contexts_left: 2 });
+        entry.progress = Progress::Arrived(Arrived { page, gpu_bytes: Vec::new(), contexts_left: 2 });
         assert_eq!(entry.state(), RequestState::Compiling);
         if let Progress::Arrived(arrived) = &mut entry.progress {
             arrived.contexts_left = 0;

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
 use super::list::{Above, Entry, Progress};
+use super::requests::AheadShort;
 use super::residents::Residents;
 use super::shares::Shares;
 use super::states::RequestState;
@@ -51,8 +52,12 @@ pub struct DatabasePager {
     pub(super) full: bool,
     /// More waits than there is room for.
     pub(super) is_short: bool,
+    /// What is wanted soonest of what found no free room.
+    pub(super) ahead_short: Option<AheadShort>,
     pub(super) is_paused: bool,
     pub(super) takes_requests: bool,
+    /// [`Self::request`] has written the list, and nothing has changed what it is to be.
+    pub(super) is_listed: bool,
 }
 
 impl DatabasePager {
@@ -84,8 +89,10 @@ impl DatabasePager {
             mean_gpu_bytes: 0,
             full: false,
             is_short: false,
+            ahead_short: None,
             is_paused: false,
             takes_requests: true,
+            is_listed: false,
         })
     }
 
@@ -123,7 +130,12 @@ impl DatabasePager {
         self.accept(scene, requests);
         self.merge_arrived(scene, contexts);
         self.retry(scene);
-        self.rewrite_list();
+        // As a rule the same is asked for as after the last cull, and listed as it is to be.
+        if !self.is_listed {
+            self.rewrite_list();
+        }
+        self.is_listed = false;
+        self.threads.list.ring_if_due();
         while self.config.blocking && self.is_busy() {
             let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
             if let Some(answer) = answer {
@@ -131,16 +143,20 @@ impl DatabasePager {
             }
             self.merge_arrived(scene, contexts);
             self.rewrite_list();
+            self.threads.list.ring_if_due();
         }
         self.count();
     }
 
-    /// Hands over what a cull asks for without waiting for the next update: reading overlaps the rest of the frame.
-    /// Optional, after a cull; the next [`Self::update_scene_graph`] may get the same requests again.
+    /// Hands over what a cull asks for without waiting for the next update. The threads are told by the next
+    /// [`Self::work_until`] (or update): telling one may take the frame longer than its cull. Optional, after a cull; the
+    /// next [`Self::update_scene_graph`] may get the same requests again.
     pub fn request(&mut self, scene: &Scene, requests: &[PageRequest]) {
-        if !requests.is_empty() {
-            self.accept(scene, requests);
+        let known = self.next_ticket;
+        self.accept(scene, requests);
+        if self.next_ticket != known {
             self.rewrite_list();
+            self.is_listed = true;
         }
     }
 
@@ -156,6 +172,7 @@ impl DatabasePager {
     /// Uploads, merges and expires what arrives until shortly before `deadline`, for a main thread that would
     /// otherwise wait for the next frame to be due. Returns early when nothing is under way.
     pub fn work_until(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext], deadline: Instant) {
+        self.threads.list.ring_if_due();
         let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
         while self.is_under_way() && !left().is_zero() {
             let patience = match (self.ready.is_empty(), self.compiling.is_empty()) {
@@ -182,14 +199,14 @@ impl DatabasePager {
         if !self.compiling.is_empty() || !self.ready.is_empty() {
             return true;
         }
-        let waiting = self.threads.list.lock();
-        waiting.outstanding > 0 || (waiting.allowed > 0 && waiting.len() > 0)
+        self.threads.list.lock().is_under_way()
     }
 
     /// Lets the threads begin nothing while paused; what is under way goes on to its merge, and requests wait. From the
     /// next update on.
     pub fn set_paused(&mut self, is_paused: bool) {
         self.is_paused = is_paused;
+        self.is_listed = false;
     }
 
     /// Whether requests for contents that were not asked for before are taken up; those that were go on.

@@ -6,6 +6,7 @@ use glam::DAffine3;
 
 use super::callbacks::CallbackPages;
 use super::error::SceneError;
+use super::kinds::CameraNode;
 use super::page::{NONE, Page};
 use super::tiles::flag;
 use super::variance::Rewritten;
@@ -22,6 +23,8 @@ struct Entry {
     slot: Option<NodeId>,
     /// Tiles above the page's top tiles.
     base_depth: u32,
+    /// Its place in `Scene::occluder_pages`, where it is there.
+    occluders_at: u32,
 }
 
 /// Owns pages. Update holds `&mut Scene`, cull `&Scene`.
@@ -36,6 +39,8 @@ pub struct Scene {
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
     pub(super) callback_pages: CallbackPages,
+    /// Places of the pages that have OccluderNodes, in no order.
+    occluder_pages: Vec<u32>,
     /// Meshes that were changed and have not been sent to be drawn.
     pub(super) rewritten: Vec<Rewritten>,
 }
@@ -188,6 +193,24 @@ impl Scene {
         }
     }
 
+    /// What a camera node holds; `None` where the node is none, or not there any more.
+    pub fn camera(&self, node: NodeId) -> Option<&CameraNode> {
+        self.page(node.page)?.camera(node.index)
+    }
+
+    /// Puts other values into a camera node: how cameras in the graph move, and how their light and air change. Bounds
+    /// above it are fitted again where its reference frame is another one.
+    pub fn set_camera(&mut self, node: NodeId, camera: CameraNode) -> Result<(), SceneError> {
+        let page = self.page_mut(node.page).ok_or(SceneError::StaleNode { node })?;
+        if !(camera.view.is_finite() && camera.projection.is_none_or(|p| p.is_finite())) {
+            return Err(SceneError::NotFinite);
+        }
+        match page.set_camera(node.index, camera) {
+            true => Ok(()),
+            false => Err(SceneError::NotACamera { node }),
+        }
+    }
+
     /// The nodes of a page that have a name, in depth-first order.
     pub fn nodes_named(&self, page: PageId, name: &str) -> impl Iterator<Item = NodeId> {
         let names = self.page(page).map_or(&[][..], |p| &p.names);
@@ -233,15 +256,20 @@ impl Scene {
         self.callback_pages.note(place, &page);
         self.revision += 1;
         self.page_count += 1;
+        let occluders_at = self.occluder_pages.len() as u32;
+        if !page.occluders.is_empty() {
+            self.occluder_pages.push(place);
+        }
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {
                 let entry = &mut self.entries[place as usize];
                 (entry.page, entry.slot, entry.base_depth) = (page, slot, base_depth);
+                entry.occluders_at = occluders_at;
                 PageId { slot: place, generation: entry.generation }
             }
             None => {
-                self.entries.push(Entry { generation: 0, page, slot, base_depth });
+                self.entries.push(Entry { generation: 0, page, slot, base_depth, occluders_at });
                 PageId { slot: self.entries.len() as u32 - 1, generation: 0 }
             }
         }
@@ -258,7 +286,19 @@ impl Scene {
         self.free.push(id.slot);
         self.page_count -= 1;
         self.revision += 1;
+        if !page.occluders.is_empty() {
+            let at = entry.occluders_at;
+            self.occluder_pages.swap_remove(at as usize);
+            if let Some(moved) = self.occluder_pages.get(at as usize) {
+                self.entries[*moved as usize].occluders_at = at;
+            }
+        }
         Some(*page)
+    }
+
+    /// Places of the pages that have OccluderNodes.
+    pub(crate) fn occluder_pages(&self) -> &[u32] {
+        &self.occluder_pages
     }
 
     pub(super) fn base_depth(&self, id: PageId) -> u32 {
@@ -275,7 +315,7 @@ impl Scene {
         self.entries.get_mut(place as usize)?.page.as_deref_mut()
     }
 
-    pub(super) fn slot_at(&self, place: u32) -> Option<NodeId> {
+    pub(crate) fn slot_at(&self, place: u32) -> Option<NodeId> {
         self.entries.get(place as usize)?.slot
     }
 

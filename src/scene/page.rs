@@ -222,7 +222,11 @@ impl Page {
             + self.drawable_refs.len() * (size_of::<DrawableRef>() + size_of::<Aabb>());
         let slots: usize = self.draw_slots.iter().map(|(_, slots)| slots.len() * 4).sum();
         let states = self.paths.len() * size_of::<StatePath>() + self.state_sets.len() * size_of::<StateSet>();
-        (size_of::<Self>() + nodes + drawables + slots + states) as u64
+        let corners = |o: &ConvexPlanarOccluder| o.corners.len() + o.holes.iter().map(Vec::len).sum::<usize>();
+        let corners: usize = self.occluders.iter().map(|(_, _, o)| corners(o)).sum();
+        let occluders =
+            self.occluders.len() * size_of::<(u32, u32, ConvexPlanarOccluder)>() + corners * size_of::<DVec3>();
+        (size_of::<Self>() + nodes + drawables + slots + states + occluders) as u64
             + self.transforms.size_bytes()
             + self.tiles.size_bytes()
             + self.payload_bytes
@@ -333,6 +337,32 @@ impl Page {
             parent = self.parents[parent as usize];
         }
         Ok(true)
+    }
+
+    /// What a camera node holds, if it is one.
+    pub(crate) fn camera(&self, node: u32) -> Option<&CameraNode> {
+        let index = node as usize;
+        self.nodes.get(index).filter(|r| r.kind == kind::SPECIAL && index < self.node_count())?;
+        match self.specials.get(*self.payloads.get(index)? as usize)? {
+            Special::Camera { camera, .. } => Some(camera),
+            _ => None,
+        }
+    }
+
+    /// Puts other values into a camera node; false where it is none. Bounds above depend on its frame.
+    pub(crate) fn set_camera(&mut self, node: u32, camera: CameraNode) -> bool {
+        let Some(frame) = self.camera(node).map(|c| c.frame) else { return false };
+        let refits = frame != camera.frame;
+        if let Some(Special::Camera { camera: old, .. }) = self.specials.get_mut(self.payloads[node as usize] as usize)
+        {
+            **old = camera;
+        }
+        let mut next = if refits { node } else { NONE };
+        while next != NONE {
+            self.fit_spheres(next as usize, next as usize + 1);
+            next = self.parents[next as usize];
+        }
+        true
     }
 
     /// The box of a drawable in the page's frame; `None` where its bound is not usable.
@@ -469,13 +499,18 @@ impl Page {
             return true;
         }
         let shown = &self.switches[self.payloads[node as usize] as usize];
+        shown.get(self.child_index(node, child)).copied().unwrap_or(false)
+    }
+
+    /// Which of a node's children one is.
+    pub(crate) fn child_index(&self, node: u32, child: u32) -> usize {
         let mut at = node + 1;
         let mut index = 0;
         while at < child {
             at += self.nodes[at as usize].skip;
             index += 1;
         }
-        shown.get(index).copied().unwrap_or(false)
+        index
     }
 
     /// True for nodes whose children are not in the frame of what is above.

@@ -8,7 +8,7 @@ use image::RgbaImage;
 
 use super::ViewerError;
 use super::input::OnPicture;
-use super::look_ahead::LookFrom;
+use super::look_ahead::{LookFrom, Looker};
 use super::paged_scene::PagedScene;
 use super::rendering::{Closed, CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rendering, millis};
 use super::stats::{FrameStats, StatsHistory};
@@ -44,6 +44,8 @@ pub(super) struct ViewerBase {
     pub(super) stamp: FrameStamp,
     /// Frame in which a lost device was last replaced; 0 where none was.
     renewed: u32,
+    /// Of a frame that was under way, told by the next one.
+    lost: Option<GpuError>,
     /// Seconds between the last two frames.
     delta_s: f64,
     pub(super) history: StatsHistory,
@@ -100,6 +102,7 @@ impl ViewerBase {
             last_frame: None,
             stamp: FrameStamp::default(),
             renewed: 0,
+            lost: None,
             delta_s: 0.0,
             history: StatsHistory::new(config.history_frames),
             gpu_bytes_peak: 0,
@@ -177,6 +180,8 @@ impl ViewerBase {
             view.context_closed(id.0);
         }
         if let Closed::Device(device) = closed {
+            // Another one that is lost shows again.
+            self.lost = None;
             for scene in scenes {
                 scene.device_closed(&mut self.rendering, device);
             }
@@ -230,6 +235,9 @@ impl ViewerBase {
     /// The last frame's picture in a context, offscreen.
     pub(super) fn read_back(&mut self, context: ContextId) -> Result<RgbaImage, ViewerError> {
         self.absorb_all()?;
+        if let Some(GpuError::DeviceLost { reason }) = &self.lost {
+            return Err(GpuError::DeviceLost { reason: reason.clone() }.into());
+        }
         self.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?.read_back(context.0)
     }
 
@@ -302,6 +310,7 @@ impl ViewerBase {
         if self.blocking {
             self.absorb_all()?;
         }
+        self.tell_loss()?;
         let mut is_dynamic = false;
         self.look_ahead(views, scenes);
         for scene in scenes.iter_mut() {
@@ -314,6 +323,7 @@ impl ViewerBase {
 
         // Cull and draw, by the threads of the model.
         self.wait_for_stage(scenes)?;
+        self.tell_loss()?;
         for view in views.iter_mut() {
             view.prepare(&self.rendering, scenes[view.scene].bounds.as_ref());
         }
@@ -325,6 +335,7 @@ impl ViewerBase {
         self.render(views, scenes, &mut stats, is_dynamic)?;
         self.history.push(stats);
         self.absorb_arrived()?;
+        self.tell_loss()?;
         let frame_ms = (millis(start.elapsed()) - self.read_back_ms).max(0.0);
         if let Some(stats) = self.history.frame_mut(self.stamp.frame) {
             stats.frame_ms = frame_ms;
@@ -347,7 +358,8 @@ impl ViewerBase {
             let scene = &mut scenes[view.scene];
             if scene.pager.is_some() {
                 let mut looks = std::mem::take(&mut view.look_ahead);
-                looks.look(view, scene, from, &mut self.probe, &mut self.probe_stage);
+                let (visitor, stage) = (&mut self.probe, &mut self.probe_stage);
+                looks.look(Looker { view, scene, visitor, stage }, from);
                 scene.requests_ahead.extend(looks.requests());
                 view.look_ahead = looks;
             }
@@ -550,6 +562,12 @@ impl ViewerBase {
         Ok(())
     }
 
+    /// What became of a frame that was under way.
+    fn tell_loss(&mut self) -> Result<(), ViewerError> {
+        self.lost.take().map_or(Ok(()), |lost| Err(lost.into()))
+    }
+
+    /// A frame that is lost with its device is over too: the next one says so, and replaces the device.
     fn absorb(&mut self, done: FrameDone) -> Result<(), ViewerError> {
         let frame = done.frame;
         self.gpu_bytes_peak = self.gpu_bytes_peak.max(done.gpu_bytes_peak);
@@ -557,7 +575,13 @@ impl ViewerBase {
             self.read_back_ms += done.read_back_ms;
         }
         self.draw_errors.extend(done.errors);
-        let drawn = done.stats?;
+        let drawn = match done.stats {
+            Err(lost @ GpuError::DeviceLost { .. }) => {
+                self.lost.get_or_insert(lost);
+                return Ok(());
+            }
+            drawn => drawn?,
+        };
         let is_last = self.rendering.all_done(frame);
         if let Some(stats) = self.history.frame_mut(frame) {
             stats.draw_ms = stats.draw_ms.max(done.draw_ms);

@@ -373,7 +373,8 @@ impl CompositeViewer {
         self.base.work_until(&mut self.scenes, deadline);
     }
 
-    /// Waits until every frame has been drawn, so that statistics and pictures are complete.
+    /// Waits until every frame has been drawn, so that statistics and pictures are complete. One that was lost with its
+    /// device is no error here: the next [`Self::frame`] replaces the device, or says that it cannot.
     pub fn finish(&mut self) -> Result<(), ViewerError> {
         self.base.absorb_all()
     }

@@ -320,7 +320,9 @@ impl PagedScene {
     /// Forgets what a device had that is gone.
     pub(super) fn device_closed(&mut self, rendering: &mut Rendering, device: u32) {
         // Uploads that wait for it would wait for ever.
-        self.drop_uploads(rendering);
+        if let Some(pager) = &mut self.pager {
+            rendering.compile_for(self.owner, |contexts| pager.forget_context(device, contexts));
+        }
         alone(&mut self.scene).forget_context(device);
     }
 
@@ -345,12 +347,6 @@ impl PagedScene {
         if let Some(pager) = &mut self.pager {
             let scene = alone(&mut self.scene);
             rendering.compile_for(self.owner, |contexts| pager.page_anew(scene, contexts));
-        }
-    }
-
-    fn drop_uploads(&mut self, rendering: &mut Rendering) {
-        if let Some(pager) = &mut self.pager {
-            rendering.compile_for(self.owner, |contexts| pager.drop_uploads(contexts));
         }
     }
 }

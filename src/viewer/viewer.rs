@@ -519,17 +519,19 @@ impl Viewer {
         self.base.work_until(std::slice::from_mut(&mut self.paged), deadline);
     }
 
-    /// Waits until every frame has been drawn, so that statistics and pictures are complete.
+    /// Waits until every frame has been drawn, so that statistics and pictures are complete. One that was lost with its
+    /// device is no error here: the next [`Self::frame`] replaces the device, or says that it cannot.
     pub fn finish(&mut self) -> Result<(), ViewerError> {
         self.base.absorb_all()
     }
 
-    /// The last frame's picture, offscreen.
+    /// The last frame's picture, offscreen. [`GpuError::DeviceLost`](crate::gpu::GpuError::DeviceLost) while the device
+    /// is lost: the next [`Self::frame`]s replace it, upload everything again, and draw.
     pub fn read_back(&mut self) -> Result<RgbaImage, ViewerError> {
         self.base.read_back(self.context)
     }
 
-    /// The last frame's picture in any context, offscreen.
+    /// The last frame's picture in any context, offscreen; see [`Self::read_back`].
     pub fn read_back_of(&mut self, context: ContextId) -> Result<RgbaImage, ViewerError> {
         self.base.read_back(context)
     }

@@ -337,6 +337,9 @@ pub enum Bench {
         /// Fly straight on at so many metres a second, instead of along the peer's path
         #[arg(long, value_name = "M_PER_S")]
         speed: Option<Positive>,
+        /// Load what the announced path will want in so many seconds; the peers cannot
+        #[arg(long, value_name = "SECONDS", default_value = "0")]
+        look_ahead: f64,
         /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
         #[arg(long, value_name = "URL")]
         url: Option<String>,

@@ -24,13 +24,13 @@ fn sun_shadow(in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
 }
 
 // A texel of the map is one depth for a piece of surface that lies slantwise to it. A point moved along the normal by
-// what the filter reaches times the sine of the sun's angle comes to lie before the piece's nearest end.
+// what the filter reaches, times the sine of the sun's angle, comes to lie before the piece's nearest end. The filter is
+// a square: towards its corners, as the normal lies across the rays, it reaches farther.
 fn sun_shadow_in(cascade: i32, in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
     let sun = frame.sun_direction.xyz;
     let scales = frame.cascade_scales[cascade];
     let offsets = frame.cascade_offsets[cascade];
-    let cosine = dot(normal, sun);
-    let slant = sqrt(max(1.0 - cosine * cosine, 0.0));
+    let slant = abs(dot(frame.shadow_x.xyz, normal)) + abs(dot(frame.shadow_y.xyz, normal));
     let moved = in_eye + (frame.shadow_x.w * slant * normal + frame.shadow_y.w * sun) * offsets.w;
     let across = vec2<f32>(dot(frame.shadow_x.xyz, moved), -dot(frame.shadow_y.xyz, moved));
     return sun_shadow_filtered(cascade, across * scales.x + offsets.xy, dot(sun, moved) * scales.y + offsets.z);
@@ -47,13 +47,14 @@ fn sun_shadow_filtered(cascade: i32, place: vec2<f32>, depth: f32) -> f32 {
     let weights_y = vec3<f32>(4.0 - 3.0 * part.y, 7.0, 1.0 + 3.0 * part.y);
     let x = (vec3<f32>(3.0 - 2.0 * part.x, 3.0 + part.x, part.x) / weights_x + vec3<f32>(-2.0, 0.0, 2.0)) * texel;
     let y = (vec3<f32>(3.0 - 2.0 * part.y, 3.0 + part.y, part.y) / weights_y + vec3<f32>(-2.0, 0.0, 2.0)) * texel;
+    let layer = cascade + i32(frame.sun_top.w);
     var sum = 0.0;
     for (var row = 0; row < 3; row++) {
         let at = base + vec2<f32>(0.0, y[row]);
         let lit = vec3<f32>(
-            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.x, 0.0), cascade, depth),
-            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.y, 0.0), cascade, depth),
-            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.z, 0.0), cascade, depth),
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.x, 0.0), layer, depth),
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.y, 0.0), layer, depth),
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.z, 0.0), layer, depth),
         );
         sum += weights_y[row] * dot(weights_x, lit);
     }

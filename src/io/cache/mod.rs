@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! DIR/terrane-cache   says that the folder is one
-//! DIR/keys/ab/…       by the hash of a URI: validators, how long it is fresh, the hash of its body
+//! DIR/keys/ab/…       by the hash of a URI (and of where its store is): validators, how long it is fresh, the hash of its body
 //! DIR/blobs/ab/…      by the hash of the content, as it came over the network; its file time is its last use
 //! DIR/tmp/…           being written
 //! DIR/lock            held while old entries are removed

@@ -54,6 +54,8 @@ pub struct DiskCache {
     refused: Mutex<LruCache<Hash, ()>>,
     /// Held while room is made.
     pub(super) room: Mutex<Room>,
+    /// Which store the buckets of a scheme are in.
+    places: Vec<(&'static str, String)>,
 }
 
 /// [`CacheStats`] as it is counted.
@@ -90,7 +92,25 @@ impl DiskCache {
             touched: Mutex::new(LruCache::new(TOUCHES)),
             refused: Mutex::new(LruCache::new(REFUSED)),
             room: Mutex::new(Room::new(config.max_bytes)),
+            places: Vec::new(),
         })
+    }
+
+    /// The same, where the objects of some schemes are those of certain stores: others may have buckets and keys of
+    /// the same names.
+    #[cfg(feature = "object-store")]
+    pub(crate) fn with_places(self, places: Vec<(&'static str, String)>) -> Self {
+        Self { places, ..self }
+    }
+
+    fn key_of(&self, uri: &str) -> Hash {
+        let uri = uri.split('#').next().unwrap_or(uri);
+        let scheme = uri.split_once("://").map_or("", |(scheme, _)| scheme);
+        match self.places.iter().find(|(of, _)| scheme.eq_ignore_ascii_case(of)) {
+            // No URI has a `#` left.
+            Some((_, place)) => files::hash(format!("{uri}#{place}").as_bytes()),
+            None => files::hash(uri.as_bytes()),
+        }
     }
 
     /// Where it is.
@@ -122,12 +142,12 @@ impl DiskCache {
 
     /// What is known of a URI.
     pub(crate) fn entry(&self, uri: &str) -> Option<Entry> {
-        self.entry_at(&self.files.key(&key_of(uri)))
+        self.entry_at(&self.files.key(&self.key_of(uri)))
     }
 
     /// The body of an entry as it came; `None` where it is gone or broken.
     pub(crate) fn body(&self, uri: &str, entry: &Entry, limits: &Limits) -> Option<Vec<u8>> {
-        let key_hash = key_of(uri);
+        let key_hash = self.key_of(uri);
         let (key, blob_hash, size) = (self.files.key(&key_hash), entry.blob_hash()?, entry.size);
         let blob = self.files.blob(&blob_hash);
         match read_at_most(&blob, size.min(limits.max_file_bytes)) {
@@ -149,7 +169,7 @@ impl DiskCache {
 
     /// The entry and a body of its size are there; the body is not read.
     pub(crate) fn has(&self, uri: &str) -> bool {
-        let entry = self.entry_at(&self.files.key(&key_of(uri)));
+        let entry = self.entry_at(&self.files.key(&self.key_of(uri)));
         let blob = entry.as_ref().and_then(|e| Some((self.files.blob(&e.blob_hash()?), e.size)));
         blob.is_some_and(|(blob, size)| fs::metadata(blob).is_ok_and(|m| m.len() == size))
     }
@@ -181,7 +201,7 @@ impl DiskCache {
             self.say(&e);
             return;
         }
-        let key = key_of(uri);
+        let key = self.key_of(uri);
         if lock(&self.refused).pop(&key).is_some() {
             self.remove_entry(&key);
             return;
@@ -195,7 +215,7 @@ impl DiskCache {
 
     /// Writes what is known of a URI whose body is kept.
     pub(crate) fn renew(&self, uri: &str, entry: &Entry) -> io::Result<()> {
-        self.files.write(&self.files.key(&key_of(uri)), &entry.to_bytes())
+        self.files.write(&self.files.key(&self.key_of(uri)), &entry.to_bytes())
     }
 
     /// The same, where a failure changes nothing but the next question.
@@ -213,7 +233,7 @@ impl DiskCache {
 
     /// Drops what a decoder found to be no content, so that it is asked for again; also when it is only on its way here.
     pub fn forget(&self, uri: &str) {
-        let key = key_of(uri);
+        let key = self.key_of(uri);
         // Before looking for the file: `store` looks here after writing it, so that one of the two sees the other.
         lock(&self.refused).put(key, ());
         if self.remove_entry(&key) {
@@ -249,10 +269,6 @@ impl DiskCache {
             let _ = files::touch(path);
         }
     }
-}
-
-fn key_of(uri: &str) -> Hash {
-    files::hash(uri.split('#').next().unwrap_or(uri).as_bytes())
 }
 
 /// A file, but not more of it than one byte beyond `most`.

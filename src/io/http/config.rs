@@ -37,9 +37,11 @@ pub struct HttpConfig {
     pub root_certificates: Vec<PathBuf>,
     /// Shown to the servers that they are for.
     pub credentials: Vec<Credential>,
-    /// For object stores, before what the environment says (`AWS_*`, `GOOGLE_*`, `AZURE_*`).
+    /// For object stores, before what the environment says (`AWS_*`, `GOOGLE_*`, `AZURE_*`). Without keys in either,
+    /// requests go unsigned. The metadata service of a cloud is asked for keys only where it is named
+    /// (`AWS_METADATA_ENDPOINT`, `GCE_METADATA_HOST`, `AZURE_MSI_ENDPOINT`) or `*_skip_signature` is said to be false.
     pub store_options: Vec<StoreOption>,
-    /// Keeps what came on disk. A folder is for one endpoint of a store: buckets are told apart by name.
+    /// Keeps what came on disk.
     pub cache: Option<CacheConfig>,
 }
 

@@ -7,6 +7,8 @@ mod exchange;
 mod retry;
 #[cfg(feature = "object-store")]
 mod store;
+#[cfg(feature = "object-store")]
+mod store_config;
 mod tiles;
 mod tls;
 
@@ -98,7 +100,10 @@ impl HttpClient {
         }
         let client =
             builder.build().map_err(|e| IoError::Network { uri: String::new(), reason: exchange::chain(e) })?;
-        let cache = config.cache.as_ref().map(DiskCache::open).transpose()?.map(Arc::new);
+        let cache = config.cache.as_ref().map(DiskCache::open).transpose()?;
+        #[cfg(feature = "object-store")]
+        let cache = cache.map(|cache| cache.with_places(store_config::places(&config.store_options)));
+        let cache = cache.map(Arc::new);
         let inner = Inner {
             client,
             config: config.clone(),

@@ -6,22 +6,20 @@
 
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 use lru::LruCache;
-use object_store::aws::AmazonS3Builder;
-use object_store::azure::MicrosoftAzureBuilder;
 use object_store::client::{
     ClientConfigKey, HttpClient, HttpConnector, HttpError, HttpErrorKind, HttpRequest, HttpResponse, HttpService,
 };
-use object_store::gcp::GoogleCloudStorageBuilder;
 use object_store::path::Path;
 use object_store::{ClientOptions, Error, GetOptions, GetRange, ObjectStore, RetryConfig};
 use reqwest::header::{ACCEPT_ENCODING, HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, RANGE};
 use url::Url;
 
 use super::exchange::{Answer, Exchange, chain_of};
-use super::{HttpConfig, StoreOption};
+use super::{HttpConfig, store_config};
 use crate::io::uri::percent_decode;
 use crate::io::{IoError, Limits, server};
 
@@ -29,6 +27,11 @@ use crate::io::{IoError, Limits, server};
 const KEPT: NonZeroUsize = NonZeroUsize::new(16).expect("not zero");
 /// Longest answer of a service that gives out tokens.
 const MOST_TOKEN_BYTES: u64 = 1 << 20;
+/// For a whole answer of a metadata service, which is next to the machine.
+const LONGEST_TOKEN_WAIT: Duration = Duration::from_secs(2);
+/// One that did not answer is not asked again for so long.
+const SILENCE: Duration = Duration::from_secs(30);
+const NO_METADATA: &str = "the metadata service, which is to give keys for the store, does not answer";
 
 /// Stores by scheme and bucket, with the tokens they hold.
 #[derive(Debug)]
@@ -84,35 +87,30 @@ impl Stores {
         if let Some(store) = stores.get(bucket) {
             return Ok(store.clone());
         }
-        let transport = Transport { client: exchange.client.clone(), config: exchange.config.clone(), open: false };
+        let transport = Transport {
+            client: exchange.client.clone(),
+            config: exchange.config.clone(),
+            open: false,
+            silent: Arc::default(),
+        };
         // Retries are this client's own.
         let retry = RetryConfig { max_retries: 0, ..RetryConfig::default() };
         let options = &exchange.config.store_options;
         let bad = |e: Error| IoError::Uri { uri: uri.to_owned(), reason: chain_of(&e) };
         macro_rules! built {
-            ($builder:ty, $prefix:literal) => {{
-                let mut builder = <$builder>::from_env();
-                for (key, value) in options.iter().filter_map(|o| o.of($prefix)) {
-                    builder = builder.with_config(key.parse().map_err(bad)?, value);
-                }
+            ($configured:path) => {{
+                let builder = $configured(options).map_err(bad)?;
                 let builder = builder.with_url(bucket).with_retry(retry).with_http_connector(transport);
                 Arc::new(builder.build().map_err(bad)?) as Arc<dyn ObjectStore>
             }};
         }
         let store = match bucket.split_once(':').map(|(scheme, _)| scheme.to_ascii_lowercase()).as_deref() {
-            Some("s3") => built!(AmazonS3Builder, "aws_"),
-            Some("gs") => built!(GoogleCloudStorageBuilder, "google_"),
-            _ => built!(MicrosoftAzureBuilder, "azure_"),
+            Some("s3") => built!(store_config::s3),
+            Some("gs") => built!(store_config::google),
+            _ => built!(store_config::azure),
         };
         stores.put(bucket.to_owned(), store.clone());
         Ok(store)
-    }
-}
-
-impl StoreOption {
-    /// Name and value, where it is for the stores whose options begin so.
-    fn of(&self, prefix: &str) -> Option<(&str, &str)> {
-        self.name.starts_with(prefix).then_some((&self.name, &self.value))
     }
 }
 
@@ -143,6 +141,17 @@ struct Transport {
     config: HttpConfig,
     /// Connections may be open ones (`AWS_ALLOW_HTTP`, or a service on this machine that gives out tokens).
     open: bool,
+    /// Until when the service that gives out tokens is not asked again, as it did not answer. Read and written by the
+    /// HTTP thread; taken for moments.
+    silent: Arc<Mutex<Option<Instant>>>,
+}
+
+impl Transport {
+    /// Fails at once while a service of the machine's own cloud was silent a moment ago: each tile would wait for it.
+    fn is_silent(&self) -> bool {
+        let until = *self.silent.lock().unwrap_or_else(PoisonError::into_inner);
+        until.is_some_and(|until| Instant::now() < until)
+    }
 }
 
 impl HttpConnector for Transport {
@@ -157,6 +166,7 @@ impl HttpConnector for Transport {
 impl HttpService for Transport {
     async fn call(&self, request: HttpRequest) -> Result<HttpResponse, HttpError> {
         let (parts, body) = request.into_parts();
+        let parts_are_open = parts.uri.scheme_str() != Some("https");
         let asked = parts.extensions.get::<Arc<Asked>>().cloned();
         let (uri, limits) = match &asked {
             Some(asked) => (asked.uri.clone(), asked.limits),
@@ -165,7 +175,7 @@ impl HttpService for Transport {
         let headers = asked.as_ref().map(|asked| asked.headers.clone()).unwrap_or_default();
         let exchange = Exchange { client: &self.client, config: &self.config, limits: &limits, headers: &headers };
         let outcome = async {
-            if !self.open && parts.uri.scheme_str() != Some("https") {
+            if !self.open && parts_are_open {
                 let reason = "an open connection to an object store, which is not allowed (ALLOW_HTTP)".to_owned();
                 return Err(IoError::Uri { uri: uri.clone(), reason });
             }
@@ -179,7 +189,23 @@ impl HttpService for Transport {
             let response = exchange.first_byte(&uri, request).await?;
             exchange.read(&uri, response).await
         };
-        let outcome = outcome.await;
+        // Not encrypted: a service of the cloud that this machine is in, or is said to be in.
+        let outcome = if asked.is_none() && parts_are_open {
+            let no_answer = || IoError::Network { uri: uri.clone(), reason: NO_METADATA.to_owned() };
+            if self.is_silent() {
+                Err(no_answer())
+            } else {
+                let outcome =
+                    tokio::time::timeout(LONGEST_TOKEN_WAIT, outcome).await.unwrap_or_else(|_| Err(no_answer()));
+                if matches!(outcome, Err(IoError::Network { .. } | IoError::Timeout { .. })) {
+                    let until = Instant::now() + SILENCE;
+                    *self.silent.lock().unwrap_or_else(PoisonError::into_inner) = Some(until);
+                }
+                outcome
+            }
+        } else {
+            outcome.await
+        };
         let mut response = HttpResponse::new(Vec::new().into());
         let sent = match &outcome {
             Ok(answer) => {
