@@ -1,5 +1,6 @@
 //! What is drawn into: textures of our own, or the images of a window. Draw thread only.
 
+use super::surface::{Health, Next, SurfaceAnswer};
 use super::{ContextTraits, GpuError};
 
 /// Colour format of offscreen targets.
@@ -25,8 +26,10 @@ enum Color {
         /// Stands before the surface, so that it is dropped first: wgpu panics where a surface goes while an image of it
         /// is held.
         frame: Option<Frame>,
-        surface: wgpu::Surface<'static>,
+        /// `None` while it was lost and could not be made anew.
+        surface: Option<wgpu::Surface<'static>>,
         config: wgpu::SurfaceConfiguration,
+        health: Health,
     },
     /// Its device is lost.
     Closed,
@@ -127,7 +130,7 @@ impl Target {
             view_formats: Vec::new(),
         };
         surface.configure(device, &config);
-        let color = Color::Window { surface, config, frame: None };
+        let color = Color::Window { surface: Some(surface), config, frame: None, health: Health::default() };
         Ok(Self { color, size_px })
     }
 
@@ -142,12 +145,12 @@ impl Target {
 
     /// Waits for the screen, or not; nothing offscreen.
     pub(super) fn set_vsync(&mut self, device: &wgpu::Device, vsync: bool) {
-        if let Color::Window { surface, config, frame } = &mut self.color
+        if let Color::Window { surface, config, frame, .. } = &mut self.color
             && config.present_mode != present_mode(vsync)
         {
             *frame = None;
             config.present_mode = present_mode(vsync);
-            surface.configure(device, config);
+            surface.iter().for_each(|surface| surface.configure(device, config));
         }
     }
 
@@ -165,10 +168,11 @@ impl Target {
         check_size(device, size_px)?;
         match &mut self.color {
             Color::Offscreen { .. } => self.color = offscreen_color(device, size_px),
-            Color::Window { surface, config, frame } => {
+            Color::Window { surface, config, frame, health } => {
                 *frame = None;
                 [config.width, config.height] = size_px;
-                surface.configure(device, config);
+                health.resized();
+                surface.iter().for_each(|surface| surface.configure(device, config));
             }
             Color::Closed => {}
         }
@@ -176,38 +180,61 @@ impl Target {
         Ok(())
     }
 
-    /// Gets the window's next image unless one is held already; an offscreen target always has one.
-    pub(super) fn acquire(&mut self, device: &wgpu::Device) -> Result<Acquired, GpuError> {
-        let Color::Window { surface, config, frame } = &mut self.color else { return Ok(Acquired::Ready) };
+    /// Gets the window's next image unless one is held already; an offscreen target always has one. `remake` makes the
+    /// window's surface once more.
+    pub(super) fn acquire(
+        &mut self,
+        device: &wgpu::Device,
+        remake: impl Fn() -> Result<wgpu::Surface<'static>, GpuError>,
+    ) -> Result<Acquired, GpuError> {
+        let Color::Window { surface, config, frame, health } = &mut self.color else { return Ok(Acquired::Ready) };
         if frame.is_some() {
             return Ok(Acquired::Ready);
         }
-        // Outdated and lost surfaces are configured anew once; what fails twice is reported.
-        for attempt in 0..2 {
-            match surface.get_current_texture() {
-                wgpu::CurrentSurfaceTexture::Success(image) | wgpu::CurrentSurfaceTexture::Suboptimal(image) => {
+        if health.wants_configure() {
+            surface.iter().for_each(|surface| surface.configure(device, config));
+        }
+        // What fails twice is for the next frame.
+        for is_again in [false, true] {
+            let (answer, image) = match (health.pretended.pop_front(), &*surface) {
+                (Some(answer @ (SurfaceAnswer::Optimal | SurfaceAnswer::Suboptimal)), Some(surface)) => {
+                    (answer, SurfaceAnswer::split(surface.get_current_texture()).1)
+                }
+                (Some(answer), _) => (answer, None),
+                (None, Some(surface)) => SurfaceAnswer::split(surface.get_current_texture()),
+                (None, None) => (SurfaceAnswer::Lost, None),
+            };
+            match health.next(answer, is_again)? {
+                Next::Draw => {
+                    let Some(image) = image else { return Ok(Acquired::Skip) };
                     let view = image.texture.create_view(&wgpu::TextureViewDescriptor::default());
                     *frame = Some(Frame { image, view });
                     return Ok(Acquired::Ready);
                 }
-                wgpu::CurrentSurfaceTexture::Timeout | wgpu::CurrentSurfaceTexture::Occluded => {
-                    return Ok(Acquired::Skip);
-                }
-                wgpu::CurrentSurfaceTexture::Outdated | wgpu::CurrentSurfaceTexture::Lost if attempt == 0 => {
-                    surface.configure(device, config);
-                }
-                wgpu::CurrentSurfaceTexture::Outdated => return Ok(Acquired::Skip),
-                wgpu::CurrentSurfaceTexture::Lost => {
-                    return Err(GpuError::Surface {
-                        reason: "lost, and still lost after being configured anew".into(),
-                    });
-                }
-                wgpu::CurrentSurfaceTexture::Validation => {
-                    return Err(GpuError::Surface { reason: "refused by validation".into() });
+                Next::Skip => return Ok(Acquired::Skip),
+                Next::Configure => surface.iter().for_each(|surface| surface.configure(device, config)),
+                Next::Remake => {
+                    log::warn!("the surface of a window is lost; another takes its place");
+                    if !cfg!(target_vendor = "apple") {
+                        // A window has one surface at a time. Apple's are made on the main thread alone.
+                        *surface = None;
+                        match remake() {
+                            Ok(made) => *surface = Some(made),
+                            Err(error) => log::warn!("{error}"),
+                        }
+                    }
+                    surface.iter().for_each(|surface| surface.configure(device, config));
                 }
             }
         }
         Ok(Acquired::Skip)
+    }
+
+    /// What a window's surface answers next, instead of being asked.
+    pub(super) fn pretend(&mut self, answers: &[SurfaceAnswer]) {
+        if let Color::Window { health, .. } = &mut self.color {
+            health.pretended.extend(answers);
+        }
     }
 
     pub(super) fn color_view(&self) -> Option<&wgpu::TextureView> {
