@@ -29,7 +29,6 @@ enum Color {
         /// `None` while it was lost and could not be made anew.
         surface: Option<wgpu::Surface<'static>>,
         config: wgpu::SurfaceConfiguration,
-        health: Health,
     },
     /// Its device is lost.
     Closed,
@@ -44,6 +43,8 @@ struct Frame {
 pub(super) struct Target {
     color: Color,
     size_px: [u32; 2],
+    /// Of a window's surface.
+    health: Health,
 }
 
 fn extent(size_px: [u32; 2]) -> wgpu::Extent3d {
@@ -97,7 +98,7 @@ impl Target {
 
     fn offscreen(device: &wgpu::Device, size_px: [u32; 2]) -> Result<Self, GpuError> {
         check_size(device, size_px)?;
-        Ok(Self { color: offscreen_color(device, size_px), size_px })
+        Ok(Self { color: offscreen_color(device, size_px), size_px, health: Health::default() })
     }
 
     fn window(
@@ -130,8 +131,8 @@ impl Target {
             view_formats: Vec::new(),
         };
         surface.configure(device, &config);
-        let color = Color::Window { surface: Some(surface), config, frame: None, health: Health::default() };
-        Ok(Self { color, size_px })
+        let color = Color::Window { surface: Some(surface), config, frame: None };
+        Ok(Self { color, size_px, health: Health::default() })
     }
 
     pub(super) fn size_px(&self) -> [u32; 2] {
@@ -145,7 +146,7 @@ impl Target {
 
     /// Waits for the screen, or not; nothing offscreen.
     pub(super) fn set_vsync(&mut self, device: &wgpu::Device, vsync: bool) {
-        if let Color::Window { surface, config, frame, .. } = &mut self.color
+        if let Color::Window { surface, config, frame } = &mut self.color
             && config.present_mode != present_mode(vsync)
         {
             *frame = None;
@@ -168,10 +169,10 @@ impl Target {
         check_size(device, size_px)?;
         match &mut self.color {
             Color::Offscreen { .. } => self.color = offscreen_color(device, size_px),
-            Color::Window { surface, config, frame, health } => {
+            Color::Window { surface, config, frame } => {
                 *frame = None;
                 [config.width, config.height] = size_px;
-                health.resized();
+                self.health.resized();
                 surface.iter().for_each(|surface| surface.configure(device, config));
             }
             Color::Closed => {}
@@ -187,7 +188,8 @@ impl Target {
         device: &wgpu::Device,
         remake: impl Fn() -> Result<wgpu::Surface<'static>, GpuError>,
     ) -> Result<Acquired, GpuError> {
-        let Color::Window { surface, config, frame, health } = &mut self.color else { return Ok(Acquired::Ready) };
+        let health = &mut self.health;
+        let Color::Window { surface, config, frame } = &mut self.color else { return Ok(Acquired::Ready) };
         if frame.is_some() {
             return Ok(Acquired::Ready);
         }
@@ -232,8 +234,8 @@ impl Target {
 
     /// What a window's surface answers next, instead of being asked.
     pub(super) fn pretend(&mut self, answers: &[SurfaceAnswer]) {
-        if let Color::Window { health, .. } = &mut self.color {
-            health.pretended.extend(answers);
+        if matches!(self.color, Color::Window { .. }) {
+            self.health.pretended.extend(answers);
         }
     }
 
