@@ -16,7 +16,7 @@ use terrane::gpu::{AdapterChoice, CompileBudget};
 use terrane::io::HttpConfig;
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::pager::{PagerConfig, RequestState};
-use terrane::viewer::handlers::{PagerDebugHandler, TileState};
+use terrane::viewer::handlers::{PagerDebugHandler, StatsHandler, StatsPage, TileState};
 use terrane::viewer::{Key, Viewer, ViewerConfig};
 
 /// Tiles in a row and in a column.
@@ -195,5 +195,31 @@ fn names_and_colours_tell_states_apart() {
             let far = a.color().iter().zip(b.color()).map(|(a, b)| u32::from(a.abs_diff(b))).sum::<u32>();
             assert!(a.name() != b.name() && far > 60, "{a:?} and {b:?}: {far}");
         }
+    }
+}
+
+#[test]
+fn the_stats_page_lies_inside_a_small_picture() {
+    let server = Server::start(|request| match request.path() {
+        "/set/tileset.json" => Reply::ok(set()),
+        _ => Reply::ok(glb()),
+    });
+    let Some(mut viewer) = viewer(&server.url, patient()) else { return };
+    viewer.add_event_handler(StatsHandler { page: StatsPage::Pager });
+    let sky = [250, 0, 250];
+    viewer.environment.sky = Sky::Background(sky);
+    viewer.camera.look_at(DVec3::new(0.0, 0.0, 330.0), DVec3::new(0.0, 0.0, 1e6), DVec3::Y);
+    for size_px in [[320, 240], [480, 300], [800, 600], [240, 320]] {
+        viewer.resize(size_px).unwrap();
+        // It is laid out from its second frame on.
+        (0..30).for_each(|_| viewer.frame().unwrap());
+        let picture = viewer.read_back().unwrap();
+        keep(&picture, &format!("stats-{}x{}.png", size_px[0], size_px[1]));
+        let [width, height] = size_px;
+        let is_sky = |x: u32, y: u32| picture.get_pixel(x, y).0[..3] == sky;
+        let edge = (0..width).all(|x| is_sky(x, height - 1)) && (0..height).all(|y| is_sky(width - 1, y));
+        assert!(edge, "{size_px:?}: the page goes beyond the picture");
+        let covered = picture.pixels().filter(|p| p.0[..3] != sky).count();
+        assert!(covered > 30_000, "{size_px:?}: {covered} pixels of the page");
     }
 }

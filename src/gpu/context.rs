@@ -289,6 +289,12 @@ impl GraphicsContext {
         self.device.destroy();
     }
 
+    /// Lets the window's surface answer so when it is asked for its next images, for tests of what comes after.
+    #[doc(hidden)]
+    pub fn pretend_surface(&mut self, answers: &[super::SurfaceAnswer]) {
+        self.faces[self.face].target.pretend(answers);
+    }
+
     /// Makes a window's images wait for the screen, or not.
     pub fn set_vsync(&mut self, vsync: bool) {
         let face = &mut self.faces[self.face];
@@ -336,7 +342,12 @@ impl GraphicsContext {
     /// [`Self::present`] is free. Blocks until the window has an image (Fifo).
     pub fn acquire(&mut self) -> Result<Acquired, GpuError> {
         self.check_lost()?;
-        self.faces[self.face].target.acquire(&self.device)
+        let Face { target, make_surface, .. } = &mut self.faces[self.face];
+        let remake = || match &*make_surface {
+            Some(make) => make(&self.instance),
+            None => Err(GpuError::Surface { reason: "there is no window".to_owned() }),
+        };
+        target.acquire(&self.device, remake)
     }
 
     /// The image drawn into, for overlays between draw and [`Self::present`]; `None` while a window holds none.

@@ -26,6 +26,7 @@ mod pipeline_cache;
 mod read_back;
 mod slots;
 mod state_textures;
+mod surface;
 mod target;
 mod texture_pool;
 mod timer;
@@ -36,6 +37,8 @@ pub use compile::{CompileBudget, CompileOperation, CompileStats, Compiled};
 pub use context::{AdapterChoice, ContextTraits, GraphicsContext};
 pub use custom::{CompileInfo, CustomError, TargetFormats};
 pub use error::GpuError;
+#[doc(hidden)]
+pub use surface::SurfaceAnswer;
 pub use target::Acquired;
 
 pub(crate) use custom::{CustomCompile, CustomShape, MOST_COLORS};

@@ -1,5 +1,6 @@
 //! What is drawn into: textures of our own, or the images of a window. Draw thread only.
 
+use super::surface::{Health, Next, SurfaceAnswer};
 use super::{ContextTraits, GpuError};
 
 /// Colour format of offscreen targets.
@@ -25,7 +26,8 @@ enum Color {
         /// Stands before the surface, so that it is dropped first: wgpu panics where a surface goes while an image of it
         /// is held.
         frame: Option<Frame>,
-        surface: wgpu::Surface<'static>,
+        /// `None` while it was lost and could not be made anew.
+        surface: Option<wgpu::Surface<'static>>,
         config: wgpu::SurfaceConfiguration,
     },
     /// Its device is lost.
@@ -41,6 +43,8 @@ struct Frame {
 pub(super) struct Target {
     color: Color,
     size_px: [u32; 2],
+    /// Of a window's surface.
+    health: Health,
 }
 
 fn extent(size_px: [u32; 2]) -> wgpu::Extent3d {
@@ -94,7 +98,7 @@ impl Target {
 
     fn offscreen(device: &wgpu::Device, size_px: [u32; 2]) -> Result<Self, GpuError> {
         check_size(device, size_px)?;
-        Ok(Self { color: offscreen_color(device, size_px), size_px })
+        Ok(Self { color: offscreen_color(device, size_px), size_px, health: Health::default() })
     }
 
     fn window(
@@ -127,8 +131,8 @@ impl Target {
             view_formats: Vec::new(),
         };
         surface.configure(device, &config);
-        let color = Color::Window { surface, config, frame: None };
-        Ok(Self { color, size_px })
+        let color = Color::Window { surface: Some(surface), config, frame: None };
+        Ok(Self { color, size_px, health: Health::default() })
     }
 
     pub(super) fn size_px(&self) -> [u32; 2] {
@@ -147,7 +151,7 @@ impl Target {
         {
             *frame = None;
             config.present_mode = present_mode(vsync);
-            surface.configure(device, config);
+            surface.iter().for_each(|surface| surface.configure(device, config));
         }
     }
 
@@ -168,7 +172,8 @@ impl Target {
             Color::Window { surface, config, frame } => {
                 *frame = None;
                 [config.width, config.height] = size_px;
-                surface.configure(device, config);
+                self.health.resized();
+                surface.iter().for_each(|surface| surface.configure(device, config));
             }
             Color::Closed => {}
         }
@@ -176,38 +181,62 @@ impl Target {
         Ok(())
     }
 
-    /// Gets the window's next image unless one is held already; an offscreen target always has one.
-    pub(super) fn acquire(&mut self, device: &wgpu::Device) -> Result<Acquired, GpuError> {
+    /// Gets the window's next image unless one is held already; an offscreen target always has one. `remake` makes the
+    /// window's surface once more.
+    pub(super) fn acquire(
+        &mut self,
+        device: &wgpu::Device,
+        remake: impl Fn() -> Result<wgpu::Surface<'static>, GpuError>,
+    ) -> Result<Acquired, GpuError> {
+        let health = &mut self.health;
         let Color::Window { surface, config, frame } = &mut self.color else { return Ok(Acquired::Ready) };
         if frame.is_some() {
             return Ok(Acquired::Ready);
         }
-        // Outdated and lost surfaces are configured anew once; what fails twice is reported.
-        for attempt in 0..2 {
-            match surface.get_current_texture() {
-                wgpu::CurrentSurfaceTexture::Success(image) | wgpu::CurrentSurfaceTexture::Suboptimal(image) => {
+        if health.wants_configure() {
+            surface.iter().for_each(|surface| surface.configure(device, config));
+        }
+        // What fails twice is for the next frame.
+        for is_again in [false, true] {
+            let (answer, image) = match (health.pretended.pop_front(), &*surface) {
+                (Some(answer @ (SurfaceAnswer::Optimal | SurfaceAnswer::Suboptimal)), Some(surface)) => {
+                    (answer, SurfaceAnswer::split(surface.get_current_texture()).1)
+                }
+                (Some(answer), _) => (answer, None),
+                (None, Some(surface)) => SurfaceAnswer::split(surface.get_current_texture()),
+                (None, None) => (SurfaceAnswer::Lost, None),
+            };
+            match health.next(answer, is_again)? {
+                Next::Draw => {
+                    let Some(image) = image else { return Ok(Acquired::Skip) };
                     let view = image.texture.create_view(&wgpu::TextureViewDescriptor::default());
                     *frame = Some(Frame { image, view });
                     return Ok(Acquired::Ready);
                 }
-                wgpu::CurrentSurfaceTexture::Timeout | wgpu::CurrentSurfaceTexture::Occluded => {
-                    return Ok(Acquired::Skip);
-                }
-                wgpu::CurrentSurfaceTexture::Outdated | wgpu::CurrentSurfaceTexture::Lost if attempt == 0 => {
-                    surface.configure(device, config);
-                }
-                wgpu::CurrentSurfaceTexture::Outdated => return Ok(Acquired::Skip),
-                wgpu::CurrentSurfaceTexture::Lost => {
-                    return Err(GpuError::Surface {
-                        reason: "lost, and still lost after being configured anew".into(),
-                    });
-                }
-                wgpu::CurrentSurfaceTexture::Validation => {
-                    return Err(GpuError::Surface { reason: "refused by validation".into() });
+                Next::Skip => return Ok(Acquired::Skip),
+                Next::Configure => surface.iter().for_each(|surface| surface.configure(device, config)),
+                Next::Remake => {
+                    log::warn!("the surface of a window is lost; another takes its place");
+                    if !cfg!(target_vendor = "apple") {
+                        // A window has one surface at a time. Apple's are made on the main thread alone.
+                        *surface = None;
+                        match remake() {
+                            Ok(made) => *surface = Some(made),
+                            Err(error) => log::warn!("{error}"),
+                        }
+                    }
+                    surface.iter().for_each(|surface| surface.configure(device, config));
                 }
             }
         }
         Ok(Acquired::Skip)
+    }
+
+    /// What a window's surface answers next, instead of being asked.
+    pub(super) fn pretend(&mut self, answers: &[SurfaceAnswer]) {
+        if matches!(self.color, Color::Window { .. }) {
+            self.health.pretended.extend(answers);
+        }
     }
 
     pub(super) fn color_view(&self) -> Option<&wgpu::TextureView> {

@@ -10,7 +10,9 @@
 
 use std::path::Path;
 
-use glam::{DAffine3, DMat4, DVec3};
+#[cfg(any(feature = "window", test))]
+use glam::DVec3;
+use glam::{DAffine3, DMat4};
 
 use super::arrangement_file::read_arrangement;
 use super::view::Eyes;

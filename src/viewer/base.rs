@@ -16,7 +16,7 @@ use super::view::{ContextId, Place, Slave, SlaveId, View};
 use super::viewer::{FrameStamp, ViewerConfig};
 use crate::cull::{CullCamera, CullVisitor, RenderStage};
 use crate::draw::FrameClock;
-use crate::gpu::{CompileBudget, ContextTraits, GpuError, GraphicsContext};
+use crate::gpu::{CompileBudget, ContextTraits, GpuError, GraphicsContext, SurfaceAnswer};
 use crate::timeline::{self, Span};
 
 /// How often arrivals are looked for while the draw thread is busy.
@@ -247,6 +247,11 @@ impl ViewerBase {
 
     pub(super) fn lose_device(&mut self, context: ContextId) -> Result<(), ViewerError> {
         self.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?.lose_device()
+    }
+
+    pub(super) fn pretend_surface(&mut self, context: ContextId, answers: &[SurfaceAnswer]) -> Result<(), ViewerError> {
+        let handle = self.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?;
+        handle.pretend_surface(context.0, answers)
     }
 
     pub(super) fn resize(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
@@ -587,6 +592,7 @@ impl ViewerBase {
             stats.draw_ms = stats.draw_ms.max(done.draw_ms);
             stats.compile_ms = stats.compile_ms.max(done.compile_ms);
             stats.gpu_ms = drawn.gpu_ms.map(|ms| ms.max(stats.gpu_ms.unwrap_or(0.0))).or(stats.gpu_ms);
+            stats.skipped += u32::from(drawn.skipped);
             stats.leaves += drawn.leaves;
             stats.draw_calls += drawn.draw_calls;
             stats.shadow_leaves += drawn.shadow_leaves;

@@ -24,6 +24,8 @@ pub struct FrameStats {
     pub compile_ms: f64,
     /// GPU time where the adapter has timestamps.
     pub gpu_ms: Option<f64>,
+    /// Windows that had no image to draw into: hidden, late, or with a surface that was lost or out of date.
+    pub skipped: u32,
     /// Leaves drawn.
     pub leaves: u32,
     /// Draw calls recorded.

@@ -410,6 +410,16 @@ impl Viewer {
         self.base.lose_device(context)
     }
 
+    /// What the surface of a context's window answers next, for tests of what comes after.
+    #[doc(hidden)]
+    pub fn pretend_surface(
+        &mut self,
+        context: ContextId,
+        answers: &[crate::gpu::SurfaceAnswer],
+    ) -> Result<(), ViewerError> {
+        self.base.pretend_surface(context, answers)
+    }
+
     /// What handlers are given.
     pub fn actions(&mut self) -> GuiActionAdapter<'_> {
         GuiActionAdapter { base: &mut self.base, view: &mut self.view, paged: &mut self.paged }

@@ -1,5 +1,6 @@
 //! What the tests of contexts show: a small tile set, and balls.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+#![allow(dead_code, reason = "each test program uses a part of it")]
 
 use std::path::Path;
 use std::sync::Arc;

@@ -9,6 +9,8 @@ mod record_path;
 mod screen_capture;
 mod state_set;
 mod stats;
+#[cfg(feature = "window")]
+mod stats_page;
 mod threading;
 mod tile_state;
 mod window_size;

@@ -8,7 +8,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use image::RgbaImage;
 
 use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
-use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext};
+use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext, SurfaceAnswer};
 use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{DrawKind, DrawSlot, Drawable, Mesh};
 use crate::sync::{Operation, OperationThread};
@@ -374,6 +374,15 @@ impl DeviceHandle {
     /// The device goes.
     pub(in crate::viewer) fn lose_device(&mut self) -> Result<(), ViewerError> {
         self.send(DrawCommand::LoseDevice)
+    }
+
+    /// What a window's surface answers next.
+    pub(in crate::viewer) fn pretend_surface(
+        &mut self,
+        context: u32,
+        answers: &[SurfaceAnswer],
+    ) -> Result<(), ViewerError> {
+        self.send(DrawCommand::PretendSurface { context, answers: answers.to_vec() })
     }
 
     /// Waits for the frames under way, whatever becomes of them. One whose threads have ended never comes.

@@ -16,7 +16,7 @@ use super::cull_side::{CullSide, Culled};
 use super::millis;
 use crate::cull::RenderStage;
 use crate::draw::{DrawStats, Environment, FrameClock, Picture, Renderer};
-use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext};
+use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsContext, SurfaceAnswer};
 use crate::pager::ImageChange;
 use crate::scene::{DrawKind, DrawSlot, Mesh};
 use crate::sync::BlockCount;
@@ -101,6 +101,8 @@ pub(super) enum DrawCommand {
     SetVsync { context: u32, vsync: bool },
     /// The device goes, as if the driver had lost it.
     LoseDevice,
+    /// A window's surface answers so, as if the window system had.
+    PretendSurface { context: u32, answers: Vec<SurfaceAnswer> },
     /// Look whether the thread is to end.
     Wake,
 }
@@ -316,6 +318,12 @@ impl DrawSide {
                 return;
             }
             DrawCommand::LoseDevice => return self.context.lose_device(),
+            DrawCommand::PretendSurface { context, answers } => {
+                if self.select(context).is_some() {
+                    self.context.pretend_surface(&answers);
+                }
+                return;
+            }
             DrawCommand::ReadBack { context } => {
                 self.select(context);
                 Reply::Image(self.renderer.read_back(&mut self.context))
