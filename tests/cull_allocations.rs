@@ -11,7 +11,7 @@ use glam::DVec3;
 use scenes::{Grid, content, drawable, look_at, page, quadtree, state_sets};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage, ShadowLight, SunShadows};
 use terrane::math::Aabb;
-use terrane::scene::{ConvexPlanarOccluder, Node, NodeKind, Page, Refine, Scene};
+use terrane::scene::{ConvexPlanarOccluder, Environment, Node, NodeKind, Page, Refine, Scene};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
 struct Counting;
@@ -46,7 +46,9 @@ static ALLOCATOR: Counting = Counting;
 fn allocations_of_second_round(scene: &Scene, camera_at: impl Fn(u32) -> CullCamera) -> (u64, u32) {
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
     let to_sun = DVec3::new(0.6, 0.0, 0.8);
-    visitor.shadow_light = Some(ShadowLight { to_sun, up: to_sun, shadows: SunShadows::default() });
+    let shadows = Some(SunShadows::default());
+    visitor.environment =
+        Some(Environment { sun_direction: to_sun, up_in_world: to_sun, shadows, ..Environment::default() });
     let mut casters = 0;
     let mut before = 0;
     let (mut leaves, mut fading) = (0, 0);

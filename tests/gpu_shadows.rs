@@ -6,11 +6,11 @@ mod shadow_support;
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DQuat, DVec3};
 use gpu_support::{Rig, Terrain, camera, rig};
 use image::RgbaImage;
 use shadow_support::{check, cuboid, ground, meets, ray, solid, srgb, sunny, tower};
-use terrane::cull::{CullCamera, RenderStage, ShadowLight, SunShadows};
+use terrane::cull::{CullCamera, RenderStage, SunShadows};
 use terrane::draw::{Environment, Picture, Water};
 use terrane::gpu::AdapterChoice;
 use terrane::math::{Aabb, Geodetic, WGS84};
@@ -78,6 +78,34 @@ fn flat_ground_without_casters_has_no_shadows() {
         }
         rig.release(scene);
     }
+}
+
+/// Whatever way the texels of a map lie on a surface, it casts no stripes on itself.
+#[test]
+fn tilted_plates_throw_no_shadows_on_themselves() {
+    let Some(mut rig) = rig("tilted_plates_throw_no_shadows_on_themselves") else { return };
+    let to_sun = DVec3::new(0.2, 0.3, 0.9).normalize();
+    let side = to_sun.any_orthonormal_vector();
+    let mut worst = 0;
+    for turn in 0..12 {
+        // The sun's angle over the plate: 4 to 60 degrees; where it lies in the map: all around.
+        for over in [0.07, 0.21, 0.5, 1.05f64] {
+            let across = DQuat::from_axis_angle(to_sun, f64::from(turn) * std::f64::consts::FRAC_PI_6) * side;
+            let normal = to_sun * over.sin() + across * over.cos();
+            let (x, y) = normal.any_orthonormal_pair();
+            let plate = Mesh::rectangle((x + y) * -40.0, x * 80.0, y * 80.0);
+            let scene = rig.scene(Node::geode(vec![solid(plate)]));
+            let camera = camera(SIZE, normal * 30.0 + x * 25.0, DVec3::ZERO, normal);
+            // As bright under each.
+            let environment = Environment { sun_color: [0.7 / over.sin() as f32; 3], ..sunny(to_sun) };
+            let with = rig.picture(&scene, &camera, &environment);
+            let without = rig.picture(&scene, &camera, &Environment { shadows: None, ..environment });
+            let darker = with.pixels().zip(without.pixels()).map(|(a, b)| b.0[0].saturating_sub(a.0[0])).max();
+            worst = worst.max(darker.unwrap_or(0));
+            rig.release(scene);
+        }
+    }
+    assert!(worst <= 1, "{worst} of 255 darker");
 }
 
 fn half_transparent() -> Arc<Texture> {
@@ -275,7 +303,7 @@ fn pictures_of_one_target_have_shadows_of_their_own() {
     rig.ctx.resize(SIZE).unwrap();
     let mut stages = [RenderStage::new(), RenderStage::new()];
     for (i, stage) in stages.iter_mut().enumerate() {
-        rig.visitor.shadow_light = environments[i].shadow_light();
+        rig.visitor.environment = Some(environments[i]);
         rig.visitor.cull(&scene, &cameras[i], stage);
         stage.target.viewport_px = Some([i as u32 * half[0], 0, half[0], half[1]]);
     }
@@ -299,7 +327,7 @@ fn cameras_in_the_graph_have_none_and_eyes_have_their_own() {
     let scene =
         rig.scene(Node::group(vec![Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]), inside]));
     let camera = camera(SIZE, DVec3::new(-40.0, -50.0, 45.0), DVec3::ZERO, DVec3::Z);
-    rig.visitor.shadow_light = sunny(DVec3::ONE).shadow_light();
+    rig.visitor.environment = Some(sunny(DVec3::ONE));
     let Rig { visitor, stage, .. } = &mut *rig;
     visitor.cull(&scene, &camera, stage);
     assert_eq!(stage.shadows.cascades.len(), 4);
@@ -394,20 +422,20 @@ fn water_is_darker_in_the_shadow() {
 fn shadows_ask_for_nothing_and_keep_nothing() {
     let Some(mut rig) = rig("shadows_ask_for_nothing_and_keep_nothing") else { return };
     let scene: Scene = rig.scene(Node::geode(vec![ground(200.0)]));
-    let light = ShadowLight { to_sun: DVec3::Z, up: DVec3::Z, shadows: SunShadows::default() };
+    let environment = sunny(DVec3::Z);
     let camera = camera(SIZE, DVec3::new(0.0, 0.0, 50.0), DVec3::ZERO, DVec3::Y);
     let Rig { visitor, stage, .. } = &mut *rig;
-    visitor.shadow_light = None;
+    visitor.environment = None;
     visitor.cull(&scene, &camera, stage);
     let without = stage.counters;
-    visitor.shadow_light = Some(light);
+    visitor.environment = Some(environment);
     visitor.cull(&scene, &camera, stage);
     let with = stage.counters;
     assert_eq!(terrane::cull::CullCounters { shadow_leaves: 0, ..with }, without);
     assert!((1..=4).contains(&with.shadow_leaves), "{}", with.shadow_leaves);
     // A mask of casters leaves them out.
-    let shadows = SunShadows { caster_mask: 0, ..light.shadows };
-    visitor.shadow_light = Some(ShadowLight { shadows, ..light });
+    let shadows = Some(SunShadows { caster_mask: 0, ..SunShadows::default() });
+    visitor.environment = Some(Environment { shadows, ..environment });
     visitor.cull(&scene, &camera, stage);
     assert_eq!(stage.counters.shadow_leaves, 0);
     rig.release(scene);

@@ -10,24 +10,33 @@ use glam::{DAffine3, DVec3};
 use pager_support::{Run, WORLD_M, write_quadtree};
 use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
 use terrane::gpu::AdapterChoice;
-use terrane::pager::PagerConfig;
+use terrane::pager::{PagerConfig, PathLooks, frames_until};
 use terrane::scene::{Node, NodeId, Page, Scene};
 use terrane::viewer::{AnimationPath, ControlPoint, Viewer, ViewerConfig};
 
 const HERE: DVec3 = DVec3::new(0.2 * WORLD_M, 0.2 * WORLD_M, 150.0);
 const THERE: DVec3 = DVec3::new(0.8 * WORLD_M, 0.8 * WORLD_M, 150.0);
+/// For many tiles in a picture.
+const FINE_PX: f64 = 4.0;
 
-/// What an eye will lack, as requests for later; keeps nothing from expiring.
-fn ahead(run: &Run, eye: DVec3) -> Vec<PageRequest> {
-    let camera = CullCamera { eye_from_world: DAffine3::from_translation(-eye), frame: 0, ..CullCamera::default() };
+/// What an eye will lack in some frames.
+fn missing_ahead(run: &Run, eye: DVec3, frames: u32) -> Vec<PageRequest> {
+    let eye_from_world = DAffine3::from_translation(-eye);
+    let mut camera = CullCamera { eye_from_world, frame: run.frame, ahead_frames: frames, ..CullCamera::default() };
+    camera.settings.max_sse_px = run.max_sse_px;
     let mut stage = RenderStage::new();
     CullVisitor::new().cull(&run.scene, &camera, &mut stage);
-    stage.requests.iter().map(|request| request.ahead()).collect()
+    stage.requests
+}
+
+/// The same, as it is asked for.
+fn ahead(run: &Run, eye: DVec3, frames: u32) -> Vec<PageRequest> {
+    missing_ahead(run, eye, frames).iter().map(|request| request.ahead(frames)).collect()
 }
 
 /// A frame here that looks ahead to there.
 fn frame(run: &mut Run) {
-    let requests = ahead(run, THERE);
+    let requests = ahead(run, THERE, 10);
     run.frame_with(HERE, &requests);
 }
 
@@ -35,7 +44,7 @@ fn frame(run: &mut Run) {
 fn later_is_below_now_in_the_same_order() {
     let page = Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap());
     let slot = NodeId { page, index: 0 };
-    let request = |priority| PageRequest { slot, priority, error_px: 0.0 }.ahead().priority;
+    let request = |priority| PageRequest { slot, priority, error_px: 0.0, ahead_frames: 0 }.ahead(1).priority;
     let ahead: Vec<f32> = [0.0, 1.0, 16.0, 1e6, f32::MAX, f32::INFINITY].map(request).to_vec();
     assert!(ahead.iter().all(|p| *p < 0.0) && ahead.is_sorted(), "{ahead:?}");
     assert!(request(f32::NAN) < 0.0);
@@ -48,9 +57,9 @@ fn nothing_is_missing_where_the_pager_was_told_to_go() {
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
     run.settle(HERE);
     let (before, drawn) = (*run.pager.stats(), run.stage.counters.tiles_drawn);
-    assert!(!ahead(&run, THERE).is_empty());
+    assert!(!ahead(&run, THERE, 10).is_empty());
     let end = Instant::now() + Duration::from_secs(60);
-    while !ahead(&run, THERE).is_empty() {
+    while !ahead(&run, THERE, 10).is_empty() {
         assert!(Instant::now() < end, "{:?}", run.pager.stats());
         frame(&mut run);
         assert!(run.pager.is_idle(), "no picture lacks anything");
@@ -93,6 +102,49 @@ fn what_is_wanted_now_comes_first_and_later_takes_no_room() {
     // The same place wanted now gets the room at once.
     run.settle(THERE);
     assert_eq!(run.stage.counters.wanted_missing, 0);
+}
+
+/// A flight from here to there in so many frames, with a disk that is quick enough: the tiles that its pictures lacked,
+/// and those that were loaded.
+fn flight(set: &str, max_tiles: usize, frames: u32, ahead_frames: f64) -> (u32, u64) {
+    let mut run = Run::new(set, PagerConfig { max_tiles, ..PagerConfig::default() });
+    run.max_sse_px = FINE_PX;
+    run.settle(HERE);
+    let eye = |at: f64| HERE.lerp(THERE, (at / f64::from(frames)).min(1.0));
+    let (mut looks, mut missing, loaded) = (PathLooks::default(), 0, run.pager.stats().loaded);
+    for i in 0..frames {
+        let now = f64::from(i);
+        looks.start_frame(now);
+        while let Some(at) = looks.next(ahead_frames, 1.0) {
+            let found = missing_ahead(&run, eye(at), frames_until(at - now, 1.0));
+            looks.found(&found);
+        }
+        let requests: Vec<PageRequest> = looks.requests(1.0).collect();
+        run.frame_with(eye(now), &requests);
+        missing += run.stage.counters.wanted_missing;
+        run.work_until_idle();
+        assert!(run.pager.stats().resident <= max_tiles as u64);
+    }
+    (missing, run.pager.stats().loaded - loaded)
+}
+
+#[test]
+fn along_a_known_path_nothing_goes_that_is_wanted_sooner_than_what_comes() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let set = folder.path().to_str().unwrap();
+    // So little room that what was seen goes all the time.
+    let mut here = Run::new(set, PagerConfig::default());
+    here.max_sse_px = FINE_PX;
+    here.settle(HERE);
+    let max_tiles = 4 * here.pager.stats().resident as usize;
+    let (missing, loaded) = flight(set, max_tiles, 40, 0.0);
+    assert!(missing > 40, "the flight is too slow: {missing}");
+    for ahead_frames in [4.0, 10.0, 30.0] {
+        let (missing_ahead, loaded_ahead) = flight(set, max_tiles, 40, ahead_frames);
+        assert!(4 * missing_ahead < missing, "{ahead_frames} frames ahead: {missing_ahead} missing, else {missing}");
+        assert!(10 * loaded_ahead < 12 * loaded, "{ahead_frames} frames ahead: {loaded_ahead} loaded, {loaded} needed");
+    }
 }
 
 #[test]

@@ -116,7 +116,7 @@ fn each_eye_has_its_own_shadows() {
         });
         let environment = sunny(to_sun);
         rig.ctx.resize(SIZE).unwrap();
-        rig.visitor.shadow_light = environment.shadow_light();
+        rig.visitor.environment = Some(environment);
         rig.visitor.cull_stereo(&scene, &whole, &stereo, &targets, &mut rig.stage);
         let stats = rig.renderer.draw(&mut rig.ctx, &rig.stage, &environment).unwrap();
         assert!(rig.ctx.take_device_errors().is_empty() && rig.renderer.take_errors().is_empty());
@@ -131,7 +131,7 @@ fn each_eye_has_its_own_shadows() {
         pictures.push(picture);
     }
     assert!(darker(&pictures[0], &pictures[1]) > 500, "the eyes are apart");
-    rig.visitor.shadow_light = None;
+    rig.visitor.environment = None;
     rig.release(scene);
 }
 

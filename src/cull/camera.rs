@@ -23,6 +23,9 @@ pub struct CullCamera {
     pub simulation_time_s: f64,
     /// Stamped on tiles that are wanted; start at 1. 0 stamps nothing: for a look that keeps nothing from expiring.
     pub frame: u32,
+    /// In so many frames there will be such a picture: tiles that no picture wants now are stamped with that frame,
+    /// unless they are wanted sooner, and tiles do not fade. 0 for a picture of this frame.
+    pub ahead_frames: u32,
     /// Whose draw slots the leaves get.
     pub context: u32,
 }
@@ -42,6 +45,7 @@ impl Default for CullCamera {
             horizon: None,
             simulation_time_s: 0.0,
             frame: 1,
+            ahead_frames: 0,
             context: 0,
         }
     }

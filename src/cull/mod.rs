@@ -36,7 +36,7 @@ mod visitor;
 
 pub use camera::CullCamera;
 pub use fade::FadeBand;
-pub use shadows::{MOST_CASCADES, ShadowCascade, ShadowError, ShadowLight, StageShadows, SunShadows};
+pub use shadows::{MOST_CASCADES, ShadowCascade, ShadowError, StageShadows, SunShadows};
 pub use stage::{
     ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, RenderBin, RenderLeaf, RenderStage,
     StageTarget, StageView,

@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DMat3, DVec3, DVec4};
 
+use super::CullCamera;
 use super::occluders::NO_OCCLUDERS;
 use super::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView, moved, plane_moved,
@@ -9,8 +10,8 @@ use super::stage::{
 use super::view::{View, clamp};
 use super::visitor::{Cull, DeferredCamera, DepthRange, PageContext};
 use crate::scene::{
-    BillboardMode, CameraNode, ComputeNearFar, DrawSlot, NONE, OcclusionQueryNode, ReferenceFrame, RenderOrder,
-    Special, UNBOUNDED,
+    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, ComputeNearFar, DrawSlot, NONE, OcclusionQueryNode,
+    ReferenceFrame, RenderOrder, Special, UNBOUNDED,
 };
 use crate::state::TexGen;
 
@@ -73,7 +74,8 @@ impl Cull<'_> {
             Special::Projection { clip_from_eye, path } => {
                 let mut view = self.view;
                 view.clip_from_eye = *clip_from_eye;
-                self.in_view(context, node, view, None, context.visit.eye_from_page, *path);
+                let environment = CameraEnvironment::Light;
+                self.in_view(context, node, view, environment, None, context.visit.eye_from_page, *path);
                 true
             }
             Special::AbsoluteTransform => {
@@ -117,17 +119,28 @@ impl Cull<'_> {
     }
 
     /// Scans the children of a node under another view of the same stage.
+    #[allow(clippy::too_many_arguments, reason = "what a view is made of")]
     fn in_view(
         &mut self,
         context: &PageContext,
         node: u32,
         mut view: View,
+        environment: CameraEnvironment,
         clamp_projection: Option<crate::scene::ClampProjection>,
         eye_from_page: DAffine3,
         path: u32,
     ) {
         let clip_from_eye = view.clip_from_eye;
-        self.stage.views.push(StageView { clip_from_eye, viewport_px: view.viewport_rect });
+        let camera = CullCamera {
+            eye_from_world: view.eye_from_world,
+            clip_from_eye,
+            viewport_px: view.viewport_px,
+            settings: view.settings,
+            horizon: view.horizon,
+            ..*self.camera
+        };
+        let above = self.view.index;
+        self.stage.views.push(StageView { clip_from_eye, viewport_px: view.viewport_rect, camera, above, environment });
         let index = self.stage.views.len();
         view.index = index as u32;
         view.derive();
@@ -188,7 +201,10 @@ impl Cull<'_> {
         }
         let order = match camera.order {
             RenderOrder::Nested => {
-                self.in_view(context, node, view, camera.clamp_projection, eye_from_page, path);
+                // The maps that a pass reads are those of its stage.
+                self.counters.shadows_refused += u32::from(camera.shadows != CameraShadows::None);
+                let environment = camera.environment.clone();
+                self.in_view(context, node, view, environment, camera.clamp_projection, eye_from_page, path);
                 return;
             }
             RenderOrder::PreRender(order) | RenderOrder::PostRender(order) => order,
@@ -216,6 +232,8 @@ impl Cull<'_> {
                 clear_depth: camera.clear_depth,
                 order,
                 callbacks: camera.callbacks.clone(),
+                environment: camera.environment.clone(),
+                shadows: camera.shadows,
             },
             clamp_projection: camera.clamp_projection,
         });

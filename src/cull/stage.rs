@@ -6,7 +6,7 @@ use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::sort::Spare;
 use super::{CullCamera, FadeBand, StageShadows, StereoMode};
-use crate::scene::{CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
+use crate::scene::{CameraEnvironment, CameraShadows, CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
 use crate::state::{BinDetails, Light, ResolvedState, SortMode, TexGen};
 
 /// Something to draw; 16 bytes.
@@ -54,13 +54,20 @@ pub struct PageRequest {
     pub priority: f32,
     /// Error of the tile itself, in pixels, were it shown.
     pub error_px: f32,
+    /// Frames until a picture will lack it; 0 where one does.
+    pub ahead_frames: u32,
 }
 
 impl PageRequest {
-    /// The same for later, from where an eye will be: it comes after all that a picture lacks now, in the same order,
-    /// and gets only room that nothing else needs.
-    pub fn ahead(self) -> Self {
-        Self { priority: -(1.0 / (1.0 + self.priority.max(0.0))).max(f32::MIN_POSITIVE), ..self }
+    /// The same for later, from where an eye will be in so many frames (one at least): it comes after all that a
+    /// picture lacks now, sooner before later, in the same order else, and gets only room that nothing else needs.
+    ///
+    /// What is there already will be wanted too: the look is culled with as many
+    /// [`CullCamera::ahead_frames`](super::CullCamera::ahead_frames), so that no page gives way to one wanted later.
+    pub fn ahead(self, frames: u32) -> Self {
+        let ahead_frames = frames.max(1);
+        let urgency = self.priority.max(0.0) / ahead_frames as f32;
+        Self { priority: -(1.0 / (1.0 + urgency)).max(f32::MIN_POSITIVE), ahead_frames, ..self }
     }
 }
 
@@ -83,6 +90,8 @@ pub struct CullCounters {
     pub occluded: u32,
     /// Leaves that cast shadows, once for each cascade.
     pub shadow_leaves: u32,
+    /// Cameras in the graph that asked for shadows when there were as many as there may be.
+    pub shadows_refused: u32,
     /// Tiles and Lods between two levels of detail.
     pub fading: u32,
 }
@@ -97,17 +106,24 @@ impl CullCounters {
         self.wanted_missing += other.wanted_missing;
         self.occluded += other.occluded;
         self.shadow_leaves += other.shadow_leaves;
+        self.shadows_refused += other.shadows_refused;
         self.fading += other.fading;
     }
 }
 
 /// Another projection and viewport inside a stage, of a Projection node or a nested camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StageView {
     /// Reversed-Z projection.
     pub clip_from_eye: DMat4,
     /// x, y, width and height; `None`: that of the stage.
     pub viewport_px: Option<[u32; 4]>,
+    /// What was culled for, before near and far were fitted.
+    pub camera: CullCamera,
+    /// The view that it hangs in: 0 is the stage's own, others are one more than their index in [`RenderStage::views`].
+    pub above: u32,
+    /// Light and air of a nested camera.
+    pub environment: CameraEnvironment,
 }
 
 /// A light where it shines.
@@ -177,6 +193,10 @@ pub struct StageTarget {
     pub order: i32,
     /// Called while it is drawn.
     pub callbacks: Option<DrawHook>,
+    /// Its light and air, of a camera in the graph.
+    pub environment: CameraEnvironment,
+    /// Its shadows, of a camera in the graph.
+    pub shadows: CameraShadows,
 }
 
 /// What is drawn for a camera.

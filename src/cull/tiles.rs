@@ -4,7 +4,7 @@
 //! when all its children are ready, culled ones too, so that no hole can open; until then it is drawn and the walk
 //! goes on below it only to ask for what is missing, all levels in one frame, coarse first.
 
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::DVec3;
 
@@ -89,18 +89,27 @@ impl Cull<'_> {
         };
         let (required, shown_px, fade) = (visit.required, visit.shown_px, visit.fade);
         let all = TileFrame { end, mask, purpose, required, shown_px, fade };
-        if fade_s > 0.0 && purpose == Purpose::Draw {
+        if self.camera.ahead_frames > 0 {
+            self.walk_tiles::<true, true>(&walk, first, all, &mut []);
+        } else if fade_s > 0.0 && purpose == Purpose::Draw {
             let mut marks = self.fades.take_tiles(visit.place, walk.id.generation, tiles.len());
-            self.walk_tiles::<true>(&walk, first, all, &mut marks);
+            self.walk_tiles::<true, false>(&walk, first, all, &mut marks);
             self.fades.give_back_tiles(visit.place, marks);
         } else {
-            self.walk_tiles::<true>(&walk, first, all, &mut []);
+            self.walk_tiles::<true, false>(&walk, first, all, &mut []);
         }
     }
 
     /// Walks the tiles from `first` to the end of `all`. There are no `marks` where nothing can fade. `LOOKS` at each
-    /// tile, or takes for granted that it is not culled: wholly inside the frustum that is most of them.
-    fn walk_tiles<const LOOKS: bool>(&mut self, walk: &Walk, first: u32, all: TileFrame, marks: &mut [TileMark]) {
+    /// tile, or takes for granted that it is not culled: wholly inside the frustum that is most of them. `AHEAD` where the picture
+    /// is one of later.
+    fn walk_tiles<const LOOKS: bool, const AHEAD: bool>(
+        &mut self,
+        walk: &Walk,
+        first: u32,
+        all: TileFrame,
+        marks: &mut [TileMark],
+    ) {
         let tiles = walk.tiles;
         // With one length for all, places are checked once a tile.
         let records = &tiles.records[..];
@@ -136,7 +145,11 @@ impl Cull<'_> {
             }
             visited += 1;
             if stamp != 0 {
-                last_used[tile as usize].store(stamp, Ordering::Relaxed);
+                let last_used = &last_used[tile as usize];
+                match AHEAD {
+                    false => last_used.store(stamp, Ordering::Relaxed),
+                    true => self.stamp_ahead(last_used, stamp),
+                }
             }
             let below = if record.flags & KINDS == PLAIN {
                 self.meet_plain_tile(walk, tile, record, (purpose, mask), above, marks, &mut known)
@@ -146,7 +159,7 @@ impl Cull<'_> {
             match below {
                 Some(below) if record.has_children() => {
                     if LOOKS && below.mask == 0 && !looks_everywhere {
-                        self.walk_tiles::<false>(walk, tile + 1, below, marks);
+                        self.walk_tiles::<false, AHEAD>(walk, tile + 1, below, marks);
                         tile += record.skip;
                         continue;
                     }
@@ -156,6 +169,15 @@ impl Cull<'_> {
                 }
                 _ => tile += record.skip,
             }
+        }
+    }
+
+    /// Stamps a tile with the frame in which it will be wanted, unless it is in use or wanted sooner.
+    #[cold]
+    fn stamp_ahead(&self, last_used: &AtomicU32, frame: u32) {
+        let then = frame.saturating_add(self.camera.ahead_frames);
+        if !(frame - 1..then).contains(&last_used.load(Ordering::Relaxed)) {
+            last_used.store(then, Ordering::Relaxed);
         }
     }
 
@@ -441,7 +463,7 @@ impl Cull<'_> {
         // The finest tiles have none.
         let has_error = walk.tiles.bounds[tile as usize].metric_m > 0.0;
         let error_px = if has_error { finite(walk.px(walk.range_and_distance(tile, record))) } else { 0.0 };
-        self.stage.requests.push(PageRequest { slot, priority, error_px });
+        self.stage.requests.push(PageRequest { slot, priority, error_px, ahead_frames: 0 });
         priority
     }
 }

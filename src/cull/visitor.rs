@@ -8,15 +8,15 @@ use super::fade::{Fade, LodFades};
 use super::near_far::Candidate;
 use super::occluders::{Collector, FrameOccluders, NO_OCCLUDERS, Occluders};
 use super::planes::{Planes, depth_row};
-use super::shadows::{Fit, ShadowCascade};
+use super::shadows::{Fit, ShadowCascade, ShadowLight};
 use super::sort::Sorter;
 use super::special::MOST_NESTED;
 use super::stage::{CullCounters, RenderLeaf, RenderStage, StageTarget};
 use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{MOST_PX, TileFrame, TileView};
 use super::view::{View, clamp};
-use super::{CullCamera, ShadowLight, Stereo};
-use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, CullingMode, NONE, Page, Scene};
+use super::{CullCamera, Stereo};
+use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, CullingMode, Environment, NONE, Page, Scene};
 use crate::state::StateSet;
 
 /// Why a page or tile is visited.
@@ -156,9 +156,11 @@ pub struct CullVisitor {
     pub clamp_projection: Option<ClampProjection>,
     /// State above all roots; OSG's state set of a camera.
     pub state_set: Option<Arc<StateSet>>,
-    /// The sun whose shadows the pictures have; as [`Environment::shadow_light`](crate::draw::Environment::shadow_light)
-    /// says.
-    pub shadow_light: Option<ShadowLight>,
+    /// Light and air of the picture: where the sun is, and which shadows it throws. Without one there are shadows only
+    /// where cameras in the graph have an environment of their own.
+    pub environment: Option<Environment>,
+    /// Cameras in the graph that may still have shadows in this cull.
+    shadowed_cameras: u32,
 }
 
 /// A cull under way.
@@ -226,11 +228,13 @@ impl CullVisitor {
         let _span = crate::timeline::span("cull");
         self.traverse(scene, camera, stage);
         self.sort(stage);
-        if let Some(light) = self.shadow_light {
-            self.cull_shadows(scene, camera, &light, stage);
+        let environment = self.environment;
+        if let Some((environment, shadows)) = environment.and_then(|e| Some((e, e.shadows?))) {
+            self.cull_shadows(scene, camera, &ShadowLight::new(&environment, shadows), None, stage);
         }
         if !self.deferred.is_empty() {
-            self.cull_deferred(scene, camera, stage, 0, 0);
+            self.shadowed_cameras = camera.settings.shadowed_cameras;
+            self.cull_deferred(scene, camera, environment.as_ref(), stage, 0, 0);
         }
     }
 
@@ -338,8 +342,15 @@ impl CullVisitor {
         cull.run(met, clamp_projection);
     }
 
-    /// Culls what casts shadows into each cascade of a stage that is culled.
-    fn cull_shadows(&mut self, scene: &Scene, camera: &CullCamera, light: &ShadowLight, stage: &mut RenderStage) {
+    /// Culls what casts shadows into each cascade of a stage that is culled: of a camera in the graph, what is below it.
+    fn cull_shadows(
+        &mut self,
+        scene: &Scene,
+        camera: &CullCamera,
+        light: &ShadowLight,
+        met: Option<&DeferredCamera>,
+        stage: &mut RenderStage,
+    ) {
         let _span = crate::timeline::span("cull shadows");
         let Some(fit) = Fit::new(camera, light, stage.near_m, stage.far_m) else { return };
         (stage.shadows.settings, stage.shadows.fade_m) = (light.shadows, fit.fade_m);
@@ -348,7 +359,7 @@ impl CullVisitor {
         for cascade in &fit.cascades[..fit.count] {
             let mut casters = stage.spare.stages.pop().unwrap_or_default();
             let view = View::casting(camera, &cascade.casters_from_eye, to_sun, light.shadows.caster_mask);
-            self.traverse_stage(scene, camera, view, None, None, &mut casters);
+            self.traverse_stage(scene, camera, view, met, None, &mut casters);
             if casters.state_sets.iter().any(|s| !s.casts_shadow()) {
                 self.leaves.retain(|leaf| casters.state_sets[leaf.state as usize].casts_shadow());
             }
@@ -365,7 +376,15 @@ impl CullVisitor {
 
     /// Culls the cameras that were met from `first` on, and those met in their stages. What is drawn before comes
     /// out in `pre_render`, what is drawn after in `post_render`, each in the order of its numbers.
-    fn cull_deferred(&mut self, scene: &Scene, camera: &CullCamera, stage: &mut RenderStage, first: usize, depth: u32) {
+    fn cull_deferred(
+        &mut self,
+        scene: &Scene,
+        camera: &CullCamera,
+        environment: Option<&Environment>,
+        stage: &mut RenderStage,
+        first: usize,
+        depth: u32,
+    ) {
         while self.deferred.len() > first {
             let met = self.deferred.remove(first);
             let mut below = stage.spare.stages.pop().unwrap_or_default();
@@ -383,10 +402,20 @@ impl CullVisitor {
             let others = self.deferred.len();
             self.traverse_stage(scene, &camera, view, Some(&met), clamp_projection, &mut below);
             self.sort(&mut below);
+            let eye_in_world = camera.eye_from_world.inverse().translation;
+            let environment = target.environment.of_camera(environment, eye_in_world);
+            if let Some((environment, shadows)) = environment.and_then(|e| Some((e, target.shadows.under(&e)?))) {
+                if self.shadowed_cameras > 0 {
+                    self.shadowed_cameras -= 1;
+                    self.cull_shadows(scene, &camera, &ShadowLight::new(&environment, shadows), Some(&met), &mut below);
+                } else {
+                    below.counters.shadows_refused += 1;
+                }
+            }
             below.target = target;
             below.inherit_positioned(stage);
             if depth < MOST_NESTED {
-                self.cull_deferred(scene, &camera, &mut below, others, depth + 1);
+                self.cull_deferred(scene, &camera, environment.as_ref(), &mut below, others, depth + 1);
             } else {
                 self.deferred.truncate(others);
             }

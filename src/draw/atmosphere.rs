@@ -3,16 +3,18 @@
 //!
 //! Three tables hold for the whole earth and are made once for a density of aerosols: what is left of sunlight, light
 //! scattered more than once, the sky's light on the ground. The fourth is made when the eye's height or the sun's has
-//! changed: what the air adds and takes along every direction from the eye, to 24 distances. After S. Hillaire, A Scalable
+//! changed: what the air adds and takes along every direction from the eye, to 24 distances. There is a set of them for
+//! each eye of a frame whose air is another one, up to eight: views, and cameras in the graph that have air of their own.
+//! After S. Hillaire, A Scalable
 //! and Production Ready Sky and Atmosphere Rendering Technique (2020); coefficients of E. Bruneton's Precomputed
 //! Atmospheric Scattering.
 
 use std::f64::consts::PI;
 
-use crate::cull::RenderStage;
-use crate::draw::environment::Environment;
+use crate::cull::CullCamera;
 use crate::draw::uniforms::frame::{eye_height_m, sun_height};
 use crate::gpu::GraphicsContext;
+use crate::scene::Environment;
 
 /// Source of the compute shaders.
 pub(super) const ATMOSPHERE_WGSL: &str =
@@ -59,12 +61,12 @@ fn rounded(x: f64) -> f64 {
 }
 
 impl Air {
-    /// As a stage's eye sees it.
-    pub(super) fn of(stage: &RenderStage, environment: &Environment) -> Self {
-        let (height_m, _) = eye_height_m(stage, environment);
+    /// As a camera's eye sees it.
+    pub(super) fn of(camera: &CullCamera, environment: &Environment) -> Self {
+        let (height_m, _) = eye_height_m(camera, environment);
         let density = f64::from(environment.fog.density_per_m) * 1e3;
         let aerosol = if density.is_finite() { density.clamp(0.0, MOST_AEROSOL_PER_KM) } else { 0.0 };
-        Self::at(rounded(height_m * 1e-3), sun_height(stage, environment), aerosol)
+        Self::at(rounded(height_m * 1e-3), sun_height(camera, environment), aerosol)
     }
 
     fn at(height_km: f64, sun_cosine: f64, aerosol_per_km: f64) -> Self {
@@ -112,50 +114,65 @@ fn table(device: &wgpu::Device, label: &str, size: [u32; 3]) -> wgpu::TextureVie
     texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
+/// Sets of tables, each 0.8 MB; eyes beyond share the one that is nearest to theirs.
+const MOST_SETS: usize = 8;
+/// Draws after which a set that none of them needed is given back.
+const KEPT_DRAWS: u32 = 120;
+
 /// The tables of a renderer, and what computes them.
 pub(super) struct Atmosphere {
     sampler: wgpu::Sampler,
+    /// One at least.
+    sets: Vec<Tables>,
+    /// What computes the tables, in the order run; the last one is run for each eye. Made when there first is an atmosphere.
+    passes: Option<[Pass; 4]>,
+    draw: u32,
+}
+
+/// The tables for an eye.
+struct Tables {
     sunlight: wgpu::TextureView,
     multiple: wgpu::TextureView,
     sky_light: wgpu::TextureView,
     scattered: wgpu::TextureView,
     mie: wgpu::TextureView,
-    /// Made when there first is an atmosphere.
+    /// Made when they are first computed.
     maker: Option<Maker>,
-    /// What the tables hold.
+    /// What they hold.
     made_for: Option<Air>,
+    /// What this draw's eyes need, or the last one's that did.
+    wanted: Option<Air>,
+    /// The draw.
+    used: u32,
 }
 
 /// `struct Air` of atmosphere.wgsl.
 const UNIFORM_BYTES: u64 = 32;
 
-fn wanted_buffer(device: &wgpu::Device, pictures: u64) -> wgpu::Buffer {
-    device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("wanted air"),
-        size: pictures * UNIFORM_BYTES,
-        usage: wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
-}
-
-/// What computes the tables.
+/// What a set is computed with: the bind groups of the passes.
 struct Maker {
-    /// What the frame's pictures want, each at its place; copied into the uniform before a picture is drawn.
-    wanted: wgpu::Buffer,
     uniform: wgpu::Buffer,
-    /// In the order run; the last one is run for each eye.
-    runs: [Run; 4],
+    groups: [wgpu::BindGroup; 4],
 }
 
-struct Run {
+/// A compute pass.
+struct Pass {
     pipeline: wgpu::ComputePipeline,
-    group: wgpu::BindGroup,
+    layout: wgpu::BindGroupLayout,
     size: [u32; 3],
+}
+
+/// A place among the sets.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct FoundAir {
+    pub(super) place: u8,
+    /// What the set is for: another eye's where there were too many.
+    pub(super) air: Air,
+    pub(super) is_refused: bool,
 }
 
 impl Atmosphere {
     pub(super) fn new(device: &wgpu::Device) -> Self {
-        let table = |label, size| table(device, label, size);
         Self {
             sampler: device.create_sampler(&wgpu::SamplerDescriptor {
                 label: Some("air"),
@@ -163,6 +180,93 @@ impl Atmosphere {
                 min_filter: wgpu::FilterMode::Linear,
                 ..Default::default()
             }),
+            sets: vec![Tables::new(device)],
+            passes: None,
+            draw: 0,
+        }
+    }
+
+    /// Forgets what the last draw's eyes needed; true where sets were given back.
+    pub(super) fn start_draw(&mut self) -> bool {
+        self.draw = self.draw.wrapping_add(1);
+        let had = self.sets.len();
+        let draw = self.draw;
+        while self.sets.len() > 1 && self.sets.last().is_some_and(|set| draw.wrapping_sub(set.used) > KEPT_DRAWS) {
+            self.sets.pop();
+        }
+        self.sets.len() < had
+    }
+
+    pub(super) fn set_count(&self) -> usize {
+        self.sets.len()
+    }
+
+    /// The set for an eye, made in this draw unless it is there.
+    pub(super) fn find(&mut self, device: &wgpu::Device, air: &Air) -> FoundAir {
+        let draw = self.draw;
+        let is_taken = |set: &Tables| set.used == draw;
+        let same = self.sets.iter().position(|set| set.wanted.as_ref() == Some(air));
+        let free = |aerosol: bool| {
+            let fits = |set: &Tables| !aerosol || set.wanted.is_none_or(|w| w.aerosol_per_km == air.aerosol_per_km);
+            self.sets.iter().position(|set| !is_taken(set) && fits(set))
+        };
+        let place = match same.or_else(|| free(true)) {
+            None if self.sets.len() < MOST_SETS => {
+                self.sets.push(Tables::new(device));
+                self.sets.len() - 1
+            }
+            None => match free(false) {
+                Some(place) => place,
+                None => return self.nearest(air),
+            },
+            Some(place) => place,
+        };
+        let set = &mut self.sets[place];
+        (set.wanted, set.used) = (Some(*air), draw);
+        FoundAir { place: place as u8, air: *air, is_refused: false }
+    }
+
+    /// The set of this draw whose eye is at nearly the same height.
+    fn nearest(&self, air: &Air) -> FoundAir {
+        let found = self.sets.iter().enumerate().filter_map(|(place, set)| Some((place, set.wanted?)));
+        let away = |other: &Air| (other.eye_km - air.eye_km).abs();
+        let (place, air) = found.min_by(|(_, a), (_, b)| away(a).total_cmp(&away(b))).unwrap_or((0, *air));
+        FoundAir { place: place as u8, air, is_refused: true }
+    }
+
+    /// What shaders read of a set, from binding 3 of group 0 on.
+    pub(super) fn entries(&self, place: usize) -> [wgpu::BindGroupEntry<'_>; 5] {
+        let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+        let set = &self.sets[place.min(self.sets.len() - 1)];
+        [
+            entry(3, wgpu::BindingResource::Sampler(&self.sampler)),
+            entry(4, wgpu::BindingResource::TextureView(&set.sunlight)),
+            entry(5, wgpu::BindingResource::TextureView(&set.sky_light)),
+            entry(6, wgpu::BindingResource::TextureView(&set.scattered)),
+            entry(7, wgpu::BindingResource::TextureView(&set.mie)),
+        ]
+    }
+
+    /// Computes what has changed, before the passes of a draw.
+    pub(super) fn record(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder) {
+        let draw = self.draw;
+        let needs = |set: &Tables| set.used == draw && set.made_for != set.wanted;
+        if !self.sets.iter().any(needs) {
+            return;
+        }
+        let passes = self.passes.get_or_insert_with(|| passes(ctx.device(), ctx.pipeline_cache()));
+        let mut pass =
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("air"), ..Default::default() });
+        for set in self.sets.iter_mut().filter(|set| needs(set)) {
+            set.record(ctx, &mut pass, passes, &self.sampler);
+        }
+    }
+}
+
+impl Tables {
+    fn new(device: &wgpu::Device) -> Self {
+        let table = |label, size| table(device, label, size);
+        Self {
             sunlight: table("sunlight", SUNLIGHT_SIZE),
             multiple: table("light scattered more than once", MULTIPLE_SIZE),
             sky_light: table("sky light", SKY_LIGHT_SIZE),
@@ -170,135 +274,120 @@ impl Atmosphere {
             mie: table("aerosols", AIR_SIZE),
             maker: None,
             made_for: None,
+            wanted: None,
+            used: 0,
         }
     }
 
-    /// What shaders read, from binding 3 of group 0 on.
-    pub(super) fn entries(&self) -> [wgpu::BindGroupEntry<'_>; 5] {
-        let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
-        [
-            entry(3, wgpu::BindingResource::Sampler(&self.sampler)),
-            entry(4, wgpu::BindingResource::TextureView(&self.sunlight)),
-            entry(5, wgpu::BindingResource::TextureView(&self.sky_light)),
-            entry(6, wgpu::BindingResource::TextureView(&self.scattered)),
-            entry(7, wgpu::BindingResource::TextureView(&self.mie)),
-        ]
-    }
-
-    /// Computes what has changed, before the passes of a picture; `place` is the picture's in the frame.
-    pub(super) fn record(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, place: u64, air: &Air) {
-        if self.made_for.as_ref() == Some(air) {
-            return;
-        }
+    fn record(
+        &mut self,
+        ctx: &GraphicsContext,
+        pass: &mut wgpu::ComputePass<'_>,
+        passes: &[Pass; 4],
+        sampler: &wgpu::Sampler,
+    ) {
+        let Some(air) = self.wanted else { return };
         let same_aerosol = self.made_for.is_some_and(|made| made.aerosol_per_km == air.aerosol_per_km);
         if self.maker.is_none() {
-            self.maker = Some(self.maker(ctx.device(), ctx.pipeline_cache()));
+            self.maker = Some(self.maker(ctx.device(), passes, sampler));
         }
-        let Some(maker) = &mut self.maker else { return };
+        let Some(maker) = &self.maker else { return };
         let words =
             [air.eye_km, air.horizon_cosine, air.limb_cosine, air.sun_cosine, air.aerosol_per_km, 0.0, 0.0, 0.0];
-        if maker.wanted.size() < (place + 1) * UNIFORM_BYTES {
-            maker.wanted = wanted_buffer(ctx.device(), place + 1);
-        }
-        ctx.queue().write_buffer(&maker.wanted, place * UNIFORM_BYTES, bytemuck::cast_slice(&words));
-        encoder.copy_buffer_to_buffer(&maker.wanted, place * UNIFORM_BYTES, &maker.uniform, 0, UNIFORM_BYTES);
-        let first = if same_aerosol { maker.runs.len() - 1 } else { 0 };
-        let mut pass =
-            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("air"), ..Default::default() });
-        for run in &maker.runs[first..] {
-            pass.set_pipeline(&run.pipeline);
-            pass.set_bind_group(0, &run.group, &[]);
+        ctx.queue().write_buffer(&maker.uniform, 0, bytemuck::cast_slice(&words));
+        let first = if same_aerosol { passes.len() - 1 } else { 0 };
+        for (of, group) in passes.iter().zip(&maker.groups).skip(first) {
+            pass.set_pipeline(&of.pipeline);
+            pass.set_bind_group(0, group, &[]);
             // One invocation a column of the table.
-            pass.dispatch_workgroups(run.size[0].div_ceil(8), run.size[1].div_ceil(8), 1);
+            pass.dispatch_workgroups(of.size[0].div_ceil(8), of.size[1].div_ceil(8), 1);
         }
-        self.made_for = Some(*air);
+        self.made_for = Some(air);
     }
 
-    fn maker(&self, device: &wgpu::Device, cache: Option<&wgpu::PipelineCache>) -> Maker {
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some("atmosphere"),
-            source: wgpu::ShaderSource::Wgsl(ATMOSPHERE_WGSL.into()),
-        });
+    fn maker(&self, device: &wgpu::Device, passes: &[Pass; 4], sampler: &wgpu::Sampler) -> Maker {
         let uniform = device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("air"),
             size: UNIFORM_BYTES,
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        let uniform_type = wgpu::BindingType::Buffer {
-            ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        };
-        let run = |entry_point, read: &[(u32, &wgpu::TextureView)], written: &[(u32, &wgpu::TextureView)], size| {
-            let dimension =
-                if size == AIR_SIZE { wgpu::TextureViewDimension::D3 } else { wgpu::TextureViewDimension::D2 };
-            let written_type = wgpu::BindingType::StorageTexture {
-                access: wgpu::StorageTextureAccess::WriteOnly,
-                format: FORMAT,
-                view_dimension: dimension,
-            };
-            let read_type = wgpu::BindingType::Texture {
-                sample_type: wgpu::TextureSampleType::Float { filterable: true },
-                view_dimension: wgpu::TextureViewDimension::D2,
-                multisampled: false,
-            };
-            let mut bindings = vec![
-                (0, uniform_type, uniform.as_entire_binding()),
-                (
-                    1,
-                    wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
-                    wgpu::BindingResource::Sampler(&self.sampler),
-                ),
-            ];
-            let tables = read.iter().map(|table| (table, read_type));
-            for ((binding, table), ty) in tables.chain(written.iter().map(|table| (table, written_type))) {
-                bindings.push((*binding, ty, wgpu::BindingResource::TextureView(table)));
-            }
-            let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        let group = |pass: usize, tables: &[(u32, &wgpu::TextureView)]| {
+            let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+            let ends = [entry(0, uniform.as_entire_binding()), entry(1, wgpu::BindingResource::Sampler(sampler))];
+            let tables =
+                tables.iter().map(|(binding, table)| entry(*binding, wgpu::BindingResource::TextureView(table)));
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("air"),
-                entries: &bindings
-                    .iter()
-                    .map(|&(binding, ty, _)| wgpu::BindGroupLayoutEntry {
-                        binding,
-                        visibility: wgpu::ShaderStages::COMPUTE,
-                        ty,
-                        count: None,
-                    })
-                    .collect::<Vec<_>>(),
-            });
-            let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("air"),
-                layout: &layout,
-                entries: &bindings
-                    .into_iter()
-                    .map(|(binding, _, resource)| wgpu::BindGroupEntry { binding, resource })
-                    .collect::<Vec<_>>(),
-            });
-            let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(entry_point),
-                layout: Some(&device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-                    label: Some("air"),
-                    bind_group_layouts: &[Some(&layout)],
-                    ..Default::default()
-                })),
-                module: &module,
-                entry_point: Some(entry_point),
-                compilation_options: wgpu::PipelineCompilationOptions::default(),
-                cache,
-            });
-            Run { pipeline, group, size }
+                layout: &passes[pass].layout,
+                entries: &ends.into_iter().chain(tables).collect::<Vec<_>>(),
+            })
         };
         let (sunlight, multiple) = ((2, &self.sunlight), (3, &self.multiple));
-        Maker {
-            runs: [
-                run("cs_sunlight", &[], &[(4, &self.sunlight)], SUNLIGHT_SIZE),
-                run("cs_multiple", &[sunlight], &[(4, &self.multiple)], MULTIPLE_SIZE),
-                run("cs_sky_light", &[sunlight, multiple], &[(4, &self.sky_light)], SKY_LIGHT_SIZE),
-                run("cs_air", &[sunlight, multiple], &[(5, &self.scattered), (6, &self.mie)], AIR_SIZE),
-            ],
-            wanted: wanted_buffer(device, 1),
-            uniform,
-        }
+        let groups = [
+            group(0, &[(4, &self.sunlight)]),
+            group(1, &[sunlight, (4, &self.multiple)]),
+            group(2, &[sunlight, multiple, (4, &self.sky_light)]),
+            group(3, &[sunlight, multiple, (5, &self.scattered), (6, &self.mie)]),
+        ];
+        Maker { uniform, groups }
     }
+}
+
+/// The passes: what they read is bound from 2 on, what they write from 4 on.
+fn passes(device: &wgpu::Device, cache: Option<&wgpu::PipelineCache>) -> [Pass; 4] {
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("atmosphere"),
+        source: wgpu::ShaderSource::Wgsl(ATMOSPHERE_WGSL.into()),
+    });
+    let uniform = wgpu::BindingType::Buffer {
+        ty: wgpu::BufferBindingType::Uniform,
+        has_dynamic_offset: false,
+        min_binding_size: None,
+    };
+    let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    let read = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    let pass = |entry_point, reads: &[u32], writes: &[u32], size| {
+        let dimension = if size == AIR_SIZE { wgpu::TextureViewDimension::D3 } else { wgpu::TextureViewDimension::D2 };
+        let written = wgpu::BindingType::StorageTexture {
+            access: wgpu::StorageTextureAccess::WriteOnly,
+            format: FORMAT,
+            view_dimension: dimension,
+        };
+        let tables =
+            reads.iter().map(|binding| (*binding, read)).chain(writes.iter().map(|binding| (*binding, written)));
+        let entry = |(binding, ty)| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty,
+            count: None,
+        };
+        let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("air"),
+            entries: &[(0, uniform), (1, sampler)].into_iter().chain(tables).map(entry).collect::<Vec<_>>(),
+        });
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label: Some(entry_point),
+            layout: Some(&device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+                label: Some("air"),
+                bind_group_layouts: &[Some(&layout)],
+                ..Default::default()
+            })),
+            module: &module,
+            entry_point: Some(entry_point),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            cache,
+        });
+        Pass { pipeline, layout, size }
+    };
+    [
+        pass("cs_sunlight", &[], &[4], SUNLIGHT_SIZE),
+        pass("cs_multiple", &[2], &[4], MULTIPLE_SIZE),
+        pass("cs_sky_light", &[2, 3], &[4], SKY_LIGHT_SIZE),
+        pass("cs_air", &[2, 3], &[5, 6], AIR_SIZE),
+    ]
 }

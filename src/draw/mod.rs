@@ -16,7 +16,6 @@ mod atmosphere;
 mod batch;
 mod callbacks;
 mod composite;
-mod environment;
 mod pipelines;
 mod plan;
 mod renderer;
@@ -27,5 +26,6 @@ mod uniforms;
 pub use callbacks::bins::BinDrawing;
 pub use callbacks::drawables::{CompiledDrawable, CustomDrawable, DRAWABLE_PRELUDE, DrawableInfo, custom_geometry};
 pub use callbacks::{BinCallback, CameraCallbacks, RenderInfo};
-pub use environment::{Environment, Fog, Sky, Water};
 pub use renderer::{DrawStats, FrameClock, Picture, Renderer};
+
+pub use crate::scene::{Environment, Fog, Sky, Water};

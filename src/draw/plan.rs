@@ -32,8 +32,9 @@ pub(super) struct StagePlan {
     pub(super) casters: Option<CasterPlan>,
     /// The textures of two eyes to be put together, and where it is said how.
     pub(super) eyes: Option<([Arc<TextureObject>; 2], usize)>,
-    pub(super) background: wgpu::Color,
-    /// It has a part of the context's target, or shares it: it fills its viewport with this leaf instead of clearing.
+    /// What its colours are cleared with, where they are.
+    pub(super) clear: Option<wgpu::Color>,
+    /// It has a part of its target, or shares the context's: it fills its viewport with this leaf instead of clearing.
     pub(super) fill: Option<u32>,
     pub(super) is_part: bool,
 }
@@ -287,10 +288,9 @@ impl PassTarget {
         plan: &StagePlan,
     ) -> [Option<wgpu::RenderPassColorAttachment<'a>>; MOST_COLORS] {
         let clear = match stage.clear_node {
-            _ if plan.is_part => (!self.is_begun).then_some(wgpu::Color::BLACK),
+            _ if plan.is_part => (self.is_outermost && !self.is_begun).then_some(wgpu::Color::BLACK),
             Some(said) => said.map(color),
-            None if self.is_outermost => Some(plan.background),
-            None => stage.target.clear_color.map(color),
+            None => plan.clear,
         };
         let load = clear.map_or(wgpu::LoadOp::Load, wgpu::LoadOp::Clear);
         let mut attachments = [const { None }; MOST_COLORS];

@@ -1,12 +1,13 @@
 //! The texture that shadows of the sun are drawn into and read from: a layer for each cascade. Draw thread.
 //!
-//! All pictures of a frame share it, one after the other: a picture's casters are drawn right before it. Made when a
-//! picture first has shadows, and given back when none had them for a while.
+//! All pictures of a device's contexts share it, one after the other: a picture's casters are drawn right before it. Made
+//! when a picture first has shadows, as large as the largest wants it; smaller ones use a part. Given back when none had
+//! shadows for a while, and made smaller when none wanted that much.
 
 use crate::cull::{MOST_CASCADES, StageShadows};
 
-/// Frames without shadows after which the texture is given back.
-const KEPT_FRAMES: u32 = 120;
+/// Draws without shadows after which the texture is given back, and with less of them after which it shrinks.
+const KEPT_DRAWS: u32 = 120;
 
 pub(super) const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
@@ -24,7 +25,60 @@ pub(super) struct ShadowMaps {
     maps: Option<Maps>,
     /// Texels a side that the adapter has at most.
     pub(super) most_px: u32,
-    unused_frames: u32,
+    sizing: Sizing,
+}
+
+/// Texels a side and layers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Wanted {
+    size_px: u32,
+    layers: usize,
+}
+
+impl Wanted {
+    /// With room for a stage's shadows, if the adapter has maps that large.
+    pub(super) fn add(&mut self, shadows: &StageShadows, most_px: u32) {
+        let (size_px, layers) = (shadows.settings.resolution_px, shadows.cascades.len().min(MOST_CASCADES));
+        if layers > 0 && size_px <= most_px {
+            *self = self.max(Self { size_px, layers });
+        }
+    }
+
+    fn max(self, other: Self) -> Self {
+        Self { size_px: self.size_px.max(other.size_px), layers: self.layers.max(other.layers) }
+    }
+}
+
+/// How large the texture is, and for how long it has been too large.
+#[derive(Debug, Default)]
+struct Sizing {
+    has: Wanted,
+    /// Draws in a row that wanted less, and the most that one of them wanted.
+    lesser_draws: u32,
+    lesser: Wanted,
+}
+
+impl Sizing {
+    /// True when what there is has changed. Contexts that take turns may want different maps: the larger ones stay.
+    fn want(&mut self, wanted: Wanted) -> bool {
+        let room = self.has.max(wanted);
+        if wanted == self.has || room != self.has {
+            (self.lesser_draws, self.lesser) = (0, Wanted::default());
+            let grows = room != self.has;
+            self.has = room;
+            return grows;
+        }
+        self.lesser_draws += 1;
+        self.lesser = self.lesser.max(wanted);
+        if self.lesser_draws <= KEPT_DRAWS {
+            return false;
+        }
+        self.lesser_draws = 0;
+        let lesser = std::mem::take(&mut self.lesser);
+        let shrinks = lesser != self.has;
+        self.has = lesser;
+        shrinks
+    }
 }
 
 impl ShadowMaps {
@@ -41,39 +95,18 @@ impl ShadowMaps {
             none: whole(&texture(device, 1, 1)),
             maps: None,
             most_px: device.limits().max_texture_dimension_2d,
-            unused_frames: 0,
+            sizing: Sizing::default(),
         }
     }
 
-    /// Makes room for the shadows of a frame's pictures, if any; true when the texture is another one than before.
-    pub(super) fn ensure<'a>(
-        &mut self,
-        device: &wgpu::Device,
-        wanted: impl Iterator<Item = &'a StageShadows> + Clone,
-    ) -> bool {
-        let wanted = wanted.filter(|s| !s.cascades.is_empty());
-        let size_px = wanted.clone().map(|s| s.settings.resolution_px).max().unwrap_or(0);
-        let layers = wanted.map(|s| s.cascades.len()).max().unwrap_or(0).min(MOST_CASCADES);
-        if size_px == 0 {
-            self.unused_frames = self.unused_frames.saturating_add(1);
-            return self.unused_frames > KEPT_FRAMES && self.maps.take().is_some();
+    /// Makes room for the shadows of a draw's pictures, if any; true when the texture is another one than before.
+    pub(super) fn ensure(&mut self, device: &wgpu::Device, wanted: Wanted) -> bool {
+        let changes = self.sizing.want(wanted);
+        if changes {
+            let has = self.sizing.has;
+            self.maps = (has.size_px > 0).then(|| maps(device, has));
         }
-        self.unused_frames = 0;
-        if self.maps.as_ref().is_some_and(|m| m.size_px == size_px && m.layers.len() >= layers) {
-            return false;
-        }
-        let texture = texture(device, size_px, layers as u32);
-        let layer = |base_array_layer| {
-            texture.create_view(&wgpu::TextureViewDescriptor {
-                label: Some("cascade"),
-                dimension: Some(wgpu::TextureViewDimension::D2),
-                base_array_layer,
-                array_layer_count: Some(1),
-                ..Default::default()
-            })
-        };
-        self.maps = Some(Maps { all: whole(&texture), layers: (0..layers as u32).map(layer).collect(), size_px });
-        true
+        changes
     }
 
     /// What a cascade is drawn into.
@@ -96,6 +129,21 @@ impl ShadowMaps {
     }
 }
 
+fn maps(device: &wgpu::Device, wanted: Wanted) -> Maps {
+    let layers = wanted.layers as u32;
+    let texture = texture(device, wanted.size_px, layers);
+    let layer = |base_array_layer| {
+        texture.create_view(&wgpu::TextureViewDescriptor {
+            label: Some("cascade"),
+            dimension: Some(wgpu::TextureViewDimension::D2),
+            base_array_layer,
+            array_layer_count: Some(1),
+            ..Default::default()
+        })
+    };
+    Maps { all: whole(&texture), layers: (0..layers).map(layer).collect(), size_px: wanted.size_px }
+}
+
 fn texture(device: &wgpu::Device, size_px: u32, layers: u32) -> wgpu::Texture {
     device.create_texture(&wgpu::TextureDescriptor {
         label: Some("shadow maps"),
@@ -115,4 +163,40 @@ fn whole(texture: &wgpu::Texture) -> wgpu::TextureView {
         dimension: Some(wgpu::TextureViewDimension::D2Array),
         ..Default::default()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(size_px: u32, layers: usize) -> Wanted {
+        Wanted { size_px, layers }
+    }
+
+    #[test]
+    fn contexts_that_take_turns_change_nothing() {
+        let mut sizing = Sizing::default();
+        assert!(!sizing.want(of(0, 0)));
+        assert!(sizing.want(of(512, 2)) && sizing.has == of(512, 2));
+        assert!(sizing.want(of(2048, 1)) && sizing.has == of(2048, 2), "what both of them need");
+        for _ in 0..3 * KEPT_DRAWS {
+            assert!(!sizing.want(of(512, 2)) && !sizing.want(of(0, 0)) && !sizing.want(of(2048, 1)));
+        }
+    }
+
+    #[test]
+    fn what_is_too_large_goes_in_the_end() {
+        let mut sizing = Sizing::default();
+        assert!(sizing.want(of(2048, 4)));
+        for draw in 0..KEPT_DRAWS {
+            let smaller = if draw % 2 == 0 { of(512, 4) } else { of(256, 1) };
+            assert!(!sizing.want(smaller));
+        }
+        assert!(sizing.want(of(256, 1)) && sizing.has == of(512, 4), "what the last draws wanted");
+        for _ in 0..KEPT_DRAWS {
+            assert!(!sizing.want(of(0, 0)));
+        }
+        assert!(sizing.want(of(0, 0)) && sizing.has == of(0, 0));
+        assert!(sizing.want(of(64, 1)));
+    }
 }

@@ -26,6 +26,8 @@ pub(super) struct Statics {
     pub(super) dynamics: Dynamics,
     /// Places of the frame's and the stage's uniforms.
     pub(super) frame: [u32; 2],
+    /// Set of the air's tables.
+    pub(super) air: u8,
     /// Bind group 2, and the place of its uniforms where it has some.
     pub(super) group: Option<(u32, Option<u32>)>,
 }
@@ -36,7 +38,7 @@ pub(super) struct State<'p, 'e> {
     pipeline: Option<u32>,
     statics: Option<u32>,
     dynamics: Option<Dynamics>,
-    frame: Option<[u32; 2]>,
+    frame: Option<([u32; 2], u8)>,
     group: Option<(u32, Option<u32>)>,
     /// Block, and whether it is one of height tiles.
     block: Option<(bool, u32)>,
@@ -57,7 +59,8 @@ pub(super) struct Sources<'a> {
     pub(super) groups: &'a Groups,
     pub(super) batch: &'a Batch,
     pub(super) statics: &'a [Statics],
-    pub(super) frame_group: &'a wgpu::BindGroup,
+    /// By set of the air's tables.
+    pub(super) frame_groups: &'a [wgpu::BindGroup],
     pub(super) pulls: &'a Pulls,
     /// Arguments of all runs, where several may be drawn by one call.
     pub(super) indirect: Option<&'a wgpu::Buffer>,
@@ -144,8 +147,10 @@ impl<'p, 'e> State<'p, 'e> {
             self.stats.state_changes += 1;
         }
         self.dynamics = Some(Dynamics { blend_color: blend_color.or(constant), ..statics.dynamics });
-        if changes(&mut self.stats, &mut self.frame, statics.frame) {
-            self.pass.set_bind_group(0, from.frame_group, &statics.frame);
+        if let Some(group) = from.frame_groups.get(usize::from(statics.air))
+            && changes(&mut self.stats, &mut self.frame, (statics.frame, statics.air))
+        {
+            self.pass.set_bind_group(0, group, &statics.frame);
         }
         if let Some((group, at)) = statics.group
             && let Some(bind_group) = from.groups.bind_group(group)

@@ -22,10 +22,7 @@ impl DatabasePager {
     }
 
     pub(super) fn answer(&mut self, scene: &mut Scene, answer: Answer, contexts: &mut [&mut dyn CompileContext]) {
-        {
-            let mut waiting = self.threads.list.lock();
-            waiting.outstanding = waiting.outstanding.saturating_sub(1);
-        }
+        self.threads.list.lock().answered(&answer.job);
         self.stats.bytes_read += answer.bytes_read;
         self.stats.bytes_http += answer.bytes_http;
         let slot = answer.job.slot;
@@ -155,7 +152,10 @@ impl DatabasePager {
                 Ok(id) => {
                     let latency_s = entry.since.elapsed().as_secs_f64();
                     self.stats.merged += 1;
-                    self.stats.merged_ahead += u64::from(is_ahead);
+                    if is_ahead {
+                        self.stats.merged_ahead += 1;
+                        self.ahead_short.iter_mut().for_each(|ahead| ahead.count = ahead.count.saturating_sub(1));
+                    }
                     timeline::request_ends(ticket, "merged");
                     self.stats.latency_sum_s += latency_s;
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
@@ -192,6 +192,7 @@ impl DatabasePager {
             job,
             priority: 0.0,
             wanted_frame: self.frame,
+            ahead_frames: 0,
             since: Instant::now(),
             tries: self.config.max_tries,
             progress: Progress::Failed { retry_at: None },

@@ -15,9 +15,8 @@ use crate::timeline;
 const EXPIRY_LOOKS: std::ops::RangeInclusive<usize> = 16..=256;
 /// Tenths of each budget that are kept free of what was not wanted for long.
 pub(super) const EXPIRY_TENTHS: u64 = 1;
-/// Tenths of each budget that must be free before anything is loaded that is wanted only later. More than expiry makes
-/// free, so that nothing goes for it and comes again.
-pub(super) const AHEAD_TENTHS: u64 = 2;
+/// What is wanted in about as many frames as something else is not worth its place.
+pub(super) const AHEAD_MARGIN: u32 = 2;
 
 /// In want of room, the last two frames' tiles alone are safe.
 const UNSEEN: Unused = Unused { frames: 2, time: Duration::ZERO };
@@ -60,24 +59,33 @@ impl DatabasePager {
             && is_free(self.residents.len() as u64, self.config.max_tiles as u64)
     }
 
-    /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free; what is in no
-    /// picture just now, where there is no room for what is missing in one.
+    /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free; where there is no
+    /// room beside them for what will be wanted soon, what was not wanted for longer; where there is none for what is
+    /// missing in a picture, what is in none just now.
     pub(super) fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
-        let unused = match self.is_short {
-            true => UNSEEN,
-            false => Unused { frames: self.config.expiry_frames, time: self.config.expiry_time },
-        };
+        let config = &self.config;
+        let mut unused = Unused { frames: config.expiry_frames, time: config.expiry_time };
+        if let Some(ahead) = self.ahead_short {
+            unused.frames = unused.frames.min(ahead.frames + AHEAD_MARGIN);
+        }
         if self.is_short {
+            unused = UNSEEN;
+        }
+        if self.is_short || self.ahead_short.is_some() {
             self.expiry_looks = *EXPIRY_LOOKS.end();
         }
         let expired_before = self.stats.expired;
         let mut looks = self.residents.len().min(self.expiry_looks);
-        while !self.has_free(EXPIRY_TENTHS) {
+        while !self.has_free(EXPIRY_TENTHS) || self.lacks_room_ahead() {
             let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { break };
             self.detach(scene, id, contexts);
         }
         let next = if self.stats.expired > expired_before { 2 * self.expiry_looks } else { self.expiry_looks / 2 };
         self.expiry_looks = next.clamp(*EXPIRY_LOOKS.start(), *EXPIRY_LOOKS.end());
+    }
+
+    fn lacks_room_ahead(&self) -> bool {
+        self.ahead_short.is_some_and(|ahead| self.room_within(EXPIRY_TENTHS) < ahead.count)
     }
 
     pub(super) fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
@@ -130,6 +138,7 @@ impl DatabasePager {
         }
         self.drop_entries(contexts, |_, _| true);
         self.rewrite_list();
+        self.threads.list.ring_if_due();
         self.count();
     }
 

@@ -125,14 +125,13 @@ fn take(
     let mut jobs: Vec<Job> = Vec::new();
     // The most urgent are last.
     let mut next = waiting.http.len();
-    while next > 0 && running.len() + jobs.len() < most && waiting.outstanding < waiting.allowed {
+    while next > 0 && running.len() + jobs.len() < most && waiting.may_take(&waiting.http[next - 1]) {
         next -= 1;
         let of = server(&waiting.http[next].uri);
         let started = jobs.iter().filter(|j| server(&j.uri) == of).count();
         if at_server.get(of).copied().unwrap_or(0) + started < flows.limit(of) {
             let job = waiting.http.remove(next);
-            waiting.outstanding += 1;
-            waiting.taken.push(job.ticket);
+            waiting.took(&job);
             jobs.push(job);
         }
     }
@@ -161,6 +160,7 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Answe
     let bytes = bytes_of(body);
     let companions: Vec<io::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
     let bytes_read = read_bytes(&bytes, &companions);
+    job.stage.decodes();
     let answered = Answered::of(&bytes, bytes_http, start.elapsed().as_secs_f64());
     (Loaded { job, bytes, companions, bytes_read, bytes_http }, answered)
 }

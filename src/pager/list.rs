@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use glam::DAffine3;
 
+use super::states::Stage;
 use crate::io::{Fetched, IoError};
 use crate::scene::{NodeId, Page, PagingOptions};
 
@@ -22,6 +23,10 @@ pub(super) struct Job {
     pub reader_data: Option<Arc<str>>,
     /// Tilesets above.
     pub above: Above,
+    /// Wanted later, when it was listed.
+    pub is_ahead: bool,
+    /// Where the threads are with it; clones of the job have the same.
+    pub stage: Arc<Stage>,
 }
 
 /// The tilesets above what is in a page.
@@ -66,19 +71,41 @@ pub(super) struct Waiting {
     pub outstanding: usize,
     /// Most that may be outstanding; written by update from the budgets.
     pub allowed: usize,
+    /// Of those outstanding, wanted only later.
+    pub ahead_outstanding: usize,
+    /// Most of them.
+    pub ahead_allowed: usize,
     /// Set once, by drop.
     pub closed: bool,
 }
 
 impl Waiting {
-    /// Jobs that no thread has taken.
-    pub fn len(&self) -> usize {
-        self.file.len() + self.http.len()
+    /// A thread may take a job.
+    pub fn may_take(&self, job: &Job) -> bool {
+        self.outstanding < self.allowed && (!job.is_ahead || self.ahead_outstanding < self.ahead_allowed)
+    }
+
+    /// A thread could take something, or will be answered.
+    pub fn is_under_way(&self) -> bool {
+        let may_take = |jobs: &[Job]| jobs.last().is_some_and(|job| self.may_take(job));
+        self.outstanding > 0 || may_take(&self.file) || may_take(&self.http)
+    }
+
+    pub fn took(&mut self, job: &Job) {
+        self.outstanding += 1;
+        self.ahead_outstanding += usize::from(job.is_ahead);
+        self.taken.push(job.ticket);
+        job.stage.reads();
+    }
+
+    pub fn answered(&mut self, job: &Job) {
+        self.outstanding = self.outstanding.saturating_sub(1);
+        self.ahead_outstanding = self.ahead_outstanding.saturating_sub(usize::from(job.is_ahead));
     }
 
     /// A file may be taken.
     fn has_file_for(&self, most: usize) -> bool {
-        !self.file.is_empty() && self.outstanding < self.allowed.min(most)
+        self.outstanding < most && self.file.last().is_some_and(|job| self.may_take(job))
     }
 }
 
@@ -133,6 +160,11 @@ impl RequestList {
         }
     }
 
+    /// The same, for what was written before.
+    pub fn ring_if_due(&self) {
+        self.ring(self.lock());
+    }
+
     pub fn close(&self) {
         let mut waiting = self.lock();
         waiting.closed = true;
@@ -149,8 +181,7 @@ impl RequestList {
             if waiting.has_file_for(self.for_files)
                 && let Some(job) = waiting.file.pop()
             {
-                waiting.outstanding += 1;
-                waiting.taken.push(job.ticket);
+                waiting.took(&job);
                 if waiting.has_file_for(self.for_files) {
                     self.file_bell.notify_one();
                 }
@@ -187,6 +218,8 @@ pub(super) struct Entry {
     pub priority: f32,
     /// Frame in which cull last asked.
     pub wanted_frame: u32,
+    /// Frames until a picture will lack it, as it was last asked for; 0 where one does.
+    pub ahead_frames: u32,
     pub since: Instant,
     pub tries: u32,
     pub progress: Progress,
@@ -196,6 +229,6 @@ pub(super) struct Entry {
 impl Entry {
     /// Wanted later, by no picture yet.
     pub fn is_ahead(&self) -> bool {
-        self.priority < 0.0
+        self.ahead_frames > 0
     }
 }

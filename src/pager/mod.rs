@@ -19,9 +19,11 @@ mod flow;
 mod http;
 mod images;
 mod list;
+mod look_ahead;
 mod requests;
 mod residents;
 mod shares;
+mod states;
 mod stats;
 mod threads;
 mod update;
@@ -31,6 +33,8 @@ pub use images::{
     ImagePager, ImagePagerConfig, ImagePagerStats, ImageSequence, LoopingMode, SequenceImage, SequenceMode,
     StreamStatus,
 };
+pub use look_ahead::{PathLooks, frames_until};
+pub use states::RequestState;
 pub use stats::{ErrorRecord, PagerStats};
 pub use update::DatabasePager;
 

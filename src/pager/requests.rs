@@ -1,11 +1,12 @@
 //! What is asked for: requests of culls become entries, and entries the list that the threads take from. Update thread.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::time::Instant;
 
 use super::DatabasePager;
-use super::expiry::AHEAD_TENTHS;
-use super::list::{Entry, Job, Progress};
+use super::expiry::{AHEAD_MARGIN, EXPIRY_TENTHS};
+use super::list::{Entry, Job, Progress, Waiting};
 use crate::cull::PageRequest;
 use crate::io;
 use crate::scene::{Scene, SlotState};
@@ -14,8 +15,21 @@ use crate::timeline;
 /// Decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing is loaded.
 const MOST_PENDING_BYTES: u64 = 24 << 20;
 
+/// Waiting contents that are wanted only later are listed for so many times as many as may be under way: enough until the
+/// list is written again.
+const AHEAD_LISTED: usize = 8;
+
 /// What was met in the last so many frames is seen.
 const MET_FRAMES: u32 = 2;
+
+/// What is wanted later and found no free room.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AheadShort {
+    /// Frames until the soonest is wanted; what is not wanted for longer gives way to it.
+    pub frames: u32,
+    /// How many are wanted about as soon.
+    pub count: u64,
+}
 
 impl DatabasePager {
     /// Takes up new requests and renews those that are known.
@@ -26,8 +40,10 @@ impl DatabasePager {
                 self.is_listed &= entry.priority == priority;
                 if entry.wanted_frame == self.frame {
                     entry.priority = entry.priority.max(priority);
+                    entry.ahead_frames = entry.ahead_frames.min(request.ahead_frames);
                 } else {
                     entry.priority = priority;
+                    entry.ahead_frames = request.ahead_frames;
                     entry.wanted_frame = self.frame;
                 }
                 continue;
@@ -46,6 +62,8 @@ impl DatabasePager {
                 uri: slot.uri.clone(),
                 reader_data: slot.reader_data.cloned(),
                 above,
+                is_ahead: request.ahead_frames > 0,
+                stage: Arc::default(),
             };
             timeline::request_begins(self.threads.list.ticket_source | job.ticket, &job.uri);
             self.next_ticket += 1;
@@ -55,6 +73,7 @@ impl DatabasePager {
                 priority: slot.paging.priority(request.priority),
                 paging: slot.paging,
                 wanted_frame: self.frame,
+                ahead_frames: request.ahead_frames,
                 since: Instant::now(),
                 tries: 0,
                 progress: Progress::Waiting,
@@ -75,6 +94,7 @@ impl DatabasePager {
             {
                 scene.set_failed(entry.job.slot, false);
                 entry.job.ticket = self.next_ticket;
+                entry.job.stage.waits();
                 timeline::request_begins(self.threads.list.ticket_source | self.next_ticket, &entry.job.uri);
                 self.next_ticket += 1;
                 entry.wanted_frame = self.frame;
@@ -89,7 +109,6 @@ impl DatabasePager {
     pub(super) fn rewrite_list(&mut self) {
         let frame = self.frame;
         let stale_frames = self.config.stale_frames;
-        let has_free = self.has_free(AHEAD_TENTHS);
         let list = &self.threads.list;
         let mut waiting = list.lock();
         let taken: HashSet<u64> = waiting.taken.drain(..).collect();
@@ -112,11 +131,7 @@ impl DatabasePager {
         });
         self.stats.stale += stale;
         let mut jobs: Vec<(f32, &Entry)> = Vec::new();
-        let mut ahead_under_way = 0;
         for entry in self.entries.values() {
-            if entry.is_ahead() && matches!(entry.progress, Progress::Loading | Progress::Arrived(_)) {
-                ahead_under_way += 1;
-            }
             match entry.progress {
                 Progress::Waiting => jobs.push((entry.priority, entry)),
                 Progress::Loading
@@ -129,21 +144,32 @@ impl DatabasePager {
             }
         }
         // Taken from the end: the most urgent last.
-        jobs.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.job.slot.cmp(&a.1.job.slot)));
-        // Of what is wanted later as many as may be under way, the most urgent ones.
-        let ahead = jobs.partition_point(|(priority, _)| *priority < 0.0);
-        let may_start = if has_free { self.config.ahead_in_flight.saturating_sub(ahead_under_way) } else { 0 };
-        jobs.drain(..ahead.saturating_sub(may_start));
+        jobs.sort_by(|(priority_a, a), (priority_b, b)| {
+            let by_priority = priority_a.total_cmp(priority_b).then(b.job.slot.cmp(&a.job.slot));
+            b.is_ahead().cmp(&a.is_ahead()).then(by_priority)
+        });
+        // Of what is wanted later the most urgent; where room is tight, what is wanted about as soon.
+        let ahead = jobs.partition_point(|(_, entry)| entry.is_ahead());
+        let soonest = jobs[..ahead].iter().map(|(_, entry)| entry.ahead_frames).min();
+        let room = self.room_within(EXPIRY_TENTHS).saturating_sub(waiting.outstanding as u64);
+        let short = soonest.filter(|_| room < ahead as u64);
+        let now = jobs.split_off(ahead);
+        waiting.allowed = self.allowed_in_flight(list.capacity);
+        self.full = waiting.allowed == 0 && !now.is_empty();
+        self.is_short = !self.is_paused && waiting.allowed < list.capacity.min(waiting.outstanding + now.len());
+        jobs.retain(|(_, entry)| short.is_none_or(|soonest| entry.ahead_frames <= soonest + AHEAD_MARGIN));
+        let ahead_short = short.map(|frames| AheadShort { frames, count: jobs.len() as u64 });
+        jobs.drain(..jobs.len().saturating_sub(AHEAD_LISTED * self.config.ahead_in_flight));
+        jobs.extend(now);
         waiting.file.clear();
         waiting.http.clear();
         for (_, entry) in &jobs {
             let to = if io::is_remote(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
-            to.push(entry.job.clone());
+            to.push(Job { is_ahead: entry.is_ahead(), ..entry.job.clone() });
         }
-        waiting.allowed = self.allowed_in_flight(list.capacity);
-        self.full = waiting.allowed == 0 && !jobs.is_empty();
-        self.is_short = !self.is_paused && waiting.allowed < list.capacity.min(waiting.outstanding + jobs.len());
-        list.ring(waiting);
+        waiting.ahead_allowed = self.ahead_allowed(&waiting);
+        drop(waiting);
+        self.ahead_short = ahead_short;
     }
 
     /// How many loads the budgets have room for, at the mean size so far.
@@ -151,14 +177,34 @@ impl DatabasePager {
         if self.is_paused {
             return 0;
         }
-        let arrived = (self.compiling.len() + self.ready.len()) as u64;
-        let room = |max: u64, used: u64, mean: u64| max.saturating_sub(used + arrived * mean) / mean.max(1);
+        // What waits for its upload holds memory besides the budgets'.
+        let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).saturating_sub(self.arrived());
+        self.room_within(0).min(pending).min(capacity as u64) as usize
+    }
+
+    /// Pages of the mean size that fit into the budgets less so many tenths, beside what is merged or will be.
+    pub(super) fn room_within(&self, tenths: u64) -> u64 {
+        let arrived = self.arrived();
+        let part = |max: u64| max / 10 * (10 - tenths) + if tenths == 0 { max % 10 } else { 0 };
+        let room = |max: u64, used: u64, mean: u64| part(max).saturating_sub(used + arrived * mean) / mean.max(1);
         let cpu = room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes);
         let gpu = room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes);
-        let tiles = (self.config.max_tiles as u64).saturating_sub(self.residents.len() as u64 + arrived);
-        // What waits for its upload holds memory besides the budgets'.
-        let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).saturating_sub(arrived);
-        cpu.min(gpu).min(tiles).min(pending).min(capacity as u64) as usize
+        cpu.min(gpu).min(room(self.config.max_tiles as u64, self.residents.len() as u64, 1))
+    }
+
+    /// Loaded and not merged.
+    fn arrived(&self) -> u64 {
+        (self.compiling.len() + self.ready.len()) as u64
+    }
+
+    /// How many of those wanted only later may be outstanding: less those that have arrived, and as far as there is room
+    /// beside the others.
+    fn ahead_allowed(&self, waiting: &Waiting) -> usize {
+        let arrived = self.compiling.values().chain(&self.ready);
+        let ahead = arrived.filter(|slot| self.entries.get(slot).is_some_and(Entry::is_ahead)).count();
+        let others = waiting.outstanding.saturating_sub(waiting.ahead_outstanding);
+        let room = (self.room_within(EXPIRY_TENTHS) as usize).saturating_sub(others);
+        self.config.ahead_in_flight.saturating_sub(ahead).min(room)
     }
 
     /// Lets the threads go on when there is more room than the list last said.
@@ -166,6 +212,7 @@ impl DatabasePager {
         let allowed = self.allowed_in_flight(self.threads.list.capacity);
         let mut waiting = self.threads.list.lock();
         waiting.allowed = allowed;
+        waiting.ahead_allowed = self.ahead_allowed(&waiting);
         self.threads.list.ring(waiting);
     }
 }

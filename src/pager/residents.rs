@@ -27,10 +27,10 @@ impl Resident {
         self.gpu_bytes.iter().map(|(_, bytes)| bytes).sum()
     }
 
-    /// Not wanted for as long as is asked for, by the pager and by its own options.
+    /// Not wanted for as long as is asked for, by the pager and by its own options, nor to be wanted before as long.
     fn is_unused(&mut self, last_used: u32, frame: u32, unused: Unused) -> bool {
         let frames = unused.frames.max(self.paging.min_expiry_frames);
-        if self.paging.cannot_expire || frame.saturating_sub(last_used) <= frames {
+        if self.paging.cannot_expire || frame.abs_diff(last_used) <= frames {
             return false;
         }
         let own = Duration::try_from_secs_f32(self.paging.min_expiry_s).unwrap_or_default();

@@ -57,6 +57,10 @@ pub struct PagerStats {
     pub waiting: u64,
     /// Requests being read, decoded or compiled.
     pub in_flight: u64,
+    /// Those of them whose bytes are here and not decoded.
+    pub decoding: u64,
+    /// Those of them that are decoded and not merged.
+    pub compiling: u64,
     /// Sum over merged pages of the seconds from request to merge.
     pub latency_sum_s: f64,
     /// Longest of them.

@@ -156,6 +156,7 @@ fn read_files(list: &RequestList, sender: &Sender<Loaded>, files: &io::FileReade
         };
         let bytes_read = read_bytes(&bytes, &companions);
         drop(span);
+        job.stage.decodes();
         if sender.send(Loaded { job, bytes, companions, bytes_read, bytes_http: 0 }).is_err() {
             return;
         }

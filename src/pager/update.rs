@@ -6,8 +6,10 @@ use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
 use super::list::{Above, Entry, Progress};
+use super::requests::AheadShort;
 use super::residents::Residents;
 use super::shares::Shares;
+use super::states::RequestState;
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
 use crate::cull::PageRequest;
@@ -50,6 +52,8 @@ pub struct DatabasePager {
     pub(super) full: bool,
     /// More waits than there is room for.
     pub(super) is_short: bool,
+    /// What is wanted soonest of what found no free room.
+    pub(super) ahead_short: Option<AheadShort>,
     pub(super) is_paused: bool,
     pub(super) takes_requests: bool,
     /// [`Self::request`] has written the list, and nothing has changed what it is to be.
@@ -85,6 +89,7 @@ impl DatabasePager {
             mean_gpu_bytes: 0,
             full: false,
             is_short: false,
+            ahead_short: None,
             is_paused: false,
             takes_requests: true,
             is_listed: false,
@@ -130,6 +135,7 @@ impl DatabasePager {
             self.rewrite_list();
         }
         self.is_listed = false;
+        self.threads.list.ring_if_due();
         while self.config.blocking && self.is_busy() {
             let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
             if let Some(answer) = answer {
@@ -137,15 +143,18 @@ impl DatabasePager {
             }
             self.merge_arrived(scene, contexts);
             self.rewrite_list();
+            self.threads.list.ring_if_due();
         }
         self.count();
     }
 
-    /// Hands over what a cull asks for without waiting for the next update: reading overlaps the rest of the frame.
-    /// Optional, after a cull; the next [`Self::update_scene_graph`] may get the same requests again.
+    /// Hands over what a cull asks for without waiting for the next update. The threads are told by the next
+    /// [`Self::work_until`] (or update): telling one may take the frame longer than its cull. Optional, after a cull; the
+    /// next [`Self::update_scene_graph`] may get the same requests again.
     pub fn request(&mut self, scene: &Scene, requests: &[PageRequest]) {
-        if !requests.is_empty() {
-            self.accept(scene, requests);
+        let known = self.next_ticket;
+        self.accept(scene, requests);
+        if self.next_ticket != known {
             self.rewrite_list();
             self.is_listed = true;
         }
@@ -163,6 +172,7 @@ impl DatabasePager {
     /// Uploads, merges and expires what arrives until shortly before `deadline`, for a main thread that would
     /// otherwise wait for the next frame to be due. Returns early when nothing is under way.
     pub fn work_until(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext], deadline: Instant) {
+        self.threads.list.ring_if_due();
         let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
         while self.is_under_way() && !left().is_zero() {
             let patience = match (self.ready.is_empty(), self.compiling.is_empty()) {
@@ -189,8 +199,7 @@ impl DatabasePager {
         if !self.compiling.is_empty() || !self.ready.is_empty() {
             return true;
         }
-        let waiting = self.threads.list.lock();
-        waiting.outstanding > 0 || (waiting.allowed > 0 && waiting.len() > 0)
+        self.threads.list.lock().is_under_way()
     }
 
     /// Lets the threads begin nothing while paused; what is under way goes on to its merge, and requests wait. From the
@@ -262,8 +271,20 @@ impl DatabasePager {
             s.sharing = sharing.stats();
         }
         s.resident = self.residents.len() as u64;
-        s.waiting = self.entries.values().filter(|e| matches!(e.progress, Progress::Waiting)).count() as u64;
-        let flying = |e: &&Entry| matches!(e.progress, Progress::Loading | Progress::Arrived(_));
-        s.in_flight = self.entries.values().filter(flying).count() as u64;
+        (s.waiting, s.in_flight, s.decoding, s.compiling) = (0, 0, 0, 0);
+        for entry in self.entries.values() {
+            match entry.progress {
+                Progress::Waiting => s.waiting += 1,
+                Progress::Loading | Progress::Arrived(_) => {
+                    s.in_flight += 1;
+                    match entry.state() {
+                        RequestState::Decoding => s.decoding += 1,
+                        RequestState::Compiling | RequestState::Merging => s.compiling += 1,
+                        _ => {}
+                    }
+                }
+                Progress::Failed { .. } => {}
+            }
+        }
     }
 }

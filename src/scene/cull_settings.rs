@@ -100,6 +100,13 @@ pub struct CullSettings {
     pub compute_near_far: ComputeNearFar,
     /// Least near distance as a share of the far one.
     pub near_far_ratio: f64,
+    /// Cameras in the graph that may have shadows of their own ([`CameraNode::shadows`]) in one cull of a view's camera:
+    /// each is culled and drawn once more for each of its cascades. Those met later have none, and are counted
+    /// ([`CullCounters::shadows_refused`]). Of cameras in the graph themselves it is not heeded.
+    ///
+    /// [`CameraNode::shadows`]: super::CameraNode::shadows
+    /// [`CullCounters::shadows_refused`]: crate::cull::CullCounters::shadows_refused
+    pub shadowed_cameras: u32,
 }
 
 impl Default for CullSettings {
@@ -115,6 +122,7 @@ impl Default for CullSettings {
             cull_mask_right: u32::MAX,
             compute_near_far: ComputeNearFar::Off,
             near_far_ratio: 0.0005,
+            shadowed_cameras: 4,
         }
     }
 }

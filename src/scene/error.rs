@@ -64,6 +64,12 @@ pub enum SceneError {
         /// The handle given.
         node: NodeId,
     },
+    /// The node is not a camera.
+    #[error("node {} is not a Camera", node.index)]
+    NotACamera {
+        /// The handle given.
+        node: NodeId,
+    },
     /// The node is not a Switch, or has no such child.
     #[error("node {} is not a Switch with a child {child}", node.index)]
     NotASwitch {

@@ -6,6 +6,7 @@ use glam::DAffine3;
 
 use super::callbacks::CallbackPages;
 use super::error::SceneError;
+use super::kinds::CameraNode;
 use super::page::{NONE, Page};
 use super::tiles::flag;
 use super::variance::Rewritten;
@@ -189,6 +190,24 @@ impl Scene {
         match page.set_transform(node.index, parent_from_child)? {
             true => Ok(()),
             false => Err(SceneError::NotATransform { node }),
+        }
+    }
+
+    /// What a camera node holds; `None` where the node is none, or not there any more.
+    pub fn camera(&self, node: NodeId) -> Option<&CameraNode> {
+        self.page(node.page)?.camera(node.index)
+    }
+
+    /// Puts other values into a camera node: how cameras in the graph move, and how their light and air change. Bounds
+    /// above it are fitted again where its reference frame is another one.
+    pub fn set_camera(&mut self, node: NodeId, camera: CameraNode) -> Result<(), SceneError> {
+        let page = self.page_mut(node.page).ok_or(SceneError::StaleNode { node })?;
+        if !(camera.view.is_finite() && camera.projection.is_none_or(|p| p.is_finite())) {
+            return Err(SceneError::NotFinite);
+        }
+        match page.set_camera(node.index, camera) {
+            true => Ok(()),
+            false => Err(SceneError::NotACamera { node }),
         }
     }
 

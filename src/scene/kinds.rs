@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, DVec4};
 
 use super::cull_settings::{CullSettings, Inherit};
+use super::environment::{CameraEnvironment, CameraShadows};
 use super::geometry::Drawable;
 use crate::state::{Light, TexGen, TextureObject};
 
@@ -198,6 +199,10 @@ pub struct CameraNode {
     pub clear_depth: bool,
     /// What it draws into.
     pub target: Option<Arc<CameraTarget>>,
+    /// Light, air, sky and water of its picture.
+    pub environment: CameraEnvironment,
+    /// Shadows of the sun in its picture.
+    pub shadows: CameraShadows,
     /// What it culls.
     pub settings: CullSettings,
     /// Which of the settings come from above.
@@ -220,6 +225,8 @@ impl CameraNode {
             clear_color: Some([0.0, 0.0, 0.0, 1.0]),
             clear_depth: true,
             target: None,
+            environment: CameraEnvironment::default(),
+            shadows: CameraShadows::default(),
             settings: CullSettings::default(),
             inherit: Inherit::ALL,
             clamp_projection: None,

@@ -6,6 +6,7 @@
 mod callbacks;
 mod cull_settings;
 mod draw_kinds;
+mod environment;
 mod error;
 mod flatten;
 mod geometry;
@@ -18,6 +19,7 @@ mod page;
 mod shapes;
 mod shared;
 mod slots;
+mod sun_shadows;
 #[cfg(feature = "text")]
 mod text;
 mod tiles;
@@ -28,6 +30,8 @@ mod world;
 pub use callbacks::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
 pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMALL_FEATURE_PX};
 pub use draw_kinds::DrawKind;
+pub(crate) use environment::is_over_globe;
+pub use environment::{CameraEnvironment, CameraShadows, Environment, Fog, Sky, Water};
 pub use error::SceneError;
 pub use flatten::MAX_DEPTH;
 pub use geometry::{
@@ -49,6 +53,7 @@ pub use node::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode,
 pub use page::{DrawSlot, Page};
 pub use shared::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use slots::{SlotInfo, SlotState};
+pub use sun_shadows::{MOST_CASCADES, ShadowError, SunShadows};
 #[cfg(feature = "text")]
 pub use text::Font;
 pub use world::TileInfo;

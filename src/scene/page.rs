@@ -339,6 +339,32 @@ impl Page {
         Ok(true)
     }
 
+    /// What a camera node holds, if it is one.
+    pub(crate) fn camera(&self, node: u32) -> Option<&CameraNode> {
+        let index = node as usize;
+        self.nodes.get(index).filter(|r| r.kind == kind::SPECIAL && index < self.node_count())?;
+        match self.specials.get(*self.payloads.get(index)? as usize)? {
+            Special::Camera { camera, .. } => Some(camera),
+            _ => None,
+        }
+    }
+
+    /// Puts other values into a camera node; false where it is none. Bounds above depend on its frame.
+    pub(crate) fn set_camera(&mut self, node: u32, camera: CameraNode) -> bool {
+        let Some(frame) = self.camera(node).map(|c| c.frame) else { return false };
+        let refits = frame != camera.frame;
+        if let Some(Special::Camera { camera: old, .. }) = self.specials.get_mut(self.payloads[node as usize] as usize)
+        {
+            **old = camera;
+        }
+        let mut next = if refits { node } else { NONE };
+        while next != NONE {
+            self.fit_spheres(next as usize, next as usize + 1);
+            next = self.parents[next as usize];
+        }
+        true
+    }
+
     /// The box of a drawable in the page's frame; `None` where its bound is not usable.
     pub(crate) fn box_in_page(&self, drawable: usize) -> Option<Aabb> {
         let local = &self.local_boxes[drawable];

@@ -98,8 +98,8 @@ pub(crate) struct Tiles {
     pub bounds: Vec<TileBounds>,
     /// Axes of boxes, each once in a row; empty without tiles.
     pub axes: Vec<BoxAxes>,
-    /// Frame in which the tile was last wanted; stored by cull through a shared reference (relaxed: a stamp
-    /// carries no other data), read by update.
+    /// Frame in which the tile was last wanted, or will be; stored by cull through a shared reference (relaxed: a
+    /// stamp carries no other data), read by update.
     pub last_used: Vec<AtomicU32>,
     pub parents: Vec<u32>,
     /// Child tiles that are resident or hold something resident below them.

@@ -22,7 +22,7 @@ pub struct TileInfo {
     pub depth: u32,
     /// What is in its slot; `None` for a tile without content.
     pub state: Option<SlotState>,
-    /// Frame in which a cull last wanted it; 0 for never.
+    /// Frame in which a cull last wanted it; a later one, where a look ahead did; 0 for never.
     pub last_used_frame: u32,
 }
 

@@ -3,7 +3,7 @@
 //! What an application has not arranged itself is arranged as the environment says, in the reference's order:
 //!
 //! ```text
-//! TERRANE_CONFIG_FILE   a file with windows and cameras: arrangement_file.rs has its format
+//! TERRANE_CONFIG_FILE   a file with windows and cameras, or with several views: arrangement_file.rs has its format
 //! TERRANE_WINDOW        "x y width height" in pixels, on the screen of TERRANE_SCREEN where that is said too
 //! TERRANE_SCREEN        the number of a screen, counted from 0, to be filled; "all": all of them
 //! ```
@@ -12,8 +12,9 @@ use std::path::Path;
 
 use glam::{DAffine3, DMat4, DVec3};
 
-use super::arrangement_file::read_windows;
+use super::arrangement_file::read_arrangement;
 use super::view::Eyes;
+use super::views_setup::ViewsSetup;
 
 /// The environment variable that names a file with windows.
 pub const CONFIG_FILE_VARIABLE: &str = "TERRANE_CONFIG_FILE";
@@ -107,6 +108,8 @@ pub enum Arrangement {
     /// middle one. They share a device. Two screens with stereo in [`StereoMode::HorizontalSplit`](crate::cull::StereoMode)
     /// show an eye each instead, as in OSG. What the reference does where the environment says nothing.
     AllScreens,
+    /// Several views in windows: for `run_views`, and refused where a program shows one.
+    Views(ViewsSetup),
 }
 
 /// An arrangement that cannot be.
@@ -174,9 +177,9 @@ impl Arrangement {
         Ok(screen.map(|screen| Self::Windows(vec![filling(screen)])))
     }
 
-    /// Reads a file of windows.
+    /// Reads a file of windows, or of windows and views.
     pub fn read(file: &Path) -> Result<Self, ArrangementError> {
-        read_windows(file).map(Self::Windows)
+        read_arrangement(file)
     }
 }
 

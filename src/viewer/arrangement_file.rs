@@ -12,35 +12,39 @@
 //! upwards, backwards), from the master's eye; `shift` (to the right, upwards, in pictures of the master) and `zoom`
 //! (across, upwards), what it shows of the master's picture plane; `eyes` ("BOTH", "LEFT", "RIGHT", "MIDDLE"), which of them
 //! it draws for in stereo. The first camera of the first window is the master
-//! and has `viewport_px` and `eyes` alone.
+//! and has `viewport_px` and `eyes` alone. A file may name several views instead: `views_file.rs` has what it says then.
 
 use std::path::Path;
 
 use glam::{DAffine3, DMat4, DQuat, DVec3, EulerRot};
 use serde_json::{Map, Value};
 
-use super::arrangement::{ArrangementError, CameraSetup, WindowSetup};
+use super::arrangement::{Arrangement, ArrangementError, CameraSetup, WindowSetup};
 use super::view::Eyes;
+use super::views_file;
 
 /// A file that is larger is not read.
 const MOST_BYTES: u64 = 1 << 20;
-/// Windows that a file may have, and cameras of one of them.
-const MOST: usize = 64;
+/// Windows, views and scenes that a file may have, and cameras of one of them.
+pub(super) const MOST: usize = 64;
 /// Sides of windows and viewports, pixels.
 const MOST_PX: f64 = 16_384.0;
 /// Metres that a camera may be from the master.
 const MOST_M: f64 = 1e6;
 
 /// A value of the file, and where it is.
-struct Field<'a> {
-    value: &'a Value,
+pub(super) struct Field<'a> {
+    pub value: &'a Value,
     path: String,
 }
 
 /// Where, and what is wrong.
-type Wrong = (String, String);
+pub(super) type Wrong = (String, String);
 
-pub(super) fn read_windows(file: &Path) -> Result<Vec<WindowSetup>, ArrangementError> {
+/// Fields of a camera.
+pub(super) const CAMERA_FIELDS: [&str; 6] = ["viewport_px", "turn_deg", "move_m", "shift", "zoom", "eyes"];
+
+pub(super) fn read_arrangement(file: &Path) -> Result<Arrangement, ArrangementError> {
     let wrong = |(field, reason): Wrong| ArrangementError { source_name: file.display().to_string(), field, reason };
     let read = || -> Result<Vec<u8>, String> {
         let size = std::fs::metadata(file).map_err(|e| e.to_string())?.len();
@@ -51,15 +55,33 @@ pub(super) fn read_windows(file: &Path) -> Result<Vec<WindowSetup>, ArrangementE
     };
     let bytes = read().map_err(|reason| wrong((String::new(), reason)))?;
     let value: Value = serde_json::from_slice(&bytes).map_err(|e| wrong((String::new(), format!("no JSON: {e}"))))?;
-    windows(&Field { value: &value, path: String::new() }).map_err(wrong)
+    let folder = file.parent().unwrap_or(Path::new(""));
+    arrangement(&Field { value: &value, path: String::new() }, folder).map_err(wrong)
 }
 
-fn windows(root: &Field<'_>) -> Result<Vec<WindowSetup>, Wrong> {
-    let object = root.object(&["windows"])?;
-    let Some(value) = object.get("windows") else { return root.wrong("`windows` is missing") };
-    let list = Field { value, path: "windows".to_owned() }.list()?;
+fn arrangement(root: &Field<'_>, folder: &Path) -> Result<Arrangement, Wrong> {
+    let object = root.object(&["windows", "scenes", "views"])?;
+    let of = |name: &str| object.get(name).map(|value| root.child(name, value));
+    let views = of("views");
+    let windows = match of("windows") {
+        Some(field) => windows(&field, views.is_some())?,
+        None if views.is_some() => vec![WindowSetup::default()],
+        None => return root.wrong("`windows` is missing"),
+    };
+    match (views, of("scenes")) {
+        (Some(views), scenes) => views_file::views(&views, scenes.as_ref(), windows, folder).map(Arrangement::Views),
+        (None, Some(scenes)) => scenes.wrong("there are no `views` to show them"),
+        (None, None) => Ok(Arrangement::Windows(windows)),
+    }
+}
+
+fn windows(field: &Field<'_>, has_views: bool) -> Result<Vec<WindowSetup>, Wrong> {
+    let list = field.list()?;
     let mut windows = Vec::with_capacity(list.len());
     for field in &list {
+        if let Some(cameras) = field.value.get("cameras").filter(|_| has_views) {
+            return field.child("cameras", cameras).wrong("the cameras are those of `views`");
+        }
         windows.push(window(field, windows.is_empty())?);
     }
     Ok(windows)
@@ -119,14 +141,13 @@ fn window(field: &Field<'_>, is_first: bool) -> Result<WindowSetup, Wrong> {
     if let Some(cameras) = of("cameras") {
         window.cameras.clear();
         for (place, field) in cameras.list()?.iter().enumerate() {
-            window.cameras.push(camera(field, is_first && place == 0)?);
+            window.cameras.push(camera(field, field.object(&CAMERA_FIELDS)?, is_first && place == 0)?);
         }
     }
     Ok(window)
 }
 
-fn camera(field: &Field<'_>, is_master: bool) -> Result<CameraSetup, Wrong> {
-    let object = field.object(&["viewport_px", "turn_deg", "move_m", "shift", "zoom", "eyes"])?;
+pub(super) fn camera(field: &Field<'_>, object: &Map<String, Value>, is_master: bool) -> Result<CameraSetup, Wrong> {
     let of = |name: &str| object.get(name).map(|value| field.child(name, value));
     if is_master && let Some(offset) = ["turn_deg", "move_m", "shift", "zoom"].into_iter().find_map(of) {
         return offset.wrong("the first camera is the master, which the others are beside");
@@ -171,16 +192,16 @@ fn camera(field: &Field<'_>, is_master: bool) -> Result<CameraSetup, Wrong> {
 }
 
 impl<'a> Field<'a> {
-    fn wrong<T>(&self, reason: impl Into<String>) -> Result<T, Wrong> {
+    pub(super) fn wrong<T>(&self, reason: impl Into<String>) -> Result<T, Wrong> {
         Err((self.path.clone(), reason.into()))
     }
 
-    fn child(&self, name: &str, value: &'a Value) -> Self {
+    pub(super) fn child(&self, name: &str, value: &'a Value) -> Self {
         let dot = if self.path.is_empty() { "" } else { "." };
         Field { value, path: format!("{}{dot}{name}", self.path) }
     }
 
-    fn object(&self, known: &[&str]) -> Result<&'a Map<String, Value>, Wrong> {
+    pub(super) fn object(&self, known: &[&str]) -> Result<&'a Map<String, Value>, Wrong> {
         let Some(object) = self.value.as_object() else { return self.wrong("not an object") };
         match object.iter().find(|(name, _)| !known.contains(&name.as_str())) {
             Some((name, value)) => {
@@ -191,7 +212,7 @@ impl<'a> Field<'a> {
     }
 
     /// At least one, and not too many.
-    fn list(&self) -> Result<Vec<Field<'a>>, Wrong> {
+    pub(super) fn list(&self) -> Result<Vec<Field<'a>>, Wrong> {
         match self.value.as_array() {
             Some(list) if (1..=MOST).contains(&list.len()) => {
                 let at = |(place, value)| Field { value, path: format!("{}[{place}]", self.path) };
@@ -205,13 +226,13 @@ impl<'a> Field<'a> {
         self.value.as_bool().map_or_else(|| self.wrong("neither true nor false"), Ok)
     }
 
-    fn number(&self, from: f64, to: f64, is_whole: bool) -> Result<f64, Wrong> {
+    pub(super) fn number(&self, from: f64, to: f64, is_whole: bool) -> Result<f64, Wrong> {
         let fits = |v: &f64| (from..=to).contains(v) && (!is_whole || v.fract() == 0.0);
         let kind = if is_whole { "whole number" } else { "number" };
         self.value.as_f64().filter(fits).map_or_else(|| self.wrong(format!("not a {kind} from {from} to {to}")), Ok)
     }
 
-    fn numbers<const N: usize>(&self, from: f64, to: f64, is_whole: bool) -> Result<[f64; N], Wrong> {
+    pub(super) fn numbers<const N: usize>(&self, from: f64, to: f64, is_whole: bool) -> Result<[f64; N], Wrong> {
         let Some(list) = self.value.as_array().filter(|list| list.len() == N) else {
             return self.wrong(format!("not a list of {N} numbers"));
         };
@@ -230,7 +251,10 @@ mod tests {
     fn read(text: &str) -> Result<Vec<WindowSetup>, ArrangementError> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        let read = read_windows(file.path());
+        let read = read_arrangement(file.path()).map(|read| match read {
+            Arrangement::Windows(windows) => windows,
+            other => panic!("{other:?}"),
+        });
         assert!(read.as_ref().err().is_none_or(|e| e.source_name == file.path().display().to_string()));
         read
     }
@@ -312,7 +336,7 @@ mod tests {
         }
         let large = read(&" ".repeat(2 << 20)).unwrap_err();
         assert!(large.reason.contains("bytes"), "{large}");
-        let none = read_windows(Path::new("/no/such/file.json")).unwrap_err();
+        let none = read_arrangement(Path::new("/no/such/file.json")).unwrap_err();
         assert!(none.to_string().starts_with("/no/such/file.json: "), "{none}");
     }
 }

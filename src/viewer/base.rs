@@ -8,7 +8,7 @@ use image::RgbaImage;
 
 use super::ViewerError;
 use super::input::OnPicture;
-use super::look_ahead::LookFrom;
+use super::look_ahead::{LookFrom, Looker};
 use super::paged_scene::PagedScene;
 use super::rendering::{Closed, CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rendering, millis};
 use super::stats::{FrameStats, StatsHistory};
@@ -358,7 +358,8 @@ impl ViewerBase {
             let scene = &mut scenes[view.scene];
             if scene.pager.is_some() {
                 let mut looks = std::mem::take(&mut view.look_ahead);
-                looks.look(view, scene, from, &mut self.probe, &mut self.probe_stage);
+                let (visitor, stage) = (&mut self.probe, &mut self.probe_stage);
+                looks.look(Looker { view, scene, visitor, stage }, from);
                 scene.requests_ahead.extend(looks.requests());
                 view.look_ahead = looks;
             }

@@ -94,6 +94,7 @@ impl Camera {
             horizon: None,
             simulation_time_s: 0.0,
             frame,
+            ahead_frames: 0,
             context,
         }
     }

@@ -10,6 +10,8 @@ use super::ViewerError;
 use super::base::ViewerBase;
 use super::home::{LoadedRoot, SetBounds};
 use super::input::GuiActionAdapter;
+#[cfg(feature = "window")]
+use super::overlay::Overlay;
 use super::paged_scene::PagedScene;
 use super::rendering::ThreadingModel;
 use super::stats::StatsHistory;
@@ -40,6 +42,11 @@ pub struct CompositeViewer {
     /// By place in `views`.
     view_ids: Vec<ViewId>,
     next_view: u32,
+    /// The view that the user does something in.
+    focus: Option<ViewId>,
+    /// One for all views, of which one lies over the picture.
+    #[cfg(feature = "window")]
+    overlay: Overlay,
 }
 
 impl CompositeViewer {
@@ -47,7 +54,17 @@ impl CompositeViewer {
     pub fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
         let base = ViewerBase::new(config)?;
         let (scenes, views, view_ids) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { config: config.clone(), base, scenes, views, view_ids, next_view: 0 })
+        Ok(Self {
+            config: config.clone(),
+            base,
+            scenes,
+            views,
+            view_ids,
+            next_view: 0,
+            focus: None,
+            #[cfg(feature = "window")]
+            overlay: Overlay::default(),
+        })
     }
 
     /// Takes a context to draw views in; at most [`ViewerConfig::max_contexts`]. What scenes have is uploaded to it.
@@ -99,7 +116,11 @@ impl CompositeViewer {
 
     /// Loads a root tile set into a scene. The first root of a scene places the cameras of its views.
     pub fn load(&mut self, scene: SceneId, source: &str) -> Result<PageId, ViewerError> {
-        let root = LoadedRoot::read(source, &self.config.pager)?;
+        self.set_root(scene, LoadedRoot::read(source, &self.config.pager)?)
+    }
+
+    /// As [`Self::load`], with a root that was read before there was a viewer.
+    pub fn set_root(&mut self, scene: SceneId, root: LoadedRoot) -> Result<PageId, ViewerError> {
         self.with_first_sight(scene, |paged, base| paged.set_root(root, &mut base.rendering))
     }
 
@@ -176,6 +197,11 @@ impl CompositeViewer {
         Ok(self.paged(scene)?.image_pager.as_ref())
     }
 
+    /// True when the tiles of a scene's first root are height tiles.
+    pub fn is_height_set(&self, scene: SceneId) -> Result<bool, ViewerError> {
+        Ok(self.paged(scene)?.is_height_set())
+    }
+
     /// Extent of a scene's first root.
     pub fn bounds(&self, scene: SceneId) -> Result<Option<&SetBounds>, ViewerError> {
         Ok(self.paged(scene)?.bounds.as_ref())
@@ -206,6 +232,10 @@ impl CompositeViewer {
         let mut view = View::new(scene.0, self.config.cull_settings(), size_px, samples);
         view.master = Some(place);
         view.set_stereo(self.config.stereo);
+        #[cfg(feature = "window")]
+        {
+            view.input.overlay = self.overlay.clone();
+        }
         view.prepare(&self.base.rendering, bounds.as_ref());
         if let Some(bounds) = &bounds {
             view.first_sight(bounds);
@@ -215,6 +245,11 @@ impl CompositeViewer {
         self.views.push(view);
         self.view_ids.push(id);
         Ok(id)
+    }
+
+    /// The scene of a view.
+    pub fn scene_of(&self, view: ViewId) -> Result<SceneId, ViewerError> {
+        Ok(SceneId(self.views[self.place_of(view)?].scene))
     }
 
     fn place_of(&self, id: ViewId) -> Result<usize, ViewerError> {
@@ -230,7 +265,31 @@ impl CompositeViewer {
         }
         self.views.remove(place);
         self.view_ids.remove(place);
+        self.focus = self.focus.filter(|focus| *focus != id);
         Ok(())
+    }
+
+    /// The view that the user does something in: of those in the first context that have something to show over the
+    /// picture (see [`GuiEventHandler::shows_overlay`](super::GuiEventHandler::shows_overlay)), it is shown before others.
+    pub fn set_focus(&mut self, view: ViewId) -> Result<(), ViewerError> {
+        self.place_of(view)?;
+        self.focus = Some(view);
+        Ok(())
+    }
+
+    /// The view whose handlers lay out what lies over the first context: one at a time.
+    #[cfg(feature = "window")]
+    pub(super) fn overlay_view(&self) -> Option<ViewId> {
+        let first = self.contexts().next();
+        let shown = || self.views().filter(|(_, view)| view.context() == first && view.shows_overlay());
+        let focused = shown().find(|(id, _)| Some(*id) == self.focus);
+        focused.or_else(|| shown().next()).map(|(id, _)| id)
+    }
+
+    /// The egui context of the overlay, for a window's input.
+    #[cfg(feature = "window")]
+    pub fn overlay_context(&self) -> &egui::Context {
+        self.overlay.context()
     }
 
     /// The views, in the order added.
@@ -288,6 +347,10 @@ impl CompositeViewer {
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
         let mut frame = self.base.begin_frame(simulation_time_s)?;
         self.for_each_view(|mut view| view.event_traversal());
+        #[cfg(feature = "window")]
+        if let Some(view) = self.overlay_view() {
+            self.actions(view)?.lay_out_overlay();
+        }
         frame.end_events();
         for scene in &mut self.scenes {
             scene.update(&self.base.stamp);

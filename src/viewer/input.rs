@@ -59,7 +59,7 @@ pub(super) struct Input {
     /// Over all roots.
     pub state_set: Option<Arc<StateSet>>,
     #[cfg(feature = "window")]
-    overlay: Overlay,
+    pub overlay: Overlay,
     #[cfg(feature = "window")]
     overlay_input: Option<(egui::RawInput, f32)>,
 }
@@ -400,8 +400,6 @@ impl GuiActionAdapter<'_> {
             // Once more, without it.
             self.view.input.redraw = true;
         }
-        #[cfg(feature = "window")]
-        self.lay_out_overlay();
     }
 
     fn handle_event(&mut self, event: &mut GuiEventAdapter) {
@@ -467,16 +465,18 @@ impl GuiActionAdapter<'_> {
         }
     }
 
+    /// After the events: what lies over the first context, where the view is in that.
     #[cfg(feature = "window")]
-    fn lay_out_overlay(&mut self) {
+    pub(super) fn lay_out_overlay(&mut self) {
         let input = self.view.input.overlay_input.take();
-        let is_first = self.base.rendering.context_ids().next();
-        if !self.shows_overlay() || self.view.context() != is_first.map(super::view::ContextId) || self.view.is_part() {
+        let first = self.base.rendering.context_ids().next();
+        if !self.shows_overlay() || self.view.context() != first.map(super::view::ContextId) {
             return;
         }
+        let Some(size_px) = first.and_then(|first| self.base.rendering.size_px(first)) else { return };
         let (input, pixels_per_point) = input.unwrap_or((egui::RawInput::default(), 1.0));
         let mut overlay = self.view.input.overlay.clone();
-        let paint = overlay.lay_out(input, self.view.size_px(), pixels_per_point, |ui| {
+        let paint = overlay.lay_out(input, size_px, pixels_per_point, |ui| {
             for place in 0..self.view.input.handlers.len() {
                 self.with_handler(place, |handler, viewer| {
                     if handler.shows_overlay() {

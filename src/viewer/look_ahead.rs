@@ -1,14 +1,16 @@
 //! Looking ahead: where the cameras will be, and what they will want there. Main thread, in update.
 //!
-//! Every few frames one camera is culled from where it will be in a while: along the path that the application or the
-//! manipulator has announced, or else as it moves and turns now. What is missing there is asked of the pager after all
-//! that the pictures lack (see [`PageRequest::ahead`]). Cameras in the graph are not thought on.
+//! Cameras are culled from where they will be: along the path that the application or the manipulator has announced, as
+//! closely as pictures differ ([`PathLooks`]), or else, one every few frames, as they move and turn now. What is missing
+//! there is asked of the pager after all that the pictures lack (see [`PageRequest::ahead`]). Cameras in the graph are not
+//! thought on.
 
 use glam::{DAffine3, DQuat, DVec3};
 
 use super::paged_scene::PagedScene;
 use super::view::View;
-use crate::cull::{CullVisitor, PageRequest, RenderStage};
+use crate::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
+use crate::pager::{PathLooks, frames_until};
 
 /// Frames from one look to the next.
 const LOOK_EVERY: u32 = 4;
@@ -71,11 +73,13 @@ struct Track {
     last: [Motion; 2],
     /// Seconds of the application's time a second, over the last frame.
     rate: f64,
+    /// Seconds that the last frame took.
+    frame_s: f64,
 }
 
 impl Track {
     fn new(at_s: f64, simulation_s: f64, world_from_eye: DAffine3) -> Self {
-        Self { at_s, simulation_s, world_from_eye, last: [Motion::default(); 2], rate: 0.0 }
+        Self { at_s, simulation_s, world_from_eye, last: [Motion::default(); 2], rate: 0.0, frame_s: 0.0 }
     }
 
     fn go_on(&mut self, at_s: f64, simulation_s: f64, world_from_eye: DAffine3) {
@@ -83,7 +87,7 @@ impl Track {
         let motion = Motion::between(&self.world_from_eye, &world_from_eye, dt_s);
         let rate = (simulation_s - self.simulation_s) / dt_s;
         let rate = if rate.is_finite() { rate } else { 0.0 };
-        *self = Self { at_s, simulation_s, world_from_eye, last: [motion, self.last[0]], rate };
+        *self = Self { at_s, simulation_s, world_from_eye, last: [motion, self.last[0]], rate, frame_s: dt_s };
     }
 
     fn motion(&self) -> Motion {
@@ -95,10 +99,13 @@ impl Track {
 #[derive(Debug, Default)]
 pub(super) struct LookAhead {
     track: Option<Track>,
-    /// Numbers the looks.
+    /// Of each camera, on an announced path.
+    on_path: Vec<PathLooks>,
+    /// Numbers the other looks.
     turn: usize,
-    /// What the last looks found, in their turn.
+    /// What the last ones found, in their turn.
     found: Vec<Vec<PageRequest>>,
+    requests: Vec<PageRequest>,
 }
 
 /// The frame that looks ahead.
@@ -111,52 +118,87 @@ pub(super) struct LookFrom {
     pub ahead_s: f64,
 }
 
-impl LookAhead {
-    /// Follows the master camera, and looks with one of the cameras when it is time to.
-    pub fn look(
-        &mut self,
-        view: &View,
-        scene: &PagedScene,
-        from: LookFrom,
-        visitor: &mut CullVisitor,
-        stage: &mut RenderStage,
-    ) {
-        let now = view.camera.world_from_eye;
-        let track = self.track.get_or_insert_with(|| Track::new(from.reference_time_s, from.simulation_time_s, now));
-        track.go_on(from.reference_time_s, from.simulation_time_s, now);
-        if !from.frame.is_multiple_of(LOOK_EVERY) {
-            return;
-        }
-        let (motion, rate) = (track.motion(), track.rate);
-        self.found.resize(SHARES.len() * view.cameras().count().max(1), Vec::new());
-        let turn = self.turn % self.found.len();
-        self.turn = turn + 1;
-        let seconds = from.ahead_s * SHARES[turn % SHARES.len()];
-        let announced = view.pose_after(from.simulation_time_s, rate, seconds);
-        let then = announced.unwrap_or_else(|| if motion.is_rest() { now } else { motion.moved(&now, seconds) });
-        let found = &mut self.found[turn];
-        found.clear();
-        let camera = view.cameras().nth(turn / SHARES.len()).filter(|_| then != now && then.is_finite());
-        // Frame 0: what is met is not in use.
-        let Some(task) = camera.and_then(|camera| view.task(camera, scene, 0, std::mem::take(found))) else {
-            return;
-        };
-        let mut camera = task.camera;
+/// What looks are made with.
+pub(super) struct Looker<'a> {
+    pub view: &'a View,
+    pub scene: &'a PagedScene,
+    pub visitor: &'a mut CullVisitor,
+    pub stage: &'a mut RenderStage,
+}
+
+impl Looker<'_> {
+    /// What one of the cameras would lack in so many frames, with the master camera in a place; nothing where it is no
+    /// other place than now.
+    fn look(&mut self, camera: u32, then: DAffine3, frame: u32, frames: u32) -> &[PageRequest] {
+        self.stage.requests.clear();
+        let now = self.view.camera.world_from_eye;
+        let is_elsewhere = then != now && then.is_finite();
+        let task = self.view.task(camera, self.scene, frame, Vec::new());
+        let Some(task) = task.filter(|_| is_elsewhere) else { return &[] };
+        let mut camera = CullCamera { ahead_frames: frames, ..task.camera };
         // Slaves keep their place beside the master.
         camera.eye_from_world = camera.eye_from_world * now * then.inverse();
         // Nothing is drawn of it: no fades, no shadows, no order of leaves.
         camera.settings.lod_fade_s = 0.0;
-        visitor.traverse(&task.scene, &camera, stage);
-        *found = task.requests;
-        found.append(&mut stage.requests);
-        found.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
-        found.truncate(MOST_REQUESTS);
-        found.iter_mut().for_each(|request| *request = request.ahead());
+        self.visitor.traverse(&task.scene, &camera, self.stage);
+        &self.stage.requests
+    }
+}
+
+impl LookAhead {
+    /// Follows the master camera, and looks where it is time to.
+    pub fn look(&mut self, mut looker: Looker, from: LookFrom) {
+        let now = looker.view.camera.world_from_eye;
+        let track = self.track.get_or_insert_with(|| Track::new(from.reference_time_s, from.simulation_time_s, now));
+        track.go_on(from.reference_time_s, from.simulation_time_s, now);
+        let track = *track;
+        self.requests.clear();
+        if looker.view.pose_after(from.simulation_time_s, track.rate, 0.0).is_some() {
+            self.found.clear();
+            self.look_along_path(&mut looker, from, track);
+        } else {
+            self.on_path.clear();
+            self.look_by_motion(&mut looker, from, track);
+        }
+    }
+
+    fn look_along_path(&mut self, looker: &mut Looker, from: LookFrom, track: Track) {
+        self.on_path.resize_with(looker.view.cameras().count(), PathLooks::default);
+        for (camera, looks) in looker.view.cameras().zip(&mut self.on_path) {
+            looks.start_frame(from.reference_time_s);
+            while let Some(at_s) = looks.next(from.ahead_s, track.frame_s) {
+                let seconds = at_s - from.reference_time_s;
+                let then = looker.view.pose_after(from.simulation_time_s, track.rate, seconds);
+                let frames = frames_until(seconds, track.frame_s);
+                looks.found(then.map_or(&[], |then| looker.look(camera, then, from.frame, frames)));
+            }
+            self.requests.extend(looks.requests(track.frame_s));
+        }
+    }
+
+    fn look_by_motion(&mut self, looker: &mut Looker, from: LookFrom, track: Track) {
+        if from.frame.is_multiple_of(LOOK_EVERY) {
+            self.found.resize(SHARES.len() * looker.view.cameras().count().max(1), Vec::new());
+            let turn = self.turn % self.found.len();
+            self.turn = turn + 1;
+            let seconds = from.ahead_s * SHARES[turn % SHARES.len()];
+            let found = &mut self.found[turn];
+            found.clear();
+            let motion = track.motion();
+            if let Some(camera) = looker.view.cameras().nth(turn / SHARES.len()).filter(|_| !motion.is_rest()) {
+                let frames = frames_until(seconds, track.frame_s);
+                let then = motion.moved(&looker.view.camera.world_from_eye, seconds);
+                found.extend(looker.look(camera, then, from.frame, frames).iter().map(|r| r.ahead(frames)));
+                found.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
+                found.truncate(MOST_REQUESTS);
+            }
+        }
+        self.requests.extend(self.found.iter().flatten());
     }
 
     /// What is wanted later, of all looks that count.
-    pub fn requests(&self) -> impl Iterator<Item = PageRequest> {
-        self.found.iter().flatten().copied()
+    pub fn requests(&self) -> &[PageRequest] {
+        &self.requests
     }
 }
 

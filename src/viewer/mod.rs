@@ -9,6 +9,8 @@ mod base;
 mod camera;
 mod camera_path;
 mod composite;
+#[cfg(feature = "window")]
+mod display;
 mod display_settings;
 mod events;
 pub mod handlers;
@@ -30,6 +32,10 @@ mod stats;
 mod view;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]
 mod viewer;
+mod views_file;
+mod views_setup;
+#[cfg(feature = "window")]
+mod views_window;
 #[cfg(feature = "window")]
 mod window;
 #[cfg(feature = "window")]
@@ -44,6 +50,8 @@ pub use arrangement::{
 pub use camera::{Camera, FieldOfView, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use composite::{CompositeViewer, SceneId, ViewId};
+#[cfg(feature = "window")]
+pub use display::has_display;
 pub use display_settings::{DisplaySettingError, DisplaySettings, DisplayType};
 pub use events::{
     Bindings, ButtonMask, EventKind, EventMask, EventQueue, GuiEventAdapter, GuiEventHandler, InputState, Key,
@@ -62,8 +70,11 @@ pub use report::{Bytes, DrawMedians, FrameTimes, Images, Phases, Report, ReportE
 pub use stats::{FrameStats, Samples, StatsHistory};
 pub use view::{ContextId, Eyes, Slave, SlaveId, View};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
+pub use views_setup::{ArrangedViews, SceneSetup, ViewCamera, ViewSetup, ViewsSetup};
 #[cfg(feature = "window")]
-pub use window::{AfterFrame, BeforeFrame, OnOpen, SlaveWindow, WindowOptions, has_display, run_window};
+pub use views_window::{EachFrame, OnViewsOpen, ViewsOptions, run_views};
+#[cfg(feature = "window")]
+pub use window::{AfterFrame, BeforeFrame, OnOpen, SlaveWindow, WindowOptions, run_window};
 pub use window_matrix::{WindowMatrix, WindowRay, camera_with_focus};
 
 /// Why a viewer cannot go on.
@@ -114,6 +125,16 @@ pub enum ViewerError {
     /// A callback of the application failed.
     #[error(transparent)]
     Application(Box<dyn std::error::Error + Send + Sync>),
+    /// There is no display, or it cannot be reached.
+    #[error(
+        "{display} cannot be opened: {reason}; start it, name another, or draw offscreen (`terrane fly --offscreen`)"
+    )]
+    Display {
+        /// Which, with the variable that names it.
+        display: String,
+        /// The window system's reason.
+        reason: String,
+    },
     /// The window system refused.
     #[error("window: {0}")]
     Window(String),

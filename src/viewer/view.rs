@@ -150,12 +150,6 @@ impl View {
         self.master.map(|place| ContextId(place.context))
     }
 
-    /// True when the master camera has a part of its context alone.
-    #[cfg(feature = "window")]
-    pub(super) fn is_part(&self) -> bool {
-        self.master.is_some_and(|place| place.viewport_px.is_some())
-    }
-
     /// Part of the context that the master camera has: x, y, width and height; `None`: all of it.
     pub fn set_viewport_px(&mut self, viewport_px: Option<[u32; 4]>) {
         if let Some(place) = &mut self.master {

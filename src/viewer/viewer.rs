@@ -491,7 +491,10 @@ impl Viewer {
         self.base.compile_budget = self.compile_budget;
         let mut frame = self.base.begin_frame(simulation_time_s)?;
         let start = frame.start;
-        self.actions().event_traversal();
+        let mut actions = self.actions();
+        actions.event_traversal();
+        #[cfg(feature = "window")]
+        actions.lay_out_overlay();
         frame.end_events();
         self.paged.update(&self.base.stamp);
         // After the callbacks: what the camera follows may have moved.

@@ -5,16 +5,16 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use glam::{DAffine3, DMat4};
+use glam::{DAffine3, DMat4, DVec2};
 use winit::application::ApplicationHandler;
-use winit::error::EventLoopError;
 use winit::event::{StartCause, WindowEvent};
-use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
+use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::window::{Fullscreen, Window, WindowId};
 
 use super::ViewerError;
-use super::arrangement::Arrangement;
+use super::arrangement::{Arrangement, ArrangementError};
 use super::camera_path::AnimationPath;
+use super::display;
 use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
@@ -103,17 +103,6 @@ impl Default for WindowOptions {
     }
 }
 
-/// True when there is a display that a window could open on.
-pub fn has_display() -> bool {
-    if cfg!(any(target_os = "linux", target_os = "freebsd", target_os = "openbsd", target_os = "netbsd")) {
-        ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"]
-            .iter()
-            .any(|name| std::env::var_os(name).is_some_and(|value| !value.is_empty()))
-    } else {
-        true
-    }
-}
-
 /// Opens a window and runs it until it is closed; returns the viewer for its report. Main thread only.
 pub fn run_window(config: ViewerConfig, mut options: WindowOptions) -> Result<Option<Viewer>, ViewerError> {
     if options.arrangement == Arrangement::Usual
@@ -123,11 +112,14 @@ pub fn run_window(config: ViewerConfig, mut options: WindowOptions) -> Result<Op
     {
         options.arrangement = said;
     }
-    // winit panics where a library that it loads at run time is missing.
-    let is_child = options.parent.is_some();
-    let event_loop = std::panic::catch_unwind(|| new_event_loop(is_child))
-        .map_err(|_| ViewerError::Window("a window library is missing (Debian: libxkbcommon-x11-0)".to_owned()))?
-        .map_err(|e| ViewerError::Window(e.to_string()))?;
+    if let Arrangement::Views(_) = options.arrangement {
+        return Err(ViewerError::Arrangement(ArrangementError {
+            source_name: "the arrangement of the windows".to_owned(),
+            field: "views".to_owned(),
+            reason: "this program shows one view, in windows with cameras of their own".to_owned(),
+        }));
+    }
+    let event_loop = display::event_loop(options.parent.is_some())?;
     event_loop.set_control_flow(ControlFlow::Poll);
     let mut app = App { config, options, open: None, closed: None, error: None };
     event_loop.run_app(&mut app).map_err(|e| ViewerError::Window(e.to_string()))?;
@@ -135,19 +127,6 @@ pub fn run_window(config: ViewerConfig, mut options: WindowOptions) -> Result<Op
         Some(error) => Err(error),
         None => Ok(app.closed),
     }
-}
-
-/// On X11 alone where the window opens in one of X11's.
-fn new_event_loop(is_child: bool) -> Result<EventLoop<()>, EventLoopError> {
-    let mut builder = EventLoop::builder();
-    #[cfg(target_os = "linux")]
-    if is_child {
-        use winit::platform::x11::EventLoopBuilderExtX11 as _;
-        builder.with_x11();
-    }
-    #[cfg(not(target_os = "linux"))]
-    let _ = is_child;
-    builder.build()
 }
 
 struct App {
@@ -278,7 +257,7 @@ impl App {
             _ => false,
         };
         if !(taken && is_press) {
-            window_events::feed(open.viewer.event_queue(), event);
+            window_events::feed(open.viewer.event_queue(), event, DVec2::ZERO);
         }
         if self.options.on_demand {
             open.window.request_redraw();
@@ -352,7 +331,7 @@ impl Open {
             }
             WindowEvent::Resized(size) => self.viewer.resize_context(context, [size.width, size.height])?,
             WindowEvent::KeyboardInput { .. } | WindowEvent::ModifiersChanged(_) => {
-                window_events::feed(self.viewer.event_queue(), event);
+                window_events::feed(self.viewer.event_queue(), event, DVec2::ZERO);
             }
             _ => {}
         }

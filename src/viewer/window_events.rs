@@ -11,8 +11,9 @@ use super::events::{EventQueue, Key, Modifiers, MouseButton, TouchPhase};
 /// Pixels of a touch pad that count as a notch of the wheel.
 const PX_PER_NOTCH: f64 = 50.0;
 
-/// Puts an event into the queue; false when it is none of the queue's. Sizes are left to `Viewer::resize`.
-pub fn feed(queue: &mut EventQueue, event: &WindowEvent) -> bool {
+/// Puts an event into the queue of a view whose picture begins at `origin_px` of the window; false when it is none of the
+/// queue's. Sizes are left to `Viewer::resize`.
+pub fn feed(queue: &mut EventQueue, event: &WindowEvent, origin_px: DVec2) -> bool {
     let time_s = queue.time_s();
     match event {
         WindowEvent::CloseRequested => queue.close_window(time_s),
@@ -29,7 +30,9 @@ pub fn feed(queue: &mut EventQueue, event: &WindowEvent) -> bool {
                 ElementState::Released => queue.key_release(key, unmodified, time_s),
             }
         }
-        WindowEvent::CursorMoved { position, .. } => queue.mouse_motion(DVec2::new(position.x, position.y), time_s),
+        WindowEvent::CursorMoved { position, .. } => {
+            queue.mouse_motion(DVec2::new(position.x, position.y) - origin_px, time_s);
+        }
         WindowEvent::MouseInput { state, button, .. } => {
             let button = match button {
                 winit::event::MouseButton::Left => MouseButton::Left,
@@ -58,7 +61,7 @@ pub fn feed(queue: &mut EventQueue, event: &WindowEvent) -> bool {
                 winit::event::TouchPhase::Ended => TouchPhase::Ended,
                 winit::event::TouchPhase::Cancelled => TouchPhase::Cancelled,
             };
-            queue.touch(*id, phase, DVec2::new(location.x, location.y), time_s);
+            queue.touch(*id, phase, DVec2::new(location.x, location.y) - origin_px, time_s);
         }
         WindowEvent::DroppedFile(file) => queue.drop_files(vec![PathBuf::from(file)], time_s),
         _ => return false,
@@ -225,7 +228,7 @@ mod tests {
             let location = winit::dpi::PhysicalPosition::new(x, 7.0);
             let device_id = winit::event::DeviceId::dummy();
             let touch = Touch { device_id, phase, location, force: None, id: 3 };
-            assert!(feed(&mut queue, &WindowEvent::Touch(touch)));
+            assert!(feed(&mut queue, &WindowEvent::Touch(touch), DVec2::ZERO));
         }
         let mut events = Vec::new();
         queue.take_frame(&mut events, 0.0);

@@ -9,6 +9,7 @@ use winit::window::{Fullscreen, Window};
 
 use super::ViewerError;
 use super::arrangement::{Arrangement, CameraSetup, WindowSetup, across, an_eye_each};
+use super::display::reason_of;
 use super::parent::ParentWindow;
 use super::view::{ContextId, Slave};
 use super::viewer::{Viewer, ViewerConfig};
@@ -25,7 +26,8 @@ pub(super) fn windows(
 ) -> Vec<WindowSetup> {
     let mut windows = match arrangement {
         Arrangement::Windows(windows) => windows.clone(),
-        Arrangement::Usual => Vec::new(),
+        // Several views were refused before.
+        Arrangement::Usual | Arrangement::Views(_) => Vec::new(),
         Arrangement::AllScreens => {
             let place = |monitor: MonitorHandle| {
                 let (PhysicalPosition { x, y }, PhysicalSize { width, height }) = (monitor.position(), monitor.size());
@@ -76,7 +78,7 @@ pub(super) fn create_in(
     };
     #[cfg(not(target_os = "linux"))]
     let _ = parent;
-    let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(e.to_string()))?;
+    let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(reason_of(&e)))?;
     Ok(Arc::new(window))
 }
 
@@ -120,7 +122,7 @@ pub(super) fn create(
     if setup.full_screen {
         attributes = attributes.with_fullscreen(Some(Fullscreen::Borderless(monitor)));
     }
-    let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(e.to_string()))?;
+    let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(reason_of(&e)))?;
     Ok(Arc::new(window))
 }
 

@@ -104,7 +104,7 @@ impl Rig {
     /// Culls and draws.
     pub fn draw(&mut self, scene: &Scene, camera: &CullCamera, environment: &Environment) -> DrawStats {
         self.ctx.resize(camera.viewport_px).unwrap();
-        self.visitor.shadow_light = environment.shadow_light();
+        self.visitor.environment = Some(*environment);
         self.visitor.cull(scene, camera, &mut self.stage);
         let stats = self.renderer.draw(&mut self.ctx, &self.stage, environment).unwrap();
         let errors = self.ctx.take_device_errors();

@@ -125,6 +125,12 @@ impl Run {
         }
     }
 
+    /// Loads and merges what was asked for, as if the disk had no more to do.
+    pub fn work_until_idle(&mut self) {
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        self.pager.work_until(&mut self.scene, contexts, Instant::now() + Duration::from_secs(60));
+    }
+
     /// Frames until nothing is wanted and nothing under way, and one more.
     pub fn settle(&mut self, eye: DVec3) {
         self.frame(eye);

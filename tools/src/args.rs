@@ -145,6 +145,9 @@ pub struct FlyArgs {
     /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
+    /// Open the windows that a JSON file names, whatever TERRANE_CONFIG_FILE, TERRANE_WINDOW and TERRANE_SCREEN say
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["beside", "offscreen"])]
+    pub config: Option<PathBuf>,
     /// The X11 window to open in.
     #[arg(skip)]
     pub parent: Option<u32>,
@@ -153,7 +156,8 @@ pub struct FlyArgs {
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ViewArgs {
     /// Folder, tileset.json, archive (.3tz, .zip), http(s) URL or s3://, gs://, az:// URI
-    pub source: String,
+    #[arg(required_unless_present = "config")]
+    pub source: Option<String>,
     /// Size of the window in pixels
     #[arg(long, value_name = "WxH", default_value = "1280x720")]
     pub size: Size,
@@ -185,6 +189,10 @@ pub struct ViewArgs {
     /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
+    /// Open the windows, or the several views, that a JSON file names, whatever TERRANE_CONFIG_FILE, TERRANE_WINDOW and
+    /// TERRANE_SCREEN say
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["beside", "parent"])]
+    pub config: Option<PathBuf>,
     /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
     #[arg(long)]
     pub no_pipeline_cache: bool,
@@ -209,12 +217,13 @@ impl From<ViewArgs> for Box<FlyArgs> {
             on_demand,
             max_fps,
             beside,
+            config,
             no_pipeline_cache,
             parent,
             net,
         } = args;
         Box::new(FlyArgs {
-            source: Some(source),
+            source,
             size,
             view,
             path,
@@ -225,6 +234,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             on_demand,
             max_fps,
             beside,
+            config,
             no_pipeline_cache,
             parent,
             net,
@@ -327,6 +337,9 @@ pub enum Bench {
         /// Fly straight on at so many metres a second, instead of along the peer's path
         #[arg(long, value_name = "M_PER_S")]
         speed: Option<Positive>,
+        /// Load what the announced path will want in so many seconds; the peers cannot
+        #[arg(long, value_name = "SECONDS", default_value = "0")]
+        look_ahead: f64,
         /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
         #[arg(long, value_name = "URL")]
         url: Option<String>,

@@ -15,8 +15,9 @@ use terrane::draw::{Sky, Water};
 use terrane::io::shown;
 use terrane::timeline::Recording;
 use terrane::viewer::{
-    AnimationPath, Camera, DisplaySettingError, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot, ParentWindow,
-    Report, Settled, SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions, has_display, run_window,
+    AnimationPath, Arrangement, Camera, DisplaySettingError, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot,
+    ParentWindow, Report, Settled, SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions,
+    has_display, run_window,
 };
 
 use crate::args::FlyArgs;
@@ -31,9 +32,9 @@ const DEFAULT_PICTURE_EVERY: u32 = 10;
 const DEFAULT_OUTPUT: &str = "terrane-fly";
 /// Limit in pixels for height tiles: their error is the height's alone, and at CesiumJS's 16 ridges visibly
 /// change shape as they morph; at 3 the picture hardly changes any more and costs about four times the triangles.
-const HEIGHT_SSE_PX: f64 = 3.0;
+pub const HEIGHT_SSE_PX: f64 = 3.0;
 /// Limit in pixels for all other sets: CesiumJS's default.
-const FOREIGN_SSE_PX: f64 = 16.0;
+pub const FOREIGN_SSE_PX: f64 = 16.0;
 /// Without any progress of the pager for so long, a picture is taken as never complete.
 const STALLED_AFTER: Duration = Duration::from_secs(60);
 
@@ -55,8 +56,15 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     }
     let path = args.path.as_deref().map(AnimationPath::read).transpose();
     let path = path.with_context(|| args.path.as_deref().map_or(String::new(), |p| p.display().to_string()))?;
+    let offscreen = args.offscreen || !display;
+    let mut arrangement = arrangement(&args, offscreen)?;
+    let views = match &mut arrangement {
+        Arrangement::Views(views) => Some(std::mem::take(views)),
+        _ => None,
+    };
     let source = match &args.source {
         Some(source) => source.clone(),
+        None if views.as_ref().is_some_and(|views| !views.needs_root()) => String::new(),
         None => default_set::ensure()?,
     };
     let stop = Arc::new(AtomicBool::new(false));
@@ -81,8 +89,11 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     config.pager.build_kd_trees = args.interactive;
     config.pager.http = args.net.http(&source)?;
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
+    if let Some(views) = views {
+        let root = if views.needs_root() { Some(LoadedRoot::read(&source, &config.pager)?) } else { None };
+        return crate::views::run(*args, config, views, root, stop);
+    }
     let root = LoadedRoot::read(&source, &config.pager)?;
-    let offscreen = args.offscreen || !display;
     let mut flight = Flight::new(*args, path, stop)?;
     flight.eyes = config.stereo;
     let mut viewer = if offscreen {
@@ -96,7 +107,7 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         }
         viewer
     } else {
-        let (viewer, back) = in_window(flight, config, root, &source)?;
+        let (viewer, back) = in_window(flight, config, root, &source, arrangement)?;
         flight = back;
         viewer
     };
@@ -106,6 +117,20 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         (false, _) => "in a window",
     };
     flight.finish(&mut viewer, where_drawn)
+}
+
+/// The windows that were asked for: by the command line, else by the environment where windows open as that says.
+fn arrangement(args: &FlyArgs, offscreen: bool) -> Result<Arrangement> {
+    let arrangement = match &args.config {
+        Some(_) if offscreen => bail!("there is no display to open the windows of --config on"),
+        Some(file) => Arrangement::read(file)?,
+        None if offscreen || args.parent.is_some() || args.beside > 0 => Arrangement::Usual,
+        None => Arrangement::from_environment()?.unwrap_or_default(),
+    };
+    match arrangement {
+        Arrangement::Views(_) if !args.interactive => bail!("a flight has one view; `terrane view` shows several"),
+        arrangement => Ok(arrangement),
+    }
 }
 
 /// Windows beside a first of the same size: the first on its right, the second on its left, and so on outwards.
@@ -125,7 +150,13 @@ fn beside(count: u32, size_px: [u32; 2]) -> Vec<SlaveWindow> {
 }
 
 /// The same flight, a frame each time the window draws.
-fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &str) -> Result<(Viewer, Flight)> {
+fn in_window(
+    flight: Flight,
+    config: ViewerConfig,
+    root: LoadedRoot,
+    source: &str,
+    arrangement: Arrangement,
+) -> Result<(Viewer, Flight)> {
     let interactive = flight.args.interactive;
     if interactive {
         writeln!(std::io::stdout(), "H shows the keys, Esc ends").context("stdout")?;
@@ -136,6 +167,7 @@ fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &st
         overlay: flight.args.stats,
         manipulated: interactive,
         on_demand: flight.args.on_demand,
+        arrangement,
         parent: flight.args.parent.map(ParentWindow::x11),
         slaves: beside(flight.args.beside, flight.args.size.0),
         max_frame_rate: flight.args.max_fps.map(|rate| rate.0),
@@ -155,7 +187,7 @@ fn in_window(flight: Flight, config: ViewerConfig, root: LoadedRoot, source: &st
     Ok((viewer, flight.into_inner()))
 }
 
-fn application(error: anyhow::Error) -> ViewerError {
+pub fn application(error: anyhow::Error) -> ViewerError {
     match error.downcast::<ViewerError>() {
         Ok(error) => error,
         Err(error) => ViewerError::Application(error.into()),

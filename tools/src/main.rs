@@ -11,6 +11,7 @@ mod pictures;
 mod serve;
 mod stress;
 mod summary;
+mod views;
 
 use std::ffi::OsString;
 use std::process::ExitCode;

@@ -481,6 +481,122 @@ fn windows_open_as_a_file_says() {
 }
 
 #[test]
+fn several_views_open_as_a_file_says_and_each_has_its_events() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
+    let config = folder.path().join("views.json");
+    let name = set.file_name().unwrap().to_str().unwrap();
+    // Two views of the program's set beside each other, and one of a set of its own in another window.
+    let text = format!(
+        r#"{{"windows": [
+             {{"title": "Terrane - views", "position_px": [10, 20], "size_px": [400, 200]}},
+             {{"title": "other", "position_px": [500, 20], "size_px": [200, 200], "shares_device": true}}],
+            "scenes": {{"again": "{name}"}},
+            "views": [
+             {{"cameras": [{{"viewport_px": [0, 0, 200, 200]}}]}},
+             {{"heading_deg": 90, "cameras": [{{"viewport_px": [200, 0, 200, 200]}}]}},
+             {{"scene": "again", "cameras": [{{"window": 1}}]}}]}}"#
+    );
+    std::fs::write(&config, text).unwrap();
+    let config = config.to_str().unwrap();
+    let view = ["view", set.to_str().unwrap()];
+    let by_variable = [("TERRANE_CONFIG_FILE", config)];
+    let mut w = Driven::start_where(&display, &view, folder.path(), &by_variable);
+    assert_eq!(w.place(), [10, 20, 400, 200]);
+    let first = w.window;
+    let (left, right) = ([0, 0, 200, 200], [200, 0, 200, 200]);
+    w.until("views: first", |picture| [left, right].iter().all(|of| colours(&part(picture, *of)) > 100));
+    let both = w.at_rest("views: at rest");
+    assert!(differing(&part(&both, left), &part(&both, right)) > 0.2, "from two sides");
+    w.window = w.wait_for("the other window", |w| w.find_named(b"other"));
+    assert_eq!(w.place(), [500, 20, 200, 200]);
+    w.until("views: other", |picture| colours(picture) > 100);
+    let other = w.at_rest("views: other at rest");
+    assert!(differing(&part(&both, left), &other) < 0.02, "the same set from the same eye");
+
+    // A drag in the right view turns that alone, also where it ends outside of it.
+    w.window = first;
+    w.drag(1, [310, 120], [150, 110]);
+    let turned = w.at_rest("views: right turned");
+    assert!(differing(&part(&both, right), &part(&turned, right)) > 0.1);
+    assert!(differing(&part(&both, left), &part(&turned, left)) < 0.002);
+    // Keys are those of the view under the pointer: the left one goes home.
+    w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
+    w.send(MOTION, 0, 10 + 100, 20 + 190);
+    w.key(SPACE);
+    w.until("views: left at home", |picture| {
+        differing(&part(&both, left), &part(picture, left)) > 0.05
+            && differing(&part(&turned, right), &part(picture, right)) < 0.002
+    });
+    // The stats of whichever view lie over the first window.
+    w.send(MOTION, 0, 10 + 300, 20 + 100);
+    w.letter('s');
+    let upper_left = [10, 10, 100, 20];
+    w.until("views: stats", |picture| differing(&part(&turned, upper_left), &part(picture, upper_left)) > 0.3);
+
+    // The other window closes with its view, and the first goes on.
+    w.window = w.wait_for("the other window", |w| w.find_named(b"other"));
+    w.close();
+    w.wait_for("one window", |w| w.find_named(b"other").is_none().then_some(()));
+    w.window = first;
+    w.resize([420, 220]);
+    w.until("views: resized", |picture| picture.dimensions() == (420, 220) && colours(&part(picture, right)) > 100);
+    w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
+    w.key(ESCAPE);
+    assert_eq!(w.ended().code(), Some(0));
+
+    // Said on the command line, the file comes before the variable; and without a set where none is needed.
+    let alone = folder.path().join("alone.json");
+    let text = format!(
+        r#"{{"windows": [{{"title": "Terrane - alone", "size_px": [160, 120]}}],
+            "scenes": {{"a": "{name}"}}, "views": [{{"scene": "a"}}]}}"#
+    );
+    std::fs::write(&alone, text).unwrap();
+    let args = ["view", "--config", alone.to_str().unwrap()];
+    let mut w = Driven::start_where(&display, &args, folder.path(), &by_variable);
+    w.until("views: alone", |picture| picture.dimensions() == (160, 120) && colours(picture) > 100);
+    w.close();
+    assert_eq!(w.ended().code(), Some(0));
+
+    // What cannot be is one line.
+    std::fs::write(&alone, r#"{"views": [{"cameras": [{"window": 2}]}]}"#).unwrap();
+    for (command, says) in [
+        (&["view", "--config"][..], "alone.json: views[0].cameras[0].window: there are 1 windows, counted from 0"),
+        (&["fly", set.to_str().unwrap(), "--config"], "alone.json: views[0].cameras[0].window"),
+    ] {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_terrane"));
+        program.args(command).arg(&alone).current_dir(folder.path()).env("DISPLAY", &display.name);
+        let output = program.env_remove("WAYLAND_DISPLAY").output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(1) && error.contains(says), "{error}");
+        assert_eq!(error.lines().count(), 1, "{error}");
+    }
+}
+
+#[test]
+fn a_display_that_cannot_be_reached_is_one_line_that_names_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(set) = tile_set(folder.path()) else { return };
+    for (variable, value) in [("DISPLAY", ":4711"), ("DISPLAY", "nonsense"), ("WAYLAND_DISPLAY", "wayland-4711")] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
+        for other in ["DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"] {
+            command.env_remove(other);
+        }
+        let args = ["view", set.to_str().unwrap(), "--size", "320x240"];
+        command.args(args).current_dir(folder.path()).env("XDG_RUNTIME_DIR", folder.path()).env(variable, value);
+        let output = command.output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!((output.status.code(), error.lines().count()), (Some(1), 1), "{error}");
+        assert!(
+            error.contains(&format!("{variable}=`{value}`")) && error.contains("terrane fly --offscreen"),
+            "{error}"
+        );
+        assert!(!error.contains(".rs") && !error.contains("winit"), "{error}");
+        println!("{error}");
+    }
+}
+
+#[test]
 fn windows_open_where_variables_say() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };

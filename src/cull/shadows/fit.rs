@@ -376,7 +376,7 @@ mod tests {
 
     #[test]
     fn what_cannot_be_is_said() {
-        use crate::cull::ShadowError;
+        use crate::scene::ShadowError;
         let good = SunShadows::default();
         assert_eq!(good.check(), Ok(()));
         assert_eq!(SunShadows { cascades: 5, ..good }.check(), Err(ShadowError::Cascades(5)));

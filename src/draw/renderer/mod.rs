@@ -19,10 +19,9 @@ use std::time::Duration;
 
 use crate::cull::RenderStage;
 use crate::draw::answers::{PictureReads, Queries};
-use crate::draw::atmosphere::{Air, Atmosphere};
+use crate::draw::atmosphere::Atmosphere;
 use crate::draw::batch::Batch;
 use crate::draw::composite::Composite;
-use crate::draw::environment::Environment;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{StagePlan, Targets};
 use crate::draw::shadow_maps::ShadowMaps;
@@ -32,9 +31,12 @@ use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
+use crate::scene::Environment;
 use crate::scene::Texture;
 use crate::state::TextureObject;
 use foresee::DrawnInto;
+use glam::DAffine3;
+use prepare::Surroundings;
 
 /// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -64,6 +66,8 @@ pub struct DrawStats {
     pub points: u64,
     /// Passes: the stages that were drawn.
     pub passes: u32,
+    /// Eyes with air of their own beyond the most there may be: they have that of the eye at nearly the same height.
+    pub airs_refused: u32,
     /// Pipelines made in this draw; each takes long at its first use. What a drawable of the application's own makes for
     /// a target counts as one.
     pub pipelines_created: u32,
@@ -112,10 +116,9 @@ pub struct Renderer {
     groups: Groups,
     targets: Targets,
     atmosphere: Atmosphere,
-    /// As each picture's eye sees it.
-    airs: Vec<Air>,
     leaf_buffer: wgpu::Buffer,
-    frame_bind_group: wgpu::BindGroup,
+    /// By set of the air's tables.
+    frame_bind_groups: Vec<wgpu::BindGroup>,
     /// The same for passes that draw into the shadow maps.
     caster_bind_group: wgpu::BindGroup,
     shadow_maps: ShadowMaps,
@@ -123,12 +126,15 @@ pub struct Renderer {
     binds_shadows: bool,
     /// Of this frame.
     shadow_leaves: u32,
+    airs_refused: u32,
     indirect: Option<wgpu::Buffer>,
     indirect_bytes: Vec<u8>,
     most_leaves: usize,
     batch: Batch,
     pulls: Pulls,
     statics: Vec<Statics>,
+    /// Eyes of the views inside a stage, and what is around them; only while it is prepared.
+    views: Vec<(DAffine3, Surroundings)>,
     /// Of the last frame.
     drawn_into: Vec<DrawnInto>,
     plans: Vec<StagePlan>,
@@ -163,14 +169,14 @@ fn frame_bind_group(
     layout: &wgpu::BindGroupLayout,
     uniforms: &wgpu::Buffer,
     leaves: &wgpu::Buffer,
-    atmosphere: &Atmosphere,
+    air: [wgpu::BindGroupEntry<'_>; 5],
     [shadow_maps, shadow_sampler]: [wgpu::BindGroupEntry<'_>; 2],
 ) -> wgpu::BindGroup {
     let uniform = |size: usize| {
         let size = wgpu::BufferSize::new(size as u64);
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: uniforms, offset: 0, size })
     };
-    let [sampler, sunlight, sky_light, scattered, mie] = atmosphere.entries();
+    let [sampler, sunlight, sky_light, scattered, mie] = air;
     device.create_bind_group(&wgpu::BindGroupDescriptor {
         label: Some("frame"),
         layout,
@@ -203,15 +209,16 @@ impl Renderer {
         let shadow_maps = ShadowMaps::new(device);
         let layout = &pipelines.frame_layout;
         let none = shadow_maps.entries(true);
-        let frame_bind_group = frame_bind_group(device, layout, groups.buffer(), &leaf_buffer, &atmosphere, none);
+        let air = atmosphere.entries(0);
+        let frame_bind_group = frame_bind_group(device, layout, groups.buffer(), &leaf_buffer, air, none);
         Self {
             caster_bind_group: frame_bind_group.clone(),
-            frame_bind_group,
+            frame_bind_groups: vec![frame_bind_group],
             shadow_maps,
             binds_shadows: false,
             shadow_leaves: 0,
+            airs_refused: 0,
             atmosphere,
-            airs: Vec::new(),
             pipelines,
             groups,
             targets: Targets::new(device),
@@ -222,6 +229,7 @@ impl Renderer {
             batch: Batch::default(),
             pulls: Pulls::default(),
             statics: Vec::new(),
+            views: Vec::new(),
             drawn_into: Vec::new(),
             plans: Vec::new(),
             timer: FrameTimer::new(device, ctx.queue()),
@@ -309,6 +317,7 @@ impl Renderer {
         let mut stats = self.record(ctx, pictures);
         stats.leaves = self.batch.leaves().len() as u32 - self.shadow_leaves;
         stats.shadow_leaves = self.shadow_leaves;
+        stats.airs_refused = self.airs_refused;
         stats.pipelines_created += self.pipelines.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
@@ -334,13 +343,14 @@ impl Renderer {
             self.leaf_buffer = leaf_buffer(device, leaves);
             is_new = true;
         }
-        if is_new {
+        if is_new || self.frame_bind_groups.len() != self.atmosphere.set_count() {
             let layout = &self.pipelines.frame_layout;
-            let bind_group = |is_drawn| {
-                let shadows = self.shadow_maps.entries(is_drawn);
-                frame_bind_group(device, layout, self.groups.buffer(), &self.leaf_buffer, &self.atmosphere, shadows)
+            let bind_group = |is_drawn, air| {
+                let (shadows, air) = (self.shadow_maps.entries(is_drawn), self.atmosphere.entries(air));
+                frame_bind_group(device, layout, self.groups.buffer(), &self.leaf_buffer, air, shadows)
             };
-            (self.frame_bind_group, self.caster_bind_group) = (bind_group(false), bind_group(true));
+            self.caster_bind_group = bind_group(true, 0);
+            self.frame_bind_groups = (0..self.atmosphere.set_count()).map(|air| bind_group(false, air)).collect();
         }
         if !bytes.is_empty() {
             ctx.queue().write_buffer(&self.leaf_buffer, 0, bytes);
@@ -420,7 +430,7 @@ mod tests {
     use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
     use crate::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page, Scene};
     use crate::state::{Attribute, BinDetails, CullFace, Scissor, SortMode, StateSet, SurfaceMaterial};
-    use glam::{DAffine3, DVec3};
+    use glam::DVec3;
 
     /// How often a thing changes along the runs; the first time counts.
     fn changes<T: PartialEq>(things: impl Iterator<Item = T>) -> u32 {

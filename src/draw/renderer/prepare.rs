@@ -4,12 +4,11 @@ use std::sync::Arc;
 
 use super::foresee::DrawnInto;
 use super::{FrameClock, Picture, Renderer};
-use crate::cull::{FadeBand, RenderStage};
+use crate::cull::{CullCamera, FadeBand, RenderStage};
 use crate::draw::answers::Queries;
-use crate::draw::atmosphere::Air;
+use crate::draw::atmosphere::{Air, FoundAir};
 use crate::draw::batch::StateEntry;
 use crate::draw::composite::Composite;
-use crate::draw::environment::{Environment, Sky};
 use crate::draw::pipelines::Bare;
 use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
@@ -18,6 +17,7 @@ use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, StageUniform, replaces_sun};
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform, clear_color};
 use crate::gpu::GraphicsContext;
+use crate::scene::{CameraEnvironment, Environment, Sky, SunShadows};
 use crate::state::{ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
@@ -42,14 +42,15 @@ impl Renderer {
         if let Some(composite) = &mut self.composite {
             composite.start_frame();
         }
-        self.shadow_leaves = 0;
+        (self.shadow_leaves, self.airs_refused) = (0, 0);
+        self.binds_shadows |= self.atmosphere.start_draw();
         self.prepare_shadow_maps(ctx, pictures.clone());
-        self.airs.clear();
         let mut dropped = 0;
         for Picture { stage, environment } in pictures {
-            let air = Air::of(stage, environment);
-            self.airs.push(air);
-            dropped += self.prepare_all(ctx, stage, environment, &air, true);
+            let air = self.air_of(ctx, &stage.camera, environment);
+            let shadows = environment.shadows;
+            let around = Surroundings { environment: *environment, shadows, air, is_outermost: true, is_whole: true };
+            dropped += self.prepare_all(ctx, stage, &around);
         }
         for (bucket, _) in self.batch.buckets.iter().filter(|(b, _)| b.stride > 0) {
             self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
@@ -62,35 +63,94 @@ impl Renderer {
         }
     }
 
-    /// Prepares a stage and those around it, in the order drawn; how many leaves there was no room for.
-    fn prepare_all(
+    /// The tables of the air as a camera's eye sees it.
+    fn air_of(&mut self, ctx: &GraphicsContext, camera: &CullCamera, environment: &Environment) -> FoundAir {
+        let air = Air::of(camera, environment);
+        if environment.sky != Sky::Atmosphere {
+            return FoundAir { place: 0, air, is_refused: false };
+        }
+        let found = self.atmosphere.find(ctx.device(), &air);
+        self.airs_refused += u32::from(found.is_refused);
+        found
+    }
+
+    /// What is around a camera in the graph that hangs in a picture.
+    fn surroundings_of(
+        &mut self,
+        ctx: &GraphicsContext,
+        said: &CameraEnvironment,
+        camera: &CullCamera,
+        above: &Surroundings,
+    ) -> Surroundings {
+        let eye_in_world = camera.eye_from_world.inverse().translation;
+        let environment = said.of_camera(Some(&above.environment), eye_in_world).unwrap_or(above.environment);
+        let air = if said.is_whole() { self.air_of(ctx, camera, &environment) } else { above.air };
+        Surroundings { shadows: None, air, environment, is_outermost: false, is_whole: false }
+    }
+
+    /// The same for one that has a stage.
+    fn surroundings_of_stage(
         &mut self,
         ctx: &GraphicsContext,
         stage: &RenderStage,
-        environment: &Environment,
-        air: &Air,
-        is_outermost: bool,
-    ) -> usize {
+        above: &Surroundings,
+    ) -> Surroundings {
+        let said = &stage.target.environment;
+        let around = self.surroundings_of(ctx, said, &stage.camera, above);
+        Surroundings {
+            shadows: stage.target.shadows.under(&around.environment),
+            is_whole: said.is_whole() && stage.target.clear_color.is_some(),
+            ..around
+        }
+    }
+
+    /// Frames of the views inside a stage, the stage's own first, and their sets of the air's tables.
+    fn prepare_views(
+        &mut self,
+        ctx: &GraphicsContext,
+        stage: &RenderStage,
+        around: &Surroundings,
+        own: u32,
+    ) -> [(u32, u8); MOST_VIEWS] {
+        let mut frames = [(own, around.air.place); MOST_VIEWS];
+        let mut views = std::mem::take(&mut self.views);
+        views.clear();
+        views.push((stage.camera.eye_from_world, *around));
+        for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
+            let (eye_from_world, above) = *views.get(view.above as usize).unwrap_or(&views[0]);
+            let (camera, around) = if view.environment.is_whole() {
+                (view.camera, self.surroundings_of(ctx, &view.environment, &view.camera, &above))
+            } else {
+                (CullCamera { eye_from_world, ..view.camera }, above)
+            };
+            views.push((camera.eye_from_world, around));
+            let uniform = FrameUniform::new(&camera, &view.clip_from_eye, &around.environment, &around.air.air);
+            *place = (self.groups.push(&uniform), around.air.place);
+        }
+        self.views = views;
+        frames
+    }
+
+    /// Prepares a stage and those around it, in the order drawn; how many leaves there was no room for.
+    fn prepare_all(&mut self, ctx: &GraphicsContext, stage: &RenderStage, around: &Surroundings) -> usize {
         let mut dropped = 0;
         for before in &stage.pre_render {
             // An eye's picture is a whole one, with its sky.
-            dropped += self.prepare_all(ctx, before, environment, air, stage.stereo.is_some());
+            let of_eye = stage.stereo.is_some() && around.is_outermost;
+            let around = if of_eye { *around } else { self.surroundings_of_stage(ctx, before, around) };
+            dropped += self.prepare_all(ctx, before, &around);
         }
-        dropped += self.prepare_stage(ctx, stage, environment, air, is_outermost);
+        dropped += self.prepare_stage(ctx, stage, around);
         for after in &stage.post_render {
-            dropped += self.prepare_all(ctx, after, environment, air, false);
+            let around = self.surroundings_of_stage(ctx, after, around);
+            dropped += self.prepare_all(ctx, after, &around);
         }
         dropped
     }
 
-    fn prepare_stage(
-        &mut self,
-        ctx: &GraphicsContext,
-        stage: &RenderStage,
-        environment: &Environment,
-        air: &Air,
-        is_outermost: bool,
-    ) -> usize {
+    fn prepare_stage(&mut self, ctx: &GraphicsContext, stage: &RenderStage, around: &Surroundings) -> usize {
+        let Surroundings { environment, is_outermost, is_whole, .. } = around;
+        let (is_outermost, air) = (*is_outermost, &around.air.air);
         let found = self.targets.of(ctx, &mut self.groups.textures, &mut self.pipelines, &stage.target, is_outermost);
         let target = match found {
             Ok(target) => target,
@@ -100,18 +160,15 @@ impl Renderer {
                 return 0;
             }
         };
-        let mut uniform = FrameUniform::new(stage, &stage.camera.clip_from_eye, environment, air);
-        let has_shadows = self.has_shadows(stage, environment, is_outermost);
+        let mut uniform = FrameUniform::new(&stage.camera, &stage.camera.clip_from_eye, environment, air);
+        let has_shadows = around.shadows.is_some() && self.has_shadows(stage);
         if has_shadows {
             uniform = uniform.with_shadows(&stage.shadows, self.shadow_maps.size_px());
         }
         let clear = clear_color(environment, &uniform);
         let first_frame = self.groups.push(&uniform);
         let positioned = self.groups.push(&StageUniform::new(stage));
-        let mut frames = [first_frame; MOST_VIEWS];
-        for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
-            *place = self.groups.push(&FrameUniform::new(stage, &view.clip_from_eye, environment, air));
-        }
+        let frames = self.prepare_views(ctx, stage, around, first_frame);
         let (casters, mut dropped) = if has_shadows {
             let (plan, dropped) = self.prepare_casters(ctx, stage, environment, air, &target, positioned);
             (Some(plan), dropped)
@@ -121,13 +178,14 @@ impl Renderer {
         let base = Statics {
             dynamics: target.dynamics(stage.target.viewport_px),
             frame: [first_frame, positioned],
+            air: around.air.place,
             group: None,
         };
         let first_statics = self.statics.len() as u32;
         self.statics.push(base);
         let has_own_light = replaces_sun(stage);
         // An empty stage has none; what comes will.
-        let will_have = is_outermost && environment.shadows.is_some() && stage.leaf_count() == 0;
+        let will_have = around.shadows.is_some() && stage.leaf_count() == 0;
         let drawn = DrawnInto { target: target.index, has_own_light, has_shadows: has_shadows || will_have };
         if !self.drawn_into.contains(&drawn) {
             self.drawn_into.push(drawn);
@@ -138,7 +196,7 @@ impl Renderer {
         for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
             let (shading, group) = self.shading(ctx, stage, state, has_own_light, &target);
             let mut statics = Statics { group, ..base };
-            statics.frame[0] = frames.get(*view as usize).copied().unwrap_or(first_frame);
+            (statics.frame[0], statics.air) = frames.get(*view as usize).copied().unwrap_or(frames[0]);
             let viewport = stage.views.get((*view as usize).wrapping_sub(1)).and_then(|v| v.viewport_px);
             apply_state(&mut statics.dynamics, state, viewport, target.size_px);
             let recent = self.statics.len().saturating_sub(STATICS_COMPARED).max(first_statics as usize);
@@ -161,11 +219,11 @@ impl Renderer {
         let bin_starts = is_called.then_some(first_bin..self.batch.bin_starts.len());
         let queries = self.prepare_queries(ctx, stage, &target, &frames, base);
         let has_sky =
-            is_outermost && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Atmosphere;
+            *is_whole && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Atmosphere;
         if has_sky {
             self.pipelines.ensure_bare(ctx, Bare::Sky, target.index);
         }
-        let has_water = is_outermost && stage.stereo.is_none() && environment.water.is_some();
+        let has_water = *is_whole && stage.stereo.is_none() && environment.water.is_some();
         let water = has_water.then_some(if has_shadows { Bare::ShadowedWater } else { Bare::Water });
         if let Some(water) = water {
             self.pipelines.ensure_bare(ctx, water, target.index);
@@ -173,7 +231,7 @@ impl Renderer {
         let eyes = self.prepare_eyes(ctx, stage, &target, &base.dynamics);
         let [width, height] = target.size_px;
         let has_part = stage.target.viewport_px.is_some_and(|rect| rect != [0, 0, width, height]);
-        let is_part = is_outermost && (target.is_begun || has_part);
+        let is_part = *is_whole && (has_part || is_outermost && target.is_begun);
         let fill = match stage.clear_node {
             _ if !is_part || has_sky => None,
             Some(said) => said.map(color),
@@ -191,7 +249,7 @@ impl Renderer {
             has_sky,
             water,
             casters,
-            background: clear,
+            clear: if *is_whole { Some(clear) } else { stage.target.clear_color.map(color) },
             fill,
             is_part,
         });
@@ -298,7 +356,7 @@ impl Renderer {
         ctx: &GraphicsContext,
         stage: &RenderStage,
         target: &PassTarget,
-        frames: &[u32],
+        frames: &[(u32, u8)],
         base: Statics,
     ) -> Vec<(u32, u32, u32)> {
         if stage.queries.is_empty() {
@@ -317,8 +375,8 @@ impl Renderer {
                 break;
             }
             let Some(index) = queries.ask(query) else { break };
-            let frame = [frames.get(query.view as usize).copied().unwrap_or(frames[0]), base.frame[1]];
-            let statics = Statics { frame, ..base };
+            let (frame, air) = frames.get(query.view as usize).copied().unwrap_or(frames[0]);
+            let statics = Statics { frame: [frame, base.frame[1]], air, ..base };
             let place = match self.statics.iter().rposition(|s| *s == statics) {
                 Some(place) => place,
                 None => {
@@ -331,6 +389,18 @@ impl Renderer {
         }
         asked
     }
+}
+
+/// What is around what a stage shows.
+#[derive(Clone, Copy)]
+pub(super) struct Surroundings {
+    environment: Environment,
+    shadows: Option<SunShadows>,
+    air: FoundAir,
+    /// A picture of the frame, or an eye's.
+    is_outermost: bool,
+    /// With background, sky and water.
+    is_whole: bool,
 }
 
 /// Statics compared with a new one, newest first.

@@ -7,7 +7,6 @@ use super::{DrawStats, Picture, Renderer};
 use crate::cull::RenderStage;
 use crate::draw::callbacks::bins::{Bins, draw_bins};
 use crate::draw::callbacks::{CameraCallbacks, RenderInfo};
-use crate::draw::environment::Sky;
 use crate::draw::pipelines::Bare;
 use crate::draw::plan::{PassTarget, StagePlan};
 use crate::draw::state::{Sources, State};
@@ -33,14 +32,11 @@ impl Renderer {
         let mut stats = DrawStats::default();
         let mut next = 0;
         let plans = std::mem::take(&mut self.plans);
-        let airs = std::mem::take(&mut self.airs);
-        for (place, (picture, air)) in pictures.zip(&airs).enumerate() {
-            if picture.environment.sky == Sky::Atmosphere {
-                self.atmosphere.record(ctx, &mut encoder, place as u64, air);
-            }
+        self.atmosphere.record(ctx, &mut encoder);
+        for picture in pictures {
             self.record_all(ctx, &mut encoder, picture.stage, &plans, &mut next, &mut stats);
         }
-        (self.plans, self.airs) = (plans, airs);
+        self.plans = plans;
         if let Some(timer) = &self.timer {
             timer.resolve(&mut encoder);
         }
@@ -116,7 +112,7 @@ impl Renderer {
             occlusion_query_set: if plan.queries.is_empty() { None } else { self.queries.as_ref().map(|q| &q.set) },
             multiview_mask: None,
         });
-        let mut from = self.sources(ctx, &self.frame_bind_group);
+        let mut from = self.sources(ctx, &self.frame_bind_groups);
         from.pass = self.pipelines.target_key(target.index).map(|formats| (info, *formats));
         let mut state = State::new(&mut pass, target.dynamics(None));
         if let (Some(leaf), Some(fill)) = (plan.fill, self.pipelines.bare(Bare::Fill, target.index)) {
@@ -176,14 +172,14 @@ impl Renderer {
     }
 
     /// What a pass is drawn from.
-    pub(super) fn sources<'a>(&'a self, ctx: &'a GraphicsContext, frame_group: &'a wgpu::BindGroup) -> Sources<'a> {
+    pub(super) fn sources<'a>(&'a self, ctx: &'a GraphicsContext, frame_groups: &'a [wgpu::BindGroup]) -> Sources<'a> {
         Sources {
             ctx,
             pipelines: &self.pipelines,
             groups: &self.groups,
             batch: &self.batch,
             statics: &self.statics,
-            frame_group,
+            frame_groups,
             pulls: &self.pulls,
             indirect: self.indirect.as_ref(),
             pass: None,

@@ -7,14 +7,14 @@ use crate::cull::{FadeBand, MOST_CASCADES, RenderStage};
 use crate::draw::DrawStats;
 use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
-use crate::draw::environment::Environment;
 use crate::draw::pipelines::key::{Shading, StateKey};
 use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
 use crate::draw::plan::{PassTarget, StagePlan};
-use crate::draw::shadow_maps::FORMAT;
+use crate::draw::shadow_maps::{FORMAT, Wanted};
 use crate::draw::state::{Dynamics, State, Statics};
 use crate::draw::uniforms::frame::FrameUniform;
 use crate::gpu::GraphicsContext;
+use crate::scene::{CameraEnvironment, CameraShadows, Environment, SunShadows};
 use crate::state::{CLIP_PLANES, Mode, ResolvedState, TEXTURE_UNITS};
 
 /// What the cascades of a stage come to.
@@ -34,29 +34,25 @@ impl Renderer {
         pictures: impl Iterator<Item = Picture<'a>> + Clone,
     ) {
         let most_px = self.shadow_maps.most_px;
-        for settings in pictures.clone().filter_map(|p| p.environment.shadows) {
-            if let Err(problem) = settings.check() {
-                self.complain(problem.to_string());
-            } else if settings.resolution_px > most_px {
-                self.complain(format!("the adapter has no shadow maps of more than {most_px} texels a side"));
-            }
+        let mut wanted = Wanted::default();
+        for Picture { stage, environment } in pictures {
+            let mut look = |stage: &RenderStage, said: Option<SunShadows>| match said.map_or(Ok(()), |s| s.check()) {
+                Err(problem) => self.complain(problem.to_string()),
+                Ok(()) if said.is_some_and(|s| s.resolution_px > most_px) => {
+                    self.complain(format!("the adapter has no shadow maps of more than {most_px} texels a side"));
+                }
+                Ok(()) => wanted.add(&stage.shadows, most_px),
+            };
+            look(stage, environment.shadows);
+            look_around(stage, &mut look);
         }
-        // The eyes of a stereo picture have shadows of their own.
-        let wanted = pictures.filter(|p| p.environment.shadows.is_some()).flat_map(|p| {
-            let eyes = if p.stage.stereo.is_some() { &p.stage.pre_render[..] } else { &[] };
-            std::iter::once(&p.stage.shadows).chain(eyes.iter().map(|eye| &eye.shadows))
-        });
-        let wanted = wanted.filter(|s| s.settings.resolution_px <= most_px);
         self.binds_shadows |= self.shadow_maps.ensure(ctx.device(), wanted);
     }
 
-    /// True when a stage is drawn with shadows.
-    pub(super) fn has_shadows(&self, stage: &RenderStage, environment: &Environment, is_outermost: bool) -> bool {
+    /// True when there are maps for a stage's cascades.
+    pub(super) fn has_shadows(&self, stage: &RenderStage) -> bool {
         let shadows = &stage.shadows;
-        is_outermost
-            && environment.shadows.is_some()
-            && !shadows.cascades.is_empty()
-            && self.shadow_maps.size_px() >= shadows.settings.resolution_px
+        !shadows.cascades.is_empty() && self.shadow_maps.size_px() >= shadows.settings.resolution_px
     }
 
     /// Prepares the casters of a stage's cascades; how many leaves there was no room for.
@@ -78,8 +74,8 @@ impl Renderer {
         let before = self.batch.leaves().len();
         for (runs, cascade) in plan.runs.iter_mut().zip(&stage.shadows.cascades) {
             // The picture's own eye and levels of detail, seen along the sun's rays.
-            let frame = self.groups.push(&FrameUniform::new(stage, &cascade.clip_from_eye, environment, air));
-            let base = Statics { dynamics: of_map(size_px), frame: [frame, positioned], group: None };
+            let frame = self.groups.push(&FrameUniform::new(&stage.camera, &cascade.clip_from_eye, environment, air));
+            let base = Statics { dynamics: of_map(size_px), frame: [frame, positioned], air: 0, group: None };
             let plain = self.statics.len() as u32;
             self.statics.push(base);
             let mut states = std::mem::take(&mut self.batch.states);
@@ -161,7 +157,7 @@ impl Renderer {
                 occlusion_query_set: None,
                 multiview_mask: None,
             });
-            let from = self.sources(ctx, &self.caster_bind_group);
+            let from = self.sources(ctx, std::slice::from_ref(&self.caster_bind_group));
             let mut state = State::new(&mut pass, of_map(self.shadow_maps.size_px()));
             state.draw_runs(&from, runs.clone());
             stats.shadow_draw_calls += state.stats.draw_calls;
@@ -171,6 +167,23 @@ impl Renderer {
             stats.passes += 1;
         }
         debug_assert!(casters.size_px <= self.shadow_maps.size_px());
+    }
+}
+
+/// Looks at the stages before and after one, with the shadows that cameras say themselves.
+fn look_around(stage: &RenderStage, look: &mut impl FnMut(&RenderStage, Option<SunShadows>)) {
+    for other in stage.pre_render.iter().chain(&stage.post_render) {
+        let environment = match &other.target.environment {
+            CameraEnvironment::Own(own) => own.shadows,
+            _ => None,
+        };
+        let said = match other.target.shadows {
+            CameraShadows::None => None,
+            CameraShadows::Environment => environment,
+            CameraShadows::Own(own) => Some(own),
+        };
+        look(other, said);
+        look_around(other, look);
     }
 }
 

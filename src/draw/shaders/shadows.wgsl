@@ -24,13 +24,13 @@ fn sun_shadow(in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
 }
 
 // A texel of the map is one depth for a piece of surface that lies slantwise to it. A point moved along the normal by
-// what the filter reaches times the sine of the sun's angle comes to lie before the piece's nearest end.
+// what the filter reaches, times the sine of the sun's angle, comes to lie before the piece's nearest end. The filter is
+// a square: towards its corners, as the normal lies across the rays, it reaches farther.
 fn sun_shadow_in(cascade: i32, in_eye: vec3<f32>, normal: vec3<f32>) -> f32 {
     let sun = frame.sun_direction.xyz;
     let scales = frame.cascade_scales[cascade];
     let offsets = frame.cascade_offsets[cascade];
-    let cosine = dot(normal, sun);
-    let slant = sqrt(max(1.0 - cosine * cosine, 0.0));
+    let slant = abs(dot(frame.shadow_x.xyz, normal)) + abs(dot(frame.shadow_y.xyz, normal));
     let moved = in_eye + (frame.shadow_x.w * slant * normal + frame.shadow_y.w * sun) * offsets.w;
     let across = vec2<f32>(dot(frame.shadow_x.xyz, moved), -dot(frame.shadow_y.xyz, moved));
     return sun_shadow_filtered(cascade, across * scales.x + offsets.xy, dot(sun, moved) * scales.y + offsets.z);

@@ -2,17 +2,15 @@
 
 use glam::{DMat4, DVec3, Mat4, Vec3};
 
-use crate::cull::{MOST_CASCADES, RenderStage, StageShadows};
+use crate::cull::{CullCamera, MOST_CASCADES, StageShadows};
 use crate::draw::atmosphere::Air;
-use crate::draw::environment::{Environment, Sky};
 use crate::math::WGS84;
+use crate::scene::{Environment, Sky, is_over_globe};
 
 /// Share of a level's range at which its vertices start to morph into the coarser level.
 const MORPH_START: f32 = 0.7;
 /// Height in metres over which air thins to 1/e.
 const AIR_SCALE_HEIGHT_M: f64 = 8_000.0;
-/// Eyes closer to the world's origin are in a local frame; the earth's poles are 6,357 km from it.
-const LOCAL_WORLD_RADIUS_M: f64 = 6_200_000.0;
 
 /// Per frame; `Frame` in frame.wgsl.
 #[repr(C)]
@@ -94,8 +92,8 @@ fn vec4(v: [f64; 3], w: f64) -> [f32; 4] {
     [v[0] as f32, v[1] as f32, v[2] as f32, w as f32]
 }
 
-fn direction_in_eye(stage: &RenderStage, world: DVec3) -> [f64; 3] {
-    stage.camera.eye_from_world.matrix3.mul_vec3(world).normalize_or(DVec3::Z).to_array()
+fn direction_in_eye(camera: &CullCamera, world: DVec3) -> [f64; 3] {
+    camera.eye_from_world.matrix3.mul_vec3(world).normalize_or(DVec3::Z).to_array()
 }
 
 fn linear_from_srgb(byte: u8) -> f64 {
@@ -114,32 +112,31 @@ pub(in crate::draw) fn clear_color(environment: &Environment, frame: &FrameUnifo
 
 /// Height of a camera's eye in metres, and whether it is near a globe. Steers air and water only; a local frame counts as
 /// flat, with its ground at 0.
-pub(in crate::draw) fn eye_height_m(stage: &RenderStage, environment: &Environment) -> (f64, bool) {
-    let eye = stage.camera.eye_from_world.inverse().translation;
-    let is_globe = eye.length() > LOCAL_WORLD_RADIUS_M;
+pub(in crate::draw) fn eye_height_m(camera: &CullCamera, environment: &Environment) -> (f64, bool) {
+    let eye = camera.eye_from_world.inverse().translation;
+    let is_globe = is_over_globe(eye);
     let height_m = if is_globe { WGS84.geodetic(eye).height_m } else { eye.dot(environment.up_in_world) };
     (if height_m.is_finite() { height_m.max(0.0) } else { 0.0 }, is_globe)
 }
 
 /// Sine of the sun's height over the level at the eye.
-pub(in crate::draw) fn sun_height(stage: &RenderStage, environment: &Environment) -> f64 {
-    let sun = DVec3::from(direction_in_eye(stage, environment.sun_direction));
-    sun.dot(direction_in_eye(stage, environment.up_in_world).into())
+pub(in crate::draw) fn sun_height(camera: &CullCamera, environment: &Environment) -> f64 {
+    let sun = DVec3::from(direction_in_eye(camera, environment.sun_direction));
+    sun.dot(direction_in_eye(camera, environment.up_in_world).into())
 }
 
 impl FrameUniform {
-    /// For one of the stage's projections, in the air as the outermost stage's eye sees it.
+    /// For a projection of a camera; in the air as this or another eye sees it.
     pub(in crate::draw) fn new(
-        stage: &RenderStage,
+        camera: &CullCamera,
         clip_from_eye: &DMat4,
         environment: &Environment,
         air: &Air,
     ) -> Self {
-        let camera = &stage.camera;
-        let (height_m, is_globe) = eye_height_m(stage, environment);
-        let sun = direction_in_eye(stage, environment.sun_direction);
-        let up = direction_in_eye(stage, environment.up_in_world);
-        let day = ((sun_height(stage, environment) + 0.1) / 0.35).clamp(0.0, 1.0);
+        let (height_m, is_globe) = eye_height_m(camera, environment);
+        let sun = direction_in_eye(camera, environment.sun_direction);
+        let up = direction_in_eye(camera, environment.up_in_world);
+        let day = ((sun_height(camera, environment) + 0.1) / 0.35).clamp(0.0, 1.0);
         let horizon = mix([0.05, 0.05, 0.09], [0.62, 0.72, 0.84], day);
         let fog = environment.fog;
         let density = if fog.enabled && fog.density_per_m.is_finite() { f64::from(fog.density_per_m) } else { 0.0 };

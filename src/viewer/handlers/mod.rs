@@ -10,6 +10,7 @@ mod screen_capture;
 mod state_set;
 mod stats;
 mod threading;
+mod tile_state;
 mod window_size;
 
 pub use help::HelpHandler;
@@ -20,6 +21,7 @@ pub use screen_capture::ScreenCaptureHandler;
 pub use state_set::StateSetManipulator;
 pub use stats::{StatsHandler, StatsPage};
 pub use threading::ThreadingHandler;
+pub use tile_state::TileState;
 pub use window_size::WindowSizeHandler;
 
 use std::path::Path;

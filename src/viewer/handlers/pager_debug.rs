@@ -3,7 +3,11 @@
 use super::GuiActionAdapter;
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
 
-const KEYS: Bindings<()> = Bindings(&[(&[Key::Char('g')], (), "tiles of the pager by level, by state, none")]);
+const KEYS: Bindings<()> = Bindings(&[(
+    &[Key::Char('g')],
+    (),
+    "tiles of the pager: colours by level, by state (waiting, read, decoded, uploaded, failed), none",
+)]);
 
 /// How tiles are coloured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -13,11 +17,11 @@ pub enum TileColors {
     None,
     /// By their level.
     Level,
-    /// By what the pager has of them.
+    /// By what there is of them, see [`TileState`](super::TileState).
     State,
 }
 
-/// Shows the bounds of the tiles that the last frame wanted, and counts what the pager has.
+/// Shows the bounds of tiles, those that are on their way with their level and state, and counts what there is.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PagerDebugHandler {
     /// How tiles are coloured.
@@ -59,33 +63,20 @@ impl GuiEventHandler for PagerDebugHandler {
 mod show {
     //! The tiles' boxes as lines, projected here: no part of the scene.
 
-    use egui::{Color32, RichText};
-    use glam::{DVec3, DVec4};
+    use egui::{Align2, Color32, FontId, Rect, RichText, Ui};
+    use glam::{DVec2, DVec3, DVec4};
 
     use super::{GuiActionAdapter, TileColors};
-    use crate::scene::{SlotState, TileInfo};
+    use crate::scene::TileInfo;
+    use crate::viewer::handlers::TileState;
     use crate::viewer::window_matrix::WindowMatrix;
 
-    /// Boxes that are shown at most; the rest is counted.
+    /// Boxes that are shown at most, of what is there and of what is on its way; the rest is counted.
     const MOST_BOXES: usize = 4000;
-
-    /// What the pager has of a tile.
-    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-    enum State {
-        Drawn,
-        Kept,
-        Wanted,
-        Failed,
-        Unknown,
-    }
-
-    const STATES: [(State, &str, Color32); 5] = [
-        (State::Drawn, "loaded, in use", Color32::from_rgb(90, 220, 110)),
-        (State::Kept, "loaded, not in use", Color32::from_rgb(90, 140, 230)),
-        (State::Wanted, "wanted, not there", Color32::from_rgb(250, 190, 60)),
-        (State::Failed, "failed", Color32::from_rgb(240, 70, 70)),
-        (State::Unknown, "not wanted", Color32::from_rgb(120, 120, 120)),
-    ];
+    /// Boxes are so much smaller than their tiles, that those of neighbours lie beside each other.
+    const INSET: f64 = 0.98;
+    /// Smaller boxes have no room for their label, points.
+    const LABELLED: f32 = 44.0;
 
     /// Levels go through these colours again and again.
     const LEVELS: [Color32; 8] = [
@@ -99,68 +90,121 @@ mod show {
         Color32::from_rgb(200, 100, 230),
     ];
 
+    fn color_of(state: TileState) -> Color32 {
+        let [r, g, b] = state.color();
+        Color32::from_rgb(r, g, b)
+    }
+
+    /// How many tiles there are.
+    #[derive(Default)]
+    struct Counts {
+        of_state: [usize; TileState::ALL.len()],
+        /// In use, by level.
+        of_level: Vec<usize>,
+    }
+
+    impl Counts {
+        fn add(&mut self, state: TileState, level: usize) {
+            let place = TileState::ALL.iter().position(|s| *s == state);
+            if let Some(count) = place.and_then(|place| self.of_state.get_mut(place)) {
+                *count += 1;
+            }
+            if state == TileState::InUse {
+                self.of_level.resize(self.of_level.len().max(level + 1), 0);
+                self.of_level[level] += 1;
+            }
+        }
+    }
+
     pub fn tiles(ui: &egui::Context, viewer: &GuiActionAdapter<'_>, colors: TileColors) {
         // Cull has stamped the frame before this one.
-        let last_frame = viewer.frame_stamp().frame.saturating_sub(1);
-        let state = |tile: &TileInfo| {
-            let is_used = tile.last_used_frame >= last_frame && last_frame > 0;
-            match tile.state {
-                Some(SlotState::Resident(_)) if is_used => State::Drawn,
-                Some(SlotState::Resident(_)) => State::Kept,
-                Some(SlotState::Failed) => State::Failed,
-                Some(SlotState::Empty) if is_used => State::Wanted,
-                _ => State::Unknown,
-            }
-        };
-        let painter = ui.layer_painter(egui::LayerId::background());
+        let culled = viewer.frame_stamp().frame.saturating_sub(1);
         let matrix = viewer.window_matrix();
         let scale = 1.0 / f64::from(ui.pixels_per_point());
-        let (mut of_state, mut of_level) = ([0usize; STATES.len()], Vec::<usize>::new());
-        let mut shown = 0;
-        for tile in viewer.scene().tiles().filter(|tile| tile.state.is_some()) {
-            let state = state(&tile);
-            let place = STATES.iter().position(|(s, ..)| *s == state).unwrap_or(0);
-            of_state[place] += 1;
-            let level = tile.depth as usize;
-            if state == State::Drawn {
-                of_level.resize(of_level.len().max(level + 1), 0);
-                of_level[level] += 1;
+        let point = |px: DVec2| egui::pos2((px.x * scale) as f32, (px.y * scale) as f32);
+        let part = Rect::from_min_max(point(matrix.origin_px), point(matrix.origin_px + matrix.size_px));
+        let painter = ui.layer_painter(egui::LayerId::background()).with_clip_rect(part);
+        let mut counts = Counts::default();
+        let mut is_cut = false;
+        // What is on its way lies over the rest.
+        for is_settled in [true, false] {
+            let mut shown = 0;
+            for tile in viewer.scene().tiles() {
+                let Some(state) = TileState::of(&tile, viewer.pager(), culled) else { continue };
+                if state.is_settled() != is_settled {
+                    continue;
+                }
+                let level = tile.depth as usize;
+                counts.add(state, level);
+                let is_hidden = match colors {
+                    TileColors::State => state == TileState::Unwanted,
+                    _ => matches!(state, TileState::Unwanted | TileState::Unused),
+                };
+                is_cut |= !is_hidden && shown >= MOST_BOXES;
+                if is_hidden || shown >= MOST_BOXES {
+                    continue;
+                }
+                let color = match colors {
+                    TileColors::State => color_of(state),
+                    _ => LEVELS[level % LEVELS.len()],
+                };
+                let Some(rect) = show_box(&painter, &matrix, &tile, color, scale) else { continue };
+                shown += 1;
+                let place = rect.intersect(painter.clip_rect());
+                if !is_settled && place.width().min(place.height()) >= LABELLED {
+                    let text = format!("{level} {}", state.name());
+                    painter.text(place.center(), Align2::CENTER_CENTER, text, FontId::monospace(9.0), color);
+                }
             }
-            if state == State::Unknown || state == State::Kept || shown >= MOST_BOXES {
-                continue;
-            }
-            let color = match colors {
-                TileColors::State => STATES[place].2,
-                _ => LEVELS[level % LEVELS.len()],
-            };
-            shown += usize::from(show_box(&painter, &matrix, &tile, color, scale));
         }
-        egui::Window::new("Tiles").anchor(egui::Align2::RIGHT_TOP, [-10.0, 10.0]).resizable(false).show(ui, |ui| {
-            for ((_, name, color), count) in STATES.iter().zip(of_state) {
-                let color = if colors == TileColors::State { *color } else { Color32::LIGHT_GRAY };
-                ui.label(RichText::new(format!("{count:6}  {name}")).monospace().color(color));
-            }
-            ui.separator();
-            for (level, count) in of_level.iter().enumerate() {
-                let color =
-                    if colors == TileColors::Level { LEVELS[level % LEVELS.len()] } else { Color32::LIGHT_GRAY };
-                ui.label(RichText::new(format!("{count:6}  level {level}")).monospace().color(color));
-            }
-            if shown >= MOST_BOXES {
-                ui.label(format!("the first {MOST_BOXES} boxes"));
-            }
+        let frame = egui::Frame::window(&ui.global_style()).inner_margin(6.0).fill(Color32::from_black_alpha(225));
+        egui::Area::new(egui::Id::unique("tiles")).anchor(Align2::RIGHT_TOP, [-6.0, 6.0]).show(ui, |ui| {
+            frame.show(ui, |ui| {
+                legend(ui, &counts, colors);
+                if is_cut {
+                    ui.label(format!("the first {MOST_BOXES} boxes"));
+                }
+            });
         });
     }
 
-    /// Draws the edges of a box; false when none shows.
-    fn show_box(painter: &egui::Painter, matrix: &WindowMatrix, tile: &TileInfo, color: Color32, scale: f64) -> bool {
-        let m = &tile.bounds.half_axes;
+    /// The meaning of the colours, with counts.
+    fn legend(ui: &mut Ui, counts: &Counts, colors: TileColors) {
+        ui.spacing_mut().item_spacing.y = 1.0;
+        let mut line = |name: &str, count: usize, color: Color32| {
+            ui.label(RichText::new(format!("{count:5} {name}")).font(FontId::monospace(9.0)).color(color));
+        };
+        match colors {
+            TileColors::State => {
+                for (state, count) in TileState::ALL.into_iter().zip(counts.of_state) {
+                    line(state.name(), count, color_of(state));
+                }
+            }
+            _ => {
+                for (level, count) in counts.of_level.iter().enumerate() {
+                    line(&format!("level {level}"), *count, LEVELS[level % LEVELS.len()]);
+                }
+                let missing = TileState::ALL.into_iter().zip(counts.of_state).filter(|(state, _)| !state.is_settled());
+                line("not there yet", missing.map(|(_, count)| count).sum(), Color32::LIGHT_GRAY);
+            }
+        }
+    }
+
+    /// Draws the edges of a box: the rectangle around them, `None` when none shows.
+    fn show_box(
+        painter: &egui::Painter,
+        matrix: &WindowMatrix,
+        tile: &TileInfo,
+        color: Color32,
+        scale: f64,
+    ) -> Option<Rect> {
+        let m = tile.bounds.half_axes * INSET;
         let clip = [0u32, 1, 2, 3, 4, 5, 6, 7].map(|corner| {
             let sign = |bit: u32| if corner >> bit & 1 == 1 { 1.0 } else { -1.0 };
-            let point = tile.bounds.center + *m * DVec3::new(sign(0), sign(1), sign(2));
+            let point = tile.bounds.center + m * DVec3::new(sign(0), sign(1), sign(2));
             matrix.clip_from_world * point.extend(1.0)
         });
-        let mut any = false;
+        let (mut any, mut around) = (false, Rect::NOTHING);
         for from in 0..8usize {
             for bit in [1usize, 2, 4] {
                 let to = from | bit;
@@ -170,17 +214,19 @@ mod show {
                 if let Some([a, b]) = in_front(clip[from], clip[to]) {
                     let at = |p: DVec4| {
                         let ndc = p.truncate() / p.w;
-                        let px = 0.5 * glam::DVec2::new(1.0 + ndc.x, 1.0 - ndc.y) * matrix.size_px * scale;
-                        let px = px.clamp(glam::DVec2::splat(-1e5), glam::DVec2::splat(1e5));
+                        let in_part = 0.5 * DVec2::new(1.0 + ndc.x, 1.0 - ndc.y) * matrix.size_px;
+                        let px = ((matrix.origin_px + in_part) * scale).clamp(DVec2::splat(-1e5), DVec2::splat(1e5));
                         egui::pos2(px.x as f32, px.y as f32)
                     };
                     let (a, b) = (at(a), at(b));
-                    any |= painter.clip_rect().intersects(egui::Rect::from_two_pos(a, b));
+                    let edge = Rect::from_two_pos(a, b);
+                    around |= edge;
+                    any |= painter.clip_rect().intersects(edge);
                     painter.line_segment([a, b], egui::Stroke::new(1.0, color));
                 }
             }
         }
-        any
+        any.then_some(around)
     }
 
     /// The part of an edge that is in front of the eye.

@@ -193,6 +193,8 @@ mod page {
                 ("wanted", wanted.to_string()),
                 ("waiting", pager.waiting.to_string()),
                 ("in flight", pager.in_flight.to_string()),
+                ("of them decoding", pager.decoding.to_string()),
+                ("uploading", pager.compiling.to_string()),
                 ("requested", pager.requested.to_string()),
                 ("merged", pager.merged.to_string()),
                 ("merged ahead", pager.merged_ahead.to_string()),

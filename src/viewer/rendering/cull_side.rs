@@ -92,7 +92,7 @@ impl CullTask {
         let start = Instant::now();
         let Self { scene, camera, lens, sight, environment, state_set, viewport_px, mut requests, .. } = self;
         visitor.state_set = state_set;
-        visitor.shadow_light = environment.shadow_light();
+        visitor.environment = Some(environment);
         let fits_itself = camera.settings.compute_near_far != ComputeNearFar::Off;
         match &sight {
             Sight::Middle => {

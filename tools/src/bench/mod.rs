@@ -36,17 +36,20 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         Bench::Threading { secs } => threading::run(*secs),
         Bench::Share { secs } => share::run(*secs),
         Bench::Resident { tiles, secs } => resident::run(*tiles, *secs),
-        Bench::Page { frames, pace, draw, tiles, content, world, speed, url, net } => page::run(page::Options {
-            frames: *frames,
-            pace_hz: *pace,
-            draw: *draw,
-            tiles: *tiles,
-            content: *content,
-            world: *world,
-            speed_m_s: speed.map(|speed| speed.0),
-            url: url.clone(),
-            net: net.clone(),
-        }),
+        Bench::Page { frames, pace, draw, tiles, content, world, speed, look_ahead, url, net } => {
+            page::run(page::Options {
+                frames: *frames,
+                pace_hz: *pace,
+                draw: *draw,
+                tiles: *tiles,
+                content: *content,
+                world: *world,
+                speed_m_s: speed.map(|speed| speed.0),
+                look_ahead_s: *look_ahead,
+                url: url.clone(),
+                net: net.clone(),
+            })
+        }
     }
 }
 

@@ -63,7 +63,8 @@ fn updates(uri: &Arc<str>, tiles: usize, max_tiles: usize, secs: f64) -> Result<
         stage.requests.len()
     };
     for some in slots.chunks(ASKED_AT_ONCE) {
-        let requests: Vec<_> = some.iter().map(|&slot| PageRequest { slot, priority: 1.0, error_px: 1.0 }).collect();
+        let requests: Vec<_> =
+            some.iter().map(|&slot| PageRequest { slot, priority: 1.0, error_px: 1.0, ahead_frames: 0 }).collect();
         let until = pager.stats().merged + some.len() as u64;
         while pager.stats().merged < until {
             frame += 1;

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use terrane::io::{Limits, ReadOptions};
-use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
+use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats, PathLooks, frames_until};
 use terrane::scene::{Node, Page, Scene};
 
 use super::{Uploads, percentile, say};
@@ -39,6 +39,8 @@ pub struct Options {
     pub world: u32,
     /// A straight flight at so many metres a second instead of the peer's path.
     pub speed_m_s: Option<f64>,
+    /// Seconds of the flight for which to load ahead.
+    pub look_ahead_s: f64,
     /// Where the folder of the tiles is served; `None` reads the files.
     pub url: Option<String>,
     /// How that server is talked to.
@@ -97,6 +99,9 @@ struct Bench {
     renderer: Option<terrane::draw::Renderer>,
     visitor: CullVisitor,
     stage: RenderStage,
+    looks: PathLooks,
+    /// Culls what will be seen, and is asked of the pager.
+    ahead: RenderStage,
     frame: u32,
     rss_start_mb: f64,
 }
@@ -136,6 +141,7 @@ impl Times {
 pub fn run(options: Options) -> Result<()> {
     ensure!(options.pace_hz.is_finite() && options.pace_hz >= 0.0, "--pace must be zero or above");
     ensure!(options.frames >= 2, "--frames must be at least 2");
+    ensure!(options.look_ahead_s.is_finite() && options.look_ahead_s >= 0.0, "--look-ahead must be zero or above");
     ensure!(options.world >= 1, "--world must be at least 1");
     let folder = tiles::tiles()?;
     let mut scene = Scene::new();
@@ -167,6 +173,8 @@ pub fn run(options: Options) -> Result<()> {
         renderer,
         visitor: CullVisitor::new(),
         stage: RenderStage::new(),
+        looks: PathLooks::default(),
+        ahead: RenderStage::new(),
         frame: 0,
         rss_start_mb: status_mb("VmRSS"),
     };
@@ -196,11 +204,7 @@ impl Bench {
                 _ => 0,
             };
             i += 1;
-            let pose = match self.options.speed_m_s {
-                Some(speed) => on_line(speed * f64::from(frame) * self.frame_s()),
-                None => on_path(f64::from(frame) / f64::from(last)),
-            };
-            self.one_frame(pose, &mut times)?;
+            self.one_frame(f64::from(frame), fly, &mut times)?;
             times.gap(self.stage.counters.wanted_missing > 0, self.pager.stats().bytes_read);
             let stats = self.pager.stats();
             tiles_peak = tiles_peak.max(stats.resident);
@@ -242,13 +246,37 @@ impl Bench {
         1.0 / if self.options.pace_hz > 0.0 { self.options.pace_hz } else { 60.0 }
     }
 
+    /// Where the eye is in a frame of the flight, or between two.
+    fn pose(&self, frame: f64) -> (DVec3, DVec3) {
+        match self.options.speed_m_s {
+            Some(speed) => on_line(speed * frame * self.frame_s()),
+            None => on_path((frame / f64::from(self.options.frames - 1)).min(1.0)),
+        }
+    }
+
+    /// Asks for what the flight will want, as a viewer does on an announced path.
+    fn look_ahead(&mut self, frame: f64) {
+        let frame_s = self.frame_s();
+        self.looks.start_frame(frame * frame_s);
+        while let Some(at_s) = self.looks.next(self.options.look_ahead_s, frame_s) {
+            let frames = frames_until(at_s - frame * frame_s, frame_s);
+            let camera = CullCamera { ahead_frames: frames, ..camera(self.pose(at_s / frame_s), self.frame) };
+            self.visitor.traverse(&self.scene, &camera, &mut self.ahead);
+            self.looks.found(&self.ahead.requests);
+        }
+        self.stage.requests.extend(self.looks.requests(frame_s));
+    }
+
     /// Update, cull, upload and, if asked for, draw.
-    fn one_frame(&mut self, pose: (DVec3, DVec3), times: &mut Times) -> Result<()> {
+    fn one_frame(&mut self, frame: f64, is_flying: bool, times: &mut Times) -> Result<()> {
         self.frame += 1;
         let t0 = Instant::now();
+        if is_flying {
+            self.look_ahead(frame);
+        }
         self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, &mut [&mut self.context]);
         let t1 = Instant::now();
-        self.visitor.cull(&self.scene, &camera(pose, self.frame), &mut self.stage);
+        self.visitor.cull(&self.scene, &camera(self.pose(frame), self.frame), &mut self.stage);
         self.pager.request(&self.scene, &self.stage.requests);
         let t2 = Instant::now();
         self.context.0.run_compiles(&CompileBudget::default());

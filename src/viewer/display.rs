@@ -1,0 +1,107 @@
+//! The display that windows open on: whether there is one, the event loop on it, and what is wrong with it in one line.
+//! Main thread.
+
+use winit::error::{EventLoopError, OsError};
+use winit::event_loop::EventLoop;
+
+use super::ViewerError;
+
+/// Systems where variables of the environment name the display.
+const BY_VARIABLES: bool =
+    cfg!(any(target_os = "linux", target_os = "freebsd", target_os = "openbsd", target_os = "netbsd"));
+
+/// Variables that name a display, in the order asked.
+const VARIABLES: [&str; 3] = ["WAYLAND_DISPLAY", "WAYLAND_SOCKET", "DISPLAY"];
+
+/// True when there is a display that a window could open on.
+pub fn has_display() -> bool {
+    !BY_VARIABLES || named_display(false, said).is_some()
+}
+
+fn said(variable: &str) -> Option<String> {
+    std::env::var_os(variable).map(|value| value.to_string_lossy().into_owned()).filter(|value| !value.is_empty())
+}
+
+/// The variable that names the display, and its value; X11's alone where `is_x11`.
+fn named_display(is_x11: bool, said: impl Fn(&str) -> Option<String>) -> Option<(&'static str, String)> {
+    let variables = if is_x11 { &VARIABLES[2..] } else { &VARIABLES[..] };
+    variables.iter().find_map(|name| said(name).map(|value| (*name, value)))
+}
+
+/// The event loop; on X11 alone where the window opens in one of X11's.
+pub(super) fn event_loop(is_x11: bool) -> Result<EventLoop<()>, ViewerError> {
+    // winit panics where a library that it loads at run time is missing.
+    let event_loop = std::panic::catch_unwind(|| new_event_loop(is_x11)).map_err(|_| {
+        let reason = "a window library is missing (Debian: libxkbcommon-x11-0)";
+        unreachable_display(is_x11, reason)
+    })?;
+    event_loop.map_err(|error| match error {
+        EventLoopError::Os(error) => unreachable_display(is_x11, &reason_of(&error)),
+        error => unreachable_display(is_x11, &error.to_string()),
+    })
+}
+
+fn new_event_loop(is_x11: bool) -> Result<EventLoop<()>, EventLoopError> {
+    let mut builder = EventLoop::builder();
+    #[cfg(target_os = "linux")]
+    if is_x11 {
+        use winit::platform::x11::EventLoopBuilderExtX11 as _;
+        builder.with_x11();
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = is_x11;
+    builder.build()
+}
+
+fn unreachable_display(is_x11: bool, reason: &str) -> ViewerError {
+    let display = match named_display(is_x11, said) {
+        Some((name, value)) => format!("the display of {name}=`{value}`"),
+        None if !BY_VARIABLES => "the display".to_owned(),
+        None if is_x11 => "an X11 display, which DISPLAY does not name,".to_owned(),
+        None => "a display, which neither WAYLAND_DISPLAY nor DISPLAY names,".to_owned(),
+    };
+    ViewerError::Display { display, reason: reason.to_owned() }
+}
+
+/// What the system says, without the place in winit's source that winit puts before it.
+pub(super) fn reason_of(error: &OsError) -> String {
+    without_place(&error.to_string()).to_owned()
+}
+
+fn without_place(text: &str) -> &str {
+    // `path:line: reason`
+    let split = text.strip_prefix("os error at ").and_then(|place| place.split_once(".rs:"));
+    match split.and_then(|(_, rest)| rest.split_once(": ")) {
+        Some((line, reason)) if !line.is_empty() && line.bytes().all(|b| b.is_ascii_digit()) => reason,
+        _ => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_display_is_that_which_winit_asks_for() {
+        let of = |set: &'static [(&str, &str)]| {
+            move |name: &str| set.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned())
+        };
+        let both = of(&[("DISPLAY", ":7"), ("WAYLAND_DISPLAY", "wayland-1")]);
+        assert_eq!(named_display(false, both), Some(("WAYLAND_DISPLAY", "wayland-1".to_owned())));
+        let both = of(&[("DISPLAY", ":7"), ("WAYLAND_SOCKET", "5")]);
+        assert_eq!(named_display(false, both), Some(("WAYLAND_SOCKET", "5".to_owned())));
+        assert_eq!(named_display(true, both), Some(("DISPLAY", ":7".to_owned())));
+        assert_eq!(named_display(false, of(&[])), None);
+        assert_eq!(named_display(true, of(&[("WAYLAND_DISPLAY", "wayland-1")])), None);
+    }
+
+    #[test]
+    fn the_place_in_a_source_is_left_out_and_nothing_else() {
+        let with_place = "os error at /root/.cargo/registry/src/index-1/winit-0.30.13/src/x11.rs:765: no: connection";
+        assert_eq!(without_place(with_place), "no: connection");
+        assert_eq!(without_place(r"os error at C:\a b\mod.rs:7: gone"), "gone");
+        for other in ["Failed to open", "os error at the end", "os error at a.rs:x: y", "os error at a.rs:12"] {
+            assert_eq!(without_place(other), other);
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! [`ViewsSetup`]: several views in windows, as a file names them, and how a [`CompositeViewer`] is made of them. Main
+//! thread, before the first frame.
+
+use super::ViewerError;
+use super::arrangement::{CameraSetup, WindowSetup};
+use super::composite::{CompositeViewer, SceneId, ViewId};
+use super::home::{LoadedRoot, ViewFrom};
+use super::view::{ContextId, Slave};
+use super::viewer::ViewerConfig;
+use crate::draw::Sky;
+use crate::gpu::{ContextTraits, GraphicsContext};
+use crate::pager::PagerConfig;
+
+/// A set that views show.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SceneSetup {
+    /// By which views name it.
+    pub name: String,
+    /// Folder, file or URL of its root.
+    pub source: String,
+}
+
+/// A camera of a view.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ViewCamera {
+    /// Place of its window in [`ViewsSetup::windows`].
+    pub window: usize,
+    /// Which part of it, and what it sees.
+    pub camera: CameraSetup,
+}
+
+/// A view.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ViewSetup {
+    /// Place of its scene in [`ViewsSetup::scenes`]; `None`: the application's, which all views without one share.
+    pub scene: Option<usize>,
+    /// Where it looks from at first; `None`: as a set is seen at first.
+    pub from: Option<ViewFrom>,
+    /// sRGB instead of sky and haze.
+    pub background: Option<[u8; 3]>,
+    /// The master, which has no offsets, and its slaves. Never none.
+    pub cameras: Vec<ViewCamera>,
+}
+
+/// Several views, their scenes and windows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ViewsSetup {
+    /// Their own cameras do not count: those of the views are drawn in them. Never none.
+    pub windows: Vec<WindowSetup>,
+    /// What views may show. Each has a pager and budgets of its own, also where two have one source.
+    pub scenes: Vec<SceneSetup>,
+    /// In the order drawn. Never none.
+    pub views: Vec<ViewSetup>,
+}
+
+impl ViewsSetup {
+    /// True when a view shows a scene of the application's.
+    pub fn needs_root(&self) -> bool {
+        self.views.iter().any(|view| view.scene.is_none())
+    }
+
+    /// Reads the roots of the scenes; blocks until they are there. Any thread.
+    pub fn read_roots(&self, config: &PagerConfig) -> Result<Vec<LoadedRoot>, ViewerError> {
+        self.scenes.iter().map(|scene| LoadedRoot::read(&scene.source, config)).collect()
+    }
+
+    /// What the context of a window shall be.
+    pub(super) fn traits(&self, config: &ViewerConfig, window: &WindowSetup, size_px: [u32; 2]) -> ContextTraits {
+        ContextTraits {
+            size_px,
+            samples: window.samples.unwrap_or(config.samples),
+            vsync: window.vsync.unwrap_or(config.vsync),
+            ..config.traits()
+        }
+    }
+}
+
+/// A [`CompositeViewer`] as a [`ViewsSetup`] has it.
+pub struct ArrangedViews {
+    /// The viewer.
+    pub viewer: CompositeViewer,
+    /// By place of the window.
+    pub contexts: Vec<ContextId>,
+    /// By place of the view.
+    pub views: Vec<ViewId>,
+    /// That of the views without one; `None` where all have one.
+    pub own_scene: Option<SceneId>,
+}
+
+impl ArrangedViews {
+    /// With an offscreen context for each window. `roots` are the scenes' as [`ViewsSetup::read_roots`] gives them,
+    /// `own` is the root of the application's scene where it has one already.
+    pub fn new_offscreen(
+        setup: &ViewsSetup,
+        config: &ViewerConfig,
+        roots: Vec<LoadedRoot>,
+        own: Option<LoadedRoot>,
+    ) -> Result<Self, ViewerError> {
+        Self::new(setup, config, roots, own, |viewer, place, window| {
+            let traits = setup.traits(config, window, window.size_px.unwrap_or(config.size_px));
+            let first = viewer.contexts().next().filter(|_| window.shares_device && place > 0);
+            match first {
+                Some(first) => viewer.open_offscreen_on(first, &traits),
+                None => viewer.open_context(GraphicsContext::new_offscreen(&traits)?),
+            }
+        })
+    }
+
+    /// `open` makes the context of each window.
+    pub(super) fn new(
+        setup: &ViewsSetup,
+        config: &ViewerConfig,
+        roots: Vec<LoadedRoot>,
+        own: Option<LoadedRoot>,
+        mut open: impl FnMut(&mut CompositeViewer, usize, &WindowSetup) -> Result<ContextId, ViewerError>,
+    ) -> Result<Self, ViewerError> {
+        let max_contexts = config.max_contexts.max(setup.windows.len());
+        let mut viewer = CompositeViewer::new(&ViewerConfig { max_contexts, ..config.clone() })?;
+        let mut contexts = Vec::with_capacity(setup.windows.len());
+        for (place, window) in setup.windows.iter().enumerate() {
+            contexts.push(open(&mut viewer, place, window)?);
+        }
+        let mut scenes = Vec::with_capacity(roots.len());
+        for root in roots {
+            let scene = viewer.add_scene()?;
+            viewer.set_root(scene, root)?;
+            scenes.push(scene);
+        }
+        let own_scene = if setup.needs_root() { Some(viewer.add_scene()?) } else { None };
+        if let (Some(scene), Some(root)) = (own_scene, own) {
+            viewer.set_root(scene, root)?;
+        }
+        let mut views = Vec::with_capacity(setup.views.len());
+        for view in &setup.views {
+            views.push(add_view(&mut viewer, view, &contexts, &scenes, own_scene)?);
+        }
+        Ok(Self { viewer, contexts, views, own_scene })
+    }
+}
+
+fn add_view(
+    viewer: &mut CompositeViewer,
+    setup: &ViewSetup,
+    contexts: &[ContextId],
+    scenes: &[SceneId],
+    own: Option<SceneId>,
+) -> Result<ViewId, ViewerError> {
+    let missing = |what: &str| ViewerError::Setting(format!("a view has no such {what}"));
+    let scene = setup.scene.map_or(own, |place| scenes.get(place).copied()).ok_or_else(|| missing("scene"))?;
+    let context = |camera: &ViewCamera| contexts.get(camera.window).copied().ok_or_else(|| missing("window"));
+    let (master, slaves) = setup.cameras.split_first().ok_or_else(|| missing("camera"))?;
+    let id = viewer.add_view(scene, context(master)?, master.camera.viewport_px)?;
+    let bounds = viewer.bounds(scene)?.copied();
+    let view = viewer.view_mut(id)?;
+    view.set_eyes(master.camera.eyes);
+    if let (Some(bounds), Some(from)) = (bounds, &setup.from) {
+        view.camera.world_from_eye = bounds.first_camera(from);
+    }
+    if let Some(color) = setup.background {
+        view.environment.sky = Sky::Background(color);
+        view.environment.fog.enabled = false;
+    }
+    for slave in slaves {
+        let CameraSetup { viewport_px, projection_offset, view_offset, eyes } = slave.camera;
+        let slave = Slave { viewport_px, projection_offset, view_offset, eyes, ..Slave::new(context(slave)?) };
+        viewer.add_slave(id, slave)?;
+    }
+    Ok(id)
+}

@@ -1,0 +1,368 @@
+//! [`run_views`]: several views in windows. winit's event loop feeds the event queue of the view that an event is for,
+//! and calls the frames of them all. Runs on the main thread.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::DVec2;
+use winit::application::ApplicationHandler;
+use winit::event::{ElementState, TouchPhase, WindowEvent};
+use winit::event_loop::{ActiveEventLoop, ControlFlow};
+use winit::window::{Fullscreen, Window, WindowId};
+
+use super::ViewerError;
+use super::composite::{CompositeViewer, ViewId};
+use super::display;
+use super::handlers::{self, StatsPage};
+use super::home::LoadedRoot;
+use super::input::WindowCommand;
+use super::manipulators::{self, SceneGround};
+use super::view::ContextId;
+use super::viewer::ViewerConfig;
+use super::views_setup::{ArrangedViews, ViewsSetup};
+use super::{window_events, window_open};
+use crate::gpu::GraphicsContext;
+
+/// Called once, when windows and views are there.
+pub type OnViewsOpen = Box<dyn FnOnce(&mut ArrangedViews) -> Result<(), ViewerError>>;
+/// Called before and after each frame; false closes the windows.
+pub type EachFrame = Box<dyn FnMut(&mut CompositeViewer) -> Result<bool, ViewerError>>;
+
+/// What the windows of several views show and when they close.
+pub struct ViewsOptions {
+    /// Title of the windows that have none of their own.
+    pub title: String,
+    /// Show the stats from the start.
+    pub overlay: bool,
+    /// Where pictures and recorded paths go.
+    pub output_dir: PathBuf,
+    /// The root of the scene of views that name none; without one, [`Self::on_open`] fills it.
+    pub root: Option<LoadedRoot>,
+    /// Called once the views exist.
+    pub on_open: OnViewsOpen,
+    /// The user moves the cameras, by what [`Self::on_open`] has set or the [usual](manipulators::usual) manipulators.
+    pub manipulated: bool,
+    /// Frames a second at most; the time that is left goes to what the pagers have.
+    pub max_frame_rate: Option<f64>,
+    /// Called before each frame; returning false closes the windows.
+    pub before_frame: EachFrame,
+    /// Called after each frame; returning false closes the windows.
+    pub after_frame: EachFrame,
+}
+
+impl Default for ViewsOptions {
+    fn default() -> Self {
+        Self {
+            title: "Terrane".to_owned(),
+            overlay: false,
+            output_dir: PathBuf::from("."),
+            root: None,
+            on_open: Box::new(|_| Ok(())),
+            manipulated: true,
+            max_frame_rate: None,
+            before_frame: Box::new(|_| Ok(true)),
+            after_frame: Box::new(|_| Ok(true)),
+        }
+    }
+}
+
+/// Opens the windows of several views and runs them until the first is closed or a view wants an end; another that is
+/// closed takes its cameras along. Returns the viewer. Main thread only.
+///
+/// Events of the pointer go to the view under it, also when a button is held and it leaves; so do keys. What handlers show
+/// over the picture lies over the first window, of one view at a time: the one last clicked or typed into, before others.
+pub fn run_views(
+    config: ViewerConfig,
+    setup: ViewsSetup,
+    options: ViewsOptions,
+) -> Result<Option<CompositeViewer>, ViewerError> {
+    // Before a window opens.
+    let roots = setup.read_roots(&config.pager)?;
+    let event_loop = display::event_loop(false)?;
+    event_loop.set_control_flow(ControlFlow::Poll);
+    let mut app = App { config, setup, options, roots, open: None, closed: None, error: None };
+    event_loop.run_app(&mut app).map_err(|e| ViewerError::Window(e.to_string()))?;
+    match app.error {
+        Some(error) => Err(error),
+        None => Ok(app.closed),
+    }
+}
+
+struct App {
+    config: ViewerConfig,
+    setup: ViewsSetup,
+    options: ViewsOptions,
+    roots: Vec<LoadedRoot>,
+    open: Option<Open>,
+    closed: Option<CompositeViewer>,
+    error: Option<ViewerError>,
+}
+
+/// A window, and where the user is in it.
+struct OpenWindow {
+    window: Arc<Window>,
+    context: ContextId,
+    pointer_px: DVec2,
+    /// The view that has the pointer while buttons are down, and how many are.
+    grabbed: Option<(ViewId, u32)>,
+    /// Fingers that are down, and their views.
+    fingers: Vec<(u64, ViewId)>,
+}
+
+/// Everything that exists while the windows do. The viewer is dropped before them.
+struct Open {
+    viewer: CompositeViewer,
+    egui: egui_winit::State,
+    last_frame: Instant,
+    /// The first runs the frames.
+    windows: Vec<OpenWindow>,
+}
+
+impl App {
+    fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<Open, ViewerError> {
+        let (setup, title, size_px) = (&self.setup, &self.options.title, self.config.size_px);
+        let (roots, own) = (std::mem::take(&mut self.roots), self.options.root.take());
+        let config = self.config.clone();
+        let mut windows: Vec<OpenWindow> = Vec::new();
+        let mut arranged = ArrangedViews::new(setup, &config, roots, own, |viewer, place, of| {
+            let window = window_open::create(event_loop, of, place, title, size_px)?;
+            let traits = setup.traits(&config, of, window_open::size_of(&window));
+            let context = match windows.first().filter(|_| of.shares_device) {
+                Some(first) => viewer.open_window_on(first.context, Arc::clone(&window), &traits)?,
+                None => viewer.open_context(GraphicsContext::new_window(Arc::clone(&window), &traits)?)?,
+            };
+            let pointer_px = DVec2::ZERO;
+            windows.push(OpenWindow { window, context, pointer_px, grabbed: None, fingers: Vec::new() });
+            Ok(context)
+        })?;
+        let on_open = std::mem::replace(&mut self.options.on_open, Box::new(|_| Ok(())));
+        on_open(&mut arranged)?;
+        let ArrangedViews { mut viewer, views, .. } = arranged;
+        let mut stats = if self.options.overlay { StatsPage::Pager } else { StatsPage::None };
+        for (place, id) in views.into_iter().enumerate() {
+            let folder = if place == 0 {
+                self.options.output_dir.clone()
+            } else {
+                self.options.output_dir.join(format!("view{}", place + 1))
+            };
+            let mut view = viewer.actions(id)?;
+            handlers::add_usual(&mut view, &folder, std::mem::take(&mut stats));
+            if config.pager.build_kd_trees && !view.has_ground() {
+                view.set_ground(Some(Box::new(SceneGround::default())));
+            }
+            if self.options.manipulated && view.manipulator().is_none() {
+                view.set_manipulator(Some(Box::new(manipulators::usual(None))));
+            }
+        }
+        let Some(window) = windows.first().map(|first| Arc::clone(&first.window)) else {
+            return Err(ViewerError::Window("an arrangement without windows".to_owned()));
+        };
+        let egui = egui_winit::State::new(
+            viewer.overlay_context().clone(),
+            egui::ViewportId::ROOT,
+            &window,
+            Some(window.scale_factor() as f32),
+            None,
+            None,
+        );
+        Ok(Open { viewer, egui, last_frame: Instant::now(), windows })
+    }
+
+    fn handle(
+        &mut self,
+        event_loop: &ActiveEventLoop,
+        window: WindowId,
+        event: &WindowEvent,
+    ) -> Result<(), ViewerError> {
+        let Some(open) = &mut self.open else { return Ok(()) };
+        let Some(place) = open.windows.iter().position(|of| of.window.id() == window) else {
+            return Ok(()); // the last events of one that was closed
+        };
+        match event {
+            WindowEvent::RedrawRequested if place == 0 => {
+                if open.frame(&mut self.options)? {
+                    if let Some(rate) = self.options.max_frame_rate.filter(|rate| *rate > 0.0) {
+                        // A rate of less than one a second would keep events waiting.
+                        let due = open.last_frame + Duration::from_secs_f64(1.0 / rate.max(1.0));
+                        open.viewer.work_until(due);
+                    }
+                    open.windows[0].window.request_redraw();
+                } else {
+                    event_loop.exit();
+                }
+                Ok(())
+            }
+            WindowEvent::Destroyed if place == 0 => {
+                event_loop.exit();
+                Ok(())
+            }
+            WindowEvent::Resized(size) => {
+                open.viewer.resize_context(open.windows[place].context, [size.width, size.height])
+            }
+            WindowEvent::CloseRequested if place > 0 => open.close(place),
+            event => open.feed(place, event),
+        }
+    }
+}
+
+impl ApplicationHandler for App {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.open.is_some() || self.error.is_some() {
+            return;
+        }
+        match self.open(event_loop) {
+            Ok(open) => {
+                open.windows.iter().for_each(|of| of.window.request_redraw());
+                self.open = Some(open);
+            }
+            Err(error) => {
+                self.error = Some(error);
+                event_loop.exit();
+            }
+        }
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, window: WindowId, event: WindowEvent) {
+        if let Err(error) = self.handle(event_loop, window, &event) {
+            self.error.get_or_insert(error);
+            event_loop.exit();
+        }
+    }
+
+    fn exiting(&mut self, _: &ActiveEventLoop) {
+        if let Some(mut open) = self.open.take() {
+            let ended = open.viewer.finish().and_then(|()| (self.options.after_frame)(&mut open.viewer));
+            if let Err(error) = ended {
+                self.error.get_or_insert(error);
+            }
+            self.closed = Some(open.viewer);
+        }
+    }
+}
+
+impl Open {
+    /// Closes a window that is not the first, with the views whose master cameras are in it.
+    fn close(&mut self, place: usize) -> Result<(), ViewerError> {
+        let OpenWindow { context, .. } = self.windows.remove(place);
+        let gone: Vec<ViewId> =
+            self.viewer.views().filter(|(_, v)| v.context() == Some(context)).map(|(id, _)| id).collect();
+        self.viewer.close_context(context)?;
+        for view in gone {
+            self.viewer.remove_view(view)?;
+        }
+        // No event is for one that is gone.
+        let is_there = |view: &ViewId, viewer: &CompositeViewer| viewer.views().any(|(id, _)| id == *view);
+        for window in &mut self.windows {
+            window.grabbed = window.grabbed.filter(|(view, _)| is_there(view, &self.viewer));
+            window.fingers.retain(|(_, view)| is_there(view, &self.viewer));
+        }
+        Ok(())
+    }
+
+    /// Gives an event to the view that it is for.
+    fn feed(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
+        // What the overlay's windows take does not reach a view; what comes up does, since it may have gone down there.
+        let is_press = match event {
+            WindowEvent::MouseInput { state, .. } => state.is_pressed(),
+            WindowEvent::MouseWheel { .. } => true,
+            WindowEvent::Touch(touch) => touch.phase == TouchPhase::Started,
+            _ => false,
+        };
+        let Open { viewer, egui, windows, .. } = self;
+        let window = &mut windows[place];
+        let is_overlaid = place == 0 && viewer.overlay_view().is_some();
+        if is_overlaid && egui.on_window_event(&window.window, event).consumed && is_press {
+            return Ok(());
+        }
+        let here = || viewer.views().filter(|(_, view)| view.context() == Some(window.context));
+        let at = |position_px: DVec2| viewer.view_at(window.context, position_px).map(|(view, _)| view);
+        let for_view = match event {
+            WindowEvent::CloseRequested | WindowEvent::Focused(_) | WindowEvent::ModifiersChanged(_) => {
+                let ids: Vec<ViewId> = here().map(|(id, _)| id).collect();
+                for id in ids {
+                    window_events::feed(viewer.view_mut(id)?.event_queue(), event, DVec2::ZERO);
+                }
+                return Ok(());
+            }
+            WindowEvent::CursorMoved { position, .. } => {
+                window.pointer_px = DVec2::new(position.x, position.y);
+                window.grabbed.map(|(view, _)| view).or_else(|| at(window.pointer_px))
+            }
+            WindowEvent::MouseInput { state, .. } => {
+                let view = window.grabbed.map(|(view, _)| view).or_else(|| at(window.pointer_px));
+                let down = window.grabbed.map_or(0, |(_, down)| down);
+                let down = if *state == ElementState::Pressed { down + 1 } else { down.saturating_sub(1) };
+                window.grabbed = view.filter(|_| down > 0).map(|view| (view, down));
+                view
+            }
+            WindowEvent::Touch(touch) => {
+                let position_px = DVec2::new(touch.location.x, touch.location.y);
+                let known = window.fingers.iter().find(|(id, _)| *id == touch.id).map(|(_, view)| *view);
+                let view = known.or_else(|| at(position_px));
+                window.fingers.retain(|(id, _)| *id != touch.id);
+                if matches!(touch.phase, TouchPhase::Started | TouchPhase::Moved) {
+                    window.fingers.extend(view.map(|view| (touch.id, view)));
+                }
+                view
+            }
+            // Where the pointer is in none, a window still has a view for its keys.
+            _ => at(window.pointer_px).or_else(|| here().next().map(|(id, _)| id)),
+        };
+        let Some(id) = for_view else { return Ok(()) };
+        let is_key = matches!(event, WindowEvent::KeyboardInput { .. });
+        let view = viewer.view_mut(id)?;
+        let origin_px = view.window_matrix().origin_px;
+        window_events::feed(view.event_queue(), event, origin_px);
+        if is_press || is_key {
+            viewer.set_focus(id)?;
+        }
+        Ok(())
+    }
+
+    /// One frame; false when it was the last.
+    fn frame(&mut self, options: &mut ViewsOptions) -> Result<bool, ViewerError> {
+        self.last_frame = Instant::now();
+        if !(options.before_frame)(&mut self.viewer)? {
+            return Ok(false);
+        }
+        if let (Some(view), Some(first)) = (self.viewer.overlay_view(), self.windows.first()) {
+            let input = self.egui.take_egui_input(&first.window);
+            self.viewer.view_mut(view)?.set_overlay_input(input, first.window.scale_factor() as f32);
+        }
+        self.viewer.frame()?;
+        if !(options.after_frame)(&mut self.viewer)? {
+            return Ok(false);
+        }
+        let ids: Vec<ViewId> = self.viewer.views().map(|(id, _)| id).collect();
+        for id in ids {
+            let view = self.viewer.view_mut(id)?;
+            let (commands, context) = (view.take_window_commands(), view.context());
+            for command in commands {
+                if let Some(place) = self.windows.iter().position(|of| Some(of.context) == context) {
+                    self.obey(place, command)?;
+                }
+            }
+        }
+        Ok(!self.viewer.is_done())
+    }
+
+    fn obey(&mut self, place: usize, command: WindowCommand) -> Result<(), ViewerError> {
+        let OpenWindow { window, context, .. } = &self.windows[place];
+        match command {
+            WindowCommand::ToggleFullScreen => {
+                let full = window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
+                window.set_fullscreen(full);
+            }
+            WindowCommand::Resize([width, height]) => {
+                window.set_fullscreen(None);
+                // Where the size changes at once there is no event for it.
+                let size = winit::dpi::PhysicalSize::new(width.max(1), height.max(1));
+                if let Some(now) = window.request_inner_size(size) {
+                    self.viewer.resize_context(*context, [now.width, now.height])?;
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,195 @@
+//! Shadows of the sun in cameras of the graph: where they ask, cast by what is below them, in cascades of their own.
+//! Needs a GPU (a software one will do).
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod gpu_support;
+mod shadow_support;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DAffine3, DMat3, DVec3};
+use gpu_support::{Rig, camera, rig};
+use image::RgbaImage;
+use shadow_support::{check, cuboid, ground, sunny, tower};
+use terrane::cull::{CullCamera, RenderStage, SunShadows};
+use terrane::draw::{DrawStats, Environment};
+use terrane::scene::{
+    CameraEnvironment, CameraNode, CameraShadows, CameraTarget, Node, PictureSink, ReferenceFrame, RenderOrder,
+};
+use terrane::state::{TextureFormat, TextureObject};
+
+const SIZE: [u32; 2] = [256, 192];
+
+/// `TERRANE_PICTURES=DIR` keeps the pictures to look at.
+fn keep(name: &str, picture: &RgbaImage) {
+    if let Some(folder) = std::env::var_os("TERRANE_PICTURES") {
+        picture.save(Path::new(&folder).join(format!("{name}.png"))).unwrap();
+    }
+}
+
+fn to_sun() -> DVec3 {
+    DVec3::new(1.0, 0.5, 1.0)
+}
+
+fn things() -> Node {
+    Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)])
+}
+
+fn near() -> CullCamera {
+    camera(SIZE, DVec3::new(-40.0, -50.0, 45.0), DVec3::new(0.0, 0.0, 2.0), DVec3::Z)
+}
+
+/// The main picture's camera.
+fn elsewhere() -> CullCamera {
+    camera([64, 64], DVec3::new(150.0, 20.0, 300.0), DVec3::new(140.0, 100.0, 0.0), DVec3::Z)
+}
+
+fn like(camera: &CullCamera, environment: CameraEnvironment, shadows: CameraShadows) -> CameraNode {
+    let texture = TextureObject::target("picture", camera.viewport_px, TextureFormat::Rgba8Srgb);
+    CameraNode { environment, shadows, ..CameraNode::to_texture(texture, camera.eye_from_world, camera.clip_from_eye) }
+}
+
+/// What a camera to a texture draws; the main one draws nothing.
+fn drawn(rig: &mut Rig, mut node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
+    let sink = Arc::new(PictureSink::default());
+    let before = node.target.as_deref().unwrap().clone();
+    node.target = Some(Arc::new(CameraTarget { read_back: Some(sink.clone()), ..before }));
+    let scene = rig.scene(Node::camera(node, children));
+    for frame in 1..200 {
+        let stats = rig.draw(&scene, &CullCamera { frame, ..elsewhere() }, main);
+        if let Some(picture) = sink.take() {
+            rig.release(scene);
+            let [width, height] = picture.size_px;
+            return (RgbaImage::from_raw(width, height, picture.rgba).unwrap(), stats);
+        }
+    }
+    panic!("no picture came");
+}
+
+fn picture(rig: &mut Rig, camera: &CullCamera, environment: &Environment) -> RgbaImage {
+    let scene = rig.scene(things());
+    let picture = rig.picture(&scene, camera, environment);
+    rig.release(scene);
+    picture
+}
+
+fn differ(a: &RgbaImage, b: &RgbaImage, by: u8) -> usize {
+    assert_eq!(a.dimensions(), b.dimensions());
+    a.pixels().zip(b.pixels()).filter(|(a, b)| (0..3).any(|i| a.0[i].abs_diff(b.0[i]) > by)).count()
+}
+
+fn no_errors(rig: &mut Rig) {
+    let errors = rig.renderer.take_errors();
+    assert!(errors.is_empty(), "{errors:?}");
+}
+
+#[test]
+fn a_camera_to_a_texture_has_the_shadows_of_a_picture_from_there() {
+    let Some(mut rig) = rig("a_camera_to_a_texture_has_the_shadows_of_a_picture_from_there") else { return };
+    let rig = &mut *rig;
+    let main = sunny(to_sun());
+    let expected = picture(rig, &near(), &main);
+    let bare = picture(rig, &near(), &Environment { shadows: None, ..main });
+    // Under the main picture's light, unasked with black behind; and with all of its environment.
+    for environment in [CameraEnvironment::Light, CameraEnvironment::Inherited] {
+        let is_plain = environment == CameraEnvironment::Light;
+        let node = like(&near(), environment, CameraShadows::Environment);
+        let (found, stats) = drawn(rig, node, vec![things()], &main);
+        keep(&format!("shadows-texture-{is_plain}"), &found);
+        // The ground fills the picture but for its upper edge.
+        let (dark, lit) = check(&found, &rig.stage.pre_render[0].shadows, &near(), [&[tower()], &[]], to_sun());
+        assert!(dark > 100 && lit > 5_000, "{dark} {lit}");
+        if !is_plain {
+            assert_eq!(differ(&found, &expected, 1), 0);
+        }
+        // The main picture's own cascades are there too, with nothing in them: what is below a camera casts there only.
+        assert_eq!(rig.stage.shadows.cascades.iter().map(|c| c.stage.leaf_count()).sum::<usize>(), 0);
+        assert_eq!(stats.shadow_leaves, rig.stage.counters.shadow_leaves);
+        assert!(stats.shadow_leaves >= 4 && stats.passes >= 6, "{stats:?}");
+    }
+    let node = like(&near(), CameraEnvironment::Inherited, CameraShadows::None);
+    let (found, stats) = drawn(rig, node, vec![things()], &main);
+    assert_eq!((differ(&found, &bare, 1), stats.shadow_leaves), (0, 0));
+    no_errors(rig);
+}
+
+#[test]
+fn shadows_are_a_camera_s_own() {
+    let Some(mut rig) = rig("shadows_are_a_camera_s_own") else { return };
+    let rig = &mut *rig;
+    // None in the main picture; in the texture some of another resolution, and from another sun.
+    let main = Environment { shadows: None, ..sunny(to_sun()) };
+    let small = SunShadows { resolution_px: 512, cascades: 2, ..SunShadows::default() };
+    let expected = picture(rig, &near(), &Environment { shadows: Some(small), ..main });
+    let node = like(&near(), CameraEnvironment::Inherited, CameraShadows::Own(small));
+    let (found, stats) = drawn(rig, node, vec![things()], &main);
+    assert_eq!(rig.stage.pre_render[0].shadows.cascades.len(), 2);
+    assert_eq!((differ(&found, &expected, 2), stats.passes), (0, 4));
+    let other = sunny(DVec3::new(-1.0, 0.2, 0.5));
+    let expected = picture(rig, &near(), &other);
+    let node = like(&near(), CameraEnvironment::Own(Arc::new(other)), CameraShadows::Environment);
+    let (found, _) = drawn(rig, node, vec![things()], &main);
+    keep("shadows-own", &found);
+    assert_eq!(differ(&found, &expected, 2), 0);
+    // What cannot be is said.
+    let wrong = SunShadows { cascades: 9, ..small };
+    let node = like(&near(), CameraEnvironment::Inherited, CameraShadows::Own(wrong));
+    let (_, stats) = drawn(rig, node, vec![things()], &main);
+    assert_eq!(stats.shadow_leaves, 0);
+    let errors = rig.renderer.take_errors();
+    assert!(matches!(&errors[..], [e] if e.contains("1 to 4 cascades, not 9")), "{errors:?}");
+}
+
+/// A mirror below the ground's level: a view that mirrors, with shadows as in the world.
+#[test]
+fn reflections_have_the_shadows_of_what_they_reflect() {
+    let Some(mut rig) = rig("reflections_have_the_shadows_of_what_they_reflect") else { return };
+    let rig = &mut *rig;
+    let main = sunny(to_sun());
+    let expected = picture(rig, &near(), &main);
+    // Left and right change places, in the world and in the picture: the same picture, mirrored.
+    let flip = DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)));
+    let mut node = like(&near(), CameraEnvironment::Inherited, CameraShadows::Environment);
+    node.view = flip * node.view;
+    let (found, _) = drawn(rig, node, vec![things()], &main);
+    let found = image::imageops::flip_horizontal(&found);
+    keep("shadows-mirrored", &found);
+    let apart = differ(&found, &expected, 16);
+    assert!(apart < 60, "{apart} pixels lie otherwise");
+    no_errors(rig);
+}
+
+#[test]
+fn no_more_cameras_than_may_have_shadows() {
+    let Some(mut rig) = rig("no_more_cameras_than_may_have_shadows") else { return };
+    let rig = &mut *rig;
+    let asks = |order| CameraNode {
+        frame: ReferenceFrame::Absolute,
+        view: near().eye_from_world,
+        projection: Some(near().clip_from_eye),
+        shadows: CameraShadows::Environment,
+        clear_color: None,
+        ..CameraNode::new(order)
+    };
+    let orders = [RenderOrder::PostRender(0), RenderOrder::PostRender(1), RenderOrder::PreRender(0)];
+    let cameras = orders.iter().map(|order| Node::camera(asks(*order), vec![things()]));
+    let scene = rig.scene(Node::group(cameras.collect()));
+    let mut main = near();
+    let with = |stage: &RenderStage| {
+        stage.pre_render.iter().chain(&stage.post_render).filter(|s| !s.shadows.cascades.is_empty()).count()
+    };
+    for (most, refused) in [(4, 0), (3, 0), (2, 1), (0, 3)] {
+        main.settings.shadowed_cameras = most;
+        rig.draw(&scene, &main, &sunny(to_sun()));
+        assert_eq!(rig.stage.counters.shadows_refused, refused);
+        assert_eq!(with(&rig.stage), 3 - refused as usize);
+    }
+    rig.release(scene);
+    // A nested one has none, whatever there may be.
+    let scene = rig.scene(Node::camera(asks(RenderOrder::Nested), vec![things()]));
+    rig.draw(&scene, &near(), &sunny(to_sun()));
+    assert_eq!(rig.stage.counters.shadows_refused, 1);
+    rig.release(scene);
+    no_errors(rig);
+}

@@ -1,0 +1,114 @@
+//! Views as a file names them: their windows, parts, scenes and cameras, offscreen. Pictures need a GPU (a software one
+//! will do).
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod viewer_support;
+
+use std::path::Path;
+
+use glam::DVec3;
+use image::RgbaImage;
+use terrane::draw::Sky;
+use terrane::gpu::AdapterChoice;
+use terrane::scene::{Node, Page};
+use terrane::viewer::{ArrangedViews, Arrangement, ViewerConfig, ViewsSetup};
+use viewer_support::{ball, small_set};
+
+fn setup(folder: &Path, text: &str) -> ViewsSetup {
+    let file = folder.join("views.json");
+    std::fs::write(&file, text).unwrap();
+    match Arrangement::read(&file).unwrap() {
+        Arrangement::Views(setup) => setup,
+        other => panic!("{other:?}"),
+    }
+}
+
+fn arranged(setup: &ViewsSetup) -> Option<ArrangedViews> {
+    let mut config = ViewerConfig { size_px: [200, 100], adapter: AdapterChoice::Software, ..ViewerConfig::default() };
+    config.pager.blocking = true;
+    let roots = setup.read_roots(&config.pager).unwrap();
+    match ArrangedViews::new_offscreen(setup, &config, roots, None) {
+        Ok(arranged) => Some(arranged),
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+    }
+}
+
+fn part(picture: &RgbaImage, [x, y, width, height]: [u32; 4]) -> RgbaImage {
+    image::imageops::crop_imm(picture, x, y, width, height).to_image()
+}
+
+/// Share of pixels of about a colour.
+fn share(picture: &RgbaImage, color: [u8; 3]) -> f64 {
+    let is_near = |p: &&image::Rgba<u8>| p.0.iter().zip(color).all(|(a, b)| a.abs_diff(b) < 8);
+    picture.pixels().filter(is_near).count() as f64 / f64::from(picture.width() * picture.height())
+}
+
+fn colours(picture: &RgbaImage) -> usize {
+    picture.pixels().map(|p| p.0).collect::<std::collections::HashSet<_>>().len()
+}
+
+#[test]
+fn views_have_their_parts_scenes_and_slaves() {
+    let folder = tempfile::tempdir().unwrap();
+    small_set(folder.path());
+    let setup = setup(
+        folder.path(),
+        r#"{"windows": [{"size_px": [300, 100]}, {"size_px": [120, 80], "shares_device": true}],
+            "scenes": {"hills": "set"},
+            "views": [
+              {"scene": "hills", "pitch_deg": -80, "background": [250, 0, 0],
+               "cameras": [{"viewport_px": [0, 0, 100, 100]}, {"window": 1}]},
+              {"background": [0, 0, 250], "cameras": [{"viewport_px": [100, 0, 100, 100]}]},
+              {"background": [0, 250, 0], "cameras": [{"viewport_px": [200, 0, 100, 100]}]}]}"#,
+    );
+    let Some(ArrangedViews { mut viewer, contexts, views, own_scene }) = arranged(&setup) else { return };
+    assert_eq!((contexts.len(), views.len()), (2, 3));
+    let own = own_scene.unwrap();
+    assert!(viewer.scene_of(views[1]).unwrap() == own && viewer.scene_of(views[2]).unwrap() == own);
+    assert!(viewer.scene_of(views[0]).unwrap() != own);
+    // The application's scene: both views show it, each from its own eye.
+    let white = ball(DVec3::ZERO, 1.0, [1.0; 4]);
+    viewer.add_root(own, Page::from_node(Node::group(vec![white])).unwrap()).unwrap();
+    for (view, (distance, color)) in views[1..].iter().zip([(3.0, [0, 0, 250]), (12.0, [0, 250, 0])]) {
+        let view = viewer.view_mut(*view).unwrap();
+        view.camera.look_at(DVec3::new(0.0, -distance, 0.0), DVec3::ZERO, DVec3::Z);
+        // The first root has set the sky anew.
+        view.environment.sky = Sky::Background(color);
+        view.environment.fog.enabled = false;
+    }
+    for _ in 0..3 {
+        viewer.frame().unwrap();
+    }
+    let [first, second] = [0, 1].map(|place| viewer.read_back(contexts[place]).unwrap());
+    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
+        first.save(Path::new(&folder).join("views-first.png")).unwrap();
+        second.save(Path::new(&folder).join("views-second.png")).unwrap();
+    }
+    assert_eq!((first.dimensions(), second.dimensions()), ((300, 100), (120, 80)));
+    let [hills, near, far] = [0, 100, 200].map(|x| part(&first, [x, 0, 100, 100]));
+    assert!(colours(&hills) > 200 && share(&hills, [0, 0, 250]) == 0.0, "terrain on the left");
+    assert!(colours(&second) > 200, "and in the other window");
+    let (large, small) = (share(&near, [255; 3]), share(&far, [255; 3]));
+    assert!(large > 4.0 * small && small > 0.005, "{large} and {small} of white");
+    assert!(share(&near, [0, 0, 250]) > 0.2 && share(&far, [0, 250, 0]) > 0.5);
+    // A view goes, the others stay.
+    viewer.remove_view(views[1]).unwrap();
+    viewer.frame().unwrap();
+    let first = viewer.read_back(contexts[0]).unwrap();
+    assert!(share(&part(&first, [100, 0, 100, 100]), [255; 3]) == 0.0);
+    assert!(part(&first, [200, 0, 100, 100]) == far);
+}
+
+#[test]
+fn a_source_that_cannot_be_read_is_one_error_with_its_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let setup = setup(folder.path(), r#"{"scenes": {"a": "no/set"}, "views": [{"scene": "a"}]}"#);
+    let error = setup.read_roots(&ViewerConfig::default().pager).err().unwrap().to_string();
+    assert!(error.contains("no/set"), "{error}");
+    assert!(!setup.needs_root());
+}

@@ -1,0 +1,74 @@
+//! `terrane view` with a file of several views: windows to move in.
+
+use std::io::Write as _;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use terrane::cull::SunShadows;
+use terrane::draw::Water;
+use terrane::viewer::{ArrangedViews, LoadedRoot, Samples, ViewerConfig, ViewsOptions, ViewsSetup, run_views};
+
+use crate::args::FlyArgs;
+use crate::fly::{FOREIGN_SSE_PX, HEIGHT_SSE_PX, application};
+
+/// `root` is that of the views that name no scene.
+pub fn run(
+    args: FlyArgs,
+    config: ViewerConfig,
+    setup: ViewsSetup,
+    root: Option<LoadedRoot>,
+    stop: Arc<AtomicBool>,
+) -> Result<()> {
+    for (name, is_given) in [
+        ("--path", args.path.is_some()),
+        ("--view", args.view.is_some()),
+        ("--on-demand", args.on_demand),
+        ("--parent", args.parent.is_some()),
+        ("--beside", args.beside > 0),
+    ] {
+        if is_given {
+            bail!("{name} is for one view; the file names several");
+        }
+    }
+    writeln!(std::io::stdout(), "H shows the keys of a view, Esc ends").context("stdout")?;
+    let (views, windows) = (setup.views.len(), setup.windows.len());
+    let options = ViewsOptions {
+        overlay: args.stats,
+        root,
+        max_frame_rate: args.max_fps.map(|rate| rate.0),
+        before_frame: Box::new(move |_| Ok(!stop.load(Ordering::Relaxed))),
+        on_open: Box::new(move |arranged| open(arranged, &args).map_err(application)),
+        ..ViewsOptions::default()
+    };
+    let viewer = run_views(config, setup, options)?.ok_or_else(|| anyhow!("the windows closed before they opened"))?;
+    let frame_ms = Samples::new(viewer.stats().iter().map(|frame| frame.frame_ms));
+    let line = format!(
+        "showed  {views} views in {windows} windows, {} frames: {:.2} ms median, {:.2} p99, {:.2} max, {}",
+        viewer.frame_stamp().frame,
+        frame_ms.median(),
+        frame_ms.percentile(0.99),
+        frame_ms.max(),
+        viewer.threading_model()
+    );
+    writeln!(std::io::stdout(), "{line}").context("stdout")
+}
+
+/// What the command line says of all views.
+fn open(arranged: &mut ArrangedViews, args: &FlyArgs) -> Result<()> {
+    let ArrangedViews { viewer, views, .. } = arranged;
+    for id in views.iter().copied() {
+        let scene = viewer.scene_of(id)?;
+        let usual_sse_px = if viewer.is_height_set(scene)? { HEIGHT_SSE_PX } else { FOREIGN_SSE_PX };
+        let bounds = viewer.bounds(scene)?.copied();
+        let view = viewer.view_mut(id)?;
+        view.camera.settings.max_sse_px = args.sse.map_or(usual_sse_px, |limit| limit.0);
+        view.camera.settings.lod_fade_s = args.lod_fade.0;
+        if let (Some(sun), Some(bounds)) = (args.sun, bounds) {
+            view.environment.sun_direction = bounds.frame.direction(sun.azimuth, sun.height);
+        }
+        view.environment.shadows = args.shadows.then(SunShadows::default);
+        view.environment.water = args.water.filter(|h| h.is_finite()).map(Water::at);
+    }
+    Ok(())
+}
