@@ -10,7 +10,7 @@ use crate::cull::fade::{LodFades, TilePart};
 use crate::cull::tiles::shows_children;
 use crate::cull::view::View;
 use crate::cull::visitor::{DeferredCamera, eye_in};
-use crate::scene::{CullAction, CullInfo, Page, Scene, Special, UNBOUNDED, flag, kind};
+use crate::scene::{CullAction, CullInfo, OccluderPage, Page, Scene, Special, UNBOUNDED, flag, kind};
 
 /// A page on the way from the top down to one with occluders.
 #[derive(Clone, Copy, Debug)]
@@ -37,12 +37,16 @@ impl Occluders {
         let view = collector.view;
         let sight = Sight::new(&view.clip_from_eye, view.planes);
         let mut chain = std::mem::take(&mut self.chain);
-        for place in collector.scene.occluder_pages() {
-            let Some(page) = collector.scene.page_at(*place) else { continue };
+        for OccluderPage { place, sphere } in collector.scene.occluder_pages() {
             if !collector.find_chain(*place, &mut chain) {
                 continue;
             }
             let Some(link) = chain.last() else { continue };
+            // Before anything of the page is read: most are out of the view, or too small.
+            if !self.may_use(&sight, &sphere.transformed(&link.eye_from_page)) {
+                continue;
+            }
+            let Some(page) = collector.scene.page_at(*place) else { continue };
             let mut hangs_in_view = None;
             for (node, transform, occluder) in &page.occluders {
                 let eye_from_page = collector.eye_from_page(page, link, *node);
