@@ -9,9 +9,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DVec3;
 use scenes::{Grid, content, drawable, look_at, page, quadtree, state_sets};
-use terrane::cull::{CullCamera, CullVisitor, RenderStage, ShadowLight, SunShadows};
+use terrane::cull::{CullCamera, CullVisitor, RenderStage, SunShadows};
 use terrane::math::Aabb;
-use terrane::scene::{ConvexPlanarOccluder, Environment, Node, NodeKind, Page, Refine, Scene};
+use terrane::scene::{
+    CameraEnvironment, CameraNode, CameraShadows, ConvexPlanarOccluder, Environment, Node, NodeKind, Page, Refine,
+    RenderOrder, Scene,
+};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
 struct Counting;
@@ -120,4 +123,25 @@ fn a_steady_cull_allocates_nothing() {
     });
     assert_eq!(round, 0);
     assert!(fading > 200, "{fading}");
+
+    // Cameras in the graph, one of them nested, with shadows and environments of their own.
+    let own = CameraEnvironment::Own(Arc::new(Environment::default()));
+    let cameras = [RenderOrder::PreRender(0), RenderOrder::Nested, RenderOrder::PostRender(0)].map(|order| {
+        let shadows = CameraShadows::Own(SunShadows::default());
+        let camera = CameraNode { environment: own.clone(), shadows, ..CameraNode::new(order) };
+        Node::camera(camera, vec![Grid::new(1_000).build(&sets_of(3))])
+    });
+    let mut scene = Scene::new();
+    scene.add_root(page(Node::group(cameras.to_vec()), 0));
+    let (round, _) = allocations_of_second_round(&scene, |frame| {
+        let angle = f64::from(frame) * 0.0628;
+        let center = DVec3::new(16.0, 16.0, 0.0);
+        look_at(center + DVec3::new(30.0 * angle.cos(), 30.0 * angle.sin(), 20.0), center, DVec3::Z)
+    });
+    assert_eq!(round, 0);
+}
+
+fn sets_of(count: i32) -> Vec<Arc<StateSet>> {
+    let set = |number| StateSet { bin: Some(BinDetails { number, sort: SortMode::ByState }), ..StateSet::default() };
+    (0..count).map(|number| Arc::new(set(number))).collect()
 }

@@ -11,11 +11,11 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DVec3};
 use gpu_support::{Rig, camera, rig};
 use image::RgbaImage;
-use shadow_support::{check, cuboid, ground, sunny, tower};
+use shadow_support::{check, cuboid, ground, solid, sunny, tower};
 use terrane::cull::{CullCamera, RenderStage, SunShadows};
 use terrane::draw::{DrawStats, Environment};
 use terrane::scene::{
-    CameraEnvironment, CameraNode, CameraShadows, CameraTarget, Node, PictureSink, ReferenceFrame, RenderOrder,
+    CameraEnvironment, CameraNode, CameraShadows, CameraTarget, Mesh, Node, PictureSink, ReferenceFrame, RenderOrder,
 };
 use terrane::state::{TextureFormat, TextureObject};
 
@@ -186,10 +186,70 @@ fn no_more_cameras_than_may_have_shadows() {
         assert_eq!(with(&rig.stage), 3 - refused as usize);
     }
     rig.release(scene);
-    // A nested one has none, whatever there may be.
-    let scene = rig.scene(Node::camera(asks(RenderOrder::Nested), vec![things()]));
-    rig.draw(&scene, &near(), &sunny(to_sun()));
-    assert_eq!(rig.stage.counters.shadows_refused, 1);
+    // Nested ones count like others, and come first.
+    let nested = Node::camera(asks(RenderOrder::Nested), vec![things()]);
+    let scene = rig.scene(Node::group(vec![Node::camera(asks(orders[0]), vec![things()]), nested]));
+    main.settings.shadowed_cameras = 1;
+    rig.draw(&scene, &main, &sunny(to_sun()));
+    assert_eq!((rig.stage.counters.shadows_refused, with(&rig.stage)), (1, 0));
+    assert_eq!(rig.stage.views[0].shadows.cascades.len(), 4);
     rig.release(scene);
+    no_errors(rig);
+}
+
+#[test]
+fn nested_cameras_have_shadows_beside_those_of_their_picture() {
+    let Some(mut rig) = rig("nested_cameras_have_shadows_beside_those_of_their_picture") else { return };
+    let rig = &mut *rig;
+    let main = sunny(to_sun());
+    let expected = picture(rig, &near(), &main);
+    // Another eye with another lens, in the picture of an eye that sees nothing else.
+    let node = |environment: CameraEnvironment, shadows: CameraShadows| CameraNode {
+        frame: ReferenceFrame::Absolute,
+        view: near().eye_from_world,
+        projection: Some(near().clip_from_eye),
+        environment,
+        shadows,
+        ..CameraNode::new(RenderOrder::Nested)
+    };
+    let outer = CullCamera { viewport_px: SIZE, ..elsewhere() };
+    for environment in [CameraEnvironment::Inherited, CameraEnvironment::Light] {
+        let node = node(environment, CameraShadows::Environment);
+        let scene = rig.scene(Node::camera(node, vec![things()]));
+        let found = rig.picture(&scene, &outer, &main);
+        keep("shadows-nested", &found);
+        assert_eq!(differ(&found, &expected, 1), 0);
+        let (dark, lit) = check(&found, &rig.stage.views[0].shadows, &near(), [&[tower()], &[]], to_sun());
+        assert!(dark > 100 && lit > 5_000, "{dark} {lit}");
+        rig.release(scene);
+    }
+    // The same eye as its picture's: each of the towers stands on ground of its own and casts its shadow there.
+    let patch = |x: f64| {
+        let mesh = Mesh::rectangle(DVec3::new(x, -80.0, 0.0), DVec3::X * 79.0, DVec3::Y * 160.0);
+        let tower_x = DVec3::X * (x + 60.0);
+        Node::geode(vec![solid(mesh), cuboid(tower().min + tower_x, tower().max + tower_x)])
+    };
+    let eye = camera(SIZE, DVec3::new(0.0, -130.0, 110.0), DVec3::new(0.0, 0.0, 2.0), DVec3::Z);
+    let scene = rig.scene(Node::group(vec![patch(0.0), patch(-80.0)]));
+    let expected = rig.picture(&scene, &eye, &main);
+    rig.release(scene);
+    let same = |shadows| CameraNode { shadows, ..CameraNode::new(RenderOrder::Nested) };
+    let mut apart = |shadows| {
+        let nested = Node::camera(same(shadows), vec![patch(-80.0)]);
+        let scene = rig.scene(Node::group(vec![patch(0.0), nested]));
+        let stats = rig.draw(&scene, &eye, &main);
+        let found = rig.read_back();
+        rig.release(scene);
+        keep("shadows-beside", &found);
+        (differ(&found, &expected, 70), stats.passes)
+    };
+    // Edges are those of other texels.
+    let (with, passes) = apart(CameraShadows::Environment);
+    assert!(with < 10 && passes == 9, "{with} pixels, {passes} passes");
+    let small = SunShadows { resolution_px: 512, cascades: 2, ..SunShadows::default() };
+    let (with, passes) = apart(CameraShadows::Own(small));
+    assert!(with < 60 && passes == 7, "{with} pixels, {passes} passes");
+    let (without, passes) = apart(CameraShadows::None);
+    assert!(without > 100 && passes == 5, "{without} pixels, {passes} passes");
     no_errors(rig);
 }

@@ -5,6 +5,7 @@
 
 use std::cmp::Ordering;
 
+use super::ShadowCascade;
 use super::stage::{RenderBin, RenderLeaf, RenderStage};
 use crate::state::{BinDetails, DrawHook, SortKey, SortLeaf, SortMode};
 
@@ -13,6 +14,7 @@ use crate::state::{BinDetails, DrawHook, SortKey, SortLeaf, SortMode};
 pub(super) struct Spare {
     bins: Vec<RenderBin>,
     pub stages: Vec<RenderStage>,
+    pub cascades: Vec<Vec<ShadowCascade>>,
 }
 
 /// Scratch memory of the sorts.

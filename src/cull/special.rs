@@ -2,13 +2,13 @@
 
 use glam::{DAffine3, DMat3, DVec3, DVec4};
 
-use super::CullCamera;
 use super::occluders::NO_OCCLUDERS;
 use super::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView, moved, plane_moved,
 };
 use super::view::{View, clamp};
-use super::visitor::{Cull, DeferredCamera, DepthRange, PageContext};
+use super::visitor::{CameraPlace, Cull, DeferredCamera, DepthRange, NestedCamera, PageContext};
+use super::{CullCamera, StageShadows};
 use crate::scene::{
     BillboardMode, CameraEnvironment, CameraNode, CameraShadows, ComputeNearFar, DrawSlot, NONE, OcclusionQueryNode,
     ReferenceFrame, RenderOrder, Special, UNBOUNDED,
@@ -140,7 +140,15 @@ impl Cull<'_> {
             ..*self.camera
         };
         let above = self.view.index;
-        self.stage.views.push(StageView { clip_from_eye, viewport_px: view.viewport_rect, camera, above, environment });
+        self.stage.views.push(StageView {
+            clip_from_eye,
+            viewport_px: view.viewport_rect,
+            camera,
+            above,
+            environment,
+            shadows: StageShadows::default(),
+            range_m: [0.0; 2],
+        });
         let index = self.stage.views.len();
         view.index = index as u32;
         view.derive();
@@ -165,7 +173,8 @@ impl Cull<'_> {
                 }
                 _ => view.clamped(near_m, far_m),
             };
-            self.stage.views[index - 1].clip_from_eye = clamped;
+            let of_view = &mut self.stage.views[index - 1];
+            (of_view.clip_from_eye, of_view.range_m) = (clamped, [near_m, far_m]);
         }
         self.view = above;
         self.occluders = occluders;
@@ -201,10 +210,15 @@ impl Cull<'_> {
         }
         let order = match camera.order {
             RenderOrder::Nested => {
-                // The maps that a pass reads are those of its stage.
-                self.counters.shadows_refused += u32::from(camera.shadows != CameraShadows::None);
+                let place = self.stage.views.len() as u32 + 1;
                 let environment = camera.environment.clone();
                 self.in_view(context, node, view, environment, camera.clamp_projection, eye_from_page, path);
+                if camera.shadows != CameraShadows::None {
+                    let (state, mut visit) = (self.chain_state(page, path), context.visit);
+                    (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
+                    let met = CameraPlace { visit, node, state, path };
+                    self.nested.push(NestedCamera { met, place, shadows: camera.shadows });
+                }
                 return;
             }
             RenderOrder::PreRender(order) | RenderOrder::PostRender(order) => order,
@@ -219,10 +233,7 @@ impl Cull<'_> {
         (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
         let state = self.chain_state(page, path);
         self.deferred.push(DeferredCamera {
-            visit,
-            node,
-            state,
-            path,
+            met: CameraPlace { visit, node, state, path },
             view,
             is_pre: matches!(camera.order, RenderOrder::PreRender(_)),
             target: StageTarget {

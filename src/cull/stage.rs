@@ -112,7 +112,7 @@ impl CullCounters {
 }
 
 /// Another projection and viewport inside a stage, of a Projection node or a nested camera.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Debug)]
 pub struct StageView {
     /// Reversed-Z projection.
     pub clip_from_eye: DMat4,
@@ -124,6 +124,10 @@ pub struct StageView {
     pub above: u32,
     /// Light and air of a nested camera.
     pub environment: CameraEnvironment,
+    /// What casts shadows into what is below a nested camera.
+    pub shadows: StageShadows,
+    /// Nearest and farthest depth below it, metres; as those of the stage.
+    pub range_m: [f64; 2],
 }
 
 /// A light where it shines.
@@ -266,7 +270,6 @@ impl RenderStage {
         self.view_of_state.clear();
         self.fade_of_state.clear();
         self.fades.clear();
-        self.views.clear();
         self.requests.clear();
         self.lights.clear();
         self.clip_planes.clear();
@@ -276,6 +279,12 @@ impl RenderStage {
         self.stereo_gap_px = 0;
         self.queries.clear();
         self.target = StageTarget::default();
+        for mut view in self.views.drain(..) {
+            self.shadows.cascades.append(&mut view.shadows.cascades);
+            if view.shadows.cascades.capacity() > 0 {
+                self.spare.cascades.push(view.shadows.cascades);
+            }
+        }
         let cascades = self.shadows.cascades.drain(..).map(|c| c.stage);
         for mut stage in self.pre_render.drain(..).chain(self.post_render.drain(..)).chain(cascades) {
             // Memory is kept, what it holds is not.

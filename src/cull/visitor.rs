@@ -8,7 +8,7 @@ use super::fade::{Fade, LodFades};
 use super::near_far::Candidate;
 use super::occluders::{Collector, FrameOccluders, NO_OCCLUDERS, Occluders};
 use super::planes::{Planes, depth_row};
-use super::shadows::{Fit, ShadowCascade, ShadowLight};
+use super::shadows::ShadowLight;
 use super::sort::Sorter;
 use super::special::MOST_NESTED;
 use super::stage::{CullCounters, RenderLeaf, RenderStage, StageTarget};
@@ -16,7 +16,9 @@ use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{MOST_PX, TileFrame, TileView};
 use super::view::{View, clamp};
 use super::{CullCamera, Stereo};
-use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, CullingMode, Environment, NONE, Page, Scene};
+use crate::scene::{
+    CameraShadows, CameraTarget, ClampProjection, ComputeNearFar, CullingMode, Environment, NONE, Page, Scene,
+};
 use crate::state::StateSet;
 
 /// Why a page or tile is visited.
@@ -90,9 +92,9 @@ impl DepthRange {
     pub const EMPTY: Self = Self { near: f32::INFINITY, far: f32::NEG_INFINITY };
 }
 
-/// A camera of the graph that has a stage of its own, culled once the stage it was met in is done.
-#[derive(Debug)]
-pub(super) struct DeferredCamera {
+/// Where a camera of the graph hangs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CameraPlace {
     /// The page, seen from the camera.
     pub visit: PageVisit,
     /// The camera's node in it.
@@ -100,10 +102,25 @@ pub(super) struct DeferredCamera {
     /// State at the node, in the state graph, and its path.
     pub state: u32,
     pub path: u32,
+}
+
+/// A camera of the graph that has a stage of its own, culled once the stage it was met in is done.
+#[derive(Debug)]
+pub(super) struct DeferredCamera {
+    pub met: CameraPlace,
     pub view: View,
     pub is_pre: bool,
     pub target: StageTarget,
     pub clamp_projection: Option<ClampProjection>,
+}
+
+/// A nested camera with shadows, which are culled once its stage is done.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NestedCamera {
+    pub met: CameraPlace,
+    /// One more than its view's index in the stage.
+    pub place: u32,
+    pub shadows: CameraShadows,
 }
 
 /// What is constant during the visit of a page.
@@ -141,10 +158,11 @@ pub struct CullVisitor {
     views: Vec<View>,
     candidates: Vec<Candidate>,
     deferred: Vec<DeferredCamera>,
+    pub(super) nested: Vec<NestedCamera>,
     occluders: Occluders,
     page_occluders: FrameOccluders,
     tile_occluders: FrameOccluders,
-    sorter: Sorter,
+    pub(super) sorter: Sorter,
     /// Of the eyes.
     fades: [LodFades; 2],
     /// The eye that is culled for.
@@ -160,7 +178,7 @@ pub struct CullVisitor {
     /// where cameras in the graph have an environment of their own.
     pub environment: Option<Environment>,
     /// Cameras in the graph that may still have shadows in this cull.
-    shadowed_cameras: u32,
+    pub(super) shadowed_cameras: u32,
 }
 
 /// A cull under way.
@@ -184,6 +202,7 @@ pub(super) struct Cull<'a> {
     /// Drawables whose primitives are to be looked at.
     pub candidates: &'a mut Vec<Candidate>,
     pub deferred: &'a mut Vec<DeferredCamera>,
+    pub nested: &'a mut Vec<NestedCamera>,
     /// Of the stage's own view.
     pub stage_occluders: &'a Occluders,
     /// Of the current view.
@@ -229,11 +248,13 @@ impl CullVisitor {
         self.traverse(scene, camera, stage);
         self.sort(stage);
         let environment = self.environment;
+        self.shadowed_cameras = camera.settings.shadowed_cameras;
+        let nested = std::mem::take(&mut self.nested);
         if let Some((environment, shadows)) = environment.and_then(|e| Some((e, e.shadows?))) {
-            self.cull_shadows(scene, camera, &ShadowLight::new(&environment, shadows), None, stage);
+            self.cull_stage_shadows(scene, camera, &ShadowLight::new(&environment, shadows), None, stage);
         }
+        self.cull_nested_shadows(scene, environment.as_ref(), nested, stage);
         if !self.deferred.is_empty() {
-            self.shadowed_cameras = camera.settings.shadowed_cameras;
             self.cull_deferred(scene, camera, environment.as_ref(), stage, 0, 0);
         }
     }
@@ -287,12 +308,12 @@ impl CullVisitor {
         self.sorter.fill_bins(&mut self.leaves, stage);
     }
 
-    fn traverse_stage(
+    pub(super) fn traverse_stage(
         &mut self,
         scene: &Scene,
         camera: &CullCamera,
         view: View,
-        met: Option<&DeferredCamera>,
+        met: Option<&CameraPlace>,
         clamp_projection: Option<ClampProjection>,
         stage: &mut RenderStage,
     ) {
@@ -304,6 +325,7 @@ impl CullVisitor {
         self.views.clear();
         self.views.push(view);
         self.candidates.clear();
+        self.nested.clear();
         self.occluders.clear();
         if view.settings.culling.contains(CullingMode::SHADOW_OCCLUSION) {
             let fades = &self.fades[self.eye];
@@ -327,6 +349,7 @@ impl CullVisitor {
             view,
             candidates: &mut self.candidates,
             deferred: &mut self.deferred,
+            nested: &mut self.nested,
             stage_occluders: &self.occluders,
             occluders: &self.occluders,
             page_occluders: &mut self.page_occluders,
@@ -340,38 +363,6 @@ impl CullVisitor {
             most_pages: if self.walks_only { scene.roots().len() } else { usize::MAX },
         };
         cull.run(met, clamp_projection);
-    }
-
-    /// Culls what casts shadows into each cascade of a stage that is culled: of a camera in the graph, what is below it.
-    fn cull_shadows(
-        &mut self,
-        scene: &Scene,
-        camera: &CullCamera,
-        light: &ShadowLight,
-        met: Option<&DeferredCamera>,
-        stage: &mut RenderStage,
-    ) {
-        let _span = crate::timeline::span("cull shadows");
-        let Some(fit) = Fit::new(camera, light, stage.near_m, stage.far_m) else { return };
-        (stage.shadows.settings, stage.shadows.fade_m) = (light.shadows, fit.fade_m);
-        stage.shadows.light_from_eye = fit.light_from_eye;
-        let to_sun = fit.light_from_eye.row(2);
-        for cascade in &fit.cascades[..fit.count] {
-            let mut casters = stage.spare.stages.pop().unwrap_or_default();
-            let view = View::casting(camera, &cascade.casters_from_eye, to_sun, light.shadows.caster_mask);
-            self.traverse_stage(scene, camera, view, met, None, &mut casters);
-            if casters.state_sets.iter().any(|s| !s.casts_shadow()) {
-                self.leaves.retain(|leaf| casters.state_sets[leaf.state as usize].casts_shadow());
-            }
-            stage.counters.shadow_leaves += self.leaves.len() as u32;
-            self.sorter.fill_one_bin(&mut self.leaves, &mut casters);
-            stage.shadows.cascades.push(ShadowCascade {
-                depths_m: cascade.depths_m,
-                texel_m: cascade.texel_m,
-                clip_from_eye: cascade.clip_from_eye(&fit.light_from_eye, -casters.near_m),
-                stage: casters,
-            });
-        }
     }
 
     /// Culls the cameras that were met from `first` on, and those met in their stages. What is drawn before comes
@@ -400,18 +391,16 @@ impl CullVisitor {
             };
             let view = View { index: 0, ..View::new(&camera) };
             let others = self.deferred.len();
-            self.traverse_stage(scene, &camera, view, Some(&met), clamp_projection, &mut below);
+            self.traverse_stage(scene, &camera, view, Some(&met.met), clamp_projection, &mut below);
             self.sort(&mut below);
             let eye_in_world = camera.eye_from_world.inverse().translation;
             let environment = target.environment.of_camera(environment, eye_in_world);
-            if let Some((environment, shadows)) = environment.and_then(|e| Some((e, target.shadows.under(&e)?))) {
-                if self.shadowed_cameras > 0 {
-                    self.shadowed_cameras -= 1;
-                    self.cull_shadows(scene, &camera, &ShadowLight::new(&environment, shadows), Some(&met), &mut below);
-                } else {
-                    below.counters.shadows_refused += 1;
-                }
+            let nested = std::mem::take(&mut self.nested);
+            let light = environment.and_then(|e| Some(ShadowLight::new(&e, target.shadows.under(&e)?)));
+            if let Some(light) = light.filter(|_| self.takes_shadows(&mut below)) {
+                self.cull_stage_shadows(scene, &camera, &light, Some(&met.met), &mut below);
             }
+            self.cull_nested_shadows(scene, environment.as_ref(), nested, &mut below);
             below.target = target;
             below.inherit_positioned(stage);
             if depth < MOST_NESTED {
@@ -429,7 +418,7 @@ impl CullVisitor {
 }
 
 impl<'a> Cull<'a> {
-    fn run(&mut self, met: Option<&DeferredCamera>, clamp_projection: Option<ClampProjection>) {
+    fn run(&mut self, met: Option<&CameraPlace>, clamp_projection: Option<ClampProjection>) {
         match met {
             None => {
                 self.hangers.push(Hanger {
@@ -462,6 +451,14 @@ impl<'a> Cull<'a> {
         let least = self.views[0].least_depth;
         let (near, far) = if near <= far { (near.max(least), far.max(least)) } else { (0.0, 0.0) };
         (self.stage.near_m, self.stage.far_m) = (f64::from(near), f64::from(far));
+        // Pages that tiles hold are visited late, and their depths are known of the whole stage only.
+        for nested in self.nested.iter().filter(|nested| self.hangers.iter().any(|h| h.view == nested.place)) {
+            if let Some(view) = self.stage.views.get_mut(nested.place as usize - 1) {
+                let [near_m, far_m] = &mut view.range_m;
+                let nearest = if *far_m > 0.0 { near_m.min(self.stage.near_m) } else { self.stage.near_m };
+                (*near_m, *far_m) = (nearest, far_m.max(self.stage.far_m));
+            }
+        }
         let view = &self.views[0];
         if view.settings.compute_near_far != ComputeNearFar::Off && far > 0.0 {
             self.stage.camera.clip_from_eye = match clamp_projection {
@@ -516,7 +513,7 @@ impl<'a> Cull<'a> {
     }
 
     /// Scans what is below a camera that has this stage.
-    fn visit_camera(&mut self, met: &DeferredCamera) {
+    fn visit_camera(&mut self, met: &CameraPlace) {
         let scene = self.scene;
         let Some(page) = scene.page_at(met.visit.place) else { return };
         self.open_page(page, met.visit.state);

@@ -5,7 +5,6 @@ use std::sync::Arc;
 use crate::cull::{RenderStage, StageTarget};
 use crate::draw::pipelines::{Bare, MOST_COLORS, Pipelines, TargetFormats};
 use crate::draw::renderer::prepare::clamped;
-use crate::draw::renderer::shadows::CasterPlan;
 use crate::draw::state::Dynamics;
 use crate::gpu::{GraphicsContext, StateTextures, Transients, texture_format};
 use crate::scene::{Attachment, CameraTarget};
@@ -28,8 +27,8 @@ pub(super) struct StagePlan {
     pub(super) has_sky: bool,
     /// The sea, if there is one.
     pub(super) water: Option<Bare>,
-    /// What casts shadows into it.
-    pub(super) casters: Option<CasterPlan>,
+    /// What casts shadows into it and into views inside it, in the renderer's list.
+    pub(super) casters: std::ops::Range<usize>,
     /// The textures of two eyes to be put together, and where it is said how.
     pub(super) eyes: Option<([Arc<TextureObject>; 2], usize)>,
     /// What its colours are cleared with, where they are.

@@ -4,10 +4,13 @@
 //! when a picture first has shadows, as large as the largest wants it; smaller ones use a part. Given back when none had
 //! shadows for a while, and made smaller when none wanted that much.
 
-use crate::cull::{MOST_CASCADES, StageShadows};
+use crate::cull::{MOST_CASCADES, RenderStage, StageShadows};
 
 /// Draws without shadows after which the texture is given back, and with less of them after which it shrinks.
 const KEPT_DRAWS: u32 = 120;
+
+/// Layers that every adapter has.
+const MOST_LAYERS: usize = 256;
 
 pub(super) const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
@@ -36,11 +39,14 @@ pub(super) struct Wanted {
 }
 
 impl Wanted {
-    /// With room for a stage's shadows, if the adapter has maps that large.
-    pub(super) fn add(&mut self, shadows: &StageShadows, most_px: u32) {
-        let (size_px, layers) = (shadows.settings.resolution_px, shadows.cascades.len().min(MOST_CASCADES));
-        if layers > 0 && size_px <= most_px {
-            *self = self.max(Self { size_px, layers });
+    /// With room for the shadows of a stage and of the views inside it, which are drawn at once; if the adapter has maps
+    /// that large.
+    pub(super) fn add(&mut self, stage: &RenderStage, most_px: u32) {
+        let all = std::iter::once(&stage.shadows).chain(stage.views.iter().map(|view| &view.shadows));
+        let mut layers = 0;
+        for shadows in all.filter(|s| !s.cascades.is_empty() && s.settings.resolution_px <= most_px) {
+            layers = (layers + shadows.cascades.len().min(MOST_CASCADES)).min(MOST_LAYERS);
+            *self = self.max(Self { size_px: shadows.settings.resolution_px, layers });
         }
     }
 
@@ -110,8 +116,14 @@ impl ShadowMaps {
     }
 
     /// What a cascade is drawn into.
-    pub(super) fn layer(&self, cascade: usize) -> Option<&wgpu::TextureView> {
-        self.maps.as_ref()?.layers.get(cascade)
+    pub(super) fn layer(&self, layer: usize) -> Option<&wgpu::TextureView> {
+        self.maps.as_ref()?.layers.get(layer)
+    }
+
+    /// True when there are maps for the cascades of a picture, from a layer on.
+    pub(super) fn has_room(&self, shadows: &StageShadows, first_layer: usize) -> bool {
+        let (count, has) = (shadows.cascades.len().min(MOST_CASCADES), self.sizing.has);
+        count > 0 && has.size_px >= shadows.settings.resolution_px && has.layers >= first_layer + count
     }
 
     /// Texels a side; 0 without maps.

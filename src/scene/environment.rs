@@ -138,9 +138,9 @@ impl CameraEnvironment {
     }
 }
 
-/// Shadows of the sun in the picture of a camera in the graph that is drawn before or after: cascades of its own, cast
-/// by what is below it. Each is culled and drawn for itself; see [`CullSettings::shadowed_cameras`]. Nested cameras, which
-/// share the maps of the picture that they are drawn in, have none; where one asks it is counted as refused.
+/// Shadows of the sun in the picture of a camera in the graph: cascades of its own, cast by what is below it. Each is
+/// culled and drawn for itself; see [`CullSettings::shadowed_cameras`]. The maps are shared, one camera's after the
+/// other's; those of nested cameras lie beside those of the picture that they are drawn in.
 ///
 /// [`CullSettings::shadowed_cameras`]: super::CullSettings::shadowed_cameras
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -7,9 +7,9 @@ pub const MOST_CASCADES: usize = 4;
 /// what is masked casts its holes. Lines and points cast none. Receives: everything that the sun lights.
 ///
 /// Pictures have them that show a camera of a view: master and slave cameras, and each eye of a stereo picture has
-/// cascades of its own. Cameras in the graph that are drawn before or after have them where they ask
-/// ([`CameraNode::shadows`](super::CameraNode::shadows)): what is below them casts and receives. What is below
-/// Projection nodes and nested cameras does neither. Cull callbacks are called for each cascade too.
+/// cascades of its own. Cameras in the graph have them where they ask
+/// ([`CameraNode::shadows`](super::CameraNode::shadows)): what is below them casts and receives there. What is below
+/// other nested cameras and below Projection nodes does neither. Cull callbacks are called for each cascade too.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SunShadows {
     /// Parts that the depths are split into, 1 to [`MOST_CASCADES`]; each is culled and drawn for itself.

@@ -9,7 +9,7 @@ use super::{Occluders, Sight};
 use crate::cull::fade::{LodFades, TilePart};
 use crate::cull::tiles::shows_children;
 use crate::cull::view::View;
-use crate::cull::visitor::{DeferredCamera, eye_in};
+use crate::cull::visitor::{CameraPlace, eye_in};
 use crate::scene::{CullAction, CullInfo, OccluderPage, Page, Scene, Special, UNBOUNDED, flag, kind};
 
 /// A page on the way from the top down to one with occluders.
@@ -26,7 +26,7 @@ pub(in crate::cull) struct Collector<'a> {
     pub scene: &'a Scene,
     pub view: &'a View,
     /// Only what is below this camera is drawn.
-    pub camera: Option<&'a DeferredCamera>,
+    pub camera: Option<&'a CameraPlace>,
     pub fades: &'a LodFades,
     pub frame: u32,
 }

@@ -5,6 +5,7 @@
 //! casts a shadow is exactly what receives it; only the frustum is another, a box along the sun's rays without an end
 //! towards the sun. These culls ask for no pages and keep none.
 
+mod casters;
 mod fit;
 
 use glam::{DMat3, DMat4, DVec3};

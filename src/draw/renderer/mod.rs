@@ -37,6 +37,7 @@ use crate::state::TextureObject;
 use foresee::DrawnInto;
 use glam::DAffine3;
 use prepare::Surroundings;
+use shadows::CasterPlan;
 
 /// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -138,6 +139,8 @@ pub struct Renderer {
     /// Of the last frame.
     drawn_into: Vec<DrawnInto>,
     plans: Vec<StagePlan>,
+    /// Of all plans.
+    casters: Vec<CasterPlan>,
     timer: Option<FrameTimer>,
     queries: Option<Queries>,
     pictures: PictureReads,
@@ -232,6 +235,7 @@ impl Renderer {
             views: Vec::new(),
             drawn_into: Vec::new(),
             plans: Vec::new(),
+            casters: Vec::new(),
             timer: FrameTimer::new(device, ctx.queue()),
             queries: None,
             pictures: PictureReads::default(),

@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use super::foresee::DrawnInto;
+use super::shadows::Casting;
 use super::{FrameClock, Picture, Renderer};
-use crate::cull::{CullCamera, FadeBand, RenderStage};
+use crate::cull::{CullCamera, FadeBand, MOST_CASCADES, RenderStage};
 use crate::draw::answers::Queries;
 use crate::draw::atmosphere::{Air, FoundAir};
 use crate::draw::batch::StateEntry;
@@ -29,6 +30,7 @@ impl Renderer {
             self.drawn_into.clear();
         }
         self.plans.clear();
+        self.casters.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
             timer.start_frame(self.timed.0, self.timed.1);
@@ -104,31 +106,54 @@ impl Renderer {
         }
     }
 
-    /// Frames of the views inside a stage, the stage's own first, and their sets of the air's tables.
+    /// The views inside a stage, the stage's own first, and what casts shadows into all of them; how many leaves there was
+    /// no room for.
     fn prepare_views(
         &mut self,
         ctx: &GraphicsContext,
         stage: &RenderStage,
         around: &Surroundings,
-        own: u32,
-    ) -> [(u32, u8); MOST_VIEWS] {
-        let mut frames = [(own, around.air.place); MOST_VIEWS];
+        target: &PassTarget,
+        [own, positioned]: [u32; 2],
+    ) -> ([ViewFrame; MOST_VIEWS], usize) {
+        let (mut dropped, mut first_layer) = (0, 0);
+        let has_shadows = around.shadows.is_some() && self.shadow_maps.has_room(&stage.shadows, first_layer);
+        if has_shadows {
+            let (shadows, camera) = (&stage.shadows, &stage.camera);
+            let (environment, air) = (&around.environment, &around.air.air);
+            let casting = Casting { shadows, camera, environment, air, first_layer };
+            dropped += self.prepare_casters(ctx, stage, &casting, target, positioned);
+            first_layer += shadows.cascades.len().min(MOST_CASCADES);
+        }
+        let own = ViewFrame { uniform: own, air: around.air.place, has_shadows };
+        let mut frames = [own; MOST_VIEWS];
         let mut views = std::mem::take(&mut self.views);
         views.clear();
         views.push((stage.camera.eye_from_world, *around));
         for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
             let (eye_from_world, above) = *views.get(view.above as usize).unwrap_or(&views[0]);
+            let has_shadows = self.shadow_maps.has_room(&view.shadows, first_layer);
             let (camera, around) = if view.environment.is_whole() {
                 (view.camera, self.surroundings_of(ctx, &view.environment, &view.camera, &above))
+            } else if has_shadows {
+                (view.camera, above)
             } else {
                 (CullCamera { eye_from_world, ..view.camera }, above)
             };
             views.push((camera.eye_from_world, around));
-            let uniform = FrameUniform::new(&camera, &view.clip_from_eye, &around.environment, &around.air.air);
-            *place = (self.groups.push(&uniform), around.air.place);
+            let (environment, air) = (&around.environment, &around.air.air);
+            let mut uniform = FrameUniform::new(&camera, &view.clip_from_eye, environment, air);
+            if has_shadows {
+                let (shadows, camera) = (&view.shadows, &camera);
+                uniform = uniform.with_shadows(shadows, self.shadow_maps.size_px(), first_layer);
+                let casting = Casting { shadows, camera, environment, air, first_layer };
+                dropped += self.prepare_casters(ctx, stage, &casting, target, positioned);
+                first_layer += shadows.cascades.len().min(MOST_CASCADES);
+            }
+            *place = ViewFrame { uniform: self.groups.push(&uniform), air: around.air.place, has_shadows };
         }
         self.views = views;
-        frames
+        (frames, dropped)
     }
 
     /// Prepares a stage and those around it, in the order drawn; how many leaves there was no room for.
@@ -161,20 +186,16 @@ impl Renderer {
             }
         };
         let mut uniform = FrameUniform::new(&stage.camera, &stage.camera.clip_from_eye, environment, air);
-        let has_shadows = around.shadows.is_some() && self.has_shadows(stage);
+        let has_shadows = around.shadows.is_some() && self.shadow_maps.has_room(&stage.shadows, 0);
         if has_shadows {
-            uniform = uniform.with_shadows(&stage.shadows, self.shadow_maps.size_px());
+            uniform = uniform.with_shadows(&stage.shadows, self.shadow_maps.size_px(), 0);
         }
         let clear = clear_color(environment, &uniform);
         let first_frame = self.groups.push(&uniform);
         let positioned = self.groups.push(&StageUniform::new(stage));
-        let frames = self.prepare_views(ctx, stage, around, first_frame);
-        let (casters, mut dropped) = if has_shadows {
-            let (plan, dropped) = self.prepare_casters(ctx, stage, environment, air, &target, positioned);
-            (Some(plan), dropped)
-        } else {
-            (None, 0)
-        };
+        let first_caster = self.casters.len();
+        let (frames, mut dropped) = self.prepare_views(ctx, stage, around, &target, [first_frame, positioned]);
+        let casters = first_caster..self.casters.len();
         let base = Statics {
             dynamics: target.dynamics(stage.target.viewport_px),
             frame: [first_frame, positioned],
@@ -186,7 +207,7 @@ impl Renderer {
         let has_own_light = replaces_sun(stage);
         // An empty stage has none; what comes will.
         let will_have = around.shadows.is_some() && stage.leaf_count() == 0;
-        let drawn = DrawnInto { target: target.index, has_own_light, has_shadows: has_shadows || will_have };
+        let drawn = DrawnInto { target: target.index, has_own_light, has_shadows: !casters.is_empty() || will_have };
         if !self.drawn_into.contains(&drawn) {
             self.drawn_into.push(drawn);
         }
@@ -196,7 +217,8 @@ impl Renderer {
         for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
             let (shading, group) = self.shading(ctx, stage, state, has_own_light, &target);
             let mut statics = Statics { group, ..base };
-            (statics.frame[0], statics.air) = frames.get(*view as usize).copied().unwrap_or(frames[0]);
+            let of_view = frames.get(*view as usize).unwrap_or(&frames[0]);
+            (statics.frame[0], statics.air) = (of_view.uniform, of_view.air);
             let viewport = stage.views.get((*view as usize).wrapping_sub(1)).and_then(|v| v.viewport_px);
             apply_state(&mut statics.dynamics, state, viewport, target.size_px);
             let recent = self.statics.len().saturating_sub(STATICS_COMPARED).max(first_statics as usize);
@@ -206,7 +228,7 @@ impl Renderer {
                 self.statics.len() - 1
             });
             let key = self.pipelines.state_key(state, shading, target.index);
-            let key = if has_shadows { key.shadowed() } else { key };
+            let key = if of_view.has_shadows { key.shadowed() } else { key };
             let band = stage.fades.get((*fade as usize).wrapping_sub(1)).copied().unwrap_or(FadeBand::FULL);
             states.push(StateEntry::new(key, index as u32, state, band));
         }
@@ -356,7 +378,7 @@ impl Renderer {
         ctx: &GraphicsContext,
         stage: &RenderStage,
         target: &PassTarget,
-        frames: &[(u32, u8)],
+        frames: &[ViewFrame],
         base: Statics,
     ) -> Vec<(u32, u32, u32)> {
         if stage.queries.is_empty() {
@@ -375,8 +397,8 @@ impl Renderer {
                 break;
             }
             let Some(index) = queries.ask(query) else { break };
-            let (frame, air) = frames.get(query.view as usize).copied().unwrap_or(frames[0]);
-            let statics = Statics { frame: [frame, base.frame[1]], air, ..base };
+            let ViewFrame { uniform, air, .. } = *frames.get(query.view as usize).unwrap_or(&frames[0]);
+            let statics = Statics { frame: [uniform, base.frame[1]], air, ..base };
             let place = match self.statics.iter().rposition(|s| *s == statics) {
                 Some(place) => place,
                 None => {
@@ -389,6 +411,16 @@ impl Renderer {
         }
         asked
     }
+}
+
+/// What the leaves of a view are drawn with.
+#[derive(Clone, Copy)]
+struct ViewFrame {
+    /// Place of the uniform.
+    uniform: u32,
+    /// Set of the air's tables.
+    air: u8,
+    has_shadows: bool,
 }
 
 /// What is around what a stage shows.

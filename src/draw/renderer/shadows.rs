@@ -3,7 +3,7 @@
 
 use super::Picture;
 use super::Renderer;
-use crate::cull::{FadeBand, MOST_CASCADES, RenderStage};
+use crate::cull::{CullCamera, FadeBand, MOST_CASCADES, RenderStage, StageShadows};
 use crate::draw::DrawStats;
 use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
@@ -23,7 +23,20 @@ pub(in crate::draw) struct CasterPlan {
     /// Of the batch, by cascade.
     runs: [std::ops::Range<usize>; MOST_CASCADES],
     count: usize,
+    first_layer: usize,
     size_px: u32,
+}
+
+/// What casts shadows, and what it is drawn with.
+#[derive(Clone, Copy)]
+pub(super) struct Casting<'a> {
+    pub(super) shadows: &'a StageShadows,
+    /// In whose eye space it is.
+    pub(super) camera: &'a CullCamera,
+    pub(super) environment: &'a Environment,
+    pub(super) air: &'a Air,
+    /// Of the maps.
+    pub(super) first_layer: usize,
 }
 
 impl Renderer {
@@ -41,7 +54,7 @@ impl Renderer {
                 Ok(()) if said.is_some_and(|s| s.resolution_px > most_px) => {
                     self.complain(format!("the adapter has no shadow maps of more than {most_px} texels a side"));
                 }
-                Ok(()) => wanted.add(&stage.shadows, most_px),
+                Ok(()) => wanted.add(stage, most_px),
             };
             look(stage, environment.shadows);
             look_around(stage, &mut look);
@@ -49,32 +62,25 @@ impl Renderer {
         self.binds_shadows |= self.shadow_maps.ensure(ctx.device(), wanted);
     }
 
-    /// True when there are maps for a stage's cascades.
-    pub(super) fn has_shadows(&self, stage: &RenderStage) -> bool {
-        let shadows = &stage.shadows;
-        !shadows.cascades.is_empty() && self.shadow_maps.size_px() >= shadows.settings.resolution_px
-    }
-
-    /// Prepares the casters of a stage's cascades; how many leaves there was no room for.
-    #[allow(clippy::too_many_arguments, reason = "what a stage is prepared with")]
+    /// Prepares what casts shadows into a stage, or into a view inside it; how many leaves there was no room for.
     pub(super) fn prepare_casters(
         &mut self,
         ctx: &GraphicsContext,
         stage: &RenderStage,
-        environment: &Environment,
-        air: &Air,
+        casting: &Casting<'_>,
         target: &PassTarget,
         positioned: u32,
-    ) -> (CasterPlan, usize) {
-        let Some(into) = self.caster_target() else { return Default::default() };
-        let size_px = stage.shadows.settings.resolution_px;
-        let mut plan =
-            CasterPlan { count: stage.shadows.cascades.len().min(MOST_CASCADES), size_px, ..Default::default() };
+    ) -> usize {
+        let Some(into) = self.caster_target() else { return 0 };
+        let Casting { shadows, camera, environment, air, first_layer } = *casting;
+        let size_px = shadows.settings.resolution_px;
+        let count = shadows.cascades.len().min(MOST_CASCADES);
+        let mut plan = CasterPlan { count, first_layer, size_px, ..Default::default() };
         let mut dropped = 0;
         let before = self.batch.leaves().len();
-        for (runs, cascade) in plan.runs.iter_mut().zip(&stage.shadows.cascades) {
+        for (runs, cascade) in plan.runs.iter_mut().zip(&shadows.cascades) {
             // The picture's own eye and levels of detail, seen along the sun's rays.
-            let frame = self.groups.push(&FrameUniform::new(&stage.camera, &cascade.clip_from_eye, environment, air));
+            let frame = self.groups.push(&FrameUniform::new(camera, &cascade.clip_from_eye, environment, air));
             let base = Statics { dynamics: of_map(size_px), frame: [frame, positioned], air: 0, group: None };
             let plain = self.statics.len() as u32;
             self.statics.push(base);
@@ -107,7 +113,8 @@ impl Renderer {
             *runs = first_run..self.batch.runs.len();
         }
         self.shadow_leaves += (self.batch.leaves().len() - before) as u32;
-        (plan, dropped)
+        self.casters.push(plan);
+        dropped
     }
 
     /// What pipelines must know of the shadow maps.
@@ -141,9 +148,12 @@ impl Renderer {
         plan: &StagePlan,
         stats: &mut DrawStats,
     ) {
-        let Some(casters) = &plan.casters else { return };
-        for (cascade, runs) in casters.runs.iter().enumerate().take(casters.count) {
-            let Some(layer) = self.shadow_maps.layer(cascade) else { return };
+        let casters = self.casters.get(plan.casters.clone()).unwrap_or_default().iter();
+        let passes = casters
+            .flat_map(|c| (c.first_layer..).zip(&c.runs[..c.count]).map(|(layer, runs)| (layer, runs, c.size_px)));
+        for (layer, runs, size_px) in passes {
+            debug_assert!(size_px <= self.shadow_maps.size_px());
+            let Some(layer) = self.shadow_maps.layer(layer) else { return };
             let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
                 label: Some("shadows"),
                 color_attachments: &[],
@@ -166,7 +176,6 @@ impl Renderer {
             stats.state_changes_skipped += state.stats.state_changes_skipped;
             stats.passes += 1;
         }
-        debug_assert!(casters.size_px <= self.shadow_maps.size_px());
     }
 }
 

@@ -47,13 +47,14 @@ fn sun_shadow_filtered(cascade: i32, place: vec2<f32>, depth: f32) -> f32 {
     let weights_y = vec3<f32>(4.0 - 3.0 * part.y, 7.0, 1.0 + 3.0 * part.y);
     let x = (vec3<f32>(3.0 - 2.0 * part.x, 3.0 + part.x, part.x) / weights_x + vec3<f32>(-2.0, 0.0, 2.0)) * texel;
     let y = (vec3<f32>(3.0 - 2.0 * part.y, 3.0 + part.y, part.y) / weights_y + vec3<f32>(-2.0, 0.0, 2.0)) * texel;
+    let layer = cascade + i32(frame.sun_top.w);
     var sum = 0.0;
     for (var row = 0; row < 3; row++) {
         let at = base + vec2<f32>(0.0, y[row]);
         let lit = vec3<f32>(
-            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.x, 0.0), cascade, depth),
-            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.y, 0.0), cascade, depth),
-            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.z, 0.0), cascade, depth),
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.x, 0.0), layer, depth),
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.y, 0.0), layer, depth),
+            textureSampleCompareLevel(sun_shadow_maps, sun_shadow_sampler, at + vec2<f32>(x.z, 0.0), layer, depth),
         );
         sum += weights_y[row] * dot(weights_x, lit);
     }

@@ -36,7 +36,7 @@ pub(in crate::draw) struct FrameUniform {
     pub(in crate::draw) water: [f32; 4],
     /// Of the eye the air's tables were made for: kilometres from the earth's centre, cosines of horizon and limb.
     pub(in crate::draw) air: [f32; 4],
-    /// Linear irradiance of the sun before any air.
+    /// Linear irradiance of the sun before any air; w: layer of the first cascade's map.
     pub(in crate::draw) sun_top: [f32; 4],
     /// Axis across the sun's rays in eye space; w: bias along the normal in texels.
     pub(in crate::draw) shadow_x: [f32; 4],
@@ -174,8 +174,10 @@ impl FrameUniform {
         }
     }
 
-    /// The same where shadows fall; the maps have `map_px` texels a side, of which the cascades use the first.
-    pub(in crate::draw) fn with_shadows(mut self, shadows: &StageShadows, map_px: u32) -> Self {
+    /// The same where shadows fall; the maps have `map_px` texels a side, of which the cascades use the first, and lie
+    /// from a layer on.
+    pub(in crate::draw) fn with_shadows(mut self, shadows: &StageShadows, map_px: u32, first_layer: usize) -> Self {
+        self.sun_top[3] = first_layer as f32;
         let [x, y] = [0, 1].map(|row| shadows.light_from_eye.row(row).to_array());
         let settings = &shadows.settings;
         self.shadow_x = vec4(x, f64::from(settings.normal_bias_texels));
