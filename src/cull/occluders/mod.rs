@@ -201,8 +201,13 @@ impl Occluders {
         let origin_in_eye = eye_from_frame.transform_point3(origin);
         into.planes.extend(self.planes.iter().map(|p| {
             let normal = to_frame * p.truncate();
-            let length = normal.length();
             let d = p.truncate().dot(origin_in_eye) + p.w;
+            let length2 = normal.length_squared();
+            // Rigid maps, nearly all there are, keep the unit length: saves the root and the divisions.
+            if (length2 - 1.0).abs() < 1e-12 && d.is_finite() {
+                return normal.extend(d).as_vec4();
+            }
+            let length = length2.sqrt();
             let plane = (normal / length).extend(d / length);
             // What cannot be said hides nothing.
             if length > 0.0 && plane.is_finite() { plane.as_vec4() } else { Vec4::new(0.0, 0.0, 0.0, f32::MIN) }
