@@ -21,9 +21,9 @@ const SIZE: [u32; 2] = [256, 192];
 const TERRAIN: Terrain =
     Terrain { west: 0.2, south: 0.75, width: 0.02, relief_m: 2500.0, root_error_m: 400.0, textured: true };
 
-/// `TERRANE_PICTURES=DIR` keeps the pictures to look at.
+/// `KEEP_IMAGES=DIR` keeps the pictures to look at.
 fn keep(name: &str, picture: &RgbaImage) {
-    if let Some(folder) = std::env::var_os("TERRANE_PICTURES") {
+    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
         picture.save(Path::new(&folder).join(format!("{name}.png"))).unwrap();
     }
 }

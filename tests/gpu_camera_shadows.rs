@@ -21,9 +21,9 @@ use terrane::state::{TextureFormat, TextureObject};
 
 const SIZE: [u32; 2] = [256, 192];
 
-/// `TERRANE_PICTURES=DIR` keeps the pictures to look at.
+/// `KEEP_IMAGES=DIR` keeps the pictures to look at.
 fn keep(name: &str, picture: &RgbaImage) {
-    if let Some(folder) = std::env::var_os("TERRANE_PICTURES") {
+    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
         picture.save(Path::new(&folder).join(format!("{name}.png"))).unwrap();
     }
 }
