@@ -167,7 +167,7 @@ impl Target {
         {
             *frame = None;
             config.present_mode = present_mode(vsync);
-            surface.iter().for_each(|surface| surface.configure(device, config));
+            configure_or_drop(device, surface, config);
         }
     }
 
@@ -189,7 +189,7 @@ impl Target {
                 *frame = None;
                 [config.width, config.height] = size_px;
                 self.health.resized();
-                surface.iter().for_each(|surface| surface.configure(device, config));
+                configure_or_drop(device, surface, config);
             }
             Color::Closed => {}
         }
