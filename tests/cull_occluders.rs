@@ -98,6 +98,22 @@ fn an_occluder_comes_and_goes_with_its_page() {
 }
 
 #[test]
+fn an_occluder_that_is_moved_hides_what_is_behind_it_then() {
+    let mut scene = Scene::new();
+    let tiles = scene.add_root(page(tile_at(DVec3::ZERO, 0.0, Refine::Replace, vec![]), 0));
+    scene.add_root(page(cube(DVec3::ZERO), 7));
+    let at = |z: f64| DAffine3::from_translation(DVec3::new(0.0, -4.0, z));
+    let moving = Node::transform(at(1e6), vec![wall_at(DVec3::ZERO)]);
+    let merged = scene.attach(slot_of(&scene, tiles, 0), page(moving, 0)).unwrap();
+    // Another page with a wall, which the list is not to take for it.
+    scene.add_root(page(wall_at(DVec3::new(0.0, 1e6, 0.0)), 0));
+    for (z, expected) in [(1e6, &[7][..]), (0.0, &[]), (-1e6, &[7]), (0.5, &[])] {
+        scene.set_transform(NodeId { page: merged, index: 0 }, at(z)).unwrap();
+        assert_eq!(seen(&scene, &camera()), expected, "{z}");
+    }
+}
+
+#[test]
 fn an_occluder_holds_while_its_level_is_shown() {
     let shown = |refine, range_m, child_is_there: bool| {
         let mut scene = Scene::new();

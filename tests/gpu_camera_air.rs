@@ -220,6 +220,11 @@ fn a_mirror_in_a_corner_shows_its_own_air() {
     let with = draw(CameraEnvironment::Inherited, Sky::Background([1, 2, 250]));
     assert_eq!(with.get_pixel(152, 12).0, [1, 2, 250, 255]);
     assert_ne!(with.get_pixel(128, 180).0, [1, 2, 250, 255]);
+    // So is the colour that a camera clears with, where it asks for no air.
+    let with = draw(CameraEnvironment::Light, Sky::Atmosphere);
+    keep("light-mirror", &with);
+    assert!(same(&with, &without), "the rest of the picture is as without");
+    assert_eq!(with.get_pixel(152, 12).0, [0, 0, 0, 255]);
     no_errors(rig);
 }
 

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DVec3};
-use gpu_support::{Rig, camera, rig};
+use gpu_support::{Rig, Terrain, camera, rig};
 use image::RgbaImage;
 use shadow_support::{check, cuboid, ground, solid, sunny, tower};
 use terrane::cull::{CullCamera, RenderStage, SunShadows};
@@ -139,6 +139,44 @@ fn shadows_are_a_camera_s_own() {
     assert_eq!(stats.shadow_leaves, 0);
     let errors = rig.renderer.take_errors();
     assert!(matches!(&errors[..], [e] if e.contains("1 to 4 cascades, not 9")), "{errors:?}");
+}
+
+/// Mountains of a globe under a low sun, with air and shadows, and the main eye far above another place.
+#[test]
+fn terrain_has_air_and_shadows_in_a_texture() {
+    let Some(mut rig) = rig("terrain_has_air_and_shadows_in_a_texture") else { return };
+    let rig = &mut *rig;
+    let terrain =
+        Terrain { west: 0.2, south: 0.75, width: 0.01, relief_m: 2500.0, root_error_m: 200.0, textured: true };
+    let up = terrain.up(0.5, 0.5);
+    let east = DVec3::Z.cross(up).normalize();
+    let shadows = Some(SunShadows { resolution_px: 1024, ..SunShadows::default() });
+    let world = Environment { sun_direction: (0.15 * up + east).normalize(), shadows, ..Environment::default() };
+    let eye = terrain.world(0.3, 0.3, 1_500.0);
+    let seen = camera(SIZE, eye, terrain.world(0.6, 0.6, 0.0), up);
+    let scene = rig.scene(terrain.tiles_for(&seen, eye, 4));
+    let expected = rig.picture(&scene, &seen, &world.seen_from(eye));
+    let bare = rig.picture(&scene, &seen, &Environment { shadows: None, ..world.seen_from(eye) });
+    rig.release(scene);
+    keep("shadows-terrain-picture", &expected);
+    let shaded = differ(&expected, &bare, 8);
+    assert!(shaded > 1_000, "there are shadows: {shaded}");
+    let above = terrain.world(0.9, 0.1, 50_000.0);
+    let sink = Arc::new(PictureSink::default());
+    let mut node = like(&seen, CameraEnvironment::Inherited, CameraShadows::Environment);
+    let target = node.target.as_deref().unwrap().clone();
+    node.target = Some(Arc::new(CameraTarget { read_back: Some(sink.clone()), ..target }));
+    let scene = rig.scene(Node::camera(node, vec![terrain.tiles_for(&seen, eye, 4)]));
+    let main = camera([64, 64], above, terrain.world(0.9, 0.2, 0.0), terrain.up(0.9, 0.1));
+    let found = (1..200).find_map(|frame| {
+        rig.draw(&scene, &CullCamera { frame, ..main }, &world.seen_from(above));
+        sink.take()
+    });
+    let found = RgbaImage::from_raw(SIZE[0], SIZE[1], found.unwrap().rgba).unwrap();
+    keep("shadows-terrain", &found);
+    assert_eq!(differ(&found, &expected, 1), 0);
+    rig.release(scene);
+    no_errors(rig);
 }
 
 /// A mirror below the ground's level: a view that mirrors, with shadows as in the world.

@@ -320,6 +320,31 @@ fn pictures_of_one_target_have_shadows_of_their_own() {
     rig.release(scene);
 }
 
+/// As contexts of one device do that want other maps: the larger ones stay, and smaller pictures use a part.
+#[test]
+fn pictures_that_take_turns_with_other_maps_are_as_alone() {
+    let Some(mut alone) = gpu_support::new_rig(SIZE) else { return };
+    let Some(mut turns) = gpu_support::new_rig(SIZE) else { return };
+    let root = || Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]);
+    let camera = camera(SIZE, DVec3::new(-40.0, -50.0, 45.0), DVec3::ZERO, DVec3::Z);
+    let of = |resolution_px, cascades| {
+        let shadows = Some(SunShadows { resolution_px, cascades, ..SunShadows::default() });
+        Environment { shadows, ..sunny(DVec3::new(1.0, 0.5, 1.0)) }
+    };
+    let scene = alone.scene(root());
+    let small = alone.picture(&scene, &camera, &of(300, 2));
+    alone.release(scene);
+    let scene = turns.scene(root());
+    let large = turns.picture(&scene, &camera, &of(1024, 4));
+    for _ in 0..3 {
+        let found = turns.picture(&scene, &camera, &of(300, 2));
+        let differs = found.pixels().zip(small.pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > 2).count();
+        assert_eq!(differs, 0, "but for rounding");
+        assert!(turns.picture(&scene, &camera, &of(1024, 4)) == large);
+    }
+    turns.release(scene);
+}
+
 #[test]
 fn cameras_in_the_graph_have_none_and_eyes_have_their_own() {
     let Some(mut rig) = rig("cameras_in_the_graph_have_none_and_eyes_have_their_own") else { return };

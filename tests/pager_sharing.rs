@@ -344,6 +344,27 @@ fn budgets_hold_and_shared_places_live_as_long_as_their_last_page() {
     assert_eq!((run.pager.stats().gpu_bytes, run.pager.stats().shared_gpu_bytes_saved), (0, 0));
 }
 
+#[test]
+fn pages_shared_by_hand_have_one_tree_and_keep_what_they_share() {
+    let manager = SharedStateManager::new(ShareModes::default());
+    let [mut a, mut b] = [0, 1].map(|_| read(&glb(3, 1), &options(ShareModes::NONE).0));
+    // Trees that were built before anybody knew of the other.
+    for page in [&mut a, &mut b] {
+        page.build_kd_trees();
+        manager.share(page);
+    }
+    assert!(Arc::ptr_eq(a.kd_tree(0).unwrap(), b.kd_tree(0).unwrap()));
+    assert!(Arc::ptr_eq(parts(&a.take_drawables()[0]).0, parts(&b.take_drawables()[0]).0));
+    // Again, without payloads: the page holds what it held.
+    let before = manager.stats();
+    manager.share(&mut a);
+    manager.prune_all();
+    assert_eq!(manager.stats(), before);
+    drop(b);
+    manager.prune_all();
+    assert_eq!(manager.stats().entries, before.entries, "the first page has it all still");
+}
+
 /// A page of one square at `x` with a picture of one colour, shared by hand as a paged one is by its worker.
 fn square_page(manager: &SharedStateManager, x: f64, shade: u8) -> Page {
     let mut drawable = quad([0.0; 3], [0.3, 0.3], [1.0; 4]);

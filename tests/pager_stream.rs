@@ -9,6 +9,7 @@ use std::path::Path;
 use pager_support::{Run, above};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::pager::PagerConfig;
+use terrane::scene::SlotState;
 
 /// A root and four children around the origin, one glb each.
 fn write_set(folder: &Path) {
@@ -123,5 +124,59 @@ fn blocking_loads_the_same_each_time_and_pagers_stop() {
             })
             .collect();
         assert_eq!(merged, [5, 5, 5, 5], "all wanted levels are asked for at once");
+    }
+}
+
+#[test]
+fn an_occluder_in_a_content_hides_what_is_behind_it_while_it_is_there() {
+    // Two tiles one above the other, seen from above; y is up in glTF.
+    let write = |folder: &Path, occluder: &str| {
+        let gltf = |extras: &str| {
+            format!(
+                r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0{extras}}}],
+                "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"buffers":[{{"byteLength":36,
+                "uri":"data:application/octet-stream;base64,{}"}}],"bufferViews":[{{"buffer":0,"byteLength":36}}],
+                "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[-1,0,-1],"max":[1,0,1]}}]}}"#,
+                // (-1, 0, -1), (1, 0, -1), (0, 0, 1)
+                "AACAvwAAAAAAAIC/AACAPwAAAAAAAIC/AAAAAAAAAAAAAIA/",
+            )
+        };
+        std::fs::write(folder.join("upper.gltf"), gltf(occluder)).unwrap();
+        std::fs::write(folder.join("lower.gltf"), gltf("")).unwrap();
+        let tile = |name: &str, z: f64| {
+            format!(
+                r#"{{"boundingVolume":{{"sphere":[0,0,{z},2]}},"geometricError":0,"content":{{"uri":"{name}.gltf"}},
+                "transform":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,{z},1]}}"#
+            )
+            .replacen(&format!("[0,0,{z},2]"), "[0,0,0,2]", 1)
+        };
+        let json = format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":90,"root":{{"refine":"ADD","geometricError":80,
+            "boundingVolume":{{"sphere":[0,0,10,30]}},"children":[{},{}]}}}}"#,
+            tile("upper", 20.0),
+            tile("lower", 0.0)
+        );
+        std::fs::write(folder.join("tileset.json"), json).unwrap();
+    };
+    let plate = r#","extras":{"terrane":{"occluder":{"corners":[[-9,0,-9],[9,0,-9],[9,0,9],[-9,0,9]]}}}"#;
+    for (occluder, drawn) in [(plate, 1), ("", 2)] {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), occluder);
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+        run.settle(above(40.0));
+        assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+        let counters = run.stage.counters;
+        assert_eq!((counters.tiles_drawn, counters.occluded > 0), (drawn, drawn == 1), "{counters:?}");
+        // From below the plate, the tile below it.
+        run.settle(above(10.0));
+        assert_eq!(run.stage.counters.tiles_drawn, 1);
+        run.settle(above(40.0));
+        assert_eq!(run.stage.counters.tiles_drawn, drawn);
+        // The plate's page goes: what it hid is seen in the same frame.
+        let upper = run.scene.slots_of_page(run.scene.roots()[0]).next().unwrap();
+        let SlotState::Resident(page) = run.scene.slot(upper).unwrap().state else { panic!("merged") };
+        run.scene.detach(page).unwrap();
+        run.cull(above(40.0));
+        assert_eq!((run.stage.counters.tiles_drawn, run.stage.counters.occluded), (1, 0));
     }
 }

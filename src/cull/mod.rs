@@ -13,7 +13,8 @@
 //!   state_graph        find-or-insert of state sets under their parent
 //!   sort               leaves to bins, in draw order
 //! then the shadows' cascades, each culled alike into a stage of its own
-//! and the cameras in the graph that are drawn before or after: a stage of their own each, culled alike
+//! and the cameras in the graph that are drawn before or after: a stage of their own each, culled alike, with shadows
+//! where they ask
 //! ```
 
 mod camera;

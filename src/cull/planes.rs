@@ -60,6 +60,12 @@ impl EyePlanes {
         self.planes.iter().enumerate().any(|(bit, plane)| self.mask & 1 << bit != 0 && is_outside(plane))
     }
 
+    /// True when a sphere in eye space is outside some plane.
+    pub fn sphere_is_outside(&self, center: DVec3, radius_m: f64) -> bool {
+        let is_outside = |plane: &DVec4| plane.truncate().dot(center) + plane.w < -radius_m;
+        self.planes.iter().enumerate().any(|(bit, plane)| self.mask & 1 << bit != 0 && is_outside(plane))
+    }
+
     /// The planes in the frame of `eye_from_frame`, relative to a point of it.
     pub fn in_frame(&self, eye_from_frame: &DAffine3, origin: DVec3) -> Planes {
         let to_frame: DMat3 = eye_from_frame.matrix3.transpose();

@@ -4,10 +4,9 @@
 //! Three tables hold for the whole earth and are made once for a density of aerosols: what is left of sunlight, light
 //! scattered more than once, the sky's light on the ground. The fourth is made when the eye's height or the sun's has
 //! changed: what the air adds and takes along every direction from the eye, to 24 distances. There is a set of them for
-//! each eye of a frame whose air is another one, up to eight: views, and cameras in the graph that have air of their own.
-//! After S. Hillaire, A Scalable
-//! and Production Ready Sky and Atmosphere Rendering Technique (2020); coefficients of E. Bruneton's Precomputed
-//! Atmospheric Scattering.
+//! each eye of a draw whose air is another one, up to eight: views, and cameras in the graph that have air of their own.
+//! After S. Hillaire, A Scalable and Production Ready Sky and Atmosphere Rendering Technique (2020); coefficients of
+//! E. Bruneton's Precomputed Atmospheric Scattering.
 
 use std::f64::consts::PI;
 

@@ -142,7 +142,7 @@ mod tests {
     #[test]
     fn one_that_stays_suboptimal_is_configured_once_until_it_changes() {
         let mut health = Health::default();
-        let mut configured = |health: &mut Health, answer| {
+        let configured = |health: &mut Health, answer| {
             next(health, answer, false);
             health.wants_configure()
         };

@@ -7,6 +7,7 @@ use glam::DAffine3;
 use super::callbacks::CallbackPages;
 use super::error::SceneError;
 use super::kinds::CameraNode;
+use super::occluders::OccluderPage;
 use super::page::{NONE, Page};
 use super::tiles::flag;
 use super::variance::Rewritten;
@@ -39,8 +40,8 @@ pub struct Scene {
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
     pub(super) callback_pages: CallbackPages,
-    /// Places of the pages that have OccluderNodes, in no order.
-    occluder_pages: Vec<u32>,
+    /// Pages that have OccluderNodes, in no order.
+    occluder_pages: Vec<OccluderPage>,
     /// Meshes that were changed and have not been sent to be drawn.
     pub(super) rewritten: Vec<Rewritten>,
 }
@@ -187,10 +188,14 @@ impl Scene {
         if node.index as usize >= page.node_count() {
             return Err(SceneError::StaleNode { node });
         }
-        match page.set_transform(node.index, parent_from_child)? {
-            true => Ok(()),
-            false => Err(SceneError::NotATransform { node }),
+        if !page.set_transform(node.index, parent_from_child)? {
+            return Err(SceneError::NotATransform { node });
         }
+        if !page.occluders.is_empty() {
+            let moved = OccluderPage::new(node.page.slot, page);
+            self.occluder_pages[self.entries[node.page.slot as usize].occluders_at as usize] = moved;
+        }
+        Ok(())
     }
 
     /// What a camera node holds; `None` where the node is none, or not there any more.
@@ -258,7 +263,7 @@ impl Scene {
         self.page_count += 1;
         let occluders_at = self.occluder_pages.len() as u32;
         if !page.occluders.is_empty() {
-            self.occluder_pages.push(place);
+            self.occluder_pages.push(OccluderPage::new(place, &page));
         }
         let page = Some(Box::new(page));
         match self.free.pop() {
@@ -290,14 +295,14 @@ impl Scene {
             let at = entry.occluders_at;
             self.occluder_pages.swap_remove(at as usize);
             if let Some(moved) = self.occluder_pages.get(at as usize) {
-                self.entries[*moved as usize].occluders_at = at;
+                self.entries[moved.place as usize].occluders_at = at;
             }
         }
         Some(*page)
     }
 
-    /// Places of the pages that have OccluderNodes.
-    pub(crate) fn occluder_pages(&self) -> &[u32] {
+    /// The pages that have OccluderNodes.
+    pub(crate) fn occluder_pages(&self) -> &[OccluderPage] {
         &self.occluder_pages
     }
 

@@ -15,6 +15,7 @@ mod id;
 mod intersect;
 mod kinds;
 mod node;
+mod occluders;
 mod page;
 mod shapes;
 mod shared;
@@ -61,6 +62,7 @@ pub use world::TileInfo;
 pub use crate::state::DataVariance;
 
 pub(crate) use draw_kinds::SMALL_MESH_INDICES;
+pub(crate) use occluders::OccluderPage;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use shared::{SharedContent, SharedParts};
 pub(crate) use tiles::{TileBounds, TileRecord, Tiles, flag};

@@ -94,15 +94,20 @@ impl Run {
 
     /// As [`Self::frame`], with requests besides the cull's.
     pub fn frame_with(&mut self, eye: DVec3, others: &[PageRequest]) {
+        self.cull(eye);
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        let requests = [&self.stage.requests, others].concat();
+        self.pager.update_scene_graph(&mut self.scene, self.frame, &requests, contexts);
+        self.check_counters();
+    }
+
+    /// The cull of a frame.
+    pub fn cull(&mut self, eye: DVec3) {
         self.frame += 1;
         let eye_from_world = DAffine3::from_translation(-eye);
         let mut camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
         camera.settings.max_sse_px = self.max_sse_px;
         self.visitor.cull(&self.scene, &camera, &mut self.stage);
-        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
-        let requests = [&self.stage.requests, others].concat();
-        self.pager.update_scene_graph(&mut self.scene, self.frame, &requests, contexts);
-        self.check_counters();
     }
 
     /// Each request has ended in one way or is under way, and each failure is told.

@@ -10,15 +10,17 @@ use crate::cull::fade::{LodFades, TilePart};
 use crate::cull::tiles::shows_children;
 use crate::cull::view::View;
 use crate::cull::visitor::{CameraPlace, eye_in};
-use crate::scene::{CullAction, CullInfo, Page, Scene, Special, UNBOUNDED, flag, kind};
+use crate::scene::{CullAction, CullInfo, OccluderPage, Page, Scene, Special, UNBOUNDED, flag, kind};
 
 /// A page on the way from the top down to one with occluders.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(in crate::cull) struct Link {
     place: u32,
     /// The node of the page above where it hangs.
     hangs_at: u32,
     eye_from_page: DAffine3,
+    /// Where the tiles of one of its transforms are seen, those that were last asked for.
+    tiles: Option<(u32, DAffine3)>,
 }
 
 /// What is asked about nodes.
@@ -37,12 +39,17 @@ impl Occluders {
         let view = collector.view;
         let sight = Sight::new(&view.clip_from_eye, view.planes);
         let mut chain = std::mem::take(&mut self.chain);
-        for place in collector.scene.occluder_pages() {
-            let Some(page) = collector.scene.page_at(*place) else { continue };
+        chain.clear();
+        for OccluderPage { place, sphere } in collector.scene.occluder_pages() {
             if !collector.find_chain(*place, &mut chain) {
                 continue;
             }
             let Some(link) = chain.last() else { continue };
+            // Before anything of the page is read: most are out of the view, or too small.
+            if !self.may_use(&sight, &sphere.transformed(&link.eye_from_page)) {
+                continue;
+            }
+            let Some(page) = collector.scene.page_at(*place) else { continue };
             let mut hangs_in_view = None;
             for (node, transform, occluder) in &page.occluders {
                 let eye_from_page = collector.eye_from_page(page, link, *node);
@@ -69,38 +76,60 @@ enum Shows {
 }
 
 impl Collector<'_> {
-    /// Fills in the pages above one, and where each is seen; false for one that hangs nowhere.
+    /// Fills in the pages above one, and where each is seen; false for one that hangs nowhere. What `chain` holds of the
+    /// page before is kept where both hang in one page, as most do.
     fn find_chain(&self, place: u32, chain: &mut Vec<Link>) -> bool {
+        let slot_of = |at: u32| self.scene.slot_at(at).filter(|_| self.camera.is_none_or(|c| c.visit.place != at));
+        let link = |place: u32| Link { place, hangs_at: slot_of(place).map_or(0, |s| s.index), ..Link::default() };
+        let holder = slot_of(place).map(|slot| slot.page.slot);
+        let is_known = chain.len() > 1 && chain.get(chain.len() - 2).map(|above| above.place) == holder;
+        if is_known {
+            chain.pop();
+            chain.push(link(place));
+            return self.find_last(chain);
+        }
         chain.clear();
         let mut at = place;
-        loop {
-            let slot = self.scene.slot_at(at);
-            let hangs_at = slot.map_or(0, |s| s.index);
-            chain.push(Link { place: at, hangs_at, eye_from_page: DAffine3::IDENTITY });
-            match slot {
-                Some(_) if self.camera.is_some_and(|c| c.visit.place == at) => break,
-                Some(slot) => at = slot.page.slot,
-                None => break,
-            }
+        chain.push(link(at));
+        while let Some(slot) = slot_of(at) {
+            at = slot.page.slot;
+            chain.push(link(at));
         }
         chain.reverse();
-        let camera = self.camera.filter(|c| chain.first().is_some_and(|top| top.place == c.visit.place));
-        let top = match (camera, self.camera) {
-            (Some(camera), _) => camera.visit.eye_from_page,
-            (None, None) => self.view.eye_from_world,
-            (None, Some(_)) => return false,
+        let Some(top) = chain.first_mut() else { return false };
+        top.eye_from_page = match self.camera {
+            None => self.view.eye_from_world,
+            Some(camera) if camera.visit.place == top.place => camera.visit.eye_from_page,
+            Some(_) => {
+                chain.clear();
+                return false;
+            }
         };
-        if let Some(link) = chain.first_mut() {
-            link.eye_from_page = top;
+        let is_found = (2..=chain.len()).all(|count| self.find_last(&mut chain[..count]));
+        if !is_found {
+            chain.clear();
         }
-        for i in 1..chain.len() {
-            let (above, node) = (chain[i - 1], chain[i].hangs_at);
-            let Some(page) = self.scene.page_at(above.place) else { return false };
-            let Some((root, tile)) = tile_and_root(page, node) else { return false };
-            let page_from_tiles = page.transforms.page_from_node(page.tiles.roots[root].transform);
-            chain[i].eye_from_page =
-                self.eye_from_page(page, &above, node) * page_from_tiles * page.tiles.content_transform(tile as usize);
-        }
+        is_found
+    }
+
+    /// Where the last page of a chain is seen, from where the one above is.
+    fn find_last(&self, chain: &mut [Link]) -> bool {
+        let [.., above, last] = chain else { return false };
+        let Some(page) = self.scene.page_at(above.place) else { return false };
+        let Some((root, tile)) = tile_and_root(page, last.hangs_at) else { return false };
+        let transform = page.tiles.roots[root].transform;
+        let eye_from_tiles = match above.tiles {
+            Some((of, known)) if of == transform => known,
+            _ => {
+                let eye_from_page = self.eye_from_page(page, above, last.hangs_at);
+                let eye_from_tiles = eye_from_page * page.transforms.page_from_node(transform);
+                // Inside and outside of a camera one transform may be seen from two places.
+                let is_split = self.camera.is_some_and(|c| c.visit.place == above.place);
+                above.tiles = (!is_split).then_some((transform, eye_from_tiles));
+                eye_from_tiles
+            }
+        };
+        last.eye_from_page = eye_from_tiles * page.tiles.content_transform(tile as usize);
         true
     }
 

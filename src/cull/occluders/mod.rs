@@ -6,11 +6,14 @@
 
 mod collect;
 
+use std::f64::consts::PI;
+
 pub(super) use collect::{Collector, cull_info};
 
 use glam::{DAffine3, DMat4, DVec3, DVec4, Vec4};
 
 use super::planes::EyePlanes;
+use crate::math::BoundingSphere;
 use crate::scene::ConvexPlanarOccluder;
 
 /// Occluders used at once; those with the largest solid angle.
@@ -77,6 +80,26 @@ impl Occluders {
 
     pub fn is_empty(&self) -> bool {
         self.volumes.is_empty()
+    }
+
+    /// False where nothing in a sphere in eye space would be used.
+    fn may_use(&self, sight: &Sight, sphere: &BoundingSphere) -> bool {
+        let BoundingSphere { center, radius_m } = *sphere;
+        if !radius_m.is_finite() {
+            return true;
+        }
+        let is_behind = center.z - radius_m > -NEAREST_M;
+        if is_behind || sight.planes.sphere_is_outside(center, radius_m) {
+            return false;
+        }
+        let sine = radius_m / center.length();
+        let most = match sight.along {
+            Some(_) => PI * radius_m * radius_m,
+            None if sine < 1.0 => 2.0 * PI * (1.0 - (1.0 - sine * sine).sqrt()),
+            None => f64::INFINITY,
+        };
+        // A little more than it is, for rounding.
+        self.smallest().is_none_or(|(_, smallest)| most * (1.0 + 1e-9) + 1e-12 > smallest)
     }
 
     /// Adds an occluder, in a smaller one's place where there are enough. `is_shown` is only asked if it were used.
@@ -178,8 +201,13 @@ impl Occluders {
         let origin_in_eye = eye_from_frame.transform_point3(origin);
         into.planes.extend(self.planes.iter().map(|p| {
             let normal = to_frame * p.truncate();
-            let length = normal.length();
             let d = p.truncate().dot(origin_in_eye) + p.w;
+            let length2 = normal.length_squared();
+            // Rigid maps, nearly all there are, keep the unit length: saves the root and the divisions.
+            if (length2 - 1.0).abs() < 1e-12 && d.is_finite() {
+                return normal.extend(d).as_vec4();
+            }
+            let length = length2.sqrt();
             let plane = (normal / length).extend(d / length);
             // What cannot be said hides nothing.
             if length > 0.0 && plane.is_finite() { plane.as_vec4() } else { Vec4::new(0.0, 0.0, 0.0, f32::MIN) }

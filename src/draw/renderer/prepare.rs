@@ -253,11 +253,12 @@ impl Renderer {
         let eyes = self.prepare_eyes(ctx, stage, &target, &base.dynamics);
         let [width, height] = target.size_px;
         let has_part = stage.target.viewport_px.is_some_and(|rect| rect != [0, 0, width, height]);
-        let is_part = *is_whole && (has_part || is_outermost && target.is_begun);
+        let clear = if *is_whole { Some(clear) } else { stage.target.clear_color.map(color) };
+        let is_part = clear.is_some() && (has_part || *is_whole && is_outermost && target.is_begun);
         let fill = match stage.clear_node {
             _ if !is_part || has_sky => None,
             Some(said) => said.map(color),
-            None => Some(clear),
+            None => clear,
         };
         let fill = fill.and_then(|color| self.prepare_fill(ctx, &target, color));
         self.plans.push(StagePlan {
@@ -271,7 +272,7 @@ impl Renderer {
             has_sky,
             water,
             casters,
-            clear: if *is_whole { Some(clear) } else { stage.target.clear_color.map(color) },
+            clear,
             fill,
             is_part,
         });

@@ -7,10 +7,11 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use lru::LruCache;
 
 use super::key::ContentKey;
-use super::states::States;
+use super::states::{self, States};
 use crate::scene::geometry::{Drawable, Geometry, HeightTile, Mesh, Texture};
 use crate::scene::intersect::KdTree;
 use crate::scene::page::Page;
+use crate::state::DataVariance;
 
 /// Tables that are locked apart, so that workers seldom meet.
 const SHARDS: usize = 16;
@@ -88,6 +89,11 @@ impl SharedContent {
     /// The tree over the geometry; equal geometry has one.
     pub(crate) fn tree(&self, geometry: &Geometry) -> Option<Arc<KdTree>> {
         self.tree.get_or_init(|| KdTree::build(geometry).map(Arc::new)).clone()
+    }
+
+    /// The tree over the geometry, where one was built before it was known to be shared.
+    fn tree_or(&self, built: Arc<KdTree>) -> Option<Arc<KdTree>> {
+        self.tree.get_or_init(|| Some(built)).clone()
     }
 }
 
@@ -277,7 +283,15 @@ impl SharedStateManager {
     /// Takes out what nobody shares any more: one part of sixteen at each call, so that no worker waits for long.
     /// Called where pages are dropped, not in a frame.
     pub fn prune(&self) {
-        let shard = self.counters.next_shard.fetch_add(1, Relaxed) as usize % SHARDS;
+        self.prune_shard(self.counters.next_shard.fetch_add(1, Relaxed) as usize % SHARDS);
+    }
+
+    /// [`Self::prune`] of everything.
+    pub fn prune_all(&self) {
+        (0..SHARDS).for_each(|shard| self.prune_shard(shard));
+    }
+
+    fn prune_shard(&self, shard: usize) {
         let mut pruned = self.images.prune(shard) + self.meshes.prune(shard);
         pruned += self.tiles.prune(shard) + self.lists.prune(shard);
         if shard == 0 {
@@ -298,22 +312,25 @@ impl SharedStateManager {
         add(&self.counters.pruned, pruned);
     }
 
-    /// [`Self::prune`] of everything.
-    pub fn prune_all(&self) {
-        for _ in 0..SHARDS {
-            self.prune();
-        }
-    }
-
     /// Shares what a page holds that is not shared yet: for pages that an application builds itself and attaches to
-    /// slots. Must come before its payloads are taken.
+    /// slots. Once its payloads are taken, its state sets alone.
     pub fn share(&self, page: &mut Page) {
+        self.share_states(page);
+        if page.drawables.len() != page.drawable_count() {
+            return;
+        }
         let mut drawables = std::mem::take(&mut page.drawables);
         for drawable in &mut drawables {
             self.share_drawable(drawable);
         }
+        for (tree, drawable) in page.kd_trees.iter_mut().zip(&drawables) {
+            if let Some(shared) = &drawable.shared.geometry
+                && let Some(built) = tree.take()
+            {
+                *tree = shared.tree_or(built);
+            }
+        }
         page.drawables = drawables;
-        self.share_states(page);
         page.hold_shared();
     }
 
@@ -322,14 +339,33 @@ impl SharedStateManager {
         if page.state_sets.is_empty() {
             return;
         }
-        let mut states = self.states.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut texture_hits, mut set_hits) = (0, 0);
-        for set in &mut page.state_sets {
-            states.share(set, &self.modes, &mut texture_hits, &mut set_hits);
+        let lock = || self.states.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shared = states::Shared::default();
+        // What reads contents comes before the lock, and what copies after it.
+        if self.modes.textures {
+            for set in &mut page.state_sets {
+                let keys = states::texture_keys(set);
+                let known = if keys.is_empty() { Vec::new() } else { lock().known_textures(set, &keys) };
+                if !known.is_empty() {
+                    shared.texture_hits += known.len() as u64;
+                    *set = states::with_textures(set, known);
+                }
+            }
         }
-        self.counters.states.store(states.len(), Relaxed);
-        add(&self.counters.texture_hits, texture_hits);
-        add(&self.counters.state_set_hits, set_hits);
+        for set in &mut page.state_sets {
+            let is_wanted = match set.data_variance {
+                DataVariance::Static => self.modes.static_state_sets,
+                DataVariance::Dynamic => self.modes.dynamic_state_sets,
+            };
+            if is_wanted {
+                let hash = states::hash(set);
+                lock().share(set, hash, &mut shared);
+            }
+        }
+        self.counters.states.store(lock().len(), Relaxed);
+        add(&self.counters.texture_hits, shared.texture_hits);
+        add(&self.counters.state_set_hits, shared.set_hits);
+        add(&self.counters.pruned, shared.pruned);
     }
 
     fn share_drawable(&self, drawable: &mut Drawable) {

@@ -6,8 +6,7 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::sync::{Arc, Weak};
 
 use super::key::ContentKey;
-use super::manager::ShareModes;
-use crate::state::{Attribute, DataVariance, StateSet, TextureObject};
+use crate::state::{Attribute, StateSet, StateValue, TextureObject};
 
 /// Sets of one hash that are compared; more are left alone, so that nobody can make looking long.
 const MOST_ALIKE: usize = 32;
@@ -16,7 +15,17 @@ const MOST_ALIKE: usize = 32;
 #[derive(Default)]
 pub(super) struct States {
     sets: HashMap<u64, Vec<Weak<StateSet>>>,
+    /// In all of `sets`.
+    set_count: u64,
     textures: HashMap<ContentKey, Weak<TextureObject>>,
+}
+
+/// What sharing came to.
+#[derive(Debug, Default)]
+pub(super) struct Shared {
+    pub texture_hits: u64,
+    pub set_hits: u64,
+    pub pruned: u64,
 }
 
 /// Hashes what is written to it.
@@ -29,8 +38,8 @@ impl std::fmt::Write for Text {
     }
 }
 
-/// Equal for equal sets. Programs count by their uniforms' names only: comparing tells them apart.
-fn hash(set: &StateSet) -> u64 {
+/// Equal for equal sets that have the same textures. Programs count by their uniforms' names only: comparing tells them apart.
+pub(super) fn hash(set: &StateSet) -> u64 {
     let mut text = Text(DefaultHasher::new());
     let shown = write!(text, "{:?}{:?}{:?}{:?}", set.name, set.bin_value, set.color, set.modes);
     debug_assert!(shown.is_ok());
@@ -54,6 +63,18 @@ fn hash(set: &StateSet) -> u64 {
     text.0.finish()
 }
 
+/// The keys of a set's textures that may be shared, with their places among its attributes. Reads every texel.
+pub(super) fn texture_keys(set: &StateSet) -> Vec<(usize, ContentKey)> {
+    let key = |(place, (attribute, _)): (usize, &(Attribute, StateValue))| match attribute {
+        // Targets are drawn into: which one it is matters.
+        Attribute::Texture(_, binding) if !binding.texture.texels.is_empty() => {
+            Some((place, texture_key(&binding.texture)))
+        }
+        _ => None,
+    };
+    set.attributes.iter().enumerate().filter_map(key).collect()
+}
+
 fn texture_key(texture: &TextureObject) -> ContentKey {
     let what = format!("{:?}{:?}{:?}{:?}", texture.name, texture.dimension, texture.size, texture.format);
     let levels = texture.levels.to_le_bytes();
@@ -64,84 +85,81 @@ fn texture_key(texture: &TextureObject) -> ContentKey {
 
 impl States {
     pub(super) fn len(&self) -> u64 {
-        self.sets.values().map(|s| s.len() as u64).sum::<u64>() + self.textures.len() as u64
+        self.set_count + self.textures.len() as u64
     }
 
     pub(super) fn prune(&mut self) -> u64 {
         let before = self.len();
         self.textures.retain(|_, t| t.strong_count() > 0);
+        self.set_count = 0;
         self.sets.retain(|_, alike| {
             alike.retain(|s| s.strong_count() > 0);
+            self.set_count += alike.len() as u64;
             !alike.is_empty()
         });
         before - self.len()
     }
 
-    /// Puts the set that was there first in the place of an equal one.
-    pub(super) fn share(
-        &mut self,
-        set: &mut Arc<StateSet>,
-        modes: &ShareModes,
-        texture_hits: &mut u64,
-        set_hits: &mut u64,
-    ) {
-        if modes.textures {
-            self.share_textures(set, texture_hits);
-        }
-        let is_wanted = match set.data_variance {
-            DataVariance::Static => modes.static_state_sets,
-            DataVariance::Dynamic => modes.dynamic_state_sets,
-        };
-        if !is_wanted {
+    /// Puts the set that was there first in the place of an equal one. `hash` is the set's [`hash()`].
+    pub(super) fn share(&mut self, set: &mut Arc<StateSet>, hash: u64, shared: &mut Shared) {
+        let alike = self.sets.entry(hash).or_default();
+        if let Some(known) = alike.iter().filter_map(Weak::upgrade).find(|known| **known == **set) {
+            shared.set_hits += u64::from(!Arc::ptr_eq(&known, set));
+            *set = known;
             return;
         }
-        let alike = self.sets.entry(hash(set)).or_default();
-        if let Some(known) = alike.iter().filter_map(Weak::upgrade).find(|known| **known == **set) {
-            *set_hits += u64::from(!Arc::ptr_eq(&known, set));
-            *set = known;
-        } else if alike.len() < MOST_ALIKE {
+        if alike.len() >= MOST_ALIKE {
+            // Those that are gone take nobody's place.
+            let before = alike.len();
+            alike.retain(|s| s.strong_count() > 0);
+            let gone = (before - alike.len()) as u64;
+            self.set_count -= gone;
+            shared.pruned += gone;
+        }
+        if alike.len() < MOST_ALIKE {
             alike.push(Arc::downgrade(set));
+            self.set_count += 1;
         }
     }
 
-    fn share_textures(&mut self, set: &mut Arc<StateSet>, hits: &mut u64) {
+    /// The textures that were there first, for those of a set that equal them, with their places. `keys` are the set's
+    /// [`texture_keys`].
+    pub(super) fn known_textures(
+        &mut self,
+        set: &StateSet,
+        keys: &[(usize, ContentKey)],
+    ) -> Vec<(usize, Arc<TextureObject>)> {
         let mut others = Vec::new();
-        for (place, (attribute, _)) in set.attributes.iter().enumerate() {
-            let Attribute::Texture(_, binding) = attribute else { continue };
-            // Targets are drawn into: which one it is matters.
-            if binding.texture.texels.is_empty() {
-                continue;
-            }
-            let known = self.textures.entry(texture_key(&binding.texture)).or_insert_with(|| {
-                // Found again by those that come later.
-                Arc::downgrade(&binding.texture)
-            });
+        for (place, key) in keys {
+            let Some((Attribute::Texture(_, binding), _)) = set.attributes.get(*place) else { continue };
+            let known = self.textures.entry(*key).or_default();
             match known.upgrade() {
                 Some(known) if Arc::ptr_eq(&known, &binding.texture) => {}
-                Some(known) => others.push((place, known)),
+                Some(known) => others.push((*place, known)),
+                // Found again by those that come later.
                 None => *known = Arc::downgrade(&binding.texture),
             }
         }
-        if others.is_empty() {
-            return;
-        }
-        *hits += others.len() as u64;
-        // A copy: whoever else holds the set keeps its textures.
-        let mut shared = (**set).clone();
-        for (place, texture) in others {
-            if let Some((Attribute::Texture(_, binding), _)) = shared.attributes.get_mut(place) {
-                binding.texture = texture;
-            }
-        }
-        *set = Arc::new(shared);
+        others
     }
+}
+
+/// A set with other textures in the places of its own, in a copy: whoever else holds the set keeps its textures.
+pub(super) fn with_textures(set: &StateSet, textures: Vec<(usize, Arc<TextureObject>)>) -> Arc<StateSet> {
+    let mut shared = set.clone();
+    for (place, texture) in textures {
+        if let Some((Attribute::Texture(_, binding), _)) = shared.attributes.get_mut(place) {
+            binding.texture = texture;
+        }
+    }
+    Arc::new(shared)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::scene::{Node, Page, Scene, ShareModes, SharedStateManager};
-    use crate::state::{Mode, StateValue, TextureBinding};
+    use crate::state::{DataVariance, Mode, TextureBinding, UniformValue};
 
     fn set(texel: u8, data_variance: DataVariance) -> StateSet {
         let texture = TextureObject::image("brick", [1, 1], vec![texel; 4]);
@@ -208,6 +226,49 @@ mod tests {
         let stats = manager.stats();
         assert_eq!((stats.entries, stats.pruned), (2, 2), "a set and its texture are left");
         drop(kept);
+        manager.prune_all();
+        assert_eq!(manager.stats().entries, 0);
+    }
+
+    #[test]
+    fn sets_that_are_gone_take_no_place_of_those_of_the_same_hash() {
+        let manager = SharedStateManager::new(ShareModes::default());
+        // Hashes count the names of uniforms only.
+        let alike = |n: f32| StateSet::default().with_uniform("height", UniformValue::Float(n));
+        let kept = page(&manager, alike(-1.0));
+        for n in 0..4 * MOST_ALIKE {
+            drop(page(&manager, alike(n as f32)));
+        }
+        assert!(manager.stats().entries <= MOST_ALIKE as u64, "{:?}", manager.stats());
+        let [a, b] = [0, 1].map(|_| page(&manager, alike(0.5)));
+        assert!(Arc::ptr_eq(&a.state_sets[0], &b.state_sets[0]));
+        let again = page(&manager, alike(-1.0));
+        assert!(Arc::ptr_eq(&kept.state_sets[0], &again.state_sets[0]));
+        manager.prune_all();
+        let stats = manager.stats();
+        assert_eq!((stats.entries, stats.pruned), (2, 4 * MOST_ALIKE as u64));
+    }
+
+    #[test]
+    fn workers_that_share_sets_at_the_same_time_get_one() {
+        let manager = SharedStateManager::new(ShareModes::default());
+        for round in 0..50u8 {
+            let barrier = std::sync::Barrier::new(4);
+            let share = || {
+                barrier.wait();
+                [0, 1].map(|n| page(&manager, set(2 * round + n, DataVariance::Static)))
+            };
+            let pages: Vec<Page> = std::thread::scope(|scope| {
+                let workers: Vec<_> = (0..4).map(|_| scope.spawn(share)).collect();
+                workers.into_iter().flat_map(|w| w.join().expect("no panic")).collect()
+            });
+            for page in &pages[2..] {
+                let alike = pages[..2].iter().filter(|p| Arc::ptr_eq(&p.state_sets[0], &page.state_sets[0]));
+                assert_eq!(alike.count(), 1);
+            }
+            manager.prune_all();
+            assert_eq!(manager.stats().entries, 4, "two sets and their textures");
+        }
         manager.prune_all();
         assert_eq!(manager.stats().entries, 0);
     }

@@ -50,6 +50,9 @@ pub struct Options {
 /// A phase that does not come to rest ends.
 const TIMEOUT: Duration = Duration::from_secs(60);
 
+/// Frames of the rest after the flight.
+const REST_FRAMES: u32 = 600;
+
 /// Where the eye is on the peer's path, and the way it looks, level.
 fn on_path(u: f64) -> (DVec3, DVec3) {
     use std::f64::consts::{PI, TAU};
@@ -137,7 +140,7 @@ impl Times {
     }
 }
 
-/// Runs the three phases and prints a line for each.
+/// Runs the phases and prints a line for each.
 pub fn run(options: Options) -> Result<()> {
     ensure!(options.pace_hz.is_finite() && options.pace_hz >= 0.0, "--pace must be zero or above");
     ensure!(options.frames >= 2, "--frames must be at least 2");
@@ -178,7 +181,7 @@ pub fn run(options: Options) -> Result<()> {
         frame: 0,
         rss_start_mb: status_mb("VmRSS"),
     };
-    for phase in ["converge_start", "fly", "converge_end"] {
+    for phase in ["converge_start", "fly", "converge_end", "rest"] {
         say(bench.phase(phase)?);
     }
     Ok(())
@@ -187,6 +190,13 @@ pub fn run(options: Options) -> Result<()> {
 impl Bench {
     fn phase(&mut self, name: &str) -> Result<Value> {
         let fly = name == "fly";
+        // The others end when nothing is missing.
+        let frames = match name {
+            "fly" => Some(self.options.frames),
+            // What the machine makes of frames in which nothing changes: no flight's are steadier.
+            "rest" => Some(self.options.frames.min(REST_FRAMES)),
+            _ => None,
+        };
         let before = *self.pager.stats();
         self.pager.reset_latency_max();
         let (cpu, start) = (cpu_s(), Instant::now());
@@ -196,11 +206,11 @@ impl Bench {
         let (mut tiles_peak, mut drawn) = (0, HashSet::new());
         let period = Duration::from_secs_f64(if self.options.pace_hz > 0.0 { 1.0 / self.options.pace_hz } else { 0.0 });
         let mut i = 0;
-        while !fly || i < self.options.frames {
+        while frames.is_none_or(|frames| i < frames) {
             let last = self.options.frames - 1;
             let frame = match name {
                 "fly" => i,
-                "converge_end" => last,
+                "converge_end" | "rest" => last,
                 _ => 0,
             };
             i += 1;
@@ -209,7 +219,7 @@ impl Bench {
             let stats = self.pager.stats();
             tiles_peak = tiles_peak.max(stats.resident);
             drawn.insert(self.stage.counters.tiles_drawn);
-            if !fly {
+            if frames.is_none() {
                 // What was merged between the frames counts until the end of the frame that shows it.
                 let merged_now = stats.merged;
                 if std::mem::replace(&mut merged, merged_now) != merged_now
@@ -237,7 +247,8 @@ impl Bench {
             std::thread::sleep(next.saturating_duration_since(worked));
             times.late.push(Instant::now().saturating_duration_since(next).as_secs_f64());
         }
-        let time_s = if fly { start.elapsed() } else { last_busy - start }.as_secs_f64();
+        let time_s = if frames.is_some() { start.elapsed() } else { last_busy - start }.as_secs_f64();
+        let converged = frames.is_none().then_some(converged);
         Ok(self.line(name, &before, time_s, converged, cpu_s() - cpu, tiles_peak, times))
     }
 
@@ -299,7 +310,7 @@ impl Bench {
         phase: &str,
         before: &PagerStats,
         time_s: f64,
-        converged: bool,
+        converged: Option<bool>,
         cpu_s: f64,
         tiles_peak: u64,
         mut times: Times,
@@ -322,7 +333,7 @@ impl Bench {
             "pace": self.options.pace_hz,
             "maxtiles": self.options.tiles, "draw": u32::from(self.options.draw),
             "adapter": self.context.0.adapter_name(),
-            "frames": frames, "converged": if phase == "fly" { Value::Null } else { converged.into() },
+            "frames": frames, "converged": converged,
             "time_s": round(time_s),
             "frame_p50_ms": ms(&mut times.work, 0.5), "frame_p95_ms": ms(&mut times.work, 0.95),
             "frame_p99_ms": ms(&mut times.work, 0.99), "frame_max_ms": ms(&mut times.work, 1.0),
