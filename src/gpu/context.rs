@@ -344,7 +344,10 @@ impl GraphicsContext {
         self.check_lost()?;
         let Face { target, make_surface, .. } = &mut self.faces[self.face];
         let remake = || match &*make_surface {
-            Some(make) => make(&self.instance),
+            Some(make) => make(&self.instance).and_then(|surface| match self.adapter.is_surface_supported(&surface) {
+                true => Ok(surface),
+                false => Err(GpuError::Surface { reason: "the adapter cannot show anything in it".to_owned() }),
+            }),
             None => Err(GpuError::Surface { reason: "there is no window".to_owned() }),
         };
         target.acquire(&self.device, remake)

@@ -82,6 +82,22 @@ fn present_mode(vsync: bool) -> wgpu::PresentMode {
     if vsync { wgpu::PresentMode::Fifo } else { wgpu::PresentMode::AutoNoVsync }
 }
 
+/// Configures a surface; one that cannot be, as where its window is gone, is dropped: wgpu panics where a surface that is
+/// not configured is asked for an image.
+fn configure_or_drop(
+    device: &wgpu::Device,
+    surface: &mut Option<wgpu::Surface<'static>>,
+    config: &wgpu::SurfaceConfiguration,
+) {
+    let Some(of) = surface else { return };
+    let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
+    of.configure(device, config);
+    if let Some(error) = pollster::block_on(scope.pop()) {
+        log::warn!("a surface cannot be configured anew: {error}");
+        *surface = None;
+    }
+}
+
 impl Target {
     /// A window's where there is a surface, offscreen otherwise.
     pub(super) fn new(
@@ -151,7 +167,7 @@ impl Target {
         {
             *frame = None;
             config.present_mode = present_mode(vsync);
-            surface.iter().for_each(|surface| surface.configure(device, config));
+            configure_or_drop(device, surface, config);
         }
     }
 
@@ -173,7 +189,7 @@ impl Target {
                 *frame = None;
                 [config.width, config.height] = size_px;
                 self.health.resized();
-                surface.iter().for_each(|surface| surface.configure(device, config));
+                configure_or_drop(device, surface, config);
             }
             Color::Closed => {}
         }
@@ -194,7 +210,7 @@ impl Target {
             return Ok(Acquired::Ready);
         }
         if health.wants_configure() {
-            surface.iter().for_each(|surface| surface.configure(device, config));
+            configure_or_drop(device, surface, config);
         }
         // What fails twice is for the next frame.
         for is_again in [false, true] {
@@ -214,7 +230,7 @@ impl Target {
                     return Ok(Acquired::Ready);
                 }
                 Next::Skip => return Ok(Acquired::Skip),
-                Next::Configure => surface.iter().for_each(|surface| surface.configure(device, config)),
+                Next::Configure => configure_or_drop(device, surface, config),
                 Next::Remake => {
                     log::warn!("the surface of a window is lost; another takes its place");
                     if !cfg!(target_vendor = "apple") {
@@ -225,7 +241,7 @@ impl Target {
                             Err(error) => log::warn!("{error}"),
                         }
                     }
-                    surface.iter().for_each(|surface| surface.configure(device, config));
+                    configure_or_drop(device, surface, config);
                 }
             }
         }

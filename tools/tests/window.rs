@@ -279,7 +279,7 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.until("home after the zoom", |picture| differing(&home, picture) < 0.002);
 
     // The stats lie dark over the upper left; four more times and they are gone.
-    let corner = [20, 40, 120, 60];
+    let corner = [10, 6, 120, 14];
     w.letter('s');
     let over = w.until("stats", |picture| differing(&part(picture, corner), &part(&home, corner)) > 0.9);
     let rest = [400, 60, 200, 240];
