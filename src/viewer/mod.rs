@@ -9,6 +9,7 @@ mod base;
 mod camera;
 mod camera_path;
 mod composite;
+mod contexts;
 #[cfg(feature = "window")]
 mod display;
 mod display_settings;
