@@ -16,6 +16,7 @@ use terrane::viewer::{AnimationPath, ControlPoint, Viewer, ViewerConfig};
 
 const HERE: DVec3 = DVec3::new(0.2 * WORLD_M, 0.2 * WORLD_M, 150.0);
 const THERE: DVec3 = DVec3::new(0.8 * WORLD_M, 0.8 * WORLD_M, 150.0);
+const ASIDE: DVec3 = DVec3::new(0.2 * WORLD_M, 0.8 * WORLD_M, 150.0);
 /// For many tiles in a picture.
 const FINE_PX: f64 = 4.0;
 
@@ -158,14 +159,23 @@ fn no_more_are_under_way_than_allowed() {
         frame(&mut run);
         assert!(run.pager.stats().in_flight <= 2, "{:?}", run.pager.stats());
     }
-    let off = PagerConfig { ahead_in_flight: 0, ..PagerConfig::default() };
+    // None, then: neither is anything loaded, nor does anything go for it, however little room there is.
+    run.settle(THERE);
+    let max_tiles = run.pager.stats().resident as usize;
+    let off = PagerConfig { ahead_in_flight: 0, max_tiles, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), off);
     run.settle(HERE);
-    let loaded = run.pager.stats().loaded;
-    for _ in 0..50 {
+    for _ in 0..20 {
+        run.frame(ASIDE);
+    }
+    run.settle(HERE);
+    let before = *run.pager.stats();
+    assert!(before.resident > 1);
+    for _ in 0..25 {
         frame(&mut run);
     }
-    assert_eq!(run.pager.stats().loaded, loaded);
+    let after = *run.pager.stats();
+    assert_eq!((after.loaded, after.expired), (before.loaded, before.expired));
 }
 
 #[test]

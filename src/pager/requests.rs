@@ -86,11 +86,11 @@ impl DatabasePager {
     /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while
     /// nobody does.
     pub(super) fn retry(&mut self, scene: &mut Scene) {
-        let (now, frame) = (Instant::now(), self.frame);
+        let (now, met) = (Instant::now(), self.frame.saturating_sub(MET_FRAMES)..=self.frame);
         for entry in self.entries.values_mut() {
             if let Progress::Failed { retry_at: Some(at) } = entry.progress
                 && at <= now
-                && scene.slot(entry.job.slot).is_some_and(|s| frame.saturating_sub(s.last_used_frame) <= MET_FRAMES)
+                && scene.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
             {
                 scene.set_failed(entry.job.slot, false);
                 entry.job.ticket = self.next_ticket;
@@ -152,7 +152,8 @@ impl DatabasePager {
         let ahead = jobs.partition_point(|(_, entry)| entry.is_ahead());
         let soonest = jobs[..ahead].iter().map(|(_, entry)| entry.ahead_frames).min();
         let room = self.room_within(EXPIRY_TENTHS).saturating_sub(waiting.outstanding as u64);
-        let short = soonest.filter(|_| room < ahead as u64);
+        let takes_any = self.config.ahead_in_flight > 0 && !self.is_paused;
+        let short = soonest.filter(|_| takes_any && room < ahead as u64);
         let now = jobs.split_off(ahead);
         waiting.allowed = self.allowed_in_flight(list.capacity);
         self.full = waiting.allowed == 0 && !now.is_empty();

@@ -18,6 +18,8 @@ const LOOK_EVERY: u32 = 4;
 const SHARES: [f64; 3] = [1.0 / 3.0, 2.0 / 3.0, 1.0];
 /// Requests kept of a look, the most urgent.
 const MOST_REQUESTS: usize = 128;
+/// What is only guessed takes the place of what was not wanted for so many times longer than what is known.
+const GUESSED: u32 = 2;
 /// A turn is not followed farther than this, radians.
 const MOST_TURN: f64 = 1.0;
 /// Slower turns are none, radians per second: rounding of a standing camera.
@@ -188,7 +190,8 @@ impl LookAhead {
             if let Some(camera) = looker.view.cameras().nth(turn / SHARES.len()).filter(|_| !motion.is_rest()) {
                 let frames = frames_until(seconds, track.frame_s);
                 let then = motion.moved(&looker.view.camera.world_from_eye, seconds);
-                found.extend(looker.look(camera, then, from.frame, frames).iter().map(|r| r.ahead(frames)));
+                let lacks = looker.look(camera, then, from.frame, frames);
+                found.extend(lacks.iter().map(|request| request.ahead(GUESSED * frames)));
                 found.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
                 found.truncate(MOST_REQUESTS);
             }

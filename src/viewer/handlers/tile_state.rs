@@ -38,7 +38,8 @@ impl TileState {
 
     /// Of a tile of a scene that a pager fills, after a frame was culled; `None` for a tile without content.
     pub fn of(tile: &TileInfo, pager: Option<&DatabasePager>, culled_frame: u32) -> Option<Self> {
-        let is_met = tile.last_used_frame >= culled_frame && culled_frame > 0;
+        // Later ones are of looks ahead.
+        let is_met = tile.last_used_frame == culled_frame && culled_frame > 0;
         let request = || pager.and_then(|pager| pager.request_state(tile.node));
         Some(match tile.state? {
             SlotState::Resident(_) if is_met => Self::InUse,
