@@ -162,7 +162,8 @@ fn no_more_are_under_way_than_allowed() {
     // None, then: neither is anything loaded, nor does anything go for it, however little room there is.
     run.settle(THERE);
     let max_tiles = run.pager.stats().resident as usize;
-    let off = PagerConfig { ahead_in_flight: 0, max_tiles, ..PagerConfig::default() };
+    // Nothing goes for its age.
+    let off = PagerConfig { ahead_in_flight: 0, max_tiles, expiry_frames: 1_000_000, ..PagerConfig::default() };
     let mut run = Run::new(folder.path().to_str().unwrap(), off);
     run.settle(HERE);
     for _ in 0..20 {
