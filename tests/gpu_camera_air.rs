@@ -1,11 +1,12 @@
 //! Air around cameras in the graph: each sees it from its own eye, where it asks. Needs a GPU (a software one will do).
 #![allow(clippy::unwrap_used, reason = "test code")]
 
+mod camera_support;
 mod gpu_support;
 
-use std::path::Path;
 use std::sync::Arc;
 
+use camera_support::{differ, keep, no_errors};
 use glam::DVec3;
 use gpu_support::{Rig, Terrain, camera, rig};
 use image::RgbaImage;
@@ -15,18 +16,10 @@ use terrane::scene::{
     CameraEnvironment, CameraNode, CameraTarget, Node, NodeKind, PictureSink, ReferenceFrame, RenderOrder, Scene,
     SceneError,
 };
-use terrane::state::{TextureFormat, TextureObject};
 
 const SIZE: [u32; 2] = [256, 192];
 const TERRAIN: Terrain =
     Terrain { west: 0.2, south: 0.75, width: 0.02, relief_m: 2500.0, root_error_m: 400.0, textured: true };
-
-/// `KEEP_IMAGES=DIR` keeps the pictures to look at.
-fn keep(name: &str, picture: &RgbaImage) {
-    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
-        picture.save(Path::new(&folder).join(format!("{name}.png"))).unwrap();
-    }
-}
 
 /// From a place of the terrain towards another.
 fn looking(size_px: [u32; 2], from: [f64; 2], above_m: f64, to: [f64; 2]) -> CullCamera {
@@ -56,8 +49,7 @@ fn terrain(camera: &CullCamera) -> Node {
 
 /// A camera to a texture that sees what another one does.
 fn like(camera: &CullCamera, environment: CameraEnvironment) -> CameraNode {
-    let texture = TextureObject::target("picture", camera.viewport_px, TextureFormat::Rgba8Srgb);
-    CameraNode { environment, ..CameraNode::to_texture(texture, camera.eye_from_world, camera.clip_from_eye) }
+    CameraNode { environment, ..camera_support::like(camera) }
 }
 
 /// The main picture's camera where the other one is all that counts: far away, high up, looking elsewhere.
@@ -66,40 +58,13 @@ fn elsewhere() -> CullCamera {
 }
 
 /// What a camera to a texture draws while the main one is elsewhere.
-fn drawn(rig: &mut Rig, mut node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
-    let sink = Arc::new(PictureSink::default());
-    let before = node.target.as_deref().unwrap().clone();
-    node.target = Some(Arc::new(CameraTarget { read_back: Some(sink.clone()), ..before }));
-    let scene = rig.scene(Node::camera(node, children));
-    for frame in 1..200 {
-        let stats = rig.draw(&scene, &CullCamera { frame, ..elsewhere() }, main);
-        if let Some(picture) = sink.take() {
-            rig.release(scene);
-            let [width, height] = picture.size_px;
-            return (RgbaImage::from_raw(width, height, picture.rgba).unwrap(), stats);
-        }
-    }
-    panic!("no picture came");
+fn drawn(rig: &mut Rig, node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
+    camera_support::drawn(rig, node, children, &elsewhere(), main)
 }
 
-/// The main picture from a camera.
+/// The main picture of the terrain from a camera.
 fn picture(rig: &mut Rig, camera: &CullCamera, environment: &Environment) -> RgbaImage {
-    let scene = rig.scene(terrain(camera));
-    let picture = rig.picture(&scene, camera, environment);
-    rig.release(scene);
-    picture
-}
-
-/// Pixels that differ by more than that.
-fn differ(a: &RgbaImage, b: &RgbaImage, by: u8) -> usize {
-    assert_eq!(a.dimensions(), b.dimensions());
-    let far = |a: &[u8], b: &[u8]| a.iter().zip(b).take(3).any(|(a, b)| a.abs_diff(*b) > by);
-    a.pixels().zip(b.pixels()).filter(|(a, b)| far(&a.0, &b.0)).count()
-}
-
-fn no_errors(rig: &mut Rig) {
-    let errors = rig.renderer.take_errors();
-    assert!(errors.is_empty(), "{errors:?}");
+    camera_support::picture(rig, terrain(camera), camera, environment)
 }
 
 #[test]

@@ -2,12 +2,13 @@
 //! Needs a GPU (a software one will do).
 #![allow(clippy::unwrap_used, reason = "test code")]
 
+mod camera_support;
 mod gpu_support;
 mod shadow_support;
 
-use std::path::Path;
 use std::sync::Arc;
 
+use camera_support::{differ, keep, no_errors};
 use glam::{DAffine3, DMat3, DVec3};
 use gpu_support::{Rig, Terrain, camera, rig};
 use image::RgbaImage;
@@ -17,16 +18,8 @@ use terrane::draw::{DrawStats, Environment};
 use terrane::scene::{
     CameraEnvironment, CameraNode, CameraShadows, CameraTarget, Mesh, Node, PictureSink, ReferenceFrame, RenderOrder,
 };
-use terrane::state::{TextureFormat, TextureObject};
 
 const SIZE: [u32; 2] = [256, 192];
-
-/// `KEEP_IMAGES=DIR` keeps the pictures to look at.
-fn keep(name: &str, picture: &RgbaImage) {
-    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
-        picture.save(Path::new(&folder).join(format!("{name}.png"))).unwrap();
-    }
-}
 
 fn to_sun() -> DVec3 {
     DVec3::new(1.0, 0.5, 1.0)
@@ -46,42 +39,16 @@ fn elsewhere() -> CullCamera {
 }
 
 fn like(camera: &CullCamera, environment: CameraEnvironment, shadows: CameraShadows) -> CameraNode {
-    let texture = TextureObject::target("picture", camera.viewport_px, TextureFormat::Rgba8Srgb);
-    CameraNode { environment, shadows, ..CameraNode::to_texture(texture, camera.eye_from_world, camera.clip_from_eye) }
+    CameraNode { environment, shadows, ..camera_support::like(camera) }
 }
 
 /// What a camera to a texture draws; the main one draws nothing.
-fn drawn(rig: &mut Rig, mut node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
-    let sink = Arc::new(PictureSink::default());
-    let before = node.target.as_deref().unwrap().clone();
-    node.target = Some(Arc::new(CameraTarget { read_back: Some(sink.clone()), ..before }));
-    let scene = rig.scene(Node::camera(node, children));
-    for frame in 1..200 {
-        let stats = rig.draw(&scene, &CullCamera { frame, ..elsewhere() }, main);
-        if let Some(picture) = sink.take() {
-            rig.release(scene);
-            let [width, height] = picture.size_px;
-            return (RgbaImage::from_raw(width, height, picture.rgba).unwrap(), stats);
-        }
-    }
-    panic!("no picture came");
+fn drawn(rig: &mut Rig, node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
+    camera_support::drawn(rig, node, children, &elsewhere(), main)
 }
 
 fn picture(rig: &mut Rig, camera: &CullCamera, environment: &Environment) -> RgbaImage {
-    let scene = rig.scene(things());
-    let picture = rig.picture(&scene, camera, environment);
-    rig.release(scene);
-    picture
-}
-
-fn differ(a: &RgbaImage, b: &RgbaImage, by: u8) -> usize {
-    assert_eq!(a.dimensions(), b.dimensions());
-    a.pixels().zip(b.pixels()).filter(|(a, b)| (0..3).any(|i| a.0[i].abs_diff(b.0[i]) > by)).count()
-}
-
-fn no_errors(rig: &mut Rig) {
-    let errors = rig.renderer.take_errors();
-    assert!(errors.is_empty(), "{errors:?}");
+    camera_support::picture(rig, things(), camera, environment)
 }
 
 #[test]

@@ -5,6 +5,7 @@
 
 #[cfg(feature = "http")]
 mod http_support;
+mod viewer_support;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,6 +20,7 @@ use terrane::pager::{
 use terrane::scene::{Drawable, Material, Mesh, Node, Page, PageId, Texture};
 use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
+use viewer_support::offscreen;
 
 /// What image `k` is filled with.
 fn shade(k: usize) -> [u8; 3] {
@@ -53,14 +55,7 @@ impl Theatre {
             threading,
             ..ViewerConfig::default()
         };
-        let mut viewer = match Viewer::new_offscreen(&config) {
-            Ok(viewer) => viewer,
-            Err(error) => {
-                assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-                eprintln!("SKIPPED: {error}");
-                return None;
-            }
-        };
+        let mut viewer = offscreen(&config)?;
         viewer.set_image_pager(ImagePager::new(pager).unwrap());
         let mut screens = Vec::new();
         for (place, sequence) in sequences.iter().enumerate() {

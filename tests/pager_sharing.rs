@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod gpu_support;
+mod viewer_support;
 
 use std::path::Path;
 use std::sync::{Arc, Barrier};
@@ -20,6 +21,7 @@ use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
 use terrane::scene::{
     DataVariance, DrawSlot, Drawable, Geometry, Mesh, Node, Page, Scene, ShareModes, SharedStateManager, Texture,
 };
+use viewer_support::offscreen;
 
 const WORLD_M: f64 = 4096.0;
 
@@ -429,7 +431,7 @@ fn one_page_goes_or_changes_and_the_other_stays() {
 
 #[test]
 fn pictures_are_the_same_with_and_without_sharing() {
-    use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
+    use terrane::viewer::{ThreadingModel, ViewerConfig};
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path(), 4, |n| glb((40 * (n % 3)) as u8, (60 * (n % 4)) as u8));
     let fly = |sharing: ShareModes| {
@@ -441,14 +443,7 @@ fn pictures_are_the_same_with_and_without_sharing() {
             pager: PagerConfig { blocking: true, sharing, max_tiles: 40, expiry_frames: 2, ..PagerConfig::default() },
             ..ViewerConfig::default()
         };
-        let mut viewer = match Viewer::new_offscreen(&config) {
-            Ok(viewer) => viewer,
-            Err(error) => {
-                assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-                eprintln!("SKIPPED: {error}");
-                return None;
-            }
-        };
+        let mut viewer = offscreen(&config)?;
         viewer.load(folder.path().to_str().unwrap()).unwrap();
         for frame in 0..24u32 {
             let eye = over(0.1 + 0.8 * f64::from(frame) / 23.0, 900.0) - DVec3::Y * 1500.0;

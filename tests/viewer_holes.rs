@@ -3,12 +3,15 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::path::Path;
 
 use terrane::draw::Sky;
 use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
-use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
+use terrane::viewer::{HoleCheck, KEY_COLOR, ThreadingModel, ViewerConfig};
+use viewer_support::offscreen;
 
 const FRAMES: u32 = 200;
 
@@ -30,14 +33,7 @@ fn fly_low(set: &str, blocking: bool) -> Option<(u64, u64)> {
         pager: PagerConfig { blocking, ..PagerConfig::default() },
         ..ViewerConfig::default()
     };
-    let mut viewer = match Viewer::new_offscreen(&config) {
-        Ok(viewer) => viewer,
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            return None;
-        }
-    };
+    let mut viewer = offscreen(&config)?;
     viewer.load(set).unwrap();
     viewer.environment.sky = Sky::Background(KEY_COLOR);
     viewer.environment.fog.enabled = false;

@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod http_support;
+mod viewer_support;
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -18,6 +19,7 @@ use terrane::io::write::{GlbMesh, write_glb};
 use terrane::pager::{PagerConfig, RequestState};
 use terrane::viewer::handlers::{PagerDebugHandler, StatsHandler, StatsPage, TileState};
 use terrane::viewer::{Key, Viewer, ViewerConfig};
+use viewer_support::offscreen;
 
 /// Tiles in a row and in a column.
 const SIDE: usize = 3;
@@ -46,14 +48,7 @@ fn viewer(url: &str, pager: PagerConfig) -> Option<Viewer> {
         look_ahead_s: 0.0,
         ..ViewerConfig::default()
     };
-    let mut viewer = match Viewer::new_offscreen(&config) {
-        Ok(viewer) => viewer,
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            return None;
-        }
-    };
+    let mut viewer = offscreen(&config)?;
     viewer.load(&format!("{url}/set/")).unwrap();
     viewer.environment.sky = Sky::Background([20, 24, 30]);
     viewer.environment.fog.enabled = false;

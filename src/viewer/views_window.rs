@@ -9,7 +9,7 @@ use glam::DVec2;
 use winit::application::ApplicationHandler;
 use winit::event::{ElementState, TouchPhase, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow};
-use winit::window::{Fullscreen, Window, WindowId};
+use winit::window::{Window, WindowId};
 
 use super::ViewerError;
 use super::composite::{CompositeViewer, ViewId};
@@ -349,20 +349,9 @@ impl Open {
 
     fn obey(&mut self, place: usize, command: WindowCommand) -> Result<(), ViewerError> {
         let OpenWindow { window, context, .. } = &self.windows[place];
-        match command {
-            WindowCommand::ToggleFullScreen => {
-                let full = window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
-                window.set_fullscreen(full);
-            }
-            WindowCommand::Resize([width, height]) => {
-                window.set_fullscreen(None);
-                // Where the size changes at once there is no event for it.
-                let size = winit::dpi::PhysicalSize::new(width.max(1), height.max(1));
-                if let Some(now) = window.request_inner_size(size) {
-                    self.viewer.resize_context(*context, [now.width, now.height])?;
-                }
-            }
+        match window_open::obey(window, command) {
+            Some(size_px) => self.viewer.resize_context(*context, size_px),
+            None => Ok(()),
         }
-        Ok(())
     }
 }

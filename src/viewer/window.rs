@@ -9,7 +9,7 @@ use glam::{DAffine3, DMat4, DVec2};
 use winit::application::ApplicationHandler;
 use winit::event::{StartCause, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow};
-use winit::window::{Fullscreen, Window, WindowId};
+use winit::window::{Window, WindowId};
 
 use super::ViewerError;
 use super::arrangement::{Arrangement, ArrangementError};
@@ -358,21 +358,10 @@ impl Open {
     }
 
     fn obey(&mut self, command: WindowCommand) {
-        match command {
-            WindowCommand::ToggleFullScreen => {
-                let full = self.window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
-                self.window.set_fullscreen(full);
-            }
-            WindowCommand::Resize([width, height]) => {
-                self.window.set_fullscreen(None);
-                // Where the size changes at once there is no event for it.
-                let size = winit::dpi::PhysicalSize::new(width.max(1), height.max(1));
-                if let Some(now) = self.window.request_inner_size(size)
-                    && let Err(error) = self.viewer.resize([now.width, now.height])
-                {
-                    log::error!("{error}");
-                }
-            }
+        if let Some(size_px) = window_open::obey(&self.window, command)
+            && let Err(error) = self.viewer.resize(size_px)
+        {
+            log::error!("{error}");
         }
     }
 

@@ -10,12 +10,28 @@ use winit::window::{Fullscreen, Window};
 use super::ViewerError;
 use super::arrangement::{Arrangement, CameraSetup, WindowSetup, across, an_eye_each};
 use super::display::reason_of;
+use super::input::WindowCommand;
 use super::parent::ParentWindow;
 use super::view::{ContextId, Slave};
 use super::viewer::{Viewer, ViewerConfig};
 use super::window::SlaveWindow;
 use crate::cull::{Stereo, StereoMode};
 use crate::gpu::{ContextTraits, GraphicsContext};
+
+/// Does to a window what a view wants of it; its size where that changed at once, of which there is no event.
+pub(super) fn obey(window: &Window, command: WindowCommand) -> Option<[u32; 2]> {
+    match command {
+        WindowCommand::ToggleFullScreen => {
+            window.set_fullscreen(window.fullscreen().is_none().then_some(Fullscreen::Borderless(None)));
+            None
+        }
+        WindowCommand::Resize([width, height]) => {
+            window.set_fullscreen(None);
+            let now = window.request_inner_size(PhysicalSize::new(width.max(1), height.max(1)))?;
+            Some([now.width, now.height])
+        }
+    }
+}
 
 /// The windows that an arrangement comes to here; the application's own slaves come before what the environment says.
 pub(super) fn windows(

@@ -1,4 +1,4 @@
-//! What the tests of contexts show: a small tile set, and balls.
+//! What the viewer's tests share: an offscreen viewer, or word that there is none; a small tile set, and balls.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
@@ -7,6 +7,19 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node};
+use terrane::viewer::{Viewer, ViewerConfig};
+
+/// `None`, said aloud, where there is no adapter (a failure with REQUIRE_GPU=1, as in CI).
+pub fn offscreen(config: &ViewerConfig) -> Option<Viewer> {
+    match Viewer::new_offscreen(config) {
+        Ok(viewer) => Some(viewer),
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+    }
+}
 
 pub fn small_set(folder: &Path) -> String {
     let set = folder.join("set");
