@@ -11,7 +11,7 @@ use glam::{DAffine3, DVec3};
 use terrane::draw::Sky;
 use terrane::gpu::GraphicsContext;
 use terrane::scene::{Drawable, Material, Mesh, Node, Page};
-use terrane::viewer::{CompositeViewer, ViewerConfig};
+use terrane::viewer::{CompositeViewer, ViewerConfig, Viewport};
 
 fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -29,15 +29,13 @@ fn main() -> Result<()> {
     viewer.add_root(ring, Page::from_node(Node::group(balls.collect()))?)?;
     viewer.add_root(single, Page::from_node(ball(DVec3::ZERO, [1.0, 0.1, 0.1, 1.0]))?)?;
 
-    let [width, height] = config.size_px;
-    let (half, low) = (width / 2, height / 2);
     let views = [
-        (ring, [0, 0, half, low], DVec3::new(0.0, -0.1, 18.0), [120, 170, 230]),
-        (ring, [0, low, half, height - low], DVec3::new(0.0, -14.0, 1.0), [230, 190, 140]),
-        (single, [half, 0, width - half, height], DVec3::new(0.0, -4.0, 0.0), [10, 15, 60]),
+        (ring, [0.0, 0.0, 0.5, 0.5], DVec3::new(0.0, -0.1, 18.0), [120, 170, 230]),
+        (ring, [0.0, 0.5, 0.5, 0.5], DVec3::new(0.0, -14.0, 1.0), [230, 190, 140]),
+        (single, [0.5, 0.0, 0.5, 1.0], DVec3::new(0.0, -4.0, 0.0), [10, 15, 60]),
     ];
     for (scene, part, eye, background) in views {
-        let id = viewer.add_view(scene, context, Some(part))?;
+        let id = viewer.add_view(scene, context, Viewport::Shares(part))?;
         let view = viewer.view_mut(id)?;
         view.camera.look_at(eye, DVec3::ZERO, DVec3::Z);
         view.environment.sky = Sky::Background(background);

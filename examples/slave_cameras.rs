@@ -9,7 +9,9 @@
 use anyhow::Result;
 use glam::{DAffine3, DVec3};
 use terrane::scene::{Drawable, Material, Mesh, Node, Page};
-use terrane::viewer::{FieldOfView, Slave, Viewer, ViewerConfig, ViewerError, WindowOptions, has_display, run_window};
+use terrane::viewer::{
+    FieldOfView, Slave, Viewer, ViewerConfig, ViewerError, Viewport, WindowOptions, has_display, run_window,
+};
 
 /// What each panel spans.
 const PANEL: f64 = 40.0 * std::f64::consts::PI / 180.0;
@@ -46,15 +48,13 @@ fn build(viewer: &mut Viewer) -> Result<(), ViewerError> {
     viewer.camera.look_at(DVec3::ZERO, DVec3::Y, DVec3::Z);
 
     // The master has the middle of the picture, its slaves what is beside it.
-    let [width, height] = viewer.size_px();
-    let panel = |column: u32| Some([column * width / 3 + 2, 0, (width / 3).saturating_sub(4), height]);
-    let aspect = f64::from(width / 3) / f64::from(height.max(1));
-    viewer.camera.field_of_view = FieldOfView::Vertical(2.0 * ((0.5 * PANEL).tan() / aspect).atan());
-    viewer.set_viewport_px(panel(1));
+    let panel = |column: u32| Viewport::Shares([f64::from(column) / 3.0 + 0.003, 0.0, 1.0 / 3.0 - 0.006, 1.0]);
+    viewer.camera.field_of_view = FieldOfView::Horizontal(PANEL);
+    viewer.set_viewport(panel(1));
     let Some(context) = viewer.context() else { return Ok(()) };
     for (column, turn) in [(0, -PANEL), (2, PANEL)] {
         let view_offset = DAffine3::from_rotation_y(turn);
-        viewer.add_slave(Slave { viewport_px: panel(column), view_offset, ..Slave::new(context) })?;
+        viewer.add_slave(Slave { viewport: panel(column), view_offset, ..Slave::new(context) })?;
     }
     Ok(())
 }

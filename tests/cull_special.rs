@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 use scenes::{drawable, look_at, page};
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, CullingMode, PositionedTexGen, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClearNode, ClipNode, ComputeNearFar,
@@ -293,7 +293,9 @@ fn lights_and_planes_are_in_eye_space_of_their_stage() {
     assert!(plane.plane.distance(DVec4::new(0.0, 0.0, -1.0, -10.0)) < 1e-9, "{}", plane.plane);
     assert!(stage.state_sets[0].mode(Mode::ClipPlane(2)) && !stage.state_sets[0].mode(Mode::ClipPlane(1)));
     assert_eq!(stage.clear_node, Some(Some([0.5; 4])));
-    let (1, TexGen::EyeLinear([s, t])) = stage.texgens[0] else { panic!("eye linear") };
+    let PositionedTexGen { unit: 1, texgen: TexGen::EyeLinear([s, t]), view: 0 } = stage.texgens[0] else {
+        panic!("eye linear")
+    };
     assert!(DVec4::from_array(s.map(f64::from)).distance(DVec4::X) < 1e-6);
     assert!(DVec4::from_array(t.map(f64::from)).distance(DVec4::Y) < 1e-6);
 }

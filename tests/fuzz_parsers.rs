@@ -263,9 +263,8 @@ trait Sane {
 impl Sane for DisplaySettings {
     fn field_of_view_is_sane(&self) -> bool {
         match self.field_of_view() {
-            terrane::viewer::FieldOfView::Vertical(angle) | terrane::viewer::FieldOfView::LongerSide(angle) => {
-                angle.is_finite() && angle > 0.0
-            }
+            terrane::viewer::FieldOfView::LongerSide(angle) => angle.is_finite() && angle > 0.0,
+            _ => false,
         }
     }
 }

@@ -70,11 +70,16 @@ impl Theatre {
             screens.push(screen.with_state_set(Arc::new(shows)));
         }
         let root = viewer.add_root(Page::from_node(Node::group(screens)).unwrap()).unwrap();
-        viewer.camera.look_at(DVec3::new(0.0, -1.5, 0.0), DVec3::ZERO, DVec3::Z);
+        // The angle of view is that of the width.
+        viewer.camera.look_at(DVec3::new(0.0, -1.5 * f64::from(count), 0.0), DVec3::ZERO, DVec3::Z);
         viewer.environment = Environment { sky: Sky::Background([0, 0, 0]), exposure: None, ..Environment::default() };
-        // The screens are uploaded with the first frame and drawn from the second on.
-        viewer.frame_at(0.0).unwrap();
-        viewer.finish().unwrap();
+        // The screens are uploaded with the first frames, in as many as the budget of time asks for.
+        let is_drawn = (0..500).any(|_| {
+            viewer.frame_at(0.0).unwrap();
+            viewer.finish().unwrap();
+            viewer.stats().last().is_some_and(|frame| frame.leaves == count)
+        });
+        assert!(is_drawn);
         Some(Self { viewer, root, count })
     }
 

@@ -10,7 +10,7 @@ use glam::{DAffine3, DVec3};
 use pager_support::{Run, WORLD_M, write_quadtree};
 use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
 use terrane::gpu::AdapterChoice;
-use terrane::pager::{PagerConfig, PathLooks, frames_until};
+use terrane::pager::{EyeMotion, MotionLooks, PagerConfig, PathLooks, frames_until};
 use terrane::scene::{Node, NodeId, Page, Scene};
 use terrane::viewer::{AnimationPath, ControlPoint, Viewer, ViewerConfig};
 
@@ -105,23 +105,30 @@ fn what_is_wanted_now_comes_first_and_later_takes_no_room() {
     assert_eq!(run.stage.counters.wanted_missing, 0);
 }
 
-/// A flight from here to there in so many frames, with a disk that is quick enough: the tiles that its pictures lacked,
-/// and those that were loaded.
-fn flight(set: &str, max_tiles: usize, frames: u32, ahead_frames: f64) -> (u32, u64) {
+/// So few tiles that on a flight what was seen goes all the time.
+fn little_room(set: &str) -> usize {
+    let mut here = Run::new(set, PagerConfig::default());
+    here.max_sse_px = FINE_PX;
+    here.settle(HERE);
+    4 * here.pager.stats().resident as usize
+}
+
+/// A flight in so many frames, with a disk that is quick enough, and what is asked for ahead in each: the tiles that its
+/// pictures lacked, and those that were loaded.
+fn flown(
+    set: &str,
+    max_tiles: usize,
+    frames: u32,
+    eye: impl Fn(u32) -> DVec3,
+    mut ahead: impl FnMut(&Run, u32) -> Vec<PageRequest>,
+) -> (u32, u64) {
     let mut run = Run::new(set, PagerConfig { max_tiles, ..PagerConfig::default() });
     run.max_sse_px = FINE_PX;
-    run.settle(HERE);
-    let eye = |at: f64| HERE.lerp(THERE, (at / f64::from(frames)).min(1.0));
-    let (mut looks, mut missing, loaded) = (PathLooks::default(), 0, run.pager.stats().loaded);
-    for i in 0..frames {
-        let now = f64::from(i);
-        looks.start_frame(now);
-        while let Some(at) = looks.next(ahead_frames, 1.0) {
-            let found = missing_ahead(&run, eye(at), frames_until(at - now, 1.0));
-            looks.found(&found);
-        }
-        let requests: Vec<PageRequest> = looks.requests(1.0).collect();
-        run.frame_with(eye(now), &requests);
+    run.settle(eye(0));
+    let (mut missing, loaded) = (0, run.pager.stats().loaded);
+    for frame in 0..frames {
+        let requests = ahead(&run, frame);
+        run.frame_with(eye(frame), &requests);
         missing += run.stage.counters.wanted_missing;
         run.work_until_idle();
         assert!(run.pager.stats().resident <= max_tiles as u64);
@@ -129,22 +136,80 @@ fn flight(set: &str, max_tiles: usize, frames: u32, ahead_frames: f64) -> (u32, 
     (missing, run.pager.stats().loaded - loaded)
 }
 
+/// From here to there along a known path.
+fn flight(set: &str, max_tiles: usize, frames: u32, ahead_frames: f64) -> (u32, u64) {
+    let eye = |at: f64| HERE.lerp(THERE, (at / f64::from(frames)).min(1.0));
+    let mut looks = PathLooks::default();
+    let ahead = |run: &Run, frame: u32| {
+        let now = f64::from(frame);
+        looks.start_frame(now);
+        while let Some(at) = looks.next(ahead_frames, 1.0) {
+            let found = missing_ahead(run, eye(at), frames_until(at - now, 1.0));
+            looks.found(&found);
+        }
+        looks.requests(1.0).collect()
+    };
+    flown(set, max_tiles, frames, |frame| eye(f64::from(frame)), ahead)
+}
+
 #[test]
 fn along_a_known_path_nothing_goes_that_is_wanted_sooner_than_what_comes() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();
-    // So little room that what was seen goes all the time.
-    let mut here = Run::new(set, PagerConfig::default());
-    here.max_sse_px = FINE_PX;
-    here.settle(HERE);
-    let max_tiles = 4 * here.pager.stats().resident as usize;
+    let max_tiles = little_room(set);
     let (missing, loaded) = flight(set, max_tiles, 40, 0.0);
     assert!(missing > 40, "the flight is too slow: {missing}");
     for ahead_frames in [4.0, 10.0, 30.0] {
         let (missing_ahead, loaded_ahead) = flight(set, max_tiles, 40, ahead_frames);
         assert!(4 * missing_ahead < missing, "{ahead_frames} frames ahead: {missing_ahead} missing, else {missing}");
         assert!(10 * loaded_ahead < 12 * loaded, "{ahead_frames} frames ahead: {loaded_ahead} loaded, {loaded} needed");
+    }
+}
+
+/// Along a path that nobody announces.
+fn unannounced_flight(
+    set: &str,
+    max_tiles: usize,
+    frames: u32,
+    looks: bool,
+    path: &dyn Fn(f64) -> DVec3,
+) -> (u32, u64) {
+    let eye = |frame: u32| path(f64::from(frame) / f64::from(frames));
+    let (mut motion, mut guesses) = (EyeMotion::default(), MotionLooks::default());
+    let ahead = |run: &Run, frame: u32| {
+        let (now_s, here) = (f64::from(frame) / 60.0, DAffine3::from_translation(eye(frame)));
+        motion.go_on(now_s, &here);
+        guesses.start_frame(now_s, &here, &motion);
+        while looks && let Some((then, frames)) = guesses.next(1.0, &motion) {
+            guesses.found(&missing_ahead(run, then.translation, frames), &motion);
+        }
+        guesses.requests(&motion).collect()
+    };
+    flown(set, max_tiles, frames, eye, ahead)
+}
+
+#[test]
+fn where_a_motion_goes_on_to_is_loaded_before_it_is_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let set = folder.path().to_str().unwrap();
+    let max_tiles = little_room(set);
+    let middle = 0.5 * (HERE + THERE);
+    let straight = |at: f64| HERE.lerp(THERE, at);
+    let round = |at: f64| {
+        let (sin, cos) = (std::f64::consts::TAU * at).sin_cos();
+        middle + 0.3 * WORLD_M * DVec3::new(-cos, sin, 0.0)
+    };
+    let bounding = |at: f64| HERE.lerp(THERE, at) + DVec3::Z * 40.0 * (40.0 * at).sin();
+    let paths: [(&str, &dyn Fn(f64) -> DVec3); 3] =
+        [("straight", &straight), ("round", &round), ("up and down", &bounding)];
+    for (name, eye) in paths {
+        let (missing, loaded) = unannounced_flight(set, max_tiles, 60, false, eye);
+        let (missing_ahead, loaded_ahead) = unannounced_flight(set, max_tiles, 60, true, eye);
+        assert!(missing > 40, "{name}: the flight is too slow: {missing}");
+        assert!(3 * missing_ahead < missing, "{name}: {missing_ahead} missing, else {missing}");
+        assert!(10 * loaded_ahead < 13 * loaded, "{name}: {loaded_ahead} loaded, {loaded} needed");
     }
 }
 

@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat4, DVec3};
@@ -11,7 +13,8 @@ use terrane::cull::{Stereo, StereoMode};
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, Page};
-use terrane::viewer::{ContextId, Eyes, Slave, ThreadingModel, Viewer, ViewerConfig};
+use terrane::viewer::{ContextId, Eyes, Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
+use viewer_support::or_skip;
 
 const SIZE: [u32; 2] = [96, 64];
 
@@ -21,14 +24,7 @@ fn traits(size_px: [u32; 2]) -> ContextTraits {
 
 /// Balls near and far before the eye; `None`, said aloud, where nothing can draw.
 fn viewer(size_px: [u32; 2], stereo: Option<Stereo>, threading: ThreadingModel) -> Option<Viewer> {
-    let context = match GraphicsContext::new_offscreen(&traits(size_px)) {
-        Ok(context) => context,
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            return None;
-        }
-    };
+    let context = or_skip(GraphicsContext::new_offscreen(&traits(size_px)))?;
     let config = ViewerConfig { size_px, threading, stereo, max_contexts: 3, ..ViewerConfig::default() };
     let mut viewer = Viewer::new(context, &config).unwrap();
     let ball = |[x, z]: [f64; 2], radius: f64, color| {
@@ -76,11 +72,13 @@ fn a_slave_has_both_eyes_in_its_own_picture() {
         for threading in ThreadingModel::ALL {
             // In a part of the master's context, which has a part itself; in one of its device; in one of its own.
             let mut viewer = viewer([200, SIZE[1]], Some(stereo), threading).unwrap();
-            viewer.set_viewport_px(Some([0, 0, SIZE[0], SIZE[1]]));
+            viewer.set_viewport([0, 0, SIZE[0], SIZE[1]]);
             let first = viewer.context().unwrap();
             let shared = viewer.open_offscreen_on(first, &traits(SIZE)).unwrap();
             let own = viewer.open_context(GraphicsContext::new_offscreen(&traits(SIZE)).unwrap()).unwrap();
-            viewer.add_slave(Slave { viewport_px: Some([100, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) }).unwrap();
+            viewer
+                .add_slave(Slave { viewport: Viewport::Pixels([100, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) })
+                .unwrap();
             viewer.add_slave(Slave::new(shared)).unwrap();
             viewer.add_slave(Slave::new(own)).unwrap();
             let found = pictures(&mut viewer, &[first, shared, own]);
@@ -108,9 +106,11 @@ fn rows_and_columns_take_turns_on_the_screen_not_in_the_picture() {
     assert!(differing(&left, &right) > 300);
     for mode in [StereoMode::VerticalInterlace, StereoMode::Checkerboard] {
         let mut viewer = viewer([200, SIZE[1]], Some(Stereo::new(mode)), ThreadingModel::DrawThreadPerContext).unwrap();
-        viewer.set_viewport_px(Some([0, 0, SIZE[0], SIZE[1]]));
+        viewer.set_viewport([0, 0, SIZE[0], SIZE[1]]);
         let first = viewer.context().unwrap();
-        viewer.add_slave(Slave { viewport_px: Some([101, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) }).unwrap();
+        viewer
+            .add_slave(Slave { viewport: Viewport::Pixels([101, 0, SIZE[0], SIZE[1]]), ..Slave::new(first) })
+            .unwrap();
         let found = part(&pictures(&mut viewer, &[first])[0], 101);
         for (x, y, pixel) in found.enumerate_pixels() {
             let row = if mode == StereoMode::Checkerboard { y } else { 0 };

@@ -2,18 +2,21 @@
 //! until they are over.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::sync::Arc;
 
 use glam::DVec3;
 use image::RgbaImage;
 use terrane::draw::Sky;
-use terrane::gpu::{AdapterChoice, GpuError};
+use terrane::gpu::AdapterChoice;
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, NodeKind, Page};
-use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError};
+use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
+use viewer_support::offscreen;
 
 const SIZE: [u32; 2] = [96, 64];
 
-fn viewer(test: &str, threading: ThreadingModel) -> Option<Viewer> {
+fn viewer(threading: ThreadingModel) -> Option<Viewer> {
     let config = ViewerConfig {
         size_px: SIZE,
         threading,
@@ -21,15 +24,7 @@ fn viewer(test: &str, threading: ThreadingModel) -> Option<Viewer> {
         validation: false,
         ..ViewerConfig::default()
     };
-    match Viewer::new_offscreen(&config) {
-        Ok(viewer) => Some(viewer),
-        Err(ViewerError::Gpu(GpuError::NoAdapter { reason })) => {
-            assert!(std::env::var("REQUIRE_GPU").is_err(), "REQUIRE_GPU is set, but: {reason}");
-            eprintln!("{test}: skipped: no adapter");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+    offscreen(&config)
 }
 
 /// A red ball far away, a green one near.
@@ -56,11 +51,11 @@ fn greens(picture: &RgbaImage) -> usize {
 fn all_models_draw_the_same_fade() {
     let mut first: Option<Vec<RgbaImage>> = None;
     for model in ThreadingModel::ALL {
-        let Some(mut viewer) = viewer("all_models_draw_the_same_fade", model) else { return };
+        let Some(mut viewer) = viewer(model) else { return };
         open(&mut viewer);
         // A slave in a part of the picture has a level of detail and a fade of its own.
         let context = viewer.contexts().next().unwrap();
-        let slave = Slave { viewport_px: Some([64, 0, 32, 32]), ..Slave::new(context) };
+        let slave = Slave { viewport: Viewport::Pixels([64, 0, 32, 32]), ..Slave::new(context) };
         let slave = viewer.add_slave(slave).unwrap();
         viewer.slave_mut(slave).unwrap().inherit = terrane::scene::Inherit::NONE;
         viewer.slave_mut(slave).unwrap().settings.lod_scale = 0.5;
@@ -95,7 +90,7 @@ fn all_models_draw_the_same_fade() {
 
 #[test]
 fn a_fade_ends_where_time_stands_still_and_pictures_are_of_its_end() {
-    let Some(mut viewer) = viewer("a_fade_ends", ThreadingModel::SingleThreaded) else { return };
+    let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded) else { return };
     open(&mut viewer);
     for frame in 0..6 {
         viewer.frame_at(0.01 * f64::from(frame)).unwrap();

@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -19,18 +21,12 @@ use terrane::viewer::{
     KEY_COLOR, Key, Modifiers, MouseButton, ThreadingModel, Viewer, ViewerConfig, WindowCommand, coverage,
     event_callback,
 };
+use viewer_support::offscreen;
 
 fn viewer(adapter: AdapterChoice) -> Option<Viewer> {
     let validation = adapter != AdapterChoice::Noop;
     let config = ViewerConfig { size_px: [320, 240], adapter, validation, ..ViewerConfig::default() };
-    match Viewer::new_offscreen(&config) {
-        Ok(viewer) => Some(viewer),
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-    }
+    offscreen(&config)
 }
 
 /// A square of 2 m in the x, z plane around the origin, facing -y.

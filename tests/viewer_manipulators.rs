@@ -257,6 +257,27 @@ fn who_walks_and_who_drives_follow_the_ground() {
 }
 
 #[test]
+fn a_key_that_comes_and_goes_within_a_frame_moves_for_that_frame() {
+    let world = World::alps();
+    let start = world.bounds.frame.world_from_local.transform_point3(DVec3::new(0.0, 0.0, 1000.0));
+    let pose = terrane::viewer::world_from_eye(start, world.bounds.frame.direction(0.4, 0.0), world.bounds.frame.up());
+    let movers: [(&str, Box<dyn CameraManipulator>); 3] = [
+        ("fly", Box::new(FlyManipulator::default())),
+        ("first person", Box::new(FirstPersonManipulator::default())),
+        ("drive", Box::new(DriveManipulator::default())),
+    ];
+    for (name, mut mover) in movers {
+        mover.set_pose(&pose, &world.view());
+        let stood = play(&mut *mover, &world, &[], 4.0, 5);
+        let tap = [(0.05, Act::Down(Key::Up)), (0.08, Act::Up(Key::Up))];
+        let tapped = play(&mut *mover, &world, &tap, 20.0, 5);
+        assert!(tapped.translation.distance(stood.translation) > 0.05, "{name} loses the tap");
+        let rest = play(&mut *mover, &world, &[], 1.0, 5);
+        assert!(rest.translation.distance(tapped.translation) < 1e-3, "{name} goes on");
+    }
+}
+
+#[test]
 fn letters_move_while_a_button_is_held_and_are_free_otherwise() {
     let world = World::plane();
     let mut fly = FlyManipulator::default();

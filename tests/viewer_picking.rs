@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
@@ -12,6 +14,7 @@ use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::scene::{Drawable, Geometry, IntersectionLimit, Material, Mesh, Node, Page};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, ViewFrom, Viewer, ViewerConfig};
+use viewer_support::offscreen;
 
 const SIZE_PX: [u32; 2] = [320, 180];
 
@@ -24,14 +27,7 @@ fn viewer() -> Option<Viewer> {
         pager: PagerConfig { blocking: true, build_kd_trees: true, ..PagerConfig::default() },
         ..ViewerConfig::default()
     };
-    match Viewer::new_offscreen(&config) {
-        Ok(viewer) => Some(viewer),
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-    }
+    offscreen(&config)
 }
 
 fn is_ground(picture: &RgbaImage, x: u32, y: u32) -> bool {

@@ -1,18 +1,21 @@
 //! Pipelines are made when content is loaded, not when it is first drawn.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use terrane::cull::SunShadows;
-use terrane::gpu::{AdapterChoice, GpuError};
+use terrane::gpu::AdapterChoice;
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
 use terrane::state::{Attribute, CullFace, StateSet, SurfaceMaterial};
-use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
+use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig};
+use viewer_support::offscreen;
 
 fn viewer(threading: ThreadingModel, blocking: bool) -> Option<Viewer> {
     let config = ViewerConfig {
@@ -23,15 +26,7 @@ fn viewer(threading: ThreadingModel, blocking: bool) -> Option<Viewer> {
         pager: PagerConfig { blocking, ..PagerConfig::default() },
         ..ViewerConfig::default()
     };
-    match Viewer::new_offscreen(&config) {
-        Ok(viewer) => Some(viewer),
-        Err(ViewerError::Gpu(GpuError::NoAdapter { reason })) => {
-            assert!(std::env::var("REQUIRE_GPU").is_err(), "REQUIRE_GPU is set, but: {reason}");
-            eprintln!("skipped: no adapter");
-            None
-        }
-        Err(error) => panic!("{error}"),
-    }
+    offscreen(&config)
 }
 
 /// A fan of some triangles around the origin, facing +z after glTF's axes are turned.

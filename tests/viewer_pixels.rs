@@ -3,12 +3,15 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::path::Path;
 
 use image::RgbaImage;
 use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
+use viewer_support::offscreen;
 
 fn small_set(folder: &Path) -> String {
     let set = folder.join("set");
@@ -29,21 +32,9 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
     }
 }
 
-/// A viewer, or a visible skip where nothing can draw; with REQUIRE_GPU=1 that is a failure.
-fn viewer(config: &ViewerConfig) -> Option<Viewer> {
-    match Viewer::new_offscreen(config) {
-        Ok(viewer) => Some(viewer),
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-    }
-}
-
 /// Every tenth picture of the default path.
 fn fly(set: &str, threading: ThreadingModel) -> Option<Vec<RgbaImage>> {
-    let mut viewer = viewer(&config(threading))?;
+    let mut viewer = offscreen(&config(threading))?;
     viewer.load(set).unwrap();
     let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
     for frame in 0..60u32 {
@@ -82,7 +73,7 @@ fn the_model_is_changed_at_run_time() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(expected) = fly(&set, ThreadingModel::SingleThreaded) else { return };
-    let mut viewer = viewer(&config(ThreadingModel::SingleThreaded)).unwrap();
+    let mut viewer = offscreen(&config(ThreadingModel::SingleThreaded)).unwrap();
     viewer.load(&set).unwrap();
     let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
     let models = ThreadingModel::ALL;
@@ -111,7 +102,7 @@ fn the_model_is_changed_at_run_time() {
 fn a_settled_view_stays_as_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
-    let Some(mut viewer) = viewer(&config(ThreadingModel::DrawThreadPerContext)) else { return };
+    let Some(mut viewer) = offscreen(&config(ThreadingModel::DrawThreadPerContext)) else { return };
     viewer.load(&set).unwrap();
     viewer.frame().unwrap();
     let before = viewer.read_back().unwrap();
@@ -132,7 +123,7 @@ fn a_viewer_is_resized_and_dropped_at_any_time() {
     for threading in ThreadingModel::ALL {
         let mut config = config(threading);
         config.pager.blocking = false;
-        let Some(mut viewer) = viewer(&config) else { return };
+        let Some(mut viewer) = offscreen(&config) else { return };
         viewer.load(&set).unwrap();
         viewer.frame().unwrap();
         viewer.resize([123, 77]).unwrap();

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
@@ -10,6 +12,7 @@ use terrane::gpu::AdapterChoice;
 use terrane::math::Aabb;
 use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, Topology};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig, coverage};
+use viewer_support::offscreen;
 
 /// A square of 2 m in the x, z plane, facing -y.
 fn square() -> Drawable {
@@ -32,14 +35,7 @@ fn square() -> Drawable {
 fn viewer(threading: ThreadingModel, adapter: AdapterChoice) -> Option<Viewer> {
     let validation = adapter != AdapterChoice::Noop;
     let config = ViewerConfig { size_px: [160, 90], threading, adapter, validation, ..ViewerConfig::default() };
-    match Viewer::new_offscreen(&config) {
-        Ok(viewer) => Some(viewer),
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-    }
+    offscreen(&config)
 }
 
 fn frames(viewer: &mut Viewer, count: u32) {

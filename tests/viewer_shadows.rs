@@ -18,7 +18,7 @@ use terrane::math::Aabb;
 use terrane::pager::PagerConfig;
 use terrane::scene::{Attachment, CameraTarget, Node, NodeKind, Page};
 use terrane::state::{TextureFormat, TextureObject};
-use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
+use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
 
 const SIZE: [u32; 2] = [256, 192];
 
@@ -182,10 +182,10 @@ fn slaves_have_shadows_of_their_own() {
     for model in ThreadingModel::ALL {
         let mut both = viewer([2 * width, height], model);
         open(&mut both);
-        both.set_viewport_px(Some([0, 0, width, height]));
+        both.set_viewport([0, 0, width, height]);
         let context = both.contexts().next().unwrap();
-        let viewport_px = Some([width, 0, width, height]);
-        both.add_slave(Slave { viewport_px, view_offset: turned, ..Slave::new(context) }).unwrap();
+        let viewport = Viewport::Pixels([width, 0, width, height]);
+        both.add_slave(Slave { viewport, view_offset: turned, ..Slave::new(context) }).unwrap();
         let picture = settled(&mut both);
         keep(&format!("slaves-{model}"), &picture);
         for (x, wanted) in [(0, &master), (width, &beside)] {

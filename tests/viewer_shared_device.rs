@@ -16,7 +16,7 @@ use terrane::pager::PagerConfig;
 use terrane::scene::{DataVariance, Mesh, Node, NodeId, Page};
 use terrane::viewer::{CompositeViewer, ContextId, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
-use viewer_support::{ball, small_set};
+use viewer_support::{ball, or_skip, small_set};
 
 const SIZE: [u32; 2] = [96, 72];
 
@@ -36,16 +36,8 @@ fn traits(size_px: [u32; 2]) -> ContextTraits {
     ContextTraits { size_px, ..config(ThreadingModel::SingleThreaded).traits() }
 }
 
-/// A context, or a visible skip where nothing can draw; with REQUIRE_GPU=1 that is a failure.
 fn context() -> Option<GraphicsContext> {
-    match GraphicsContext::new_offscreen(&traits(SIZE)) {
-        Ok(context) => Some(context),
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-    }
+    or_skip(GraphicsContext::new_offscreen(&traits(SIZE)))
 }
 
 /// The camera that sees what is beside the master's picture.

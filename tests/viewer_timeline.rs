@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
@@ -10,6 +12,7 @@ use serde_json::Value;
 use terrane::gpu::AdapterChoice;
 use terrane::timeline::{Recording, TimelineError, span};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
+use viewer_support::or_skip;
 
 fn text<'a>(event: &'a Value, key: &str) -> &'a str {
     event[key].as_str().unwrap_or_else(|| panic!("{key} of {event}"))
@@ -54,14 +57,7 @@ fn a_flight_is_recorded_whole() {
         };
         let recording = Recording::start().unwrap();
         assert!(matches!(Recording::start(), Err(TimelineError::AlreadyRecording)));
-        let mut viewer = match Viewer::new_offscreen(&config) {
-            Ok(viewer) => viewer,
-            Err(error) => {
-                assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-                eprintln!("SKIPPED: {error}");
-                return;
-            }
-        };
+        let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
         viewer.load(set.to_str().unwrap()).unwrap();
         let first = viewer.contexts().next().unwrap();
         let second = viewer.open_offscreen_on(first, &config.traits()).unwrap();

@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
@@ -17,6 +19,7 @@ use terrane::scene::{
 };
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
+use viewer_support::offscreen;
 
 /// Vertices along a side: enough that uploading and drawing take as long as update.
 const SIDE: u32 = 48;
@@ -60,14 +63,7 @@ fn state(frame: u32) -> Arc<StateSet> {
 fn viewer(threading: ThreadingModel) -> Option<Viewer> {
     let adapter = AdapterChoice::Software;
     let config = ViewerConfig { size_px: [160, 120], threading, adapter, validation: true, ..ViewerConfig::default() };
-    match Viewer::new_offscreen(&config) {
-        Ok(viewer) => Some(viewer),
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-    }
+    offscreen(&config)
 }
 
 /// A root with one waving sheet under a transform (node 1) and a state set, and one drawn by state alone.

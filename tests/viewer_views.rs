@@ -13,7 +13,7 @@ use terrane::draw::Sky;
 use terrane::gpu::AdapterChoice;
 use terrane::scene::{Node, Page};
 use terrane::viewer::{ArrangedViews, Arrangement, ViewerConfig, ViewsSetup};
-use viewer_support::{ball, small_set};
+use viewer_support::{ball, or_skip, small_set};
 
 fn setup(folder: &Path, text: &str) -> ViewsSetup {
     let file = folder.join("views.json");
@@ -28,14 +28,7 @@ fn arranged(setup: &ViewsSetup) -> Option<ArrangedViews> {
     let mut config = ViewerConfig { size_px: [200, 100], adapter: AdapterChoice::Software, ..ViewerConfig::default() };
     config.pager.blocking = true;
     let roots = setup.read_roots(&config.pager).unwrap();
-    match ArrangedViews::new_offscreen(setup, &config, roots, None) {
-        Ok(arranged) => Some(arranged),
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-    }
+    or_skip(ArrangedViews::new_offscreen(setup, &config, roots, None))
 }
 
 fn part(picture: &RgbaImage, [x, y, width, height]: [u32; 4]) -> RgbaImage {
@@ -102,6 +95,70 @@ fn views_have_their_parts_scenes_and_slaves() {
     let first = viewer.read_back(contexts[0]).unwrap();
     assert!(share(&part(&first, [100, 0, 100, 100]), [255; 3]) == 0.0);
     assert!(part(&first, [200, 0, 100, 100]) == far);
+}
+
+#[test]
+fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() {
+    let folder = tempfile::tempdir().unwrap();
+    // Side by side: what follows the window, with each policy, and what stays in a corner.
+    let setup = setup(
+        folder.path(),
+        r#"{"windows": [{"size_px": [300, 100]}],
+            "views": [
+              {"background": [250, 0, 0], "cameras": [{"viewport": [0, 0, 0.3333, 1], "resize": "FIXED"}]},
+              {"background": [0, 250, 0], "cameras": [{"viewport": [0.3333, 0, 0.3333, 1], "resize": "HORIZONTAL"}]},
+              {"background": [0, 0, 250], "cameras": [{"viewport": [0.6667, 0, 0.3333, 1], "resize": "VERTICAL"}]},
+              {"background": [250, 250, 0], "cameras": [{"viewport_px": [5, 7, 10, 20]}]}]}"#,
+    );
+    let Some(ArrangedViews { mut viewer, contexts, views, own_scene }) = arranged(&setup) else { return };
+    let white = ball(DVec3::ZERO, 1.0, [1.0; 4]);
+    viewer.add_root(own_scene.unwrap(), Page::from_node(Node::group(vec![white])).unwrap()).unwrap();
+    let backgrounds = [[250, 0, 0], [0, 250, 0], [0, 0, 250], [250, 250, 0]];
+    for (view, color) in views.iter().zip(backgrounds) {
+        let view = viewer.view_mut(*view).unwrap();
+        let distance = if color == backgrounds[3] { -100.0 } else { 5.0 };
+        view.camera.look_at(DVec3::new(0.0, -distance, 0.0), DVec3::new(0.0, -distance + 1.0, 0.0), DVec3::Z);
+        view.environment.sky = Sky::Background(color);
+        view.environment.fog.enabled = false;
+    }
+    // Width and height of the ball, pixels, in parts of a picture that hold nothing else.
+    let mut balls = |size_px: [u32; 2]| {
+        viewer.resize_context(contexts[0], size_px).unwrap();
+        for _ in 0..3 {
+            viewer.frame().unwrap();
+        }
+        let picture = viewer.read_back(contexts[0]).unwrap();
+        if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
+            picture.save(Path::new(&folder).join(format!("views-{}x{}.png", size_px[0], size_px[1]))).unwrap();
+        }
+        assert_eq!(picture.dimensions(), (size_px[0], size_px[1]));
+        assert_eq!(share(&part(&picture, [5, 7, 10, 20]), backgrounds[3]), 1.0, "the corner stays");
+        let third = size_px[0] / 3;
+        [0, 1, 2].map(|place| {
+            let of = part(&picture, [place as u32 * third, 0, third, size_px[1]]);
+            let around = [[0, 0], [third - 1, 0], [0, size_px[1] - 1], [third - 1, size_px[1] - 1]];
+            assert!(around.iter().all(|[x, y]| share(&part(&of, [*x, *y, 1, 1]), backgrounds[place]) == 1.0));
+            let is_white = |x: u32, y: u32| of.get_pixel(x, y).0 == [255; 4];
+            let across = (0..third).filter(|x| is_white(*x, size_px[1] / 2)).count();
+            let upwards = (0..size_px[1]).filter(|y| is_white(third / 2, *y)).count();
+            [across as f64, upwards as f64]
+        })
+    };
+    let same = |a: f64, b: f64| (a - b).abs() < 3.0;
+    let [before, others @ ..] = balls([300, 100]);
+    assert!(before[0] > 20.0 && others == [before; 2], "{before:?} {others:?}");
+    // Twice as wide: stretched; more to the sides; less above and below.
+    let [fixed, horizontal, vertical] = balls([600, 100]);
+    assert!(same(fixed[0], 2.0 * before[0]) && same(fixed[1], before[1]), "{fixed:?} of {before:?}");
+    assert!(same(horizontal[0], before[0]) && same(horizontal[1], before[1]), "{horizontal:?} of {before:?}");
+    assert!(same(vertical[0], 2.0 * before[0]) && same(vertical[1], 2.0 * before[1]), "{vertical:?} of {before:?}");
+    // Twice as high.
+    let [fixed, horizontal, vertical] = balls([300, 200]);
+    assert!(same(fixed[0], before[0]) && same(fixed[1], 2.0 * before[1]), "{fixed:?} of {before:?}");
+    assert!(same(horizontal[0], 2.0 * before[0]) && same(horizontal[1], 2.0 * before[1]), "{horizontal:?}");
+    assert!(same(vertical[0], before[0]) && same(vertical[1], before[1]), "{vertical:?} of {before:?}");
+    // And back.
+    assert_eq!(balls([300, 100]), [before; 3]);
 }
 
 #[test]

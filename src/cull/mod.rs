@@ -18,6 +18,8 @@
 //! ```
 
 mod camera;
+mod cameras;
+mod drawables;
 mod fade;
 mod horizon;
 mod near_far;
@@ -39,9 +41,10 @@ pub use camera::CullCamera;
 pub use fade::FadeBand;
 pub use shadows::{MOST_CASCADES, ShadowCascade, ShadowError, StageShadows, SunShadows};
 pub use stage::{
-    ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, RenderBin, RenderLeaf, RenderStage,
-    StageTarget, StageView,
+    ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, PositionedTexGen, RenderBin, RenderLeaf,
+    RenderStage, StageTarget, StageView,
 };
+pub(crate) use stage::{moved, plane_moved};
 pub use stereo::{Stereo, StereoMode};
 pub use visitor::CullVisitor;
 

@@ -38,8 +38,8 @@ impl EyePlanes {
             m.z_axis,
         ];
         let planes = planes.map(|p| {
-            let length = p.truncate().length();
-            if length > 0.0 && (p / length).is_finite() { p / length } else { EVERYTHING }
+            let plane = p * p.truncate().length_recip();
+            if plane.is_finite() { plane } else { EVERYTHING }
         });
         let mut mask = 0;
         if culling.contains(CullingMode::VIEW_FRUSTUM_SIDES) {
@@ -120,7 +120,7 @@ impl Planes {
     #[inline(always)]
     pub fn test_sphere(&self, sphere: Vec4, mask: u8) -> Option<u8> {
         let distance = self.x * sphere.x + self.y * sphere.y + self.z * sphere.z + self.w;
-        let outside = distance.cmplt(Vec4::splat(-sphere.w)).bitmask() as u8;
+        let outside = (distance + Vec4::splat(sphere.w)).cmplt(Vec4::ZERO).bitmask() as u8;
         let inside = distance.cmpgt(Vec4::splat(sphere.w)).bitmask() as u8;
         let mut crossing = mask & !inside;
         if outside & mask != 0 {

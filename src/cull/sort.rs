@@ -1,7 +1,8 @@
 //! Leaves to bins, in draw order.
 //!
-//! By state: a stable counting sort. By depth: `u64` keys of depth and traversal index, so that equal depths keep
-//! their order, through `sort_unstable` when few, else a radix sort that skips the bits all keys share.
+//! By state: a stable counting sort. By depth: what is in order already stays; else `u64` keys of depth and traversal
+//! index, so that equal depths keep their order, through `sort_unstable` when few, else a radix sort that skips the bits
+//! all keys share.
 
 use std::cmp::Ordering;
 
@@ -24,16 +25,19 @@ pub(super) struct Sorter {
     bin_of_state: Vec<u32>,
     /// By state: leaves, then the place of the next one.
     places: Vec<u32>,
-    /// States by their nearest leaf.
-    nearest: Vec<(f32, u32)>,
-    /// By state in that order: the place behind its last leaf.
-    ends: Vec<u32>,
-    keys: Vec<u64>,
-    keys_scratch: Vec<u64>,
+    /// By state: its nearest leaf, and how many there are.
+    groups: Vec<(f32, u32)>,
+    /// States by their nearest leaf, in the low halves.
+    order: Vec<u64>,
+    keys: Keys,
     custom: Vec<(u64, u32)>,
-    radix: Radix,
     /// Leaves by bin, where there are several bins.
     parts: Vec<Vec<RenderLeaf>>,
+}
+
+/// True for the paths of one bin.
+fn is_same_bin(a: &[BinDetails], b: &[BinDetails]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.number == b.number)
 }
 
 /// The order in which bins are drawn: a bin's own leaves stand between its negative bins and the others.
@@ -67,7 +71,7 @@ impl Sorter {
     pub fn fill_bins(&mut self, leaves: &mut Vec<RenderLeaf>, stage: &mut RenderStage) {
         stage.spare.bins.append(&mut stage.bins);
         for state in &stage.state_sets {
-            let known = stage.bins.iter_mut().find(|b| bin_order(&b.path, &state.bins) == Ordering::Equal);
+            let known = stage.bins.iter_mut().find(|b| is_same_bin(&b.path, &state.bins));
             if let Some(bin) = known {
                 bin.called_by(&state.bin_callbacks);
             } else {
@@ -93,7 +97,7 @@ impl Sorter {
         }
         self.bin_of_state.clear();
         for state in &stage.state_sets {
-            let bin = stage.bins.iter().position(|b| bin_order(&b.path, &state.bins) == Ordering::Equal);
+            let bin = stage.bins.iter().position(|b| is_same_bin(&b.path, &state.bins));
             self.bin_of_state.push(bin.unwrap_or(0) as u32);
         }
         if self.parts.len() < stage.bins.len() {
@@ -137,12 +141,7 @@ impl Sorter {
         match bin.sort {
             SortMode::ByState if states > 1 => {
                 self.count_by_state(leaves, states);
-                resize(&mut bin.leaves, leaves.len());
-                for leaf in leaves.iter() {
-                    let place = &mut self.places[leaf.state as usize];
-                    bin.leaves[*place as usize] = *leaf;
-                    *place += 1;
-                }
+                self.scatter(leaves, &mut bin.leaves);
             }
             SortMode::TraversalOrder | SortMode::ByState => std::mem::swap(leaves, &mut bin.leaves),
             SortMode::ByKey(SortKey(key)) => {
@@ -155,37 +154,32 @@ impl Sorter {
                 bin.leaves.clear();
                 bin.leaves.extend(self.custom.iter().map(|(_, order)| leaves[*order as usize]));
             }
-            SortMode::ByStateThenFrontToBack | SortMode::FrontToBack | SortMode::BackToFront => {
-                self.sort_by_depth(leaves, bin.sort, states);
-                resize(&mut bin.leaves, leaves.len());
-                for (leaf, key) in bin.leaves.iter_mut().zip(&self.keys) {
-                    *leaf = leaves[*key as u32 as usize];
+            SortMode::ByStateThenFrontToBack if states > 1 => {
+                self.group_by_nearest(leaves, states);
+                self.scatter(leaves, &mut bin.leaves);
+                let mut start = 0;
+                for state in &self.order {
+                    let end = start + self.groups[*state as u32 as usize].1 as usize;
+                    let group = &mut bin.leaves[start..end];
+                    if !is_in_order(group, false) {
+                        self.keys.sort(group, false);
+                        let sorted = &mut leaves[start..end];
+                        self.keys.gather(group, sorted);
+                        group.copy_from_slice(sorted);
+                    }
+                    start = end;
                 }
             }
-        }
-    }
-
-    /// Leaves in `keys` the depth and the index of each leaf, in order.
-    fn sort_by_depth(&mut self, leaves: &[RenderLeaf], sort: SortMode, states: usize) {
-        let flip = if sort == SortMode::BackToFront { u32::MAX } else { 0 };
-        let key = |index: usize, leaf: &RenderLeaf| u64::from(depth_key(leaf.depth) ^ flip) << 32 | index as u64;
-        if sort == SortMode::ByStateThenFrontToBack && states > 1 {
-            self.group_by_nearest(leaves, states);
-            self.keys.resize(leaves.len(), 0);
-            for (index, leaf) in leaves.iter().enumerate() {
-                let place = &mut self.places[leaf.state as usize];
-                self.keys[*place as usize] = key(index, leaf);
-                *place += 1;
+            SortMode::ByStateThenFrontToBack | SortMode::FrontToBack | SortMode::BackToFront => {
+                let flips = bin.sort == SortMode::BackToFront;
+                if is_in_order(leaves, flips) {
+                    std::mem::swap(leaves, &mut bin.leaves);
+                } else {
+                    self.keys.sort(leaves, flips);
+                    resize(&mut bin.leaves, leaves.len());
+                    self.keys.gather(leaves, &mut bin.leaves);
+                }
             }
-            let mut start = 0;
-            for end in &self.ends {
-                self.radix.sort(&mut self.keys[start..*end as usize], &mut self.keys_scratch);
-                start = *end as usize;
-            }
-        } else {
-            self.keys.clear();
-            self.keys.extend(leaves.iter().enumerate().map(|(index, leaf)| key(index, leaf)));
-            self.radix.sort(&mut self.keys, &mut self.keys_scratch);
         }
     }
 
@@ -196,35 +190,42 @@ impl Sorter {
         for leaf in leaves {
             self.places[leaf.state as usize] += 1;
         }
-        starts(&mut self.places);
+        let mut start = 0;
+        for place in &mut self.places {
+            start += std::mem::replace(place, start);
+        }
     }
 
-    /// Leaves in `places` where each state's leaves start, and in `ends` where they end; states by their nearest leaf.
+    /// Leaves in `places` where each state's leaves start, and in `order` the states by their nearest leaf.
     fn group_by_nearest(&mut self, leaves: &[RenderLeaf], states: usize) {
+        self.groups.clear();
+        self.groups.resize(states, (f32::INFINITY, 0));
+        for leaf in leaves {
+            let (nearest, count) = &mut self.groups[leaf.state as usize];
+            *nearest = if leaf.depth < *nearest { leaf.depth } else { *nearest };
+            *count += 1;
+        }
+        self.order.clear();
+        self.order.extend(self.groups.iter().zip(0..).map(|((nearest, _), state)| ordered(*nearest, 0, state)));
+        self.order.sort_unstable();
         self.places.clear();
         self.places.resize(states, 0);
-        self.nearest.clear();
-        self.nearest.extend((0..states as u32).map(|state| (f32::INFINITY, state)));
-        for leaf in leaves {
-            self.places[leaf.state as usize] += 1;
-            let nearest = &mut self.nearest[leaf.state as usize].0;
-            *nearest = if leaf.depth < *nearest { leaf.depth } else { *nearest };
-        }
-        self.nearest.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        self.ends.clear();
-        let mut end = 0;
-        for (_, state) in &self.nearest {
-            end += std::mem::replace(&mut self.places[*state as usize], end);
-            self.ends.push(end);
+        let mut start = 0;
+        for state in &self.order {
+            let state = *state as u32 as usize;
+            self.places[state] = start;
+            start += self.groups[state].1;
         }
     }
-}
 
-/// From counts to where each begins.
-fn starts(places: &mut [u32]) {
-    let mut start = 0;
-    for place in places {
-        start += std::mem::replace(place, start);
+    /// Moves each leaf to the next place of its state.
+    fn scatter(&mut self, leaves: &[RenderLeaf], to: &mut Vec<RenderLeaf>) {
+        resize(to, leaves.len());
+        for leaf in leaves {
+            let place = &mut self.places[leaf.state as usize];
+            to[*place as usize] = *leaf;
+            *place += 1;
+        }
     }
 }
 
@@ -240,6 +241,41 @@ fn depth_key(depth: f32) -> u32 {
     bits ^ (((bits as i32 >> 31) as u32) | 0x8000_0000)
 }
 
+/// The key of something with a depth: rising from front to back, or where all bits of `flip` are set from back to front,
+/// then by its place.
+fn ordered(depth: f32, flip: u32, place: u32) -> u64 {
+    u64::from(depth_key(depth) ^ flip) << 32 | u64::from(place)
+}
+
+/// True for leaves that are in order of their depths.
+fn is_in_order(leaves: &[RenderLeaf], flips: bool) -> bool {
+    leaves.windows(2).all(|w| if flips { w[0].depth >= w[1].depth } else { w[0].depth <= w[1].depth })
+}
+
+/// Depths and places of leaves, in order.
+#[derive(Debug, Default)]
+struct Keys {
+    keys: Vec<u64>,
+    scratch: Vec<u64>,
+    radix: Radix,
+}
+
+impl Keys {
+    fn sort(&mut self, leaves: &[RenderLeaf], flips: bool) {
+        let flip = if flips { u32::MAX } else { 0 };
+        self.keys.clear();
+        self.keys.extend(leaves.iter().enumerate().map(|(place, leaf)| ordered(leaf.depth, flip, place as u32)));
+        self.radix.sort(&mut self.keys, &mut self.scratch);
+    }
+
+    /// Copies the leaves in the order of the keys.
+    fn gather(&self, leaves: &[RenderLeaf], sorted: &mut [RenderLeaf]) {
+        for (leaf, key) in sorted.iter_mut().zip(&self.keys) {
+            *leaf = leaves[*key as u32 as usize];
+        }
+    }
+}
+
 /// Sorts keys whose low halves rise already.
 #[derive(Debug, Default)]
 struct Radix {
@@ -251,9 +287,6 @@ impl Radix {
     const FEW: usize = 192;
 
     fn sort(&mut self, keys: &mut [u64], scratch: &mut Vec<u64>) {
-        if keys.is_sorted() {
-            return;
-        }
         if keys.len() < Self::FEW {
             keys.sort_unstable();
             return;

@@ -1,19 +1,20 @@
 //! The rarer node kinds during the node scan: other views, billboards, positioned state, occlusion queries.
 
-use glam::{DAffine3, DMat3, DVec3, DVec4};
+use glam::{DAffine3, DMat3, DVec3};
 
+use super::cameras::{CameraPlace, DeferredCamera, NestedCamera};
 use super::occluders::NO_OCCLUDERS;
 use super::stage::{
-    ClipPlane, OcclusionQuery, PositionedLight, RenderLeaf, StageTarget, StageView, moved, plane_moved,
+    ClipPlane, OcclusionQuery, PositionedLight, PositionedTexGen, RenderLeaf, StageTarget, StageView, moved,
+    plane_moved, texgen_moved,
 };
 use super::view::{View, clamp};
-use super::visitor::{CameraPlace, Cull, DeferredCamera, DepthRange, NestedCamera, PageContext};
+use super::visitor::{Cull, DepthRange, PageContext};
 use super::{CullCamera, StageShadows};
 use crate::scene::{
     BillboardMode, CameraEnvironment, CameraNode, CameraShadows, ComputeNearFar, DrawSlot, NONE, OcclusionQueryNode,
     ReferenceFrame, RenderOrder, Special, UNBOUNDED,
 };
-use crate::state::TexGen;
 
 /// Cameras inside cameras are followed so deep.
 pub(super) const MOST_NESTED: u32 = 8;
@@ -38,27 +39,21 @@ impl Cull<'_> {
             Special::LightSource(source) => {
                 let eye_from_node = self.eye_from_node(context, node, source.frame);
                 let light = moved(&eye_from_node, &source.light);
-                self.stage.lights.push(PositionedLight { light });
+                self.stage.lights.push(PositionedLight { light, view: self.view.index });
                 false
             }
             Special::ClipNode(clip) => {
                 let eye_from_node = self.eye_from_node(context, node, clip.frame);
                 for (number, plane) in &clip.planes {
                     let plane = plane_moved(&eye_from_node, *plane);
-                    self.stage.clip_planes.push(ClipPlane { number: *number, plane });
+                    self.stage.clip_planes.push(ClipPlane { number: *number, plane, view: self.view.index });
                 }
                 false
             }
             Special::TexGenNode(node_texgen) => {
                 let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
-                let texgen = match node_texgen.texgen {
-                    TexGen::EyeLinear(planes) => TexGen::EyeLinear(planes.map(|p| {
-                        let plane = DVec4::from_array(p.map(f64::from));
-                        plane_moved(&eye_from_node, plane).as_vec4().to_array()
-                    })),
-                    other => other,
-                };
-                self.stage.texgens.push((node_texgen.unit, texgen));
+                let texgen = texgen_moved(&eye_from_node, node_texgen.texgen);
+                self.stage.texgens.push(PositionedTexGen { unit: node_texgen.unit, texgen, view: self.view.index });
                 false
             }
             Special::ClearNode(clear) => {
@@ -182,6 +177,9 @@ impl Cull<'_> {
 
     fn camera_node(&mut self, context: &PageContext, node: u32, camera: &CameraNode, path: u32, mask: u8) {
         let page = context.page;
+        if camera.shows_scene && self.in_scene_camera {
+            return;
+        }
         let above = page.transforms.page_from_node(self.enclosing_transform(context, node));
         let Some(node_from_page) = finite(above.inverse()) else { return };
         let mut view = self.view;
@@ -199,7 +197,10 @@ impl Cull<'_> {
             }
         };
         let Some(eye_from_page) = finite(eye_from_node * node_from_page) else { return };
-        if camera.frame == ReferenceFrame::Absolute {
+        if camera.shows_scene {
+            // What fades is known by the picture's own eye.
+            view.settings.lod_fade_s = 0.0;
+        } else if camera.frame == ReferenceFrame::Absolute {
             view.horizon = None;
         }
         if let Some(clip_from_eye) = camera.projection {
@@ -216,7 +217,7 @@ impl Cull<'_> {
                 if camera.shadows != CameraShadows::None {
                     let (state, mut visit) = (self.chain_state(page, path), context.visit);
                     (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
-                    let met = CameraPlace { visit, node, state, path };
+                    let met = CameraPlace { visit, node, state, path, shows_scene: false };
                     self.nested.push(NestedCamera { met, place, shadows: camera.shadows });
                 }
                 return;
@@ -233,7 +234,7 @@ impl Cull<'_> {
         (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
         let state = self.chain_state(page, path);
         self.deferred.push(DeferredCamera {
-            met: CameraPlace { visit, node, state, path },
+            met: CameraPlace { visit, node, state, path, shows_scene: camera.shows_scene },
             view,
             is_pre: matches!(camera.order, RenderOrder::PreRender(_)),
             target: StageTarget {
@@ -256,7 +257,7 @@ impl Cull<'_> {
         let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
         let Some(node_from_eye) = finite(eye_from_node.inverse()) else { return };
         for (drawable, position) in (first..).zip(positions) {
-            let Some((depth, _)) = self.test_drawable(context, drawable, mask) else { continue };
+            let Some((depth, _)) = self.test_behind_occluders(context, drawable, mask) else { continue };
             let map = mode.eye_from_drawable(&eye_from_node, node_from_eye.translation, *position);
             let matrix = self.push_matrix(&map);
             let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
@@ -269,7 +270,8 @@ impl Cull<'_> {
     fn occlusion_query(&mut self, context: &PageContext, node: u32, query: &OcclusionQueryNode) -> bool {
         let page = context.page;
         let sphere = page.spheres[node as usize];
-        if sphere.w >= UNBOUNDED || sphere.w < 0.0 {
+        // What one eye does not see another may: answers are those of the picture itself.
+        if sphere.w >= UNBOUNDED || sphere.w < 0.0 || self.in_scene_camera {
             return false;
         }
         let results = &query.results;

@@ -133,12 +133,15 @@ pub struct StageView {
 /// A light where it shines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionedLight {
-    /// Its position and direction are in eye space.
+    /// Its position and direction are in the eye space of its view.
     pub light: Light,
+    /// The view that it was met in: 0 is the stage's own, others are one more than their index in
+    /// [`RenderStage::views`].
+    pub view: u32,
 }
 
 /// A light in another frame; places get w = 1.
-pub(super) fn moved(to_from: &DAffine3, light: &Light) -> Light {
+pub(crate) fn moved(to_from: &DAffine3, light: &Light) -> Light {
     let [x, y, z, w] = light.position;
     let (position, w) = if w == 0.0 {
         (to_from.transform_vector3(DVec3::new(x, y, z)), 0.0)
@@ -153,7 +156,7 @@ pub(super) fn moved(to_from: &DAffine3, light: &Light) -> Light {
 }
 
 /// A plane `normal . p + d` in another frame; one that cuts nothing where that cannot be said.
-pub(super) fn plane_moved(to_from: &DAffine3, plane: DVec4) -> DVec4 {
+pub(crate) fn plane_moved(to_from: &DAffine3, plane: DVec4) -> DVec4 {
     let from_to = to_from.inverse();
     let normal = from_to.matrix3.transpose() * plane.truncate();
     let moved = normal.extend(plane.truncate().dot(from_to.translation) + plane.w);
@@ -165,8 +168,39 @@ pub(super) fn plane_moved(to_from: &DAffine3, plane: DVec4) -> DVec4 {
 pub struct ClipPlane {
     /// 0 to 5.
     pub number: u8,
-    /// In eye space: kept is what has `normal . p + d >= 0`.
+    /// In the eye space of its view: kept is what has `normal . p + d >= 0`.
     pub plane: DVec4,
+    /// As that of a [`PositionedLight`].
+    pub view: u32,
+}
+
+/// Texture coordinates that a TexGenNode makes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PositionedTexGen {
+    /// The texture unit.
+    pub unit: u8,
+    /// Planes that are linear in the eye are in the eye space of the view.
+    pub texgen: TexGen,
+    /// As that of a [`PositionedLight`].
+    pub view: u32,
+}
+
+impl PositionedTexGen {
+    /// In another eye.
+    pub(crate) fn moved(&self, to_from: &DAffine3) -> TexGen {
+        texgen_moved(to_from, self.texgen)
+    }
+}
+
+/// Planes that are linear in the eye, in another frame.
+pub(super) fn texgen_moved(to_from: &DAffine3, texgen: TexGen) -> TexGen {
+    match texgen {
+        TexGen::EyeLinear(planes) => TexGen::EyeLinear(planes.map(|plane| {
+            let plane = DVec4::from_array(plane.map(f64::from));
+            plane_moved(to_from, plane).as_vec4().to_array()
+        })),
+        other => other,
+    }
 }
 
 /// A box whose visible samples are counted after the opaque bins.
@@ -229,7 +263,7 @@ pub struct RenderStage {
     /// Clip planes in the order met.
     pub clip_planes: Vec<ClipPlane>,
     /// Frames of generated texture coordinates by unit, in eye space.
-    pub texgens: Vec<(u8, TexGen)>,
+    pub texgens: Vec<PositionedTexGen>,
     /// What a ClearNode said: the colour to clear with, `None` to keep what is there.
     pub clear_node: Option<Option<[f32; 4]>>,
     /// Boxes to be tested for visibility.
@@ -296,21 +330,27 @@ impl RenderStage {
 
     /// Takes lights and clip planes of the stage it was met in that it has not itself, moved to its own eye.
     pub(super) fn inherit_positioned(&mut self, above: &Self) {
-        let below_from_above = self.camera.eye_from_world * above.camera.eye_from_world.inverse();
-        if !below_from_above.is_finite() {
-            return;
-        }
+        let eye_from_world = self.camera.eye_from_world;
+        let below_from = |view: u32| {
+            Some(eye_from_world * above.camera_of(view).eye_from_world.inverse()).filter(DAffine3::is_finite)
+        };
         for positioned in &above.lights {
+            let Some(to_from) = below_from(positioned.view) else { continue };
             if self.lights.iter().all(|own| own.light.number != positioned.light.number) {
-                self.lights.push(PositionedLight { light: moved(&below_from_above, &positioned.light) });
+                self.lights.push(PositionedLight { light: moved(&to_from, &positioned.light), view: 0 });
             }
         }
         for clip in &above.clip_planes {
+            let Some(to_from) = below_from(clip.view) else { continue };
             if self.clip_planes.iter().all(|own| own.number != clip.number) {
-                let plane = plane_moved(&below_from_above, clip.plane);
-                self.clip_planes.push(ClipPlane { plane, ..*clip });
+                self.clip_planes.push(ClipPlane { plane: plane_moved(&to_from, clip.plane), view: 0, ..*clip });
             }
         }
+    }
+
+    /// The camera of a view: 0 is the stage's own, others are one more than their index in [`Self::views`].
+    pub fn camera_of(&self, view: u32) -> &CullCamera {
+        self.views.get((view as usize).wrapping_sub(1)).map_or(&self.camera, |view| &view.camera)
     }
 
     /// Leaves of all its bins.

@@ -46,6 +46,8 @@ struct Node {
 pub(super) struct StateGraph {
     nodes: Vec<Node>,
     table: Vec<u32>,
+    /// By path of a page: the state that was found last, mostly the one to be found.
+    hints: Vec<u32>,
     /// Counts stages.
     stage: u32,
     /// Nodes met in the frame before.
@@ -68,7 +70,14 @@ impl Default for StateGraph {
     fn default() -> Self {
         let root =
             Node { parent: EMPTY, key: 0, resolved: Arc::default(), at: At::default(), met_in: 0, place: 0, set: None };
-        Self { nodes: vec![root], table: vec![EMPTY; 64], stage: 0, met: 0, until_sweep: SWEEP_FRAMES }
+        Self {
+            nodes: vec![root],
+            table: vec![EMPTY; 64],
+            hints: Vec::new(),
+            stage: 0,
+            met: 0,
+            until_sweep: SWEEP_FRAMES,
+        }
     }
 }
 
@@ -106,6 +115,7 @@ impl StateGraph {
     }
 
     /// The place of a state among those of the stage that have leaves.
+    #[inline]
     pub fn meet(&mut self, state: u32, stage: &mut RenderStage) -> u32 {
         let Some(node) = self.nodes.get_mut(state as usize) else { return 0 };
         if node.met_in != self.stage {
@@ -122,6 +132,26 @@ impl StateGraph {
             }
         }
         node.place
+    }
+
+    /// The state of a set under a parent, of a page's path.
+    #[inline]
+    pub fn find_or_insert_path(&mut self, path: u32, parent: u32, set: &Arc<StateSet>) -> u32 {
+        let hint = self.hints.get(path as usize).copied().unwrap_or(ROOT);
+        match self.nodes.get(hint as usize) {
+            Some(node) if node.parent == parent && node.key == Arc::as_ptr(set) as usize => hint,
+            _ => self.find_path(path, parent, set),
+        }
+    }
+
+    #[inline(never)]
+    fn find_path(&mut self, path: u32, parent: u32, set: &Arc<StateSet>) -> u32 {
+        let found = self.find_or_insert(parent, set);
+        if self.hints.len() <= path as usize {
+            self.hints.resize(path as usize + 1, ROOT);
+        }
+        self.hints[path as usize] = found;
+        found
     }
 
     /// The state of a set under a parent.

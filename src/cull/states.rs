@@ -16,7 +16,15 @@ impl Cull<'_> {
         }
     }
 
-    #[cold]
+    /// The same of four.
+    #[inline(always)]
+    pub(super) fn states_of(&mut self, page: &Page, paths: [u32; 4]) -> [u32; 4] {
+        let memo = &self.memo[..];
+        let states = paths.map(|path| memo.get(path as usize).copied().unwrap_or(NONE));
+        if states.contains(&NONE) { paths.map(|path| self.state_of(page, path)) } else { states }
+    }
+
+    #[inline(never)]
     fn meet_state(&mut self, page: &Page, path: u32) -> u32 {
         let state = self.chain_state(page, path);
         let state = self.graph.meet(state, self.stage);
@@ -47,34 +55,52 @@ impl Cull<'_> {
     pub(super) fn chain_state(&mut self, page: &Page, path: u32) -> u32 {
         match self.chains.get(path as usize) {
             Some(&state) if state != NONE => state,
-            _ => self.find_chain(page, path),
+            Some(_) => self.find_chain(page, path),
+            None => ROOT,
         }
     }
 
-    #[inline(never)]
+    #[inline(always)]
     fn find_chain(&mut self, page: &Page, path: u32) -> u32 {
-        // Up to the first chain that is known, one step down, again; chains are as deep as the graph at most.
+        match self.find_step(page, path) {
+            NONE => self.find_parents(page, path),
+            state => state,
+        }
+    }
+
+    #[cold]
+    fn find_parents(&mut self, page: &Page, path: u32) -> u32 {
+        // Up to the first chain below a known one, one step down, again; chains are as deep as the graph at most.
         loop {
             let mut at = path;
-            let above = loop {
-                let Some(link) = page.paths.get(at as usize) else { return ROOT };
-                match self.chains.get(link.parent as usize) {
-                    Some(&state) if state != NONE => break state,
-                    Some(_) if link.parent != at => at = link.parent,
-                    _ => break ROOT,
+            let below = loop {
+                match self.find_step(page, at) {
+                    NONE => at = page.paths[at as usize].parent,
+                    state => break state,
                 }
             };
-            let set = page.paths[at as usize].set;
-            let below = match page.state_sets.get(set as usize) {
-                Some(set) => self.graph.find_or_insert(above, set),
-                None if set == BLEND => self.graph.find_or_insert_blend(above),
-                None if set == VIEW => self.graph.find_or_insert_view(above, self.view.index),
-                None => above,
-            };
-            self.chains[at as usize] = below;
             if at == path {
                 return below;
             }
         }
+    }
+
+    /// The state of a chain where that of its parent is known, which is remembered; else `NONE`.
+    #[inline(always)]
+    fn find_step(&mut self, page: &Page, path: u32) -> u32 {
+        let Some(link) = page.paths.get(path as usize) else { return ROOT };
+        let above = match self.chains.get(link.parent as usize) {
+            Some(&NONE) if link.parent != path => return NONE,
+            Some(&NONE) | None => ROOT,
+            Some(&above) => above,
+        };
+        let below = match page.state_sets.get(link.set as usize) {
+            Some(set) => self.graph.find_or_insert_path(path, above, set),
+            None if link.set == BLEND => self.graph.find_or_insert_blend(above),
+            None if link.set == VIEW => self.graph.find_or_insert_view(above, self.view.index),
+            None => above,
+        };
+        self.chains[path as usize] = below;
+        below
     }
 }

@@ -135,9 +135,15 @@ impl Cull<'_> {
             let record = &records[tile as usize];
             let (mut purpose, mut mask) = (above.purpose, 0);
             if LOOKS {
-                match self.look(walk, tile, above) {
+                let seen = if looks_everywhere {
+                    self.look(walk, tile, above.purpose, above.mask, above.required)
+                } else {
+                    walk.look(tile, record, &above)
+                };
+                match seen {
                     Some(seen) => (purpose, mask) = seen,
                     None => {
+                        visited += u32::from(!looks_everywhere);
                         tile += record.skip;
                         continue;
                     }
@@ -152,9 +158,9 @@ impl Cull<'_> {
                 }
             }
             let below = if record.flags & KINDS == PLAIN {
-                self.meet_plain_tile(walk, tile, record, (purpose, mask), above, marks, &mut known)
+                self.meet_plain_tile(walk, tile, record, (purpose, mask), &above, marks, &mut known)
             } else {
-                self.meet_tile(walk, tile, (purpose, mask), above, marks)
+                self.meet_tile(walk, tile, (purpose, mask), &above, marks)
             };
             match below {
                 Some(below) if record.has_children() => {
@@ -184,10 +190,10 @@ impl Cull<'_> {
     /// Why a tile is met, and the planes that it crosses; `None` where it is culled. What this camera does not see is
     /// kept with its siblings all the same where the parent waits for all of them.
     #[inline(never)]
-    fn look(&mut self, walk: &Walk, tile: u32, above: TileFrame) -> Option<(Purpose, u8)> {
+    fn look(&mut self, walk: &Walk, tile: u32, purpose: Purpose, mask: u8, required: bool) -> Option<(Purpose, u8)> {
         let record = &walk.tiles.records[tile as usize];
-        let kept = above.required.then_some((Purpose::Keep, above.mask));
-        let mut seen = Some((above.purpose, above.mask));
+        let kept = required.then_some((Purpose::Keep, mask));
+        let mut seen = Some((purpose, mask));
         if walk.may_hide {
             if walk.is_hidden(tile) {
                 seen = Some(kept?);
@@ -199,7 +205,7 @@ impl Cull<'_> {
         if let Some((Purpose::Draw | Purpose::Want, mask)) = seen
             && mask != 0
         {
-            seen = walk.test(tile, record, mask).map(|crossing| (above.purpose, crossing)).or(kept);
+            seen = walk.test(tile, record, mask).map(|crossing| (purpose, crossing)).or(kept);
         }
         if walk.may_be_behind
             && let Some((Purpose::Draw | Purpose::Want, mask)) = seen
@@ -220,14 +226,14 @@ impl Cull<'_> {
         tile: u32,
         record: &TileRecord,
         (purpose, mask): (Purpose, u8),
-        above: TileFrame,
+        above: &TileFrame,
         marks: &mut [TileMark],
         known: &mut (u32, u32),
     ) -> Option<TileFrame> {
         let resident = record.has(flag::RESIDENT);
         if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
-                self.request_missing(walk, tile, purpose, &above);
+                self.request_missing(walk, tile, purpose, above);
             }
             if purpose == Purpose::Draw {
                 if !stays(marks, tile, walk.step, false, resident) {
@@ -243,13 +249,13 @@ impl Cull<'_> {
         let wants = distance2 < range2;
         let ready = record.not_ready_children == 0;
         let is_refined = purpose == Purpose::Draw && ready && (wants || !resident);
-        let mut above = above;
+        let mut above_px = above.shown_px;
         if !(resident || (is_refined && wants)) {
-            above.shown_px = self.request_missing(walk, tile, purpose, &above);
+            above_px = self.request_missing(walk, tile, purpose, above);
         }
         if purpose == Purpose::Draw {
             if !stays(marks, tile, walk.step, is_refined, resident) {
-                return self.fade_tile(walk, tile, mask, above, marks);
+                return self.fade_tile(walk, tile, mask, &TileFrame { shown_px: above_px, ..*above }, marks);
             }
             if resident && !is_refined {
                 self.draw(walk, tile, record, mask, above.fade, known);
@@ -257,7 +263,7 @@ impl Cull<'_> {
         }
         let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
         if is_refined || (wants && walk.asks) {
-            let shown_px = walk.below_px(range2, distance2, above);
+            let shown_px = walk.below_px(range2, distance2, above_px);
             let end = tile + record.skip;
             Some(TileFrame { end, mask, purpose, required: walk.asks, shown_px, fade: above.fade })
         } else {
@@ -272,12 +278,12 @@ impl Cull<'_> {
         walk: &Walk,
         tile: u32,
         (purpose, mask): (Purpose, u8),
-        above: TileFrame,
+        above: &TileFrame,
         marks: &mut [TileMark],
     ) -> Option<TileFrame> {
         let record = &walk.tiles.records[tile as usize];
         let resident = record.has(flag::RESIDENT);
-        let mut above = above;
+        let mut above = *above;
         if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
             above.shown_px = self.request_missing(walk, tile, purpose, &above);
         }
@@ -303,10 +309,10 @@ impl Cull<'_> {
             Purpose::Keep => None,
             Purpose::Want => {
                 let (range2, distance2) = walk.range_and_distance(tile, record);
-                let shown_px = walk.below_px(range2, distance2, above);
+                let shown_px = walk.below_px(range2, distance2, above.shown_px);
                 if distance2 < range2 { below(purpose, false, shown_px) } else { None }
             }
-            Purpose::Draw => self.fade_tile(walk, tile, mask, above, marks),
+            Purpose::Draw => self.fade_tile(walk, tile, mask, &above, marks),
         }
     }
 
@@ -318,7 +324,7 @@ impl Cull<'_> {
         walk: &Walk,
         tile: u32,
         mask: u8,
-        above: TileFrame,
+        above: &TileFrame,
         marks: &mut [TileMark],
     ) -> Option<TileFrame> {
         let record = &walk.tiles.records[tile as usize];
@@ -344,7 +350,7 @@ impl Cull<'_> {
         if shows_own && resident {
             self.draw(walk, tile, record, mask, fade.with_band(own), &mut { UNKNOWN });
         }
-        let shown_px = walk.below_px(range2, distance2, above);
+        let shown_px = walk.below_px(range2, distance2, above.shown_px);
         if shows_children {
             let covered = fade.covered() || (!replaces && resident);
             let leaving = fade.leaving() || !is_refined;
@@ -506,6 +512,18 @@ impl Walk<'_> {
         is_met.then_some(TileFrame { end, mask, purpose, required, shown_px, fade })
     }
 
+    /// [`Cull::look`] where only the frustum culls.
+    #[inline(always)]
+    fn look(&self, tile: u32, record: &TileRecord, above: &TileFrame) -> Option<(Purpose, u8)> {
+        if above.mask == 0 || above.purpose == Purpose::Keep {
+            return Some((above.purpose, above.mask));
+        }
+        match self.test(tile, record, above.mask) {
+            Some(crossing) => Some((above.purpose, crossing)),
+            None => above.required.then_some((Purpose::Keep, above.mask)),
+        }
+    }
+
     #[inline(always)]
     fn test(&self, tile: u32, record: &TileRecord, mask: u8) -> Option<u8> {
         let bounds = &self.tiles.bounds[tile as usize];
@@ -528,8 +546,8 @@ impl Walk<'_> {
     /// The error of what is shown while tiles below are missing: never as large as what is shown above, so that coarse
     /// comes first whatever the bounds are.
     #[inline(always)]
-    fn below_px(&self, range2: f32, distance2: f32, above: TileFrame) -> f32 {
-        let (own, most) = (self.px((range2, distance2)), above.shown_px * 0.999);
+    fn below_px(&self, range2: f32, distance2: f32, above_px: f32) -> f32 {
+        let (own, most) = (self.px((range2, distance2)), above_px * 0.999);
         if own < most { own } else { most }
     }
 

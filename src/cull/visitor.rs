@@ -4,21 +4,19 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec4};
 
+use super::cameras::{CameraPlace, DeferredCamera, NestedCamera};
 use super::fade::{Fade, LodFades};
 use super::near_far::Candidate;
 use super::occluders::{Collector, FrameOccluders, NO_OCCLUDERS, Occluders};
 use super::planes::{Planes, depth_row};
 use super::shadows::ShadowLight;
 use super::sort::Sorter;
-use super::special::MOST_NESTED;
-use super::stage::{CullCounters, RenderLeaf, RenderStage, StageTarget};
+use super::stage::{CullCounters, RenderLeaf, RenderStage};
 use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{MOST_PX, TileFrame, TileView};
 use super::view::{View, clamp};
 use super::{CullCamera, Stereo};
-use crate::scene::{
-    CameraShadows, CameraTarget, ClampProjection, ComputeNearFar, CullingMode, Environment, NONE, Page, Scene,
-};
+use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, CullingMode, Environment, NONE, Page, Scene};
 use crate::state::StateSet;
 
 /// Why a page or tile is visited.
@@ -92,37 +90,6 @@ impl DepthRange {
     pub const EMPTY: Self = Self { near: f32::INFINITY, far: f32::NEG_INFINITY };
 }
 
-/// Where a camera of the graph hangs.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct CameraPlace {
-    /// The page, seen from the camera.
-    pub visit: PageVisit,
-    /// The camera's node in it.
-    pub node: u32,
-    /// State at the node, in the state graph, and its path.
-    pub state: u32,
-    pub path: u32,
-}
-
-/// A camera of the graph that has a stage of its own, culled once the stage it was met in is done.
-#[derive(Debug)]
-pub(super) struct DeferredCamera {
-    pub met: CameraPlace,
-    pub view: View,
-    pub is_pre: bool,
-    pub target: StageTarget,
-    pub clamp_projection: Option<ClampProjection>,
-}
-
-/// A nested camera with shadows, which are culled once its stage is done.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct NestedCamera {
-    pub met: CameraPlace,
-    /// One more than its view's index in the stage.
-    pub place: u32,
-    pub shadows: CameraShadows,
-}
-
 /// What is constant during the visit of a page.
 #[derive(Clone, Copy)]
 pub(super) struct PageContext<'a> {
@@ -135,6 +102,8 @@ pub(super) struct PageContext<'a> {
     /// Depth of a point relative to the page's origin.
     pub depth: Vec4,
     pub slots: &'a [crate::scene::DrawSlot],
+    /// More than the boxes of drawables may count.
+    pub looks_closer: bool,
     /// Some drawables are culled by their normal cones.
     pub has_clusters: bool,
     /// Near and far are those of primitives.
@@ -157,7 +126,7 @@ pub struct CullVisitor {
     pub(super) leaves: Vec<RenderLeaf>,
     views: Vec<View>,
     candidates: Vec<Candidate>,
-    deferred: Vec<DeferredCamera>,
+    pub(super) deferred: Vec<DeferredCamera>,
     pub(super) nested: Vec<NestedCamera>,
     occluders: Occluders,
     page_occluders: FrameOccluders,
@@ -179,6 +148,8 @@ pub struct CullVisitor {
     pub environment: Option<Environment>,
     /// Cameras in the graph that may still have shadows in this cull.
     pub(super) shadowed_cameras: u32,
+    /// The picture is one of a camera that shows the scene, or belongs to one.
+    pub(super) in_scene_camera: bool,
 }
 
 /// A cull under way.
@@ -212,7 +183,7 @@ pub(super) struct Cull<'a> {
     pub fades: &'a mut LodFades,
     pub range: DepthRange,
     /// The last linear part of the current page that was multiplied, and the product as rows.
-    pub linear_rows: (u32, [[f32; 4]; 3]),
+    pub linear_rows: (u32, [Vec4; 3]),
     /// The last frame with tile trees of the current page.
     pub tile_view: Option<TileView>,
     pub counters: CullCounters,
@@ -220,6 +191,8 @@ pub(super) struct Cull<'a> {
     pub takes_ranges: bool,
     /// Pages of the queue that are visited.
     pub most_pages: usize,
+    /// Cameras that show the scene are not drawn.
+    pub in_scene_camera: bool,
 }
 
 impl CullVisitor {
@@ -329,7 +302,8 @@ impl CullVisitor {
         self.occluders.clear();
         if view.settings.culling.contains(CullingMode::SHADOW_OCCLUSION) {
             let fades = &self.fades[self.eye];
-            self.occluders.collect(&Collector { scene, view: &view, camera: met, fades, frame: camera.frame });
+            let below = met.filter(|met| !met.shows_scene);
+            self.occluders.collect(&Collector { scene, view: &view, camera: below, fades, frame: camera.frame });
         }
         let root_state = self.state_set.as_ref().map_or(ROOT, |set| self.graph.find_or_insert(ROOT, set));
         let mut cull = Cull {
@@ -356,86 +330,28 @@ impl CullVisitor {
             tile_occluders: &mut self.tile_occluders,
             fades: &mut self.fades[self.eye],
             range: DepthRange::EMPTY,
-            linear_rows: (NONE, [[0.0; 4]; 3]),
+            linear_rows: (NONE, [Vec4::ZERO; 3]),
             tile_view: None,
             counters: CullCounters::default(),
             takes_ranges: !self.visits_all && self.occluders.is_empty(),
             most_pages: if self.walks_only { scene.roots().len() } else { usize::MAX },
+            in_scene_camera: self.in_scene_camera,
         };
         cull.run(met, clamp_projection);
-    }
-
-    /// Culls the cameras that were met from `first` on, and those met in their stages. What is drawn before comes
-    /// out in `pre_render`, what is drawn after in `post_render`, each in the order of its numbers.
-    fn cull_deferred(
-        &mut self,
-        scene: &Scene,
-        camera: &CullCamera,
-        environment: Option<&Environment>,
-        stage: &mut RenderStage,
-        first: usize,
-        depth: u32,
-    ) {
-        while self.deferred.len() > first {
-            let met = self.deferred.remove(first);
-            let mut below = stage.spare.stages.pop().unwrap_or_default();
-            let (view, target, is_pre) = (met.view, met.target.clone(), met.is_pre);
-            let clamp_projection = met.clamp_projection;
-            let camera = CullCamera {
-                eye_from_world: view.eye_from_world,
-                clip_from_eye: view.clip_from_eye,
-                viewport_px: view.viewport_px,
-                settings: view.settings,
-                horizon: view.horizon,
-                ..*camera
-            };
-            let view = View { index: 0, ..View::new(&camera) };
-            let others = self.deferred.len();
-            self.traverse_stage(scene, &camera, view, Some(&met.met), clamp_projection, &mut below);
-            self.sort(&mut below);
-            let eye_in_world = camera.eye_from_world.inverse().translation;
-            let environment = target.environment.of_camera(environment, eye_in_world);
-            let nested = std::mem::take(&mut self.nested);
-            let light = environment.and_then(|e| Some(ShadowLight::new(&e, target.shadows.under(&e)?)));
-            if let Some(light) = light.filter(|_| self.takes_shadows(&mut below)) {
-                self.cull_stage_shadows(scene, &camera, &light, Some(&met.met), &mut below);
-            }
-            self.cull_nested_shadows(scene, environment.as_ref(), nested, &mut below);
-            below.target = target;
-            below.inherit_positioned(stage);
-            if depth < MOST_NESTED {
-                self.cull_deferred(scene, &camera, environment.as_ref(), &mut below, others, depth + 1);
-            } else {
-                self.deferred.truncate(others);
-            }
-            stage.requests.append(&mut below.requests);
-            stage.counters.add(&below.counters);
-            let list = if is_pre { &mut stage.pre_render } else { &mut stage.post_render };
-            let place = list.partition_point(|s| s.target.order <= below.target.order);
-            list.insert(place, below);
-        }
     }
 }
 
 impl<'a> Cull<'a> {
     fn run(&mut self, met: Option<&CameraPlace>, clamp_projection: Option<ClampProjection>) {
         match met {
-            None => {
-                self.hangers.push(Hanger {
-                    eye_from_frame: self.view.eye_from_world,
-                    page: NONE,
-                    view: 0,
-                    purpose: Purpose::Draw,
-                    required: false,
-                    shown_px: MOST_PX,
-                });
-                let (state, mask) = (self.root_state, self.view.planes.mask);
-                for root in self.scene.roots() {
-                    let fade = Fade::NONE;
-                    self.queue.push(Waiting { place: root.slot, hanger: 0, tile: 0, state, fade, mask });
+            None => self.queue_roots(self.root_state),
+            Some(met) => {
+                if met.shows_scene {
+                    let state = self.graph.find_or_insert_view(met.state, 0);
+                    self.queue_roots(state);
                 }
+                self.visit_camera(met);
             }
-            Some(met) => self.visit_camera(met),
         }
         let mut next = 0;
         while let Some(waiting) = self.queue.get(next).copied().filter(|_| next < self.most_pages) {
@@ -468,6 +384,24 @@ impl<'a> Cull<'a> {
                 }
                 None => view.clamped(self.stage.near_m, self.stage.far_m),
             };
+        }
+    }
+
+    /// The scene's roots are to be visited, under a state.
+    fn queue_roots(&mut self, state: u32) {
+        let hanger = self.hangers.len() as u32;
+        self.hangers.push(Hanger {
+            eye_from_frame: self.view.eye_from_world,
+            page: NONE,
+            view: 0,
+            purpose: Purpose::Draw,
+            required: false,
+            shown_px: MOST_PX,
+        });
+        let mask = self.view.planes.mask;
+        for root in self.scene.roots() {
+            let fade = Fade::NONE;
+            self.queue.push(Waiting { place: root.slot, hanger, tile: 0, state, fade, mask });
         }
     }
 
@@ -508,31 +442,27 @@ impl<'a> Cull<'a> {
         }
         let context = self.page_context(page, visit);
         let matrix = if page.uses_page_frame { self.push_matrix(&visit.eye_from_page) } else { 0 };
+        if visit.mask == 0 && page.is_one_geode() && self.takes_whole_nodes(&context) {
+            // As content of tiles mostly is.
+            self.counters.nodes_visited += 1;
+            self.test_drawables(&context, 0, page.drawable_count() as u32, 0, matrix);
+            return;
+        }
         let last = page.node_count() as u32;
         self.scan_nodes(&context, 0, last, visit.mask, matrix);
     }
 
-    /// Scans what is below a camera that has this stage.
-    fn visit_camera(&mut self, met: &CameraPlace) {
-        let scene = self.scene;
-        let Some(page) = scene.page_at(met.visit.place) else { return };
-        self.open_page(page, met.visit.state);
-        if let Some(state) = self.chains.get_mut(met.path as usize) {
-            *state = self.graph.find_or_insert_view(met.state, 0);
-        }
-        let fade = Fade::NONE;
-        let visit = PageVisit { mask: self.view.planes.mask, view: 0, required: false, fade, ..met.visit };
-        let context = self.page_context(page, visit);
-        let transform = self.enclosing_transform(&context, met.node);
-        let map = visit.eye_from_page * page.transforms.page_from_node(transform);
-        let matrix = self.push_matrix(&map);
-        let end = met.node + page.nodes[met.node as usize].skip;
-        self.scan_nodes(&context, met.node + 1, end, visit.mask, matrix);
+    /// Nothing hides a plain node that is wholly inside.
+    fn takes_whole_nodes(&self, context: &PageContext) -> bool {
+        !context.looks_closer && self.view.small_feature == 0.0 && self.view.settings.cull_mask != 0
     }
 
     /// What a page's scan needs to know.
     pub(super) fn page_context<'p>(&mut self, page: &'p Page, visit: PageVisit) -> PageContext<'p> {
         self.frame_occluders(&visit.eye_from_page, page.origin);
+        let settings = &self.view.settings;
+        let has_clusters = !page.clusters.is_empty() && settings.culling.contains(CullingMode::CLUSTER);
+        let by_primitives = settings.compute_near_far == ComputeNearFar::Primitives;
         PageContext {
             page,
             eye_rows: [0, 1, 2].map(|row| visit.eye_from_page.matrix3.row(row)),
@@ -544,8 +474,9 @@ impl<'a> Cull<'a> {
             },
             depth: depth_row(&visit.eye_from_page, page.origin, self.view.depth_axis),
             slots: page.draw_slots_of(self.camera.context),
-            has_clusters: !page.clusters.is_empty() && self.view.settings.culling.contains(CullingMode::CLUSTER),
-            by_primitives: self.view.settings.compute_near_far == ComputeNearFar::Primitives,
+            looks_closer: has_clusters || by_primitives || !self.occluders.is_empty(),
+            has_clusters,
+            by_primitives,
             visit,
         }
     }

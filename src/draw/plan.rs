@@ -33,8 +33,9 @@ pub(super) struct StagePlan {
     pub(super) eyes: Option<([Arc<TextureObject>; 2], usize)>,
     /// What its colours are cleared with, where they are.
     pub(super) clear: Option<wgpu::Color>,
-    /// It has a part of its target, or shares the context's: it fills its viewport with this leaf instead of clearing.
-    pub(super) fill: Option<u32>,
+    /// It has a part of its target, or shares the context's: instead of clearing, this leaf is drawn over its viewport, by
+    /// this pipeline.
+    pub(super) fill: Option<(u32, Bare)>,
     pub(super) is_part: bool,
 }
 
@@ -277,6 +278,12 @@ impl PassTarget {
         self.is_outermost
     }
 
+    /// A stage draws into a part of it only.
+    pub(super) fn is_part(&self, stage: &RenderStage) -> bool {
+        let [width, height] = self.size_px;
+        stage.target.viewport_px.is_some_and(|rect| rect != [0, 0, width, height])
+    }
+
     pub(super) fn color_count(&self) -> usize {
         self.colors.iter().rposition(Option::is_some).map_or(0, |last| last + 1)
     }
@@ -305,7 +312,8 @@ impl PassTarget {
     }
 
     pub(super) fn depth_attachment(&self, stage: &RenderStage) -> wgpu::RenderPassDepthStencilAttachment<'_> {
-        let clears = self.is_outermost || stage.target.clear_depth;
+        // The depth of a part is filled.
+        let clears = self.is_outermost || stage.target.clear_depth && !self.is_part(stage);
         let store = if self.keeps_depth { wgpu::StoreOp::Store } else { wgpu::StoreOp::Discard };
         // Reversed-Z: infinitely far is 0.
         let load = if clears { wgpu::LoadOp::Clear(0.0) } else { wgpu::LoadOp::Load };

@@ -43,6 +43,8 @@ pub(super) struct State<'p, 'e> {
     /// Block, and whether it is one of height tiles.
     block: Option<(bool, u32)>,
     vertex_chunk: Option<u32>,
+    /// The color of packed meshes.
+    has_white: bool,
     /// Chunk of meshes, or the grid of a side.
     indices: Option<(bool, u32)>,
     /// Chunks of group 3.
@@ -71,7 +73,7 @@ pub(super) struct Sources<'a> {
 /// Bytes of one run's arguments.
 pub(super) const INDIRECT_BYTES: u64 = size_of::<wgpu::util::DrawIndexedIndirectArgs>() as u64;
 /// Fewer runs are drawn one by one.
-const LEAST_MULTI_DRAW: usize = 4;
+pub(super) const LEAST_MULTI_DRAW: usize = 4;
 
 /// True when the value has to be set.
 fn changes<T: PartialEq>(stats: &mut DrawStats, current: &mut Option<T>, wanted: T) -> bool {
@@ -96,6 +98,7 @@ impl<'p, 'e> State<'p, 'e> {
             group: None,
             block: None,
             vertex_chunk: None,
+            has_white: false,
             indices: None,
             pulled: None,
             stats: DrawStats::default(),
@@ -112,6 +115,7 @@ impl<'p, 'e> State<'p, 'e> {
         self.group = None;
         self.block = None;
         self.vertex_chunk = None;
+        self.has_white = false;
         self.indices = None;
         self.pulled = None;
     }
@@ -208,11 +212,11 @@ impl<'p, 'e> State<'p, 'e> {
     }
 
     fn count(&mut self, kind: Kind, run: &Run) {
-        let indices = run.all_indices;
         match kind {
-            Kind::Points => self.stats.points += indices,
+            Kind::Points => self.stats.points += run.all_indices,
             Kind::Lines => {}
-            Kind::Height | Kind::Triangles => self.stats.triangles += indices / 3,
+            Kind::Height => self.stats.triangles += u64::from(run.index_count) * u64::from(run.leaf_count) / 3,
+            Kind::Triangles => self.stats.triangles += run.all_indices / 3,
         }
     }
 
@@ -224,14 +228,14 @@ impl<'p, 'e> State<'p, 'e> {
             return self.bind_pulled(from, bucket, *pipeline_index);
         }
         let (block, vertices, indices) = if bucket.is_height {
-            let grid = pools.heights.grid(bucket.index_chunk).map(|g| &g.indices);
+            let grid = pools.heights.grid(bucket.index_chunk).map(|g| (&g.indices, wgpu::IndexFormat::Uint32));
             (pools.heights.bind_group(bucket.block), None, grid)
         } else {
             let vertices = pools.meshes.vertex_buffer(bucket.vertex_chunk);
             (pools.textures.bind_group(bucket.block), vertices, pools.meshes.index_buffer(bucket.index_chunk))
         };
         let pipeline = from.pipelines.pipeline(*pipeline_index);
-        let (Some(pipeline), Some(block), Some(indices)) = (pipeline, block, indices) else { return false };
+        let (Some(pipeline), Some(block), Some((indices, format))) = (pipeline, block, indices) else { return false };
         self.apply(from, bucket.statics);
         if changes(&mut self.stats, &mut self.pipeline, *pipeline_index) {
             self.pass.set_pipeline(pipeline);
@@ -244,8 +248,16 @@ impl<'p, 'e> State<'p, 'e> {
         {
             self.pass.set_vertex_buffer(0, vertices.slice(..));
         }
+        if bucket.pipeline.is_packed()
+            && !self.has_white
+            && let Some(white) = pools.meshes.white()
+        {
+            self.pass.set_vertex_buffer(1, white.slice(..));
+            self.has_white = true;
+            self.stats.state_changes += 1;
+        }
         if changes(&mut self.stats, &mut self.indices, (bucket.is_height, bucket.index_chunk)) {
-            self.pass.set_index_buffer(indices.slice(..), wgpu::IndexFormat::Uint32);
+            self.pass.set_index_buffer(indices.slice(..), format);
         }
         true
     }

@@ -14,6 +14,7 @@ use super::compile_thread::CompileThread;
 use super::custom::{CompileInfo, CustomCompile};
 use super::drawable::{DrawableTable, Pools, Shape};
 use super::mesh_pool::MeshUploads;
+use super::packing::VertexFormat;
 use super::uploads::{QueueSink, Source, Upload};
 use crate::scene::{ContentKey, CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, SharedParts};
 
@@ -123,6 +124,8 @@ pub(super) struct CompileQueue {
     /// Staging buffers whose commands were submitted.
     submitted: Vec<wgpu::Buffer>,
     unflushed_bytes: u64,
+    /// For bytes that are made on their way.
+    scratch: Vec<u8>,
     /// A frame was drawn since uploads were last flushed on their own.
     drawing: bool,
 }
@@ -216,6 +219,13 @@ impl CompileQueue {
         self.drawing = false;
     }
 
+    /// What comes by the queue itself runs before what is recorded and not submitted: that goes first.
+    pub(super) fn flush_recorded(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
+        if !self.commands.is_empty() {
+            self.flush(device, queue);
+        }
+    }
+
     fn run_here(
         &mut self,
         info: &CompileInfo<'_>,
@@ -239,7 +249,7 @@ impl CompileQueue {
                 if count == 0 {
                     break;
                 }
-                stats.bytes += upload.write(&mut QueueSink(info.queue), count);
+                stats.bytes += upload.write(&mut QueueSink(info.queue), &mut self.scratch, count);
                 stats.slices += 1;
                 if upload.left().is_none() {
                     self.uploads.pop_front();
@@ -376,13 +386,13 @@ pub(super) fn rewrite(
     let Shape::Mesh { place: old, texture, .. } = entry.shape else {
         return Err("what is no mesh is not to be rewritten as one".into());
     };
-    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &SharedParts::default())?;
+    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &SharedParts::default(), VertexFormat::Full)?;
     let is_shared = placed.vertices.is_none() || placed.indices.is_none();
-    let mut uploads = VecDeque::new();
+    let (mut uploads, mut scratch) = (VecDeque::new(), Vec::new());
     push_mesh(pools, &placed, mesh, &mut uploads);
     for mut upload in uploads {
         while let Some((units, _)) = upload.left() {
-            upload.write(&mut QueueSink(queue), units);
+            upload.write(&mut QueueSink(queue), &mut scratch, units);
         }
     }
     let shape = Shape::Mesh { place: placed.place, topology: mesh.topology, texture };
@@ -396,8 +406,14 @@ pub(super) fn rewrite(
 fn push_mesh(pools: &Pools, placed: &MeshUploads, mesh: &Arc<Mesh>, uploads: &mut VecDeque<Upload>) {
     let vertices = placed.vertices.and_then(|range| pools.meshes.vertex_destination(range));
     let indices = placed.indices.and_then(|range| pools.meshes.index_destination(range));
-    uploads.extend(vertices.map(|into| Upload::new(Source::Vertices(mesh.clone()), into)));
-    uploads.extend(indices.map(|into| Upload::new(Source::Indices(mesh.clone()), into)));
+    let format = pools.meshes.format_of(placed.place.vertex_chunk);
+    uploads.extend(vertices.map(|into| Upload::new(Source::Vertices(mesh.clone(), format), into)));
+    let list = if placed.indices.is_some_and(|range| range.is_short()) {
+        Source::ShortIndices(mesh.clone())
+    } else {
+        Source::Indices(mesh.clone())
+    };
+    uploads.extend(indices.map(|into| Upload::new(list, into)));
 }
 
 /// Gives a drawable its places and queues what has to be uploaded to them. What the application makes is made at once:
@@ -478,7 +494,7 @@ fn place_mesh(
     let [geometry, indices, texture_content] =
         [&drawable.shared.geometry, &drawable.shared.indices, &drawable.shared.texture]
             .map(|s| s.as_ref().map(|s| &s.key));
-    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &drawable.shared)?;
+    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &drawable.shared, VertexFormat::of(mesh))?;
     let texture = match image {
         Some(image) => pools.textures.allocate(device, &pools.layouts, &pools.limits, image, texture_content),
         None => pools.textures.white(device, queue, &pools.layouts, &pools.limits).map(|place| (place, false)),

@@ -248,7 +248,7 @@ impl Worker {
     fn run(mut self) {
         let mut filling: Option<Filling> = None;
         let mut bytes = 0;
-        let mut finished = Vec::new();
+        let (mut finished, mut scratch) = (Vec::new(), Vec::new());
         loop {
             let work = match self.work.try_recv() {
                 Ok(work) => work,
@@ -279,7 +279,7 @@ impl Worker {
                         };
                         let room = into.room(unit_bytes, upload.has_rows());
                         if room > 0 {
-                            bytes += upload.write(into, units.min(room));
+                            bytes += upload.write(into, &mut scratch, units.min(room));
                         } else if !self.send(&mut filling, &mut bytes, &mut finished) {
                             return;
                         }

@@ -392,6 +392,8 @@ impl GraphicsContext {
     /// before do not. Slot, material and texture stay.
     pub fn rewrite(&mut self, slot: DrawSlot, mesh: &Arc<Mesh>) -> Result<(), GpuError> {
         let Self { device, queue, pools, drawables, .. } = self;
+        // What the thread recorded for a place that is another's now must not come after this.
+        self.compiles.flush_recorded(device, queue);
         let is_shared = compile::rewrite(device, queue, pools, drawables, slot, mesh);
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
         if is_shared.map_err(|reason| GpuError::Rewrite { reason })? {

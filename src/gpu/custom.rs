@@ -3,6 +3,8 @@
 use std::any::Any;
 use std::cell::{RefCell, RefMut};
 
+use super::table::Table;
+
 /// Most colour attachments of a target.
 pub(crate) const MOST_COLORS: usize = 4;
 
@@ -53,11 +55,10 @@ struct Kept {
     bytes: u64,
 }
 
-/// Custom shapes by place; places are reused, last freed first.
+/// Custom shapes by place.
 #[derive(Default)]
 pub(crate) struct CustomShapes {
-    shapes: Vec<Option<Kept>>,
-    free: Vec<u32>,
+    shapes: Table<Kept>,
     /// What is drawn into: shapes are made ready for it when they are compiled.
     pub(super) targets: Vec<TargetFormats>,
     bytes: u64,
@@ -66,29 +67,18 @@ pub(crate) struct CustomShapes {
 impl CustomShapes {
     pub(super) fn insert(&mut self, shape: CustomShape) -> u32 {
         self.bytes += shape.bytes;
-        let entry = Some(Kept { made: RefCell::new(shape.made), bytes: shape.bytes });
-        match self.free.pop() {
-            Some(place) => {
-                self.shapes[place as usize] = entry;
-                place
-            }
-            None => {
-                self.shapes.push(entry);
-                self.shapes.len() as u32 - 1
-            }
-        }
+        self.shapes.insert(Kept { made: RefCell::new(shape.made), bytes: shape.bytes })
     }
 
     pub(super) fn release(&mut self, place: u32) {
-        if let Some(Kept { bytes, .. }) = self.shapes.get_mut(place as usize).and_then(Option::take) {
+        if let Some(Kept { bytes, .. }) = self.shapes.remove(place) {
             self.bytes -= bytes;
-            self.free.push(place);
         }
     }
 
     /// What was made, to draw it; `None` where it is gone, or is being drawn.
     pub(crate) fn get(&self, place: u32) -> Option<RefMut<'_, Box<dyn Any + Send>>> {
-        self.shapes.get(place as usize)?.as_ref()?.made.try_borrow_mut().ok()
+        self.shapes.get(place)?.made.try_borrow_mut().ok()
     }
 
     pub(super) fn bytes(&self) -> u64 {

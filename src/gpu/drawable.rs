@@ -6,6 +6,7 @@ use super::custom::CustomShapes;
 use super::height_pool::{HeightPool, TilePlace};
 use super::layouts::Layouts;
 use super::mesh_pool::{MeshPlace, MeshPool};
+use super::table::Table;
 use super::texture_pool::{TextureLayer, TexturePool};
 use crate::scene::{AlphaMode, DrawSlot, Material, Topology};
 
@@ -102,8 +103,7 @@ pub(super) struct DrawableTable {
     classes: Vec<BindClass>,
     /// Only looked up.
     class_of: HashMap<BindClass, u32>,
-    entries: Vec<Option<DrawableEntry>>,
-    free: Vec<u32>,
+    entries: Table<DrawableEntry>,
 }
 
 impl DrawableTable {
@@ -118,23 +118,14 @@ impl DrawableTable {
     /// Puts something else in a slot.
     pub(super) fn replace(&mut self, slot: DrawSlot, mut entry: DrawableEntry) {
         self.classify(&mut entry);
-        if let Some(place) = self.entries.get_mut(slot.0 as usize) {
-            *place = Some(entry);
+        if let Some(place) = self.entries.get_mut(slot.0) {
+            *place = entry;
         }
     }
 
     pub(super) fn insert(&mut self, mut entry: DrawableEntry) -> DrawSlot {
         self.classify(&mut entry);
-        match self.free.pop() {
-            Some(index) => {
-                self.entries[index as usize] = Some(entry);
-                DrawSlot(index)
-            }
-            None => {
-                self.entries.push(Some(entry));
-                DrawSlot(self.entries.len() as u32 - 1)
-            }
-        }
+        DrawSlot(self.entries.insert(entry))
     }
 
     pub(super) fn classes(&self) -> &[BindClass] {
@@ -142,13 +133,11 @@ impl DrawableTable {
     }
 
     pub(super) fn entry(&self, slot: DrawSlot) -> Option<&DrawableEntry> {
-        self.entries.get(slot.0 as usize)?.as_ref()
+        self.entries.get(slot.0)
     }
 
     pub(super) fn remove(&mut self, slot: DrawSlot) -> Option<DrawableEntry> {
-        let entry = self.entries.get_mut(slot.0 as usize)?.take()?;
-        self.free.push(slot.0);
-        Some(entry)
+        self.entries.remove(slot.0)
     }
 }
 

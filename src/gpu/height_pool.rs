@@ -7,14 +7,15 @@ use std::collections::HashMap;
 
 use super::layouts::Layouts;
 use super::slots::{SlotAllocator, block_capacity};
-use super::texture_pool::{ImageSize, array_view, insert};
+use super::table::Table;
+use super::texture_pool::{ImageSize, array_view};
 use super::uploads::Destination;
 use crate::scene::{ContentKey, HeightTile};
 
 /// Bytes a block aims at.
 const BLOCK_BYTES: u64 = 24 << 20;
 /// Most tiles in a block; 256 is WebGPU's guaranteed limit of layers.
-const BLOCK_TILES: u32 = 64;
+const BLOCK_TILES: u32 = 128;
 /// Vectors of four floats in front of a tile's rows in the tables.
 pub(crate) const HEADER_VECTORS: u32 = 3;
 /// Levels a tile can morph through.
@@ -50,7 +51,7 @@ pub(crate) struct Grid {
 /// All height tiles of a context.
 #[derive(Default)]
 pub(crate) struct HeightPool {
-    blocks: Vec<Option<Block>>,
+    blocks: Table<Block>,
     /// By side. Only looked up, never walked.
     grids: HashMap<u32, Grid>,
     /// Only looked up, never walked.
@@ -130,7 +131,7 @@ impl HeightPool {
     }
 
     fn user_mut(&mut self, place: TilePlace) -> Option<&mut (u32, Option<ContentKey>)> {
-        self.blocks.get_mut(place.block as usize)?.as_mut()?.users.get_mut(place.layer as usize)
+        self.blocks.get_mut(place.block)?.users.get_mut(place.layer as usize)
     }
 
     /// A place with the size of the tile's colour image.
@@ -160,8 +161,8 @@ impl HeightPool {
             Grid { indices: buffer, index_count: indices.len() as u32 }
         });
         let mut like = 0;
-        for (index, block) in (0u32..).zip(&mut self.blocks) {
-            if let Some(block) = block.as_mut().filter(|b| b.side == side && b.color_size == color_size) {
+        for (index, block) in self.blocks.iter_mut() {
+            if block.side == side && block.color_size == color_size {
                 like += 1;
                 if let Some(layer) = block.slots.allocate() {
                     self.bytes_in_use += tile_bytes(side, &color_size);
@@ -175,11 +176,11 @@ impl HeightPool {
         let layer = block.slots.allocate().ok_or("a height block without layers")?;
         self.bytes_allocated += tile_bytes(side, &color_size) * u64::from(capacity);
         self.bytes_in_use += tile_bytes(side, &color_size);
-        Ok(TilePlace { block: insert(&mut self.blocks, block), layer, side })
+        Ok(TilePlace { block: self.blocks.insert(block), layer, side })
     }
 
     fn block(&self, place: TilePlace) -> Option<&Block> {
-        self.blocks.get(place.block as usize)?.as_ref()
+        self.blocks.get(place.block)
     }
 
     /// Where a place's heights, tables and colour lie.
@@ -204,15 +205,13 @@ impl HeightPool {
         if let Some(key) = content.filter(|key| self.shared.get(key) == Some(&place)) {
             self.shared.remove(&key);
         }
-        if let Some(slot) = self.blocks.get_mut(place.block as usize)
-            && let Some(block) = slot
-        {
+        if let Some(block) = self.blocks.get_mut(place.block) {
             block.slots.release(place.layer);
             let bytes = tile_bytes(block.side, &block.color_size);
             self.bytes_in_use -= bytes;
             if block.slots.is_empty() {
                 self.bytes_allocated -= bytes * u64::from(block.capacity);
-                *slot = None;
+                self.blocks.remove(place.block);
             }
         }
     }
@@ -222,7 +221,7 @@ impl HeightPool {
     }
 
     pub(crate) fn bind_group(&self, block: u32) -> Option<&wgpu::BindGroup> {
-        self.blocks.get(block as usize)?.as_ref().map(|b| &b.bind_group)
+        self.blocks.get(block).map(|b| &b.bind_group)
     }
 
     pub(crate) fn grid(&self, side: u32) -> Option<&Grid> {

@@ -2,28 +2,41 @@
 //! lists are uploaded once.
 //!
 //! Draw thread only. A buffer holds places of a single size, so it cannot fragment, and meshes of like size
-//! (all tiles of a set) draw from one buffer without changing state.
+//! (all tiles of a set) draw from one buffer without changing state. Vertices and indices lie wide, as they come, or
+//! narrow where nothing is lost (`packing.rs`), each in buffers of their own.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
+use super::packing::{VertexFormat, WHITE, is_short};
 use super::slots::{Identity, SlotAllocator, block_capacity, size_class};
-use super::texture_pool::insert;
+use super::table::Table;
 use super::uploads::Destination;
-use crate::scene::{Mesh, MeshVertex, SharedParts};
+use crate::scene::{Mesh, SharedParts};
 
 /// Bytes a buffer aims at.
 const CHUNK_BYTES: u64 = 8 << 20;
 /// Most places in a buffer.
 const CHUNK_PLACES: u32 = 4096;
 
-/// Part of a buffer of an [`Arena`].
+/// Of a chunk's number: it is one of narrow elements.
+const NARROW: u32 = 1 << 31;
+
+/// Part of a buffer of [`Arenas`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Range {
+    /// With [`NARROW`].
     pub(super) chunk: u32,
     place: u32,
     /// First element, counted from the start of the buffer.
     pub(super) first: u32,
+}
+
+impl Range {
+    /// Of indices of 16 bits.
+    pub(super) fn is_short(self) -> bool {
+        self.chunk & NARROW != 0
+    }
 }
 
 struct Chunk {
@@ -38,14 +51,14 @@ struct Arena {
     label: &'static str,
     usage: wgpu::BufferUsages,
     element_bytes: u64,
-    chunks: Vec<Option<Chunk>>,
+    chunks: Table<Chunk>,
     bytes_in_use: u64,
     bytes_allocated: u64,
 }
 
 impl Arena {
     fn new(label: &'static str, usage: wgpu::BufferUsages, element_bytes: u64) -> Self {
-        Self { label, usage, element_bytes, chunks: Vec::new(), bytes_in_use: 0, bytes_allocated: 0 }
+        Self { label, usage, element_bytes, chunks: Table::default(), bytes_in_use: 0, bytes_allocated: 0 }
     }
 
     fn allocate(&mut self, device: &wgpu::Device, limits: &wgpu::Limits, length: usize) -> Result<Range, String> {
@@ -58,8 +71,8 @@ impl Arena {
             return Err(too_large());
         }
         let mut like = 0;
-        for (index, chunk) in (0u32..).zip(&mut self.chunks) {
-            if let Some(chunk) = chunk.as_mut().filter(|c| c.class == class) {
+        for (index, chunk) in self.chunks.iter_mut() {
+            if chunk.class == class {
                 like += 1;
                 if let Some(place) = chunk.slots.allocate() {
                     self.bytes_in_use += class_bytes;
@@ -78,27 +91,22 @@ impl Arena {
         let place = slots.allocate().ok_or("a buffer without places")?;
         self.bytes_allocated += class_bytes * u64::from(capacity);
         self.bytes_in_use += class_bytes;
-        let chunk = insert(&mut self.chunks, Chunk { buffer, class, slots, capacity });
+        let chunk = self.chunks.insert(Chunk { buffer, class, slots, capacity });
         Ok(Range { chunk, place, first: place * class })
     }
 
     fn bytes_of(&self, range: Range) -> u64 {
-        match self.chunks.get(range.chunk as usize) {
-            Some(Some(chunk)) => u64::from(chunk.class) * self.element_bytes,
-            _ => 0,
-        }
+        self.chunks.get(range.chunk).map_or(0, |chunk| u64::from(chunk.class) * self.element_bytes)
     }
 
     fn release(&mut self, range: Range) {
         let bytes = self.bytes_of(range);
-        if let Some(slot) = self.chunks.get_mut(range.chunk as usize)
-            && let Some(chunk) = slot
-        {
+        if let Some(chunk) = self.chunks.get_mut(range.chunk) {
             chunk.slots.release(range.place);
             self.bytes_in_use -= bytes;
             if chunk.slots.is_empty() {
                 self.bytes_allocated -= bytes * u64::from(chunk.capacity);
-                *slot = None;
+                self.chunks.remove(range.chunk);
             }
         }
     }
@@ -109,7 +117,62 @@ impl Arena {
     }
 
     fn buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
-        self.chunks.get(chunk as usize)?.as_ref().map(|c| &c.buffer)
+        self.chunks.get(chunk).map(|c| &c.buffer)
+    }
+}
+
+/// Buffers of wide and of narrow elements.
+struct Arenas {
+    wide: Arena,
+    narrow: Arena,
+}
+
+impl Arenas {
+    fn allocate(
+        &mut self,
+        is_narrow: bool,
+        device: &wgpu::Device,
+        limits: &wgpu::Limits,
+        length: usize,
+    ) -> Result<Range, String> {
+        if !is_narrow {
+            return self.wide.allocate(device, limits, length);
+        }
+        let range = self.narrow.allocate(device, limits, length)?;
+        Ok(Range { chunk: range.chunk | NARROW, ..range })
+    }
+
+    /// The arena of a chunk's number, and the number in it.
+    fn of(&self, chunk: u32) -> (&Arena, u32) {
+        if chunk & NARROW != 0 { (&self.narrow, chunk & !NARROW) } else { (&self.wide, chunk) }
+    }
+
+    fn bytes_of(&self, range: Range) -> u64 {
+        let (arena, chunk) = self.of(range.chunk);
+        arena.bytes_of(Range { chunk, ..range })
+    }
+
+    fn release(&mut self, range: Range) {
+        let arena = if range.chunk & NARROW != 0 { &mut self.narrow } else { &mut self.wide };
+        arena.release(Range { chunk: range.chunk & !NARROW, ..range });
+    }
+
+    fn destination(&self, range: Range) -> Option<Destination> {
+        let (arena, chunk) = self.of(range.chunk);
+        arena.destination(Range { chunk, ..range })
+    }
+
+    fn buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
+        let (arena, chunk) = self.of(chunk);
+        arena.buffer(chunk)
+    }
+
+    fn bytes_in_use(&self) -> u64 {
+        self.wide.bytes_in_use + self.narrow.bytes_in_use
+    }
+
+    fn bytes_allocated(&self) -> u64 {
+        self.wide.bytes_allocated + self.narrow.bytes_allocated
     }
 }
 
@@ -155,10 +218,12 @@ pub(super) struct MeshUploads {
 
 /// All meshes of a context.
 pub(crate) struct MeshPool {
-    vertices: Arena,
-    indices: Arena,
-    meshes: Vec<Option<MeshRecord>>,
-    index_lists: Vec<Option<IndexRecord>>,
+    vertices: Arenas,
+    indices: Arenas,
+    /// The color of packed vertices, once there are some.
+    white: Option<wgpu::Buffer>,
+    meshes: Table<MeshRecord>,
+    index_lists: Table<IndexRecord>,
     /// Only looked up, never walked.
     mesh_by_identity: HashMap<Identity, u32>,
     index_list_by_identity: HashMap<Identity, u32>,
@@ -166,11 +231,15 @@ pub(crate) struct MeshPool {
 
 impl Default for MeshPool {
     fn default() -> Self {
+        let vertices =
+            |format: VertexFormat| Arena::new("vertices", wgpu::BufferUsages::VERTEX, format.stride() as u64);
+        let indices = |bytes| Arena::new("indices", wgpu::BufferUsages::INDEX, bytes);
         Self {
-            vertices: Arena::new("vertices", wgpu::BufferUsages::VERTEX, size_of::<MeshVertex>() as u64),
-            indices: Arena::new("indices", wgpu::BufferUsages::INDEX, 4),
-            meshes: Vec::new(),
-            index_lists: Vec::new(),
+            vertices: Arenas { wide: vertices(VertexFormat::Full), narrow: vertices(VertexFormat::Packed) },
+            indices: Arenas { wide: indices(4), narrow: indices(2) },
+            white: None,
+            meshes: Table::default(),
+            index_lists: Table::default(),
             mesh_by_identity: HashMap::new(),
             index_list_by_identity: HashMap::new(),
         }
@@ -193,11 +262,12 @@ impl MeshPool {
         limits: &wgpu::Limits,
         mesh: &Arc<Mesh>,
         shared: &SharedParts,
+        format: VertexFormat,
     ) -> Result<MeshUploads, String> {
         let content = shared.geometry.as_ref().map(|s| &s.key);
         let identity = Identity::new(content, Arc::as_ptr(mesh));
         if let Some(&id) = self.mesh_by_identity.get(&identity)
-            && let Some(Some(record)) = self.meshes.get_mut(id as usize)
+            && let Some(record) = self.meshes.get_mut(id)
             && (content.is_some() || std::ptr::eq(record.source.as_ptr(), Arc::as_ptr(mesh)))
         {
             record.users += 1;
@@ -210,7 +280,16 @@ impl MeshPool {
             return Err("a mesh without vertices or indices".into());
         }
         let (index_list, new_indices) = self.allocate_indices(device, limits, mesh, shared)?;
-        let vertices = match self.vertices.allocate(device, limits, mesh.vertices.len()) {
+        let is_packed = format == VertexFormat::Packed;
+        if is_packed && self.white.is_none() {
+            let descriptor = wgpu::util::BufferInitDescriptor {
+                label: Some("white"),
+                contents: &WHITE,
+                usage: wgpu::BufferUsages::VERTEX,
+            };
+            self.white = Some(wgpu::util::DeviceExt::create_buffer_init(device, &descriptor));
+        }
+        let vertices = match self.vertices.allocate(is_packed, device, limits, mesh.vertices.len()) {
             Ok(range) => range,
             Err(e) => {
                 self.release_indices(index_list);
@@ -218,7 +297,7 @@ impl MeshPool {
             }
         };
         let record = MeshRecord { source: Arc::downgrade(mesh), identity, vertices, indices: index_list, users: 1 };
-        let id = insert(&mut self.meshes, record);
+        let id = self.meshes.insert(record);
         self.mesh_by_identity.insert(identity, id);
         let place_bytes = [self.vertices.bytes_of(vertices), self.index_bytes(index_list)];
         let place = self.place(id, vertices, index_list, mesh)?;
@@ -226,7 +305,7 @@ impl MeshPool {
     }
 
     fn place(&self, mesh_id: u32, vertices: Range, index_list: u32, mesh: &Mesh) -> Result<MeshPlace, String> {
-        let record = self.index_lists.get(index_list as usize).and_then(Option::as_ref);
+        let record = self.index_lists.get(index_list);
         let range = record.map(|r| r.range).ok_or("an index list that is gone")?;
         Ok(MeshPlace {
             mesh: mesh_id,
@@ -252,7 +331,7 @@ impl MeshPool {
             content.is_some() || r.source.as_ref().is_some_and(|s| std::ptr::addr_eq(s.as_ptr(), address))
         };
         if let Some(&id) = self.index_list_by_identity.get(&identity)
-            && let Some(Some(record)) = self.index_lists.get_mut(id as usize)
+            && let Some(record) = self.index_lists.get_mut(id)
             && is_same(record)
         {
             check_indices(record.largest, mesh)?;
@@ -261,11 +340,11 @@ impl MeshPool {
         }
         let largest = mesh.indices.iter().copied().max().unwrap_or(0);
         check_indices(largest, mesh)?;
-        let range = self.indices.allocate(device, limits, mesh.indices.len())?;
+        let range = self.indices.allocate(is_short(largest, mesh.indices.len()), device, limits, mesh.indices.len())?;
         // A weak pointer keeps the list's memory, so it is kept for lists that others hold as well.
         let by_address = content.is_none() && Arc::strong_count(&mesh.indices) > 1;
         let source = by_address.then(|| Arc::downgrade(&mesh.indices));
-        let id = insert(&mut self.index_lists, IndexRecord { source, identity, range, largest, users: 1 });
+        let id = self.index_lists.insert(IndexRecord { source, identity, range, largest, users: 1 });
         if by_address || content.is_some() {
             self.index_list_by_identity.insert(identity, id);
         }
@@ -273,7 +352,7 @@ impl MeshPool {
     }
 
     fn index_bytes(&self, id: u32) -> u64 {
-        let record = self.index_lists.get(id as usize).and_then(Option::as_ref);
+        let record = self.index_lists.get(id);
         record.map_or(0, |r| self.indices.bytes_of(r.range))
     }
 
@@ -287,13 +366,12 @@ impl MeshPool {
 
     /// One drawable fewer uses the mesh.
     pub(super) fn release(&mut self, place: &MeshPlace) {
-        let Some(slot) = self.meshes.get_mut(place.mesh as usize) else { return };
-        let Some(record) = slot else { return };
+        let Some(record) = self.meshes.get_mut(place.mesh) else { return };
         record.users = record.users.saturating_sub(1);
         if record.users > 0 {
             return;
         }
-        let Some(record) = slot.take() else { return };
+        let Some(record) = self.meshes.remove(place.mesh) else { return };
         if self.mesh_by_identity.get(&record.identity) == Some(&place.mesh) {
             self.mesh_by_identity.remove(&record.identity);
         }
@@ -302,13 +380,12 @@ impl MeshPool {
     }
 
     fn release_indices(&mut self, id: u32) {
-        let Some(slot) = self.index_lists.get_mut(id as usize) else { return };
-        let Some(record) = slot else { return };
+        let Some(record) = self.index_lists.get_mut(id) else { return };
         record.users = record.users.saturating_sub(1);
         if record.users > 0 {
             return;
         }
-        let Some(record) = slot.take() else { return };
+        let Some(record) = self.index_lists.remove(id) else { return };
         if self.index_list_by_identity.get(&record.identity) == Some(&id) {
             self.index_list_by_identity.remove(&record.identity);
         }
@@ -319,15 +396,26 @@ impl MeshPool {
         self.vertices.buffer(chunk)
     }
 
-    pub(crate) fn index_buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
-        self.indices.buffer(chunk)
+    pub(crate) fn index_buffer(&self, chunk: u32) -> Option<(&wgpu::Buffer, wgpu::IndexFormat)> {
+        let format = if chunk & NARROW != 0 { wgpu::IndexFormat::Uint16 } else { wgpu::IndexFormat::Uint32 };
+        self.indices.buffer(chunk).map(|buffer| (buffer, format))
+    }
+
+    /// How vertices lie in a chunk.
+    pub(crate) fn format_of(&self, vertex_chunk: u32) -> VertexFormat {
+        if vertex_chunk & NARROW != 0 { VertexFormat::Packed } else { VertexFormat::Full }
+    }
+
+    /// One white vertex.
+    pub(crate) fn white(&self) -> Option<&wgpu::Buffer> {
+        self.white.as_ref()
     }
 
     pub(super) fn bytes_in_use(&self) -> u64 {
-        self.vertices.bytes_in_use + self.indices.bytes_in_use
+        self.vertices.bytes_in_use() + self.indices.bytes_in_use()
     }
 
     pub(super) fn bytes_allocated(&self) -> u64 {
-        self.vertices.bytes_allocated + self.indices.bytes_allocated
+        self.vertices.bytes_allocated() + self.indices.bytes_allocated()
     }
 }

@@ -53,11 +53,11 @@ pub(super) fn block_capacity(blocks_so_far: usize, slot_bytes: u64, target_bytes
     by_bytes.min(grown).max(1)
 }
 
-/// Rounds a length up to its size class: four classes an octave, so at most a quarter is wasted.
+/// Rounds a length up to its size class: eight classes an octave, so at most an eighth is wasted.
 pub(super) fn size_class(length: u32) -> u32 {
     let length = length.max(4);
     let octave = 31 - length.leading_zeros();
-    let step = 1u32 << (octave - 2);
+    let step = 1u32 << octave.saturating_sub(3);
     length.div_ceil(step).saturating_mul(step)
 }
 
@@ -79,10 +79,10 @@ mod tests {
     }
 
     #[test]
-    fn size_classes_waste_at_most_a_quarter() {
+    fn size_classes_waste_at_most_an_eighth() {
         for length in 64..100_000u32 {
             let class = size_class(length);
-            assert!(class >= length && class as f64 <= 1.25 * length as f64 + 1.0, "{length} {class}");
+            assert!(class >= length && class as f64 <= 1.125 * length as f64 + 1.0, "{length} {class}");
             assert_eq!(size_class(class), class);
         }
     }

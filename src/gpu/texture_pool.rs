@@ -8,6 +8,7 @@ use std::sync::{Arc, Weak};
 
 use super::layouts::Layouts;
 use super::slots::{Identity, SlotAllocator, block_capacity};
+use super::table::Table;
 use super::uploads::{Destination, QueueSink, Source, Upload};
 use crate::scene::{ContentKey, Texture};
 
@@ -129,7 +130,7 @@ struct Shared {
 /// All texture blocks of a context.
 #[derive(Default)]
 pub(crate) struct TexturePool {
-    blocks: Vec<Option<Block>>,
+    blocks: Table<Block>,
     /// Only looked up, never walked.
     shared: HashMap<Identity, Shared>,
     white: Option<TextureLayer>,
@@ -179,21 +180,18 @@ impl TexturePool {
         let size = ImageSize { width: 1, height: 1, mips: 1 };
         let place = self.take_place(device, layouts, limits, size, false)?;
         if let Some(into) = self.destination(place) {
-            Upload::new(Source::White, into).write(&mut QueueSink(queue), 1);
+            Upload::new(Source::White, into).write(&mut QueueSink(queue), &mut Vec::new(), 1);
         }
         self.white = Some(place);
         Ok(place)
     }
 
     pub(super) fn bytes_of(&self, place: TextureLayer) -> u64 {
-        match self.blocks.get(place.block as usize) {
-            Some(Some(block)) => block.size.bytes(),
-            _ => 0,
-        }
+        self.blocks.get(place.block).map_or(0, |block| block.size.bytes())
     }
 
     fn user_mut(&mut self, place: TextureLayer) -> Option<&mut (u32, Identity)> {
-        self.blocks.get_mut(place.block as usize)?.as_mut()?.users.get_mut(place.layer as usize)
+        self.blocks.get_mut(place.block)?.users.get_mut(place.layer as usize)
     }
 
     fn take_place(
@@ -205,8 +203,8 @@ impl TexturePool {
         repeat: bool,
     ) -> Result<TextureLayer, String> {
         let mut like = 0;
-        for (index, block) in (0u32..).zip(&mut self.blocks) {
-            if let Some(block) = block.as_mut().filter(|b| b.size == size && b.repeat == repeat) {
+        for (index, block) in self.blocks.iter_mut() {
+            if block.size == size && block.repeat == repeat {
                 like += 1;
                 if let Some(layer) = block.slots.allocate() {
                     self.bytes_in_use += size.bytes();
@@ -237,12 +235,12 @@ impl TexturePool {
         let block = Block { size, repeat, texture, bind_group, slots, capacity, users };
         self.bytes_allocated += size.bytes() * u64::from(capacity);
         self.bytes_in_use += size.bytes();
-        let block = insert(&mut self.blocks, block);
+        let block = self.blocks.insert(block);
         Ok(TextureLayer { block, layer })
     }
 
     pub(super) fn destination(&self, place: TextureLayer) -> Option<Destination> {
-        let block = self.blocks.get(place.block as usize)?.as_ref()?;
+        let block = self.blocks.get(place.block)?;
         Some(Destination::Layer(block.texture.clone(), place.layer))
     }
 
@@ -260,20 +258,18 @@ impl TexturePool {
         if self.shared.get(&key).is_some_and(|s| s.place == place) {
             self.shared.remove(&key);
         }
-        if let Some(slot) = self.blocks.get_mut(place.block as usize)
-            && let Some(block) = slot
-        {
+        if let Some(block) = self.blocks.get_mut(place.block) {
             block.slots.release(place.layer);
             self.bytes_in_use -= block.size.bytes();
             if block.slots.is_empty() {
                 self.bytes_allocated -= block.size.bytes() * u64::from(block.capacity);
-                *slot = None;
+                self.blocks.remove(place.block);
             }
         }
     }
 
     pub(crate) fn bind_group(&self, block: u32) -> Option<&wgpu::BindGroup> {
-        self.blocks.get(block as usize)?.as_ref().map(|b| &b.bind_group)
+        self.blocks.get(block).map(|b| &b.bind_group)
     }
 
     pub(super) fn bytes_in_use(&self) -> u64 {
@@ -282,19 +278,5 @@ impl TexturePool {
 
     pub(super) fn bytes_allocated(&self) -> u64 {
         self.bytes_allocated
-    }
-}
-
-/// Puts a block into the first empty place.
-pub(super) fn insert<T>(blocks: &mut Vec<Option<T>>, block: T) -> u32 {
-    match blocks.iter().position(Option::is_none) {
-        Some(index) => {
-            blocks[index] = Some(block);
-            index as u32
-        }
-        None => {
-            blocks.push(Some(block));
-            blocks.len() as u32 - 1
-        }
     }
 }

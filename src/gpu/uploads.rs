@@ -4,8 +4,9 @@
 use std::sync::Arc;
 
 use super::height_pool::{table_vectors, table_words};
+use super::packing::{VertexFormat, short_indices};
 use super::texture_pool::{Rows, write_rows};
-use crate::scene::{HeightTile, Mesh, MeshVertex, Texture};
+use crate::scene::{HeightTile, Mesh, Texture};
 
 /// What carries bytes to the adapter.
 pub(super) trait Sink {
@@ -36,8 +37,10 @@ pub(super) enum Source {
     Image(Arc<Texture>),
     /// One white texel.
     White,
-    Vertices(Arc<Mesh>),
+    Vertices(Arc<Mesh>, VertexFormat),
     Indices(Arc<Mesh>),
+    /// Of 16 bits, two a unit.
+    ShortIndices(Arc<Mesh>),
 }
 
 /// Its place; keeps the texture or buffer alive.
@@ -78,8 +81,9 @@ impl Upload {
         matches!(self.into, Destination::Layer(..))
     }
 
-    /// Uploads the next `count` units, at most those that are left in the level; their bytes.
-    pub(super) fn write(&mut self, sink: &mut impl Sink, count: usize) -> u64 {
+    /// Uploads the next `count` units, at most those that are left in the level; their bytes. `scratch` is for bytes that
+    /// are made on the way, used again from call to call.
+    pub(super) fn write(&mut self, sink: &mut impl Sink, scratch: &mut Vec<u8>, count: usize) -> u64 {
         let Some((units, unit_bytes)) = self.source.extent(self.level) else { return 0 };
         let end = units.min(self.cursor + count);
         let part = self.cursor..end;
@@ -100,7 +104,7 @@ impl Upload {
                     }
                     Source::Image(image) => sink.write_rows(texture, &rows, &image.mips[self.level as usize][range]),
                     Source::White => sink.write_rows(texture, &rows, &[255; 4]),
-                    Source::Tables(_) | Source::Vertices(_) | Source::Indices(_) => {
+                    Source::Tables(_) | Source::Vertices(..) | Source::Indices(_) | Source::ShortIndices(_) => {
                         debug_assert!(false, "what is no image goes into a buffer");
                     }
                 }
@@ -109,8 +113,12 @@ impl Upload {
                 let offset = offset + (part.start * unit_bytes) as u64;
                 match &self.source {
                     Source::Tables(tile) => sink.write_bytes(buffer, offset, bytemuck::cast_slice(&table_words(tile))),
-                    Source::Vertices(mesh) => {
-                        sink.write_bytes(buffer, offset, bytemuck::cast_slice(&mesh.vertices[part]));
+                    Source::Vertices(mesh, format) => {
+                        sink.write_bytes(buffer, offset, format.bytes(&mesh.vertices[part], scratch));
+                    }
+                    Source::ShortIndices(mesh) => {
+                        let part = 2 * part.start..mesh.indices.len().min(2 * part.end);
+                        sink.write_bytes(buffer, offset, short_indices(&mesh.indices[part], scratch));
                     }
                     Source::Indices(mesh) => {
                         sink.write_bytes(buffer, offset, bytemuck::cast_slice(&mesh.indices[part]));
@@ -143,7 +151,8 @@ impl Source {
             Self::Heights(tile) => Some((tile.side as usize + 2, (tile.side as usize + 2) * 4)),
             Self::Tables(tile) => Some((1, table_vectors(tile.side) as usize * 16)),
             Self::White => Some((1, 4)),
-            Self::Vertices(mesh) => Some((mesh.vertices.len(), size_of::<MeshVertex>())),
+            Self::Vertices(mesh, format) => Some((mesh.vertices.len(), format.stride())),
+            Self::ShortIndices(mesh) => Some((mesh.indices.len().div_ceil(2), 4)),
             Self::Indices(mesh) => Some((mesh.indices.len(), 4)),
         }
     }

@@ -292,6 +292,7 @@ impl<'a> Reader<'a> {
         let colors = self.attribute(primitive, &Semantic::Colors(0), count, &[Dimensions::Vec3, Dimensions::Vec4])?;
         let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
         let mut vertices = Vec::with_capacity(count);
+        let mut packs = true;
         for i in 0..count {
             let position = positions.vec3(i);
             let p = Vec3::from_array(position);
@@ -317,6 +318,7 @@ impl<'a> Reader<'a> {
                     vertex.color[k] = (c.value(i, k).clamp(0.0, 1.0) * 255.0).round() as u8;
                 }
             }
+            packs &= vertex.packs();
             vertices.push(vertex);
         }
         // Now, while they are in the cache.
@@ -353,6 +355,7 @@ impl<'a> Reader<'a> {
         };
         let mut drawable = Drawable::new(Geometry::Mesh(mesh), material);
         drawable.shared = SharedParts { geometry, indices, texture: shared_texture };
+        drawable.packs = Some(packs);
         Ok(drawable)
     }
 

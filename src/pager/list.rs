@@ -2,7 +2,7 @@
 //!
 //! One mutex, two condition variables' worth of waiting. Update rewrites the waiting jobs each frame in order of
 //! priority; a thread takes the last one. At most `capacity` jobs are outstanding (taken and not yet answered),
-//! and the channels behind the threads hold as many, so no send ever blocks.
+//! and the channels behind the threads hold as many, so no send ever blocks; but file threads wait for decoders.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;

@@ -54,7 +54,7 @@ impl PathLooks {
     /// The time of the path to look from now, if there is one: not farther than `ahead_s` from the frame's time, where a
     /// frame takes `frame_s`. To be asked again after [`Self::found`].
     pub fn next(&mut self, ahead_s: f64, frame_s: f64) -> Option<f64> {
-        if !(ahead_s > 0.0 && frame_s > 0.0) || self.looks_in_frame == LOOKS_A_FRAME {
+        if !(ahead_s > 0.0 && frame_s > 0.0) || self.looks_in_frame >= LOOKS_A_FRAME {
             return None;
         }
         self.step_s = self.step_s.min(ahead_s * LONGEST_STEP).max(frame_s);
@@ -68,12 +68,30 @@ impl PathLooks {
 
     /// Takes what a picture would lack at the time that [`Self::next`] gave.
     pub fn found(&mut self, requests: &[PageRequest]) {
+        let count = self.found_at(self.looked_s, requests);
+        self.step_s *= if count > MANY { 0.5 } else { 1.5 };
+    }
+
+    /// Takes what a picture would lack at any time; how much of it is new.
+    pub(super) fn found_at(&mut self, at_s: f64, requests: &[PageRequest]) -> usize {
         let mut new: Vec<PageRequest> = requests.iter().filter(|r| !self.known.contains(&r.slot)).copied().collect();
         new.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
         new.truncate(MOST_REQUESTS);
-        self.step_s *= if new.len() > MANY { 0.5 } else { 1.5 };
         self.known.extend(new.iter().map(|request| request.slot));
-        self.found.push_back((self.looked_s, new));
+        let (place, count) = (self.found.partition_point(|(found_s, _)| *found_s <= at_s), new.len());
+        self.found.insert(place, (at_s, new));
+        count
+    }
+
+    /// Counts a look elsewhere among those of the frame.
+    pub(super) fn looked_elsewhere(&mut self) {
+        self.looks_in_frame += 1;
+    }
+
+    /// Looks again from the frame's time on, where the path has become another; what was found stays wanted until its
+    /// moment.
+    pub(super) fn look_anew(&mut self) {
+        self.looked_s = self.now_s;
     }
 
     /// What will be wanted, where a frame takes `frame_s`.

@@ -20,6 +20,7 @@ mod http;
 mod images;
 mod list;
 mod look_ahead;
+mod motion;
 mod requests;
 mod residents;
 mod shares;
@@ -34,6 +35,7 @@ pub use images::{
     StreamStatus,
 };
 pub use look_ahead::{PathLooks, frames_until};
+pub use motion::{EyeMotion, MotionLooks};
 pub use states::RequestState;
 pub use stats::{ErrorRecord, PagerStats};
 pub use update::DatabasePager;

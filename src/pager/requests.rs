@@ -13,11 +13,13 @@ use crate::scene::{Scene, SlotState};
 use crate::timeline;
 
 /// Decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing is loaded.
-const MOST_PENDING_BYTES: u64 = 24 << 20;
+const MOST_PENDING_BYTES: u64 = 8 << 20;
+/// But of each decode thread so many pages may, however large they are.
+const LEAST_PENDING: u64 = 2;
 
 /// Waiting contents that are wanted only later are listed for so many times as many as may be under way: enough until the
 /// list is written again.
-const AHEAD_LISTED: usize = 8;
+const AHEAD_LISTED: usize = 32;
 
 /// What was met in the last so many frames is seen.
 const MET_FRAMES: u32 = 2;
@@ -179,7 +181,8 @@ impl DatabasePager {
             return 0;
         }
         // What waits for its upload holds memory besides the budgets'.
-        let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).saturating_sub(self.arrived());
+        let least = LEAST_PENDING * self.config.decode_threads.max(1) as u64;
+        let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).max(least).saturating_sub(self.arrived());
         self.room_within(0).min(pending).min(capacity as u64) as usize
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 use super::config::{PagerConfig, PagerError};
@@ -22,6 +22,13 @@ const REAPER_QUEUE: usize = 256;
 /// After so many dropped pages a part of what is shared is looked through for what nobody uses.
 const PAGES_BETWEEN_PRUNES: usize = 16;
 
+/// Of each decode thread, pages that may be decoded and not yet taken up while files are read: what a frame of a 60th of a
+/// second has to take up.
+const DECODED_AHEAD: usize = 12;
+
+/// Of each decode thread, files that may be read and not yet decoded: bytes that wait are memory, and disks are quick.
+const READ_AHEAD: usize = 2;
+
 /// Servers that may each have as many requests as one may.
 pub(super) const SERVERS_AT_ONCE: usize = 4;
 
@@ -39,11 +46,17 @@ pub(super) struct Threads {
 impl Threads {
     pub fn start(config: &PagerConfig, options: &ReadOptions) -> Result<Self, PagerError> {
         let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
-        let beside = 4 * config.file_threads.max(1) + 2 * config.decode_threads.max(1);
-        let for_files = SERVERS_AT_ONCE * start + beside;
-        let capacity = for_files + most.saturating_sub(start);
+        let (readers, decoders) = (config.file_threads.max(1), config.decode_threads.max(1));
+        let beside = 4 * readers + 2 * decoders;
+        let capacity = SERVERS_AT_ONCE * start + beside + most.saturating_sub(start);
+        let for_files = beside + DECODED_AHEAD * decoders;
+        let capacity = capacity.max(for_files);
         let list = Arc::new(RequestList::new(capacity, for_files));
+        let (read_sender, read) = bounded::<Loaded>(READ_AHEAD * decoders);
+        #[cfg(feature = "http")]
         let (loaded_sender, loaded) = bounded::<Loaded>(capacity);
+        #[cfg(not(feature = "http"))]
+        let loaded = never::<Loaded>();
         let (answer_sender, answers) = bounded::<Answer>(capacity);
         let (reaper, doomed) = bounded::<Box<Page>>(REAPER_QUEUE);
         let mut threads = Self {
@@ -55,14 +68,14 @@ impl Threads {
             handles: Vec::new(),
         };
         let files = Arc::new(io::FileReader::new(config.limits));
-        for i in 0..config.file_threads.max(1) {
-            let (list, sender, files) = (list.clone(), loaded_sender.clone(), files.clone());
+        for i in 0..readers {
+            let (list, sender, files) = (list.clone(), read_sender.clone(), files.clone());
             threads.spawn(format!("pager-file-{i}"), move || read_files(&list, &sender, &files))?;
         }
         #[cfg(feature = "http")]
         {
             let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
-            let (list, sender, limits) = (list.clone(), loaded_sender.clone(), config.limits);
+            let (list, sender, limits) = (list.clone(), loaded_sender, config.limits);
             let (range, answers) = (Range { start, most }, answer_sender.clone());
             let name = "pager-http".to_owned();
             let runtime = io::runtime(&name).map_err(|source| PagerError::Thread { name: name.clone(), source })?;
@@ -71,8 +84,10 @@ impl Threads {
                 super::http::run(&runtime, &client, &list, &sender, &answers, &limits, range);
             })?;
         }
-        for i in 0..config.decode_threads.max(1) {
-            let (loaded, sender, options) = (loaded.clone(), answer_sender.clone(), options.clone());
+        for i in 0..decoders {
+            let open = if cfg!(feature = "http") { 2 } else { 1 };
+            let from = Intake { files: read.clone(), servers: loaded.clone(), open };
+            let (sender, options) = (answer_sender.clone(), options.clone());
             #[cfg(feature = "http")]
             let cache = threads.door.as_ref().and_then(|door| door.client.cache().cloned());
             let forget = move |_uri: &str| {
@@ -81,7 +96,7 @@ impl Threads {
                     cache.forget(_uri);
                 }
             };
-            threads.spawn(format!("pager-decode-{i}"), move || decode(&loaded, &sender, &options, &forget))?;
+            threads.spawn(format!("pager-decode-{i}"), move || decode(from, &sender, &options, &forget))?;
         }
         let sharing = options.sharing.clone();
         threads.spawn("pager-reaper".to_owned(), move || {
@@ -169,9 +184,37 @@ pub(super) fn read_bytes(bytes: &Result<Vec<u8>, io::IoError>, companions: &[io:
     of(bytes) + companions.iter().map(|(_, r)| of(r)).sum::<u64>()
 }
 
+/// What a decode thread takes from.
+struct Intake {
+    files: Receiver<Loaded>,
+    servers: Receiver<Loaded>,
+    /// Of the two, those that have not ended.
+    open: usize,
+}
+
+impl Intake {
+    /// What comes next; `None` once all have ended.
+    fn next(&mut self) -> Option<Loaded> {
+        while self.open > 0 {
+            let (from, loaded) = select! {
+                recv(self.files) -> loaded => (&mut self.files, loaded),
+                recv(self.servers) -> loaded => (&mut self.servers, loaded),
+            };
+            match loaded {
+                Ok(loaded) => return Some(loaded),
+                Err(RecvError) => {
+                    *from = never();
+                    self.open -= 1;
+                }
+            }
+        }
+        None
+    }
+}
+
 /// `forget` is told the URI of what turned out to be no content.
-fn decode(loaded: &Receiver<Loaded>, sender: &Sender<Answer>, options: &ReadOptions, forget: &dyn Fn(&str)) {
-    for Loaded { job, bytes, companions, bytes_read, bytes_http } in loaded {
+fn decode(mut from: Intake, sender: &Sender<Answer>, options: &ReadOptions, forget: &dyn Fn(&str)) {
+    while let Some(Loaded { job, bytes, companions, bytes_read, bytes_http }) = from.next() {
         let span = timeline::span_of("decode", || job.uri.clone());
         let page = bytes.and_then(|bytes| {
             let page = decode_one(&job, bytes, companions, options);

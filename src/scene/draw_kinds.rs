@@ -29,6 +29,8 @@ pub struct DrawKind {
     pub mirrored: bool,
     /// A mesh of a few triangles.
     pub is_small: bool,
+    /// A mesh whose vertices take fewer bytes on the adapter.
+    pub is_packed: bool,
 }
 
 impl Scene {
@@ -47,24 +49,33 @@ impl Scene {
                 // Its pipelines are its own.
                 Geometry::Custom(_) => continue,
             };
+            let is_small = (3..=SMALL_MESH_INDICES as usize).contains(&indices);
+            let is_packed = match &drawable.geometry {
+                Geometry::Mesh(mesh) => {
+                    indices > SMALL_MESH_INDICES as usize && drawable.packs.unwrap_or_else(|| mesh.packs())
+                }
+                _ => false,
+            };
             let linear = page.transforms.page_from_node(of.transform).matrix3;
             let kind = (
                 topology,
                 matches!(drawable.material.alpha, AlphaMode::Mask(_)),
                 drawable.material.double_sided,
                 world_from_page * linear.determinant() < 0.0,
-                (3..=SMALL_MESH_INDICES as usize).contains(&indices),
+                is_small,
+                is_packed,
             );
-            let of_kind = |k: &DrawKind| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small);
+            let of_kind = |k: &DrawKind| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small, k.is_packed);
             if met.iter().rev().any(|(path, known)| *path == of.state_path && of_kind(known) == kind) {
                 continue;
             }
             if met.len() >= MOST_KINDS {
                 break;
             }
-            let (topology, is_masked, double_sided, mirrored, is_small) = kind;
+            let (topology, is_masked, double_sided, mirrored, is_small, is_packed) = kind;
             let state = states.at(of.state_path);
-            met.push((of.state_path, DrawKind { state, topology, is_masked, double_sided, mirrored, is_small }));
+            let kind = DrawKind { state, topology, is_masked, double_sided, mirrored, is_small, is_packed };
+            met.push((of.state_path, kind));
         }
         met.into_iter().map(|(_, kind)| kind).collect()
     }

@@ -7,6 +7,7 @@ use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, DVec4};
 
 use super::cull_settings::{CullSettings, Inherit};
 use super::environment::{CameraEnvironment, CameraShadows};
+use super::error::SceneError;
 use super::geometry::Drawable;
 use crate::state::{Light, TexGen, TextureObject};
 
@@ -197,6 +198,10 @@ pub struct CameraNode {
     pub clear_color: Option<[f32; 4]>,
     /// Clear depth before drawing (to infinitely far).
     pub clear_depth: bool,
+    /// Show the whole scene, besides what is below it: mirrors, maps and other views of one world, its paged content with
+    /// the tiles that the camera's own eye asks for. Levels of detail do not cross-fade in its picture. Of cameras that
+    /// show the scene none is drawn in another's picture. Not for nested cameras.
+    pub shows_scene: bool,
     /// What it draws into.
     pub target: Option<Arc<CameraTarget>>,
     /// Light, air, sky and water of its picture.
@@ -224,6 +229,7 @@ impl CameraNode {
             viewport_px: None,
             clear_color: Some([0.0, 0.0, 0.0, 1.0]),
             clear_depth: true,
+            shows_scene: false,
             target: None,
             environment: CameraEnvironment::default(),
             shadows: CameraShadows::default(),
@@ -245,6 +251,14 @@ impl CameraNode {
             ..Self::new(RenderOrder::PreRender(0))
         }
     }
+
+    /// What cannot be drawn.
+    pub(super) fn check(&self) -> Result<(), SceneError> {
+        match (self.order, self.shows_scene) {
+            (RenderOrder::Nested, true) => Err(SceneError::NestedShowsScene),
+            _ => Ok(()),
+        }
+    }
 }
 
 pub use crate::state::DrawHook;
@@ -258,7 +272,8 @@ pub struct ConvexPlanarOccluder {
     pub holes: Vec<Vec<DVec3>>,
 }
 
-/// Asks the adapter how many samples of its box are seen, and skips its children while none are.
+/// Asks the adapter how many samples of its box are seen, and skips its children while none are. Cameras in the graph that
+/// show the scene neither ask nor heed what is answered.
 #[derive(Clone, Debug)]
 pub struct OcclusionQueryNode {
     /// Hidden when fewer samples pass.

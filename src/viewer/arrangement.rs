@@ -15,7 +15,9 @@ use glam::DVec3;
 use glam::{DAffine3, DMat4};
 
 use super::arrangement_file::read_arrangement;
+use super::camera::ResizePolicy;
 use super::view::Eyes;
+use super::viewport::Viewport;
 use super::views_setup::ViewsSetup;
 
 /// The environment variable that names a file with windows.
@@ -31,8 +33,11 @@ const MOST_PX: u32 = 16_384;
 /// A camera in a window.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraSetup {
-    /// Part of the window: x, y, width and height in pixels, origin upper left; `None`: all of it.
-    pub viewport_px: Option<[u32; 4]>,
+    /// Part of the window.
+    pub viewport: Viewport,
+    /// What a picture of another shape shows, of the master; `None`: the angle of view is that of the longer side. Pictures
+    /// of slaves are parts of the master's.
+    pub resize: Option<ResizePolicy>,
     /// See [`Slave::projection_offset`](super::Slave::projection_offset).
     pub projection_offset: DMat4,
     /// See [`Slave::view_offset`](super::Slave::view_offset).
@@ -45,7 +50,8 @@ impl Default for CameraSetup {
     /// Sees what the master sees, in all of its window.
     fn default() -> Self {
         Self {
-            viewport_px: None,
+            viewport: Viewport::Whole,
+            resize: None,
             projection_offset: DMat4::IDENTITY,
             view_offset: DAffine3::IDENTITY,
             eyes: Eyes::Both,

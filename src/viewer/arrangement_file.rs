@@ -8,11 +8,13 @@
 //!       "cameras": [ { "viewport_px": [0, 0, 640, 480], "turn_deg": [-40, 0, 0] } ] } ] }
 //! ```
 //! Every field may be left out but `windows`, which has at least one. A camera's fields: `viewport_px` (x, y, width,
-//! height from the window's upper left corner); `turn_deg` (to the right, upwards, clockwise) and `move_m` (to the right,
+//! height in pixels from the window's upper left corner) or `viewport` (the same as shares of the window, 0 to 1, which
+//! follow it when it changes its size); `resize` ("HORIZONTAL", "VERTICAL", "FIXED"), the angle of view that changes with
+//! the shape of the picture, of the master alone; `turn_deg` (to the right, upwards, clockwise) and `move_m` (to the right,
 //! upwards, backwards), from the master's eye; `shift` (to the right, upwards, in pictures of the master) and `zoom`
 //! (across, upwards), what it shows of the master's picture plane; `eyes` ("BOTH", "LEFT", "RIGHT", "MIDDLE"), which of them
-//! it draws for in stereo. The first camera of the first window is the master
-//! and has `viewport_px` and `eyes` alone. A file may name several views instead: `views_file.rs` has what it says then.
+//! it draws for in stereo. The first camera of the first window is the master and has `viewport_px` or `viewport`, `resize`
+//! and `eyes` alone. A file may name several views instead: `views_file.rs` has what it says then.
 
 use std::path::Path;
 
@@ -20,7 +22,9 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, EulerRot};
 use serde_json::{Map, Value};
 
 use super::arrangement::{Arrangement, ArrangementError, CameraSetup, WindowSetup};
+use super::camera::ResizePolicy;
 use super::view::Eyes;
+use super::viewport::Viewport;
 use super::views_file;
 
 /// A file that is larger is not read.
@@ -29,6 +33,8 @@ const MOST_BYTES: u64 = 1 << 20;
 pub(super) const MOST: usize = 64;
 /// Sides of windows and viewports, pixels.
 const MOST_PX: f64 = 16_384.0;
+/// Of shares that come to the whole window, as thirds.
+const ROUNDING: f64 = 1e-3;
 /// Metres that a camera may be from the master.
 const MOST_M: f64 = 1e6;
 
@@ -42,7 +48,8 @@ pub(super) struct Field<'a> {
 pub(super) type Wrong = (String, String);
 
 /// Fields of a camera.
-pub(super) const CAMERA_FIELDS: [&str; 6] = ["viewport_px", "turn_deg", "move_m", "shift", "zoom", "eyes"];
+pub(super) const CAMERA_FIELDS: [&str; 8] =
+    ["viewport_px", "viewport", "resize", "turn_deg", "move_m", "shift", "zoom", "eyes"];
 
 pub(super) fn read_arrangement(file: &Path) -> Result<Arrangement, ArrangementError> {
     let wrong = |(field, reason): Wrong| ArrangementError { source_name: file.display().to_string(), field, reason };
@@ -158,7 +165,29 @@ pub(super) fn camera(field: &Field<'_>, object: &Map<String, Value>, is_master: 
         if width == 0 || height == 0 {
             return viewport.wrong("a part without pixels");
         }
-        camera.viewport_px = Some(rect);
+        camera.viewport = Viewport::Pixels(rect);
+    }
+    if let Some(field) = of("viewport") {
+        if object.contains_key("viewport_px") {
+            return field.wrong("`viewport_px` says which part already");
+        }
+        let shares @ [x, y, width, height] = field.numbers(0.0, 1.0, false)?;
+        if width == 0.0 || height == 0.0 {
+            return field.wrong("a part without pixels");
+        }
+        if x + width > 1.0 + ROUNDING || y + height > 1.0 + ROUNDING {
+            return field.wrong("reaches beyond the window");
+        }
+        camera.viewport = Viewport::Shares(shares);
+    }
+    if let Some(field) = of("resize") {
+        camera.resize = Some(match field.value.as_str() {
+            _ if !is_master => return field.wrong("the angle of view is the master's"),
+            Some("HORIZONTAL") => ResizePolicy::Horizontal,
+            Some("VERTICAL") => ResizePolicy::Vertical,
+            Some("FIXED") => ResizePolicy::Fixed,
+            _ => return field.wrong("none of HORIZONTAL, VERTICAL, FIXED"),
+        });
     }
     if let Some(eyes) = of("eyes") {
         camera.eyes = match eyes.value.as_str() {
@@ -264,9 +293,9 @@ mod tests {
         let windows = read(
             r#"{"windows": [
                 {"title": "ahead", "position_px": [-5, 6], "size_px": [640, 480], "screen": 2, "full_screen": true,
-                 "decorated": false, "samples": 4, "vsync": false, "cameras": [{"viewport_px": [1, 2, 30, 40]}]},
+                 "decorated": false, "samples": 4, "vsync": false, "cameras": [{"viewport_px": [1, 2, 30, 40], "resize": "VERTICAL"}]},
                 {"shares_device": true, "cameras": [{}, {"turn_deg": [90, 0, 0], "move_m": [1, 2, 3]},
-                 {"shift": [1, -0.5], "zoom": [2, 3], "eyes": "RIGHT"}]}]}"#,
+                 {"shift": [1, -0.5], "zoom": [2, 3], "eyes": "RIGHT", "viewport": [0.25, 0, 0.75, 1]}]}]}"#,
         )
         .unwrap();
         let first = WindowSetup {
@@ -279,7 +308,11 @@ mod tests {
             shares_device: false,
             samples: Some(4),
             vsync: Some(false),
-            cameras: vec![CameraSetup { viewport_px: Some([1, 2, 30, 40]), ..CameraSetup::default() }],
+            cameras: vec![CameraSetup {
+                viewport: Viewport::Pixels([1, 2, 30, 40]),
+                resize: Some(ResizePolicy::Vertical),
+                ..CameraSetup::default()
+            }],
         };
         assert_eq!(windows[0], first);
         let second = WindowSetup { shares_device: true, cameras: windows[1].cameras.clone(), ..WindowSetup::default() };
@@ -293,6 +326,10 @@ mod tests {
         let seen = shifted.projection_offset.project_point3(DVec3::new(2.0, -1.0, 0.5));
         assert!((seen - DVec3::new(0.0, 0.0, 0.5)).length() < 1e-12, "{seen}");
         assert_eq!((shifted.projection_offset.x_axis.x, shifted.eyes), (2.0, Eyes::Right));
+        assert_eq!(shifted.viewport, Viewport::Shares([0.25, 0.0, 0.75, 1.0]));
+        // Thirds, as far as they are written out.
+        let thirds = r#"{"windows": [{"cameras": [{"viewport": [0.6667, 0, 0.3334, 1]}]}]}"#;
+        assert_eq!(read(thirds).unwrap()[0].cameras[0].viewport, Viewport::Shares([0.6667, 0.0, 0.3334, 1.0]));
         assert_eq!(read(r#"{"windows": [{}]}"#).unwrap(), [WindowSetup::default()]);
     }
 
@@ -325,6 +362,29 @@ mod tests {
                 "windows[1].cameras[0].viewport_px",
                 "without pixels",
             ),
+            (
+                r#"{"windows": [{"cameras": [{"viewport": [0, 0, 2, 1]}]}]}"#,
+                "windows[0].cameras[0].viewport[2]",
+                "from 0 to 1",
+            ),
+            (
+                r#"{"windows": [{"cameras": [{"viewport": [0.5, 0, 0.6, 1]}]}]}"#,
+                "windows[0].cameras[0].viewport",
+                "beyond the window",
+            ),
+            (
+                r#"{"windows": [{"cameras": [{"viewport": [0.5, 0, 0.5, 0]}]}]}"#,
+                "windows[0].cameras[0].viewport",
+                "without pixels",
+            ),
+            (r#"{"windows": [{"cameras": [{"viewport": [0, 0, 1]}]}]}"#, "windows[0].cameras[0].viewport", "4 numbers"),
+            (
+                r#"{"windows": [{"cameras": [{"viewport": [0, 0, 1, 1], "viewport_px": [0, 0, 5, 5]}]}]}"#,
+                "windows[0].cameras[0].viewport",
+                "already",
+            ),
+            (r#"{"windows": [{"cameras": [{"resize": "BOTH"}]}]}"#, "windows[0].cameras[0].resize", "none of HORIZ"),
+            (r#"{"windows": [{"cameras": [{}, {"resize": "FIXED"}]}]}"#, "windows[0].cameras[1].resize", "master's"),
             (r#"{"windows": [{}, {"cameras": [{"zoom": [0, 1]}]}]}"#, "windows[1].cameras[0].zoom[0]", "number from"),
             (r#"{"windows": [{}, {"cameras": [{"turn_deg": [1e9, 0, 0]}]}]}"#, "windows[1].cameras[0].turn_deg[0]", ""),
             (r#"{"windows": [{"cameras": [{"eyes": "NOSE"}]}]}"#, "windows[0].cameras[0].eyes", "none of BOTH"),

@@ -34,8 +34,9 @@ pub(super) struct ViewerBase {
     blocking: bool,
     look_ahead_s: f64,
     pub(super) compile_budget: CompileBudget,
+    /// Contexts, and what is painted over their next pictures.
     #[cfg(feature = "window")]
-    pub(super) overlay: Option<super::overlay::OverlayPaint>,
+    overlays: Vec<(u32, super::overlay::OverlayPaint)>,
     /// For looking at the scene outside the frame's own culls, with a stage.
     pub(super) probe: CullVisitor,
     pub(super) probe_stage: RenderStage,
@@ -95,7 +96,7 @@ impl ViewerBase {
             look_ahead_s: config.look_ahead_s.max(0.0),
             compile_budget: config.compile_budget,
             #[cfg(feature = "window")]
-            overlay: None,
+            overlays: Vec::new(),
             probe: CullVisitor::default(),
             probe_stage: RenderStage::new(),
             first_frame: None,
@@ -161,6 +162,9 @@ impl ViewerBase {
                         scene.device_renewed(&mut self.rendering, device)?;
                     }
                 }
+                // Their textures were the old device's.
+                #[cfg(feature = "window")]
+                views.iter_mut().for_each(|view| view.input.overlay = super::overlay::Overlay::default());
                 Ok(())
             }
             ended => ended,
@@ -291,9 +295,7 @@ impl ViewerBase {
     ) -> Result<(), ViewerError> {
         let (wanted, job) = (std::mem::take(&mut self.wanted), self.job());
         #[cfg(feature = "window")]
-        let mut overlay = self.overlay.take();
-        #[cfg(feature = "window")]
-        let first = self.rendering.context_ids().next();
+        let mut overlays = std::mem::take(&mut self.overlays);
         let view_of = |camera| views.iter().find(|view| view.has_camera(camera));
         let FrameStamp { frame, simulation_time_s, .. } = self.stamp;
         self.asked.extend(wanted.iter().map(|context| (*context, frame)));
@@ -303,7 +305,7 @@ impl ViewerBase {
             |context| FrameJob {
                 read_back: wanted.contains(&context) || captured(context),
                 #[cfg(feature = "window")]
-                overlay: overlay.take_if(|_| first == Some(context)),
+                overlays: overlays.extract_if(.., |(of, _)| *of == context).map(|(_, paint)| paint).collect(),
                 ..job.again()
             },
             |camera, last| {
@@ -315,6 +317,11 @@ impl ViewerBase {
         );
         self.wanted = wanted;
         self.wanted.clear();
+        #[cfg(feature = "window")]
+        {
+            overlays.clear();
+            self.overlays = overlays;
+        }
         rendered?;
         for scene in scenes.iter_mut() {
             scene.requests.clear();
@@ -361,10 +368,12 @@ impl ViewerBase {
         std::thread::sleep(deadline.saturating_duration_since(Instant::now()));
     }
 
-    /// Paints an overlay over the next frame.
+    /// Paints an overlay over the next frame of a context, over those that are there.
     #[cfg(feature = "window")]
-    pub(super) fn set_overlay(&mut self, paint: super::overlay::OverlayPaint) {
-        self.overlay = Some(paint.after(self.overlay.take()));
+    pub(super) fn set_overlay(&mut self, context: u32, paint: super::overlay::OverlayPaint) {
+        let same = self.overlays.iter().position(|(of, earlier)| *of == context && earlier.is_same_overlay(&paint));
+        let unpainted = same.map(|place| self.overlays.remove(place).1);
+        self.overlays.push((context, paint.after(unpainted)));
     }
 
     /// The picture of a frame that has not been drawn goes to `then`.

@@ -13,8 +13,28 @@ use crate::cull::{CullCamera, CullSettings};
 pub enum FieldOfView {
     /// Radians from the bottom to the top edge.
     Vertical(f64),
+    /// Radians from the left to the right edge.
+    Horizontal(f64),
     /// Radians along the longer side of the picture, as CesiumJS measures it.
     LongerSide(f64),
+    /// The same in a picture of any shape, which stretches it.
+    Fixed {
+        /// Radians from the bottom to the top edge.
+        vertical: f64,
+        /// Width by height, where nothing is stretched.
+        aspect: f64,
+    },
+}
+
+/// What changes with the shape of a picture; OSG's `ProjectionResizePolicy`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum ResizePolicy {
+    /// Nothing: what is seen is stretched.
+    Fixed,
+    /// The angle from left to right: a wider picture shows more to the sides.
+    Horizontal,
+    /// The angle from bottom to top: a higher picture shows more above and below.
+    Vertical,
 }
 
 /// Pose and lens of one view.
@@ -59,21 +79,40 @@ impl Camera {
 
     /// Vertical angle of view in radians for a picture of a size.
     pub fn fovy(&self, size_px: [u32; 2]) -> f64 {
-        let (width, height) = (f64::from(size_px[0].max(1)), f64::from(size_px[1].max(1)));
+        let aspect = shape(size_px);
+        let from_width = |angle: f64| 2.0 * ((0.5 * angle).tan() / aspect).atan();
         let angle = match self.field_of_view {
-            FieldOfView::Vertical(fovy) => fovy,
-            FieldOfView::LongerSide(angle) if width > height => 2.0 * ((0.5 * angle).tan() * height / width).atan(),
+            FieldOfView::Vertical(fovy) | FieldOfView::Fixed { vertical: fovy, .. } => fovy,
+            FieldOfView::Horizontal(fovx) => from_width(fovx),
+            FieldOfView::LongerSide(angle) if aspect > 1.0 => from_width(angle),
             FieldOfView::LongerSide(angle) => angle,
         };
         angle.clamp(1e-4, 179f64.to_radians())
     }
 
+    /// Width by height, in tangents, of what is seen in a picture of a size.
+    pub fn aspect(&self, size_px: [u32; 2]) -> f64 {
+        match self.field_of_view {
+            FieldOfView::Fixed { aspect, .. } if aspect.is_finite() => aspect.clamp(1e-4, 1e4),
+            _ => shape(size_px),
+        }
+    }
+
+    /// From now on sees in a picture of a size what it sees there now, and in others what a policy says.
+    pub fn set_resize_policy(&mut self, policy: ResizePolicy, size_px: [u32; 2]) {
+        let (vertical, aspect) = (self.fovy(size_px), self.aspect(size_px));
+        self.field_of_view = match policy {
+            ResizePolicy::Fixed => FieldOfView::Fixed { vertical, aspect },
+            ResizePolicy::Horizontal => FieldOfView::Vertical(vertical),
+            ResizePolicy::Vertical => FieldOfView::Horizontal(2.0 * ((0.5 * vertical).tan() * aspect).atan()),
+        };
+    }
+
     /// Reversed-Z infinite projection with a near distance in metres.
     pub fn clip_from_eye(&self, size_px: [u32; 2], near_m: f64) -> DMat4 {
-        let aspect = f64::from(size_px[0].max(1)) / f64::from(size_px[1].max(1));
         glam::dcamera::rh::proj::directx::perspective_infinite_reverse(
             self.fovy(size_px),
-            aspect,
+            self.aspect(size_px),
             near_m.max(self.min_near_m),
         )
     }
@@ -104,12 +143,17 @@ impl Camera {
         let (width, height) = (f64::from(size_px[0].max(1)), f64::from(size_px[1].max(1)));
         let half_height = (0.5 * self.fovy(size_px)).tan();
         let in_eye = DVec3::new(
-            (2.0 * x_px / width - 1.0) * half_height * width / height,
+            (2.0 * x_px / width - 1.0) * half_height * self.aspect(size_px),
             (1.0 - 2.0 * y_px / height) * half_height,
             -1.0,
         );
         (self.world_from_eye.matrix3 * in_eye).normalize()
     }
+}
+
+/// Width by height of a picture.
+fn shape(size_px: [u32; 2]) -> f64 {
+    f64::from(size_px[0].max(1)) / f64::from(size_px[1].max(1))
 }
 
 /// The pose of an eye that looks along `direction` with `up` upwards in the picture; when the two are parallel
@@ -149,6 +193,38 @@ mod tests {
         let fovx = 2.0 * ((0.5 * camera.fovy([1280, 720])).tan() * 1280.0 / 720.0).atan();
         assert!((fovx - 60f64.to_radians()).abs() < 1e-12);
         assert!((camera.fovy([720, 1280]) - 60f64.to_radians()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_policy_says_what_another_shape_shows() {
+        // Tangents of half the angles, across and upwards.
+        let seen = |camera: &Camera, size_px: [u32; 2]| {
+            let clip = camera.clip_from_eye(size_px, 1.0);
+            [1.0 / clip.x_axis.x, 1.0 / clip.y_axis.y]
+        };
+        let before = [600, 300];
+        for (policy, wider, higher) in [
+            (ResizePolicy::Fixed, [1.0, 1.0], [1.0, 1.0]),
+            (ResizePolicy::Horizontal, [2.0, 1.0], [0.5, 1.0]),
+            (ResizePolicy::Vertical, [1.0, 0.5], [1.0, 2.0]),
+        ] {
+            let mut camera = Camera::default();
+            let [across, upwards] = seen(&camera, before);
+            camera.set_resize_policy(policy, before);
+            for (size_px, [x, y]) in
+                [(before, [1.0, 1.0]), ([1200, 600], [1.0, 1.0]), ([1200, 300], wider), ([600, 600], higher)]
+            {
+                let [now_x, now_y] = seen(&camera, size_px);
+                assert!((now_x - x * across).abs() < 1e-9, "{policy:?} {size_px:?}: {now_x} across, of {across}");
+                assert!((now_y - y * upwards).abs() < 1e-9, "{policy:?} {size_px:?}: {now_y} upwards, of {upwards}");
+                // Rays agree with the projection.
+                let ray = camera.ray_direction(size_px, f64::from(size_px[0]), 0.0);
+                assert!((ray.x / -ray.z - now_x).abs() < 1e-9 && (ray.y / -ray.z - now_y).abs() < 1e-9, "{ray}");
+            }
+            // One policy after another keeps what is seen.
+            camera.set_resize_policy(ResizePolicy::Vertical, [1200, 300]);
+            assert!((seen(&camera, [1200, 300])[0] - wider[0] * across).abs() < 1e-9);
+        }
     }
 
     #[test]

@@ -9,14 +9,13 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::base::ViewerBase;
 use super::home::{LoadedRoot, SetBounds};
-use super::input::GuiActionAdapter;
-#[cfg(feature = "window")]
-use super::overlay::Overlay;
+use super::input::{GuiActionAdapter, needs_frame};
 use super::paged_scene::PagedScene;
 use super::rendering::ThreadingModel;
 use super::stats::StatsHistory;
 use super::view::{ContextId, Slave, SlaveId, View};
 use super::viewer::{FrameStamp, UpdateCallback, ViewerConfig};
+use super::viewport::Viewport;
 use super::window_matrix::{WindowMatrix, camera_with_focus};
 use crate::gpu::{ContextTraits, GraphicsContext};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
@@ -42,11 +41,6 @@ pub struct CompositeViewer {
     /// By place in `views`.
     view_ids: Vec<ViewId>,
     next_view: u32,
-    /// The view that the user does something in.
-    focus: Option<ViewId>,
-    /// One for all views, of which one lies over the picture.
-    #[cfg(feature = "window")]
-    overlay: Overlay,
 }
 
 impl CompositeViewer {
@@ -54,17 +48,7 @@ impl CompositeViewer {
     pub fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
         let base = ViewerBase::new(config)?;
         let (scenes, views, view_ids) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self {
-            config: config.clone(),
-            base,
-            scenes,
-            views,
-            view_ids,
-            next_view: 0,
-            focus: None,
-            #[cfg(feature = "window")]
-            overlay: Overlay::default(),
-        })
+        Ok(Self { config: config.clone(), base, scenes, views, view_ids, next_view: 0 })
     }
 
     /// Takes a context to draw views in; at most [`ViewerConfig::max_contexts`]. What scenes have is uploaded to it.
@@ -218,24 +202,19 @@ impl CompositeViewer {
         self.scenes.iter().all(PagedScene::is_at_rest)
     }
 
-    /// Adds a view of a scene, drawn in a part of a context (x, y, width, height; `None`: all of it) after those that
-    /// are there.
+    /// Adds a view of a scene, drawn in a part of a context after those that are there.
     pub fn add_view(
         &mut self,
         scene: SceneId,
         context: ContextId,
-        viewport_px: Option<[u32; 4]>,
+        viewport: impl Into<Viewport>,
     ) -> Result<ViewId, ViewerError> {
         let bounds = self.paged(scene)?.bounds;
-        let place = self.base.add_camera(context, viewport_px)?;
+        let place = self.base.add_camera(context, viewport.into())?;
         let ViewerConfig { size_px, samples, .. } = self.config;
         let mut view = View::new(scene.0, self.config.cull_settings(), size_px, samples);
         view.master = Some(place);
         view.set_stereo(self.config.stereo);
-        #[cfg(feature = "window")]
-        {
-            view.input.overlay = self.overlay.clone();
-        }
         view.prepare(&self.base.rendering, bounds.as_ref());
         if let Some(bounds) = &bounds {
             view.first_sight(bounds);
@@ -265,31 +244,7 @@ impl CompositeViewer {
         }
         self.views.remove(place);
         self.view_ids.remove(place);
-        self.focus = self.focus.filter(|focus| *focus != id);
         Ok(())
-    }
-
-    /// The view that the user does something in: of those in the first context that have something to show over the
-    /// picture (see [`GuiEventHandler::shows_overlay`](super::GuiEventHandler::shows_overlay)), it is shown before others.
-    pub fn set_focus(&mut self, view: ViewId) -> Result<(), ViewerError> {
-        self.place_of(view)?;
-        self.focus = Some(view);
-        Ok(())
-    }
-
-    /// The view whose handlers lay out what lies over the first context: one at a time.
-    #[cfg(feature = "window")]
-    pub(super) fn overlay_view(&self) -> Option<ViewId> {
-        let first = self.contexts().next();
-        let shown = || self.views().filter(|(_, view)| view.context() == first && view.shows_overlay());
-        let focused = shown().find(|(id, _)| Some(*id) == self.focus);
-        focused.or_else(|| shown().next()).map(|(id, _)| id)
-    }
-
-    /// The egui context of the overlay, for a window's input.
-    #[cfg(feature = "window")]
-    pub fn overlay_context(&self) -> &egui::Context {
-        self.overlay.context()
     }
 
     /// The views, in the order added.
@@ -326,6 +281,12 @@ impl CompositeViewer {
         self.views.iter().any(View::is_done)
     }
 
+    /// For drawing on demand: false while another frame would show the same pictures; see
+    /// [`Viewer::check_need_to_do_frame`](super::Viewer::check_need_to_do_frame).
+    pub fn check_need_to_do_frame(&self) -> bool {
+        self.views.iter().any(|view| needs_frame(&self.base, view, &self.scenes[view.scene]))
+    }
+
     /// Adds a camera that goes with the master camera of a view.
     pub fn add_slave(&mut self, view: ViewId, slave: Slave) -> Result<SlaveId, ViewerError> {
         let place = self.place_of(view)?;
@@ -348,9 +309,7 @@ impl CompositeViewer {
         let mut frame = self.base.begin_frame(simulation_time_s)?;
         self.for_each_view(|mut view| view.event_traversal());
         #[cfg(feature = "window")]
-        if let Some(view) = self.overlay_view() {
-            self.actions(view)?.lay_out_overlay();
-        }
+        self.for_each_view(|mut view| view.lay_out_overlay());
         frame.end_events();
         for scene in &mut self.scenes {
             scene.update(&self.base.stamp);

@@ -8,6 +8,7 @@ use super::base::ViewerBase;
 use super::paged_scene::PagedScene;
 use super::rendering::Closed;
 use super::view::{ContextId, Place, Slave, SlaveId, View};
+use super::viewport::Viewport;
 use crate::gpu::{ContextTraits, GpuError, GraphicsContext, SurfaceAnswer};
 
 impl ViewerBase {
@@ -86,14 +87,11 @@ impl ViewerBase {
     }
 
     /// A camera in a context; all frames are drawn before.
-    pub(super) fn add_camera(
-        &mut self,
-        context: ContextId,
-        viewport_px: Option<[u32; 4]>,
-    ) -> Result<Place, ViewerError> {
+    pub(super) fn add_camera(&mut self, context: ContextId, viewport: Viewport) -> Result<Place, ViewerError> {
         self.absorb_all()?;
+        let context_px = self.rendering.size_px(context.0).ok_or(ViewerError::NoContext(context))?;
         let (camera, device) = self.rendering.add_camera(context.0).ok_or(ViewerError::NoContext(context))?;
-        Ok(Place { camera, context: context.0, device, viewport_px })
+        Ok(Place { camera, context: context.0, device, viewport, context_px })
     }
 
     pub(super) fn remove_camera(&mut self, camera: u32) -> Result<(), ViewerError> {
@@ -103,7 +101,7 @@ impl ViewerBase {
     }
 
     pub(super) fn add_slave(&mut self, view: &mut View, slave: Slave) -> Result<SlaveId, ViewerError> {
-        let place = self.add_camera(slave.context, slave.viewport_px)?;
+        let place = self.add_camera(slave.context, slave.viewport)?;
         Ok(view.push_slave(place, slave))
     }
 

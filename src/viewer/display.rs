@@ -31,14 +31,26 @@ fn named_display(is_x11: bool, said: impl Fn(&str) -> Option<String>) -> Option<
 /// The event loop; on X11 alone where the window opens in one of X11's.
 pub(super) fn event_loop(is_x11: bool) -> Result<EventLoop<()>, ViewerError> {
     // winit panics where a library that it loads at run time is missing.
-    let event_loop = std::panic::catch_unwind(|| new_event_loop(is_x11)).map_err(|_| {
-        let reason = "a window library is missing (Debian: libxkbcommon-x11-0)";
-        unreachable_display(is_x11, reason)
-    })?;
+    #[cfg(target_os = "linux")]
+    if let Some(library) = named_display(is_x11, said).and_then(|(name, _)| missing_library(name == "DISPLAY")) {
+        return Err(unreachable_display(is_x11, &format!("the keyboard library {library} is missing")));
+    }
+    let event_loop = std::panic::catch_unwind(|| new_event_loop(is_x11))
+        .map_err(|_| unreachable_display(is_x11, "the window system's libraries failed"))?;
     event_loop.map_err(|error| match error {
         EventLoopError::Os(error) => unreachable_display(is_x11, &reason_of(&error)),
         error => unreachable_display(is_x11, &error.to_string()),
     })
+}
+
+/// Of those that winit cannot do without, with the name of Debian's package.
+#[cfg(target_os = "linux")]
+fn missing_library(is_x11: bool) -> Option<&'static str> {
+    if xkbcommon_dl::xkbcommon_option().is_none() {
+        return Some("libxkbcommon (Debian: libxkbcommon0)");
+    }
+    let is_missing = is_x11 && xkbcommon_dl::x11::xkbcommon_x11_option().is_none();
+    is_missing.then_some("libxkbcommon-x11 (Debian: libxkbcommon-x11-0)")
 }
 
 fn new_event_loop(is_x11: bool) -> Result<EventLoop<()>, EventLoopError> {

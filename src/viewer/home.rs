@@ -136,9 +136,8 @@ impl SetBounds {
 
     /// The eye that sees all of the bounds, as large as they fit: from the south, 35 degrees above the horizon.
     pub fn home_camera(&self, camera: &Camera, size_px: [u32; 2]) -> DAffine3 {
-        let [width, height] = size_px.map(|side| f64::from(side.max(1)));
         let tan_y = (0.5 * camera.fovy(size_px)).tan();
-        let tan_x = tan_y * width / height;
+        let tan_x = tan_y * camera.aspect(size_px);
         let view = ViewFrom::default();
         let direction = self.frame.direction(view.heading, view.pitch);
         let (target, range_m) = if self.volume.is_none() {

@@ -190,7 +190,7 @@ impl View {
     /// View, projection and window matrices of the master camera.
     pub fn window_matrix(&self) -> WindowMatrix {
         let whole = WindowMatrix::new(&self.camera, self.size_px());
-        match self.master.and_then(|place| place.viewport_px) {
+        match self.master.and_then(|place| place.part_px()) {
             Some([x, y, ..]) => WindowMatrix { origin_px: DVec2::new(f64::from(x), f64::from(y)), ..whole },
             None => whole,
         }
@@ -248,12 +248,14 @@ impl View {
         self.input.redraw = true;
     }
 
-    /// True when something lies over the picture.
+    /// True when something lies over the picture: over the master camera's part of its window, in each view that has
+    /// something to show.
     pub fn shows_overlay(&self) -> bool {
         self.input.notice.is_some() || self.input.handlers.iter().flatten().any(|handler| handler.shows_overlay())
     }
 
-    /// The egui context of the overlay, for a window's input.
+    /// The egui context of the overlay, for a window's input; another one once a lost device was replaced. Places are those
+    /// of the window, in points.
     #[cfg(feature = "window")]
     pub fn overlay_context(&self) -> &egui::Context {
         self.input.overlay.context()
@@ -465,18 +467,21 @@ impl GuiActionAdapter<'_> {
         }
     }
 
-    /// After the events: what lies over the first context, where the view is in that.
+    /// After the events: what lies over the master camera's picture.
     #[cfg(feature = "window")]
     pub(super) fn lay_out_overlay(&mut self) {
         let input = self.view.input.overlay_input.take();
-        let first = self.base.rendering.context_ids().next();
-        if !self.shows_overlay() || self.view.context() != first.map(super::view::ContextId) {
+        let Some(place) = self.view.master.filter(|_| self.shows_overlay()) else { return };
+        let Some(size_px @ [width, height]) = self.base.rendering.size_px(place.context) else { return };
+        let [x, y, wide, high] = place.viewport.part_px(size_px).unwrap_or([0, 0, width, height]);
+        // What of it is in the window.
+        let part_px = [x, y, wide.min(width.saturating_sub(x)), high.min(height.saturating_sub(y))];
+        if part_px[2] == 0 || part_px[3] == 0 {
             return;
         }
-        let Some(size_px) = first.and_then(|first| self.base.rendering.size_px(first)) else { return };
         let (input, pixels_per_point) = input.unwrap_or((egui::RawInput::default(), 1.0));
         let mut overlay = self.view.input.overlay.clone();
-        let paint = overlay.lay_out(input, size_px, pixels_per_point, |ui| {
+        let paint = overlay.lay_out(input, part_px, size_px, pixels_per_point, |ui| {
             for place in 0..self.view.input.handlers.len() {
                 self.with_handler(place, |handler, viewer| {
                     if handler.shows_overlay() {
@@ -488,6 +493,6 @@ impl GuiActionAdapter<'_> {
                 super::overlay::notice(ui, text);
             }
         });
-        self.base.set_overlay(paint);
+        self.base.set_overlay(place.context, paint);
     }
 }

@@ -22,6 +22,10 @@ mod look_ahead;
 pub mod manipulators;
 #[cfg(feature = "window")]
 mod overlay;
+#[cfg(feature = "window")]
+mod overlay_input;
+#[cfg(feature = "window")]
+mod pace;
 mod paged_scene;
 #[cfg(feature = "window")]
 mod parent;
@@ -33,6 +37,7 @@ mod stats;
 mod view;
 #[expect(clippy::module_inception, reason = "the viewer's own file; the others are its parts")]
 mod viewer;
+mod viewport;
 mod views_file;
 mod views_setup;
 #[cfg(feature = "window")]
@@ -48,7 +53,7 @@ mod window_open;
 pub use arrangement::{
     Arrangement, ArrangementError, CONFIG_FILE_VARIABLE, CameraSetup, SCREEN_VARIABLE, WINDOW_VARIABLE, WindowSetup,
 };
-pub use camera::{Camera, FieldOfView, world_from_eye};
+pub use camera::{Camera, FieldOfView, ResizePolicy, world_from_eye};
 pub use camera_path::{AnimationPath, ControlPoint, LoopMode, PathError};
 pub use composite::{CompositeViewer, SceneId, ViewId};
 #[cfg(feature = "window")]
@@ -71,6 +76,7 @@ pub use report::{Bytes, DrawMedians, FrameTimes, Images, Phases, Report, ReportE
 pub use stats::{FrameStats, Samples, StatsHistory};
 pub use view::{ContextId, Eyes, Slave, SlaveId, View};
 pub use viewer::{FrameStamp, UpdateCallback, Viewer, ViewerConfig};
+pub use viewport::Viewport;
 pub use views_setup::{ArrangedViews, SceneSetup, ViewCamera, ViewSetup, ViewsSetup};
 #[cfg(feature = "window")]
 pub use views_window::{EachFrame, OnViewsOpen, ViewsOptions, run_views};
@@ -134,6 +140,14 @@ pub enum ViewerError {
         /// Which, with the variable that names it.
         display: String,
         /// The window system's reason.
+        reason: String,
+    },
+    /// A window cannot open in another one.
+    #[error("no window opens in a window of {system}: {reason}")]
+    ParentWindow {
+        /// The window system of the other one.
+        system: &'static str,
+        /// Why not.
         reason: String,
     },
     /// The window system refused.

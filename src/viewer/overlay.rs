@@ -1,16 +1,26 @@
-//! What lies over the picture, painted with egui: whatever handlers lay out, and notices.
+//! What lies over the picture of a view, painted with egui: whatever handlers lay out, and notices.
 //!
-//! The layout runs on the main thread in the event phase ([`Overlay::lay_out`]); what it gives is a list of
-//! triangles that goes to the draw thread with the frame ([`OverlayPainter::paint`]).
+//! Each view has an [`Overlay`], which lies over its master camera's part of the window. The layout runs on the main thread
+//! in the event phase ([`Overlay::lay_out`]); what it gives is a list of triangles that goes to the draw thread with the
+//! frame ([`OverlayPainter::paint`]).
+
+use std::sync::{Arc, Weak};
 
 /// Triangles and texture changes of one overlay picture; used once, in order.
 pub struct OverlayPaint {
+    /// The overlay that it is a picture of.
+    of: Weak<()>,
     primitives: Vec<egui::ClippedPrimitive>,
     textures: egui::TexturesDelta,
     screen: egui_wgpu::ScreenDescriptor,
 }
 
 impl OverlayPaint {
+    /// True where both are pictures of one overlay.
+    pub(super) fn is_same_overlay(&self, other: &Self) -> bool {
+        self.of.ptr_eq(&other.of)
+    }
+
     /// Takes over the texture changes of a picture that was never painted.
     pub(super) fn after(mut self, unpainted: Option<Self>) -> Self {
         if let Some(mut earlier) = unpainted {
@@ -29,10 +39,22 @@ impl Drop for OverlayPaint {
     }
 }
 
-/// Lays overlays out; clones share what egui keeps.
-#[derive(Clone, Default)]
+/// Lays overlays out; clones share what egui keeps. Its textures are numbered on their own and uploaded once: one that is
+/// to be painted on another device is made anew.
+#[derive(Clone)]
 pub struct Overlay {
     context: egui::Context,
+    /// Alive as long as there is anything to paint for.
+    life: Arc<()>,
+}
+
+impl Default for Overlay {
+    fn default() -> Self {
+        let context = egui::Context::default();
+        // A drag on text moves what it is in.
+        context.all_styles_mut(|style| style.interaction.selectable_labels = false);
+        Self { context, life: Arc::default() }
+    }
 }
 
 impl Overlay {
@@ -41,19 +63,21 @@ impl Overlay {
         &self.context
     }
 
-    /// Lays one picture out.
+    /// Lays one picture out in a part (x, y, width and height, pixels) of a window of a size. Places are the window's.
     pub fn lay_out(
         &mut self,
         mut input: egui::RawInput,
+        part_px: [u32; 4],
         size_px: [u32; 2],
         pixels_per_point: f32,
         mut show: impl FnMut(&egui::Context),
     ) -> OverlayPaint {
-        let size_points = egui::vec2(size_px[0] as f32, size_px[1] as f32) / pixels_per_point;
-        input.screen_rect = Some(egui::Rect::from_min_size(egui::Pos2::ZERO, size_points));
+        let [x, y, width, height] = part_px.map(|v| v as f32 / pixels_per_point);
+        input.screen_rect = Some(egui::Rect::from_min_size(egui::pos2(x, y), egui::vec2(width, height)));
         self.context.set_pixels_per_point(pixels_per_point);
         let output = self.context.run_ui(input, |ui| show(ui.ctx()));
         OverlayPaint {
+            of: Arc::downgrade(&self.life),
             primitives: self.context.tessellate(output.shapes, output.pixels_per_point),
             textures: output.textures_delta,
             screen: egui_wgpu::ScreenDescriptor { size_in_pixels: size_px, pixels_per_point },
@@ -73,15 +97,29 @@ pub(super) fn notice(ui: &egui::Context, text: &str) {
             });
         });
 }
-/// Paints overlays on the thread that owns the context; keeps egui's textures and buffers.
+
+/// Paints one overlay on the thread that owns the context; keeps egui's textures and buffers.
 pub struct OverlayPainter {
+    of: Weak<()>,
     renderer: egui_wgpu::Renderer,
 }
 
 impl OverlayPainter {
-    /// A painter for targets of a format.
-    pub fn new(device: &wgpu::Device, format: wgpu::TextureFormat) -> Self {
-        Self { renderer: egui_wgpu::Renderer::new(device, format, egui_wgpu::RendererOptions::default()) }
+    /// The painter of a picture's overlay for targets of a format; those of overlays that are gone are dropped.
+    pub fn of<'a>(
+        painters: &'a mut Vec<Self>,
+        paint: &OverlayPaint,
+        device: &wgpu::Device,
+        format: wgpu::TextureFormat,
+    ) -> &'a mut Self {
+        painters.retain(|painter| painter.of.strong_count() > 0 || painter.of.ptr_eq(&paint.of));
+        let known = painters.iter().position(|painter| painter.of.ptr_eq(&paint.of));
+        let place = known.unwrap_or_else(|| {
+            let renderer = egui_wgpu::Renderer::new(device, format, egui_wgpu::RendererOptions::default());
+            painters.push(Self { of: paint.of.clone(), renderer });
+            painters.len() - 1
+        });
+        &mut painters[place]
     }
 
     /// Paints over a picture and submits; without a picture (a hidden window) only keeps the textures.

@@ -11,6 +11,7 @@ use super::input::Input;
 use super::look_ahead::LookAhead;
 use super::paged_scene::PagedScene;
 use super::rendering::{CullTask, Lens, Rendering, Sight};
+use super::viewport::Viewport;
 use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo};
 use crate::draw::Environment;
 use crate::scene::{Attachment, CameraTarget, Inherit};
@@ -43,8 +44,8 @@ pub enum Eyes {
 pub struct Slave {
     /// Where it is drawn.
     pub context: ContextId,
-    /// x, y, width and height in pixels of the context, origin upper left; `None`: all of it.
-    pub viewport_px: Option<[u32; 4]>,
+    /// Which part of that.
+    pub viewport: Viewport,
     /// Applied to the master's clip space: a shift of 2 in x shows what is beside the master's picture.
     pub projection_offset: DMat4,
     /// Applied to the master's eye space: from the master's eye to the slave's.
@@ -62,7 +63,7 @@ impl Slave {
     pub fn new(context: ContextId) -> Self {
         Self {
             context,
-            viewport_px: None,
+            viewport: Viewport::Whole,
             projection_offset: DMat4::IDENTITY,
             view_offset: DAffine3::IDENTITY,
             eyes: Eyes::Both,
@@ -80,7 +81,16 @@ pub(super) struct Place {
     pub(super) context: u32,
     /// Number of the context's device, by which slots are known.
     pub(super) device: u32,
-    pub(super) viewport_px: Option<[u32; 4]>,
+    pub(super) viewport: Viewport,
+    /// Size of the context, as it was last looked at.
+    pub(super) context_px: [u32; 2],
+}
+
+impl Place {
+    /// Which part of the context it is, `None`: all of it.
+    pub(super) fn part_px(&self) -> Option<[u32; 4]> {
+        self.viewport.part_px(self.context_px)
+    }
 }
 
 struct SlaveCamera {
@@ -90,6 +100,8 @@ struct SlaveCamera {
     device: u32,
     /// Of its picture.
     size_px: [u32; 2],
+    /// Of its context.
+    context_px: [u32; 2],
     slave: Slave,
     /// What its eyes' pictures are drawn into; made anew when their size changes.
     targets: Option<[Arc<CameraTarget>; 2]>,
@@ -150,10 +162,10 @@ impl View {
         self.master.map(|place| ContextId(place.context))
     }
 
-    /// Part of the context that the master camera has: x, y, width and height; `None`: all of it.
-    pub fn set_viewport_px(&mut self, viewport_px: Option<[u32; 4]>) {
+    /// Part of the context that the master camera has.
+    pub fn set_viewport(&mut self, viewport: impl Into<Viewport>) {
         if let Some(place) = &mut self.master {
-            place.viewport_px = viewport_px;
+            place.viewport = viewport.into();
         }
     }
 
@@ -181,8 +193,9 @@ impl View {
 
     /// Adds a slave whose camera was made.
     pub(super) fn push_slave(&mut self, place: Place, slave: Slave) -> SlaveId {
-        let Place { camera, device, .. } = place;
-        self.slaves.push(SlaveCamera { camera, device, size_px: self.size_px, slave, targets: None });
+        let Place { camera, device, context_px, .. } = place;
+        let size_px = slave.viewport.picture_px(context_px);
+        self.slaves.push(SlaveCamera { camera, device, size_px, context_px, slave, targets: None });
         SlaveId(camera)
     }
 
@@ -217,18 +230,18 @@ impl View {
 
     /// What follows from contexts and camera, before it is culled.
     pub(super) fn prepare(&mut self, rendering: &Rendering, bounds: Option<&SetBounds>) {
-        let size_in = |context, viewport: Option<[u32; 4]>| match viewport {
-            Some([_, _, width, height]) => Some([width.max(1), height.max(1)]),
-            None => rendering.size_px(context),
-        };
-        let size_px = self.master.and_then(|place| size_in(place.context, place.viewport_px)).unwrap_or(self.size_px);
+        if let Some(place) = &mut self.master {
+            place.context_px = rendering.size_px(place.context).unwrap_or(place.context_px);
+        }
+        let size_px = self.master.map_or(self.size_px, |place| place.viewport.picture_px(place.context_px));
         if self.size_px != size_px {
             self.size_px = size_px;
             self.targets = None;
             self.input.resized(size_px);
         }
         for s in &mut self.slaves {
-            let of_slave = size_in(s.slave.context.0, s.slave.viewport_px).unwrap_or(size_px);
+            s.context_px = rendering.size_px(s.slave.context.0).unwrap_or(s.context_px);
+            let of_slave = s.slave.viewport.picture_px(s.context_px);
             if s.size_px != of_slave {
                 s.size_px = of_slave;
                 s.targets = None;
@@ -282,11 +295,9 @@ impl View {
         let master = |device| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, device) };
         let lens = Lens { camera: self.camera, size_px: self.size_px, offset: DMat4::IDENTITY };
         let (camera, lens, sight, viewport_px) = match self.master.filter(|place| place.camera == camera) {
-            Some(place) => {
-                (master(place.device), lens, self.sight(self.eyes, self.targets.as_ref()), place.viewport_px)
-            }
+            Some(place) => (master(place.device), lens, self.sight(self.eyes, self.targets.as_ref()), place.part_px()),
             None => {
-                let SlaveCamera { size_px, slave, device, targets, .. } =
+                let SlaveCamera { size_px, context_px, slave, device, targets, .. } =
                     self.slaves.iter().find(|s| s.camera == camera)?;
                 let offset = slave.projection_offset;
                 let lens = Lens { offset: if offset.is_finite() { offset } else { DMat4::IDENTITY }, ..lens };
@@ -300,7 +311,7 @@ impl View {
                     settings: slave.settings.inheriting(&above.settings, slave.inherit),
                     ..above
                 };
-                (camera, lens, self.sight(slave.eyes, targets.as_ref()), slave.viewport_px)
+                (camera, lens, self.sight(slave.eyes, targets.as_ref()), slave.viewport.part_px(*context_px))
             }
         };
         Some(CullTask {

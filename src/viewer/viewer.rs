@@ -16,6 +16,7 @@ use super::paged_scene::PagedScene;
 use super::rendering::ThreadingModel;
 use super::stats::StatsHistory;
 use super::view::{ContextId, Slave, SlaveId, View};
+use super::viewport::Viewport;
 use crate::cull::{CullSettings, Stereo};
 use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence, PagerConfig};
@@ -177,7 +178,7 @@ impl Viewer {
         let mut base = ViewerBase::new(config)?;
         let context = base.open_context(context, &mut [])?;
         let mut view = View::new(0, config.cull_settings(), config.size_px, config.samples);
-        view.master = Some(base.add_camera(context, None)?);
+        view.master = Some(base.add_camera(context, Viewport::Whole)?);
         view.set_stereo(config.stereo);
         let paged = PagedScene::new(0, config.pager.clone(), config.keep_drawables);
         let compile_budget = config.compile_budget;
@@ -465,10 +466,10 @@ impl Viewer {
         needs_frame(&self.base, &self.view, &self.paged)
     }
 
-    /// Paints an overlay over the next frame, in the first context.
+    /// Paints an overlay over the next frame, in the context that the viewer was made with.
     #[cfg(feature = "window")]
     pub fn set_overlay(&mut self, paint: super::overlay::OverlayPaint) {
-        self.base.set_overlay(paint);
+        self.base.set_overlay(self.context.0, paint);
     }
 
     /// The next frame's picture is read back; see [`Self::take_pictures`].

@@ -4,9 +4,9 @@
 //! { "windows": [ { "size_px": [1280, 480] }, { "shares_device": true } ],
 //!   "scenes": { "before": "sets/1990", "after": "https://host/2020/tileset.json" },
 //!   "views": [
-//!     { "scene": "before", "cameras": [ { "viewport_px": [0, 0, 640, 480] } ] },
+//!     { "scene": "before", "cameras": [ { "viewport": [0, 0, 0.5, 1] } ] },
 //!     { "scene": "after", "heading_deg": 20, "pitch_deg": -60, "range_m": 5000, "background": [0, 0, 40],
-//!       "cameras": [ { "viewport_px": [640, 0, 640, 480] }, { "window": 1, "shift": [1, 0] } ] },
+//!       "cameras": [ { "viewport": [0.5, 0, 0.5, 1], "resize": "HORIZONTAL" }, { "window": 1, "shift": [1, 0] } ] },
 //!     { "cameras": [ { "window": 1, "viewport_px": [0, 0, 200, 200] } ] } ] }
 //! ```
 //! A file with `views` has no `cameras` in its windows: those of the views are drawn in them, in the order of the views.
@@ -121,6 +121,7 @@ mod tests {
     use glam::DMat4;
 
     use super::super::arrangement::{Arrangement, ArrangementError, CameraSetup};
+    use super::super::viewport::Viewport;
     use super::*;
 
     fn read(text: &str) -> Result<ViewsSetup, ArrangementError> {
@@ -161,8 +162,8 @@ mod tests {
         assert_eq!((from.heading, from.pitch), (std::f64::consts::FRAC_PI_2, ViewFrom::default().pitch));
         assert_eq!(third.from.unwrap().range_m, Some(10.0));
         let [master, slave] = &rich.cameras[..] else { panic!("{rich:?}") };
-        assert_eq!((master.window, master.camera.viewport_px), (1, Some([1, 2, 3, 4])));
-        assert_eq!((slave.window, slave.camera.viewport_px), (0, None));
+        assert_eq!((master.window, master.camera.viewport), (1, Viewport::Pixels([1, 2, 3, 4])));
+        assert_eq!((slave.window, slave.camera.viewport), (0, Viewport::Whole));
         assert_ne!(slave.camera.projection_offset, DMat4::IDENTITY);
         assert_eq!(CameraSetup { eyes: master.camera.eyes, ..CameraSetup::default() }.eyes, master.camera.eyes);
     }

@@ -149,10 +149,13 @@ fn add_view(
     let scene = setup.scene.map_or(own, |place| scenes.get(place).copied()).ok_or_else(|| missing("scene"))?;
     let context = |camera: &ViewCamera| contexts.get(camera.window).copied().ok_or_else(|| missing("window"));
     let (master, slaves) = setup.cameras.split_first().ok_or_else(|| missing("camera"))?;
-    let id = viewer.add_view(scene, context(master)?, master.camera.viewport_px)?;
+    let id = viewer.add_view(scene, context(master)?, master.camera.viewport)?;
     let bounds = viewer.bounds(scene)?.copied();
     let view = viewer.view_mut(id)?;
     view.set_eyes(master.camera.eyes);
+    if let Some(policy) = master.camera.resize {
+        view.camera.set_resize_policy(policy, view.size_px());
+    }
     if let (Some(bounds), Some(from)) = (bounds, &setup.from) {
         view.camera.world_from_eye = bounds.first_camera(from);
     }
@@ -161,8 +164,8 @@ fn add_view(
         view.environment.fog.enabled = false;
     }
     for slave in slaves {
-        let CameraSetup { viewport_px, projection_offset, view_offset, eyes } = slave.camera;
-        let slave = Slave { viewport_px, projection_offset, view_offset, eyes, ..Slave::new(context(slave)?) };
+        let CameraSetup { viewport, projection_offset, view_offset, eyes, .. } = slave.camera;
+        let slave = Slave { viewport, projection_offset, view_offset, eyes, ..Slave::new(context(slave)?) };
         viewer.add_slave(id, slave)?;
     }
     Ok(id)

@@ -3,11 +3,10 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 use glam::DVec2;
 use winit::application::ApplicationHandler;
-use winit::event::{ElementState, TouchPhase, WindowEvent};
+use winit::event::{ElementState, StartCause, TouchPhase, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow};
 use winit::window::{Window, WindowId};
 
@@ -18,6 +17,8 @@ use super::handlers::{self, StatsPage};
 use super::home::LoadedRoot;
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
+use super::overlay_input::OverlayInput;
+use super::pace::Pace;
 use super::view::ContextId;
 use super::viewer::ViewerConfig;
 use super::views_setup::{ArrangedViews, ViewsSetup};
@@ -43,6 +44,8 @@ pub struct ViewsOptions {
     pub on_open: OnViewsOpen,
     /// The user moves the cameras, by what [`Self::on_open`] has set or the [usual](manipulators::usual) manipulators.
     pub manipulated: bool,
+    /// Draw only what [`CompositeViewer::check_need_to_do_frame`] asks for.
+    pub on_demand: bool,
     /// Frames a second at most; the time that is left goes to what the pagers have.
     pub max_frame_rate: Option<f64>,
     /// Called before each frame; returning false closes the windows.
@@ -60,6 +63,7 @@ impl Default for ViewsOptions {
             root: None,
             on_open: Box::new(|_| Ok(())),
             manipulated: true,
+            on_demand: false,
             max_frame_rate: None,
             before_frame: Box::new(|_| Ok(true)),
             after_frame: Box::new(|_| Ok(true)),
@@ -70,8 +74,8 @@ impl Default for ViewsOptions {
 /// Opens the windows of several views and runs them until the first is closed or a view wants an end; another that is
 /// closed takes its cameras along. Returns the viewer. Main thread only.
 ///
-/// Events of the pointer go to the view under it, also when a button is held and it leaves; so do keys. What handlers show
-/// over the picture lies over the first window, of one view at a time: the one last clicked or typed into, before others.
+/// Events of the pointer go to the view under it, also when a button is held and it leaves; so do keys. What a view's
+/// handlers show lies over that view, in whichever window its master camera is.
 pub fn run_views(
     config: ViewerConfig,
     setup: ViewsSetup,
@@ -108,13 +112,14 @@ struct OpenWindow {
     grabbed: Option<(ViewId, u32)>,
     /// Fingers that are down, and their views.
     fingers: Vec<(u64, ViewId)>,
+    /// Of its views.
+    overlays: Vec<(ViewId, OverlayInput)>,
 }
 
 /// Everything that exists while the windows do. The viewer is dropped before them.
 struct Open {
     viewer: CompositeViewer,
-    egui: egui_winit::State,
-    last_frame: Instant,
+    pace: Pace,
     /// The first runs the frames.
     windows: Vec<OpenWindow>,
 }
@@ -132,8 +137,14 @@ impl App {
                 Some(first) => viewer.open_window_on(first.context, Arc::clone(&window), &traits)?,
                 None => viewer.open_context(GraphicsContext::new_window(Arc::clone(&window), &traits)?)?,
             };
-            let pointer_px = DVec2::ZERO;
-            windows.push(OpenWindow { window, context, pointer_px, grabbed: None, fingers: Vec::new() });
+            windows.push(OpenWindow {
+                window,
+                context,
+                pointer_px: DVec2::ZERO,
+                grabbed: None,
+                fingers: Vec::new(),
+                overlays: Vec::new(),
+            });
             Ok(context)
         })?;
         let on_open = std::mem::replace(&mut self.options.on_open, Box::new(|_| Ok(())));
@@ -155,18 +166,11 @@ impl App {
                 view.set_manipulator(Some(Box::new(manipulators::usual(None))));
             }
         }
-        let Some(window) = windows.first().map(|first| Arc::clone(&first.window)) else {
+        if windows.is_empty() {
             return Err(ViewerError::Window("an arrangement without windows".to_owned()));
-        };
-        let egui = egui_winit::State::new(
-            viewer.overlay_context().clone(),
-            egui::ViewportId::ROOT,
-            &window,
-            Some(window.scale_factor() as f32),
-            None,
-            None,
-        );
-        Ok(Open { viewer, egui, last_frame: Instant::now(), windows })
+        }
+        let pace = Pace::new(self.options.on_demand, self.options.max_frame_rate);
+        Ok(Open { viewer, pace, windows })
     }
 
     fn handle(
@@ -182,27 +186,26 @@ impl App {
         match event {
             WindowEvent::RedrawRequested if place == 0 => {
                 if open.frame(&mut self.options)? {
-                    if let Some(rate) = self.options.max_frame_rate.filter(|rate| *rate > 0.0) {
-                        // A rate of less than one a second would keep events waiting.
-                        let due = open.last_frame + Duration::from_secs_f64(1.0 / rate.max(1.0));
-                        open.viewer.work_until(due);
-                    }
-                    open.windows[0].window.request_redraw();
+                    open.plan_next(event_loop);
                 } else {
                     event_loop.exit();
                 }
-                Ok(())
+                return Ok(());
             }
             WindowEvent::Destroyed if place == 0 => {
                 event_loop.exit();
-                Ok(())
+                return Ok(());
             }
             WindowEvent::Resized(size) => {
-                open.viewer.resize_context(open.windows[place].context, [size.width, size.height])
+                open.viewer.resize_context(open.windows[place].context, [size.width, size.height])?;
             }
-            WindowEvent::CloseRequested if place > 0 => open.close(place),
-            event => open.feed(place, event),
+            WindowEvent::CloseRequested if place > 0 => open.close(place)?,
+            event => open.feed(place, event)?,
         }
+        if open.pace.is_on_demand() {
+            open.windows[0].window.request_redraw();
+        }
+        Ok(())
     }
 }
 
@@ -220,6 +223,20 @@ impl ApplicationHandler for App {
                 self.error = Some(error);
                 event_loop.exit();
             }
+        }
+    }
+
+    fn new_events(&mut self, _: &ActiveEventLoop, cause: StartCause) {
+        if let Some(open) = &self.open
+            && open.pace.wakes_for_frame(cause, || open.viewer.check_need_to_do_frame())
+        {
+            open.windows[0].window.request_redraw();
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if let Some(open) = &self.open {
+            open.pace.rest(event_loop);
         }
     }
 
@@ -241,6 +258,15 @@ impl ApplicationHandler for App {
     }
 }
 
+fn overlay_of(overlays: &mut Vec<(ViewId, OverlayInput)>, view: ViewId) -> &mut OverlayInput {
+    let known = overlays.iter().position(|(of, _)| *of == view);
+    let place = known.unwrap_or_else(|| {
+        overlays.push((view, OverlayInput::default()));
+        overlays.len() - 1
+    });
+    &mut overlays[place].1
+}
+
 impl Open {
     /// Closes a window that is not the first, with the views whose master cameras are in it.
     fn close(&mut self, place: usize) -> Result<(), ViewerError> {
@@ -256,32 +282,24 @@ impl Open {
         for window in &mut self.windows {
             window.grabbed = window.grabbed.filter(|(view, _)| is_there(view, &self.viewer));
             window.fingers.retain(|(_, view)| is_there(view, &self.viewer));
+            window.overlays.retain(|(view, _)| is_there(view, &self.viewer));
         }
         Ok(())
     }
 
     /// Gives an event to the view that it is for.
     fn feed(&mut self, place: usize, event: &WindowEvent) -> Result<(), ViewerError> {
-        // What the overlay's windows take does not reach a view; what comes up does, since it may have gone down there.
-        let is_press = match event {
-            WindowEvent::MouseInput { state, .. } => state.is_pressed(),
-            WindowEvent::MouseWheel { .. } => true,
-            WindowEvent::Touch(touch) => touch.phase == TouchPhase::Started,
-            _ => false,
-        };
-        let Open { viewer, egui, windows, .. } = self;
+        let Open { viewer, windows, .. } = self;
         let window = &mut windows[place];
-        let is_overlaid = place == 0 && viewer.overlay_view().is_some();
-        if is_overlaid && egui.on_window_event(&window.window, event).consumed && is_press {
-            return Ok(());
-        }
         let here = || viewer.views().filter(|(_, view)| view.context() == Some(window.context));
         let at = |position_px: DVec2| viewer.view_at(window.context, position_px).map(|(view, _)| view);
         let for_view = match event {
             WindowEvent::CloseRequested | WindowEvent::Focused(_) | WindowEvent::ModifiersChanged(_) => {
                 let ids: Vec<ViewId> = here().map(|(id, _)| id).collect();
                 for id in ids {
-                    window_events::feed(viewer.view_mut(id)?.event_queue(), event, DVec2::ZERO);
+                    let view = viewer.view_mut(id)?;
+                    overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
+                    window_events::feed(view.event_queue(), event, DVec2::ZERO);
                 }
                 return Ok(());
             }
@@ -310,25 +328,28 @@ impl Open {
             _ => at(window.pointer_px).or_else(|| here().next().map(|(id, _)| id)),
         };
         let Some(id) = for_view else { return Ok(()) };
-        let is_key = matches!(event, WindowEvent::KeyboardInput { .. });
         let view = viewer.view_mut(id)?;
-        let origin_px = view.window_matrix().origin_px;
-        window_events::feed(view.event_queue(), event, origin_px);
-        if is_press || is_key {
-            viewer.set_focus(id)?;
+        let is_taken = overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
+        // What lies over a view keeps presses from it; what comes up reaches it, since it may have gone down there.
+        if !(is_taken && window_events::is_press(event)) {
+            let origin_px = view.window_matrix().origin_px;
+            window_events::feed(view.event_queue(), event, origin_px);
         }
         Ok(())
     }
 
     /// One frame; false when it was the last.
     fn frame(&mut self, options: &mut ViewsOptions) -> Result<bool, ViewerError> {
-        self.last_frame = Instant::now();
+        self.pace.begin_frame();
         if !(options.before_frame)(&mut self.viewer)? {
             return Ok(false);
         }
-        if let (Some(view), Some(first)) = (self.viewer.overlay_view(), self.windows.first()) {
-            let input = self.egui.take_egui_input(&first.window);
-            self.viewer.view_mut(view)?.set_overlay_input(input, first.window.scale_factor() as f32);
+        let ids: Vec<ViewId> = self.viewer.views().map(|(id, _)| id).collect();
+        for id in ids {
+            let view = self.viewer.view_mut(id)?;
+            if let Some(window) = self.windows.iter_mut().find(|of| Some(of.context) == view.context()) {
+                overlay_of(&mut window.overlays, id).hand_over(view, &window.window);
+            }
         }
         self.viewer.frame()?;
         if !(options.after_frame)(&mut self.viewer)? {
@@ -345,6 +366,16 @@ impl Open {
             }
         }
         Ok(!self.viewer.is_done())
+    }
+
+    /// When the next frame comes.
+    fn plan_next(&mut self, event_loop: &ActiveEventLoop) {
+        if let Some(due) = self.pace.next_frame_at() {
+            self.viewer.work_until(due);
+        }
+        if self.pace.plan_next(event_loop, self.viewer.check_need_to_do_frame()) {
+            self.windows[0].window.request_redraw();
+        }
     }
 
     fn obey(&mut self, place: usize, command: WindowCommand) -> Result<(), ViewerError> {

@@ -3,7 +3,6 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DMat4, DVec2};
 use winit::application::ApplicationHandler;
@@ -18,8 +17,10 @@ use super::display;
 use super::handlers::{self, StatsPage};
 use super::input::WindowCommand;
 use super::manipulators::{self, SceneGround};
+use super::overlay_input::OverlayInput;
+use super::pace::Pace;
 use super::parent::{Followed, ParentChange, ParentWindow};
-use super::view::{ContextId, Eyes};
+use super::view::ContextId;
 use super::viewer::{Viewer, ViewerConfig};
 use super::{window_events, window_open};
 
@@ -29,11 +30,6 @@ pub type OnOpen = Box<dyn FnOnce(&mut Viewer) -> Result<(), ViewerError>>;
 pub type BeforeFrame = Box<dyn FnMut(&mut Viewer) -> Result<bool, ViewerError>>;
 /// Called after each frame.
 pub type AfterFrame = Box<dyn FnMut(&mut Viewer) -> Result<(), ViewerError>>;
-
-/// While nothing moves, a window that draws on demand looks so often whether something came from elsewhere.
-const IDLE_POLL: Duration = Duration::from_millis(30);
-/// And draws a frame so often nevertheless.
-const IDLE_FRAME: Duration = Duration::from_secs(1);
 
 /// Another window, all of which a slave camera has. Closed, it takes its camera along and the rest goes on.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,7 +60,7 @@ pub struct WindowOptions {
     pub output_dir: PathBuf,
     /// Which windows open. Where the application has slaves of its own, what the environment says does not count.
     pub arrangement: Arrangement,
-    /// The window opens in one of another toolkit or program, fills it and ends with it, whatever is arranged; under X11.
+    /// The window opens in one of another toolkit or program and ends with it, whatever is arranged. Under X11 it fills it.
     pub parent: Option<ParentWindow>,
     /// More windows, each with a context of its own.
     pub slaves: Vec<SlaveWindow>,
@@ -140,8 +136,8 @@ struct App {
 /// Everything that exists while the window does. The viewer is dropped before the window.
 struct Open {
     viewer: Viewer,
-    egui: egui_winit::State,
-    last_frame: Instant,
+    overlay: OverlayInput,
+    pace: Pace,
     window: Arc<Window>,
     slaves: Vec<(Arc<Window>, ContextId)>,
     /// The window that the first one fills.
@@ -155,10 +151,12 @@ impl App {
         let Some((first, beside)) = setups.split_first() else {
             return Err(ViewerError::Window("an arrangement without windows".to_owned()));
         };
-        let (title, size_px) = (&self.options.title, self.config.size_px);
-        let parent = self.options.parent.map(|parent| Followed::new(parent).map(|of| (parent, of))).transpose()?;
+        let (title, size_px) = (self.options.title.clone(), self.config.size_px);
+        let title = &title;
+        let followed = |parent| Followed::new(&parent, size_px).map(|of| (parent, of));
+        let parent = self.options.parent.take().map(followed).transpose()?;
         let window = match &parent {
-            Some((parent, followed)) => window_open::create_in(event_loop, *parent, title, followed.size_px)?,
+            Some((parent, followed)) => window_open::create_in(event_loop, parent, title, followed.size_px)?,
             None => window_open::create(event_loop, first, 0, title, size_px)?,
         };
         self.config.size_px = window_open::size_of(&window);
@@ -169,10 +167,9 @@ impl App {
         let on_open = std::mem::replace(&mut self.options.on_open, Box::new(|_| Ok(())));
         on_open(&mut viewer)?;
         let (master, others) = first.cameras.split_first().map_or((None, &[][..]), |(m, o)| (Some(m), o));
-        if let Some(viewport_px) = master.and_then(|master| master.viewport_px) {
-            viewer.set_viewport_px(Some(viewport_px));
+        if let Some(master) = master {
+            window_open::set_master(&mut viewer, master, self.config.size_px);
         }
-        viewer.set_eyes(master.map_or(Eyes::Both, |master| master.eyes));
         if let Some(context) = viewer.context() {
             window_open::add_slaves(&mut viewer, context, others)?;
         }
@@ -191,16 +188,9 @@ impl App {
             viewer.set_manipulator(Some(Box::new(manipulators::usual(self.options.path.take()))));
             viewer.notify("H shows the keys");
         }
-        let egui = egui_winit::State::new(
-            viewer.overlay_context().clone(),
-            egui::ViewportId::ROOT,
-            &window,
-            Some(window.scale_factor() as f32),
-            None,
-            None,
-        );
         let parent = parent.map(|(_, followed)| followed);
-        Ok(Open { viewer, egui, last_frame: Instant::now(), window, slaves, parent })
+        let pace = Pace::new(self.options.on_demand, self.options.max_frame_rate);
+        Ok(Open { viewer, overlay: OverlayInput::default(), pace, window, slaves, parent })
     }
 
     fn fail(&mut self, event_loop: &ActiveEventLoop, error: ViewerError) {
@@ -230,7 +220,7 @@ impl App {
         match event {
             WindowEvent::RedrawRequested => {
                 if open.frame(&mut self.options)? {
-                    open.plan_next(event_loop, &self.options);
+                    open.plan_next(event_loop);
                 } else {
                     event_loop.exit();
                 }
@@ -243,23 +233,17 @@ impl App {
             }
             WindowEvent::MouseInput { state, .. } if state.is_pressed() => {
                 if let Some(parent) = &open.parent {
-                    parent.focus(ParentWindow::of(&open.window)?);
+                    parent.focus(&ParentWindow::of(Arc::clone(&open.window))?);
                 }
             }
             _ => {}
         }
-        let taken = open.viewer.shows_overlay() && open.egui.on_window_event(&open.window, event).consumed;
-        // What the overlay's windows take does not reach the scene; what comes up does, since it may have gone down there.
-        let is_press = match event {
-            WindowEvent::MouseInput { state, .. } => state.is_pressed(),
-            WindowEvent::MouseWheel { .. } => true,
-            WindowEvent::Touch(touch) => touch.phase == winit::event::TouchPhase::Started,
-            _ => false,
-        };
-        if !(taken && is_press) {
+        let taken = open.overlay.feed(&open.viewer, &open.window, event);
+        // What the overlay takes does not reach the scene; what comes up does, since it may have gone down there.
+        if !(taken && window_events::is_press(event)) {
             window_events::feed(open.viewer.event_queue(), event, DVec2::ZERO);
         }
-        if self.options.on_demand {
+        if open.pace.is_on_demand() {
             open.window.request_redraw();
         }
         Ok(())
@@ -281,8 +265,8 @@ impl ApplicationHandler for App {
     }
 
     fn new_events(&mut self, _: &ActiveEventLoop, cause: StartCause) {
-        if let (StartCause::ResumeTimeReached { .. }, Some(open)) = (cause, &self.open)
-            && (open.viewer.check_need_to_do_frame() || open.last_frame.elapsed() > IDLE_FRAME)
+        if let Some(open) = &self.open
+            && open.pace.wakes_for_frame(cause, || open.viewer.check_need_to_do_frame())
         {
             open.window.request_redraw();
         }
@@ -295,9 +279,7 @@ impl ApplicationHandler for App {
                 Some(ParentChange::Gone) => event_loop.exit(),
                 None => {}
             }
-        }
-        if self.options.on_demand && self.open.is_some() && event_loop.control_flow() != ControlFlow::Poll {
-            event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + IDLE_POLL));
+            open.pace.rest(event_loop);
         }
     }
 
@@ -341,14 +323,11 @@ impl Open {
 
     /// One frame; false when it was the last.
     fn frame(&mut self, options: &mut WindowOptions) -> Result<bool, ViewerError> {
-        self.last_frame = Instant::now();
+        self.pace.begin_frame();
         if !(options.before_frame)(&mut self.viewer)? {
             return Ok(false);
         }
-        if self.viewer.shows_overlay() {
-            let input = self.egui.take_egui_input(&self.window);
-            self.viewer.set_overlay_input(input, self.window.scale_factor() as f32);
-        }
+        self.overlay.hand_over(&mut self.viewer, &self.window);
         self.viewer.frame()?;
         (options.after_frame)(&mut self.viewer)?;
         for command in self.viewer.take_window_commands() {
@@ -366,16 +345,12 @@ impl Open {
     }
 
     /// When the next frame comes.
-    fn plan_next(&mut self, event_loop: &ActiveEventLoop, options: &WindowOptions) {
-        if let Some(rate) = options.max_frame_rate.filter(|rate| *rate > 0.0) {
-            // A rate of less than one a second would keep events waiting.
-            self.viewer.work_until(self.last_frame + Duration::from_secs_f64(1.0 / rate.max(1.0)));
+    fn plan_next(&mut self, event_loop: &ActiveEventLoop) {
+        if let Some(due) = self.pace.next_frame_at() {
+            self.viewer.work_until(due);
         }
-        if !options.on_demand || self.viewer.check_need_to_do_frame() {
-            event_loop.set_control_flow(ControlFlow::Poll);
+        if self.pace.plan_next(event_loop, self.viewer.check_need_to_do_frame()) {
             self.window.request_redraw();
-        } else {
-            event_loop.set_control_flow(ControlFlow::WaitUntil(Instant::now() + IDLE_POLL));
         }
     }
 }

@@ -69,6 +69,16 @@ pub fn feed(queue: &mut EventQueue, event: &WindowEvent, origin_px: DVec2) -> bo
     true
 }
 
+/// True for what begins something: a button or a finger that goes down, the wheel.
+pub fn is_press(event: &WindowEvent) -> bool {
+    match event {
+        WindowEvent::MouseInput { state, .. } => state.is_pressed(),
+        WindowEvent::MouseWheel { .. } => true,
+        WindowEvent::Touch(touch) => touch.phase == winit::event::TouchPhase::Started,
+        _ => false,
+    }
+}
+
 fn of_modifiers(state: ModifiersState) -> Modifiers {
     Modifiers { shift: state.shift_key(), control: state.control_key(), alt: state.alt_key(), logo: state.super_key() }
 }

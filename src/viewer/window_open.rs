@@ -11,8 +11,8 @@ use super::ViewerError;
 use super::arrangement::{Arrangement, CameraSetup, WindowSetup, across, an_eye_each};
 use super::display::reason_of;
 use super::input::WindowCommand;
-use super::parent::ParentWindow;
-use super::view::{ContextId, Slave};
+use super::parent::{ParentWindow, child_attributes};
+use super::view::{ContextId, Slave, View};
 use super::viewer::{Viewer, ViewerConfig};
 use super::window::SlaveWindow;
 use crate::cull::{Stereo, StereoMode};
@@ -78,7 +78,7 @@ impl From<SlaveWindow> for WindowSetup {
 /// Opens a window that fills a window of another toolkit.
 pub(super) fn create_in(
     event_loop: &ActiveEventLoop,
-    parent: ParentWindow,
+    parent: &ParentWindow,
     title: &str,
     [width, height]: [u32; 2],
 ) -> Result<Arc<Window>, ViewerError> {
@@ -87,13 +87,7 @@ pub(super) fn create_in(
         .with_position(PhysicalPosition::new(0, 0))
         .with_inner_size(PhysicalSize::new(width.max(1), height.max(1)))
         .with_decorations(false);
-    #[cfg(target_os = "linux")]
-    let attributes = {
-        use winit::platform::x11::WindowAttributesExtX11 as _;
-        attributes.with_embed_parent_window(parent.x11)
-    };
-    #[cfg(not(target_os = "linux"))]
-    let _ = parent;
+    let attributes = child_attributes(attributes, &parent.handle)?;
     let window = event_loop.create_window(attributes).map_err(|e| ViewerError::Window(reason_of(&e)))?;
     Ok(Arc::new(window))
 }
@@ -170,11 +164,20 @@ pub(super) fn add_beside(
     Ok(context)
 }
 
+/// Gives the master camera its part of a window of a size.
+pub(super) fn set_master(view: &mut View, camera: &CameraSetup, window_px: [u32; 2]) {
+    view.set_viewport(camera.viewport);
+    view.set_eyes(camera.eyes);
+    if let Some(policy) = camera.resize {
+        view.camera.set_resize_policy(policy, camera.viewport.picture_px(window_px));
+    }
+}
+
 /// Cameras that go with the master.
 pub(super) fn add_slaves(viewer: &mut Viewer, context: ContextId, cameras: &[CameraSetup]) -> Result<(), ViewerError> {
     for camera in cameras {
-        let CameraSetup { viewport_px, projection_offset, view_offset, eyes } = *camera;
-        viewer.add_slave(Slave { viewport_px, projection_offset, view_offset, eyes, ..Slave::new(context) })?;
+        let CameraSetup { viewport, projection_offset, view_offset, eyes, .. } = *camera;
+        viewer.add_slave(Slave { viewport, projection_offset, view_offset, eyes, ..Slave::new(context) })?;
     }
     Ok(())
 }

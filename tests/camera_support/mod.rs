@@ -1,5 +1,5 @@
 //! What the tests of cameras in the graph share: a camera to a texture, its picture, and how pictures compare.
-#![allow(clippy::unwrap_used, reason = "test code")]
+#![allow(clippy::unwrap_used, dead_code, reason = "shared by tests, which use parts of it")]
 
 use std::path::Path;
 use std::sync::Arc;

@@ -6,19 +6,25 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
+use terrane::gpu::GpuError;
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node};
-use terrane::viewer::{Viewer, ViewerConfig};
+use terrane::viewer::{Viewer, ViewerConfig, ViewerError};
 
-/// `None`, said aloud, where there is no adapter (a failure with REQUIRE_GPU=1, as in CI).
-pub fn offscreen(config: &ViewerConfig) -> Option<Viewer> {
-    match Viewer::new_offscreen(config) {
-        Ok(viewer) => Some(viewer),
-        Err(error) => {
+/// `None`, said aloud, where there is no adapter (a failure with REQUIRE_GPU=1, as in CI); any other error is a failure.
+pub fn or_skip<T>(made: Result<T, impl Into<ViewerError>>) -> Option<T> {
+    match made.map_err(Into::into) {
+        Ok(made) => Some(made),
+        Err(ViewerError::Gpu(error @ GpuError::NoAdapter { .. })) => {
             assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
             eprintln!("SKIPPED: {error}");
             None
         }
+        Err(error) => panic!("{error}"),
     }
+}
+
+pub fn offscreen(config: &ViewerConfig) -> Option<Viewer> {
+    or_skip(Viewer::new_offscreen(config))
 }
 
 pub fn small_set(folder: &Path) -> String {

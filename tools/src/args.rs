@@ -340,6 +340,9 @@ pub enum Bench {
         /// Load what the announced path will want in so many seconds; the peers cannot
         #[arg(long, value_name = "SECONDS", default_value = "0")]
         look_ahead: f64,
+        /// Nothing is announced: look ahead where the eye's motion goes on to
+        #[arg(long)]
+        by_motion: bool,
         /// Where the tiles' folder is served, instead of reading files; the folder is named on stderr
         #[arg(long, value_name = "URL")]
         url: Option<String>,

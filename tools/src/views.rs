@@ -23,7 +23,6 @@ pub fn run(
     for (name, is_given) in [
         ("--path", args.path.is_some()),
         ("--view", args.view.is_some()),
-        ("--on-demand", args.on_demand),
         ("--parent", args.parent.is_some()),
         ("--beside", args.beside > 0),
     ] {
@@ -36,6 +35,7 @@ pub fn run(
     let options = ViewsOptions {
         overlay: args.stats,
         root,
+        on_demand: args.on_demand,
         max_frame_rate: args.max_fps.map(|rate| rate.0),
         before_frame: Box::new(move |_| Ok(!stop.load(Ordering::Relaxed))),
         on_open: Box::new(move |arranged| open(arranged, &args).map_err(application)),

@@ -6,10 +6,11 @@
 use glam::{DAffine3, DVec3};
 
 use super::{Occluders, Sight};
+use crate::cull::cameras::CameraPlace;
 use crate::cull::fade::{LodFades, TilePart};
 use crate::cull::tiles::shows_children;
 use crate::cull::view::View;
-use crate::cull::visitor::{CameraPlace, eye_in};
+use crate::cull::visitor::eye_in;
 use crate::scene::{CullAction, CullInfo, OccluderPage, Page, Scene, Special, UNBOUNDED, flag, kind};
 
 /// A page on the way from the top down to one with occluders.

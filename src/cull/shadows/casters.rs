@@ -1,8 +1,8 @@
 //! Which pictures have shadows, and the culls of what casts them. Thread that culls.
 
 use super::{Fit, ShadowCascade, ShadowLight, StageShadows};
+use crate::cull::cameras::{CameraPlace, NestedCamera};
 use crate::cull::view::View;
-use crate::cull::visitor::{CameraPlace, NestedCamera};
 use crate::cull::{CullCamera, CullVisitor, RenderStage};
 use crate::scene::{Environment, Scene};
 

@@ -14,7 +14,7 @@ use crate::draw::batch::lookup::Lookup;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
 use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
-use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
+use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape, VertexFormat};
 use crate::scene::{AlphaMode, SMALL_MESH_INDICES, Topology};
 use crate::state::{ResolvedState, SortMode};
 
@@ -58,7 +58,7 @@ pub(in crate::draw) struct Run {
     /// Range of instances, which is that of leaves in the buffer.
     pub(in crate::draw) first_leaf: u32,
     pub(in crate::draw) leaf_count: u32,
-    /// Indices of all its leaves.
+    /// Indices of all its leaves, of meshes.
     pub(in crate::draw) all_indices: u64,
 }
 
@@ -74,8 +74,8 @@ pub(in crate::draw) struct StateEntry {
     flags: [u32; 2],
     /// Not drawn: what cannot fade changes in the middle of the fade.
     is_hidden: bool,
-    /// Those that the application draws are not.
-    hides_customs: bool,
+    /// Whatever has the state is drawn; mostly so.
+    shows_all: bool,
 }
 
 impl StateEntry {
@@ -84,10 +84,11 @@ impl StateEntry {
         let hides_customs = !(band.from..band.to).contains(&(u8::MAX / 2));
         let is_hidden = !key.can_fade && hides_customs;
         let key = if is_whole { key } else { key.fading() };
+        let shows_all = !is_hidden && !hides_customs && !key.casts;
         let band = if is_whole { 0 } else { (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT };
         let of_all = band | if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
         let flags = [false, true].map(|unlit| if state.is_lit(unlit) { of_all } else { of_all | FLAG_UNLIT });
-        Self { key, statics, class: 0, color: state.color, flags, is_hidden, hides_customs }
+        Self { key, statics, class: 0, color: state.color, flags, is_hidden, shows_all }
     }
 }
 
@@ -262,11 +263,14 @@ impl Batch {
             self.runs.push(*run);
         }
         self.make_room(place as usize);
+        let (buckets, states) = (&self.buckets[..], &self.states[..]);
+        let (uniforms, runs) = (&mut self.leaves[..], &mut self.group_runs[..]);
         for (leaf, run) in leaves.iter().zip(&self.run_of_leaf) {
-            let Some(run) = self.group_runs.get_mut(*run as usize) else { continue };
+            let Some(run) = runs.get_mut(*run as usize) else { continue };
             if let Some((entry, rows)) = drawable(ctx, stage, leaf) {
-                let stride = self.buckets[run.bucket as usize].0.stride;
-                self.leaves[run.first_leaf as usize] = uniform(entry, rows, &self.states[leaf.state as usize], stride);
+                let state = &states[leaf.state as usize];
+                uniforms[run.first_leaf as usize] =
+                    uniform(entry, rows, state, || buckets[run.bucket as usize].0.stride);
                 run.first_leaf += 1;
             }
         }
@@ -323,7 +327,7 @@ impl Batch {
             if let Some(run) = self.runs.last_mut() {
                 run.add(entry);
             }
-            let stride = self.buckets[bucket as usize].0.stride;
+            let stride = || self.buckets[bucket as usize].0.stride;
             self.push_leaf(uniform(entry, rows, &self.states[leaf.state as usize], stride));
         }
     }
@@ -387,7 +391,12 @@ impl Batch {
             };
             let is_height = topology.is_none();
             let stride = if code == 0 || is_custom { 0 } else { 3 << (code - 1) };
-            let pipeline = if stride > 0 { pipeline.pulled() } else { pipeline };
+            let is_mesh = !is_height && !is_custom;
+            let pipeline = match () {
+                _ if stride > 0 => pipeline.pulled(),
+                _ if is_mesh && ctx.pools().meshes.format_of(vertex_chunk) == VertexFormat::Packed => pipeline.packed(),
+                _ => pipeline,
+            };
             let statics = state.statics;
             let custom = if is_custom { state_index } else { NO_STATE };
             let new = Bucket { pipeline, statics, is_height, block, vertex_chunk, index_chunk, stride, custom };
@@ -406,12 +415,12 @@ impl Batch {
     }
 }
 
-/// False for what its state hides, and where shadows are cast for what casts none: lines, points, and what the
-/// application draws.
+/// False for what its state hides, which may be all, or what the application draws; and where shadows are cast for what
+/// casts none: lines, points, and what the application draws.
 #[inline]
 fn is_drawn(state: &StateEntry, entry: &DrawableEntry) -> bool {
-    if state.is_hidden || !(state.key.casts || state.hides_customs) {
-        return !state.is_hidden;
+    if state.shows_all || state.is_hidden {
+        return state.shows_all;
     }
     match &entry.shape {
         Shape::Custom(_) => false,
@@ -442,22 +451,20 @@ impl Run {
     #[inline]
     fn add(&mut self, entry: &DrawableEntry) {
         self.leaf_count += 1;
-        let index_count = match &entry.shape {
-            Shape::Height(_) => self.index_count,
-            Shape::Mesh { place, .. } => place.index_count,
-            Shape::Custom(_) => 0,
-        };
-        self.all_indices += u64::from(index_count);
+        if let Shape::Mesh { place, .. } = &entry.shape {
+            self.all_indices += u64::from(place.index_count);
+        }
     }
 }
 
+/// What the shader reads of a leaf; `stride` is that of its bucket, where it is a mesh.
 #[inline]
-fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stride: u32) -> LeafUniform {
+fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stride: impl Fn() -> u32) -> LeafUniform {
     let mut flags = state.flags[usize::from(entry.unlit)];
     let mut alpha_cutoff = if let AlphaMode::Mask(cutoff) = entry.alpha { cutoff.to_bits() } else { 0 };
     let (layer, side) = match &entry.shape {
         Shape::Height(place) => (place.layer, place.side),
-        Shape::Mesh { texture, place, .. } if stride > 0 => {
+        Shape::Mesh { texture, place, .. } if stride() > 0 => {
             flags |= place.index_count << INDEX_COUNT_SHIFT;
             alpha_cutoff = place.base_vertex as u32;
             (texture.layer, place.first_index)
@@ -481,6 +488,9 @@ fn regroupable(sort: SortMode, states: &[StateEntry], leaves: &[RenderLeaf]) -> 
     let Some(first) = leaves.first().filter(|_| sort == SortMode::ByState) else { return leaves.len() };
     let is_free = |state: u32| states.get(state as usize).is_none_or(|s| s.key.order_is_free);
     let first_is_free = is_free(first.state);
+    if states.len() == 1 || states.iter().all(|s| s.key.order_is_free) {
+        return leaves.len();
+    }
     let mut fits = first.state;
     for (place, leaf) in leaves.iter().enumerate() {
         if leaf.state != fits {

@@ -11,6 +11,7 @@ use std::sync::Arc;
 use glam::{DMat4, Mat4, Vec4};
 
 use super::RenderInfo;
+use crate::cull::CullCamera;
 use crate::draw::batch::{Bucket, Run};
 use crate::draw::state::{Sources, State};
 use crate::draw::uniforms::frame::LeafUniform;
@@ -70,6 +71,8 @@ pub struct DrawableInfo<'a> {
     pub target: TargetFormats,
     /// x, y, width and height of the viewport in pixels.
     pub viewport_px: [f32; 4],
+    /// The camera that its leaves were culled for: the stage's, or the nested one above them.
+    pub camera: &'a CullCamera,
     /// Projection of its leaves: the camera's, or that of a Projection node above. Reversed depth.
     pub clip_from_eye: DMat4,
     /// What the state sets above it come to. Pipelines that are to heed it (faces, depth, blending) are made by it.
@@ -188,13 +191,14 @@ impl State<'_, '_> {
             return;
         };
         self.apply(from, bucket.statics);
-        let view = stage.view_of_state.get(bucket.custom as usize).map_or(0, |view| *view as usize);
-        let view = stage.views.get(view.wrapping_sub(1));
+        let index = stage.view_of_state.get(bucket.custom as usize).copied().unwrap_or(0);
+        let view = stage.views.get((index as usize).wrapping_sub(1));
         let viewport = from.statics.get(bucket.statics as usize).map_or([0.0; 6], |s| s.dynamics.viewport);
         let drawing = DrawableInfo {
             render: info,
             target,
             viewport_px: [0, 1, 2, 3].map(|i| viewport[i]),
+            camera: stage.camera_of(index),
             clip_from_eye: view.map_or(stage.camera.clip_from_eye, |view| view.clip_from_eye),
             state,
             instances,

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading   62 receives shadows   63 casts
+//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading   61 packed vertices   62 receives shadows   63 casts
 //! ```
 
 use crate::scene::Topology;
@@ -41,6 +41,7 @@ const PROGRAM: u64 = 0x3ff << 48;
 const PULLED: u64 = 1 << 58;
 const TEXTURED: u64 = 1 << 59;
 const FADING: u64 = 1 << 60;
+const PACKED: u64 = 1 << 61;
 const SHADOWED: u64 = 1 << 62;
 const CASTER: u64 = 1 << 63;
 
@@ -255,6 +256,15 @@ impl PipelineKey {
     /// The same for meshes that fetch their vertices themselves. Not for programs, which are given theirs.
     pub fn pulled(self) -> Self {
         Self(self.0 | PULLED)
+    }
+
+    /// The same for meshes whose vertices are packed.
+    pub fn packed(self) -> Self {
+        Self(self.0 | PACKED)
+    }
+
+    pub fn is_packed(self) -> bool {
+        self.0 & PACKED != 0
     }
 
     /// The sun's shadows fall on it.

@@ -17,9 +17,8 @@ use variant::Variant;
 
 use convert::{bias, factor, operation, reversed, stencil_face};
 
-use crate::gpu::GraphicsContext;
+use crate::gpu::{GraphicsContext, VertexFormat};
 pub(in crate::draw) use crate::gpu::{MOST_COLORS, TargetFormats};
-use crate::scene::MeshVertex;
 use crate::state::{PolygonMode, ResolvedState, TEXTURE_UNITS};
 
 /// What is drawn without a state of the scene's, one pipeline a target.
@@ -31,14 +30,24 @@ pub(in crate::draw) enum Bare {
     Water,
     /// Boxes of occlusion queries.
     Query,
-    /// The background of a part of a target.
+    /// The background of a part of a target, with its depth.
     Fill,
+    /// The same without depth.
+    FillColor,
+    /// The depth of a part of a target alone.
+    FillDepth,
     /// The sea with the sun's shadows on it.
     ShadowedWater,
 }
 
+/// Attributes of vertices of each form, and of the one white that packed ones share.
+const OF_FULL: [wgpu::VertexAttribute; 4] =
+    wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x2, 2 => Snorm8x4, 3 => Unorm8x4];
+const OF_PACKED: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x3, 1 => Unorm16x2, 2 => Snorm8x4];
+const OF_WHITE: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![3 => Unorm8x4];
+
 /// How many there are.
-const BARE: usize = 5;
+const BARE: usize = 7;
 
 /// Pipelines of a renderer, by key.
 pub(in crate::draw) struct Pipelines {
@@ -188,7 +197,7 @@ impl Pipelines {
             Bare::Water => ("water", WATER_WGSL, ["vs_sky", "fs_water"]),
             Bare::ShadowedWater => ("shadowed water", SHADOWED_WATER_WGSL, ["vs_sky", "fs_water"]),
             Bare::Query => ("query", QUERY_WGSL, ["vs_query", "fs_query"]),
-            Bare::Fill => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
+            Bare::Fill | Bare::FillColor | Bare::FillDepth => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
         };
         let module = self.module(ctx, label, source);
         let mut variant = Self::variant(label, &module, entries, key);
@@ -197,7 +206,19 @@ impl Pipelines {
                 (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING));
             }
             Bare::Query => variant.write_mask = wgpu::ColorWrites::empty(),
-            Bare::Sky | Bare::Fill => {}
+            Bare::Sky => {}
+            Bare::Fill | Bare::FillColor | Bare::FillDepth => {
+                variant.depth_compare = wgpu::CompareFunction::Always;
+                variant.outputs = u32::MAX;
+                variant.write_mask.set(wgpu::ColorWrites::ALPHA, key.keeps_alpha);
+                if what == Bare::FillDepth {
+                    variant.write_mask = wgpu::ColorWrites::empty();
+                }
+                if what != Bare::FillColor {
+                    variant.depth_write = true;
+                    variant.stencil = zeroed(key.depth);
+                }
+            }
         }
         self.bare[usize::from(target)][what as usize] = self.create(ctx, &variant);
         self.created += 1;
@@ -318,11 +339,12 @@ impl Pipelines {
             Kind::Lines => wgpu::PrimitiveTopology::LineList,
             Kind::Points => wgpu::PrimitiveTopology::PointList,
         };
-        let vertices = [Some(wgpu::VertexBufferLayout {
-            array_stride: size_of::<MeshVertex>() as u64,
-            step_mode: wgpu::VertexStepMode::Vertex,
-            attributes: &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x2, 2 => Snorm8x4, 3 => Unorm8x4],
-        })];
+        let layout = |array_stride, attributes| {
+            Some(wgpu::VertexBufferLayout { array_stride, step_mode: wgpu::VertexStepMode::Vertex, attributes })
+        };
+        let full = [layout(VertexFormat::Full.stride() as u64, &OF_FULL)];
+        // The color is one for all.
+        let packed = [layout(VertexFormat::Packed.stride() as u64, &OF_PACKED), layout(0, &OF_WHITE)];
         let mut write_mask = wgpu::ColorWrites::from_bits_truncate(key.color_mask() as u32);
         write_mask.set(wgpu::ColorWrites::ALPHA, target.keeps_alpha);
         let mut label = format!("{fragment} of target {}", key.target());
@@ -338,7 +360,11 @@ impl Pipelines {
             state_layout: state_layout.as_ref(),
             pull_layout: pull_layout.as_ref(),
             constants: &constants,
-            buffers: if is_height || key.is_pulled() { &[] } else { &vertices },
+            buffers: match () {
+                _ if is_height || key.is_pulled() => &[],
+                _ if key.is_packed() => &packed,
+                _ => &full,
+            },
             topology,
             culled: match key.culled() {
                 1 => Some(wgpu::Face::Back),
@@ -413,6 +439,17 @@ fn fading(fragment: &'static str) -> &'static str {
         "fs_fixed_thin" => "fs_fixed_thin_fading",
         other => other,
     }
+}
+
+/// Sets the stencil to 0, where there is one.
+fn zeroed(format: wgpu::TextureFormat) -> wgpu::StencilState {
+    if !format.has_stencil_aspect() {
+        return wgpu::StencilState::default();
+    }
+    let zero = wgpu::StencilOperation::Zero;
+    let compare = wgpu::CompareFunction::Always;
+    let face = wgpu::StencilFaceState { compare, fail_op: zero, depth_fail_op: zero, pass_op: zero };
+    wgpu::StencilState { front: face, back: face, read_mask: 0xff, write_mask: 0xff }
 }
 
 #[cfg(test)]
@@ -535,6 +572,6 @@ mod tests {
         assert!(MESH_WGSL.contains(&format!("const FLAG_UNTEXTURED: u32 = {FLAG_UNTEXTURED}u;")));
         let shift = crate::draw::uniforms::frame::INDEX_COUNT_SHIFT;
         assert!(MESH_WGSL.contains(&format!("const INDEX_COUNT_SHIFT: u32 = {shift}u;")));
-        assert_eq!(size_of::<MeshVertex>(), 7 * 4);
+        assert_eq!(VertexFormat::Full.stride(), 7 * 4);
     }
 }

@@ -78,7 +78,12 @@ impl Renderer {
         };
         let is_pulled =
             kind.is_small && state.can_pull && !kind.is_masked && kind.topology == Some(Topology::Triangles);
-        self.pipelines.ensure(ctx, if is_pulled { key.pulled() } else { key });
+        let key = match (is_pulled, kind.is_packed) {
+            (true, _) => key.pulled(),
+            (false, true) => key.packed(),
+            (false, false) => key,
+        };
+        self.pipelines.ensure(ctx, key);
     }
 
     fn own_target(&mut self, ctx: &GraphicsContext) -> Option<u8> {

@@ -12,6 +12,7 @@ mod foresee;
 pub(super) mod prepare;
 mod record;
 pub(super) mod shadows;
+mod views;
 
 use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
@@ -20,12 +21,12 @@ use std::time::Duration;
 use crate::cull::RenderStage;
 use crate::draw::answers::{PictureReads, Queries};
 use crate::draw::atmosphere::Atmosphere;
-use crate::draw::batch::Batch;
+use crate::draw::batch::{Batch, Run};
 use crate::draw::composite::Composite;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{StagePlan, Targets};
 use crate::draw::shadow_maps::ShadowMaps;
-use crate::draw::state::{INDIRECT_BYTES, Statics};
+use crate::draw::state::{INDIRECT_BYTES, LEAST_MULTI_DRAW, Statics};
 use crate::draw::uniforms::fixed::StageUniform;
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 use crate::draw::uniforms::groups::Groups;
@@ -35,9 +36,8 @@ use crate::scene::Environment;
 use crate::scene::Texture;
 use crate::state::TextureObject;
 use foresee::DrawnInto;
-use glam::DAffine3;
-use prepare::Surroundings;
 use shadows::CasterPlan;
+use views::LitView;
 
 /// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -135,7 +135,7 @@ pub struct Renderer {
     pulls: Pulls,
     statics: Vec<Statics>,
     /// Eyes of the views inside a stage, and what is around them; only while it is prepared.
-    views: Vec<(DAffine3, Surroundings)>,
+    views: Vec<LitView>,
     /// Of the last frame.
     drawn_into: Vec<DrawnInto>,
     plans: Vec<StagePlan>,
@@ -359,7 +359,10 @@ impl Renderer {
         if !bytes.is_empty() {
             ctx.queue().write_buffer(&self.leaf_buffer, 0, bytes);
         }
-        if let Some(indirect) = &mut self.indirect {
+        // Without runs to draw by one call nothing reads it.
+        let has_multi_draw = |same: &[Run]| same.len() >= LEAST_MULTI_DRAW;
+        let is_read = self.batch.runs.chunk_by(|a, b| a.bucket == b.bucket).any(has_multi_draw);
+        if let Some(indirect) = self.indirect.as_mut().filter(|_| is_read) {
             self.indirect_bytes.clear();
             for run in &self.batch.runs {
                 let arguments = wgpu::util::DrawIndexedIndirectArgs {
@@ -374,9 +377,7 @@ impl Renderer {
             if self.indirect_bytes.len() as u64 > indirect.size() {
                 *indirect = indirect_buffer(device, self.batch.runs.len().next_power_of_two());
             }
-            if !self.indirect_bytes.is_empty() {
-                ctx.queue().write_buffer(indirect, 0, &self.indirect_bytes);
-            }
+            ctx.queue().write_buffer(indirect, 0, &self.indirect_bytes);
         }
     }
 
@@ -434,7 +435,7 @@ mod tests {
     use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
     use crate::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page, Scene};
     use crate::state::{Attribute, BinDetails, CullFace, Scissor, SortMode, StateSet, SurfaceMaterial};
-    use glam::DVec3;
+    use glam::{DAffine3, DVec3};
 
     /// How often a thing changes along the runs; the first time counts.
     fn changes<T: PartialEq>(things: impl Iterator<Item = T>) -> u32 {
@@ -517,6 +518,8 @@ mod tests {
             + changes(direct().map(|(b, _)| b.vertex_chunk))
             + changes(direct().map(|(b, _)| b.index_chunk))
             + changes(buckets().filter(|(b, _)| b.stride > 0).map(|(b, _)| (b.vertex_chunk, b.index_chunk)))
+            // The color that packed vertices share is set once.
+            + u32::from(direct().any(|(b, _)| b.pipeline.is_packed()))
             + changes(statics().map(|s| s.frame))
             + changes(statics().filter_map(|s| s.group))
             + scissors;

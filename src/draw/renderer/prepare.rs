@@ -3,11 +3,10 @@
 use std::sync::Arc;
 
 use super::foresee::DrawnInto;
-use super::shadows::Casting;
+use super::views::{Surroundings, ViewFrame};
 use super::{FrameClock, Picture, Renderer};
-use crate::cull::{CullCamera, FadeBand, MOST_CASCADES, RenderStage};
+use crate::cull::{CullCamera, FadeBand, RenderStage};
 use crate::draw::answers::Queries;
-use crate::draw::atmosphere::{Air, FoundAir};
 use crate::draw::batch::StateEntry;
 use crate::draw::composite::Composite;
 use crate::draw::pipelines::Bare;
@@ -15,10 +14,10 @@ use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
 use crate::draw::plan::{PassTarget, StagePlan, color};
 use crate::draw::state::{Dynamics, Statics};
-use crate::draw::uniforms::fixed::{FixedUniform, StageUniform, replaces_sun};
-use crate::draw::uniforms::frame::{FrameUniform, LeafUniform, clear_color};
+use crate::draw::uniforms::fixed::{FixedUniform, replaces_sun};
+use crate::draw::uniforms::frame::LeafUniform;
 use crate::gpu::GraphicsContext;
-use crate::scene::{CameraEnvironment, Environment, Sky, SunShadows};
+use crate::scene::Sky;
 use crate::state::{ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
@@ -65,97 +64,6 @@ impl Renderer {
         }
     }
 
-    /// The tables of the air as a camera's eye sees it.
-    fn air_of(&mut self, ctx: &GraphicsContext, camera: &CullCamera, environment: &Environment) -> FoundAir {
-        let air = Air::of(camera, environment);
-        if environment.sky != Sky::Atmosphere {
-            return FoundAir { place: 0, air, is_refused: false };
-        }
-        let found = self.atmosphere.find(ctx.device(), &air);
-        self.airs_refused += u32::from(found.is_refused);
-        found
-    }
-
-    /// What is around a camera in the graph that hangs in a picture.
-    fn surroundings_of(
-        &mut self,
-        ctx: &GraphicsContext,
-        said: &CameraEnvironment,
-        camera: &CullCamera,
-        above: &Surroundings,
-    ) -> Surroundings {
-        let eye_in_world = camera.eye_from_world.inverse().translation;
-        let environment = said.of_camera(Some(&above.environment), eye_in_world).unwrap_or(above.environment);
-        let air = if said.is_whole() { self.air_of(ctx, camera, &environment) } else { above.air };
-        Surroundings { shadows: None, air, environment, is_outermost: false, is_whole: false }
-    }
-
-    /// The same for one that has a stage.
-    fn surroundings_of_stage(
-        &mut self,
-        ctx: &GraphicsContext,
-        stage: &RenderStage,
-        above: &Surroundings,
-    ) -> Surroundings {
-        let said = &stage.target.environment;
-        let around = self.surroundings_of(ctx, said, &stage.camera, above);
-        Surroundings {
-            shadows: stage.target.shadows.under(&around.environment),
-            is_whole: said.is_whole() && stage.target.clear_color.is_some(),
-            ..around
-        }
-    }
-
-    /// The views inside a stage, the stage's own first, and what casts shadows into all of them; how many leaves there was
-    /// no room for.
-    fn prepare_views(
-        &mut self,
-        ctx: &GraphicsContext,
-        stage: &RenderStage,
-        around: &Surroundings,
-        target: &PassTarget,
-        [own, positioned]: [u32; 2],
-    ) -> ([ViewFrame; MOST_VIEWS], usize) {
-        let (mut dropped, mut first_layer) = (0, 0);
-        let has_shadows = around.shadows.is_some() && self.shadow_maps.has_room(&stage.shadows, first_layer);
-        if has_shadows {
-            let (shadows, camera) = (&stage.shadows, &stage.camera);
-            let (environment, air) = (&around.environment, &around.air.air);
-            let casting = Casting { shadows, camera, environment, air, first_layer };
-            dropped += self.prepare_casters(ctx, stage, &casting, target, positioned);
-            first_layer += shadows.cascades.len().min(MOST_CASCADES);
-        }
-        let own = ViewFrame { uniform: own, air: around.air.place, has_shadows };
-        let mut frames = [own; MOST_VIEWS];
-        let mut views = std::mem::take(&mut self.views);
-        views.clear();
-        views.push((stage.camera.eye_from_world, *around));
-        for (place, view) in frames.iter_mut().skip(1).zip(&stage.views) {
-            let (eye_from_world, above) = *views.get(view.above as usize).unwrap_or(&views[0]);
-            let has_shadows = self.shadow_maps.has_room(&view.shadows, first_layer);
-            let (camera, around) = if view.environment.is_whole() {
-                (view.camera, self.surroundings_of(ctx, &view.environment, &view.camera, &above))
-            } else if has_shadows {
-                (view.camera, above)
-            } else {
-                (CullCamera { eye_from_world, ..view.camera }, above)
-            };
-            views.push((camera.eye_from_world, around));
-            let (environment, air) = (&around.environment, &around.air.air);
-            let mut uniform = FrameUniform::new(&camera, &view.clip_from_eye, environment, air);
-            if has_shadows {
-                let (shadows, camera) = (&view.shadows, &camera);
-                uniform = uniform.with_shadows(shadows, self.shadow_maps.size_px(), first_layer);
-                let casting = Casting { shadows, camera, environment, air, first_layer };
-                dropped += self.prepare_casters(ctx, stage, &casting, target, positioned);
-                first_layer += shadows.cascades.len().min(MOST_CASCADES);
-            }
-            *place = ViewFrame { uniform: self.groups.push(&uniform), air: around.air.place, has_shadows };
-        }
-        self.views = views;
-        (frames, dropped)
-    }
-
     /// Prepares a stage and those around it, in the order drawn; how many leaves there was no room for.
     fn prepare_all(&mut self, ctx: &GraphicsContext, stage: &RenderStage, around: &Surroundings) -> usize {
         let mut dropped = 0;
@@ -185,20 +93,13 @@ impl Renderer {
                 return 0;
             }
         };
-        let mut uniform = FrameUniform::new(&stage.camera, &stage.camera.clip_from_eye, environment, air);
-        let has_shadows = around.shadows.is_some() && self.shadow_maps.has_room(&stage.shadows, 0);
-        if has_shadows {
-            uniform = uniform.with_shadows(&stage.shadows, self.shadow_maps.size_px(), 0);
-        }
-        let clear = clear_color(environment, &uniform);
-        let first_frame = self.groups.push(&uniform);
-        let positioned = self.groups.push(&StageUniform::new(stage));
         let first_caster = self.casters.len();
-        let (frames, mut dropped) = self.prepare_views(ctx, stage, around, &target, [first_frame, positioned]);
+        let (frames, background, mut dropped) = self.prepare_views(ctx, stage, around, &target);
+        let ViewFrame { uniform, positioned, has_shadows, .. } = frames[0];
         let casters = first_caster..self.casters.len();
         let base = Statics {
             dynamics: target.dynamics(stage.target.viewport_px),
-            frame: [first_frame, positioned],
+            frame: [uniform, positioned],
             air: around.air.place,
             group: None,
         };
@@ -215,10 +116,10 @@ impl Renderer {
         states.clear();
         let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
         for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
-            let (shading, group) = self.shading(ctx, stage, state, has_own_light, &target);
+            let (shading, group) = self.shading(ctx, stage, *view, state, has_own_light, &target);
             let mut statics = Statics { group, ..base };
             let of_view = frames.get(*view as usize).unwrap_or(&frames[0]);
-            (statics.frame[0], statics.air) = (of_view.uniform, of_view.air);
+            (statics.frame, statics.air) = ([of_view.uniform, of_view.positioned], of_view.air);
             let viewport = stage.views.get((*view as usize).wrapping_sub(1)).and_then(|v| v.viewport_px);
             apply_state(&mut statics.dynamics, state, viewport, target.size_px);
             let recent = self.statics.len().saturating_sub(STATICS_COMPARED).max(first_statics as usize);
@@ -251,16 +152,22 @@ impl Renderer {
             self.pipelines.ensure_bare(ctx, water, target.index);
         }
         let eyes = self.prepare_eyes(ctx, stage, &target, &base.dynamics);
-        let [width, height] = target.size_px;
-        let has_part = stage.target.viewport_px.is_some_and(|rect| rect != [0, 0, width, height]);
-        let clear = if *is_whole { Some(clear) } else { stage.target.clear_color.map(color) };
+        let has_part = target.is_part(stage);
+        let clear = if *is_whole { Some(background) } else { stage.target.clear_color.map(color) };
         let is_part = clear.is_some() && (has_part || *is_whole && is_outermost && target.is_begun);
         let fill = match stage.clear_node {
             _ if !is_part || has_sky => None,
             Some(said) => said.map(color),
             None => clear,
         };
-        let fill = fill.and_then(|color| self.prepare_fill(ctx, &target, color));
+        let fills_depth = has_part && !is_outermost && stage.target.clear_depth;
+        let bare = match (fill, fills_depth) {
+            (Some(_), true) => Some(Bare::Fill),
+            (Some(_), false) => Some(Bare::FillColor),
+            (None, true) => Some(Bare::FillDepth),
+            (None, false) => None,
+        };
+        let fill = bare.and_then(|bare| self.prepare_fill(ctx, &target, fill.unwrap_or_default(), bare));
         self.plans.push(StagePlan {
             eyes,
             target: Some(target),
@@ -302,6 +209,7 @@ impl Renderer {
         &mut self,
         ctx: &GraphicsContext,
         stage: &RenderStage,
+        view: u32,
         state: &Arc<ResolvedState>,
         has_own_light: bool,
         target: &PassTarget,
@@ -313,13 +221,15 @@ impl Renderer {
         });
         let group = match shading {
             Shading::Plain | Shading::Fallback => None,
-            Shading::FixedFunction | Shading::FixedTextured => Some(self.groups.push(&FixedUniform::new(state, stage))),
+            Shading::FixedFunction | Shading::FixedTextured => {
+                Some(self.groups.push(&FixedUniform::new(state, stage, view)))
+            }
             Shading::Program(place) => {
                 let program = self.pipelines.programs.get(place);
                 let size = program.map_or(0, |p| p.uniform_bytes);
                 (size > 0).then(|| {
                     let at = self.groups.reserve(size);
-                    let builtins = builtins(stage, &self.clock);
+                    let builtins = builtins(stage.camera_of(view), &self.clock);
                     let bytes = &mut self.groups.bytes[at as usize..][..size];
                     if let Some(Err(problem)) = program.map(|p| p.fill(state, &builtins, bytes)) {
                         wrong.push(problem);
@@ -344,16 +254,22 @@ impl Renderer {
         (shading, group)
     }
 
-    /// A leaf for the background of a part of a target.
-    fn prepare_fill(&mut self, ctx: &GraphicsContext, target: &PassTarget, color: wgpu::Color) -> Option<u32> {
+    /// A leaf for the background of a part of a target, and what draws it.
+    fn prepare_fill(
+        &mut self,
+        ctx: &GraphicsContext,
+        target: &PassTarget,
+        color: wgpu::Color,
+        bare: Bare,
+    ) -> Option<(u32, Bare)> {
         let leaf = self.batch.leaves().len();
         if leaf >= self.most_leaves {
             return None;
         }
-        self.pipelines.ensure_bare(ctx, Bare::Fill, target.index);
+        self.pipelines.ensure_bare(ctx, bare, target.index);
         let color = [color.r, color.g, color.b, color.a].map(|c| c as f32);
         self.batch.push_leaf(LeafUniform { color, ..LeafUniform::EMPTY });
-        Some(leaf as u32)
+        Some((leaf as u32, bare))
     }
 
     /// The textures of the eyes that a stage puts together.
@@ -398,8 +314,8 @@ impl Renderer {
                 break;
             }
             let Some(index) = queries.ask(query) else { break };
-            let ViewFrame { uniform, air, .. } = *frames.get(query.view as usize).unwrap_or(&frames[0]);
-            let statics = Statics { frame: [uniform, base.frame[1]], air, ..base };
+            let ViewFrame { uniform, positioned, air, .. } = *frames.get(query.view as usize).unwrap_or(&frames[0]);
+            let statics = Statics { frame: [uniform, positioned], air, ..base };
             let place = match self.statics.iter().rposition(|s| *s == statics) {
                 Some(place) => place,
                 None => {
@@ -414,38 +330,13 @@ impl Renderer {
     }
 }
 
-/// What the leaves of a view are drawn with.
-#[derive(Clone, Copy)]
-struct ViewFrame {
-    /// Place of the uniform.
-    uniform: u32,
-    /// Set of the air's tables.
-    air: u8,
-    has_shadows: bool,
-}
-
-/// What is around what a stage shows.
-#[derive(Clone, Copy)]
-pub(super) struct Surroundings {
-    environment: Environment,
-    shadows: Option<SunShadows>,
-    air: FoundAir,
-    /// A picture of the frame, or an eye's.
-    is_outermost: bool,
-    /// With background, sky and water.
-    is_whole: bool,
-}
-
 /// Statics compared with a new one, newest first.
 const STATICS_COMPARED: usize = 4;
 
-/// Projections of a stage that can be told apart; those beyond have the stage's own.
-pub(super) const MOST_VIEWS: usize = 64;
-
-fn builtins(stage: &RenderStage, clock: &FrameClock) -> Builtins {
-    let view = glam::DMat4::from(stage.camera.eye_from_world);
+fn builtins(camera: &CullCamera, clock: &FrameClock) -> Builtins {
+    let view = glam::DMat4::from(camera.eye_from_world);
     Builtins {
-        frame: stage.camera.frame,
+        frame: camera.frame,
         frame_time_s: clock.reference_time_s as f32,
         delta_frame_time_s: clock.delta_s as f32,
         simulation_time_s: clock.simulation_time_s as f32,

@@ -115,7 +115,9 @@ impl Renderer {
         let mut from = self.sources(ctx, &self.frame_bind_groups);
         from.pass = self.pipelines.target_key(target.index).map(|formats| (info, *formats));
         let mut state = State::new(&mut pass, target.dynamics(None));
-        if let (Some(leaf), Some(fill)) = (plan.fill, self.pipelines.bare(Bare::Fill, target.index)) {
+        if let Some((leaf, bare)) = plan.fill
+            && let Some(fill) = self.pipelines.bare(bare, target.index)
+        {
             state.apply(&from, plan.statics);
             state.draw_bare(fill, 3, leaf..leaf + 1);
         }

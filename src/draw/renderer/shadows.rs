@@ -37,6 +37,10 @@ pub(super) struct Casting<'a> {
     pub(super) air: &'a Air,
     /// Of the maps.
     pub(super) first_layer: usize,
+    /// The view of the stage that it casts into.
+    pub(super) view: u32,
+    /// Where the uniform of what is positioned there lies.
+    pub(super) positioned: u32,
 }
 
 impl Renderer {
@@ -69,10 +73,9 @@ impl Renderer {
         stage: &RenderStage,
         casting: &Casting<'_>,
         target: &PassTarget,
-        positioned: u32,
     ) -> usize {
         let Some(into) = self.caster_target() else { return 0 };
-        let Casting { shadows, camera, environment, air, first_layer } = *casting;
+        let Casting { shadows, camera, environment, air, first_layer, view, positioned } = *casting;
         let size_px = shadows.settings.resolution_px;
         let count = shadows.cascades.len().min(MOST_CASCADES);
         let mut plan = CasterPlan { count, first_layer, size_px, ..Default::default() };
@@ -89,7 +92,7 @@ impl Renderer {
             for state in &cascade.stage.state_sets {
                 let drops = drops_parts(state);
                 let (shading, group) = if drops || has_own_shader(state) {
-                    self.shading(ctx, stage, state, drops, target)
+                    self.shading(ctx, stage, view, state, drops, target)
                 } else {
                     (Shading::Plain, None)
                 };

@@ -12,7 +12,15 @@ fn vs_fill(@builtin(vertex_index) index: u32, @builtin(instance_index) instance:
     return FillVertex(vec4<f32>(xy, 0.0, 1.0), leaves[instance].color);
 }
 
+// To all attachments that there are.
+struct FillColors {
+    @location(0) first: vec4<f32>,
+    @location(1) second: vec4<f32>,
+    @location(2) third: vec4<f32>,
+    @location(3) fourth: vec4<f32>,
+}
+
 @fragment
-fn fs_fill(in: FillVertex) -> @location(0) vec4<f32> {
-    return in.color;
+fn fs_fill(in: FillVertex) -> FillColors {
+    return FillColors(in.color, in.color, in.color, in.color);
 }

@@ -17,7 +17,7 @@ fn vs_fixed_height(@builtin(vertex_index) index: u32, @builtin(instance_index) i
     let leaf = leaves[instance];
     let point = height_point(index, instance);
     return FixedHeightFragment(
-        frame.clip_from_eye * vec4<f32>(point.in_eye, 1.0),
+        clip_of(leaf, point.in_eye),
         point.in_eye,
         point.normal,
         point.up,

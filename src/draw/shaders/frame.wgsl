@@ -82,6 +82,14 @@ fn point_in_eye(leaf: Leaf, point: vec3<f32>) -> vec3<f32> {
     );
 }
 
+// Where a vertex of a leaf is in the picture. Software adapters run the shader for several vertices at once, and where
+// there are too few of them on leaves of zeros: these must lie inside, or all the vertices are thought to need clipping.
+fn clip_of(leaf: Leaf, in_eye: vec3<f32>) -> vec4<f32> {
+    let clip = frame.clip_from_eye * vec4<f32>(in_eye, 1.0);
+    let is_there = any(leaf.eye_from_drawable_x.xyz != vec3<f32>(0.0));
+    return select(vec4<f32>(0.0, 0.0, 0.0, 1.0), clip, is_there);
+}
+
 fn direction_in_eye(leaf: Leaf, direction: vec3<f32>) -> vec3<f32> {
     return vec3<f32>(
         dot(leaf.eye_from_drawable_x.xyz, direction),

@@ -161,7 +161,7 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
     let leaf = leaves[instance];
     let point = height_point(index, instance);
     var out: HeightFragment;
-    out.position = frame.clip_from_eye * vec4<f32>(point.in_eye, 1.0);
+    out.position = clip_of(leaf, point.in_eye);
     out.uv = point.uv;
     out.light = vec3<f32>(1.0);
     if (leaf.flags & FLAG_UNLIT) == 0u {

@@ -16,7 +16,7 @@ fn vs_height_shadowed(@builtin(vertex_index) index: u32, @builtin(instance_index
     let leaf = leaves[instance];
     let point = height_point(index, instance);
     var out: ShadowedHeightFragment;
-    out.position = frame.clip_from_eye * vec4<f32>(point.in_eye, 1.0);
+    out.position = clip_of(leaf, point.in_eye);
     out.uv = point.uv;
     out.sky = leaf.color.rgb;
     if (leaf.flags & FLAG_UNLIT) == 0u {
@@ -60,5 +60,5 @@ fn fs_height_shadowed_fading(in: ShadowedHeightFragment) -> @location(0) vec4<f3
 
 @vertex
 fn vs_height_caster(@builtin(vertex_index) index: u32, @builtin(instance_index) instance: u32) -> @builtin(position) vec4<f32> {
-    return frame.clip_from_eye * vec4<f32>(height_point(index, instance).in_eye, 1.0);
+    return clip_of(leaves[instance], height_point(index, instance).in_eye);
 }

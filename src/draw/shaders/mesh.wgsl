@@ -13,7 +13,7 @@ struct MeshFragment {
 fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragment {
     let in_eye = point_in_eye(leaf, vertex.position);
     return MeshFragment(
-        frame.clip_from_eye * vec4<f32>(in_eye, 1.0),
+        clip_of(leaf, in_eye),
         vec4<f32>(in_eye, vertex.uv.x),
         vec4<f32>(direction_in_eye(leaf, vertex.normal.xyz), vertex.uv.y),
         vertex.color * leaf.color,

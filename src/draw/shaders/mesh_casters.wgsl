@@ -2,13 +2,14 @@
 
 @vertex
 fn vs_mesh_caster(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> @builtin(position) vec4<f32> {
-    return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[instance], vertex.position), 1.0);
+    let leaf = leaves[instance];
+    return clip_of(leaf, point_in_eye(leaf, vertex.position));
 }
 
 @vertex
 fn vs_mesh_caster_pulled(@builtin(vertex_index) index: u32, @builtin(instance_index) stride: u32) -> @builtin(position) vec4<f32> {
     let leaf = leaves[index / stride];
-    return frame.clip_from_eye * vec4<f32>(point_in_eye(leaf, pulled_vertex(leaf, index % stride).position), 1.0);
+    return clip_of(leaf, point_in_eye(leaf, pulled_vertex(leaf, index % stride).position));
 }
 
 struct MaskedCaster {
@@ -23,7 +24,7 @@ struct MaskedCaster {
 fn vs_mesh_caster_masked(vertex: MeshVertex, @builtin(instance_index) instance: u32) -> MaskedCaster {
     let leaf = leaves[instance];
     return MaskedCaster(
-        frame.clip_from_eye * vec4<f32>(point_in_eye(leaf, vertex.position), 1.0),
+        clip_of(leaf, point_in_eye(leaf, vertex.position)),
         vertex.uv,
         vertex.color.a * leaf.color.a,
         vec3<u32>(leaf.layer, leaf.flags, leaf.alpha_cutoff),

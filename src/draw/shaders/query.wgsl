@@ -15,7 +15,8 @@ fn vs_query(@builtin(vertex_index) index: u32, @builtin(instance_index) instance
     } else if axis == 2u {
         point = vec3<f32>(u, v, side);
     }
-    return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[instance], point), 1.0);
+    let leaf = leaves[instance];
+    return clip_of(leaf, point_in_eye(leaf, point));
 }
 
 @fragment

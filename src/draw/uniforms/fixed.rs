@@ -1,7 +1,9 @@
 //! The fixed function: lights, material, fog, clip planes, alpha test and texture units as uniforms of
 //! shaders/fixed.wgsl. Mirrors of its structs; a test compares them with naga's layout.
 
-use crate::cull::RenderStage;
+use glam::DAffine3;
+
+use crate::cull::{RenderStage, moved, plane_moved};
 use crate::state::{
     CLIP_PLANES, CompareFunction, FogMode, LIGHTS, Mode, ResolvedState, TEXTURE_UNITS, TexGen, TextureDimension,
 };
@@ -31,14 +33,16 @@ pub(in crate::draw) struct StageUniform {
 }
 
 impl StageUniform {
-    pub(in crate::draw) fn new(stage: &RenderStage) -> Self {
+    /// In a view: where its lights shine as seen by `light_from`, whose argument is the view that they were met in, and
+    /// its planes cut by the view's own eye.
+    pub(in crate::draw) fn new(stage: &RenderStage, view: u32, light_from: impl Fn(u32) -> DAffine3) -> Self {
         let mut uniform = Self {
             lights: [StageLight::default(); LIGHTS],
             // Planes that nothing is cut by.
             clip_planes: [[0.0, 0.0, 0.0, 1.0]; CLIP_PLANES],
         };
         for positioned in &stage.lights {
-            let light = &positioned.light;
+            let light = &moved(&light_from(positioned.view), &positioned.light);
             let Some(slot) = uniform.lights.get_mut(usize::from(light.number)) else { continue };
             let [x, y, z] = light.direction;
             let direction = glam::DVec3::new(x, y, z).normalize_or(glam::DVec3::NEG_Z).as_vec3();
@@ -59,11 +63,20 @@ impl StageUniform {
         }
         for clip in &stage.clip_planes {
             if let Some(plane) = uniform.clip_planes.get_mut(usize::from(clip.number)) {
-                *plane = clip.plane.as_vec4().to_array();
+                *plane = plane_moved(&eye_from(stage, view, clip.view), clip.plane).as_vec4().to_array();
             }
         }
         uniform
     }
+}
+
+/// From the eye of one view of a stage to another's; the identity where that cannot be said.
+fn eye_from(stage: &RenderStage, to: u32, from: u32) -> DAffine3 {
+    if to == from {
+        return DAffine3::IDENTITY;
+    }
+    let to_from = stage.camera_of(to).eye_from_world * stage.camera_of(from).eye_from_world.inverse();
+    if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
 }
 
 /// True when a LightSource has taken the place of the environment's sun.
@@ -102,7 +115,8 @@ pub(in crate::draw) struct FixedUniform {
 const _: () = assert!(TEXTURE_UNITS == 4);
 
 impl FixedUniform {
-    pub(in crate::draw) fn new(state: &ResolvedState, stage: &RenderStage) -> Self {
+    /// Of a state in a view of a stage.
+    pub(in crate::draw) fn new(state: &ResolvedState, stage: &RenderStage, view: u32) -> Self {
         let rgb = |c: [f32; 3], w: f32| [c[0], c[1], c[2], w];
         let material = state.material();
         let given = material.unwrap_or_default();
@@ -149,7 +163,8 @@ impl FixedUniform {
             };
             uniform.bias[unit] = binding.sampler.mip_bias;
             let Some(texgen) = state.texgen(unit) else { continue };
-            let of_node = stage.texgens.iter().rev().find(|(u, _)| usize::from(*u) == unit).map(|(_, t)| *t);
+            let of_node = stage.texgens.iter().rev().find(|of| usize::from(of.unit) == unit);
+            let of_node = of_node.map(|of| of.moved(&eye_from(stage, view, of.view)));
             let (kind, planes) = match (texgen, of_node) {
                 (TexGen::ObjectLinear(planes), _) => (1, planes),
                 (TexGen::EyeLinear(_), Some(TexGen::EyeLinear(planes))) | (TexGen::EyeLinear(planes), _) => (2, planes),

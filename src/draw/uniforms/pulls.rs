@@ -37,7 +37,9 @@ impl Pulls {
         chunks: (u32, u32),
     ) {
         let meshes = &ctx.pools().meshes;
-        let (Some(vertices), Some(indices)) = (meshes.vertex_buffer(chunks.0), meshes.index_buffer(chunks.1)) else {
+        // Both as they come: small meshes are not packed.
+        let (Some(vertices), Some((indices, _))) = (meshes.vertex_buffer(chunks.0), meshes.index_buffer(chunks.1))
+        else {
             return;
         };
         if let Some(pull) = self.groups.get_mut(&chunks)

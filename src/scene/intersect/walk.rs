@@ -81,6 +81,8 @@ struct View {
     shape: u32,
     /// Of [`Walk::stages`].
     stage: usize,
+    /// In the picture of a camera that shows the scene.
+    in_scene_camera: bool,
 }
 
 /// Of a camera drawn before or after the stage it hangs in: where in the order of drawing it comes.
@@ -107,7 +109,7 @@ struct Walk<'a, P: Probe> {
 /// Finds the drawables that a shape may meet, in the order in which it enters their boxes.
 pub fn candidates<P: Probe>(scene: &Scene, rules: &Rules, probe: &mut P, found: &mut Vec<Candidate>) {
     found.clear();
-    let view = View { rules: *rules, window: probe.window(), shape: 0, stage: 0 };
+    let view = View { rules: *rules, window: probe.window(), shape: 0, stage: 0, in_scene_camera: false };
     let pages = scene.roots().iter().rev().map(|root| (root.slot, DAffine3::IDENTITY, view)).collect();
     let stages = vec![Stage { above: 0, is_after: false, order: 0 }];
     let mut walk = Walk { scene, view, probe, pages, stages, views: 1, found };
@@ -308,17 +310,31 @@ impl<P: Probe> Walk<'_, P> {
         if camera.target.is_some() && camera.order != RenderOrder::Nested {
             return; // a picture of its own, shown by whatever has its texture
         }
+        if camera.shows_scene && self.view.in_scene_camera {
+            return; // as cull
+        }
         let page = here.page;
         let above = page.transforms.page_from_node(page.enclosing_transform(node));
         let view = self.view_of(camera);
         if camera.projection.is_none() && camera.viewport_px.is_none() {
-            let world_from_page = match (camera.frame, self.view.rules.eye) {
-                (ReferenceFrame::Absolute, Some(eye)) => eye.world_from_eye * camera.view * above.inverse(),
+            // Where the world of the camera lies in this one.
+            let (world_from_page, world_from_root) = match (camera.frame, self.view.rules.eye) {
+                (ReferenceFrame::Absolute, Some(eye)) => {
+                    let moved = eye.world_from_eye * camera.view;
+                    (moved * above.inverse(), moved)
+                }
                 (ReferenceFrame::Absolute, None) => return,
-                (ReferenceFrame::Relative, _) => here.world_from_page * above * camera.view * above.inverse(),
+                (ReferenceFrame::Relative, _) => {
+                    let world_from_node = here.world_from_page * above;
+                    let moved = world_from_node * camera.view;
+                    (moved * above.inverse(), moved * world_from_node.inverse())
+                }
             };
             let outer = std::mem::replace(&mut self.view, view);
             self.below(here, node, world_from_page);
+            if camera.shows_scene {
+                self.roots(world_from_root);
+            }
             self.view = outer;
             return;
         }
@@ -349,9 +365,18 @@ impl<P: Probe> Walk<'_, P> {
         self.in_view(here, node, window, view, world_from_page);
     }
 
+    /// The scene's roots are to be visited in the current view, moved.
+    fn roots(&mut self, world_from_root: DAffine3) {
+        if world_from_root.is_finite() {
+            let view = self.view;
+            self.pages.extend(self.scene.roots().iter().rev().map(|root| (root.slot, world_from_root, view)));
+        }
+    }
+
     /// What a camera says of masks, levels of detail and order, where it does not leave that to the one above.
     fn view_of(&mut self, camera: &CameraNode) -> View {
         let mut view = self.view;
+        view.in_scene_camera |= camera.shows_scene;
         if !camera.inherit.has(Inherit::CULL_MASK) {
             view.rules.mask = camera.settings.cull_mask;
         }
@@ -394,6 +419,9 @@ impl<P: Probe> Walk<'_, P> {
         }
         let outer = std::mem::replace(&mut self.view, view);
         self.below(here, node, world_from_page);
+        if view.in_scene_camera && !outer.in_scene_camera {
+            self.roots(DAffine3::IDENTITY);
+        }
         self.view = outer;
     }
 

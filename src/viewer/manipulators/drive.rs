@@ -144,6 +144,7 @@ impl CameraManipulator for DriveManipulator {
         for _ in 0..count {
             self.step(step_s, view);
         }
+        self.push.end_frame(dt_s);
         self.pose(view)
     }
 

@@ -111,6 +111,7 @@ impl CameraManipulator for FirstPersonManipulator {
                 self.is_rising = false;
             }
         }
+        self.push.end_frame(dt_s);
         self.look.pose(self.position, view)
     }
 

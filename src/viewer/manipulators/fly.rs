@@ -96,6 +96,7 @@ impl CameraManipulator for FlyManipulator {
                 self.look.heading = carried(self.look.heading, &before, &view.frame_at(moved));
             }
         }
+        self.push.end_frame(dt_s);
         self.look.pose(self.position, view)
     }
 

@@ -16,10 +16,13 @@ const SPEEDS_UP_S: f64 = 0.12;
 /// Keys of movement that are held, and the push that follows them smoothly.
 ///
 /// Arrows and page keys move at any time. W, S, A, D, Q and E move while a button of the pointer is held; without it
-/// they are the handlers' keys.
+/// they are the handlers' keys. A key that comes and goes within one frame counts as held for that frame: nothing that is
+/// typed is lost where frames are slow.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Push {
     held: [bool; 6],
+    /// Pressed since the last [`Self::end_frame`].
+    tapped: [bool; 6],
     /// Right, up and back, each -1 to 1: where the keys push.
     pub now: DVec3,
     /// What something else than keys asks for besides.
@@ -53,12 +56,21 @@ impl Push {
             return false;
         }
         self.held[way] = is_down;
+        self.tapped[way] |= is_down;
         true
+    }
+
+    /// All steps of a frame of so many seconds are made.
+    pub fn end_frame(&mut self, dt_s: f64) {
+        if dt_s > 0.0 {
+            self.tapped = [false; 6];
+        }
     }
 
     /// What the keys ask for.
     pub fn wanted(&self) -> DVec3 {
-        let [right, left, up, down, back, ahead] = self.held.map(|held| f64::from(u8::from(held)));
+        let push = |way: usize| f64::from(u8::from(self.held[way] || self.tapped[way]));
+        let [right, left, up, down, back, ahead] = std::array::from_fn(push);
         let keys = DVec3::new(right - left, up - down, back - ahead).normalize_or_zero();
         (keys + self.lever).clamp_length_max(1.0)
     }

@@ -38,9 +38,9 @@ pub(in crate::viewer) struct FrameJob {
     pub(in crate::viewer) read_back: bool,
     /// Show it in the window, together with the other contexts; otherwise the next frame draws over it.
     pub(in crate::viewer) present: bool,
-    /// The stats overlay, painted over the picture.
+    /// Painted over the picture, in this order.
     #[cfg(feature = "window")]
-    pub(in crate::viewer) overlay: Option<crate::viewer::overlay::OverlayPaint>,
+    pub(in crate::viewer) overlays: Vec<crate::viewer::overlay::OverlayPaint>,
 }
 
 impl FrameJob {
@@ -132,9 +132,9 @@ pub(super) struct DrawnContext {
     stages: Vec<Culled>,
     /// A resize that failed; told with the next frame.
     failed: Option<GpuError>,
-    /// Made when the first overlay comes.
+    /// Each made when the first picture of its overlay comes.
     #[cfg(feature = "window")]
-    overlay: Option<crate::viewer::overlay::OverlayPainter>,
+    painters: Vec<crate::viewer::overlay::OverlayPainter>,
 }
 
 impl DrawnContext {
@@ -145,7 +145,7 @@ impl DrawnContext {
             stages: Vec::new(),
             failed: None,
             #[cfg(feature = "window")]
-            overlay: None,
+            painters: Vec::new(),
         }
     }
 
@@ -352,7 +352,7 @@ impl DrawSide {
             context.failed = None;
             #[cfg(feature = "window")]
             {
-                context.overlay = None;
+                context.painters.clear();
             }
         }
         self.running_compiles.store(false, Ordering::Release);
@@ -424,8 +424,11 @@ impl DrawSide {
         let stats = self.draw(place, job.clock);
         self.complete_dynamic(place);
         #[cfg(feature = "window")]
-        if let Some(mut paint) = job.overlay.take() {
-            self.paint(place, &mut paint);
+        // egui's renderer panics on a device that is lost; overlays are made anew for the next one.
+        if stats.is_ok() && !self.context.is_lost() {
+            for paint in &mut job.overlays {
+                self.paint(place, paint);
+            }
         }
         let submitted = Instant::now();
         if job.read_back {
@@ -494,9 +497,9 @@ impl DrawSide {
     #[cfg(feature = "window")]
     fn paint(&mut self, place: usize, paint: &mut crate::viewer::overlay::OverlayPaint) {
         let context = &self.context;
-        let painter = self.contexts[place].overlay.get_or_insert_with(|| {
-            crate::viewer::overlay::OverlayPainter::new(context.device(), context.color_format())
-        });
+        let painters = &mut self.contexts[place].painters;
+        let format = context.color_format();
+        let painter = crate::viewer::overlay::OverlayPainter::of(painters, paint, context.device(), format);
         painter.paint(context.device(), context.queue(), context.color_view(), paint);
     }
 }

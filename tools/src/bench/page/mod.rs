@@ -14,7 +14,9 @@ use serde_json::{Value, json};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
 use terrane::io::{Limits, ReadOptions};
-use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats, PathLooks, frames_until};
+use terrane::pager::{
+    CompileContext, DatabasePager, EyeMotion, MotionLooks, PagerConfig, PagerStats, PathLooks, frames_until,
+};
 use terrane::scene::{Node, Page, Scene};
 
 use super::{Uploads, percentile, say};
@@ -41,6 +43,8 @@ pub struct Options {
     pub speed_m_s: Option<f64>,
     /// Seconds of the flight for which to load ahead.
     pub look_ahead_s: f64,
+    /// The path is not announced, but guessed.
+    pub by_motion: bool,
     /// Where the folder of the tiles is served; `None` reads the files.
     pub url: Option<String>,
     /// How that server is talked to.
@@ -103,6 +107,8 @@ struct Bench {
     visitor: CullVisitor,
     stage: RenderStage,
     looks: PathLooks,
+    motion: EyeMotion,
+    guesses: MotionLooks,
     /// Culls what will be seen, and is asked of the pager.
     ahead: RenderStage,
     frame: u32,
@@ -177,6 +183,8 @@ pub fn run(options: Options) -> Result<()> {
         visitor: CullVisitor::new(),
         stage: RenderStage::new(),
         looks: PathLooks::default(),
+        motion: EyeMotion::default(),
+        guesses: MotionLooks::default(),
         ahead: RenderStage::new(),
         frame: 0,
         rss_start_mb: status_mb("VmRSS"),
@@ -267,6 +275,9 @@ impl Bench {
 
     /// Asks for what the flight will want, as a viewer does on an announced path.
     fn look_ahead(&mut self, frame: f64) {
+        if self.options.by_motion {
+            return self.look_by_motion(frame);
+        }
         let frame_s = self.frame_s();
         self.looks.start_frame(frame * frame_s);
         while let Some(at_s) = self.looks.next(self.options.look_ahead_s, frame_s) {
@@ -276,6 +287,24 @@ impl Bench {
             self.looks.found(&self.ahead.requests);
         }
         self.stage.requests.extend(self.looks.requests(frame_s));
+    }
+
+    /// The same, as a viewer does where none is.
+    fn look_by_motion(&mut self, frame: f64) {
+        let now_s = frame * self.frame_s();
+        let here = camera(self.pose(frame), 0).eye_from_world.inverse();
+        self.motion.go_on(now_s, &here);
+        self.guesses.start_frame(now_s, &here, &self.motion);
+        while let Some((then, frames)) = self.guesses.next(self.options.look_ahead_s, &self.motion) {
+            let camera = CullCamera {
+                eye_from_world: then.inverse(),
+                ahead_frames: frames,
+                ..camera(self.pose(frame), self.frame)
+            };
+            self.visitor.traverse(&self.scene, &camera, &mut self.ahead);
+            self.guesses.found(&self.ahead.requests, &self.motion);
+        }
+        self.stage.requests.extend(self.guesses.requests(&self.motion));
     }
 
     /// Update, cull, upload and, if asked for, draw.

@@ -1,0 +1,141 @@
+//! How vertices and indices lie in the pools: smaller than they come, where nothing visible is lost.
+//!
+//! ```text
+//! full      28 bytes   position 3 x f32   uv 2 x f32       normal 4 x snorm8   color 4 x unorm8
+//! packed    20 bytes   position 3 x f32   uv 2 x unorm16   normal 4 x snorm8   white, from a buffer of one texel
+//! ```
+//! Packed are meshes that are white and whose texture coordinates lie in 0..1 (a step of unorm16 is a sixteenth of a texel
+//! of an image 4,096 texels wide). The formats of KHR_mesh_quantization; the vertex stage makes floats of them, so that
+//! shaders see no difference. Small meshes, which shaders fetch themselves, are full. Indices are 16 bits where they fit.
+
+use crate::scene::{Mesh, MeshVertex, SMALL_MESH_INDICES};
+
+/// How the vertices of a mesh lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(crate) enum VertexFormat {
+    Full,
+    Packed,
+}
+
+/// The color of packed meshes.
+pub(crate) const WHITE: [u8; 4] = [255; 4];
+
+/// A packed vertex.
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct PackedVertex {
+    position: [f32; 3],
+    uv: [u16; 2],
+    normal: [i8; 4],
+}
+
+/// Rounded to the nearest: among numbers from 2^23 on, a whole is the lowest bit.
+fn unorm16(x: f32) -> u16 {
+    (x.clamp(0.0, 1.0) * 65535.0 + 8_388_608.0).to_bits() as u16
+}
+
+impl VertexFormat {
+    pub(super) fn of(mesh: &Mesh) -> Self {
+        let is_small = mesh.indices.len() <= SMALL_MESH_INDICES as usize;
+        if !is_small && mesh.packs() { Self::Packed } else { Self::Full }
+    }
+
+    /// Bytes of a vertex.
+    pub(crate) const fn stride(self) -> usize {
+        match self {
+            Self::Full => size_of::<MeshVertex>(),
+            Self::Packed => size_of::<PackedVertex>(),
+        }
+    }
+
+    /// The bytes of some vertices; `scratch` is for those that are made.
+    pub(super) fn bytes<'a>(self, vertices: &'a [MeshVertex], scratch: &'a mut Vec<u8>) -> &'a [u8] {
+        match self {
+            Self::Full => bytemuck::cast_slice(vertices),
+            Self::Packed => {
+                scratch.clear();
+                scratch.resize(vertices.len() * size_of::<PackedVertex>(), 0);
+                let places = scratch.chunks_exact_mut(size_of::<PackedVertex>());
+                for (vertex, place) in vertices.iter().zip(places) {
+                    let packed =
+                        PackedVertex { position: vertex.position, uv: vertex.uv.map(unorm16), normal: vertex.normal };
+                    place.copy_from_slice(bytemuck::bytes_of(&packed));
+                }
+                scratch
+            }
+        }
+    }
+}
+
+/// Whether a list's indices take 16 bits. Short lists never do: shaders fetch them themselves.
+pub(super) fn is_short(largest: u32, count: usize) -> bool {
+    // The largest of 16 bits is no index in all topologies of all adapters.
+    largest < u32::from(u16::MAX) && count > SMALL_MESH_INDICES as usize
+}
+
+/// The bytes of some indices of 16 bits, a whole number of 4.
+pub(super) fn short_indices<'a>(indices: &[u32], scratch: &'a mut Vec<u8>) -> &'a [u8] {
+    scratch.clear();
+    for index in indices {
+        scratch.extend_from_slice(&(*index as u16).to_ne_bytes());
+    }
+    scratch.resize(scratch.len().next_multiple_of(4), 0);
+    scratch
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Topology;
+
+    fn mesh(change: impl Fn(&mut MeshVertex)) -> Mesh {
+        let mut vertices: Vec<MeshVertex> = (0..30)
+            .map(|i| {
+                let x = i as f32 / 29.0;
+                MeshVertex { position: [x, -x, 1e4 * x], uv: [x, 1.0 - x], normal: [i as i8, 0, 0, 0], color: WHITE }
+            })
+            .collect();
+        change(&mut vertices[17]);
+        Mesh::new(vertices, (0..30).chain(0..30).collect(), Topology::Triangles)
+    }
+
+    #[test]
+    fn what_would_be_lost_is_not_packed() {
+        let of = |change: fn(&mut MeshVertex)| VertexFormat::of(&mesh(change));
+        assert_eq!(of(|_| {}), VertexFormat::Packed);
+        assert_eq!(of(|v| v.uv[0] = 1.000001), VertexFormat::Packed, "rounding of a whole");
+        assert_eq!(of(|v| v.uv[1] = 1.01), VertexFormat::Full);
+        assert_eq!(of(|v| v.uv[1] = -0.01), VertexFormat::Full);
+        assert_eq!(of(|v| v.uv[1] = f32::NAN), VertexFormat::Full);
+        assert_eq!(of(|v| v.color[3] = 254), VertexFormat::Full);
+        let mut small = mesh(|_| {});
+        small.indices = (0..30).collect();
+        assert_eq!(VertexFormat::of(&small), VertexFormat::Full);
+    }
+
+    #[test]
+    fn packed_vertices_are_as_good_as_they_were() {
+        let (mesh, mut scratch) = (mesh(|_| {}), Vec::new());
+        let bytes = VertexFormat::Packed.bytes(&mesh.vertices, &mut scratch);
+        assert_eq!(bytes.len(), 30 * 20);
+        for (vertex, packed) in mesh.vertices.iter().zip(bytes.chunks_exact(20)) {
+            let packed: PackedVertex = bytemuck::pod_read_unaligned(packed);
+            assert_eq!((packed.position, packed.normal), (vertex.position, vertex.normal));
+            for k in 0..2 {
+                assert!((f32::from(packed.uv[k]) / 65535.0 - vertex.uv[k]).abs() <= 0.51 / 65535.0);
+            }
+        }
+        let ends = [mesh.vertices[0], mesh.vertices[29]];
+        let bytes = VertexFormat::Packed.bytes(&ends, &mut scratch);
+        let uv = |i: usize| bytemuck::pod_read_unaligned::<PackedVertex>(&bytes[20 * i..20 * i + 20]).uv;
+        assert_eq!([uv(0), uv(1)], [[0, u16::MAX], [u16::MAX, 0]]);
+    }
+
+    #[test]
+    fn indices_of_16_bits_fill_whole_words() {
+        let mut scratch = Vec::new();
+        assert_eq!(short_indices(&[1, 2, 65534], &mut scratch).len(), 8);
+        assert_eq!(bytemuck::pod_collect_to_vec::<u8, u16>(&scratch), [1, 2, 65534, 0]);
+        assert!(is_short(65534, 49) && !is_short(65535, 49) && !is_short(5, 48));
+    }
+}

@@ -1,0 +1,167 @@
+//! Cameras in the graph that show the scene: its roots and its paged content, from where they are. Pictures need a GPU (a
+//! software one will do).
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod camera_support;
+mod gpu_support;
+mod viewer_support;
+
+use std::sync::Arc;
+
+use camera_support::{differ, keep, like};
+use glam::DAffine3;
+use image::RgbaImage;
+use terrane::cull::CullCamera;
+use terrane::gpu::AdapterChoice;
+use terrane::pager::PagerConfig;
+use terrane::scene::{
+    CameraEnvironment, CameraNode, CameraShadows, CameraTarget, IntersectionLimit, Node, Page, PictureSink,
+    ReferenceFrame, RenderOrder, SceneError,
+};
+use terrane::viewer::{ThreadingModel, ViewFrom, Viewer, ViewerConfig};
+use viewer_support::{ball, offscreen, small_set};
+
+const SIZE_PX: [u32; 2] = [240, 160];
+
+fn viewer() -> Option<Viewer> {
+    offscreen(&ViewerConfig {
+        size_px: SIZE_PX,
+        threading: ThreadingModel::SingleThreaded,
+        adapter: AdapterChoice::Software,
+        max_sse_px: 2.0,
+        pager: PagerConfig { blocking: true, build_kd_trees: true, ..PagerConfig::default() },
+        ..ViewerConfig::default()
+    })
+}
+
+fn pose(viewer: &Viewer, heading: f64, pitch: f64, range: f64) -> DAffine3 {
+    let bounds = viewer.bounds().unwrap();
+    bounds.first_camera(&ViewFrom { heading, pitch, range_m: Some(range * bounds.sphere.radius_m) })
+}
+
+/// What the viewer's camera is at a pose.
+fn camera_at(viewer: &Viewer, world_from_eye: DAffine3, size_px: [u32; 2]) -> CullCamera {
+    let clip_from_eye = viewer.camera.clip_from_eye(size_px, 1.0);
+    CullCamera {
+        eye_from_world: world_from_eye.inverse(),
+        clip_from_eye,
+        viewport_px: size_px,
+        ..CullCamera::default()
+    }
+}
+
+/// Frames until all is there, and a few more for fades.
+fn settle(viewer: &mut Viewer) {
+    for _ in 0..400 {
+        viewer.frame().unwrap();
+        if viewer.is_settled() {
+            break;
+        }
+    }
+    for frame in 0..8 {
+        viewer.frame_at(1000.0 + f64::from(frame)).unwrap();
+    }
+    assert!(viewer.is_settled());
+}
+
+fn add(viewer: &mut Viewer, node: CameraNode, children: Vec<Node>) {
+    viewer.add_root(Page::from_node(Node::camera(node, children)).unwrap()).unwrap();
+}
+
+#[test]
+fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let Some(mut expects) = viewer() else { return };
+    expects.load(&set).unwrap();
+    expects.environment.shadows = Some(Default::default());
+    let near = pose(&expects, 0.4, -0.3, 0.25);
+    expects.camera.world_from_eye = near;
+    settle(&mut expects);
+    let expected = expects.read_back().unwrap();
+    keep("scene-camera-expected", &expected);
+
+    // The main camera is far away, where all the set is a tile or two.
+    let mut viewer = viewer().unwrap();
+    viewer.load(&set).unwrap();
+    viewer.environment.shadows = Some(Default::default());
+    viewer.camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
+    settle(&mut viewer);
+    let before = viewer.stats().last().unwrap().gpu_bytes;
+    let alone = viewer.read_back().unwrap();
+    let sink = Arc::new(PictureSink::default());
+    let mut node = like(&camera_at(&expects, near, SIZE_PX));
+    let target = node.target.as_deref().unwrap().clone();
+    node.target = Some(Arc::new(CameraTarget { read_back: Some(sink.clone()), ..target }));
+    node.environment = CameraEnvironment::Inherited;
+    node.shadows = CameraShadows::Environment;
+    node.shows_scene = true;
+    // Two mirrors: neither shows the other, nor itself.
+    add(&mut viewer, CameraNode { target: like(&camera_at(&expects, near, [32, 32])).target, ..node.clone() }, vec![]);
+    add(&mut viewer, node, vec![]);
+    settle(&mut viewer);
+    assert!(viewer.stats().last().unwrap().gpu_bytes > before, "it asks for tiles");
+    sink.take();
+    let found = (0..200).find_map(|_| {
+        viewer.frame().unwrap();
+        sink.take()
+    });
+    let found = RgbaImage::from_raw(SIZE_PX[0], SIZE_PX[1], found.unwrap().rgba).unwrap();
+    keep("scene-camera-found", &found);
+    let apart = differ(&found, &expected, 2);
+    assert!(apart < 40, "{apart} pixels differ");
+    // The main picture is as without.
+    assert!(differ(&viewer.read_back().unwrap(), &alone, 2) < 40);
+}
+
+#[test]
+fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let Some(mut viewer) = viewer() else { return };
+    viewer.load(&set).unwrap();
+    let (main, other) = (pose(&viewer, 0.4, -0.3, 0.4), pose(&viewer, 2.4, -0.7, 0.5));
+    let inset = [130, 10, 100, 70];
+    // From where the inset sees, a picture of its size.
+    viewer.camera.world_from_eye = other;
+    settle(&mut viewer);
+    let expected = viewer.compute_intersections(120.0, 80.0, IntersectionLimit::Nearest)[0].world_point();
+    viewer.camera.world_from_eye = main;
+    let as_seen = camera_at(&viewer, other, [inset[2], inset[3]]);
+    let node = CameraNode {
+        frame: ReferenceFrame::Absolute,
+        view: as_seen.eye_from_world,
+        projection: Some(as_seen.clip_from_eye),
+        viewport_px: Some(inset),
+        environment: CameraEnvironment::Inherited,
+        shows_scene: true,
+        ..CameraNode::new(RenderOrder::PostRender(0))
+    };
+    // A mark that only the inset shows.
+    let mark = ball(expected, 150.0, [1.0, 0.0, 1.0, 1.0]);
+    settle(&mut viewer);
+    let alone = viewer.read_back().unwrap();
+    add(&mut viewer, node.clone(), vec![mark]);
+    settle(&mut viewer);
+    let with = viewer.read_back().unwrap();
+    keep("scene-inset", &with);
+    let is_inset = |x: u32, y: u32| (130..230).contains(&x) && (10..80).contains(&y);
+    let outside =
+        |a: &RgbaImage| a.enumerate_pixels().filter(|(x, y, _)| !is_inset(*x, *y)).map(|(_, _, p)| *p).collect();
+    let [a, b]: [Vec<image::Rgba<u8>>; 2] = [&with, &alone].map(outside);
+    let changed = a.iter().zip(&b).filter(|(a, b)| a != b).count();
+    assert_eq!(changed, 0, "the rest is as without");
+    let inside = image::imageops::crop_imm(&with, inset[0], inset[1], inset[2], inset[3]).to_image();
+    let colours = inside.pixels().map(|p| p.0.map(|c| c / 8)).collect::<std::collections::HashSet<_>>();
+    assert!(colours.len() > 40, "{}", colours.len());
+    let [r, g, b, _] = inside.get_pixel(50, 35).0;
+    assert!(r > 180 && b > 180 && g < 90, "the mark");
+    // The middle of the inset is where the middle of a picture from there is.
+    let hit = &viewer.compute_intersections(180.0, 45.0, IntersectionLimit::Nearest)[0];
+    assert!((hit.world_point().distance(expected) - 150.0).abs() < 20.0, "the mark is met first");
+    let hits = viewer.compute_intersections(180.0, 45.0, IntersectionLimit::NoLimit);
+    let ground = hits.iter().map(|hit| hit.world_point().distance(expected)).fold(f64::INFINITY, f64::min);
+    assert!(ground < 20.0, "{ground}");
+    let nested = CameraNode { order: RenderOrder::Nested, ..node };
+    assert_eq!(Page::from_node(Node::camera(nested, vec![])).err(), Some(SceneError::NestedShowsScene));
+}
