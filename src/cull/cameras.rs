@@ -143,9 +143,10 @@ mod tests {
         let mut scene = Scene::new();
         scene.add_root(Page::from_node(Node::group(vec![hidden, Node::camera(node, vec![])])).unwrap());
         let eye_from_world = DAffine3::from_translation(DVec3::new(0.0, 0.0, -10.0));
-        let camera = CullCamera { eye_from_world, ..CullCamera::default() };
+        let mut camera = CullCamera { eye_from_world, ..CullCamera::default() };
         let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
         let mut met = || {
+            camera.frame += 1;
             visitor.cull(&scene, &camera, &mut stage);
             let [mirror] = &stage.post_render[..] else { panic!("one camera") };
             assert_eq!((stage.queries.len(), mirror.queries.len()), (1, 0));

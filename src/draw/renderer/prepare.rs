@@ -82,8 +82,8 @@ impl Renderer {
     }
 
     fn prepare_stage(&mut self, ctx: &GraphicsContext, stage: &RenderStage, around: &Surroundings) -> usize {
-        let Surroundings { environment, is_outermost, is_whole, .. } = around;
-        let (is_outermost, air) = (*is_outermost, &around.air.air);
+        let Surroundings { environment, is_whole, .. } = around;
+        let is_outermost = around.is_outermost;
         let found = self.targets.of(ctx, &mut self.groups.textures, &mut self.pipelines, &stage.target, is_outermost);
         let target = match found {
             Ok(target) => target,

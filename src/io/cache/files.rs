@@ -16,6 +16,8 @@ pub(super) const MARKER: &str = "terrane-cache";
 const MARKER_TEXT: &[u8] = b"terrane cache 1\n";
 /// Left-overs of processes that were killed are removed after so long.
 const TEMPORARY_AGE: Duration = Duration::from_secs(3600);
+/// The clocks of machines that share a folder may differ by so much.
+const CLOCK_DRIFT: Duration = Duration::from_secs(180);
 
 pub(super) fn hash(bytes: &[u8]) -> Hash {
     let mut out = Hash::default();
@@ -58,7 +60,7 @@ pub(super) struct Found {
     pub path: PathBuf,
     pub hash: Hash,
     pub size: u64,
-    /// Last use.
+    /// Last use; the epoch where the file's time is unknown or has yet to come, which says nothing of its use.
     pub modified: SystemTime,
 }
 
@@ -134,12 +136,14 @@ impl Files {
     /// All files of `keys` or `blobs` that are named as such.
     pub fn scan(&self, part: &str) -> io::Result<Vec<Found>> {
         let mut found = Vec::new();
+        let latest = SystemTime::now() + CLOCK_DRIFT;
         for folder in read_dir(&self.folder.join(part))? {
             for path in read_dir(&folder)? {
                 let Some(hash) = path.file_name().and_then(|n| n.to_str()).and_then(unhex) else { continue };
                 // Another process may have removed it.
                 let Ok(metadata) = fs::metadata(&path) else { continue };
-                let modified = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+                let modified =
+                    metadata.modified().ok().filter(|time| *time <= latest).unwrap_or(SystemTime::UNIX_EPOCH);
                 found.push(Found { path, hash, size: metadata.len(), modified });
             }
         }

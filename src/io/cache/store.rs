@@ -209,7 +209,7 @@ impl DiskCache {
         add(&self.counts.stored, 1);
         add(&self.counts.bytes_stored, size);
         if !there {
-            self.made_larger(size);
+            self.made_larger(&hash, size);
         }
     }
 

@@ -7,7 +7,7 @@ use std::fs;
 use std::io;
 use std::time::Duration;
 
-use super::files::Found;
+use super::files::{Found, Hash};
 use super::store::{DiskCache, add, lock};
 
 /// Room that is made at once, of the limit.
@@ -39,14 +39,14 @@ impl Room {
 }
 
 impl DiskCache {
-    /// Counts what was written and makes room where it is due.
-    pub(super) fn made_larger(&self, bytes: u64) {
+    /// Counts a body that was written and makes room where it is due.
+    pub(super) fn made_larger(&self, newest: &Hash, bytes: u64) {
         let mut room = lock(&self.room);
         room.written_bytes += bytes;
         if !room.is_due() {
             return;
         }
-        match self.sweep(room.max_bytes) {
+        match self.sweep(room.max_bytes, newest) {
             Ok(Some(left)) => {
                 room.seen_bytes = Some(left);
                 room.written_bytes = 0;
@@ -63,8 +63,9 @@ impl DiskCache {
     }
 
     /// Removes down to nine tenths of the limit where there is more than it; says what is left. `None` where another
-    /// process is doing the same.
-    pub(super) fn sweep(&self, max_bytes: u64) -> io::Result<Option<u64>> {
+    /// process is doing the same. The newest body goes last of all: file times are too coarse to tell it from those
+    /// written just before, and clocks may be wrong.
+    pub(super) fn sweep(&self, max_bytes: u64, newest: &Hash) -> io::Result<Option<u64>> {
         let file = fs::File::options().create(true).truncate(false).write(true).open(self.files.folder.join("lock"))?;
         match file.try_lock() {
             Ok(()) => {}
@@ -79,7 +80,7 @@ impl DiskCache {
         if left <= max_bytes {
             return Ok(Some(left));
         }
-        blobs.sort_by(|a, b| a.modified.cmp(&b.modified).then(a.hash.cmp(&b.hash)));
+        blobs.sort_by_key(|blob| (blob.hash == *newest, blob.modified, blob.hash));
         let mut blobs = blobs.into_iter();
         while left > max_bytes - max_bytes / FREED_SHARE
             && let Some(oldest) = blobs.next()
@@ -97,5 +98,35 @@ impl DiskCache {
             }
         }
         Ok(Some(left))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use super::super::files::hash;
+    use super::super::store::CacheConfig;
+    use super::*;
+
+    #[test]
+    fn the_longest_unused_go_first_and_the_newest_last() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(&CacheConfig::new(folder.path())).unwrap();
+        let (now, day) = (SystemTime::now(), Duration::from_secs(24 * 3600));
+        // In the order in which they go; a time that has yet to come says nothing of a use.
+        let times = [now + 1000 * day, now - 3 * day, now - 2 * day, now - day, now - 4 * day];
+        let bodies: Vec<Hash> = (0..5u8).map(|i| hash(&[i; 100])).collect();
+        let newest = bodies[4];
+        for (i, (body, time)) in bodies.iter().zip(times).enumerate() {
+            let path = cache.files.blob(body);
+            cache.files.write(&path, &[i as u8; 100]).unwrap();
+            fs::File::options().write(true).open(path).unwrap().set_modified(time).unwrap();
+        }
+        for (max_bytes, gone) in [(500, 0), (400, 2), (299, 3), (150, 4)] {
+            cache.sweep(max_bytes, &newest).unwrap();
+            let left: Vec<bool> = bodies.iter().map(|body| cache.files.blob(body).exists()).collect();
+            assert_eq!(left, (0..5).map(|i| i >= gone).collect::<Vec<_>>(), "{max_bytes}");
+        }
     }
 }
