@@ -50,6 +50,8 @@ pub(super) struct PassTarget {
     /// Its depth is sampled later, or later stages go on with it.
     keeps_depth: bool,
     pub(super) size_px: [u32; 2],
+    /// A pixel.
+    pub(super) samples: u32,
     /// In [`Pipelines`].
     pub(super) index: u8,
     is_outermost: bool,
@@ -149,6 +151,7 @@ impl Targets {
             has_stencil: self.has_stencil,
             keeps_depth: self.has_followers,
             size_px,
+            samples,
             index: pipelines.target(&key).ok_or("more different targets than there can be")?,
             is_outermost,
             is_begun,
@@ -241,6 +244,7 @@ impl Targets {
             has_stencil: key.depth.has_stencil_aspect(),
             keeps_depth: true,
             size_px,
+            samples,
             index: pipelines.target(&key).ok_or("more different targets than there can be")?,
             is_outermost,
             is_begun: false,

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use super::DrawableEntry;
 use super::compile_thread::CompileThread;
 use super::custom::{CompileInfo, CustomCompile};
-use super::drawable::{DrawableTable, Pools, Shape};
+use super::drawable::{DrawableTable, Extent, Pools, Shape};
 use super::mesh_pool::MeshUploads;
 use super::packing::VertexFormat;
 use super::uploads::{QueueSink, Source, Upload};
@@ -395,7 +395,7 @@ pub(super) fn rewrite(
             upload.write(&mut QueueSink(queue), &mut scratch, units);
         }
     }
-    let shape = Shape::Mesh { place: placed.place, topology: mesh.topology, texture };
+    let shape = Shape::Mesh { place: placed.place, topology: mesh.topology, texture, extent: Extent::of_small(mesh) };
     table.replace(slot, DrawableEntry { shape, ..entry });
     // Free at once: later uploads run after the draws already submitted.
     pools.meshes.release(&old);
@@ -518,5 +518,5 @@ fn place_mesh(
     {
         uploads.push_back(Upload::new(Source::Image(image.clone()), into));
     }
-    Ok(Shape::Mesh { place: placed.place, topology: mesh.topology, texture })
+    Ok(Shape::Mesh { place: placed.place, topology: mesh.topology, texture, extent: Extent::of_small(mesh) })
 }

@@ -307,6 +307,11 @@ impl GraphicsContext {
         format!("{} ({:?})", self.adapter_info.name, self.adapter_info.backend)
     }
 
+    /// It draws with the processor.
+    pub(crate) fn is_software(&self) -> bool {
+        self.adapter_info.device_type == wgpu::DeviceType::Cpu
+    }
+
     /// The device, for overlays that draw on top.
     pub fn device(&self) -> &wgpu::Device {
         &self.device

@@ -8,7 +8,7 @@ use super::layouts::Layouts;
 use super::mesh_pool::{MeshPlace, MeshPool};
 use super::table::Table;
 use super::texture_pool::{TextureLayer, TexturePool};
-use crate::scene::{AlphaMode, DrawSlot, Material, Topology};
+use crate::scene::{AlphaMode, DrawSlot, Material, Mesh, SMALL_MESH_INDICES, Topology};
 
 /// Where a drawable's data lies.
 #[derive(Clone, Copy, Debug)]
@@ -18,9 +18,40 @@ pub(crate) enum Shape {
         place: MeshPlace,
         topology: Topology,
         texture: TextureLayer,
+        /// Where its triangles are, of small meshes.
+        extent: Option<Extent>,
     },
     /// By its place among the custom shapes.
     Custom(u32),
+}
+
+/// A box in a drawable's frame, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Extent {
+    pub(crate) center: [f32; 3],
+    /// Half of its size along each axis, with room for what f32 loses where the matrix is applied.
+    pub(crate) half: [f32; 3],
+}
+
+impl Extent {
+    /// Around the triangles of a mesh that is small; `None` for others, and where a vertex is not finite.
+    pub(super) fn of_small(mesh: &Mesh) -> Option<Self> {
+        if mesh.topology != Topology::Triangles || mesh.indices.len() > SMALL_MESH_INDICES as usize {
+            return None;
+        }
+        let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        for index in mesh.indices.iter() {
+            let position = mesh.vertices.get(*index as usize)?.position;
+            for (axis, p) in position.into_iter().enumerate() {
+                (min[axis], max[axis]) = (min[axis].min(p), max[axis].max(p));
+            }
+        }
+        let farthest = min.into_iter().chain(max).fold(0.0, |most: f32, p| most.max(p.abs()));
+        let lost = farthest * 1e-6;
+        let center = [0, 1, 2].map(|i| 0.5 * min[i] + 0.5 * max[i]);
+        let half = [0, 1, 2].map(|i| 0.5 * max[i] - 0.5 * min[i] + lost);
+        half.iter().all(|h| h.is_finite()).then_some(Self { center, half })
+    }
 }
 
 /// What of a drawable decides what has to be bound to draw it, its state apart.
@@ -75,7 +106,7 @@ impl DrawableEntry {
                 vertex_chunk: 0,
                 index_chunk: place.side,
             },
-            Shape::Mesh { place, topology, texture } => BindClass {
+            Shape::Mesh { place, topology, texture, .. } => BindClass {
                 topology: Some(*topology),
                 is_masked: matches!(self.alpha, AlphaMode::Mask(_)),
                 double_sided: self.double_sided,

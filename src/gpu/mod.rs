@@ -44,7 +44,7 @@ pub use surface::SurfaceAnswer;
 pub use target::Acquired;
 
 pub(crate) use custom::{CustomCompile, CustomShape, MOST_COLORS};
-pub(crate) use drawable::{BindClass, DrawableEntry, Shape};
+pub(crate) use drawable::{BindClass, DrawableEntry, Extent, Shape};
 #[cfg(test)]
 pub(crate) use height_pool::{HEADER_VECTORS as TABLE_HEADER_VECTORS, MORPH_LEVELS};
 pub(crate) use packing::VertexFormat;

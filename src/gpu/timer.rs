@@ -1,5 +1,8 @@
 //! GPU time of the passes of a frame from timestamp queries, read a few frames late so that nothing waits.
 //!
+//! A software adapter stops at each timestamp until all before it is done, which is up to half of a small frame; what it
+//! would tell is the processor's time anyway. There passes are only timed while a timeline is recorded.
+//!
 //! While a timeline is recorded the passes go on it, on a line for each context. The adapter's clock is not ours, and
 //! wgpu has nothing that reads both at once. But no pass begins before it was submitted: times on the adapter are moved by
 //! the least that agrees with this for all of the last frames. So a span lies too early by the least time for which one of
@@ -10,6 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::time::{Duration, Instant};
 
+use super::GraphicsContext;
 use crate::timeline::{self, Track};
 
 const IDLE: u8 = 0;
@@ -45,6 +49,8 @@ pub(crate) struct FrameTimer {
     next: usize,
     current: Option<usize>,
     period_ns: f64,
+    /// The adapter is a processor.
+    is_software: bool,
     /// Our times are counted from here.
     epoch: Option<Instant>,
     clock: ClockFit,
@@ -83,7 +89,8 @@ impl ClockFit {
 
 impl FrameTimer {
     /// `None` where the adapter has no timestamps.
-    pub(crate) fn new(device: &wgpu::Device, queue: &wgpu::Queue) -> Option<Self> {
+    pub(crate) fn new(ctx: &GraphicsContext) -> Option<Self> {
+        let device = ctx.device();
         if !device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
             return None;
         }
@@ -115,7 +122,8 @@ impl FrameTimer {
             slots,
             next: 0,
             current: None,
-            period_ns: f64::from(queue.get_timestamp_period()),
+            period_ns: f64::from(ctx.queue().get_timestamp_period()),
+            is_software: ctx.is_software(),
             epoch: None,
             clock: ClockFit::default(),
             last_ms: Vec::new(),
@@ -126,6 +134,10 @@ impl FrameTimer {
     /// Starts a context's frame of a number; it goes unmeasured while every read-back buffer is outstanding.
     pub(crate) fn start_frame(&mut self, context: u32, frame: u32) {
         self.current = None;
+        if self.is_software && !timeline::is_recording() {
+            self.last_ms.clear();
+            return;
+        }
         if let Some(slot) = self.slots.get_mut(self.next)
             && slot.state.load(Ordering::Acquire) == IDLE
         {

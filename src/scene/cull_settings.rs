@@ -26,12 +26,15 @@ impl CullingMode {
     pub const SHADOW_OCCLUSION: Self = Self(16);
     /// Drawables whose faces all look away ([`super::NormalCone`]); free where there is none.
     pub const CLUSTER: Self = Self(32);
+    /// Meshes of at most 16 triangles that lie wholly between the centres of pixels, which no pixel shows: the picture
+    /// is the same without them. Done where it is drawn; not in targets of several samples, and not for programs.
+    pub const SAMPLES: Self = Self(64);
     /// Sides, near and far plane.
     pub const VIEW_FRUSTUM: Self = Self(1 | 2 | 8);
     /// All but far plane and small features.
-    pub const DEFAULT: Self = Self(1 | 2 | 16 | 32);
+    pub const DEFAULT: Self = Self(1 | 2 | 16 | 32 | 64);
     /// Everything.
-    pub const ENABLE_ALL: Self = Self(63);
+    pub const ENABLE_ALL: Self = Self(127);
 
     /// True when every flag of the other is set.
     pub const fn contains(self, other: Self) -> bool {

@@ -472,6 +472,7 @@ impl ViewerBase {
             stats.gpu_ms = drawn.gpu_ms.map(|ms| ms.max(stats.gpu_ms.unwrap_or(0.0))).or(stats.gpu_ms);
             stats.skipped += u32::from(drawn.skipped);
             stats.leaves += drawn.leaves;
+            stats.unsampled_leaves += drawn.unsampled_leaves;
             stats.draw_calls += drawn.draw_calls;
             stats.shadow_leaves += drawn.shadow_leaves;
             stats.shadow_draw_calls += drawn.shadow_draw_calls;

@@ -207,6 +207,8 @@ pub struct DrawMedians {
     pub state_changes: u64,
     pub triangles: u64,
     #[serde(default)]
+    pub unsampled_leaves: u64,
+    #[serde(default)]
     pub shadow_leaves: u64,
     #[serde(default)]
     pub shadow_draw_calls: u64,
@@ -294,6 +296,7 @@ impl Report {
                 draw_calls: median(|f| f64::from(f.draw_calls)),
                 state_changes: median(|f| f64::from(f.state_changes)),
                 triangles: median(|f| f.triangles as f64),
+                unsampled_leaves: median(|f| f64::from(f.unsampled_leaves)),
                 shadow_leaves: median(|f| f64::from(f.shadow_leaves)),
                 shadow_draw_calls: median(|f| f64::from(f.shadow_draw_calls)),
             },

@@ -22,12 +22,14 @@ pub struct FrameStats {
     pub draw_ms: f64,
     /// Uploads, on the thread that owns the context.
     pub compile_ms: f64,
-    /// GPU time where the adapter has timestamps.
+    /// GPU time where the adapter has timestamps; on software adapters only while a timeline is recorded.
     pub gpu_ms: Option<f64>,
     /// Windows that had no image to draw into: hidden, late, or with a surface that was lost or out of date.
     pub skipped: u32,
     /// Leaves drawn.
     pub leaves: u32,
+    /// Leaves that were not drawn because no pixel would have shown them.
+    pub unsampled_leaves: u32,
     /// Draw calls recorded.
     pub draw_calls: u32,
     /// Leaves drawn into shadow maps.

@@ -4,13 +4,15 @@
 //! but runs is ever sorted. Reuses its memory; allocates nothing once as large a stage was drawn before.
 
 mod lookup;
+mod sample_grid;
 
 use std::collections::HashMap;
 
-use glam::{Vec3A, Vec4};
+use glam::{DMat4, Vec3A, Vec4};
 
 use crate::cull::{FadeBand, RenderLeaf, RenderStage};
 use crate::draw::batch::lookup::Lookup;
+use crate::draw::batch::sample_grid::SampleGrid;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
 use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
@@ -76,7 +78,11 @@ pub(in crate::draw) struct StateEntry {
     is_hidden: bool,
     /// Whatever has the state is drawn; mostly so.
     shows_all: bool,
+    /// Index of the grid of its pixels where what lies between them is left out; [`NO_GRID`] elsewhere.
+    grid: u32,
 }
+
+const NO_GRID: u32 = u32::MAX;
 
 impl StateEntry {
     pub(in crate::draw) fn new(key: StateKey, statics: u32, state: &ResolvedState, band: FadeBand) -> Self {
@@ -88,7 +94,14 @@ impl StateEntry {
         let band = if is_whole { 0 } else { (u32::from(band.from) | u32::from(band.to) << 8) << BAND_SHIFT };
         let of_all = band | if state.has_own_textures() { 0 } else { FLAG_UNTEXTURED };
         let flags = [false, true].map(|unlit| if state.is_lit(unlit) { of_all } else { of_all | FLAG_UNLIT });
-        Self { key, statics, class: 0, color: state.color, flags, is_hidden, shows_all }
+        Self { key, statics, class: 0, color: state.color, flags, is_hidden, shows_all, grid: NO_GRID }
+    }
+}
+
+impl StateEntry {
+    /// The same where small meshes are left out that lie between the pixels of a grid of [`Batch::grid`].
+    pub(in crate::draw) fn without_unsampled(self, grid: u32) -> Self {
+        Self { grid, ..self }
     }
 }
 
@@ -105,6 +118,10 @@ pub(in crate::draw) struct Batch {
     pub(in crate::draw) buckets: Vec<(Bucket, u32)>,
     /// By state of the current stage.
     pub(in crate::draw) states: Vec<StateEntry>,
+    /// Of all stages, with what they are of.
+    grids: Vec<(SampleGrid, DMat4, [f32; 4])>,
+    /// Leaves left out because they lie between pixels.
+    pub(in crate::draw) unsampled: u32,
     class_of: HashMap<(StateKey, u32), u32>,
     /// From state class and bind class to bucket.
     bucket_of: Lookup,
@@ -159,6 +176,28 @@ impl Batch {
         self.runs.clear();
         self.bin_starts.clear();
         self.buckets.clear();
+        self.grids.clear();
+        self.unsampled = 0;
+    }
+
+    /// The index of the grid of a viewport's pixels: x, y, width, height.
+    pub(in crate::draw) fn grid(&mut self, clip_from_eye: &DMat4, viewport_px: [f32; 4]) -> u32 {
+        let is_known = |(_, of, px): &(SampleGrid, DMat4, [f32; 4])| of == clip_from_eye && *px == viewport_px;
+        if !self.grids.last().is_some_and(is_known) {
+            self.grids.push((SampleGrid::new(clip_from_eye, viewport_px), *clip_from_eye, viewport_px));
+        }
+        self.grids.len() as u32 - 1
+    }
+
+    /// A leaf that lies between pixels, and no pixel shows.
+    #[inline]
+    fn is_unsampled(&self, state: &StateEntry, entry: &DrawableEntry, rows: &[[f32; 4]; 3]) -> bool {
+        match &entry.shape {
+            Shape::Mesh { extent: Some(extent), .. } if state.key.can_pull => {
+                self.grids.get(state.grid as usize).is_some_and(|(grid, ..)| grid.misses(rows, extent))
+            }
+            _ => false,
+        }
     }
 
     /// The leaves so far.
@@ -241,6 +280,11 @@ impl Batch {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
             };
+            if self.is_unsampled(state, entry, rows) {
+                self.unsampled += 1;
+                self.run_of_leaf.push(NO_RUN);
+                continue;
+            }
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last.0 {
@@ -317,6 +361,10 @@ impl Batch {
             let state = &self.states[leaf.state as usize];
             let found = drawable(ctx, stage, leaf).filter(|(entry, _)| is_drawn(state, entry));
             let Some((entry, rows)) = found else { continue };
+            if self.is_unsampled(state, entry, rows) {
+                self.unsampled += 1;
+                continue;
+            }
             let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last {

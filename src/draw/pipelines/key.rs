@@ -2,10 +2,10 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16-21 blending   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading   61 packed vertices   62 receives shadows   63 casts
+//! 11-12 polygon mode   13-15 color mask   16-21 blending   22-23 air   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading   61 packed vertices   62 receives shadows   63 casts
 //! ```
 
-use crate::scene::Topology;
+use crate::scene::{Environment, Sky, Topology};
 use crate::state::{
     BlendEquation, BlendFunc, ColorMask, CompareFunction, CullFace, FrontFace, Mode, PolygonMode, PolygonOffset,
     ResolvedState, Stencil,
@@ -35,6 +35,7 @@ pub(in crate::draw) enum Kind {
 const CLOCKWISE: u64 = 1 << 10;
 /// What triangles alone have: culled faces, polygon mode, offset.
 const OF_TRIANGLES: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
+const AIR_SHIFT: u32 = 22;
 const FIXED: u64 = 1 << 40;
 const ALPHA_TO_COVERAGE: u64 = 1 << 41;
 const PROGRAM: u64 = 0x3ff << 48;
@@ -44,6 +45,27 @@ const FADING: u64 = 1 << 60;
 const PACKED: u64 = 1 << 61;
 const SHADOWED: u64 = 1 << 62;
 const CASTER: u64 = 1 << 63;
+
+/// What is between things and the eye.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::draw) enum AirKind {
+    /// Whatever the frame says.
+    Atmosphere,
+    /// Haze at most.
+    Haze,
+    /// Nothing.
+    Clear,
+}
+
+impl AirKind {
+    pub fn of(environment: &Environment) -> Self {
+        match environment.sky {
+            Sky::Atmosphere => Self::Atmosphere,
+            Sky::Background(_) if environment.fog.enabled => Self::Haze,
+            Sky::Background(_) => Self::Clear,
+        }
+    }
+}
 
 /// Who shades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,6 +151,12 @@ impl StateKey {
     /// The same for leaves that are drawn in a part of the pixels.
     pub fn fading(self) -> Self {
         Self { common: if self.can_fade { self.common | FADING } else { self.common }, ..self }
+    }
+
+    /// The same in some air; programs ask the frame themselves.
+    pub fn in_air(self, air: AirKind) -> Self {
+        let air = if self.common & PROGRAM == 0 { (air as u64) << AIR_SHIFT } else { 0 };
+        Self { common: self.common | air, ..self }
     }
 
     /// The same where the sun's shadows fall.
@@ -225,6 +253,10 @@ impl PipelineKey {
     /// Index of function and equation; 0 where blending is off.
     pub fn blend(self) -> u8 {
         self.field(16, 6) as u8
+    }
+
+    pub fn air(self) -> AirKind {
+        [AirKind::Atmosphere, AirKind::Haze, AirKind::Clear, AirKind::Atmosphere][self.field(AIR_SHIFT, 2)]
     }
 
     pub fn offset(self) -> u8 {

@@ -8,7 +8,7 @@ mod variant;
 
 use std::collections::HashMap;
 
-use crate::draw::pipelines::key::{Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
+use crate::draw::pipelines::key::{AirKind, Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::programs::{HEIGHT_ENTRY, Programs};
 pub use sources::DRAWABLE_PRELUDE;
 use sources::*;
@@ -333,7 +333,12 @@ impl Pipelines {
             }
         }
         let fragment = if key.is_fading() { fading(fragment) } else { fragment };
-        let constants: Vec<(&str, f64)> = constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        let mut constants: Vec<(&str, f64)> = constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        constants.extend_from_slice(match key.air() {
+            AirKind::Atmosphere => &[],
+            AirKind::Haze => &[("HAS_ATMOSPHERE", 0.0)],
+            AirKind::Clear => &[("HAS_ATMOSPHERE", 0.0), ("HAS_HAZE", 0.0)],
+        });
         let topology = match key.kind() {
             Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
             Kind::Lines => wgpu::PrimitiveTopology::LineList,

@@ -1,10 +1,10 @@
 //! Pipelines made before they are needed: when a page has arrived and its drawables are about to be uploaded.
 
-use crate::draw::pipelines::key::{PipelineKey, Shading, StateKey};
+use crate::draw::pipelines::key::{AirKind, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::{MOST_COLORS, TargetFormats};
 use crate::draw::renderer::Renderer;
 use crate::gpu::GraphicsContext;
-use crate::scene::{DrawKind, Topology};
+use crate::scene::{DrawKind, Environment, Topology};
 
 /// What a stage was drawn into, as far as pipelines depend on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -13,6 +13,7 @@ pub(super) struct DrawnInto {
     pub(super) target: u8,
     /// A light replaces the sun.
     pub(super) has_own_light: bool,
+    pub(super) air: AirKind,
     /// The sun's shadows fall there.
     pub(super) has_shadows: bool,
 }
@@ -24,7 +25,8 @@ impl Renderer {
         if self.drawn_into.is_empty()
             && let Some(target) = self.own_target(ctx)
         {
-            self.drawn_into.push(DrawnInto { target, has_own_light: false, has_shadows: false });
+            let air = AirKind::of(&Environment::default());
+            self.drawn_into.push(DrawnInto { target, has_own_light: false, air, has_shadows: false });
         }
         let has_shadows = self.drawn_into.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
@@ -54,7 +56,7 @@ impl Renderer {
         let found = self.shading_of(ctx, &kind.state, drawn.has_own_light);
         let shading = *found.as_ref().unwrap_or(&Shading::Fallback);
         let whole = self.pipelines.state_key(&kind.state, shading, drawn.target);
-        let whole = if drawn.has_shadows { whole.shadowed() } else { whole };
+        let whole = if drawn.has_shadows { whole.shadowed() } else { whole }.in_air(drawn.air);
         self.foresee_key(ctx, kind, &whole);
         self.foresee_key(ctx, kind, &whole.fading());
         found.map(drop)

@@ -51,6 +51,8 @@ const MOST_ERRORS: usize = 64;
 pub struct DrawStats {
     /// Leaves drawn, those that cast shadows apart.
     pub leaves: u32,
+    /// Leaves that no pixel would have shown, and that were not drawn ([`crate::cull::CullingMode::SAMPLES`]).
+    pub unsampled_leaves: u32,
     /// Leaves drawn into shadow maps, once for each cascade.
     pub shadow_leaves: u32,
     /// Draw calls for them, which [`Self::draw_calls`] counts too.
@@ -73,7 +75,8 @@ pub struct DrawStats {
     /// a target counts as one.
     pub pipelines_created: u32,
     /// Time of all passes on the adapter, of the latest frame whose timestamps have arrived; `None` without
-    /// timestamps. [`Renderer::pass_ms`] has them one by one.
+    /// timestamps, and on software adapters, which stop at each of them, unless a timeline is recorded.
+    /// [`Renderer::pass_ms`] has them one by one.
     pub gpu_ms: Option<f64>,
     /// The window showed nothing, so nothing was drawn.
     pub skipped: bool,
@@ -236,7 +239,7 @@ impl Renderer {
             drawn_into: Vec::new(),
             plans: Vec::new(),
             casters: Vec::new(),
-            timer: FrameTimer::new(device, ctx.queue()),
+            timer: FrameTimer::new(ctx),
             queries: None,
             pictures: PictureReads::default(),
             composite: None,
@@ -320,6 +323,7 @@ impl Renderer {
         self.upload(ctx);
         let mut stats = self.record(ctx, pictures);
         stats.leaves = self.batch.leaves().len() as u32 - self.shadow_leaves;
+        stats.unsampled_leaves = self.batch.unsampled;
         stats.shadow_leaves = self.shadow_leaves;
         stats.airs_refused = self.airs_refused;
         stats.pipelines_created += self.pipelines.created() - created_before;
@@ -431,7 +435,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::cull::{CullCamera, CullVisitor};
+    use crate::cull::{CullCamera, CullVisitor, CullingMode};
     use crate::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits};
     use crate::scene::{AlphaMode, Drawable, Material, Mesh, Node, Page, Scene};
     use crate::state::{Attribute, BinDetails, CullFace, Scissor, SortMode, StateSet, SurfaceMaterial};
@@ -505,7 +509,8 @@ mod tests {
         renderer.draw(&mut ctx, &stage, &environment).unwrap();
         let stats = renderer.draw(&mut ctx, &stage, &environment).unwrap();
         assert!(renderer.take_errors().is_empty());
-        assert_eq!(stats.leaves as usize, stage.leaf_count());
+        assert!(stats.unsampled_leaves > 50, "some are small: {stats:?}");
+        assert_eq!((stats.leaves + stats.unsampled_leaves) as usize, stage.leaf_count());
 
         let batch = &renderer.batch;
         let buckets = || batch.runs.iter().map(|r| batch.buckets[r.bucket as usize]);
@@ -528,6 +533,9 @@ mod tests {
 
         // What does not fit into the adapter's buffer is dropped and said.
         renderer.most_leaves = 150;
+        let mut camera = CullCamera::default();
+        camera.settings.culling = CullingMode::VIEW_FRUSTUM;
+        CullVisitor::new().cull(&scene, &camera, &mut stage);
         let stats = renderer.draw(&mut ctx, &stage, &environment).unwrap();
         assert_eq!(stats.leaves, 150);
         let errors = renderer.take_errors();

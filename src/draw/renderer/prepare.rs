@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::foresee::DrawnInto;
-use super::views::{Surroundings, ViewFrame};
+use super::views::{Surroundings, ViewFrame, clip_of_view};
 use super::{FrameClock, Picture, Renderer};
 use crate::cull::{CullCamera, FadeBand, RenderStage};
 use crate::draw::answers::Queries;
@@ -17,8 +17,8 @@ use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, replaces_sun};
 use crate::draw::uniforms::frame::LeafUniform;
 use crate::gpu::GraphicsContext;
-use crate::scene::Sky;
-use crate::state::{ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
+use crate::scene::{CullingMode, Sky};
+use crate::state::{PolygonMode, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
     pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>> + Clone) {
@@ -95,7 +95,7 @@ impl Renderer {
         };
         let first_caster = self.casters.len();
         let (frames, background, mut dropped) = self.prepare_views(ctx, stage, around, &target);
-        let ViewFrame { uniform, positioned, has_shadows, .. } = frames[0];
+        let ViewFrame { uniform, positioned, air_kind, has_shadows, .. } = frames[0];
         let casters = first_caster..self.casters.len();
         let base = Statics {
             dynamics: target.dynamics(stage.target.viewport_px),
@@ -108,12 +108,14 @@ impl Renderer {
         let has_own_light = replaces_sun(stage);
         // An empty stage has none; what comes will.
         let will_have = around.shadows.is_some() && stage.leaf_count() == 0;
-        let drawn = DrawnInto { target: target.index, has_own_light, has_shadows: !casters.is_empty() || will_have };
+        let has_casters = !casters.is_empty() || will_have;
+        let drawn = DrawnInto { target: target.index, has_own_light, air: air_kind, has_shadows: has_casters };
         if !self.drawn_into.contains(&drawn) {
             self.drawn_into.push(drawn);
         }
         let mut states = std::mem::take(&mut self.batch.states);
         states.clear();
+        let leaves_out = target.samples == 1 && stage.camera.settings.culling.contains(CullingMode::SAMPLES);
         let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
         for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
             let (shading, group) = self.shading(ctx, stage, *view, state, has_own_light, &target);
@@ -129,9 +131,15 @@ impl Renderer {
                 self.statics.len() - 1
             });
             let key = self.pipelines.state_key(state, shading, target.index);
-            let key = if of_view.has_shadows { key.shadowed() } else { key };
+            let key = if of_view.has_shadows { key.shadowed() } else { key }.in_air(of_view.air_kind);
             let band = stage.fades.get((*fade as usize).wrapping_sub(1)).copied().unwrap_or(FadeBand::FULL);
-            states.push(StateEntry::new(key, index as u32, state, band));
+            let entry = StateEntry::new(key, index as u32, state, band);
+            states.push(if leaves_out && state.polygon_mode() == PolygonMode::Fill {
+                let [x, y, width, height, ..] = statics.dynamics.viewport;
+                entry.without_unsampled(self.batch.grid(clip_of_view(stage, *view), [x, y, width, height]))
+            } else {
+                entry
+            });
         }
         self.batch.states = states;
         let (first_run, first_bin) = (self.batch.runs.len(), self.batch.bin_starts.len());

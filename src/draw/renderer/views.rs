@@ -1,11 +1,12 @@
 //! The views inside a stage: what lights each of them, and its uniforms. Runs on the draw thread, as all of the renderer.
 
-use glam::DAffine3;
+use glam::{DAffine3, DMat4};
 
 use super::Renderer;
 use super::shadows::Casting;
 use crate::cull::{CullCamera, MOST_CASCADES, RenderStage, StageShadows};
 use crate::draw::atmosphere::{Air, FoundAir};
+use crate::draw::pipelines::key::AirKind;
 use crate::draw::plan::PassTarget;
 use crate::draw::shadow_maps::ShadowMaps;
 use crate::draw::uniforms::fixed::StageUniform;
@@ -46,7 +47,14 @@ pub(super) struct ViewFrame {
     pub(super) positioned: u32,
     /// Set of the air's tables.
     pub(super) air: u8,
+    pub(super) air_kind: AirKind,
     pub(super) has_shadows: bool,
+}
+
+/// The projection of a view inside a stage. Those that there is no room for are drawn with the stage's own.
+pub(super) fn clip_of_view(stage: &RenderStage, view: u32) -> &DMat4 {
+    let inner = (view as usize).checked_sub(1).filter(|place| *place < MOST_VIEWS - 1);
+    inner.and_then(|place| stage.views.get(place)).map_or(&stage.camera.clip_from_eye, |view| &view.clip_from_eye)
 }
 
 impl Renderer {
@@ -131,7 +139,8 @@ impl Renderer {
         self.light_views(ctx, stage, around);
         let views = std::mem::take(&mut self.views);
         let is_positioned = !stage.lights.is_empty() || !stage.clip_planes.is_empty();
-        let mut frames = [ViewFrame { uniform: 0, positioned: 0, air: 0, has_shadows: false }; MOST_VIEWS];
+        let none = ViewFrame { uniform: 0, positioned: 0, air: 0, air_kind: AirKind::Atmosphere, has_shadows: false };
+        let mut frames = [none; MOST_VIEWS];
         let (mut dropped, mut background) = (0, wgpu::Color::BLACK);
         for (place, view) in views.iter().enumerate() {
             let LitView { camera, around: Surroundings { environment, air, .. }, first_layer } = view;
@@ -159,7 +168,8 @@ impl Renderer {
                 dropped += self.prepare_casters(ctx, stage, &casting, target);
             }
             let has_shadows = first_layer.is_some();
-            frames[place] = ViewFrame { uniform: self.groups.push(&uniform), positioned, air: air.place, has_shadows };
+            let (uniform, air_kind) = (self.groups.push(&uniform), AirKind::of(environment));
+            frames[place] = ViewFrame { uniform, positioned, air: air.place, air_kind, has_shadows };
         }
         // Views that there is no room for are drawn with the stage's own.
         let own = frames[0];

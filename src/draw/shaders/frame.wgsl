@@ -46,6 +46,10 @@ struct Stage {
     clip_planes: array<vec4<f32>, 6>,
 }
 
+// What the whole frame is without is left out of the pipeline: software adapters run both sides of a branch.
+override HAS_ATMOSPHERE: bool = true;
+override HAS_HAZE: bool = true;
+
 const FLAG_UNLIT: u32 = 1u;
 const FLAG_UNTEXTURED: u32 = 2u;
 const INDEX_COUNT_SHIFT: u32 = 8u;
@@ -129,7 +133,7 @@ fn light(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
 // The sun's part of it, without shadows.
 fn light_of_sun(normal: vec3<f32>, up: vec3<f32>, height_m: f32) -> vec3<f32> {
     let facing = max(dot(normal, frame.sun_direction.xyz), 0.0);
-    if frame.shape.z <= 0.0 {
+    if !HAS_ATMOSPHERE || frame.shape.z <= 0.0 {
         return frame.sun_color.rgb * facing * sun_daylight(dot(up, frame.sun_direction.xyz));
     }
     return sun_at(up, height_m) * (facing / 3.14159265);
@@ -145,7 +149,7 @@ fn light_of_sky(normal: vec3<f32>, up: vec3<f32>) -> vec3<f32> {
     let cosine = dot(up, frame.sun_direction.xyz);
     let ground = frame.ambient_color.rgb * vec3<f32>(0.45, 0.40, 0.34);
     let ambient = mix(ground, frame.ambient_color.rgb, 0.5 + 0.5 * dot(normal, up));
-    if frame.shape.z <= 0.0 {
+    if !HAS_ATMOSPHERE || frame.shape.z <= 0.0 {
         return ambient * (0.15 + 0.85 * sun_daylight(cosine));
     }
     // The ambient light is that of a high sun; it falls with the sky's, and some is left at night.
@@ -177,7 +181,7 @@ fn tone_mapped(lit_color: vec3<f32>) -> vec3<f32> {
 
 // What the air between the eye and a point adds to its colour; w: the share of it that is left.
 fn aerial(point: vec3<f32>) -> vec4<f32> {
-    if frame.shape.w > 0.0 {
+    if HAS_ATMOSPHERE && frame.shape.w > 0.0 {
         let distance = length(point);
         let ray = point / max(distance, 1e-6);
         let cosine = dot(ray, frame.up.xyz);
@@ -218,7 +222,7 @@ fn unlit_through_air(color: vec3<f32>, air: vec4<f32>) -> vec3<f32> {
 
 // Share of a point's colour that haze takes where there is no atmosphere, from the mean density of air along the way.
 fn haze(point: vec3<f32>) -> f32 {
-    if frame.ambient_color.w <= 0.0 {
+    if !HAS_HAZE || frame.ambient_color.w <= 0.0 {
         return 0.0;
     }
     let eye_height = frame.up.w * frame.horizon_color.w;

@@ -66,7 +66,7 @@ fn measure(
     while settled < 20 && Instant::now() < patience {
         viewer.frame()?;
         viewer.finish()?;
-        settled += u32::from(viewer.stats().last().is_some_and(|f| f.leaves >= expected));
+        settled += u32::from(viewer.stats().last().is_some_and(|f| f.leaves + f.unsampled_leaves >= expected));
     }
     let first = viewer.frame_stamp().frame + 1;
     let mut times = Vec::new();
@@ -81,13 +81,13 @@ fn measure(
         let frames = viewer.stats().iter().filter(|f| f.frame >= first && f.drawn);
         percentile(&mut frames.map(value).collect::<Vec<_>>(), 0.5)
     };
-    let leaves = of(|f| f64::from(f.leaves));
+    let [leaves, unsampled] = [of(|f| f64::from(f.leaves)), of(|f| f64::from(f.unsampled_leaves))];
     let round = |ms: f64| (ms * 1e3).round() / 1e3;
     let mean = times.iter().sum::<f64>() / times.len() as f64;
     Ok(json!({
         "bench": "terrane_frame", "n": cells, "statesets": state_sets,
         "view": match view { View::Tenth => "tenth", View::All => "all", View::Tilted => "tilted" },
-        "geometry": "pooled", "threading": threading.to_string(), "frames": times.len(), "leaves": leaves,
+        "geometry": "pooled", "threading": threading.to_string(), "frames": times.len(), "leaves": leaves, "unsampled_leaves": unsampled,
         "adapter": viewer.adapter_name(),
         "frame_mean_ms": round(mean * 1e3), "frame_p50_ms": round(percentile(&mut times, 0.5) * 1e3),
         "frame_p95_ms": round(percentile(&mut times, 0.95) * 1e3),

@@ -1,0 +1,125 @@
+//! Which small meshes lie wholly between the centres of pixels.
+//!
+//! A triangle has a colour where it covers a pixel's centre; one that covers none leaves the picture as it is. Of meshes
+//! that are seen from afar most are such, and what the adapter does for each before it finds that out is most of the
+//! frame. Draw thread; plain values.
+
+use glam::{DMat4, DVec4, Vec4};
+
+use crate::gpu::Extent;
+
+/// Pixels by which a mesh may be off: rasterizers snap vertices to a 256th of a pixel, and what is computed in f32 there
+/// and here differs by less than that up to 16,384 pixels.
+const MARGIN_PX: f32 = 1.0 / 64.0;
+
+/// Where the pixels of a viewport are, seen from the eye: times a point in eye space, with 1, the columns give its x and
+/// y in pixels from the target's upper left corner, both times z.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SampleGrid([Vec4; 4]);
+
+impl SampleGrid {
+    /// Of a viewport: x, y, width, height in pixels.
+    pub(super) fn new(clip_from_eye: &DMat4, [x, y, width, height]: [f32; 4]) -> Self {
+        let half = [0.5 * f64::from(width), 0.5 * f64::from(height)];
+        let middle = [f64::from(x) + half[0], f64::from(y) + half[1]];
+        Self([0, 1, 2, 3].map(|column| {
+            let DVec4 { x, y, w, .. } = clip_from_eye.col(column);
+            DVec4::new(half[0] * x + middle[0] * w, middle[1] * w - half[1] * y, w, 0.0).as_vec4()
+        }))
+    }
+
+    /// True when no pixel's centre lies in what is seen of a box; the rows are those of the map from its frame to the
+    /// eye. Never where a part of it is behind the eye, or something is no number.
+    #[inline]
+    pub(super) fn misses(&self, rows: &[[f32; 4]; 3], extent: &Extent) -> bool {
+        let column = |i: usize| self.0[0] * rows[0][i] + self.0[1] * rows[1][i] + self.0[2] * rows[2][i];
+        let axes = [column(0), column(1), column(2)];
+        let [x, y, z] = extent.center;
+        let center = axes[0] * x + axes[1] * y + axes[2] * z + column(3) + self.0[3];
+        let reach =
+            axes[0].z.abs() * extent.half[0] + axes[1].z.abs() * extent.half[1] + axes[2].z.abs() * extent.half[2];
+        let nearest = center.z - reach;
+        if nearest.is_nan() || nearest <= 0.0 {
+            return false;
+        }
+        // How far a point of the box is from the middle of its picture: (p + q) / (z + w) - p / z, with p and z of the
+        // middle and q and w of the way to the point, is (q - w p / z) / (z + w).
+        let at = center / center.z;
+        let off = |axis: Vec4, half: f32| (axis - at * axis.z).abs() * half;
+        let spread = off(axes[0], extent.half[0]) + off(axes[1], extent.half[1]) + off(axes[2], extent.half[2]);
+        let spread = spread / nearest + MARGIN_PX;
+        let (first, last) = ((at - spread - 0.5).ceil(), (at + spread - 0.5).floor());
+        first.x > last.x || first.y > last.y
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DAffine3, DVec3, DVec4};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Pixels from the target's upper left corner.
+    fn pixel(clip_from_eye: &DMat4, viewport: [f32; 4], eye: DVec3) -> [f64; 2] {
+        let clip: DVec4 = *clip_from_eye * eye.extend(1.0);
+        let [x, y, width, height] = viewport.map(f64::from);
+        [x + width * (0.5 + 0.5 * clip.x / clip.w), y + height * (0.5 - 0.5 * clip.y / clip.w)]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(4000))]
+        #[test]
+        fn boxes_that_are_missed_hold_no_centre_and_small_ones_that_hold_none_are_missed(
+            center in prop::array::uniform3(-5.0f64..5.0),
+            size in -4.0f64..0.0,
+            shape in prop::array::uniform3(0.1f64..1.0),
+            turn in prop::array::uniform3(0.0f64..6.3),
+            place in (-30.0f64..30.0, -30.0f64..30.0, -100.0f64..-8.0),
+            viewport in prop::array::uniform2(0.0f32..300.0),
+        ) {
+            let viewport = [viewport[0], viewport[1], 320.0, 200.0];
+            let clip = glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.0, 1.6, 0.1);
+            let turn = glam::DQuat::from_euler(glam::EulerRot::XYZ, turn[0], turn[1], turn[2]);
+            let center = DVec3::from_array(center);
+            let place = DVec3::new(place.0, place.1, place.2) - turn * center;
+            let map = DAffine3::from_rotation_translation(turn, place);
+            let half = DVec3::from_array(shape) * 10f64.powf(size);
+            let m = map.matrix3.transpose();
+            let rows = [m.x_axis, m.y_axis, m.z_axis].map(|r| r.as_vec3());
+            let rows = [0, 1, 2].map(|i| [rows[i].x, rows[i].y, rows[i].z, map.translation[i] as f32]);
+            let extent = Extent { center: center.as_vec3().to_array(), half: half.as_vec3().to_array() };
+            let missed = SampleGrid::new(&clip, viewport).misses(&rows, &extent);
+            let corners = (0..8).map(|i| {
+                let side = |bit: u32| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
+                pixel(&clip, viewport, map.transform_point3(center + half * DVec3::new(side(0), side(1), side(2))))
+            });
+            let (mut min, mut max) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+            for corner in corners {
+                for axis in 0..2 {
+                    (min[axis], max[axis]) = (min[axis].min(corner[axis]), max[axis].max(corner[axis]));
+                }
+            }
+            let lies_between = |room: f64| (0..2).any(|i| (min[i] - room - 0.5).ceil() > (max[i] + room - 0.5).floor());
+            prop_assert!(!missed || lies_between(0.0), "{min:?} {max:?}");
+            let wide = (max[0] - min[0]).max(max[1] - min[1]);
+            prop_assert!(missed || !lies_between(1.5 * f64::from(MARGIN_PX) + 0.3 * wide), "{min:?} {max:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_around_the_eye_or_no_number_is_not_missed() {
+        let clip = glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.0, 1.0, 0.1);
+        let grid = SampleGrid::new(&clip, [0.0, 0.0, 64.0, 64.0]);
+        let at = |z: f32| [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, z]];
+        let small = Extent { center: [0.0; 3], half: [1e-3; 3] };
+        // On the line between four pixels.
+        assert!(grid.misses(&at(-10.0), &small));
+        assert!(!grid.misses(&at(10.0), &small));
+        assert!(!grid.misses(&at(0.0), &small));
+        assert!(!grid.misses(&at(-10.0), &Extent { half: [20.0; 3], ..small }));
+        assert!(!grid.misses(&at(f32::NAN), &small));
+        assert!(!grid.misses(&at(-10.0), &Extent { half: [f32::NAN; 3], ..small }));
+        assert!(!SampleGrid::new(&DMat4::ZERO, [0.0; 4]).misses(&at(-10.0), &small));
+    }
+}
