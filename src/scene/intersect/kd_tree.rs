@@ -6,9 +6,9 @@
 //! Boxes are 12 bytes, in steps of the whole box, whose z axis is the primitives' mean normal: boxes around a slope lie
 //! flat on it. Primitives are tested in f64 with the very positions that are drawn.
 
-use glam::{DMat3, DVec3, DVec4, Vec3};
+use glam::{DMat3, DVec3, DVec4, Vec3, Vec4};
 
-use super::primitives::{Corners, HeightCorners, Indices, MeshCorners, Primitive, corners_of, mesh_primitives};
+use super::primitives::{Corners, HeightCorners, Indices, MeshCorners, Primitive, Sight, corners_of, mesh_primitives};
 use crate::math::{BoundingSphere, Ray, slab};
 use crate::scene::geometry::Geometry;
 
@@ -24,6 +24,8 @@ const ROOM: f64 = 2.0;
 /// Triangles are larger by this share: neighbouring tiles meet but for the rounding of their f32 positions, and a
 /// line must not fall through.
 pub(super) const EDGE_SLACK: f64 = 1e-5;
+/// What of a triangle so enlarged is outside it, as a share of its longest edge: at most three of those, with room.
+const SIGHT_SLACK: f64 = 10.0 * EDGE_SLACK;
 
 /// A box in steps.
 #[derive(Clone, Copy, Debug)]
@@ -191,6 +193,10 @@ impl KdTree {
         let span = last - first;
         let near = Ray { origin: ray.at(first), direction: ray.direction * span, max_ratio: 1.0 };
         let walk = Walk::new(origin + direction * first, direction * span);
+        let sight = self.is_of_heights().then(|| {
+            let longest_m = (STEPS * self.step_m).length();
+            Sight::new(&near, self.box_from_drawable.row(2), SIGHT_SLACK * longest_m)
+        });
         let share_of = |ratio: f64| ((ratio - first) / span) as f32 * 1.000_001 + 1e-6;
         let mut max_share = 1.0f32;
         let leaves = (1usize << self.depth) - 1;
@@ -205,14 +211,19 @@ impl KdTree {
                     break;
                 }
                 if node >= leaves {
-                    for place in self.places(node - leaves) {
-                        let Some((share, weights, normal)) = meet(&near, &self.store.corners(place)) else { continue };
+                    let mut look = |place: usize, corners: &Corners| {
+                        let Some((share, weights, normal)) = meet(&near, corners) else { return };
                         let ratio = first + share * span;
                         if (0.0..=max_ratio).contains(&ratio) {
                             let hit = self.hit(place, ratio, weights, normal);
                             max_ratio = max_ratio.min(found(&hit));
                             max_share = max_share.min(share_of(max_ratio));
                         }
+                    };
+                    let leaf = self.places(node - leaves);
+                    match (&self.store, &sight) {
+                        (Store::Heights(heights), Some(sight)) => heights.along(leaf, sight, look),
+                        (store, _) => leaf.for_each(|place| look(place, &store.corners(place))),
                     }
                     break;
                 }
@@ -346,30 +357,35 @@ impl Store {
     }
 }
 
-/// A line in the steps of a tree.
+/// A line in the steps of a tree, for all axes at once; z is there twice.
 struct Walk {
-    origin: Vec3,
-    per_step: Vec3,
+    origin: Vec4,
+    per_step: Vec4,
 }
 
 impl Walk {
     fn new(origin: DVec3, direction: DVec3) -> Self {
-        Self { origin: origin.as_vec3(), per_step: direction.as_vec3().recip() }
+        // Across an axis it is all but across, so that no product is NaN.
+        let least = Vec4::splat(1e-30);
+        let along = xyzz(direction.as_vec3().to_array());
+        let per_step = Vec4::select(along.abs().cmplt(least), least, along).recip();
+        Self { origin: xyzz(origin.as_vec3().to_array()), per_step }
     }
 
-    /// Share at which a box is entered. Where the line runs along a face the product is NaN, which `min` and `max`
-    /// leave out.
+    /// Share at which a box is entered.
     #[inline(always)]
     fn enters(&self, steps: &StepBox) -> Option<f32> {
-        let (mut first, mut last) = (0.0f32, 1.0f32);
-        for axis in 0..3 {
-            let a = (f32::from(steps.min[axis]) - self.origin[axis]) * self.per_step[axis];
-            let b = (f32::from(steps.max[axis]) - self.origin[axis]) * self.per_step[axis];
-            first = first.max(a.min(b));
-            last = last.min(a.max(b));
-        }
+        let share = |steps: [u16; 3]| (xyzz(steps.map(f32::from)) - self.origin) * self.per_step;
+        let (a, b) = (share(steps.min), share(steps.max));
+        let first = a.min(b).max(Vec4::ZERO).max_element();
+        let last = a.max(b).min(Vec4::ONE).min_element();
         (first <= last).then_some(first)
     }
+}
+
+#[inline(always)]
+fn xyzz([x, y, z]: [f32; 3]) -> Vec4 {
+    Vec4::new(x, y, z, z)
 }
 
 /// Where a line meets a triangle: share of the ray, weights of the corners, normal. Moeller and Trumbore, 1997.

@@ -1,8 +1,11 @@
 //! The corners of a drawable's primitives, as they are drawn: from its payload, or from the little that a
 //! [`super::KdTree`] keeps of it once the payload went to the GPU.
 
+use std::ops::Range;
+
 use glam::{DVec3, Vec3};
 
+use crate::math::Ray;
 use crate::scene::geometry::{Geometry, HeightTile, Mesh, Topology};
 
 /// Corners of a triangle, a segment or a point; the last ones repeat where there are fewer than three.
@@ -69,6 +72,7 @@ impl Indices {
 }
 
 impl MeshCorners {
+    #[inline(always)]
     pub fn vertices(&self, place: usize) -> [u32; 3] {
         let at = |n: usize| self.indices.at(place * self.corners + n.min(self.corners - 1));
         [at(0), at(1), at(2)]
@@ -114,6 +118,41 @@ impl Heights {
         }
     }
 }
+
+/// What is seen along a line: the line itself is a point.
+pub(super) struct Sight {
+    origin: DVec3,
+    /// Unit vectors across the line and each other.
+    right: DVec3,
+    up: DVec3,
+    /// What lies so far from the line at most is taken to be on both sides of it, metres.
+    room_m: f64,
+}
+
+impl Sight {
+    /// `up` is where the surface mostly faces: what passes above or below it is told apart best.
+    pub fn new(ray: &Ray, up: DVec3, room_m: f64) -> Self {
+        let along = ray.direction.normalize_or(DVec3::Z);
+        let right = along.cross(up).try_normalize().unwrap_or_else(|| along.any_orthonormal_vector());
+        Self { origin: ray.origin, right, up: right.cross(along), room_m }
+    }
+
+    /// The sides of the line that a point is on, one bit each: right, left, above, below.
+    #[inline(always)]
+    fn sides(&self, point: DVec3) -> u8 {
+        let from_line = point - self.origin;
+        let (x, y) = (self.right.dot(from_line), self.up.dot(from_line));
+        u8::from(x > self.room_m)
+            | u8::from(x < -self.room_m) << 1
+            | u8::from(y > self.room_m) << 2
+            | u8::from(y < -self.room_m) << 3
+    }
+}
+
+/// Corners along a side of a leaf of cells.
+const MOST_CORNERS: usize = 5;
+/// Places in such a leaf.
+const MOST_PLACES: usize = 2 * (MOST_CORNERS - 1) * (MOST_CORNERS - 1);
 
 /// The grid of a [`HeightTile`] without its border, two triangles a cell; places are cells along a Z-order curve.
 #[derive(Debug)]
@@ -186,6 +225,38 @@ impl HeightCorners {
         if upper == 0 { [a, self.vertex(i + 1, j), c] } else { [a, c, self.vertex(i, j + 1)] }
     }
 
+    /// Those triangles of a leaf that a line may meet, in their order: not those whose corners are all on one side of it.
+    /// Each corner is computed once.
+    #[inline(always)]
+    pub fn along(&self, leaf: Range<usize>, sight: &Sight, mut visit: impl FnMut(usize, &Corners)) {
+        let (i, j, _) = Self::cell(leaf.start);
+        // A square of 4 x 4 cells, but 2 x 2 of the smallest tile.
+        let side = if leaf.len() < MOST_PLACES { 3 } else { MOST_CORNERS };
+        let mut corners = [[DVec3::ZERO; MOST_CORNERS]; MOST_CORNERS];
+        let mut sides = [[0; MOST_CORNERS]; MOST_CORNERS];
+        let mut common = u8::MAX;
+        for row in 0..side {
+            for column in 0..side {
+                let corner = self.vertex(i + column, j + row);
+                (corners[row][column], sides[row][column]) = (corner, sight.sides(corner));
+                common &= sides[row][column];
+            }
+        }
+        if common != 0 {
+            return;
+        }
+        for place in leaf.step_by(2) {
+            let (i, j, _) = Self::cell(place % MOST_PLACES);
+            let across = sides[j][i] & sides[j + 1][i + 1];
+            if across & sides[j][i + 1] == 0 {
+                visit(place, &[corners[j][i], corners[j][i + 1], corners[j + 1][i + 1]]);
+            }
+            if across & sides[j + 1][i] == 0 {
+                visit(place + 1, &[corners[j][i], corners[j + 1][i + 1], corners[j + 1][i]]);
+            }
+        }
+    }
+
     /// A triangle as it is drawn, its normal upwards: the tile's frame is left-handed.
     pub fn triangle(&self, place: usize) -> Primitive {
         let corners = self.of(place);
@@ -243,7 +314,13 @@ pub(crate) fn corners_of(geometry: &Geometry) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use proptest::prelude::*;
+
+    use super::super::kd_tree::{KdTree, meet};
     use super::*;
+    use crate::math::Aabb;
 
     #[test]
     fn the_curve_meets_every_cell_once() {
@@ -252,6 +329,52 @@ mod tests {
         seen.sort_unstable();
         let all: Vec<_> = (0..8).flat_map(|i| (0..8).flat_map(move |j| [(i, j, 0), (i, j, 1)])).collect();
         assert_eq!(seen, all);
+    }
+
+    proptest! {
+        #[test]
+        fn lines_along_the_ground_find_what_every_triangle_finds(
+            level in 1u32..5,
+            // The ends are between the lowest and the highest ground.
+            steps in prop::collection::vec(0u16..300, 19 * 19),
+            from in [-10f64..10.0, -10f64..10.0, 0f64..2.0],
+            to in [-10f64..10.0, -10f64..10.0, 0f64..2.0],
+        ) {
+            let side = (1 << level) + 1;
+            let at = |k: u32| 20.0 * k as f32 / (side - 1) as f32 - 10.0;
+            let tile = HeightTile {
+                side,
+                rows: (0..side).map(|j| [-at(j), 0.0, 0.0, 1.0]).collect(),
+                columns: (0..side).map(|i| [at(i) / 1e12, 0.0]).collect(),
+                heights: steps.iter().take(((side + 2) * (side + 2)) as usize).map(|h| f32::from(*h) / 128.0).collect(),
+                p0_m: 1e12,
+                level: 0,
+                coarser_errors_m: Vec::new(),
+                skirt_m: 0.0,
+                cell_m: [1.0; 2],
+                texture: None,
+                bounds: Aabb { min: DVec3::splat(-10.0), max: DVec3::splat(10.0) },
+            };
+            let corners = HeightCorners::new(&tile).unwrap();
+            let tree = KdTree::build(&Geometry::Height(Arc::new(tile))).unwrap();
+            let ray = Ray::segment(DVec3::from_array(from), DVec3::from_array(to));
+            let triangles = (0..corners.count()).map(|place| corners.triangle(place));
+            let mut expected: Vec<_> = triangles
+                .filter_map(|t| meet(&ray, &t.corners).map(|(ratio, ..)| (t.number, ratio)))
+                .filter(|(_, ratio)| (0.0..=1.0).contains(ratio))
+                .collect();
+            let mut found = Vec::new();
+            tree.intersect_line(&ray, |hit| {
+                found.push((hit.primitive, hit.ratio));
+                f64::INFINITY
+            });
+            expected.sort_by_key(|hit| hit.0);
+            found.sort_by_key(|hit| hit.0);
+            prop_assert_eq!(found.len(), expected.len());
+            for (a, b) in found.iter().zip(&expected) {
+                prop_assert!(a.0 == b.0 && (a.1 - b.1).abs() < 1e-9, "{:?} {:?}", a, b);
+            }
+        }
     }
 
     #[test]
