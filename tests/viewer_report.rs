@@ -69,7 +69,15 @@ fn every_field_of_the_schema_is_there() {
     expect(&json["gpu_ms"], &["median", "p99", "max"]);
     expect(&json["tiles"], &["requested", "loaded", "merged", "expired", "failed", "cancelled", "stale"]);
     expect(&json["bytes"], &["read", "http", "decoded", "gpu_peak", "cpu_peak", "rss_peak"]);
-    let draw = ["leaves", "draw_calls", "state_changes", "triangles", "shadow_leaves", "shadow_draw_calls"];
+    let draw = [
+        "leaves",
+        "unsampled_leaves",
+        "draw_calls",
+        "state_changes",
+        "triangles",
+        "shadow_leaves",
+        "shadow_draw_calls",
+    ];
     expect(&json["draw"], &draw);
     expect(&json["settled"], &["tiles", "contents", "triangles", "points", "coverage"]);
     expect(&json["errors"][0], &["uri", "reason", "count"]);

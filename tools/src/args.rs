@@ -292,6 +292,9 @@ pub enum Bench {
         /// Shortest time to measure each case, seconds
         #[arg(long, default_value_t = 1.0)]
         secs: f64,
+        /// Hand the adapter what lies between pixels too
+        #[arg(long)]
+        every_leaf: bool,
     },
     /// What each threading model makes of update, cull and draw
     Threading {

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use serde_json::json;
+use terrane::cull::CullingMode;
 use terrane::draw::{Fog, Sky};
 use terrane::gpu::AdapterChoice;
 use terrane::scene::Page;
@@ -15,14 +16,15 @@ use terrane::viewer::{FieldOfView, ThreadingModel, Viewer, ViewerConfig};
 use super::cull::{Grid, View};
 use super::{percentile, say};
 
-/// Measures every case for about `seconds` each and prints a line for it.
-pub fn run(seconds: f64) -> Result<()> {
+/// Measures every case for about `seconds` each and prints a line for it. `every_leaf` is drawn, or those that a pixel
+/// shows.
+pub fn run(seconds: f64, every_leaf: bool) -> Result<()> {
     let time = Duration::from_secs_f64(if seconds.is_finite() { seconds.clamp(0.0, 3600.0) } else { 1.0 });
     for cells in [1_000, 10_000, 100_000] {
         for state_sets in [1, 64] {
             for view in [View::All, View::Tenth] {
                 for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
-                    say(measure(cells, state_sets, view, threading, time)?);
+                    say(measure((cells, state_sets, view), every_leaf, threading, time)?);
                 }
             }
         }
@@ -31,9 +33,8 @@ pub fn run(seconds: f64) -> Result<()> {
 }
 
 fn measure(
-    cells: u32,
-    state_sets: u32,
-    view: View,
+    (cells, state_sets, view): (u32, u32, View),
+    every_leaf: bool,
     threading: ThreadingModel,
     time: Duration,
 ) -> Result<serde_json::Value> {
@@ -58,6 +59,10 @@ fn measure(
     viewer.environment.fog = Fog { enabled: false, density_per_m: 0.0 };
     let camera = grid.camera(view);
     viewer.camera.world_from_eye = camera.eye_from_world.inverse();
+    if every_leaf {
+        let CullingMode(culling) = viewer.camera.settings.culling;
+        viewer.camera.settings.culling = CullingMode(culling & !CullingMode::SAMPLES.0);
+    }
     viewer.camera.field_of_view = FieldOfView::Vertical(std::f64::consts::FRAC_PI_3);
     // Until everything is uploaded and the driver has compiled its shaders.
     let expected = if matches!(view, View::All) { cells } else { 1 };

@@ -32,7 +32,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             Ok(())
         }
         Bench::Submit { secs } => submit::run(*secs),
-        Bench::Frame { secs } => frame::run(*secs),
+        Bench::Frame { secs, every_leaf } => frame::run(*secs, *every_leaf),
         Bench::Threading { secs } => threading::run(*secs),
         Bench::Share { secs } => share::run(*secs),
         Bench::Resident { tiles, secs } => resident::run(*tiles, *secs),

@@ -59,7 +59,8 @@ fn height_tile() -> Drawable {
 }
 
 fn measure(content: Content, leaves: u32, time: Duration) -> Result<serde_json::Value> {
-    let traits = ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+    // Each leaf is several pixels large.
+    let traits = ContextTraits { size_px: [2048, 2048], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
     let mut ctx = GraphicsContext::new_offscreen(&traits)?;
     let mut renderer = Renderer::new(&mut ctx);
     let sets = match content {
