@@ -96,9 +96,7 @@ impl StateEntry {
         let flags = [false, true].map(|unlit| if state.is_lit(unlit) { of_all } else { of_all | FLAG_UNLIT });
         Self { key, statics, class: 0, color: state.color, flags, is_hidden, shows_all, grid: NO_GRID }
     }
-}
 
-impl StateEntry {
     /// The same where small meshes are left out that lie between the pixels of a grid of [`Batch::grid`].
     pub(in crate::draw) fn without_unsampled(self, grid: u32) -> Self {
         Self { grid, ..self }

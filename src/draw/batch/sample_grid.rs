@@ -1,19 +1,19 @@
 //! Which small meshes lie wholly between the centres of pixels.
 //!
-//! A triangle has a colour where it covers a pixel's centre; one that covers none leaves the picture as it is. Of meshes
-//! that are seen from afar most are such, and what the adapter does for each before it finds that out is most of the
-//! frame. Draw thread; plain values.
+//! A triangle has a colour where it covers a pixel's centre; one that covers none leaves the picture as it is. Of
+//! meshes that are seen from afar most are such, and what the adapter does for each before it finds that out is most of
+//! the frame. Draw thread; plain values.
 
 use glam::{DMat4, DVec4, Vec4};
 
 use crate::gpu::Extent;
 
-/// Pixels by which a mesh may be off: rasterizers snap vertices to a 256th of a pixel, and what is computed in f32 there
-/// and here differs by less than that up to 16,384 pixels.
+/// Pixels by which a mesh may be off: rasterizers snap vertices to a 256th of a pixel, and what is computed in f32
+/// there and here differs by less than that up to 16,384 pixels.
 const MARGIN_PX: f32 = 1.0 / 64.0;
 
-/// Where the pixels of a viewport are, seen from the eye: times a point in eye space, with 1, the columns give its x and
-/// y in pixels from the target's upper left corner, both times z.
+/// Where the pixels of a viewport are, seen from the eye: times a point in eye space, with 1, the columns give its x
+/// and y in pixels from the target's upper left corner, both times z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SampleGrid([Vec4; 4]);
 
