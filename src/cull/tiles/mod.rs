@@ -4,29 +4,21 @@
 //! when all its children are ready, culled ones too, so that no hole can open; until then it is drawn and the walk
 //! goes on below it only to ask for what is missing, all levels in one frame, coarse first.
 
+mod frame;
+mod plain;
+
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::DVec3;
 
+use self::frame::PackedFrame;
+pub(super) use self::frame::TileFrame;
 use super::fade::{Fade, Step, TileMark, WHOLE};
 use super::horizon::Horizon;
 use super::planes::Planes;
 use super::stage::PageRequest;
 use super::visitor::{Cull, Hanger, PageVisit, Purpose, Waiting, eye_in};
 use crate::scene::{NONE, NodeId, Page, PageId, TileBounds, TileRecord, Tiles, UNBOUNDED, flag};
-
-/// What holds for the tiles up to `end`.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TileFrame {
-    end: u32,
-    mask: u8,
-    purpose: Purpose,
-    /// Culled tiles are kept (and asked for) too: the parent waits for all of them.
-    required: bool,
-    /// Error in pixels of what is shown while tiles here are missing.
-    shown_px: f32,
-    fade: Fade,
-}
 
 /// A frame with tile trees, seen from the eye.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +50,16 @@ struct Walk<'a> {
     may_be_behind: bool,
     /// How far fades go on.
     step: Step,
+    stamp: Stamp,
+}
+
+/// What tiles that are wanted are stamped with.
+#[derive(Clone, Copy)]
+struct Stamp {
+    /// The frame of the cull; 0 where nothing is stamped.
+    frame: u32,
+    /// The frame of the picture.
+    then: u32,
 }
 
 /// Of a tile with content that its children replace.
@@ -74,6 +76,7 @@ impl Cull<'_> {
         let (tiles, first) = (&page.tiles, tile_root.tile);
         let end = first + tiles.records[first as usize].skip;
         let (fade_s, cull_mask) = (self.view.settings.lod_fade_s, self.view.settings.cull_mask);
+        let (frame, ahead) = (self.camera.frame, self.camera.ahead_frames);
         let walk = Walk {
             page,
             id: self.scene.page_id_at(visit.place),
@@ -86,10 +89,11 @@ impl Cull<'_> {
             may_hide: !page.masks.is_empty() || cull_mask == 0 || !tiles.request_volumes.is_empty(),
             may_be_behind: self.view.horizon.is_some() || !self.occluders.is_empty(),
             step: self.fades.step(fade_s),
+            stamp: Stamp { frame: if self.view.casts { 0 } else { frame }, then: frame.saturating_add(ahead) },
         };
         let (required, shown_px, fade) = (visit.required, visit.shown_px, visit.fade);
-        let all = TileFrame { end, mask, purpose, required, shown_px, fade };
-        if self.camera.ahead_frames > 0 {
+        let all = TileFrame { end, mask, purpose, required, shown_px, fade }.pack();
+        if ahead > 0 {
             self.walk_tiles::<true, true>(&walk, first, all, &mut []);
         } else if fade_s > 0.0 && purpose == Purpose::Draw {
             let mut marks = self.fades.take_tiles(visit.place, walk.id.generation, tiles.len());
@@ -101,76 +105,47 @@ impl Cull<'_> {
     }
 
     /// Walks the tiles from `first` to the end of `all`. There are no `marks` where nothing can fade. `LOOKS` at each
-    /// tile, or takes for granted that it is not culled: wholly inside the frustum that is most of them. `AHEAD` where the picture
-    /// is one of later.
+    /// tile, or takes for granted that it is not culled: wholly inside the frustum that is most of them. `AHEAD` where
+    /// the picture is one of later.
     fn walk_tiles<const LOOKS: bool, const AHEAD: bool>(
         &mut self,
         walk: &Walk,
         first: u32,
-        all: TileFrame,
+        all: PackedFrame,
         marks: &mut [TileMark],
     ) {
-        let tiles = walk.tiles;
-        // With one length for all, places are checked once a tile.
-        let records = &tiles.records[..];
-        let last_used = &tiles.last_used[..records.len()];
-        let looks_everywhere = walk.may_hide || walk.may_be_behind;
-        let stamp = if walk.asks { self.camera.frame } else { 0 };
+        let looks_everywhere = walk.looks_everywhere();
         let base = self.tile_stack.len();
-        let (mut tile, mut above) = (first, all);
-        // The last path met, and its state.
+        self.tile_stack.push(all.unpack());
+        let mut tile = first;
         let mut known = UNKNOWN;
-        // Counted here: a counter behind `self` is a load and a store for each tile.
-        let mut visited = 0;
-        loop {
-            while tile >= above.end {
-                if tile >= all.end {
-                    self.tile_stack.truncate(base);
-                    self.counters.tiles_visited += visited;
-                    return;
-                }
-                let Some(open) = self.tile_stack.pop() else { return };
-                above = open;
+        // The tile at which there were no more plain ones.
+        let mut odd = NONE;
+        while self.tile_stack.len() > base
+            && let Some(above) = self.tile_stack.last().map(TileFrame::read)
+        {
+            if tile >= above.end {
+                self.tile_stack.pop();
+                continue;
             }
-            let record = &records[tile as usize];
-            let (mut purpose, mut mask) = (above.purpose, 0);
-            if LOOKS {
-                let seen = if looks_everywhere {
-                    self.look(walk, tile, above.purpose, above.mask, above.required)
-                } else {
-                    walk.look(tile, record, &above)
+            if LOOKS && above.mask == 0 && !looks_everywhere {
+                self.tile_stack.pop();
+                self.walk_tiles::<false, AHEAD>(walk, tile, above.pack(), marks);
+                tile = above.end;
+                continue;
+            }
+            let record = &walk.tiles.records[tile as usize];
+            if record.flags & KINDS == PLAIN && above.fade.is_whole() && odd != tile {
+                tile = match above.purpose {
+                    Purpose::Draw => self.draw_plain_tiles::<LOOKS, AHEAD>(walk, tile, base, marks, &mut known),
+                    _ => self.want_plain_tiles::<LOOKS, AHEAD>(walk, tile, base),
                 };
-                match seen {
-                    Some(seen) => (purpose, mask) = seen,
-                    None => {
-                        visited += u32::from(!looks_everywhere);
-                        tile += record.skip;
-                        continue;
-                    }
-                }
+                odd = tile;
+                continue;
             }
-            visited += 1;
-            if stamp != 0 {
-                let last_used = &last_used[tile as usize];
-                match AHEAD {
-                    false => last_used.store(stamp, Ordering::Relaxed),
-                    true => self.stamp_ahead(last_used, stamp),
-                }
-            }
-            let below = if record.flags & KINDS == PLAIN {
-                self.meet_plain_tile(walk, tile, record, (purpose, mask), &above, marks, &mut known)
-            } else {
-                self.meet_tile(walk, tile, (purpose, mask), &above, marks)
-            };
-            match below {
+            match self.meet_tile::<LOOKS, AHEAD>(walk, tile, above.pack(), marks) {
                 Some(below) if record.has_children() => {
-                    if LOOKS && below.mask == 0 && !looks_everywhere {
-                        self.walk_tiles::<false, AHEAD>(walk, tile + 1, below, marks);
-                        tile += record.skip;
-                        continue;
-                    }
-                    self.tile_stack.push(above);
-                    above = below;
+                    self.tile_stack.push(below.unpack());
                     tile += 1;
                 }
                 _ => tile += record.skip,
@@ -178,22 +153,14 @@ impl Cull<'_> {
         }
     }
 
-    /// Stamps a tile with the frame in which it will be wanted, unless it is in use or wanted sooner.
-    #[cold]
-    fn stamp_ahead(&self, last_used: &AtomicU32, frame: u32) {
-        let then = frame.saturating_add(self.camera.ahead_frames);
-        if !(frame - 1..then).contains(&last_used.load(Ordering::Relaxed)) {
-            last_used.store(then, Ordering::Relaxed);
-        }
-    }
-
     /// Why a tile is met, and the planes that it crosses; `None` where it is culled. What this camera does not see is
     /// kept with its siblings all the same where the parent waits for all of them.
     #[inline(never)]
-    fn look(&mut self, walk: &Walk, tile: u32, purpose: Purpose, mask: u8, required: bool) -> Option<(Purpose, u8)> {
+    fn look(&mut self, walk: &Walk, tile: u32, above: PackedFrame) -> Option<(Purpose, u8)> {
+        let above = above.unpack();
         let record = &walk.tiles.records[tile as usize];
-        let kept = required.then_some((Purpose::Keep, mask));
-        let mut seen = Some((purpose, mask));
+        let kept = above.required.then_some((Purpose::Keep, above.mask));
+        let mut seen = Some((above.purpose, above.mask));
         if walk.may_hide {
             if walk.is_hidden(tile) {
                 seen = Some(kept?);
@@ -205,7 +172,8 @@ impl Cull<'_> {
         if let Some((Purpose::Draw | Purpose::Want, mask)) = seen
             && mask != 0
         {
-            seen = walk.test(tile, record, mask).map(|crossing| (purpose, crossing)).or(kept);
+            let bounds = &walk.tiles.bounds[tile as usize];
+            seen = walk.test(record, bounds, mask).map(|crossing| (above.purpose, crossing)).or(kept);
         }
         if walk.may_be_behind
             && let Some((Purpose::Draw | Purpose::Want, mask)) = seen
@@ -217,75 +185,41 @@ impl Cull<'_> {
         seen
     }
 
-    /// [`Self::meet_tile`] for nearly all tiles: content that its children replace, at once or not at all.
-    #[inline(always)]
-    #[allow(clippy::too_many_arguments, reason = "the loop's variables, in registers")]
-    fn meet_plain_tile(
+    /// Asks for what a tile lacks, draws it, and says what holds for its children, where they are to be met.
+    #[inline(never)]
+    fn meet_tile<const LOOKS: bool, const AHEAD: bool>(
         &mut self,
         walk: &Walk,
         tile: u32,
-        record: &TileRecord,
-        (purpose, mask): (Purpose, u8),
-        above: &TileFrame,
+        open: PackedFrame,
         marks: &mut [TileMark],
-        known: &mut (u32, u32),
-    ) -> Option<TileFrame> {
-        let resident = record.has(flag::RESIDENT);
-        if purpose == Purpose::Keep || !record.has_children() {
-            if !resident {
-                self.request_missing(walk, tile, purpose, above);
-            }
-            if purpose == Purpose::Draw {
-                if !stays(marks, tile, walk.step, false, resident) {
-                    return self.fade_tile(walk, tile, mask, above, marks);
-                }
-                if resident {
-                    self.draw(walk, tile, record, mask, above.fade, known);
-                }
-            }
-            return None;
-        }
-        let (range2, distance2) = walk.range_and_distance(tile, record);
-        let wants = distance2 < range2;
-        let ready = record.not_ready_children == 0;
-        let is_refined = purpose == Purpose::Draw && ready && (wants || !resident);
-        let mut above_px = above.shown_px;
-        if !(resident || (is_refined && wants)) {
-            above_px = self.request_missing(walk, tile, purpose, above);
-        }
-        if purpose == Purpose::Draw {
-            if !stays(marks, tile, walk.step, is_refined, resident) {
-                return self.fade_tile(walk, tile, mask, &TileFrame { shown_px: above_px, ..*above }, marks);
-            }
-            if resident && !is_refined {
-                self.draw(walk, tile, record, mask, above.fade, known);
-            }
-        }
-        let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
-        if is_refined || (wants && walk.asks) {
-            let shown_px = walk.below_px(range2, distance2, above_px);
-            let end = tile + record.skip;
-            Some(TileFrame { end, mask, purpose, required: walk.asks, shown_px, fade: above.fade })
+    ) -> Option<PackedFrame> {
+        let record = &walk.tiles.records[tile as usize];
+        let (purpose, mask) = if LOOKS { self.look(walk, tile, open)? } else { (open.unpack().purpose, 0) };
+        self.counters.tiles_visited += 1;
+        walk.stamp.put::<AHEAD>(&walk.tiles.last_used[tile as usize]);
+        if record.flags & KINDS == PLAIN {
+            self.meet_replaced_tile(walk, tile, (purpose, mask), open, marks)
         } else {
-            None
+            self.meet_odd_tile(walk, tile, (purpose, mask), open, marks)
         }
     }
 
-    /// Asks for what a tile lacks, draws it, and says what holds for its children, where they are to be met.
+    /// The same of tiles without content, of other tile sets, and of content that stays with its children.
     #[inline(never)]
-    fn meet_tile(
+    fn meet_odd_tile(
         &mut self,
         walk: &Walk,
         tile: u32,
         (purpose, mask): (Purpose, u8),
-        above: &TileFrame,
+        open: PackedFrame,
         marks: &mut [TileMark],
-    ) -> Option<TileFrame> {
+    ) -> Option<PackedFrame> {
         let record = &walk.tiles.records[tile as usize];
+        let mut above = open.unpack();
         let resident = record.has(flag::RESIDENT);
-        let mut above = *above;
         if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
-            above.shown_px = self.request_missing(walk, tile, purpose, &above);
+            above.shown_px = self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
         }
         let below = |purpose, required, shown_px| walk.below(tile, purpose, mask, required, shown_px, above.fade);
         if record.has(flag::PROXY | flag::EXTERNAL) {
@@ -297,7 +231,7 @@ impl Cull<'_> {
                 let state = self.faded_state(state, fade.band());
                 self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
             } else if resident && purpose == Purpose::Draw {
-                self.draw(walk, tile, record, mask, above.fade, &mut { UNKNOWN });
+                self.draw(walk, tile, record, mask, above.fade);
             }
             return if purpose == Purpose::Keep { None } else { below(purpose, false, above.shown_px) };
         }
@@ -308,12 +242,48 @@ impl Cull<'_> {
         match purpose {
             Purpose::Keep => None,
             Purpose::Want => {
-                let (range2, distance2) = walk.range_and_distance(tile, record);
+                let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
                 let shown_px = walk.below_px(range2, distance2, above.shown_px);
                 if distance2 < range2 { below(purpose, false, shown_px) } else { None }
             }
-            Purpose::Draw => self.fade_tile(walk, tile, mask, &above, marks),
+            Purpose::Draw => self.fade_tile(walk, tile, mask, above.pack(), marks),
         }
+    }
+
+    /// The same of content that its children replace.
+    #[inline(always)]
+    fn meet_replaced_tile(
+        &mut self,
+        walk: &Walk,
+        tile: u32,
+        (purpose, mask): (Purpose, u8),
+        open: PackedFrame,
+        marks: &mut [TileMark],
+    ) -> Option<PackedFrame> {
+        let record = &walk.tiles.records[tile as usize];
+        let above = open.unpack();
+        let resident = record.has(flag::RESIDENT);
+        if purpose == Purpose::Keep || !record.has_children() {
+            if !resident {
+                self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
+            }
+            let draws = purpose == Purpose::Draw && (resident || !stays(marks, tile as usize, walk.step, false, false));
+            return if draws { self.fade_tile(walk, tile, mask, open, marks) } else { None };
+        }
+        let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
+        let wants = distance2 < range2;
+        let is_refined = purpose == Purpose::Draw && record.not_ready_children == 0 && (wants || !resident);
+        let mut above_px = above.shown_px;
+        if !(resident || (is_refined && wants)) {
+            above_px = self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
+        }
+        if purpose == Purpose::Draw && (resident || !stays(marks, tile as usize, walk.step, is_refined, false)) {
+            let above = TileFrame { shown_px: above_px, ..above };
+            return self.fade_tile(walk, tile, mask, above.pack(), marks);
+        }
+        let shown_px = walk.below_px(range2, distance2, above_px);
+        let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
+        if is_refined || wants { walk.below(tile, purpose, mask, true, shown_px, above.fade) } else { None }
     }
 
     /// Draws a tile with content, and says what holds for its children, where they are to be met. One gives way to the
@@ -324,15 +294,15 @@ impl Cull<'_> {
         walk: &Walk,
         tile: u32,
         mask: u8,
-        above: &TileFrame,
+        above: PackedFrame,
         marks: &mut [TileMark],
-    ) -> Option<TileFrame> {
+    ) -> Option<PackedFrame> {
         let record = &walk.tiles.records[tile as usize];
-        let fade = above.fade;
+        let TileFrame { fade, shown_px: above_px, .. } = above.unpack();
         let resident = record.has(flag::RESIDENT);
         let replaces = !record.has(flag::ADD);
         let ready = record.not_ready_children == 0;
-        let (range2, distance2) = walk.range_and_distance(tile, record);
+        let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
         let wants = record.has_children() && distance2 < range2;
         let is_refined = shows_children(record, (range2, distance2));
         let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
@@ -348,9 +318,9 @@ impl Cull<'_> {
             (shows_own, shows_children) = (!replaces || turn.refined < WHOLE, turn.refined > 0);
         }
         if shows_own && resident {
-            self.draw(walk, tile, record, mask, fade.with_band(own), &mut { UNKNOWN });
+            self.draw(walk, tile, record, mask, fade.with_band(own));
         }
-        let shown_px = walk.below_px(range2, distance2, above.shown_px);
+        let shown_px = walk.below_px(range2, distance2, above_px);
         if shows_children {
             let covered = fade.covered() || (!replaces && resident);
             let leaving = fade.leaving() || !is_refined;
@@ -417,19 +387,12 @@ impl Cull<'_> {
     }
 
     /// Lets the content of a tile wait for its visit.
-    #[inline(always)]
-    fn draw(&mut self, walk: &Walk, tile: u32, record: &TileRecord, mask: u8, fade: Fade, known: &mut (u32, u32)) {
-        let path = walk.tiles.state_paths[tile as usize];
-        if path != known.0 {
-            *known = (path, self.chain_state(walk.page, path));
+    fn draw(&mut self, walk: &Walk, tile: u32, record: &TileRecord, mask: u8, fade: Fade) {
+        if fade.band().is_empty() {
+            return;
         }
-        let mut state = known.1;
-        if !fade.is_whole() {
-            if fade.band().is_empty() {
-                return;
-            }
-            state = self.faded_state(state, fade.band());
-        }
+        let state = self.chain_state(walk.page, walk.tiles.state_paths[tile as usize]);
+        let state = if fade.is_whole() { state } else { self.faded_state(state, fade.band()) };
         self.counters.tiles_drawn += 1;
         let (place, hanger) = (record.resident, walk.view.hanger);
         self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
@@ -455,20 +418,22 @@ impl Cull<'_> {
 
     /// Asks for the content of a tile, unless it is there or cannot come. What tiles below may have for an error of
     /// what is shown, so that they come later.
+    #[cold]
     #[inline(never)]
-    fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, above: &TileFrame) -> f32 {
+    fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, shown_px: f32, fade: Fade) -> f32 {
         let record = &walk.tiles.records[tile as usize];
         let may_come = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
-        if !may_come || above.fade.leaving() || !walk.asks {
-            return above.shown_px;
+        if !may_come || fade.leaving() || !walk.asks {
+            return shown_px;
         }
         let slot = NodeId { page: walk.id, index: walk.tiles.nodes[tile as usize] };
         let finite = |px: f32| if px > 0.0 { px.min(MOST_PX) } else { 0.0 };
         let share = if purpose == Purpose::Keep { KEPT_SHARE } else { self.share_of_place(walk, tile) };
-        let priority = finite(above.shown_px * share);
+        let priority = finite(shown_px * share);
         // The finest tiles have none.
-        let has_error = walk.tiles.bounds[tile as usize].metric_m > 0.0;
-        let error_px = if has_error { finite(walk.px(walk.range_and_distance(tile, record))) } else { 0.0 };
+        let bounds = &walk.tiles.bounds[tile as usize];
+        let has_error = bounds.metric_m > 0.0;
+        let error_px = if has_error { finite(walk.px(walk.range_and_distance(tile, record, bounds))) } else { 0.0 };
         self.stage.requests.push(PageRequest { slot, priority, error_px, ahead_frames: 0 });
         priority
     }
@@ -485,11 +450,27 @@ pub(super) fn shows_children(record: &TileRecord, (range2, distance2): (f32, f32
 
 /// True for a tile that is what it is to be.
 #[inline(always)]
-fn stays(marks: &mut [TileMark], tile: u32, step: Step, is_refined: bool, resident: bool) -> bool {
-    marks.get_mut(tile as usize).is_none_or(|mark| mark.stays(step, is_refined, resident))
+fn stays(marks: &mut [TileMark], tile: usize, step: Step, is_refined: bool, resident: bool) -> bool {
+    marks.get_mut(tile).is_none_or(|mark| mark.stays(step, is_refined, resident))
+}
+
+impl Stamp {
+    /// Stamps a tile; one of later only where it is neither in use nor wanted sooner.
+    #[inline(always)]
+    fn put<const AHEAD: bool>(self, last_used: &AtomicU32) {
+        if self.frame != 0 && (!AHEAD || !(self.frame - 1..self.then).contains(&last_used.load(Ordering::Relaxed))) {
+            last_used.store(self.then, Ordering::Relaxed);
+        }
+    }
 }
 
 impl Walk<'_> {
+    /// Not only the frustum culls.
+    #[inline(always)]
+    fn looks_everywhere(&self) -> bool {
+        self.may_hide || self.may_be_behind
+    }
+
     #[inline]
     fn is_hidden(&self, tile: u32) -> bool {
         let node = self.tiles.nodes[tile as usize] as usize;
@@ -505,28 +486,15 @@ impl Walk<'_> {
         required: bool,
         shown_px: f32,
         fade: Fade,
-    ) -> Option<TileFrame> {
+    ) -> Option<PackedFrame> {
         let end = tile + self.tiles.records[tile as usize].skip;
         let required = required && self.asks;
         let is_met = self.asks || purpose == Purpose::Draw;
-        is_met.then_some(TileFrame { end, mask, purpose, required, shown_px, fade })
-    }
-
-    /// [`Cull::look`] where only the frustum culls.
-    #[inline(always)]
-    fn look(&self, tile: u32, record: &TileRecord, above: &TileFrame) -> Option<(Purpose, u8)> {
-        if above.mask == 0 || above.purpose == Purpose::Keep {
-            return Some((above.purpose, above.mask));
-        }
-        match self.test(tile, record, above.mask) {
-            Some(crossing) => Some((above.purpose, crossing)),
-            None => above.required.then_some((Purpose::Keep, above.mask)),
-        }
+        is_met.then(|| TileFrame { end, mask, purpose, required, shown_px, fade }.pack())
     }
 
     #[inline(always)]
-    fn test(&self, tile: u32, record: &TileRecord, mask: u8) -> Option<u8> {
-        let bounds = &self.tiles.bounds[tile as usize];
+    fn test(&self, record: &TileRecord, bounds: &TileBounds, mask: u8) -> Option<u8> {
         let offset = bounds.offset_from(self.view.eye);
         if record.has(flag::SPHERE) {
             self.view.planes.test_sphere(glam::Vec4::new(offset[0], offset[1], offset[2], bounds.radius_m), mask)
@@ -553,8 +521,7 @@ impl Walk<'_> {
 
     /// Squared distance at which a tile wants its children, and squared distance now.
     #[inline(always)]
-    fn range_and_distance(&self, tile: u32, record: &TileRecord) -> (f32, f32) {
-        let bounds = &self.tiles.bounds[tile as usize];
+    fn range_and_distance(&self, tile: u32, record: &TileRecord, bounds: &TileBounds) -> (f32, f32) {
         let offset = bounds.offset_from(self.view.eye);
         self.tiles.range_and_distance(tile, record, bounds, offset, self.view.eye, self.ranges)
     }

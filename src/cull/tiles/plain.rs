@@ -1,0 +1,244 @@
+//! The walk while tiles are as nearly all are: with content that its children replace, drawn in every pixel.
+//!
+//! Loops by themselves, so that what they need stays in registers. What they leave is met one by one.
+
+use super::{KINDS, PLAIN, PackedFrame, TileFrame, Walk, stays};
+use crate::cull::fade::TileMark;
+use crate::cull::visitor::{Cull, Purpose, Waiting};
+use crate::scene::{TileBounds, TileRecord, flag};
+
+impl Cull<'_> {
+    /// Walks on while tiles have content that is there, drawn or replaced by all its children at once. The tile after
+    /// those; its frame is the last of the stack.
+    #[inline(never)]
+    pub(super) fn draw_plain_tiles<const LOOKS: bool, const AHEAD: bool>(
+        &mut self,
+        walk: &Walk,
+        mut tile: u32,
+        base: usize,
+        marks: &mut [TileMark],
+        known: &mut (u32, u32),
+    ) -> u32 {
+        // With one length for all, places are checked once a tile.
+        let records = &walk.tiles.records[..];
+        let bounds = &walk.tiles.bounds[..records.len()];
+        let last_used = &walk.tiles.last_used[..records.len()];
+        let state_paths = &walk.tiles.state_paths[..records.len()];
+        let looks_everywhere = walk.looks_everywhere();
+        let Some(open) = self.tile_stack.last() else { return tile };
+        let mut above = open.read();
+        // Counted here: a counter behind `self` is a load and a store for each tile.
+        let (mut visited, mut drawn) = (0, 0);
+        loop {
+            if tile >= above.end {
+                if self.tile_stack.len() == base + 1 {
+                    break;
+                }
+                self.tile_stack.pop();
+                let Some(open) = self.tile_stack.last() else { break };
+                above = open.read();
+                if above.purpose != Purpose::Draw || !above.fade.is_whole() {
+                    break;
+                }
+                continue;
+            }
+            let place = tile as usize;
+            let record = &records[place];
+            if record.flags & (KINDS | flag::RESIDENT) != PLAIN | flag::RESIDENT {
+                break;
+            }
+            let mut mask = 0;
+            if LOOKS {
+                let seen = self.see(walk, tile, record, &bounds[place], &above);
+                match seen {
+                    Some((Purpose::Draw, crossing)) => mask = crossing,
+                    _ => {
+                        if seen.is_some() {
+                            visited += 1;
+                            walk.stamp.put::<AHEAD>(&last_used[place]);
+                        }
+                        tile += record.skip;
+                        continue;
+                    }
+                }
+            }
+            let (range2, distance2) = match record.has_children() {
+                true => walk.range_and_distance(tile, record, &bounds[place]),
+                false => (0.0, 1.0),
+            };
+            let wants = distance2 < range2;
+            if wants && record.not_ready_children != 0 {
+                let far = (range2, distance2);
+                let Some(next) = self.wait_for_children::<LOOKS, AHEAD>(walk, tile, mask, far, above.pack(), marks)
+                else {
+                    break;
+                };
+                tile = next;
+                let Some(open) = self.tile_stack.last() else { break };
+                above = open.read();
+                if above.purpose != Purpose::Draw {
+                    break;
+                }
+                continue;
+            }
+            if !stays(marks, place, walk.step, wants, true) {
+                break;
+            }
+            visited += 1;
+            walk.stamp.put::<AHEAD>(&last_used[place]);
+            if wants {
+                let shown_px = walk.below_px(range2, distance2, above.shown_px);
+                above = TileFrame { end: tile + record.skip, mask, required: walk.asks, shown_px, ..above };
+                self.tile_stack.push(above);
+                tile += 1;
+                if LOOKS && mask == 0 && !looks_everywhere {
+                    break;
+                }
+                continue;
+            }
+            if state_paths[place] != known.0 {
+                *known = self.path_state(walk, state_paths[place]);
+            }
+            let (hanger, fade) = (walk.view.hanger, above.fade);
+            self.queue.push(Waiting { place: record.resident, hanger, tile, state: known.1, fade, mask });
+            drawn += 1;
+            tile += record.skip;
+        }
+        self.counters.tiles_visited += visited;
+        self.counters.tiles_drawn += drawn;
+        tile
+    }
+
+    /// Draws a tile whose children are not all ready, and asks for what they lack. The tile after what was met, unless
+    /// the tile fades.
+    #[cold]
+    #[inline(never)]
+    fn wait_for_children<const LOOKS: bool, const AHEAD: bool>(
+        &mut self,
+        walk: &Walk,
+        tile: u32,
+        mask: u8,
+        (range2, distance2): (f32, f32),
+        open: PackedFrame,
+        marks: &mut [TileMark],
+    ) -> Option<u32> {
+        if !stays(marks, tile as usize, walk.step, false, true) {
+            return None;
+        }
+        let (record, above) = (&walk.tiles.records[tile as usize], open.unpack());
+        self.counters.tiles_visited += 1;
+        walk.stamp.put::<AHEAD>(&walk.tiles.last_used[tile as usize]);
+        self.draw(walk, tile, record, mask, above.fade);
+        let shown_px = walk.below_px(range2, distance2, above.shown_px);
+        let Some(below) = walk.below(tile, Purpose::Want, mask, true, shown_px, above.fade) else {
+            return Some(tile + record.skip);
+        };
+        let base = self.tile_stack.len();
+        self.tile_stack.push(below.unpack());
+        let next = self.want_plain_tiles::<LOOKS, AHEAD>(walk, tile + 1, base);
+        if next == tile + record.skip {
+            self.tile_stack.truncate(base);
+        }
+        Some(next)
+    }
+
+    /// The same where something above is drawn instead: what is missing is asked for, all levels in one frame.
+    #[inline(never)]
+    pub(super) fn want_plain_tiles<const LOOKS: bool, const AHEAD: bool>(
+        &mut self,
+        walk: &Walk,
+        mut tile: u32,
+        base: usize,
+    ) -> u32 {
+        let records = &walk.tiles.records[..];
+        let bounds = &walk.tiles.bounds[..records.len()];
+        let last_used = &walk.tiles.last_used[..records.len()];
+        let looks_everywhere = walk.looks_everywhere();
+        let Some(open) = self.tile_stack.last() else { return tile };
+        let mut above = open.read();
+        let mut visited = 0;
+        loop {
+            if tile >= above.end {
+                if self.tile_stack.len() == base + 1 {
+                    break;
+                }
+                self.tile_stack.pop();
+                let Some(open) = self.tile_stack.last() else { break };
+                above = open.read();
+                if above.purpose == Purpose::Draw {
+                    break;
+                }
+                continue;
+            }
+            let place = tile as usize;
+            let record = &records[place];
+            if record.flags & KINDS != PLAIN {
+                break;
+            }
+            let (mut purpose, mut mask) = (above.purpose, 0);
+            if LOOKS {
+                match self.see(walk, tile, record, &bounds[place], &above) {
+                    Some(seen) => (purpose, mask) = seen,
+                    None => {
+                        tile += record.skip;
+                        continue;
+                    }
+                }
+            }
+            visited += 1;
+            walk.stamp.put::<AHEAD>(&last_used[place]);
+            let mut above_px = above.shown_px;
+            if !record.has(flag::RESIDENT) {
+                above_px = self.request_missing(walk, tile, purpose, above_px, above.fade);
+            }
+            if purpose == Purpose::Want && record.has_children() {
+                let (range2, distance2) = walk.range_and_distance(tile, record, &bounds[place]);
+                if distance2 < range2 {
+                    let shown_px = walk.below_px(range2, distance2, above_px);
+                    above = TileFrame { end: tile + record.skip, mask, shown_px, required: true, ..above };
+                    self.tile_stack.push(above);
+                    tile += 1;
+                    if LOOKS && mask == 0 && !looks_everywhere {
+                        break;
+                    }
+                    continue;
+                }
+            }
+            tile += record.skip;
+        }
+        self.counters.tiles_visited += visited;
+        tile
+    }
+
+    /// [`Self::look`], by itself where only the frustum culls.
+    #[inline(always)]
+    fn see(
+        &mut self,
+        walk: &Walk,
+        tile: u32,
+        record: &TileRecord,
+        bounds: &TileBounds,
+        above: &TileFrame,
+    ) -> Option<(Purpose, u8)> {
+        if walk.looks_everywhere() {
+            self.look(walk, tile, above.pack())
+        } else if above.mask == 0 || above.purpose == Purpose::Keep {
+            Some((above.purpose, above.mask))
+        } else {
+            match walk.test(record, bounds, above.mask) {
+                Some(crossing) => Some((above.purpose, crossing)),
+                None if above.required => Some((Purpose::Keep, above.mask)),
+                None => {
+                    self.counters.tiles_visited += 1;
+                    None
+                }
+            }
+        }
+    }
+
+    /// A path and its state.
+    #[cold]
+    fn path_state(&mut self, walk: &Walk, path: u32) -> (u32, u32) {
+        (path, self.chain_state(walk.page, path))
+    }
+}
