@@ -59,7 +59,7 @@ impl Cull<'_> {
                     None => return,
                 }
             }
-            let record = nodes[node as usize];
+            let record = &nodes[node as usize];
             let (flags, next) = (record.flags, node + record.skip);
             let may_leave = (flags | free_flags) & PLAIN != 0;
             if has_masks && page.masks[node as usize] & cull_mask == 0 {

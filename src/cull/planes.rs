@@ -29,7 +29,7 @@ impl EyePlanes {
     pub fn new(clip_from_eye: &DMat4, culling: CullingMode) -> Self {
         let m: DMat4 = clip_from_eye.transpose();
         // Reversed-Z: depth is 0 at the far plane; an infinite one comes out without a direction.
-        let planes = [
+        let mut planes = [
             m.w_axis + m.x_axis,
             m.w_axis - m.x_axis,
             m.w_axis + m.y_axis,
@@ -37,10 +37,12 @@ impl EyePlanes {
             m.w_axis - m.z_axis,
             m.z_axis,
         ];
-        let planes = planes.map(|p| {
-            let plane = p * p.truncate().length_recip();
-            if plane.is_finite() { plane } else { EVERYTHING }
-        });
+        for plane in &mut planes {
+            *plane *= plane.truncate().length_recip();
+            if !plane.is_finite() {
+                *plane = EVERYTHING;
+            }
+        }
         let mut mask = 0;
         if culling.contains(CullingMode::VIEW_FRUSTUM_SIDES) {
             mask |= SIDES;
@@ -70,21 +72,21 @@ impl EyePlanes {
     pub fn in_frame(&self, eye_from_frame: &DAffine3, origin: DVec3) -> Planes {
         let to_frame: DMat3 = eye_from_frame.matrix3.transpose();
         let origin_in_eye = eye_from_frame.transform_point3(origin);
-        let moved = self.planes.map(|p| {
+        let mut moved = [EVERYTHING.as_vec4(); 6];
+        for (p, moved) in self.planes.iter().zip(&mut moved) {
             let normal = to_frame * p.truncate();
             let d = p.truncate().dot(origin_in_eye) + p.w;
             let length2 = normal.length_squared();
             // Rigid maps, nearly all there are, keep the unit length: saves the root and the divisions.
             if (length2 - 1.0).abs() < 1e-12 {
-                return normal.extend(d).as_vec4();
+                *moved = normal.extend(d).as_vec4();
+                continue;
             }
             let length = length2.sqrt();
             if length > 0.0 && length.is_finite() && d.is_finite() {
-                (normal / length).extend(d / length).as_vec4()
-            } else {
-                EVERYTHING.as_vec4()
+                *moved = (normal / length).extend(d / length).as_vec4();
             }
-        });
+        }
         let [a, b, c, d, near, far] = moved;
         Planes {
             x: Vec4::new(a.x, b.x, c.x, d.x),
