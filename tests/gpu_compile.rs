@@ -66,6 +66,23 @@ fn a_huge_texture_is_split_over_calls_and_arrives_whole() {
 }
 
 #[test]
+fn images_whose_rows_take_more_than_they_are_go_through_staging_memory() {
+    let Some(mut rig) = fresh("images_whose_rows_take_more_than_they_are_go_through_staging_memory") else { return };
+    // Rows of 4 bytes take 256: the first is larger than a staging buffer, and they do not fit beside each other.
+    for (ticket, [width, height]) in [[1, 4096], [3, 1500], [256, 256], [65, 1000], [1, 1]].into_iter().enumerate() {
+        let texture = Arc::new(with_mips(width, height, vec![7; (width * height * 4) as usize]));
+        rig.ctx.compile(CompileOperation { ticket: ticket as u64, drawables: vec![textured(&texture)] });
+    }
+    for _ in 0..1000 {
+        rig.ctx.run_compiles(&CompileBudget { time: Duration::from_secs(1), bytes: 100_000 });
+    }
+    let compiled = rig.ctx.take_compiled();
+    assert_eq!(compiled.iter().map(|c| c.ticket).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    assert!(compiled.iter().all(|c| c.errors.is_empty() && c.slots.iter().all(|s| *s != DrawSlot::NONE)));
+    assert_eq!(rig.ctx.take_device_errors(), Vec::<String>::new());
+}
+
+#[test]
 fn a_call_always_uploads_something_and_an_empty_queue_nothing() {
     let Some(mut rig) = fresh("a_call_always_uploads_something_and_an_empty_queue_nothing") else { return };
     let nothing = CompileBudget { time: Duration::ZERO, bytes: 0 };

@@ -15,6 +15,7 @@ use super::custom::{CompileInfo, CustomCompile};
 use super::drawable::{DrawableTable, Extent, Pools, Shape};
 use super::mesh_pool::MeshUploads;
 use super::packing::VertexFormat;
+use super::staging::{Filling, Stagings};
 use super::uploads::{QueueSink, Source, Upload};
 use crate::scene::{ContentKey, CustomGeometry, DrawSlot, Drawable, Geometry, HeightTile, Mesh, SharedParts};
 
@@ -118,7 +119,10 @@ pub(super) struct CompileQueue {
     finished: Vec<Compiled>,
     /// Carries uploads where the context has one.
     thread: Option<CompileThread>,
-    /// Recorded by the thread and not submitted, and the staging buffers that they copy from.
+    /// What carries them where it has none, and what of that is being filled.
+    stagings: Stagings,
+    filling: Option<Filling>,
+    /// Recorded and not submitted, and the staging buffers that they copy from.
     commands: Vec<wgpu::CommandBuffer>,
     recorded: Vec<wgpu::Buffer>,
     /// Staging buffers whose commands were submitted.
@@ -172,6 +176,7 @@ impl CompileQueue {
 
     /// Commands of uploads that go to the driver with the next submission, before all that reads them.
     pub(super) fn take_commands(&mut self, into: &mut Vec<wgpu::CommandBuffer>) {
+        self.end_filling();
         into.append(&mut self.commands);
         self.submitted.append(&mut self.recorded);
     }
@@ -210,6 +215,7 @@ impl CompileQueue {
     /// Hands over what waits. Staging memory (several times the bytes for small images) is only given back once it was
     /// submitted and the device was polled.
     fn flush(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
+        self.end_filling();
         queue.submit(self.commands.drain(..));
         self.submitted.append(&mut self.recorded);
         if let Err(error) = device.poll(wgpu::PollType::Poll) {
@@ -221,8 +227,43 @@ impl CompileQueue {
 
     /// What comes by the queue itself runs before what is recorded and not submitted: that goes first.
     pub(super) fn flush_recorded(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
-        if !self.commands.is_empty() {
+        if self.filling.is_some() || !self.commands.is_empty() {
             self.flush(device, queue);
+        }
+    }
+
+    fn end_filling(&mut self) {
+        if let Some((commands, staging)) = self.filling.take().map(Filling::finish) {
+            self.commands.push(commands);
+            self.recorded.push(staging);
+        }
+    }
+
+    /// Writes the next units of the first upload, at most `count`: as many as the staging buffer has room for.
+    fn write_staged(&mut self, info: &CompileInfo<'_>, count: usize) -> u64 {
+        let Self { uploads, filling, stagings, scratch, .. } = self;
+        let Some((upload, (_, unit_bytes))) = uploads.front_mut().and_then(|u| u.left().map(|left| (u, left))) else {
+            return 0;
+        };
+        let room = |filling: &Filling| filling.room(unit_bytes, upload.has_rows());
+        // A part of an image begins in a new buffer where it fits no more: wgpu clears an image that is written in parts.
+        if filling.as_ref().is_some_and(|filling| room(filling) < count) {
+            self.end_filling();
+            if !self.drawing {
+                self.flush(info.device, info.queue);
+                self.stagings.submitted(&mut self.submitted);
+            }
+            return 0;
+        }
+        if filling.is_none() {
+            *filling = stagings.fill(info.device, unit_bytes);
+        }
+        match filling {
+            Some(filling) => {
+                let count = count.min(room(filling));
+                upload.write(filling, scratch, count)
+            }
+            None => upload.write(&mut QueueSink(info.queue), scratch, count),
         }
     }
 
@@ -235,6 +276,10 @@ impl CompileQueue {
     ) -> CompileStats {
         let start = Instant::now();
         let mut stats = CompileStats::default();
+        self.stagings.submitted(&mut self.submitted);
+        if self.pending() == 0 {
+            self.stagings.trim();
+        }
         loop {
             let left_bytes = budget.bytes.saturating_sub(stats.bytes);
             if stats.slices > 0 && (left_bytes == 0 || start.elapsed() >= budget.time) {
@@ -249,9 +294,10 @@ impl CompileQueue {
                 if count == 0 {
                     break;
                 }
-                stats.bytes += upload.write(&mut QueueSink(info.queue), &mut self.scratch, count);
-                stats.slices += 1;
-                if upload.left().is_none() {
+                let bytes = self.write_staged(info, count);
+                stats.bytes += bytes;
+                stats.slices += u32::from(bytes > 0);
+                if self.uploads.front().is_some_and(|upload| upload.left().is_none()) {
                     self.uploads.pop_front();
                 }
             } else if self.job.is_some() {

@@ -9,16 +9,14 @@
 //! and never calls the queue (writing by it while another thread submits deadlocks in wgpu 30.0.1, upstream issue 9460).
 //! All goes through one FIFO, so that what shares an earlier operation's place is told to be there after it.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 
 use super::Compiled;
-use super::texture_pool::Rows;
-use super::uploads::{Sink, Upload};
+use super::staging::{self, Filling, Mapping};
+use super::uploads::Upload;
 use crate::timeline;
 
 /// Bytes of a staging buffer.
@@ -27,10 +25,6 @@ const STAGING_BYTES: u64 = 2 << 20;
 const MOST_STAGINGS: usize = 8;
 /// Those that are kept while there is nothing to do.
 const KEPT_STAGINGS: usize = 2;
-
-const IN_FLIGHT: u8 = 0;
-const MAPPED: u8 = 1;
-const FAILED: u8 = 2;
 
 /// What the thread is given.
 enum Work {
@@ -57,7 +51,7 @@ pub(super) struct CompileThread {
     /// Mapped staging buffers on their way back.
     free: Option<Sender<wgpu::Buffer>>,
     /// Submitted, and asked to be mapped.
-    mapping: Vec<(wgpu::Buffer, Arc<AtomicU8>)>,
+    mapping: Mapping,
     thread: Option<JoinHandle<()>>,
     /// Bytes sent that have not come back.
     bytes_in_flight: u64,
@@ -86,7 +80,7 @@ impl CompileThread {
             work: Some(work),
             batches,
             free: Some(free),
-            mapping: Vec::new(),
+            mapping: Mapping::default(),
             thread: Some(thread),
             bytes_in_flight: 0,
             operations: 0,
@@ -141,21 +135,13 @@ impl CompileThread {
 
     /// Asks for a staging buffer to be mapped again, after its commands were submitted.
     pub(super) fn submitted(&mut self, staging: wgpu::Buffer) {
-        let state = Arc::new(AtomicU8::new(IN_FLIGHT));
-        let mapped = state.clone();
-        staging.map_async(wgpu::MapMode::Write, .., move |result| {
-            mapped.store(if result.is_ok() { MAPPED } else { FAILED }, Ordering::Release);
-        });
-        self.mapping.push((staging, state));
+        self.mapping.ask(staging);
     }
 
     /// Gives back what was mapped since.
     pub(super) fn give_back(&mut self) {
-        let done = |(_, state): &mut (_, Arc<AtomicU8>)| state.load(Ordering::Acquire) != IN_FLIGHT;
-        for (staging, state) in self.mapping.extract_if(.., done) {
-            if state.load(Ordering::Acquire) == MAPPED
-                && let Some(free) = &self.free
-            {
+        for staging in self.mapping.mapped() {
+            if let Some(free) = &self.free {
                 // A thread that has ended shows where batches are taken.
                 let _ = free.send(staging);
             }
@@ -183,65 +169,6 @@ struct Worker {
     idle: Vec<wgpu::Buffer>,
     /// Staging buffers that there are.
     made: usize,
-}
-
-/// A staging buffer that is being filled.
-struct Filling {
-    staging: wgpu::Buffer,
-    view: wgpu::BufferViewMut,
-    used: u64,
-    encoder: wgpu::CommandEncoder,
-}
-
-/// What a row takes in a staging buffer.
-fn padded(row_bytes: u64) -> u64 {
-    row_bytes.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT))
-}
-
-impl Sink for Filling {
-    fn write_rows(&mut self, texture: &wgpu::Texture, rows: &Rows, data: &[u8]) {
-        let row_bytes = rows.width as usize * 4;
-        let stride = padded(row_bytes as u64);
-        let offset = self.used;
-        for (row, place) in data.chunks_exact(row_bytes).zip((offset as usize..).step_by(stride as usize)) {
-            self.view.slice(place..place + row_bytes).copy_from_slice(row);
-        }
-        self.used += stride * u64::from(rows.count);
-        self.encoder.copy_buffer_to_texture(
-            wgpu::TexelCopyBufferInfo {
-                buffer: &self.staging,
-                layout: wgpu::TexelCopyBufferLayout {
-                    offset,
-                    bytes_per_row: Some(stride as u32),
-                    rows_per_image: None,
-                },
-            },
-            wgpu::TexelCopyTextureInfo {
-                texture,
-                mip_level: rows.level,
-                origin: wgpu::Origin3d { x: 0, y: rows.first, z: rows.layer },
-                aspect: wgpu::TextureAspect::All,
-            },
-            wgpu::Extent3d { width: rows.width, height: rows.count, depth_or_array_layers: 1 },
-        );
-    }
-
-    fn write_bytes(&mut self, buffer: &wgpu::Buffer, offset: u64, data: &[u8]) {
-        let from = self.used;
-        self.view.slice(from as usize..from as usize + data.len()).copy_from_slice(data);
-        // Rows that follow begin where textures may be copied from.
-        self.used += padded(data.len() as u64);
-        self.encoder.copy_buffer_to_buffer(&self.staging, from, buffer, offset, data.len() as u64);
-    }
-}
-
-impl Filling {
-    /// Units of so many bytes that still fit.
-    fn room(&self, unit_bytes: usize, has_rows: bool) -> usize {
-        let left = STAGING_BYTES.saturating_sub(self.used);
-        let unit_bytes = if has_rows { padded(unit_bytes as u64) } else { unit_bytes as u64 };
-        (left / unit_bytes.max(1)) as usize
-    }
 }
 
 impl Worker {
@@ -291,14 +218,7 @@ impl Worker {
 
     /// Sends what there is; false where nobody takes it any more.
     fn send(&self, filling: &mut Option<Filling>, bytes: &mut u64, finished: &mut Vec<Compiled>) -> bool {
-        let (commands, staging) = match filling.take() {
-            Some(Filling { staging, view, encoder, .. }) => {
-                drop(view);
-                staging.unmap();
-                (Some(encoder.finish()), Some(staging))
-            }
-            None => (None, None),
-        };
+        let (commands, staging) = filling.take().map(Filling::finish).unzip();
         let batch = Batch { commands, staging, finished: std::mem::take(finished), bytes: std::mem::take(bytes) };
         self.batches.send(batch).is_ok()
     }
@@ -310,30 +230,14 @@ impl Worker {
             Some(staging) => staging,
             None if self.made < MOST_STAGINGS => {
                 self.made += 1;
-                self.device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some("staging"),
-                    size: STAGING_BYTES,
-                    usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
-                    mapped_at_creation: true,
-                })
+                staging::make(&self.device, STAGING_BYTES)
             }
             None => {
                 let _span = timeline::span("wait for staging");
                 self.free.recv().ok()?
             }
         };
-        match staging.get_mapped_range_mut(..) {
-            Ok(view) => {
-                let descriptor = wgpu::CommandEncoderDescriptor { label: Some("uploads") };
-                let encoder = self.device.create_command_encoder(&descriptor);
-                Some(Filling { staging, view, used: 0, encoder })
-            }
-            Err(error) => {
-                // The device is lost; who draws finds out.
-                log::error!("uploads: a staging buffer cannot be written: {error}");
-                None
-            }
-        }
+        Filling::new(&self.device, staging)
     }
 
     /// Frees what is too much while nothing is to be done.

@@ -26,6 +26,7 @@ mod packing;
 mod pipeline_cache;
 mod read_back;
 mod slots;
+mod staging;
 mod state_textures;
 mod surface;
 mod table;
