@@ -58,14 +58,6 @@ impl Fade {
         Self(band.from as u32 | (band.to as u32) << 8 | (covered as u32) << 16 | (leaving as u32) << 24)
     }
 
-    pub fn from_bits(bits: u32) -> Self {
-        Self(bits)
-    }
-
-    pub fn bits(self) -> u32 {
-        self.0
-    }
-
     pub fn band(self) -> FadeBand {
         FadeBand { from: self.0 as u8, to: (self.0 >> 8) as u8 }
     }

@@ -11,7 +11,6 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::DVec3;
 
-use self::frame::PackedFrame;
 pub(super) use self::frame::TileFrame;
 use super::fade::{Fade, Step, TileMark, WHOLE};
 use super::horizon::Horizon;
@@ -92,15 +91,15 @@ impl Cull<'_> {
             stamp: Stamp { frame: if self.view.casts { 0 } else { frame }, then: frame.saturating_add(ahead) },
         };
         let (required, shown_px, fade) = (visit.required, visit.shown_px, visit.fade);
-        let all = TileFrame { end, mask, purpose, required, shown_px, fade }.pack();
+        let all = TileFrame { end, mask, purpose, required, shown_px, fade };
         if ahead > 0 {
-            self.walk_tiles::<true, true>(&walk, first, all, &mut []);
+            self.walk_tiles::<true, true>(&walk, first, &all, &mut []);
         } else if fade_s > 0.0 && purpose == Purpose::Draw {
             let mut marks = self.fades.take_tiles(visit.place, walk.id.generation, tiles.len());
-            self.walk_tiles::<true, false>(&walk, first, all, &mut marks);
+            self.walk_tiles::<true, false>(&walk, first, &all, &mut marks);
             self.fades.give_back_tiles(visit.place, marks);
         } else {
-            self.walk_tiles::<true, false>(&walk, first, all, &mut []);
+            self.walk_tiles::<true, false>(&walk, first, &all, &mut []);
         }
     }
 
@@ -111,12 +110,12 @@ impl Cull<'_> {
         &mut self,
         walk: &Walk,
         first: u32,
-        all: PackedFrame,
+        all: &TileFrame,
         marks: &mut [TileMark],
     ) {
         let looks_everywhere = walk.looks_everywhere();
         let base = self.tile_stack.len();
-        self.tile_stack.push(all.unpack());
+        self.tile_stack.push(all.read());
         let mut tile = first;
         let mut known = UNKNOWN;
         // The tile at which there were no more plain ones.
@@ -130,7 +129,7 @@ impl Cull<'_> {
             }
             if LOOKS && above.mask == 0 && !looks_everywhere {
                 self.tile_stack.pop();
-                self.walk_tiles::<false, AHEAD>(walk, tile, above.pack(), marks);
+                self.walk_tiles::<false, AHEAD>(walk, tile, &above, marks);
                 tile = above.end;
                 continue;
             }
@@ -143,21 +142,14 @@ impl Cull<'_> {
                 odd = tile;
                 continue;
             }
-            match self.meet_tile::<LOOKS, AHEAD>(walk, tile, above.pack(), marks) {
-                Some(below) if record.has_children() => {
-                    self.tile_stack.push(below.unpack());
-                    tile += 1;
-                }
-                _ => tile += record.skip,
-            }
+            tile += if self.meet_tile::<LOOKS, AHEAD>(walk, tile, &above, marks) { 1 } else { record.skip };
         }
     }
 
     /// Why a tile is met, and the planes that it crosses; `None` where it is culled. What this camera does not see is
     /// kept with its siblings all the same where the parent waits for all of them.
     #[inline(never)]
-    fn look(&mut self, walk: &Walk, tile: u32, above: PackedFrame) -> Option<(Purpose, u8)> {
-        let above = above.unpack();
+    fn look(&mut self, walk: &Walk, tile: u32, above: &TileFrame) -> Option<(Purpose, u8)> {
         let record = &walk.tiles.records[tile as usize];
         let kept = above.required.then_some((Purpose::Keep, above.mask));
         let mut seen = Some((above.purpose, above.mask));
@@ -185,23 +177,24 @@ impl Cull<'_> {
         seen
     }
 
-    /// Asks for what a tile lacks, draws it, and says what holds for its children, where they are to be met.
+    /// Asks for what a tile lacks, draws it, and opens it where its children are to be met.
     #[inline(never)]
     fn meet_tile<const LOOKS: bool, const AHEAD: bool>(
         &mut self,
         walk: &Walk,
         tile: u32,
-        open: PackedFrame,
+        above: &TileFrame,
         marks: &mut [TileMark],
-    ) -> Option<PackedFrame> {
+    ) -> bool {
         let record = &walk.tiles.records[tile as usize];
-        let (purpose, mask) = if LOOKS { self.look(walk, tile, open)? } else { (open.unpack().purpose, 0) };
+        let seen = if LOOKS { self.look(walk, tile, above) } else { Some((above.purpose, 0)) };
+        let Some((purpose, mask)) = seen else { return false };
         self.counters.tiles_visited += 1;
         walk.stamp.put::<AHEAD>(&walk.tiles.last_used[tile as usize]);
         if record.flags & KINDS == PLAIN {
-            self.meet_replaced_tile(walk, tile, (purpose, mask), open, marks)
+            self.meet_replaced_tile(walk, tile, (purpose, mask), above, marks)
         } else {
-            self.meet_odd_tile(walk, tile, (purpose, mask), open, marks)
+            self.meet_odd_tile(walk, tile, (purpose, mask), above, marks)
         }
     }
 
@@ -212,16 +205,15 @@ impl Cull<'_> {
         walk: &Walk,
         tile: u32,
         (purpose, mask): (Purpose, u8),
-        open: PackedFrame,
+        above: &TileFrame,
         marks: &mut [TileMark],
-    ) -> Option<PackedFrame> {
+    ) -> bool {
         let record = &walk.tiles.records[tile as usize];
-        let mut above = open.unpack();
+        let mut above = above.read();
         let resident = record.has(flag::RESIDENT);
         if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
             above.shown_px = self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
         }
-        let below = |purpose, required, shown_px| walk.below(tile, purpose, mask, required, shown_px, above.fade);
         if record.has(flag::PROXY | flag::EXTERNAL) {
             if resident && record.has(flag::EXTERNAL) {
                 let (place, hanger, fade) = (record.resident, self.hangers.len() as u32, above.fade);
@@ -233,20 +225,21 @@ impl Cull<'_> {
             } else if resident && purpose == Purpose::Draw {
                 self.draw(walk, tile, record, mask, above.fade);
             }
-            return if purpose == Purpose::Keep { None } else { below(purpose, false, above.shown_px) };
+            return purpose != Purpose::Keep
+                && self.open_tile(walk, tile, (purpose, mask), false, above.shown_px, above.fade);
         }
         if !record.has(flag::CONTENT) {
-            return below(purpose, above.required, above.shown_px);
+            return self.open_tile(walk, tile, (purpose, mask), above.required, above.shown_px, above.fade);
         }
         // Content that stays with its children.
         match purpose {
-            Purpose::Keep => None,
+            Purpose::Keep => false,
             Purpose::Want => {
                 let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
                 let shown_px = walk.below_px(range2, distance2, above.shown_px);
-                if distance2 < range2 { below(purpose, false, shown_px) } else { None }
+                distance2 < range2 && self.open_tile(walk, tile, (purpose, mask), false, shown_px, above.fade)
             }
-            Purpose::Draw => self.fade_tile(walk, tile, mask, above.pack(), marks),
+            Purpose::Draw => self.fade_tile(walk, tile, mask, &above, marks),
         }
     }
 
@@ -257,18 +250,17 @@ impl Cull<'_> {
         walk: &Walk,
         tile: u32,
         (purpose, mask): (Purpose, u8),
-        open: PackedFrame,
+        above: &TileFrame,
         marks: &mut [TileMark],
-    ) -> Option<PackedFrame> {
+    ) -> bool {
         let record = &walk.tiles.records[tile as usize];
-        let above = open.unpack();
         let resident = record.has(flag::RESIDENT);
         if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
                 self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
             }
             let draws = purpose == Purpose::Draw && (resident || !stays(marks, tile as usize, walk.step, false, false));
-            return if draws { self.fade_tile(walk, tile, mask, open, marks) } else { None };
+            return draws && self.fade_tile(walk, tile, mask, above, marks);
         }
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
         let wants = distance2 < range2;
@@ -278,27 +270,19 @@ impl Cull<'_> {
             above_px = self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
         }
         if purpose == Purpose::Draw && (resident || !stays(marks, tile as usize, walk.step, is_refined, false)) {
-            let above = TileFrame { shown_px: above_px, ..above };
-            return self.fade_tile(walk, tile, mask, above.pack(), marks);
+            let above = TileFrame { shown_px: above_px, ..above.read() };
+            return self.fade_tile(walk, tile, mask, &above, marks);
         }
         let shown_px = walk.below_px(range2, distance2, above_px);
         let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
-        if is_refined || wants { walk.below(tile, purpose, mask, true, shown_px, above.fade) } else { None }
+        (is_refined || wants) && self.open_tile(walk, tile, (purpose, mask), true, shown_px, above.fade)
     }
 
-    /// Draws a tile with content, and says what holds for its children, where they are to be met. One gives way to the
-    /// other in time.
+    /// Draws a tile with content, and opens it where its children are to be met. One gives way to the other in time.
     #[inline(never)]
-    fn fade_tile(
-        &mut self,
-        walk: &Walk,
-        tile: u32,
-        mask: u8,
-        above: PackedFrame,
-        marks: &mut [TileMark],
-    ) -> Option<PackedFrame> {
+    fn fade_tile(&mut self, walk: &Walk, tile: u32, mask: u8, above: &TileFrame, marks: &mut [TileMark]) -> bool {
         let record = &walk.tiles.records[tile as usize];
-        let TileFrame { fade, shown_px: above_px, .. } = above.unpack();
+        let fade = above.fade;
         let resident = record.has(flag::RESIDENT);
         let replaces = !record.has(flag::ADD);
         let ready = record.not_ready_children == 0;
@@ -320,16 +304,34 @@ impl Cull<'_> {
         if shows_own && resident {
             self.draw(walk, tile, record, mask, fade.with_band(own));
         }
-        let shown_px = walk.below_px(range2, distance2, above_px);
+        let shown_px = walk.below_px(range2, distance2, above.shown_px);
         if shows_children {
             let covered = fade.covered() || (!replaces && resident);
             let leaving = fade.leaving() || !is_refined;
-            walk.below(tile, Purpose::Draw, mask, replaces, shown_px, Fade::new(children, covered, leaving))
-        } else if wants {
-            walk.below(tile, Purpose::Want, mask, true, shown_px, fade)
+            let fade = Fade::new(children, covered, leaving);
+            self.open_tile(walk, tile, (Purpose::Draw, mask), replaces, shown_px, fade)
         } else {
-            None
+            wants && self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px, fade)
         }
+    }
+
+    /// Goes on below a tile, unless nothing is to be met there. What holds for its children is the last of the stack.
+    fn open_tile(
+        &mut self,
+        walk: &Walk,
+        tile: u32,
+        (purpose, mask): (Purpose, u8),
+        required: bool,
+        shown_px: f32,
+        fade: Fade,
+    ) -> bool {
+        let record = &walk.tiles.records[tile as usize];
+        let is_met = record.has_children() && (walk.asks || purpose == Purpose::Draw);
+        if is_met {
+            let (end, required) = (tile + record.skip, required && walk.asks);
+            self.tile_stack.push(TileFrame { end, mask, purpose, required, shown_px, fade });
+        }
+        is_met
     }
 
     /// The frame of a transform; pages with many tile trees have them in one frame.
@@ -475,22 +477,6 @@ impl Walk<'_> {
     fn is_hidden(&self, tile: u32) -> bool {
         let node = self.tiles.nodes[tile as usize] as usize;
         self.page.masks.get(node).copied().unwrap_or(u32::MAX) & self.cull_mask == 0
-    }
-
-    /// What holds for a tile's children, where they are to be met.
-    fn below(
-        &self,
-        tile: u32,
-        purpose: Purpose,
-        mask: u8,
-        required: bool,
-        shown_px: f32,
-        fade: Fade,
-    ) -> Option<PackedFrame> {
-        let end = tile + self.tiles.records[tile as usize].skip;
-        let required = required && self.asks;
-        let is_met = self.asks || purpose == Purpose::Draw;
-        is_met.then(|| TileFrame { end, mask, purpose, required, shown_px, fade }.pack())
     }
 
     #[inline(always)]

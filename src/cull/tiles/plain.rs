@@ -1,8 +1,9 @@
-//! The walk while tiles are as nearly all are: with content that its children replace, drawn in every pixel.
+//! The walk of a tile tree while tiles are as nearly all are: with content that its children replace, drawn in every
+//! pixel. Threads that cull, as the rest of the walk.
 //!
 //! Loops by themselves, so that what they need stays in registers. What they leave is met one by one.
 
-use super::{KINDS, PLAIN, PackedFrame, TileFrame, Walk, stays};
+use super::{KINDS, PLAIN, TileFrame, Walk, stays};
 use crate::cull::fade::TileMark;
 use crate::cull::visitor::{Cull, Purpose, Waiting};
 use crate::scene::{TileBounds, TileRecord, flag};
@@ -69,8 +70,7 @@ impl Cull<'_> {
             let wants = distance2 < range2;
             if wants && record.not_ready_children != 0 {
                 let far = (range2, distance2);
-                let Some(next) = self.wait_for_children::<LOOKS, AHEAD>(walk, tile, mask, far, above.pack(), marks)
-                else {
+                let Some(next) = self.wait_for_children::<LOOKS, AHEAD>(walk, tile, mask, far, &above, marks) else {
                     break;
                 };
                 tile = next;
@@ -119,22 +119,21 @@ impl Cull<'_> {
         tile: u32,
         mask: u8,
         (range2, distance2): (f32, f32),
-        open: PackedFrame,
+        above: &TileFrame,
         marks: &mut [TileMark],
     ) -> Option<u32> {
         if !stays(marks, tile as usize, walk.step, false, true) {
             return None;
         }
-        let (record, above) = (&walk.tiles.records[tile as usize], open.unpack());
+        let record = &walk.tiles.records[tile as usize];
         self.counters.tiles_visited += 1;
         walk.stamp.put::<AHEAD>(&walk.tiles.last_used[tile as usize]);
         self.draw(walk, tile, record, mask, above.fade);
         let shown_px = walk.below_px(range2, distance2, above.shown_px);
-        let Some(below) = walk.below(tile, Purpose::Want, mask, true, shown_px, above.fade) else {
-            return Some(tile + record.skip);
-        };
         let base = self.tile_stack.len();
-        self.tile_stack.push(below.unpack());
+        if !self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px, above.fade) {
+            return Some(tile + record.skip);
+        }
         let next = self.want_plain_tiles::<LOOKS, AHEAD>(walk, tile + 1, base);
         if next == tile + record.skip {
             self.tile_stack.truncate(base);
@@ -221,7 +220,7 @@ impl Cull<'_> {
         above: &TileFrame,
     ) -> Option<(Purpose, u8)> {
         if walk.looks_everywhere() {
-            self.look(walk, tile, above.pack())
+            self.look(walk, tile, above)
         } else if above.mask == 0 || above.purpose == Purpose::Keep {
             Some((above.purpose, above.mask))
         } else {
