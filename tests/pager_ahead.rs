@@ -214,6 +214,33 @@ fn where_a_motion_goes_on_to_is_loaded_before_it_is_seen() {
 }
 
 #[test]
+fn room_for_what_comes_is_made_in_the_frame_that_asks_for_it() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let set = folder.path().to_str().unwrap();
+    // Full of what was seen before, which goes for nothing but want of room.
+    let seen = |config| {
+        let mut run = Run::new(set, PagerConfig { expiry_frames: 1_000_000, ..config });
+        for eye in [ASIDE, 0.5 * (ASIDE + THERE), 0.5 * (HERE + ASIDE), HERE] {
+            run.settle(eye);
+        }
+        run
+    };
+    let max_tiles = seen(PagerConfig::default()).pager.stats().resident as usize;
+    let mut run = seen(PagerConfig { max_tiles, ..PagerConfig::default() });
+    for _ in 0..10 {
+        run.frame(HERE);
+    }
+    let before = *run.pager.stats();
+    assert_eq!(before.resident, max_tiles as u64);
+    let requests = ahead(&run, THERE, 1);
+    run.frame_with(HERE, &requests);
+    run.work_until_idle();
+    let after = *run.pager.stats();
+    assert!(after.merged_ahead > before.merged_ahead && after.expired > before.expired, "{after:?}");
+}
+
+#[test]
 fn no_more_are_under_way_than_allowed() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());

@@ -4,7 +4,7 @@
 //! wanted until its moment comes. Steps are as long as pictures are alike: while looks find much that the ones before
 //! did not, steps halve, and while they find little, they grow.
 
-use std::collections::{HashSet, VecDeque};
+use std::collections::{HashMap, VecDeque};
 
 use crate::cull::PageRequest;
 use crate::scene::NodeId;
@@ -26,9 +26,10 @@ pub struct PathLooks {
     /// Up to where was looked.
     looked_s: f64,
     step_s: f64,
-    /// What looks found that earlier ones had not, by their time.
+    /// What looks found, by their time: what others had not found, or for later.
     found: VecDeque<(f64, Vec<PageRequest>)>,
-    known: HashSet<NodeId>,
+    /// The earliest time of each.
+    known: HashMap<NodeId, f64>,
     looks_in_frame: u32,
 }
 
@@ -42,10 +43,12 @@ impl PathLooks {
             self.known.clear();
             self.looked_s = now_s;
         }
-        while let Some((_, past)) = self.found.pop_front_if(|(at_s, _)| *at_s <= now_s) {
-            past.iter().for_each(|request| {
-                self.known.remove(&request.slot);
-            });
+        while let Some((at_s, past)) = self.found.pop_front_if(|(at_s, _)| *at_s <= now_s) {
+            for request in past {
+                if self.known.get(&request.slot) == Some(&at_s) {
+                    self.known.remove(&request.slot);
+                }
+            }
         }
         self.now_s = now_s;
         self.looks_in_frame = 0;
@@ -72,20 +75,17 @@ impl PathLooks {
         self.step_s *= if count > MANY { 0.5 } else { 1.5 };
     }
 
-    /// Takes what a picture would lack at any time; how much of it is new.
+    /// Takes what a picture would lack at any time; how much of it is new. What was thought to be wanted later is
+    /// wanted sooner.
     pub(super) fn found_at(&mut self, at_s: f64, requests: &[PageRequest]) -> usize {
-        let mut new: Vec<PageRequest> = requests.iter().filter(|r| !self.known.contains(&r.slot)).copied().collect();
+        let is_new = |r: &&PageRequest| self.known.get(&r.slot).is_none_or(|known_s| at_s < *known_s);
+        let mut new: Vec<PageRequest> = requests.iter().filter(is_new).copied().collect();
         new.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
         new.truncate(MOST_REQUESTS);
-        self.known.extend(new.iter().map(|request| request.slot));
+        self.known.extend(new.iter().map(|request| (request.slot, at_s)));
         let (place, count) = (self.found.partition_point(|(found_s, _)| *found_s <= at_s), new.len());
         self.found.insert(place, (at_s, new));
         count
-    }
-
-    /// Counts a look elsewhere among those of the frame.
-    pub(super) fn looked_elsewhere(&mut self) {
-        self.looks_in_frame += 1;
     }
 
     /// Looks again from the frame's time on, where the path has become another; what was found stays wanted until its
@@ -155,6 +155,25 @@ mod tests {
         let still: Vec<f64> = (300..600).flat_map(|i| frame(&mut looks, f64::from(i) * 0.01, |_| Vec::new())).collect();
         assert!(still.len() < 20, "{still:?}");
         assert!(looks.requests(0.01).next().is_none() && looks.known.is_empty());
+    }
+
+    #[test]
+    fn what_is_found_nearer_is_wanted_sooner() {
+        let mut looks = PathLooks::default();
+        let moments = |looks: &PathLooks| -> Vec<(u32, u32)> {
+            looks.requests(1.0).map(|request| (request.slot.index, request.ahead_frames)).collect()
+        };
+        looks.start_frame(0.0);
+        assert_eq!(looks.found_at(10.0, &requests([7, 8])), 2);
+        assert_eq!(looks.found_at(20.0, &requests([7, 9])), 1);
+        assert_eq!(looks.found_at(2.0, &requests([7])), 1, "what was guessed was too late");
+        assert_eq!(moments(&looks), [(7, 2), (7, 10), (8, 10), (9, 20)]);
+        // Its moment passes, and those of the others when they come.
+        looks.looked_s = 100.0;
+        looks.start_frame(5.0);
+        assert_eq!(looks.found_at(10.0, &requests([7, 8, 9])), 2, "again, and sooner than was thought");
+        looks.start_frame(15.0);
+        assert_eq!(moments(&looks), [(9, 5)]);
     }
 
     #[test]

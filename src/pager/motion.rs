@@ -173,8 +173,6 @@ impl Default for MotionLooks {
 impl MotionLooks {
     /// The farthest that any look reaches, seconds: beyond, motion says little.
     pub const FARTHEST_S: f64 = FARTHEST_S;
-    /// What is only guessed takes the place of what was not wanted for so many times longer than what is known.
-    pub const GUESSED: u32 = 2;
 
     /// Goes on to a frame, and sees whether what was looked at is still on the way. `world_from_eye` is the pose that
     /// `motion` was told last.
@@ -209,7 +207,6 @@ impl MotionLooks {
         motion.after(0.0)?;
         if self.near == Near::Due {
             self.near = Near::Made;
-            self.looks.looked_elsewhere();
             return motion.after(NEAR_FRAMES * motion.frame_s()).map(|then| (then, NEAR_FRAMES as u32));
         }
         let at_s = self.looks.next(ahead_s.min(self.reach_s), motion.frame_s())?;
@@ -229,7 +226,7 @@ impl MotionLooks {
 
     /// What will be wanted.
     pub fn requests(&self, motion: &EyeMotion) -> impl Iterator<Item = PageRequest> {
-        self.looks.requests(motion.frame_s()).map(|request| request.ahead(Self::GUESSED * request.ahead_frames))
+        self.looks.requests(motion.frame_s())
     }
 }
 

@@ -172,7 +172,9 @@ impl DatabasePager {
     /// Uploads, merges and expires what arrives until shortly before `deadline`, for a main thread that would
     /// otherwise wait for the next frame to be due. Returns early when nothing is under way.
     pub fn work_until(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext], deadline: Instant) {
-        self.threads.list.ring_if_due();
+        // What was listed since the last look may need room.
+        self.expire(scene, contexts);
+        self.allow_more();
         let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
         while self.is_under_way() && !left().is_zero() {
             let patience = match (self.ready.is_empty(), self.compiling.is_empty()) {

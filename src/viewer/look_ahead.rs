@@ -16,6 +16,8 @@ use crate::pager::{EyeMotion, MotionLooks, PathLooks, frames_until};
 const LOOK_EVERY: u32 = 8;
 /// A camera's far looks: shares of the time that is looked ahead.
 const SHARES: [f64; 3] = [1.0 / 3.0, 2.0 / 3.0, 1.0];
+/// What far looks find takes the place of what was not wanted for so many times longer.
+const GUESSED: u32 = 2;
 /// Requests kept of a look, the most urgent.
 const MOST_REQUESTS: usize = 128;
 
@@ -155,7 +157,7 @@ impl LookAhead {
             if let Some((camera, then)) = looker.view.cameras().nth(turn / SHARES.len()).zip(then) {
                 let frames = frames_until(seconds, motion.frame_s());
                 let lacks = looker.look(camera, then, from.frame, frames);
-                found.extend(lacks.iter().map(|request| request.ahead(MotionLooks::GUESSED * frames)));
+                found.extend(lacks.iter().map(|request| request.ahead(GUESSED * frames)));
                 found.sort_unstable_by(|a, b| b.priority.total_cmp(&a.priority));
                 found.truncate(MOST_REQUESTS);
             }
