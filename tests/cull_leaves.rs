@@ -225,6 +225,57 @@ proptest! {
         }
     }
 
+    /// The quick way is taken while nothing may have changed the page.
+    #[test]
+    fn a_page_that_is_one_drawable_is_culled_as_its_nodes_are(
+        above in prop::collection::vec(prop::option::of(prop::array::uniform7(-1.0..1.0f64)), 0..4),
+        set_at in 0usize..6,
+        bounds in (prop::array::uniform3(-40.0..40.0f64), prop::array::uniform3(0.0..4.0f64)),
+        eye in prop::array::uniform3(-90.0..90.0f64),
+        target in prop::array::uniform3(-30.0..30.0f64),
+        mode in 0u32..4,
+    ) {
+        let set = Arc::new(StateSet::default());
+        let with_set = |at: usize, node: Node| if at == set_at { node.with_state_set(set.clone()) } else { node };
+        let mut root = with_set(0, Node::geode(vec![drawable(aabb(&bounds))]));
+        for (at, transform) in above.iter().enumerate() {
+            let children = vec![root];
+            root = match transform {
+                Some(t) => Node::transform(affine(t), children),
+                None => Node::group(children),
+            };
+            root = with_set(at + 1, root);
+        }
+        let mut scene = Scene::new();
+        let id = scene.add_root(page(root, 0));
+        let mut camera = look_at(DVec3::from_array(eye), DVec3::from_array(target), DVec3::new(0.1, 0.2, 1.0));
+        camera.settings.culling = CullingMode(mode);
+        let (mut visitor, mut quick, mut slow) = (CullVisitor::new(), RenderStage::new(), RenderStage::new());
+        visitor.cull(&scene, &camera, &mut quick);
+        prop_assert!(scene.page_mut(id).is_some());
+        visitor.cull(&scene, &camera, &mut slow);
+        // Both may decide otherwise where the box ends at the frustum's edge.
+        let mut oracle = Oracle::new(&camera);
+        let world_from_drawable = above.iter().flatten().fold(DAffine3::IDENTITY, |below, t| affine(t) * below);
+        oracle.visit(&Shape::Geode(vec![bounds]), world_from_drawable, true);
+        prop_assume!(oracle.reach_m[0].is_some_and(|reach_m| reach_m.abs() > 1e-3));
+        let leaves = |stage: &RenderStage| stage.bins.iter().flat_map(|b| b.leaves.clone()).collect::<Vec<_>>();
+        let (a, b) = (leaves(&quick), leaves(&slow));
+        prop_assert_eq!(a.len(), b.len());
+        for (a, b) in a.iter().zip(&b) {
+            prop_assert_eq!((a.slot, a.state), (b.slot, b.state));
+            prop_assert!((a.depth - b.depth).abs() < 1e-4);
+            let rows = |stage: &RenderStage, matrix: u32| stage.eye_from_drawable[matrix as usize];
+            for (a, b) in rows(&quick, a.matrix).iter().zip(&rows(&slow, b.matrix)) {
+                prop_assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4));
+            }
+            let of = |stage: &RenderStage| Arc::as_ptr(&stage.state_sets[a.state as usize]);
+            prop_assert_eq!(of(&quick), of(&slow));
+        }
+        prop_assert!((quick.near_m - slow.near_m).abs() < 1e-3 && (quick.far_m - slow.far_m).abs() < 1e-3);
+        prop_assert!(b.is_empty() || quick.counters == slow.counters);
+    }
+
     #[test]
     fn moving_a_transform_equals_building_it_there(
         shape in shape(),

@@ -5,9 +5,10 @@ use std::ops::Range;
 
 use glam::{DAffine3, DVec3, Vec4};
 
+use super::planes::depth_row;
 use super::stage::RenderLeaf;
 use super::visitor::{Cull, DepthRange, PageContext};
-use crate::scene::{DrawSlot, UNBOUNDED};
+use crate::scene::{DrawSlot, LoneDrawable, UNBOUNDED};
 
 impl Cull<'_> {
     /// Stores the matrices of a range of transforms one behind the other and returns the first's index.
@@ -40,10 +41,16 @@ impl Cull<'_> {
             return None;
         }
         let depth = row.x * center[0] + row.y * center[1] + row.z * center[2] + row.w;
+        self.widen_range(row, depth, half).map(|reach| (depth, reach))
+    }
+
+    /// The reach of a box whose middle is in a depth; `None` where it is wholly behind the eye. Widens near and far.
+    #[inline(always)]
+    fn widen_range(&mut self, row: Vec4, depth: f32, half: [f32; 3]) -> Option<f32> {
         let reach = row.x.abs() * half[0] + row.y.abs() * half[1] + row.z.abs() * half[2];
         if half[0] < UNBOUNDED {
             if depth + reach < self.view.least_depth {
-                return None; // wholly behind the eye
+                return None;
             }
             if depth - reach < self.range.near {
                 self.range.near = depth - reach;
@@ -52,7 +59,30 @@ impl Cull<'_> {
                 self.range.far = depth + reach;
             }
         }
-        Some((depth, reach))
+        Some(reach)
+    }
+
+    /// Tests and emits the drawable of a page that is one drawable, under a state.
+    pub(super) fn take_lone(&mut self, lone: &LoneDrawable, eye_from_page: &DAffine3, state: u32, mask: u8) {
+        self.counters.nodes_visited += lone.nodes;
+        self.counters.drawables_tested += 1;
+        if mask != 0 {
+            let planes = self.view.planes.in_frame(eye_from_page, lone.center);
+            if planes.box_is_outside([0.0; 3], lone.half_m, mask) {
+                return;
+            }
+        }
+        let row = depth_row(eye_from_page, lone.center, self.view.depth_axis);
+        if self.widen_range(row, row.w, lone.half_m).is_none() {
+            return;
+        }
+        let state = match &lone.state {
+            Some((path, set)) => self.graph.find_or_insert_path(*path, state, set),
+            None => state,
+        };
+        let state = self.graph.meet(state, self.stage);
+        let matrix = self.push_matrix(&(*eye_from_page * lone.page_from_drawable));
+        self.leaves.push(RenderLeaf { slot: lone.slot, state, matrix, depth: row.w });
     }
 
     /// [`Self::test_drawable`] where there may be occluders.

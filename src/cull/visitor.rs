@@ -420,7 +420,6 @@ impl<'a> Cull<'a> {
 
     fn visit_page(&mut self, waiting: &Waiting) {
         let scene = self.scene;
-        let Some(page) = scene.page_at(waiting.place) else { return };
         let &Waiting { place, hanger, tile, state, fade, mask } = waiting;
         let Hanger { eye_from_frame, page: holder, view, purpose, required, shown_px } = self.hangers[hanger as usize];
         let eye_from_page = match scene.page_at(holder) {
@@ -433,6 +432,15 @@ impl<'a> Cull<'a> {
             // Those of other views are not looked for.
             self.occluders = if visit.view == 0 { self.stage_occluders } else { &NO_OCCLUDERS };
         }
+        if purpose == Purpose::Draw
+            && self.takes_ranges
+            && self.takes_whole_nodes()
+            && let Some(lone) = scene.lone_at(place, self.camera.context)
+        {
+            self.take_lone(lone, &eye_from_page, state, mask);
+            return;
+        }
+        let Some(page) = scene.page_at(place) else { return };
         self.open_page(page, visit.state);
         if visit.purpose != Purpose::Draw {
             for root in 0..page.tiles.roots.len() {
@@ -442,19 +450,16 @@ impl<'a> Cull<'a> {
         }
         let context = self.page_context(page, visit);
         let matrix = if page.uses_page_frame { self.push_matrix(&visit.eye_from_page) } else { 0 };
-        if visit.mask == 0 && page.is_one_geode() && self.takes_whole_nodes(&context) {
-            // As content of tiles mostly is.
-            self.counters.nodes_visited += 1;
-            self.test_drawables(&context, 0, page.drawable_count() as u32, 0, matrix);
-            return;
-        }
         let last = page.node_count() as u32;
         self.scan_nodes(&context, 0, last, visit.mask, matrix);
     }
 
-    /// Nothing hides a plain node that is wholly inside.
-    fn takes_whole_nodes(&self, context: &PageContext) -> bool {
-        !context.looks_closer && self.view.small_feature == 0.0 && self.view.settings.cull_mask != 0
+    /// Nothing but the frustum hides a plain node.
+    fn takes_whole_nodes(&self) -> bool {
+        let settings = &self.view.settings;
+        self.view.small_feature == 0.0
+            && settings.cull_mask != 0
+            && settings.compute_near_far != ComputeNearFar::Primitives
     }
 
     /// What a page's scan needs to know.

@@ -7,6 +7,7 @@ use glam::DAffine3;
 use super::callbacks::CallbackPages;
 use super::error::SceneError;
 use super::kinds::CameraNode;
+use super::lone::LoneDrawable;
 use super::occluders::OccluderPage;
 use super::page::{NONE, Page};
 use super::tiles::flag;
@@ -26,6 +27,16 @@ struct Entry {
     base_depth: u32,
     /// Its place in `Scene::occluder_pages`, where it is there.
     occluders_at: u32,
+    /// What culls read instead of the page, where that is enough.
+    lone: Option<LoneDrawable>,
+}
+
+impl Entry {
+    /// The page, to be changed.
+    fn page_mut(&mut self) -> Option<&mut Page> {
+        self.lone = None;
+        self.page.as_deref_mut()
+    }
 }
 
 /// Owns pages. Update holds `&mut Scene`, cull `&Scene`.
@@ -143,12 +154,12 @@ impl Scene {
     /// A page to change its draw slots.
     pub fn page_mut(&mut self, id: PageId) -> Option<&mut Page> {
         self.revision += 1;
-        self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page.as_deref_mut()
+        self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page_mut()
     }
 
     /// Forgets where a context kept the pages' drawables.
     pub(crate) fn forget_context(&mut self, context: u32) {
-        for page in self.entries.iter_mut().filter_map(|e| e.page.as_mut()) {
+        for page in self.entries.iter_mut().filter_map(Entry::page_mut) {
             page.draw_slots.retain(|(of, _)| *of != context);
         }
     }
@@ -266,16 +277,17 @@ impl Scene {
         if !page.occluders.is_empty() {
             self.occluder_pages.push(OccluderPage::new(place, &page));
         }
+        let lone = LoneDrawable::of(&page);
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {
                 let entry = &mut self.entries[place as usize];
                 (entry.page, entry.slot, entry.base_depth) = (page, slot, base_depth);
-                entry.occluders_at = occluders_at;
+                (entry.occluders_at, entry.lone) = (occluders_at, lone);
                 PageId { slot: place, generation: entry.generation }
             }
             None => {
-                self.entries.push(Entry { generation: 0, page, slot, base_depth, occluders_at });
+                self.entries.push(Entry { generation: 0, page, slot, base_depth, occluders_at, lone });
                 PageId { slot: self.entries.len() as u32 - 1, generation: 0 }
             }
         }
@@ -284,6 +296,7 @@ impl Scene {
     fn take(&mut self, id: PageId) -> Option<Page> {
         let entry = self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?;
         let page = entry.page.take()?;
+        entry.lone = None;
         if !(page.update_callbacks.is_empty() && page.event_callbacks.is_empty()) {
             self.callback_pages.forget(id.slot);
         }
@@ -316,9 +329,14 @@ impl Scene {
         self.entries.get(place as usize)?.page.as_deref()
     }
 
+    /// The page in a place of the table, where it is one drawable and was compiled for a context.
+    pub(crate) fn lone_at(&self, place: u32, context: u32) -> Option<&LoneDrawable> {
+        self.entries.get(place as usize)?.lone.as_ref().filter(|lone| lone.context == context)
+    }
+
     pub(super) fn page_at_mut(&mut self, place: u32) -> Option<&mut Page> {
         self.revision += 1;
-        self.entries.get_mut(place as usize)?.page.as_deref_mut()
+        self.entries.get_mut(place as usize)?.page_mut()
     }
 
     pub(crate) fn slot_at(&self, place: u32) -> Option<NodeId> {

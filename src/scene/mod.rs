@@ -14,6 +14,7 @@ mod graph;
 mod id;
 mod intersect;
 mod kinds;
+mod lone;
 mod node;
 mod occluders;
 mod page;
@@ -62,6 +63,7 @@ pub use world::TileInfo;
 pub use crate::state::DataVariance;
 
 pub(crate) use draw_kinds::SMALL_MESH_INDICES;
+pub(crate) use lone::LoneDrawable;
 pub(crate) use occluders::OccluderPage;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use shared::{SharedContent, SharedParts};

@@ -209,11 +209,6 @@ impl Page {
         self.drawable_refs.len()
     }
 
-    /// The page is a plain geode and nothing else.
-    pub(crate) fn is_one_geode(&self) -> bool {
-        matches!(&self.nodes[..], [NodeRecord { kind: kind::GEODE, flags: PLAIN, .. }, _])
-    }
-
     /// How many nodes the page has.
     pub fn node_count(&self) -> usize {
         self.nodes.len() - 1
