@@ -89,8 +89,8 @@ impl Scene {
         let mut state = Arc::default();
         for slot in slots.into_iter().rev() {
             let Some(page) = self.page(slot.page) else { continue };
-            let path = page.tile_of(slot.index).and_then(|tile| page.tiles.state_paths.get(tile));
-            state = Resolving::new(page, state).at(path.copied().unwrap_or(0));
+            let record = page.tile_of(slot.index).and_then(|tile| page.tiles.records.get(tile));
+            state = Resolving::new(page, state).at(record.map_or(0, |record| record.state_path));
         }
         state
     }

@@ -40,6 +40,10 @@ pub(crate) struct TileRecord {
     pub flags: u16,
     /// Depth below the page's top tiles.
     pub depth: u16,
+    /// The page's state path above the tile.
+    pub state_path: u32,
+    /// Index into [`Tiles::content_transforms`].
+    pub content_transform: u32,
 }
 
 impl TileRecord {
@@ -99,7 +103,8 @@ pub(crate) struct Tiles {
     /// Axes of boxes, each once in a row; empty without tiles.
     pub axes: Vec<BoxAxes>,
     /// Frame in which the tile was last wanted, or will be; stored by cull through a shared reference (relaxed: a
-    /// stamp carries no other data), read by update.
+    /// stamp carries no other data), read by update. Not in the records, which culls at the same time would take from
+    /// each other's cores.
     pub last_used: Vec<AtomicU32>,
     pub parents: Vec<u32>,
     /// Child tiles that are resident or hold something resident below them.
@@ -107,8 +112,6 @@ pub(crate) struct Tiles {
     /// Page id of the resident page's generation.
     pub resident_generation: Vec<u32>,
     pub nodes: Vec<u32>,
-    pub state_paths: Vec<u32>,
-    pub content_transform_of: Vec<u32>,
     pub content_transforms: Vec<DAffine3>,
     pub uris: Vec<Option<Arc<str>>>,
     pub reader_data: Vec<Option<Arc<str>>>,
@@ -194,19 +197,25 @@ impl Tiles {
             flags |= flag::SPHERE;
         }
         let depth = if parent == NONE { 0 } else { self.records[parent as usize].depth.saturating_add(1) };
-        self.records.push(TileRecord { skip: 1, resident: NONE, not_ready_children: 0, flags, depth });
+        let transform = if content_transform.is_finite() { content_transform } else { DAffine3::IDENTITY };
+        if self.content_transforms.last() != Some(&transform) {
+            self.content_transforms.push(transform);
+        }
+        self.records.push(TileRecord {
+            skip: 1,
+            resident: NONE,
+            not_ready_children: 0,
+            flags,
+            depth,
+            state_path,
+            content_transform: self.content_transforms.len() as u32 - 1,
+        });
         self.bounds.push(bounds);
         self.last_used.push(AtomicU32::new(0));
         self.parents.push(parent);
         self.busy_children.push(0);
         self.resident_generation.push(0);
         self.nodes.push(node);
-        self.state_paths.push(state_path);
-        let transform = if content_transform.is_finite() { content_transform } else { DAffine3::IDENTITY };
-        if self.content_transforms.last() != Some(&transform) {
-            self.content_transforms.push(transform);
-        }
-        self.content_transform_of.push(self.content_transforms.len() as u32 - 1);
         self.text_bytes +=
             uri.as_ref().map_or(0, |u| u.len() as u64) + reader_data.as_ref().map_or(0, |d| d.len() as u64);
         self.uris.push(uri);
@@ -282,7 +291,7 @@ impl Tiles {
 
     /// Maps a tile's content to the tile's frame.
     pub fn content_transform(&self, tile: usize) -> DAffine3 {
-        let place = self.content_transform_of.get(tile).map(|of| *of as usize);
+        let place = self.records.get(tile).map(|record| record.content_transform as usize);
         place.and_then(|place| self.content_transforms.get(place)).copied().unwrap_or_default()
     }
 
@@ -346,7 +355,7 @@ impl Tiles {
     }
 
     pub fn size_bytes(&self) -> u64 {
-        let row = size_of::<TileRecord>() + size_of::<TileBounds>() + 7 * 4 + 2 * size_of::<Option<Arc<str>>>();
+        let row = size_of::<TileRecord>() + size_of::<TileBounds>() + 5 * 4 + 2 * size_of::<Option<Arc<str>>>();
         let shared = self.content_transforms.len() * size_of::<DAffine3>() + self.axes.len() * size_of::<BoxAxes>();
         (self.records.len() * row + shared) as u64 + self.text_bytes
     }

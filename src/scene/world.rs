@@ -35,9 +35,7 @@ impl Scene {
         while let Some(slot) = self.slot_of(at) {
             let holder = self.page(slot.page)?;
             let tile = holder.tile_of(slot.index)?;
-            let content = *holder.tiles.content_transform_of.get(tile)?;
-            let page_from_content =
-                holder.page_from_tile(tile)? * *holder.tiles.content_transforms.get(content as usize)?;
+            let page_from_content = holder.page_from_tile(tile)? * holder.tiles.content_transform(tile);
             world_from_page = page_from_content * world_from_page;
             at = slot.page;
         }
@@ -48,8 +46,7 @@ impl Scene {
     pub(super) fn world_from_slot(&self, slot: NodeId) -> Option<DAffine3> {
         let holder = self.page(slot.page)?;
         let tile = holder.tile_of(slot.index)?;
-        let content = *holder.tiles.content_transform_of.get(tile)?;
-        let tile_from_content = *holder.tiles.content_transforms.get(content as usize)?;
+        let tile_from_content = holder.tiles.content_transform(tile);
         Some(self.world_from_page(slot.page)? * holder.page_from_tile(tile)? * tile_from_content)
     }
 

@@ -219,7 +219,7 @@ impl Cull<'_> {
                 let (place, hanger, fade) = (record.resident, self.hangers.len() as u32, above.fade);
                 let (required, shown_px) = (above.required, above.shown_px);
                 self.hangers.push(Hanger { purpose, required, shown_px, ..self.hangers[walk.view.hanger as usize] });
-                let state = self.chain_state(walk.page, walk.tiles.state_paths[tile as usize]);
+                let state = self.chain_state(walk.page, record.state_path);
                 let state = self.faded_state(state, fade.band());
                 self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
             } else if resident && purpose == Purpose::Draw {
@@ -393,7 +393,7 @@ impl Cull<'_> {
         if fade.band().is_empty() {
             return;
         }
-        let state = self.chain_state(walk.page, walk.tiles.state_paths[tile as usize]);
+        let state = self.chain_state(walk.page, record.state_path);
         let state = if fade.is_whole() { state } else { self.faded_state(state, fade.band()) };
         self.counters.tiles_drawn += 1;
         let (place, hanger) = (record.resident, walk.view.hanger);

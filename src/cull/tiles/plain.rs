@@ -24,7 +24,6 @@ impl Cull<'_> {
         let records = &walk.tiles.records[..];
         let bounds = &walk.tiles.bounds[..records.len()];
         let last_used = &walk.tiles.last_used[..records.len()];
-        let state_paths = &walk.tiles.state_paths[..records.len()];
         let looks_everywhere = walk.looks_everywhere();
         let Some(open) = self.tile_stack.last() else { return tile };
         let mut above = open.read();
@@ -96,8 +95,8 @@ impl Cull<'_> {
                 }
                 continue;
             }
-            if state_paths[place] != known.0 {
-                *known = self.path_state(walk, state_paths[place]);
+            if record.state_path != known.0 {
+                *known = self.path_state(walk, record.state_path);
             }
             let (hanger, fade) = (walk.view.hanger, above.fade);
             self.queue.push(Waiting { place: record.resident, hanger, tile, state: known.1, fade, mask });

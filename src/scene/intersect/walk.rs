@@ -471,8 +471,7 @@ impl<P: Probe> Walk<'_, P> {
                 (resident, !resident && (ready || self.view.rules.lods != LodSelection::AsSeen))
             };
             if draws {
-                let content = &tiles.content_transforms[tiles.content_transform_of[index] as usize];
-                self.pages.push((record.resident, world_from_tile * *content, self.view));
+                self.pages.push((record.resident, world_from_tile * tiles.content_transform(index), self.view));
             }
             tile += if descends { 1 } else { record.skip };
         }
