@@ -64,14 +64,15 @@ impl Cull<'_> {
 
     /// Tests and emits the drawable of a page that is one drawable, under a state.
     pub(super) fn take_lone(&mut self, lone: &LoneDrawable, eye_from_page: &DAffine3, state: u32, mask: u8) {
-        self.counters.nodes_visited += lone.nodes;
-        self.counters.drawables_tested += 1;
         if mask != 0 {
             let planes = self.view.planes.in_frame(eye_from_page, lone.center);
             if planes.box_is_outside([0.0; 3], lone.half_m, mask) {
+                self.counters.nodes_visited += 1;
                 return;
             }
         }
+        self.counters.nodes_visited += lone.nodes;
+        self.counters.drawables_tested += 1;
         let row = depth_row(eye_from_page, lone.center, self.view.depth_axis);
         if self.widen_range(row, row.w, lone.half_m).is_none() {
             return;
