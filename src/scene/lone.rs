@@ -1,8 +1,8 @@
 //! [`LoneDrawable`]: what a cull needs of a page that is one drawable, as most contents of tiles are.
 //!
 //! Lies in the scene's table of pages. A frame that begins some milliseconds after the last finds little of the scene in
-//! its core's caches, and a page's arrays are some twenty lines of memory, each found by the one before; this is three
-//! beside each other. Made when the page is hung in, forgotten when the page may change. Update thread makes it; culls
+//! its core's caches, and a page's arrays are some twenty lines of memory, each found by the one before; this is three or
+//! four beside each other. Made when the page is hung in, forgotten when the page may change. Update thread makes it; culls
 //! read it.
 
 use std::sync::Arc;
@@ -12,7 +12,8 @@ use glam::{DAffine3, DVec3};
 use super::page::{DrawSlot, NodeRecord, PLAIN, Page};
 use crate::state::StateSet;
 
-/// Of a page with one drawable below groups and transforms, and at most one state set above it.
+/// Of a page with one drawable below groups and transforms, at most one state set above it, and one context for which it
+/// was compiled. All others are scanned.
 #[derive(Debug)]
 pub(crate) struct LoneDrawable {
     pub page_from_drawable: DAffine3,
@@ -20,7 +21,7 @@ pub(crate) struct LoneDrawable {
     pub center: DVec3,
     /// Half sizes of its box along the page's axes.
     pub half_m: [f32; 3],
-    /// The context for which the page was compiled, and the slot there.
+    /// The context and the slot there.
     pub context: u32,
     pub slot: DrawSlot,
     /// Nodes of the page.
