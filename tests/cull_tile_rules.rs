@@ -3,13 +3,15 @@
 
 mod scenes;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use scenes::{content, look_at, page, square_box};
 use terrane::cull::{CullCamera, CullSettings, CullVisitor, CullingMode, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{Node, NodeId, NodeKind, PagedLod, PagingOptions, RangeMode, Refine, Scene};
+use terrane::state::StateSet;
 
 /// A globe of 6 x 12 tiles of 30 degrees: from 1,000 km up only what is on this side of the horizon is met.
 #[test]
@@ -124,4 +126,78 @@ fn a_tile_is_for_eyes_in_its_request_volume() {
     assert_eq!((outside.counters.tiles_drawn, outside.counters.tiles_visited), (0, 0), "not even asked for");
     assert_eq!(settle(&mut scene, &at(99.0)).counters.tiles_drawn, 1);
     assert_eq!(settle(&mut scene, &at(101.0)).counters.tiles_drawn, 0, "nor drawn when it is there");
+}
+
+/// Three levels of tiles, each named by its place depth-first; state sets make some of them grey.
+fn numbered_tiles(level: u32, center: DVec3, next: &mut u32, greys: &BTreeMap<u32, f32>) -> Node {
+    let number = *next;
+    *next += 1;
+    let half_m = 400.0 / f64::from(1 << level);
+    let mut tile = flat_tile(center, half_m, if level == 2 { 0.0 } else { half_m });
+    if let NodeKind::PagedLod(lod) = &mut tile.kind {
+        lod.content = Some(number.to_string().into());
+        lod.reader_data = Some(format!("data {number}").into());
+        lod.paging.priority_offset = number as f32;
+        if number == 9 {
+            lod.request_volume = Some(BoundingVolume::Sphere(BoundingSphere::new(DVec3::Z * 1e4, 100.0)));
+        }
+        if number == 16 {
+            // Never near enough for its children.
+            lod.range_mode = RangeMode::Distance { center: DVec3::Z * -1e6, range_m: 1.0 };
+        }
+    }
+    if let Some(grey) = greys.get(&number) {
+        let set = StateSet { color: Some([*grey, *grey, *grey, 1.0]), ..StateSet::default() };
+        tile = tile.with_state_set(Arc::new(set));
+    }
+    if level < 2 {
+        for (x, y) in [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)] {
+            let child = center + DVec3::new(x, y, 0.0) * half_m;
+            tile = tile.with_child(numbered_tiles(level + 1, child, next, greys));
+        }
+    }
+    tile
+}
+
+#[test]
+fn what_belongs_to_a_tile_stays_with_it() {
+    let greys = BTreeMap::from([(3, 0.5), (11, 0.25), (13, 0.5)]);
+    let mut scene = Scene::new();
+    let roots = Node::group(vec![
+        numbered_tiles(0, DVec3::ZERO, &mut 0, &BTreeMap::new()),
+        numbered_tiles(0, DVec3::ZERO, &mut 0, &greys),
+    ]);
+    let root = scene.add_root(page(roots, 0));
+    let slots: Vec<NodeId> = scene.slots_of_page(root).collect();
+    assert_eq!(slots.len(), 42);
+    for (i, slot) in slots.iter().enumerate() {
+        let number = i % 21;
+        let info = scene.slot(*slot).unwrap();
+        assert_eq!(**info.uri, *number.to_string());
+        assert_eq!(info.reader_data.map(|data| &**data), Some(&*format!("data {number}")));
+        assert_eq!(info.paging.priority_offset, number as f32);
+        assert_eq!(info.depth, if number == 0 { 0 } else { 1 + u32::from(number % 5 != 1) });
+        scene.attach(*slot, content(50.0, i as u32)).unwrap();
+    }
+    let camera = look_at(DVec3::new(0.0, -10.0, 700.0), DVec3::ZERO, DVec3::Z);
+    let stage = settle(&mut scene, &camera);
+    // Tile 9 is not for this eye, and 16 is too far from its own centre to give way to its children.
+    let drawn: BTreeMap<u32, f32> =
+        stage.bins.iter().flat_map(|bin| &bin.leaves).fold(BTreeMap::new(), |mut all, leaf| {
+            all.insert(leaf.slot.0, stage.state_sets[leaf.state as usize].color[0]);
+            all
+        });
+    let expected = (0..42).filter_map(|i| {
+        let number = i % 21;
+        let is_drawn = number == 16 || (number % 5 != 1 && number < 16 && number != 0 && number != 9);
+        let grey = match number {
+            _ if i < 21 => 1.0,
+            3 => 0.5,
+            11 | 12 | 14 | 15 => 0.25,
+            13 => 0.125,
+            _ => 1.0,
+        };
+        is_drawn.then_some((i, grey))
+    });
+    assert_eq!(drawn, expected.collect());
 }

@@ -30,15 +30,14 @@ pub(super) enum Purpose {
     Keep,
 }
 
-/// A page that waits for its visit; small, as tiles leave very many of them.
+/// Pages that wait for their visits: the contents of some tiles side by side, or a root of the scene.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Waiting {
-    /// Place in the scene's page table.
-    pub place: u32,
-    /// Place of the frame that it hangs in.
+    /// The tiles of the hanger's page up to `end`; of the world, the root's place in the scene's page table.
+    pub first: u32,
+    pub end: u32,
+    /// Place of the frame that they hang in.
     pub hanger: u32,
-    /// The tile of the hanger's page whose content it is.
-    pub tile: u32,
     /// As in [`PageVisit`].
     pub state: u32,
     pub fade: Fade,
@@ -356,7 +355,7 @@ impl<'a> Cull<'a> {
         let mut next = 0;
         while let Some(waiting) = self.queue.get(next).copied().filter(|_| next < self.most_pages) {
             next += 1;
-            self.visit_page(&waiting);
+            self.visit_waiting(&waiting);
         }
         self.stage.state_sets.truncate(self.stage.view_of_state.len());
         self.counters.wanted_missing = self.stage.requests.len() as u32;
@@ -401,7 +400,7 @@ impl<'a> Cull<'a> {
         let mask = self.view.planes.mask;
         for root in self.scene.roots() {
             let fade = Fade::NONE;
-            self.queue.push(Waiting { place: root.slot, hanger, tile: 0, state, fade, mask });
+            self.queue.push(Waiting { first: root.slot, end: root.slot + 1, hanger, state, fade, mask });
         }
     }
 
@@ -418,28 +417,34 @@ impl<'a> Cull<'a> {
         self.linear_rows.0 = NONE;
     }
 
-    fn visit_page(&mut self, waiting: &Waiting) {
-        let scene = self.scene;
-        let &Waiting { place, hanger, tile, state, fade, mask } = waiting;
+    fn visit_waiting(&mut self, waiting: &Waiting) {
+        let &Waiting { first, end, hanger, state, fade, mask } = waiting;
         let Hanger { eye_from_frame, page: holder, view, purpose, required, shown_px } = self.hangers[hanger as usize];
-        let eye_from_page = match scene.page_at(holder) {
-            Some(holder) => eye_from_frame * holder.tiles.content_transform(tile as usize),
-            None => eye_from_frame,
-        };
-        let visit = PageVisit { place, eye_from_page, mask, purpose, required, state, view, shown_px, fade };
-        if visit.view != self.view.index {
-            self.view = self.views[visit.view as usize];
+        if view != self.view.index {
+            self.view = self.views[view as usize];
             // Those of other views are not looked for.
-            self.occluders = if visit.view == 0 { self.stage_occluders } else { &NO_OCCLUDERS };
+            self.occluders = if view == 0 { self.stage_occluders } else { &NO_OCCLUDERS };
         }
-        if purpose == Purpose::Draw
-            && self.takes_ranges
-            && self.takes_whole_nodes()
-            && let Some(lone) = scene.lone_at(place, self.camera.context)
-        {
-            self.take_lone(lone, &eye_from_page, state, mask);
-            return;
+        let takes_lone = purpose == Purpose::Draw && self.takes_ranges && self.takes_whole_nodes();
+        let holder = self.scene.page_at(holder);
+        for at in first..end {
+            let (place, eye_from_page) = match holder {
+                Some(holder) => {
+                    let place = holder.tiles.records[at as usize].resident;
+                    (place, eye_from_frame * holder.tiles.content_transform(at as usize))
+                }
+                None => (at, eye_from_frame),
+            };
+            if takes_lone && let Some(lone) = self.scene.lone_at(place, self.camera.context) {
+                self.take_lone(lone, &eye_from_page, state, mask);
+                continue;
+            }
+            self.visit_page(PageVisit { place, eye_from_page, mask, purpose, required, state, view, shown_px, fade });
         }
+    }
+
+    fn visit_page(&mut self, visit: PageVisit) {
+        let (scene, place) = (self.scene, visit.place);
         let Some(page) = scene.page_at(place) else { return };
         self.open_page(page, visit.state);
         if visit.purpose != Purpose::Draw {

@@ -89,8 +89,9 @@ impl Scene {
         let mut state = Arc::default();
         for slot in slots.into_iter().rev() {
             let Some(page) = self.page(slot.page) else { continue };
-            let record = page.tile_of(slot.index).and_then(|tile| page.tiles.records.get(tile));
-            state = Resolving::new(page, state).at(record.map_or(0, |record| record.state_path));
+            let tile = page.tile_of(slot.index).map(|tile| tile as u32);
+            let path = tile.and_then(|tile| Some(page.tiles.state_path(tile, page.tiles.root_of(tile)?)));
+            state = Resolving::new(page, state).at(path.unwrap_or(0));
         }
         state
     }

@@ -113,12 +113,7 @@ impl Flattener {
                 }
                 None => {
                     let node = top.node as usize;
-                    let tile = top.tile;
                     self.page.nodes[node].skip = (self.page.nodes.len() - node) as u32;
-                    if self.page.nodes[node].kind == kind::TILE {
-                        let tiles = &mut self.page.tiles;
-                        tiles.records[tile as usize].skip = tiles.len() as u32 - tile;
-                    }
                     open.pop();
                 }
             }
@@ -179,14 +174,14 @@ impl Flattener {
             NodeKind::PagedLod(lod) => {
                 payload = self.page.tiles.len() as u32;
                 let sphere = self.page.tiles.push_paged_lod(tile, index, path, *lod);
-                self.note_tile_root(tile, payload, transform, sphere);
+                self.note_tile_root(tile, TileRoot { tile: payload, transform, state_path: path }, sphere);
                 tile = payload;
                 kind::TILE
             }
             NodeKind::ProxyNode(proxy) => {
                 payload = self.page.tiles.len() as u32;
                 let sphere = self.page.tiles.push_proxy(tile, index, path, *proxy);
-                self.note_tile_root(tile, payload, transform, sphere);
+                self.note_tile_root(tile, TileRoot { tile: payload, transform, state_path: path }, sphere);
                 tile = payload;
                 kind::TILE
             }
@@ -265,9 +260,9 @@ impl Flattener {
         Ok(Open { children, node: index, transform, path, tile })
     }
 
-    fn note_tile_root(&mut self, parent: u32, tile: u32, transform: u32, sphere: BoundingSphere) {
+    fn note_tile_root(&mut self, parent: u32, root: TileRoot, sphere: BoundingSphere) {
         if parent == NONE {
-            self.page.tiles.roots.push(TileRoot { tile, transform });
+            self.page.tiles.roots.push(root);
             self.page.tile_root_spheres.push(sphere);
         }
     }
@@ -353,6 +348,12 @@ impl Flattener {
         }
         if page.payloads.iter().all(|p| *p == NONE) {
             page.payloads = Vec::new();
+        }
+        let places = page.tiles.lay_siblings_together();
+        for (node, payload) in page.nodes.iter().zip(&mut page.payloads) {
+            if node.kind == kind::TILE {
+                *payload = places[*payload as usize];
+            }
         }
         page.tiles.count_readiness();
         page.transforms.shrink();

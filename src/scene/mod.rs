@@ -67,4 +67,4 @@ pub(crate) use lone::LoneDrawable;
 pub(crate) use occluders::OccluderPage;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
 pub(crate) use shared::{SharedContent, SharedParts};
-pub(crate) use tiles::{TileBounds, TileRecord, Tiles, flag};
+pub(crate) use tiles::{TileBounds, TileRecord, TileRoot, Tiles, flag};

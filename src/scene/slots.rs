@@ -78,14 +78,10 @@ impl Scene {
 
     /// Every slot of a page (of each PagedLod with content and each ProxyNode), in depth-first order.
     pub fn slots_of_page(&self, id: PageId) -> impl Iterator<Item = NodeId> + '_ {
-        let tiles = self.page(id).map(|p| &p.tiles);
-        tiles.into_iter().flat_map(move |tiles| {
-            tiles
-                .records
-                .iter()
-                .zip(&tiles.nodes)
-                .filter(|(record, _)| record.has_slot())
-                .map(move |(_, node)| NodeId { page: id, index: *node })
+        self.page(id).into_iter().flat_map(move |page| {
+            let nodes = 0..if page.is_tile_tree() { page.node_count() as u32 } else { 0 };
+            let has_slot = |node: &u32| page.tile_of(*node).is_some_and(|tile| page.tiles.records[tile].has_slot());
+            nodes.filter(has_slot).map(move |index| NodeId { page: id, index })
         })
     }
 

@@ -1,4 +1,7 @@
-//! The tile trees of a page: bounds, content slots and readiness, as flat depth-first arrays.
+//! The tile trees of a page: bounds, content slots and readiness, as flat arrays.
+//!
+//! The children of a tile follow each other, and then comes what is below the first of them: a walk that turns back at
+//! some level meets tiles that lie side by side, of which a line of the cache holds several.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
@@ -26,13 +29,16 @@ pub(crate) mod flag {
     pub const EXTERNAL: u16 = 256;
     /// Only for eyes inside a volume of a separate table.
     pub const REQUEST_VOLUME: u16 = 512;
+    /// Another state path than that of the tree's top tile, in a separate table.
+    pub const OWN_PATH: u16 = 1024;
 }
 
 /// What the tile walk reads of every tile it meets.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TileRecord {
-    /// Tiles in the subtree, this one included.
-    pub skip: u32,
+    /// The first child tile; the others follow it.
+    pub first_child: u32,
+    pub child_count: u32,
     /// Place of the resident page in the scene's table, or `NONE`.
     pub resident: u32,
     /// Child tiles that are not ready; 0 means the children can replace the tile.
@@ -40,8 +46,6 @@ pub(crate) struct TileRecord {
     pub flags: u16,
     /// Depth below the page's top tiles.
     pub depth: u16,
-    /// The page's state path above the tile.
-    pub state_path: u32,
     /// Index into [`Tiles::content_transforms`].
     pub content_transform: u32,
 }
@@ -52,7 +56,12 @@ impl TileRecord {
     }
 
     pub fn has_children(&self) -> bool {
-        self.skip > 1
+        self.child_count != 0
+    }
+
+    /// The tile behind the last child.
+    pub fn end_of_children(&self) -> u32 {
+        self.first_child + self.child_count
     }
 
     pub fn has_slot(&self) -> bool {
@@ -119,6 +128,8 @@ pub(crate) struct Tiles {
     pub distance_centers: Vec<(u32, DVec3)>,
     /// By tile, for tiles with [`flag::REQUEST_VOLUME`].
     pub request_volumes: Vec<(u32, BoundingVolume)>,
+    /// By tile, for tiles with [`flag::OWN_PATH`].
+    pub own_paths: Vec<(u32, u32)>,
     /// By tile, where they are not the default.
     pub paging: Vec<(u32, PagingOptions)>,
     pub roots: Vec<TileRoot>,
@@ -132,6 +143,8 @@ pub(crate) struct Tiles {
 pub(crate) struct TileRoot {
     pub tile: u32,
     pub transform: u32,
+    /// The page's state path above the tile.
+    pub state_path: u32,
 }
 
 impl Tiles {
@@ -196,18 +209,23 @@ impl Tiles {
         if bounds.half_m == [0.0; 3] {
             flags |= flag::SPHERE;
         }
+        // Of the tree that is being pushed; a top tile comes before its root.
+        if parent != NONE && self.roots.last().is_some_and(|root| root.state_path != state_path) {
+            flags |= flag::OWN_PATH;
+            self.own_paths.push((self.records.len() as u32, state_path));
+        }
         let depth = if parent == NONE { 0 } else { self.records[parent as usize].depth.saturating_add(1) };
         let transform = if content_transform.is_finite() { content_transform } else { DAffine3::IDENTITY };
         if self.content_transforms.last() != Some(&transform) {
             self.content_transforms.push(transform);
         }
         self.records.push(TileRecord {
-            skip: 1,
+            first_child: 0,
+            child_count: 0,
             resident: NONE,
             not_ready_children: 0,
             flags,
             depth,
-            state_path,
             content_transform: self.content_transforms.len() as u32 - 1,
         });
         self.bounds.push(bounds);
@@ -259,10 +277,68 @@ impl Tiles {
         self.axes.len() as u32 - 1
     }
 
+    /// The tile that follows everything below `tile` in the walk of a tree, or `NONE`.
+    pub fn behind(&self, mut tile: u32) -> u32 {
+        loop {
+            let parent = self.parents[tile as usize];
+            if parent == NONE {
+                return NONE;
+            }
+            if tile + 1 < self.records[parent as usize].end_of_children() {
+                return tile + 1;
+            }
+            tile = parent;
+        }
+    }
+
     /// The axes of a tile's box.
     #[inline(always)]
     pub fn axes_of(&self, bounds: &TileBounds) -> &BoxAxes {
         self.axes.get(bounds.axes as usize).unwrap_or(&ALONG_FRAME)
+    }
+
+    /// Lays siblings side by side; tiles were pushed depth-first. Every tree keeps its range. The new places of tiles
+    /// by their old ones.
+    pub fn lay_siblings_together(&mut self) -> Vec<u32> {
+        let count = self.len();
+        for parent in self.parents.iter().filter(|p| **p != NONE) {
+            self.records[*parent as usize].child_count += 1;
+        }
+        // Where the next child of a tile goes, by the tile's old place.
+        let mut next_child = vec![0_u32; count];
+        let mut places = Vec::with_capacity(count);
+        let mut free = 0;
+        for (tile, parent) in self.parents.iter().enumerate() {
+            let place = if *parent == NONE { &mut free } else { &mut next_child[*parent as usize] };
+            places.push(*place);
+            *place += 1;
+            let record = &mut self.records[tile];
+            (record.first_child, next_child[tile]) = (free, free);
+            free += record.child_count;
+        }
+        for parent in self.parents.iter_mut().filter(|p| **p != NONE) {
+            *parent = places[*parent as usize];
+        }
+        let mut order = vec![0_u32; count];
+        for (tile, place) in places.iter().enumerate() {
+            order[*place as usize] = tile as u32;
+        }
+        self.records = taken(&self.records, &order);
+        self.bounds = taken(&self.bounds, &order);
+        self.parents = taken(&self.parents, &order);
+        self.nodes = taken(&self.nodes, &order);
+        self.uris = taken(&self.uris, &order);
+        self.reader_data = taken(&self.reader_data, &order);
+        let place_of = |tile: &mut u32| *tile = places[*tile as usize];
+        self.distance_centers.iter_mut().for_each(|(tile, _)| place_of(tile));
+        self.distance_centers.sort_unstable_by_key(|(tile, _)| *tile);
+        self.request_volumes.iter_mut().for_each(|(tile, _)| place_of(tile));
+        self.request_volumes.sort_unstable_by_key(|(tile, _)| *tile);
+        self.own_paths.iter_mut().for_each(|(tile, _)| place_of(tile));
+        self.own_paths.sort_unstable_by_key(|(tile, _)| *tile);
+        self.paging.iter_mut().for_each(|(tile, _)| place_of(tile));
+        self.paging.sort_unstable_by_key(|(tile, _)| *tile);
+        places
     }
 
     /// Counts what is not ready, leaves first. Called once, when nothing is resident.
@@ -293,6 +369,20 @@ impl Tiles {
     pub fn content_transform(&self, tile: usize) -> DAffine3 {
         let place = self.records.get(tile).map(|record| record.content_transform as usize);
         place.and_then(|place| self.content_transforms.get(place)).copied().unwrap_or_default()
+    }
+
+    /// The tree that a tile is in.
+    pub fn root_of(&self, tile: u32) -> Option<&TileRoot> {
+        let behind = self.roots.partition_point(|root| root.tile <= tile);
+        self.roots.get(behind.checked_sub(1)?)
+    }
+
+    /// The page's state path above a tile of a tree.
+    pub fn state_path(&self, tile: u32, root: &TileRoot) -> u32 {
+        match self.own_paths.binary_search_by_key(&tile, |(t, _)| *t) {
+            Ok(place) => self.own_paths[place].1,
+            Err(_) => root.state_path,
+        }
     }
 
     /// How the pager treats a tile.
@@ -359,6 +449,11 @@ impl Tiles {
         let shared = self.content_transforms.len() * size_of::<DAffine3>() + self.axes.len() * size_of::<BoxAxes>();
         (self.records.len() * row + shared) as u64 + self.text_bytes
     }
+}
+
+/// The elements in another order.
+fn taken<T: Clone>(elements: &[T], order: &[u32]) -> Vec<T> {
+    order.iter().map(|place| elements[*place as usize].clone()).collect()
 }
 
 /// The next f32 above a length, so that rounding never makes a volume smaller.

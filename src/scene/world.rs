@@ -139,8 +139,6 @@ impl Scene {
 impl Page {
     /// Maps the frame of a tile tree's bounds to the page's.
     fn page_from_tile(&self, tile: usize) -> Option<DAffine3> {
-        let after = self.tiles.roots.partition_point(|r| r.tile as usize <= tile);
-        let root = self.tiles.roots.get(after.checked_sub(1)?)?;
-        Some(self.transforms.page_from_node(root.transform))
+        Some(self.transforms.page_from_node(self.tiles.root_of(tile as u32)?.transform))
     }
 }

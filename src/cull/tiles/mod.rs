@@ -17,7 +17,7 @@ use super::horizon::Horizon;
 use super::planes::Planes;
 use super::stage::PageRequest;
 use super::visitor::{Cull, Hanger, PageVisit, Purpose, Waiting, eye_in};
-use crate::scene::{NONE, NodeId, Page, PageId, TileBounds, TileRecord, Tiles, UNBOUNDED, flag};
+use crate::scene::{NONE, NodeId, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, UNBOUNDED, flag};
 
 /// A frame with tile trees, seen from the eye.
 #[derive(Clone, Copy, Debug)]
@@ -36,10 +36,11 @@ struct Walk<'a> {
     page: &'a Page,
     id: PageId,
     tiles: &'a Tiles,
+    root: &'a TileRoot,
     view: TileView,
     /// Ranges of a metre of error and of a metre of range.
     ranges: (f32, f32),
-    max_sse_px: f32,
+    max_sse_px2: f32,
     /// Shadows take what is there.
     asks: bool,
     cull_mask: u32,
@@ -63,26 +64,26 @@ struct Stamp {
 
 /// Of a tile with content that its children replace.
 const PLAIN: u16 = flag::CONTENT;
-/// No path and its state.
-const UNKNOWN: (u32, u32) = (NONE, 0);
 /// What else tiles may be.
 const KINDS: u16 = flag::CONTENT | flag::PROXY | flag::EXTERNAL | flag::ADD;
+/// What tiles may be, or have, that are met one by one.
+const ODD: u16 = KINDS | flag::OWN_PATH;
 
 impl Cull<'_> {
     /// Walks one tile tree of a page.
     pub(super) fn scan_tiles(&mut self, page: &Page, visit: &PageVisit, root: usize, mask: u8, purpose: Purpose) {
         let Some(tile_root) = page.tiles.roots.get(root) else { return };
         let (tiles, first) = (&page.tiles, tile_root.tile);
-        let end = first + tiles.records[first as usize].skip;
         let (fade_s, cull_mask) = (self.view.settings.lod_fade_s, self.view.settings.cull_mask);
         let (frame, ahead) = (self.camera.frame, self.camera.ahead_frames);
         let walk = Walk {
             page,
             id: self.scene.page_id_at(visit.place),
             tiles,
+            root: tile_root,
             view: self.tile_view(page, visit, tile_root.transform),
             ranges: (self.view.range_per_error, self.view.range_per_metre),
-            max_sse_px: self.view.max_sse_px,
+            max_sse_px2: self.view.max_sse_px * self.view.max_sse_px,
             asks: !self.view.casts,
             cull_mask,
             may_hide: !page.masks.is_empty() || cull_mask == 0 || !tiles.request_volumes.is_empty(),
@@ -90,8 +91,8 @@ impl Cull<'_> {
             step: self.fades.step(fade_s),
             stamp: Stamp { frame: if self.view.casts { 0 } else { frame }, then: frame.saturating_add(ahead) },
         };
-        let (required, shown_px, fade) = (visit.required, visit.shown_px, visit.fade);
-        let all = TileFrame { end, mask, purpose, required, shown_px, fade };
+        let (required, shown_px2, fade) = (visit.required, visit.shown_px * visit.shown_px, visit.fade);
+        let all = TileFrame { next: first, end: first + 1, mask, purpose, required, shown_px2, fade };
         if ahead > 0 {
             self.walk_tiles::<true, true>(&walk, first, &all, &mut []);
         } else if fade_s > 0.0 && purpose == Purpose::Draw {
@@ -103,9 +104,9 @@ impl Cull<'_> {
         }
     }
 
-    /// Walks the tiles from `first` to the end of `all`. There are no `marks` where nothing can fade. `LOOKS` at each
-    /// tile, or takes for granted that it is not culled: wholly inside the frustum that is most of them. `AHEAD` where
-    /// the picture is one of later.
+    /// Walks the tiles from `first` to the end of `all` and what is below them. There are no `marks` where
+    /// nothing can fade. `LOOKS` at each tile, or takes for granted that it is not culled: wholly inside the frustum
+    /// that is most of them. `AHEAD` where the picture is one of later.
     fn walk_tiles<const LOOKS: bool, const AHEAD: bool>(
         &mut self,
         walk: &Walk,
@@ -117,39 +118,41 @@ impl Cull<'_> {
         let base = self.tile_stack.len();
         self.tile_stack.push(all.read());
         let mut tile = first;
-        let mut known = UNKNOWN;
-        // The tile at which there were no more plain ones.
-        let mut odd = NONE;
-        while self.tile_stack.len() > base
-            && let Some(above) = self.tile_stack.last().map(TileFrame::read)
-        {
+        // The tile at which there were no more that are plain, and what it was met for.
+        let mut odd = (NONE, Purpose::Draw);
+        loop {
+            let Some(above) = self.tile_stack.last().map(TileFrame::read) else { break };
             if tile >= above.end {
                 self.tile_stack.pop();
+                match self.tile_stack.last() {
+                    Some(above) if self.tile_stack.len() > base => tile = above.next,
+                    _ => break,
+                }
                 continue;
             }
             if LOOKS && above.mask == 0 && !looks_everywhere {
-                self.tile_stack.pop();
                 self.walk_tiles::<false, AHEAD>(walk, tile, &above, marks);
                 tile = above.end;
                 continue;
             }
             let record = &walk.tiles.records[tile as usize];
-            if record.flags & KINDS == PLAIN && above.fade.is_whole() && odd != tile {
+            if record.flags & ODD == PLAIN && above.fade.is_whole() && odd != (tile, above.purpose) {
                 tile = match above.purpose {
-                    Purpose::Draw => self.draw_plain_tiles::<LOOKS, AHEAD>(walk, tile, base, marks, &mut known),
+                    Purpose::Draw => self.draw_plain_tiles::<LOOKS, AHEAD>(walk, tile, base, marks),
                     _ => self.want_plain_tiles::<LOOKS, AHEAD>(walk, tile, base),
                 };
-                odd = tile;
+                odd = (tile, above.purpose);
                 continue;
             }
-            tile += if self.meet_tile::<LOOKS, AHEAD>(walk, tile, &above, marks) { 1 } else { record.skip };
+            let opened = self.meet_tile::<LOOKS, AHEAD>(walk, tile, &above, marks);
+            tile = if opened { record.first_child } else { tile + 1 };
         }
     }
 
     /// Why a tile is met, and the planes that it crosses; `None` where it is culled. What this camera does not see is
     /// kept with its siblings all the same where the parent waits for all of them.
     #[inline(never)]
-    fn look(&mut self, walk: &Walk, tile: u32, above: &TileFrame) -> Option<(Purpose, u8)> {
+    fn look(&mut self, walk: &Walk, tile: u32, above: TileFrame) -> Option<(Purpose, u8)> {
         let record = &walk.tiles.records[tile as usize];
         let kept = above.required.then_some((Purpose::Keep, above.mask));
         let mut seen = Some((above.purpose, above.mask));
@@ -187,7 +190,7 @@ impl Cull<'_> {
         marks: &mut [TileMark],
     ) -> bool {
         let record = &walk.tiles.records[tile as usize];
-        let seen = if LOOKS { self.look(walk, tile, above) } else { Some((above.purpose, 0)) };
+        let seen = if LOOKS { self.look(walk, tile, *above) } else { Some((above.purpose, 0)) };
         let Some((purpose, mask)) = seen else { return false };
         self.counters.tiles_visited += 1;
         walk.stamp.put::<AHEAD>(&walk.tiles.last_used[tile as usize]);
@@ -212,32 +215,32 @@ impl Cull<'_> {
         let mut above = above.read();
         let resident = record.has(flag::RESIDENT);
         if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
-            above.shown_px = self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
+            above.shown_px2 = self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
         }
         if record.has(flag::PROXY | flag::EXTERNAL) {
             if resident && record.has(flag::EXTERNAL) {
-                let (place, hanger, fade) = (record.resident, self.hangers.len() as u32, above.fade);
-                let (required, shown_px) = (above.required, above.shown_px);
+                let (hanger, fade) = (self.hangers.len() as u32, above.fade);
+                let (required, shown_px) = (above.required, above.shown_px2.sqrt());
                 self.hangers.push(Hanger { purpose, required, shown_px, ..self.hangers[walk.view.hanger as usize] });
-                let state = self.chain_state(walk.page, record.state_path);
+                let state = self.chain_state(walk.page, walk.state_path(tile, record));
                 let state = self.faded_state(state, fade.band());
-                self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
+                self.queue.push(Waiting { first: tile, end: tile + 1, hanger, state, fade, mask });
             } else if resident && purpose == Purpose::Draw {
                 self.draw(walk, tile, record, mask, above.fade);
             }
             return purpose != Purpose::Keep
-                && self.open_tile(walk, tile, (purpose, mask), false, above.shown_px, above.fade);
+                && self.open_tile(walk, tile, (purpose, mask), false, above.shown_px2, above.fade);
         }
         if !record.has(flag::CONTENT) {
-            return self.open_tile(walk, tile, (purpose, mask), above.required, above.shown_px, above.fade);
+            return self.open_tile(walk, tile, (purpose, mask), above.required, above.shown_px2, above.fade);
         }
         // Content that stays with its children.
         match purpose {
             Purpose::Keep => false,
             Purpose::Want => {
                 let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
-                let shown_px = walk.below_px(range2, distance2, above.shown_px);
-                distance2 < range2 && self.open_tile(walk, tile, (purpose, mask), false, shown_px, above.fade)
+                let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
+                distance2 < range2 && self.open_tile(walk, tile, (purpose, mask), false, shown_px2, above.fade)
             }
             Purpose::Draw => self.fade_tile(walk, tile, mask, &above, marks),
         }
@@ -257,7 +260,7 @@ impl Cull<'_> {
         let resident = record.has(flag::RESIDENT);
         if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
-                self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
+                self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
             }
             let draws = purpose == Purpose::Draw && (resident || !stays(marks, tile as usize, walk.step, false, false));
             return draws && self.fade_tile(walk, tile, mask, above, marks);
@@ -265,17 +268,17 @@ impl Cull<'_> {
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
         let wants = distance2 < range2;
         let is_refined = purpose == Purpose::Draw && record.not_ready_children == 0 && (wants || !resident);
-        let mut above_px = above.shown_px;
+        let mut above_px2 = above.shown_px2;
         if !(resident || (is_refined && wants)) {
-            above_px = self.request_missing(walk, tile, purpose, above.shown_px, above.fade);
+            above_px2 = self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
         }
         if purpose == Purpose::Draw && (resident || !stays(marks, tile as usize, walk.step, is_refined, false)) {
-            let above = TileFrame { shown_px: above_px, ..above.read() };
+            let above = TileFrame { shown_px2: above_px2, ..above.read() };
             return self.fade_tile(walk, tile, mask, &above, marks);
         }
-        let shown_px = walk.below_px(range2, distance2, above_px);
+        let shown_px2 = walk.below_px2(range2, distance2, above_px2);
         let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
-        (is_refined || wants) && self.open_tile(walk, tile, (purpose, mask), true, shown_px, above.fade)
+        (is_refined || wants) && self.open_tile(walk, tile, (purpose, mask), true, shown_px2, above.fade)
     }
 
     /// Draws a tile with content, and opens it where its children are to be met. One gives way to the other in time.
@@ -304,14 +307,14 @@ impl Cull<'_> {
         if shows_own && resident {
             self.draw(walk, tile, record, mask, fade.with_band(own));
         }
-        let shown_px = walk.below_px(range2, distance2, above.shown_px);
+        let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
         if shows_children {
             let covered = fade.covered() || (!replaces && resident);
             let leaving = fade.leaving() || !is_refined;
             let fade = Fade::new(children, covered, leaving);
-            self.open_tile(walk, tile, (Purpose::Draw, mask), replaces, shown_px, fade)
+            self.open_tile(walk, tile, (Purpose::Draw, mask), replaces, shown_px2, fade)
         } else {
-            wants && self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px, fade)
+            wants && self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px2, fade)
         }
     }
 
@@ -322,14 +325,15 @@ impl Cull<'_> {
         tile: u32,
         (purpose, mask): (Purpose, u8),
         required: bool,
-        shown_px: f32,
+        shown_px2: f32,
         fade: Fade,
     ) -> bool {
         let record = &walk.tiles.records[tile as usize];
         let is_met = record.has_children() && (walk.asks || purpose == Purpose::Draw);
         if is_met {
-            let (end, required) = (tile + record.skip, required && walk.asks);
-            self.tile_stack.push(TileFrame { end, mask, purpose, required, shown_px, fade });
+            let required = required && walk.asks;
+            let (next, end) = (record.first_child, record.end_of_children());
+            frame::open(self.tile_stack, tile + 1, TileFrame { next, end, mask, purpose, required, shown_px2, fade });
         }
         is_met
     }
@@ -393,11 +397,11 @@ impl Cull<'_> {
         if fade.band().is_empty() {
             return;
         }
-        let state = self.chain_state(walk.page, record.state_path);
+        let state = self.chain_state(walk.page, walk.state_path(tile, record));
         let state = if fade.is_whole() { state } else { self.faded_state(state, fade.band()) };
         self.counters.tiles_drawn += 1;
-        let (place, hanger) = (record.resident, walk.view.hanger);
-        self.queue.push(Waiting { place, hanger, tile, state, fade, mask });
+        let hanger = walk.view.hanger;
+        self.queue.push(Waiting { first: tile, end: tile + 1, hanger, state, fade, mask });
     }
 
     /// What a tile's place in the picture makes of its priority: all in the middle, a half where its bounds begin 45
@@ -418,26 +422,27 @@ impl Cull<'_> {
         }
     }
 
-    /// Asks for the content of a tile, unless it is there or cannot come. What tiles below may have for an error of
-    /// what is shown, so that they come later.
+    /// Asks for the content of a tile, unless it is there or cannot come. What tiles below may have for a squared error
+    /// of what is shown, so that they come later.
     #[cold]
     #[inline(never)]
-    fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, shown_px: f32, fade: Fade) -> f32 {
+    fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, shown_px2: f32, fade: Fade) -> f32 {
         let record = &walk.tiles.records[tile as usize];
         let may_come = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
         if !may_come || fade.leaving() || !walk.asks {
-            return shown_px;
+            return shown_px2;
         }
         let slot = NodeId { page: walk.id, index: walk.tiles.nodes[tile as usize] };
         let finite = |px: f32| if px > 0.0 { px.min(MOST_PX) } else { 0.0 };
         let share = if purpose == Purpose::Keep { KEPT_SHARE } else { self.share_of_place(walk, tile) };
-        let priority = finite(shown_px * share);
+        let priority = finite(shown_px2.sqrt() * share);
         // The finest tiles have none.
         let bounds = &walk.tiles.bounds[tile as usize];
         let has_error = bounds.metric_m > 0.0;
-        let error_px = if has_error { finite(walk.px(walk.range_and_distance(tile, record, bounds))) } else { 0.0 };
+        let error_px2 = if has_error { walk.px2(walk.range_and_distance(tile, record, bounds)) } else { 0.0 };
+        let error_px = finite(error_px2.sqrt());
         self.stage.requests.push(PageRequest { slot, priority, error_px, ahead_frames: 0 });
-        priority
+        priority * priority
     }
 }
 
@@ -474,6 +479,11 @@ impl Walk<'_> {
     }
 
     #[inline]
+    fn state_path(&self, tile: u32, record: &TileRecord) -> u32 {
+        if record.has(flag::OWN_PATH) { self.tiles.state_path(tile, self.root) } else { self.root.state_path }
+    }
+
+    #[inline]
     fn is_hidden(&self, tile: u32) -> bool {
         let node = self.tiles.nodes[tile as usize] as usize;
         self.page.masks.get(node).copied().unwrap_or(u32::MAX) & self.cull_mask == 0
@@ -491,17 +501,17 @@ impl Walk<'_> {
         }
     }
 
-    /// The error of a tile in pixels.
+    /// The squared error of a tile in pixels. Roots are left to those that ask for something.
     #[inline(always)]
-    fn px(&self, (range2, distance2): (f32, f32)) -> f32 {
-        self.max_sse_px * (range2 / distance2).sqrt()
+    fn px2(&self, (range2, distance2): (f32, f32)) -> f32 {
+        self.max_sse_px2 * (range2 / distance2)
     }
 
-    /// The error of what is shown while tiles below are missing: never as large as what is shown above, so that coarse
-    /// comes first whatever the bounds are.
+    /// The squared error of what is shown while tiles below are missing: never as large as what is shown above, so that
+    /// coarse comes first whatever the bounds are.
     #[inline(always)]
-    fn below_px(&self, range2: f32, distance2: f32, above_px: f32) -> f32 {
-        let (own, most) = (self.px((range2, distance2)), above_px * 0.999);
+    fn below_px2(&self, range2: f32, distance2: f32, above_px2: f32) -> f32 {
+        let (own, most) = (self.px2((range2, distance2)), above_px2 * 0.998);
         if own < most { own } else { most }
     }
 

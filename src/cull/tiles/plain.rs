@@ -3,14 +3,23 @@
 //!
 //! Loops by themselves, so that what they need stays in registers. What they leave is met one by one.
 
-use super::{KINDS, PLAIN, TileFrame, Walk, stays};
-use crate::cull::fade::TileMark;
+use std::ops::Range;
+
+use super::{ODD, PLAIN, TileFrame, Walk, frame, stays};
+use crate::cull::fade::{Fade, TileMark};
 use crate::cull::visitor::{Cull, Purpose, Waiting};
 use crate::scene::{TileBounds, TileRecord, flag};
 
+/// Tiles side by side whose contents are drawn alike.
+struct Run {
+    tiles: Range<u32>,
+    mask: u8,
+    fade: Fade,
+}
+
 impl Cull<'_> {
     /// Walks on while tiles have content that is there, drawn or replaced by all its children at once. The tile after
-    /// those; its frame is the last of the stack.
+    /// those, or behind the last of its siblings; their frame is the last of the stack.
     #[inline(never)]
     pub(super) fn draw_plain_tiles<const LOOKS: bool, const AHEAD: bool>(
         &mut self,
@@ -18,7 +27,6 @@ impl Cull<'_> {
         mut tile: u32,
         base: usize,
         marks: &mut [TileMark],
-        known: &mut (u32, u32),
     ) -> u32 {
         // With one length for all, places are checked once a tile.
         let records = &walk.tiles.records[..];
@@ -28,7 +36,8 @@ impl Cull<'_> {
         let Some(open) = self.tile_stack.last() else { return tile };
         let mut above = open.read();
         // Counted here: a counter behind `self` is a load and a store for each tile.
-        let (mut visited, mut drawn) = (0, 0);
+        let mut visited = 0;
+        let mut run = Run { tiles: tile..tile, mask: 0, fade: above.fade };
         loop {
             if tile >= above.end {
                 if self.tile_stack.len() == base + 1 {
@@ -37,6 +46,7 @@ impl Cull<'_> {
                 self.tile_stack.pop();
                 let Some(open) = self.tile_stack.last() else { break };
                 above = open.read();
+                tile = above.next;
                 if above.purpose != Purpose::Draw || !above.fade.is_whole() {
                     break;
                 }
@@ -44,12 +54,12 @@ impl Cull<'_> {
             }
             let place = tile as usize;
             let record = &records[place];
-            if record.flags & (KINDS | flag::RESIDENT) != PLAIN | flag::RESIDENT {
+            if record.flags & (ODD | flag::RESIDENT) != PLAIN | flag::RESIDENT {
                 break;
             }
             let mut mask = 0;
             if LOOKS {
-                let seen = self.see(walk, tile, record, &bounds[place], &above);
+                let seen = self.see(walk, tile, record, &bounds[place], above);
                 match seen {
                     Some((Purpose::Draw, crossing)) => mask = crossing,
                     _ => {
@@ -57,7 +67,7 @@ impl Cull<'_> {
                             visited += 1;
                             walk.stamp.put::<AHEAD>(&last_used[place]);
                         }
-                        tile += record.skip;
+                        tile += 1;
                         continue;
                     }
                 }
@@ -68,8 +78,10 @@ impl Cull<'_> {
             };
             let wants = distance2 < range2;
             if wants && record.not_ready_children != 0 {
+                let next = Run { tiles: tile..tile, mask, fade: above.fade };
+                self.draw_run(walk, std::mem::replace(&mut run, next));
                 let far = (range2, distance2);
-                let Some(next) = self.wait_for_children::<LOOKS, AHEAD>(walk, tile, mask, far, &above, marks) else {
+                let Some(next) = self.wait_for_children::<LOOKS, AHEAD>(walk, tile, mask, far, above, marks) else {
                     break;
                 };
                 tile = next;
@@ -86,26 +98,44 @@ impl Cull<'_> {
             visited += 1;
             walk.stamp.put::<AHEAD>(&last_used[place]);
             if wants {
-                let shown_px = walk.below_px(range2, distance2, above.shown_px);
-                above = TileFrame { end: tile + record.skip, mask, required: walk.asks, shown_px, ..above };
-                self.tile_stack.push(above);
-                tile += 1;
+                let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
+                let (next, end) = (record.first_child, record.end_of_children());
+                above = TileFrame { next, end, mask, required: walk.asks, shown_px2, ..above };
+                frame::open(self.tile_stack, tile + 1, above);
+                tile = next;
                 if LOOKS && mask == 0 && !looks_everywhere {
                     break;
                 }
                 continue;
             }
-            if record.state_path != known.0 {
-                *known = self.path_state(walk, record.state_path);
+            if run.tiles.end != tile || run.mask != mask || run.fade != above.fade {
+                let next = Run { tiles: tile..tile, mask, fade: above.fade };
+                self.draw_run(walk, std::mem::replace(&mut run, next));
             }
-            let (hanger, fade) = (walk.view.hanger, above.fade);
-            self.queue.push(Waiting { place: record.resident, hanger, tile, state: known.1, fade, mask });
-            drawn += 1;
-            tile += record.skip;
+            tile += 1;
+            run.tiles.end = tile;
         }
+        self.draw_run(walk, run);
         self.counters.tiles_visited += visited;
-        self.counters.tiles_drawn += drawn;
         tile
+    }
+
+    /// Lets the contents of a run wait for their visits.
+    #[inline(always)]
+    fn draw_run(&mut self, walk: &Walk, run: Run) {
+        let Run { tiles, mask, fade } = run;
+        if !tiles.is_empty() {
+            let state = self.chain_state(walk.page, walk.root.state_path);
+            self.queue.push(Waiting {
+                first: tiles.start,
+                end: tiles.end,
+                hanger: walk.view.hanger,
+                state,
+                fade,
+                mask,
+            });
+            self.counters.tiles_drawn += tiles.len() as u32;
+        }
     }
 
     /// Draws a tile whose children are not all ready, and asks for what they lack. The tile after what was met, unless
@@ -118,7 +148,7 @@ impl Cull<'_> {
         tile: u32,
         mask: u8,
         (range2, distance2): (f32, f32),
-        above: &TileFrame,
+        above: TileFrame,
         marks: &mut [TileMark],
     ) -> Option<u32> {
         if !stays(marks, tile as usize, walk.step, false, true) {
@@ -128,19 +158,20 @@ impl Cull<'_> {
         self.counters.tiles_visited += 1;
         walk.stamp.put::<AHEAD>(&walk.tiles.last_used[tile as usize]);
         self.draw(walk, tile, record, mask, above.fade);
-        let shown_px = walk.below_px(range2, distance2, above.shown_px);
+        let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
         let base = self.tile_stack.len();
-        if !self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px, above.fade) {
-            return Some(tile + record.skip);
+        if !self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px2, above.fade) {
+            return Some(tile + 1);
         }
-        let next = self.want_plain_tiles::<LOOKS, AHEAD>(walk, tile + 1, base);
-        if next == tile + record.skip {
+        let next = self.want_plain_tiles::<LOOKS, AHEAD>(walk, record.first_child, base);
+        if self.tile_stack.len() == base + 1 && next >= record.end_of_children() {
             self.tile_stack.truncate(base);
+            return Some(tile + 1);
         }
         Some(next)
     }
 
-    /// The same where something above is drawn instead: what is missing is asked for, all levels in one frame.
+    /// Walks on where something above is drawn instead: what is missing is asked for, all levels in one frame.
     #[inline(never)]
     pub(super) fn want_plain_tiles<const LOOKS: bool, const AHEAD: bool>(
         &mut self,
@@ -163,6 +194,7 @@ impl Cull<'_> {
                 self.tile_stack.pop();
                 let Some(open) = self.tile_stack.last() else { break };
                 above = open.read();
+                tile = above.next;
                 if above.purpose == Purpose::Draw {
                     break;
                 }
@@ -170,39 +202,40 @@ impl Cull<'_> {
             }
             let place = tile as usize;
             let record = &records[place];
-            if record.flags & KINDS != PLAIN {
+            if record.flags & ODD != PLAIN {
                 break;
             }
             let (mut purpose, mut mask) = (above.purpose, 0);
             if LOOKS {
-                match self.see(walk, tile, record, &bounds[place], &above) {
+                match self.see(walk, tile, record, &bounds[place], above) {
                     Some(seen) => (purpose, mask) = seen,
                     None => {
-                        tile += record.skip;
+                        tile += 1;
                         continue;
                     }
                 }
             }
             visited += 1;
             walk.stamp.put::<AHEAD>(&last_used[place]);
-            let mut above_px = above.shown_px;
+            let mut above_px2 = above.shown_px2;
             if !record.has(flag::RESIDENT) {
-                above_px = self.request_missing(walk, tile, purpose, above_px, above.fade);
+                above_px2 = self.request_missing(walk, tile, purpose, above_px2, above.fade);
             }
             if purpose == Purpose::Want && record.has_children() {
                 let (range2, distance2) = walk.range_and_distance(tile, record, &bounds[place]);
                 if distance2 < range2 {
-                    let shown_px = walk.below_px(range2, distance2, above_px);
-                    above = TileFrame { end: tile + record.skip, mask, shown_px, required: true, ..above };
-                    self.tile_stack.push(above);
-                    tile += 1;
+                    let shown_px2 = walk.below_px2(range2, distance2, above_px2);
+                    let (next, end) = (record.first_child, record.end_of_children());
+                    above = TileFrame { next, end, mask, shown_px2, required: true, ..above };
+                    frame::open(self.tile_stack, tile + 1, above);
+                    tile = next;
                     if LOOKS && mask == 0 && !looks_everywhere {
                         break;
                     }
                     continue;
                 }
             }
-            tile += record.skip;
+            tile += 1;
         }
         self.counters.tiles_visited += visited;
         tile
@@ -216,7 +249,7 @@ impl Cull<'_> {
         tile: u32,
         record: &TileRecord,
         bounds: &TileBounds,
-        above: &TileFrame,
+        above: TileFrame,
     ) -> Option<(Purpose, u8)> {
         if walk.looks_everywhere() {
             self.look(walk, tile, above)
@@ -232,11 +265,5 @@ impl Cull<'_> {
                 }
             }
         }
-    }
-
-    /// A path and its state.
-    #[cold]
-    fn path_state(&mut self, walk: &Walk, path: u32) -> (u32, u32) {
-        (path, self.chain_state(walk.page, path))
     }
 }

@@ -442,9 +442,8 @@ impl<P: Probe> Walk<'_, P> {
         let Some(local) = self.probe.local(self.view.shape, &world_from_tile) else { return };
         let eye = self.view.rules.eye.map(|eye| in_frame(&world_from_tile, eye.position()));
         let base_depth = self.scene.base_depth(self.scene.page_id_at(here.place));
-        let last = first + tiles.records[first as usize].skip;
         let mut tile = first;
-        while tile < last {
+        while tile != NONE {
             let index = tile as usize;
             let (record, bounds) = (&tiles.records[index], &tiles.bounds[index]);
             let hidden =
@@ -452,7 +451,7 @@ impl<P: Probe> Walk<'_, P> {
             let outside_request =
                 record.has(flag::REQUEST_VOLUME) && eye.is_some_and(|eye| !tiles.may_be_requested(tile, eye));
             if hidden || outside_request || !enters_tile::<P>(&local, tiles, bounds, record) {
-                tile += record.skip;
+                tile = tiles.behind(tile);
                 continue;
             }
             let resident = record.has(flag::RESIDENT);
@@ -473,7 +472,7 @@ impl<P: Probe> Walk<'_, P> {
             if draws {
                 self.pages.push((record.resident, world_from_tile * tiles.content_transform(index), self.view));
             }
-            tile += if descends { 1 } else { record.skip };
+            tile = if descends && record.has_children() { record.first_child } else { tiles.behind(tile) };
         }
     }
 
