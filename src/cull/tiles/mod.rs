@@ -120,14 +120,12 @@ impl Cull<'_> {
         let mut tile = first;
         // The tile at which there were no more that are plain, and what it was met for.
         let mut odd = (NONE, Purpose::Draw);
-        loop {
-            let Some(above) = self.tile_stack.last().map(TileFrame::read) else { break };
+        while self.tile_stack.len() > base
+            && let Some(above) = self.tile_stack.last().map(TileFrame::read)
+        {
             if tile >= above.end {
                 self.tile_stack.pop();
-                match self.tile_stack.last() {
-                    Some(above) if self.tile_stack.len() > base => tile = above.next,
-                    _ => break,
-                }
+                tile = self.tile_stack.last().map_or(NONE, |above| above.next);
                 continue;
             }
             if LOOKS && above.mask == 0 && !looks_everywhere {
