@@ -142,7 +142,7 @@ pub(crate) struct SharedUse {
     pub tree_bytes: u64,
 }
 
-/// What one load produces: nodes, drawables and tile trees in flat depth-first arrays.
+/// What one load produces: nodes and drawables in flat depth-first arrays, tile trees in arrays of their own.
 #[derive(Debug)]
 pub struct Page {
     /// One more than there are nodes: the last holds the totals.
