@@ -145,7 +145,7 @@ fn programs_shade_height_tiles_too() {
             let leaf = leaves[i];
             let at = point_in_eye(leaf, vertex.position);
             let ground = above_ground(at);
-            let normal = normalize(direction_in_eye(leaf, vertex.normal.xyz));
+            let normal = normal_in_eye(leaf, vertex.normal.xyz);
             let lit = light(normal, ground.xyz, ground.w) * leaf.color.rgb * vertex.color.rgb;
             return V(frame.clip_from_eye * vec4<f32>(at, 1.0), lit, vertex.uv, leaf.layer);
         }

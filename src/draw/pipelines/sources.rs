@@ -41,5 +41,5 @@ pub(in crate::draw) const HEIGHT_PROGRAM_PRELUDE: &str = wgsl![air, frame, shado
 /// What stands before the shaders of a drawable of the application's own
 /// ([`CustomDrawable`](crate::draw::CustomDrawable)): bind group 0 with `frame`, `leaves` (by instance) and `stage`, and
 /// the functions of `src/draw/shaders/frame.wgsl` and `shadows.wgsl`: `point_in_eye`, `direction_in_eye`,
-/// `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`.
+/// `normal_in_eye`, `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`.
 pub const DRAWABLE_PRELUDE: &str = wgsl![air, frame, shadows];

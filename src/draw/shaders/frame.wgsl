@@ -102,6 +102,19 @@ fn direction_in_eye(leaf: Leaf, direction: vec3<f32>) -> vec3<f32> {
     );
 }
 
+// A surface's normal in eye space, of length 1; zero stays zero. By cofactors: a transform that scales its axes unlike
+// each other turns normals otherwise than directions, and one that mirrors does not turn surfaces inside out.
+fn normal_in_eye(leaf: Leaf, normal: vec3<f32>) -> vec3<f32> {
+    let x = leaf.eye_from_drawable_x.xyz;
+    let y = leaf.eye_from_drawable_y.xyz;
+    let z = leaf.eye_from_drawable_z.xyz;
+    let yz = cross(y, z);
+    let turned = vec3<f32>(dot(yz, normal), dot(cross(z, x), normal), dot(cross(x, y), normal));
+    let square = dot(turned, turned);
+    let outwards = select(turned, -turned, dot(x, yz) < 0.0);
+    return select(vec3<f32>(0.0), outwards * inverseSqrt(square), square > 0.0);
+}
+
 // The direction away from the ground at a point in eye space, and its height in metres.
 fn above_ground(point: vec3<f32>) -> vec4<f32> {
     let rise = dot(point, frame.up.xyz);

@@ -148,7 +148,7 @@ fn height_point(index: u32, instance: u32) -> HeightPoint {
 
     return HeightPoint(
         point_in_eye(leaf, position),
-        normalize(direction_in_eye(leaf, normal)),
+        normal_in_eye(leaf, normal),
         normalize(direction_in_eye(leaf, up)),
         vec2<f32>(grid.x, f32(cells) - grid.y) / f32(cells),
         position,

@@ -15,7 +15,7 @@ fn mesh_fragment(vertex: MeshVertex, leaf: Leaf, alpha_cutoff: u32) -> MeshFragm
     return MeshFragment(
         clip_of(leaf, in_eye),
         vec4<f32>(in_eye, vertex.uv.x),
-        vec4<f32>(direction_in_eye(leaf, vertex.normal.xyz), vertex.uv.y),
+        vec4<f32>(normal_in_eye(leaf, vertex.normal.xyz), vertex.uv.y),
         vertex.color * leaf.color,
         vec3<u32>(leaf.layer, leaf.flags, alpha_cutoff),
     );
