@@ -79,5 +79,5 @@ fn ball(segments: u16, base_color: [f32; 4]) -> GlbMesh {
             indices.extend([0, row, row + 1, 0, row + 1, 1].map(|corner| j * row + i + corner));
         }
     }
-    GlbMesh { positions, normals, uvs: vec![], indices, image: None, base_color }
+    GlbMesh { positions, normals, indices, base_color, ..GlbMesh::default() }
 }

@@ -65,5 +65,5 @@ fn house() -> GlbMesh {
         indices.extend([i, next, next + 5, i, next + 5, i + 5]);
     }
     let base_color = [0.9, 0.35, 0.08, 1.0];
-    GlbMesh { positions, normals: vec![], uvs: vec![], indices, image: None, base_color }
+    GlbMesh { positions, indices, base_color, ..GlbMesh::default() }
 }

@@ -49,6 +49,7 @@ fn glb_bytes(image: Option<Vec<u8>>) -> Vec<u8> {
         normals: vec![[0.0, 0.0, 1.0]; 4],
         uvs: vec![[0.0; 2]; 4],
         indices: vec![0, 1, 2, 2, 1, 3],
+        quantized: image.is_none(),
         image,
         base_color: [1.0; 4],
     })

@@ -413,3 +413,91 @@ fn billboards_show_their_whole_face() {
     let expected = (1.0f64 - (0.9 * 0.9) / (2.0 + 0.9 * 0.9)).sqrt();
     assert!((upright - expected).abs() < 0.06, "{upright} instead of {expected}");
 }
+
+/// Pixels whose colors differ by more than a few steps.
+fn differing(a: &image::RgbaImage, b: &image::RgbaImage) -> usize {
+    a.pixels().zip(b.pixels()).filter(|(a, b)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 4)).count()
+}
+
+#[test]
+fn uneven_scales_and_mirrors_light_surfaces_as_they_lie() {
+    let Some(mut rig) = rig("uneven_scales_and_mirrors_light_surfaces_as_they_lie") else { return };
+    let ball = Mesh::sphere(DVec3::ZERO, 0.6, 48);
+    let mut picture = |stretch: DVec3, transform: DAffine3| {
+        let mut mesh = ball.clone();
+        for vertex in &mut mesh.vertices {
+            let position = glam::Vec3::from(vertex.position).as_dvec3();
+            vertex.position = (stretch * position).as_vec3().to_array();
+            let normal = (position / stretch).normalize().as_vec3() * 127.0;
+            vertex.normal = [normal.x.round() as i8, normal.y.round() as i8, normal.z.round() as i8, 0];
+        }
+        let drawable = Drawable::new(
+            Mesh::new(mesh.vertices, mesh.indices.to_vec(), Topology::Triangles).into(),
+            Material::default(),
+        );
+        let scene = rig.scene(Node::transform(transform, vec![Node::geode(vec![drawable])]));
+        let seen = camera([256, 256], DVec3::new(0.9, -1.3, 0.7), DVec3::ZERO, DVec3::Z);
+        let picture = rig.picture(&scene, &seen, &plain());
+        rig.release(scene);
+        picture
+    };
+    let flat = DVec3::new(1.0, 1.0, 0.3);
+    let itself = picture(flat, DAffine3::IDENTITY);
+    let covered = itself.pixels().filter(|p| p.0[..3] != MAGENTA).count();
+    assert!(covered > 5_000, "{covered}");
+    for scale in [flat, flat * DVec3::new(-1.0, 1.0, 1.0)] {
+        let scaled = picture(DVec3::ONE, DAffine3::from_scale(scale));
+        // Normals of 8 bits are rounded before they are turned, and again.
+        assert!(differing(&itself, &scaled) < covered / 50, "{scale}: {} of {covered}", differing(&itself, &scaled));
+    }
+    // And at scales far from 1 of the same shape.
+    for size in [1e-4, 1e4] {
+        let scaled = picture(flat / size, DAffine3::from_scale(DVec3::splat(size)));
+        assert!(differing(&itself, &scaled) < covered / 50, "{size}: {} of {covered}", differing(&itself, &scaled));
+    }
+}
+
+#[test]
+fn quantized_meshes_take_16_bytes_a_vertex_and_look_the_same() {
+    let Some(mut rig) = rig("quantized_meshes_take_16_bytes_a_vertex_and_look_the_same") else { return };
+    let ball = Mesh::sphere(DVec3::ZERO, 0.8, 96);
+    let count = ball.vertices.len();
+    let drawn = [true, false].map(|quantized| {
+        let floats = |of: [i8; 4]| [0, 1, 2].map(|k| f32::from(of[k]) / 127.0);
+        let glb = terrane::io::write::GlbMesh {
+            positions: ball.vertices.iter().map(|v| v.position).collect(),
+            normals: ball.vertices.iter().map(|v| floats(v.normal)).collect(),
+            uvs: vec![[0.25, 0.75]; count],
+            indices: ball.indices.iter().map(|i| *i as u16).collect(),
+            image: None,
+            base_color: [0.8, 0.6, 0.4, 1.0],
+            quantized,
+        };
+        let content = terrane::io::Content {
+            uri: "/ball.glb".into(),
+            bytes: terrane::io::write::write_glb(&glb),
+            reader_data: None,
+            companions: Vec::new(),
+        };
+        let options = terrane::io::ReadOptions::for_root("/t.json", terrane::io::Limits::default());
+        let node = terrane::io::decode_node(content, &options).unwrap();
+        let before = rig.ctx.bytes_in_use();
+        let scene = rig.scene(node);
+        let bytes = rig.ctx.bytes_in_use() - before;
+        let seen = camera([256, 256], DVec3::new(2.0, -1.0, 1.5), DVec3::ZERO, DVec3::Z);
+        let stats = rig.draw(&scene, &seen, &plain());
+        assert_eq!((stats.leaves, stats.triangles), (1, ball.indices.len() as u64 / 3));
+        let picture = rig.read_back();
+        rig.release(scene);
+        (bytes, picture)
+    });
+    let [(few, quantized), (more, plain)] = &drawn;
+    // Places of vertices are up to an eighth larger than what is in them.
+    assert!(*more - *few >= 4 * count as u64, "{more} {few} bytes of {count} vertices");
+    let covered = plain.pixels().filter(|p| p.0[..3] != MAGENTA).count();
+    assert!(
+        covered > 10_000 && differing(plain, quantized) < covered / 100,
+        "{} of {covered}",
+        differing(plain, quantized)
+    );
+}

@@ -244,3 +244,54 @@ fn tiles_of_one_file_share_their_indices() {
     let [Geometry::Mesh(a), Geometry::Mesh(b)] = [&a.geometry, &b.geometry] else { panic!("meshes") };
     assert!(Arc::ptr_eq(&a.indices, &b.indices), "equal lists are one, and uploaded once");
 }
+
+/// A wavy square, 40 m by 10 m, far from its origin.
+fn wavy(quantized: bool) -> GlbMesh {
+    let mut mesh = GlbMesh { base_color: [1.0; 4], quantized, ..GlbMesh::default() };
+    for j in 0..9u16 {
+        for i in 0..9u16 {
+            let [u, v] = [i, j].map(|k| f32::from(k) / 8.0);
+            let slope = DVec3::new(0.3 * f64::from(u).sin(), 1.0, 0.2).normalize().as_vec3();
+            mesh.positions.push([1000.0 + 40.0 * u, (7.0 * u).sin(), -500.0 + 10.0 * v]);
+            mesh.normals.push(slope.to_array());
+            mesh.uvs.push([u, v]);
+            if i < 8 && j < 8 {
+                let a = 9 * j + i;
+                mesh.indices.extend([a, a + 9, a + 1, a + 1, a + 9, a + 10]);
+            }
+        }
+    }
+    mesh
+}
+
+#[test]
+fn quantized_meshes_are_half_as_large_and_say_the_same() {
+    let files = [false, true].map(|quantized| write_glb(&wavy(quantized)));
+    // 16 bytes a vertex less, and what the file says of it.
+    assert!(files[0].len() - files[1].len() > 81 * 16 - 400, "{} {}", files[0].len(), files[1].len());
+    let [plain, quantized] = [0, 1].map(|i| only_drawable(&read(files[i].clone())));
+    // Half a step of the longest side, and floats far from their origin.
+    for (a, b) in positions(&plain).into_iter().zip(positions(&quantized)) {
+        assert!((a - b).abs().max_element() <= 0.5 * 40.0 / 65535.0 + 1e-4, "{a} {b}");
+    }
+    let [Geometry::Mesh(a), Geometry::Mesh(b)] = [&plain.1.geometry, &quantized.1.geometry] else { panic!("meshes") };
+    assert_eq!(a.indices, b.indices);
+    for (a, b) in a.vertices.iter().zip(&b.vertices) {
+        assert_eq!((a.normal, a.color), (b.normal, b.color));
+        assert!((0..2).all(|k| (a.uv[k] - b.uv[k]).abs() <= 0.51 / 65535.0));
+        assert!(b.position.iter().all(|x| (0.0..=1.0).contains(x)), "a transform makes them metres");
+    }
+    // What does not fit is written as it is.
+    let mut beyond = wavy(true);
+    beyond.uvs[3] = [1.5, -0.25];
+    let (_, beyond) = only_drawable(&read(write_glb(&beyond)));
+    let Geometry::Mesh(mesh) = &beyond.geometry else { panic!("a mesh") };
+    assert_eq!(mesh.vertices[3].uv, [1.5, -0.25]);
+    let point = GlbMesh { positions: vec![[3.0, 4.0, 5.0]; 3], indices: vec![0, 1, 2], quantized: true, ..wavy(true) };
+    let point = GlbMesh { normals: vec![], uvs: vec![], ..point };
+    assert_eq!(
+        positions(&only_drawable(&read(write_glb(&point)))),
+        [DVec3::new(3.0, -5.0, 4.0); 3],
+        "no extent at all"
+    );
+}

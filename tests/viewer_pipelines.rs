@@ -40,10 +40,10 @@ fn fan(triangles: u16, base_color: [f32; 4]) -> GlbMesh {
     GlbMesh {
         normals: vec![[0.0, 1.0, 0.0]; positions.len()],
         positions,
-        uvs: vec![],
         indices,
-        image: None,
         base_color,
+        quantized: triangles >= 200,
+        ..GlbMesh::default()
     }
 }
 
@@ -97,7 +97,7 @@ fn the_first_draw_of_a_merged_tile_makes_no_pipeline() {
         let front = StateSet::default().with(Attribute::CullFace(CullFace::Front));
         let mirror = DAffine3::from_scale(DVec3::new(1.0, -1.0, 1.0));
         let whole = DAffine3::IDENTITY;
-        // Each with another pipeline: small, small under the fixed function, mirrored, large under both.
+        // Each with another pipeline: small, small under the fixed function, mirrored, large and quantized under both.
         let fine = under(material.clone(), tile(&folder, "fine.glb", 0.0, whole, vec![]));
         let mirrored = under(front, tile(&folder, "mirrored.glb", 3.0, mirror, vec![fine]));
         let medium = under(material, tile(&folder, "medium.glb", 5.0, whole, vec![mirrored]));

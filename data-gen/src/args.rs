@@ -8,7 +8,7 @@ pub enum ContentKind {
     /// EXR heights and JPEG colour, drawn from one shared grid.
     #[default]
     Height,
-    /// glb meshes with skirts, for any 3D Tiles client.
+    /// glb meshes with skirts, for any 3D Tiles client that knows KHR_mesh_quantization.
     Mesh,
 }
 
@@ -26,6 +26,9 @@ pub struct GenArgs {
     /// What the tiles hold
     #[arg(long, value_enum, default_value_t)]
     pub content: ContentKind,
+    /// Vertices of meshes in floats, twice the bytes: for clients without KHR_mesh_quantization
+    #[arg(long)]
+    pub float_vertices: bool,
     /// Levels of the pyramid; by default as many as the elevation has detail for
     #[arg(long)]
     pub levels: Option<u32>,
@@ -51,6 +54,7 @@ impl GenArgs {
             dem: Vec::new(),
             imagery: None,
             content: ContentKind::Height,
+            float_vertices: false,
             levels: None,
             size: 60_000.0,
             seed: 1,

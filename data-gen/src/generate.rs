@@ -158,7 +158,7 @@ fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let bytes = AtomicU64::new(0);
     let level_errors_m = pyramid.level_errors_m();
     keys.par_iter().try_for_each(|&key| {
-        let written = write_tile(args.content, &pyramid, &painter, &level_errors_m, folder, key)?;
+        let written = write_tile(args, &pyramid, &painter, &level_errors_m, folder, key)?;
         bytes.fetch_add(written, Ordering::Relaxed);
         progress.inc(1);
         Ok::<_, GenError>(())
@@ -174,7 +174,7 @@ fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
             "quantum_m": QUANTUM_M, "level_errors_m": level_errors_m,
         } });
     }
-    let tree = tile_json(args.content, &pyramid, &level_errors_m, root, DAffine3::IDENTITY);
+    let tree = tile_json(args, &pyramid, &level_errors_m, root, DAffine3::IDENTITY);
     let mut tileset = json!({ "asset": asset, "geometricError": diagonal_m.max(2.0 * facts.error_m), "root": tree });
     tileset["root"]["refine"] = "REPLACE".into();
     let text = tileset.to_string();
@@ -200,7 +200,7 @@ fn skirt_m(level_errors_m: &[f64], key: TileKey) -> f64 {
 }
 
 fn write_tile(
-    content: ContentKind,
+    args: &GenArgs,
     pyramid: &Pyramid,
     painter: &Painter<'_>,
     level_errors_m: &[f64],
@@ -217,7 +217,7 @@ fn write_tile(
         std::fs::write(&path, bytes).map_err(GenError::file(&path))?;
         Ok(bytes.len() as u64)
     };
-    match content {
+    match args.content {
         ContentKind::Height => {
             let last = CELLS as i64 + 1;
             let mut heights = Vec::with_capacity((CELLS + 3) * (CELLS + 3));
@@ -229,14 +229,14 @@ fn write_tile(
             Ok(write("exr", &exr)? + write("jpg", &jpeg)?)
         }
         ContentKind::Mesh => {
-            let glb = write_glb(&mesh::build(pyramid, key, skirt_m(level_errors_m, key), jpeg));
+            let glb = write_glb(&mesh::build(pyramid, key, skirt_m(level_errors_m, key), jpeg, !args.float_vertices));
             write("glb", &glb)
         }
     }
 }
 
 fn tile_json(
-    content: ContentKind,
+    args: &GenArgs,
     pyramid: &Pyramid,
     level_errors_m: &[f64],
     key: TileKey,
@@ -247,8 +247,11 @@ fn tile_json(
     // The height of the chord's middle below the arc: meshes cut through the ellipsoid between their vertices.
     let cell = (e.east - e.west).max(e.north - e.south) / CELLS as f64;
     let sagitta_m = 6_378_137.0 * cell * cell / 4.0;
-    let low_m = f64::from(f.min_height_m) - skirt_m(level_errors_m, key) - sagitta_m - 0.1;
-    let region = [e.west, e.south, e.east, e.north, low_m, f64::from(f.max_height_m) + 0.1];
+    let low_m = f64::from(f.min_height_m) - skirt_m(level_errors_m, key) - sagitta_m;
+    let high_m = f64::from(f.max_height_m);
+    // Half a step of quantized vertices besides.
+    let slack_m = 0.1 + (6_378_137.0 * cell * CELLS as f64 + high_m - low_m) / 131_070.0;
+    let region = [e.west, e.south, e.east, e.north, low_m - slack_m, high_m + slack_m];
     let name = format!("{}/{}/{}", key.level, key.x, key.y);
     let leaf = key.level + 1 == pyramid.levels;
     let mut tile = json!({
@@ -256,7 +259,7 @@ fn tile_json(
         "geometricError": if leaf { 0.0 } else { f.error_m },
     });
     let mut ecef_from_tile = ecef_from_parent;
-    match content {
+    match args.content {
         ContentKind::Height => {
             tile["content"] = json!({ "uri": format!("{name}.exr") });
             tile["extras"] = json!({ "terrane": { "imagery": format!("{name}.jpg") } });
@@ -273,7 +276,7 @@ fn tile_json(
             .into_iter()
             .map(|(dx, dy)| {
                 let child = TileKey { level: key.level + 1, x: 2 * key.x + dx, y: 2 * key.y + dy };
-                tile_json(content, pyramid, level_errors_m, child, ecef_from_tile)
+                tile_json(args, pyramid, level_errors_m, child, ecef_from_tile)
             })
             .collect();
         tile["children"] = children.into();

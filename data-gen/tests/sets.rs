@@ -49,6 +49,26 @@ fn the_bytes_do_not_depend_on_the_threads() {
 }
 
 #[test]
+fn float_vertices_are_for_those_who_ask() {
+    let folder = tempfile::tempdir().unwrap();
+    let sets = [false, true].map(|float_vertices| {
+        let out = folder.path().join(float_vertices.to_string());
+        let summary = run(&GenArgs { content: ContentKind::Mesh, float_vertices, ..small(&out) }).unwrap();
+        (files(&out), summary.bytes)
+    });
+    for ((files, _), quantized) in sets.iter().zip([true, false]) {
+        for (path, bytes) in files.iter().filter(|(path, _)| path.extension().is_some_and(|e| e == "glb")) {
+            let wanted = b"\"extensionsRequired\":[\"KHR_mesh_quantization\"]";
+            let is_there = bytes.windows(wanted.len()).any(|w| w == wanted);
+            assert_eq!(is_there, quantized, "{}", path.display());
+        }
+    }
+    // 33 x 33 vertices and those of the skirts, 16 bytes less each.
+    let saved = sets[1].1 - sets[0].1;
+    assert!(saved > 21 * (1_217 * 16 - 400), "{saved}");
+}
+
+#[test]
 fn what_is_there_is_replaced_only_when_told() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");

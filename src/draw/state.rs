@@ -248,7 +248,7 @@ impl<'p, 'e> State<'p, 'e> {
         {
             self.pass.set_vertex_buffer(0, vertices.slice(..));
         }
-        if bucket.pipeline.is_packed()
+        if bucket.pipeline.is_white()
             && !self.has_white
             && let Some(white) = pools.meshes.white()
         {

@@ -540,7 +540,7 @@ fn place_mesh(
     let [geometry, indices, texture_content] =
         [&drawable.shared.geometry, &drawable.shared.indices, &drawable.shared.texture]
             .map(|s| s.as_ref().map(|s| &s.key));
-    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &drawable.shared, VertexFormat::of(mesh))?;
+    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &drawable.shared, drawable.vertex_format())?;
     let texture = match image {
         Some(image) => pools.textures.allocate(device, &pools.layouts, &pools.limits, image, texture_content),
         None => pools.textures.white(device, queue, &pools.layouts, &pools.limits).map(|place| (place, false)),

@@ -2,8 +2,8 @@
 //! lists are uploaded once.
 //!
 //! Draw thread only. A buffer holds places of a single size, so it cannot fragment, and meshes of like size
-//! (all tiles of a set) draw from one buffer without changing state. Vertices and indices lie wide, as they come, or
-//! narrow where nothing is lost (`packing.rs`), each in buffers of their own.
+//! (all tiles of a set) draw from one buffer without changing state. Vertices and indices lie as they come, or in fewer
+//! bytes where nothing is lost (`packing.rs`), each format in buffers of its own.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
@@ -19,13 +19,22 @@ const CHUNK_BYTES: u64 = 8 << 20;
 /// Most places in a buffer.
 const CHUNK_PLACES: u32 = 4096;
 
-/// Of a chunk's number: it is one of narrow elements.
-const NARROW: u32 = 1 << 31;
+/// Bits of a chunk's number that say in which arena it is.
+const ARENA_SHIFT: u32 = 30;
+/// The arenas of vertices, one for each format.
+const FORMATS: [VertexFormat; 3] = [VertexFormat::Full, VertexFormat::Packed, VertexFormat::Quantized];
+/// The arena of indices of 16 bits; 0 is that of 32.
+const SHORT: u32 = 1;
+
+/// The arena of a chunk's number, and the chunk in it.
+fn parts(chunk: u32) -> (u32, u32) {
+    (chunk >> ARENA_SHIFT, chunk & ((1 << ARENA_SHIFT) - 1))
+}
 
 /// Part of a buffer of [`Arenas`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Range {
-    /// With [`NARROW`].
+    /// With the arena it is in.
     pub(super) chunk: u32,
     place: u32,
     /// First element, counted from the start of the buffer.
@@ -35,7 +44,7 @@ pub(super) struct Range {
 impl Range {
     /// Of indices of 16 bits.
     pub(super) fn is_short(self) -> bool {
-        self.chunk & NARROW != 0
+        parts(self.chunk).0 == SHORT
     }
 }
 
@@ -121,58 +130,50 @@ impl Arena {
     }
 }
 
-/// Buffers of wide and of narrow elements.
-struct Arenas {
-    wide: Arena,
-    narrow: Arena,
-}
+/// Buffers of elements of `N` formats.
+struct Arenas<const N: usize>([Arena; N]);
 
-impl Arenas {
+impl<const N: usize> Arenas<N> {
     fn allocate(
         &mut self,
-        is_narrow: bool,
+        arena: u32,
         device: &wgpu::Device,
         limits: &wgpu::Limits,
         length: usize,
     ) -> Result<Range, String> {
-        if !is_narrow {
-            return self.wide.allocate(device, limits, length);
-        }
-        let range = self.narrow.allocate(device, limits, length)?;
-        Ok(Range { chunk: range.chunk | NARROW, ..range })
-    }
-
-    /// The arena of a chunk's number, and the number in it.
-    fn of(&self, chunk: u32) -> (&Arena, u32) {
-        if chunk & NARROW != 0 { (&self.narrow, chunk & !NARROW) } else { (&self.wide, chunk) }
+        let of = self.0.get_mut(arena as usize).ok_or("a format without buffers")?;
+        let range = of.allocate(device, limits, length)?;
+        Ok(Range { chunk: range.chunk | arena << ARENA_SHIFT, ..range })
     }
 
     fn bytes_of(&self, range: Range) -> u64 {
-        let (arena, chunk) = self.of(range.chunk);
-        arena.bytes_of(Range { chunk, ..range })
+        let (arena, chunk) = parts(range.chunk);
+        self.0.get(arena as usize).map_or(0, |arena| arena.bytes_of(Range { chunk, ..range }))
     }
 
     fn release(&mut self, range: Range) {
-        let arena = if range.chunk & NARROW != 0 { &mut self.narrow } else { &mut self.wide };
-        arena.release(Range { chunk: range.chunk & !NARROW, ..range });
+        let (arena, chunk) = parts(range.chunk);
+        if let Some(arena) = self.0.get_mut(arena as usize) {
+            arena.release(Range { chunk, ..range });
+        }
     }
 
     fn destination(&self, range: Range) -> Option<Destination> {
-        let (arena, chunk) = self.of(range.chunk);
-        arena.destination(Range { chunk, ..range })
+        let (arena, chunk) = parts(range.chunk);
+        self.0.get(arena as usize)?.destination(Range { chunk, ..range })
     }
 
     fn buffer(&self, chunk: u32) -> Option<&wgpu::Buffer> {
-        let (arena, chunk) = self.of(chunk);
-        arena.buffer(chunk)
+        let (arena, chunk) = parts(chunk);
+        self.0.get(arena as usize)?.buffer(chunk)
     }
 
     fn bytes_in_use(&self) -> u64 {
-        self.wide.bytes_in_use + self.narrow.bytes_in_use
+        self.0.iter().map(|arena| arena.bytes_in_use).sum()
     }
 
     fn bytes_allocated(&self) -> u64 {
-        self.wide.bytes_allocated + self.narrow.bytes_allocated
+        self.0.iter().map(|arena| arena.bytes_allocated).sum()
     }
 }
 
@@ -218,9 +219,9 @@ pub(super) struct MeshUploads {
 
 /// All meshes of a context.
 pub(crate) struct MeshPool {
-    vertices: Arenas,
-    indices: Arenas,
-    /// The color of packed vertices, once there are some.
+    vertices: Arenas<3>,
+    indices: Arenas<2>,
+    /// The color of packed and quantized vertices, once there are some.
     white: Option<wgpu::Buffer>,
     meshes: Table<MeshRecord>,
     index_lists: Table<IndexRecord>,
@@ -235,8 +236,8 @@ impl Default for MeshPool {
             |format: VertexFormat| Arena::new("vertices", wgpu::BufferUsages::VERTEX, format.stride() as u64);
         let indices = |bytes| Arena::new("indices", wgpu::BufferUsages::INDEX, bytes);
         Self {
-            vertices: Arenas { wide: vertices(VertexFormat::Full), narrow: vertices(VertexFormat::Packed) },
-            indices: Arenas { wide: indices(4), narrow: indices(2) },
+            vertices: Arenas(FORMATS.map(vertices)),
+            indices: Arenas([4, 2].map(indices)),
             white: None,
             meshes: Table::default(),
             index_lists: Table::default(),
@@ -280,8 +281,7 @@ impl MeshPool {
             return Err("a mesh without vertices or indices".into());
         }
         let (index_list, new_indices) = self.allocate_indices(device, limits, mesh, shared)?;
-        let is_packed = format == VertexFormat::Packed;
-        if is_packed && self.white.is_none() {
+        if format != VertexFormat::Full && self.white.is_none() {
             let descriptor = wgpu::util::BufferInitDescriptor {
                 label: Some("white"),
                 contents: &WHITE,
@@ -289,7 +289,7 @@ impl MeshPool {
             };
             self.white = Some(wgpu::util::DeviceExt::create_buffer_init(device, &descriptor));
         }
-        let vertices = match self.vertices.allocate(is_packed, device, limits, mesh.vertices.len()) {
+        let vertices = match self.vertices.allocate(format as u32, device, limits, mesh.vertices.len()) {
             Ok(range) => range,
             Err(e) => {
                 self.release_indices(index_list);
@@ -340,7 +340,8 @@ impl MeshPool {
         }
         let largest = mesh.indices.iter().copied().max().unwrap_or(0);
         check_indices(largest, mesh)?;
-        let range = self.indices.allocate(is_short(largest, mesh.indices.len()), device, limits, mesh.indices.len())?;
+        let arena = if is_short(largest, mesh.indices.len()) { SHORT } else { 0 };
+        let range = self.indices.allocate(arena, device, limits, mesh.indices.len())?;
         // A weak pointer keeps the list's memory, so it is kept for lists that others hold as well.
         let by_address = content.is_none() && Arc::strong_count(&mesh.indices) > 1;
         let source = by_address.then(|| Arc::downgrade(&mesh.indices));
@@ -397,13 +398,13 @@ impl MeshPool {
     }
 
     pub(crate) fn index_buffer(&self, chunk: u32) -> Option<(&wgpu::Buffer, wgpu::IndexFormat)> {
-        let format = if chunk & NARROW != 0 { wgpu::IndexFormat::Uint16 } else { wgpu::IndexFormat::Uint32 };
+        let format = if parts(chunk).0 == SHORT { wgpu::IndexFormat::Uint16 } else { wgpu::IndexFormat::Uint32 };
         self.indices.buffer(chunk).map(|buffer| (buffer, format))
     }
 
     /// How vertices lie in a chunk.
     pub(crate) fn format_of(&self, vertex_chunk: u32) -> VertexFormat {
-        if vertex_chunk & NARROW != 0 { VertexFormat::Packed } else { VertexFormat::Full }
+        FORMATS.get(parts(vertex_chunk).0 as usize).copied().unwrap_or_default()
     }
 
     /// One white vertex.

@@ -3,19 +3,15 @@
 //! ```text
 //! full      28 bytes   position 3 x f32   uv 2 x f32       normal 4 x snorm8   color 4 x unorm8
 //! packed    20 bytes   position 3 x f32   uv 2 x unorm16   normal 4 x snorm8   white, from a buffer of one texel
+//! quantized 16 bytes   position 4 x unorm16, w unused      uv and normal as packed ones
 //! ```
 //! Packed are meshes that are white and whose texture coordinates lie in 0..1 (a step of unorm16 is a sixteenth of a texel
-//! of an image 4,096 texels wide). The formats of KHR_mesh_quantization; the vertex stage makes floats of them, so that
+//! of an image 4,096 texels wide); quantized those of them that were read from positions of normalized 16 bits, which a
+//! transform above makes metres. The formats of KHR_mesh_quantization; the vertex stage makes floats of them, so that
 //! shaders see no difference. Small meshes, which shaders fetch themselves, are full. Indices are 16 bits where they fit.
 
-use crate::scene::{Mesh, MeshVertex, SMALL_MESH_INDICES};
-
-/// How the vertices of a mesh lie.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub(crate) enum VertexFormat {
-    Full,
-    Packed,
-}
+pub(crate) use crate::scene::VertexFormat;
+use crate::scene::{MeshVertex, SMALL_MESH_INDICES};
 
 /// The color of packed meshes.
 pub(crate) const WHITE: [u8; 4] = [255; 4];
@@ -29,22 +25,27 @@ struct PackedVertex {
     normal: [i8; 4],
 }
 
+/// A quantized vertex.
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct QuantizedVertex {
+    position: [u16; 4],
+    uv: [u16; 2],
+    normal: [i8; 4],
+}
+
 /// Rounded to the nearest: among numbers from 2^23 on, a whole is the lowest bit.
 fn unorm16(x: f32) -> u16 {
     (x.clamp(0.0, 1.0) * 65535.0 + 8_388_608.0).to_bits() as u16
 }
 
 impl VertexFormat {
-    pub(super) fn of(mesh: &Mesh) -> Self {
-        let is_small = mesh.indices.len() <= SMALL_MESH_INDICES as usize;
-        if !is_small && mesh.packs() { Self::Packed } else { Self::Full }
-    }
-
     /// Bytes of a vertex.
     pub(crate) const fn stride(self) -> usize {
         match self {
             Self::Full => size_of::<MeshVertex>(),
             Self::Packed => size_of::<PackedVertex>(),
+            Self::Quantized => size_of::<QuantizedVertex>(),
         }
     }
 
@@ -52,19 +53,30 @@ impl VertexFormat {
     pub(super) fn bytes<'a>(self, vertices: &'a [MeshVertex], scratch: &'a mut Vec<u8>) -> &'a [u8] {
         match self {
             Self::Full => bytemuck::cast_slice(vertices),
-            Self::Packed => {
-                scratch.clear();
-                scratch.resize(vertices.len() * size_of::<PackedVertex>(), 0);
-                let places = scratch.chunks_exact_mut(size_of::<PackedVertex>());
-                for (vertex, place) in vertices.iter().zip(places) {
-                    let packed =
-                        PackedVertex { position: vertex.position, uv: vertex.uv.map(unorm16), normal: vertex.normal };
-                    place.copy_from_slice(bytemuck::bytes_of(&packed));
-                }
-                scratch
-            }
+            Self::Packed => made(vertices, scratch, |v| PackedVertex {
+                position: v.position,
+                uv: v.uv.map(unorm16),
+                normal: v.normal,
+            }),
+            Self::Quantized => made(vertices, scratch, |v| {
+                let [x, y, z] = v.position.map(unorm16);
+                QuantizedVertex { position: [x, y, z, 0], uv: v.uv.map(unorm16), normal: v.normal }
+            }),
         }
     }
+}
+
+fn made<'a, T: bytemuck::Pod>(
+    vertices: &[MeshVertex],
+    scratch: &'a mut Vec<u8>,
+    make: impl Fn(&MeshVertex) -> T,
+) -> &'a [u8] {
+    scratch.clear();
+    scratch.resize(vertices.len() * size_of::<T>(), 0);
+    for (vertex, place) in vertices.iter().zip(scratch.chunks_exact_mut(size_of::<T>())) {
+        place.copy_from_slice(bytemuck::bytes_of(&make(vertex)));
+    }
+    scratch
 }
 
 /// Whether a list's indices take 16 bits. Short lists never do: shaders fetch them themselves.
@@ -86,7 +98,7 @@ pub(super) fn short_indices<'a>(indices: &[u32], scratch: &'a mut Vec<u8>) -> &'
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Topology;
+    use crate::scene::{Drawable, Material, Mesh, Topology};
 
     fn mesh(change: impl Fn(&mut MeshVertex)) -> Mesh {
         let mut vertices: Vec<MeshVertex> = (0..30)
@@ -101,7 +113,7 @@ mod tests {
 
     #[test]
     fn what_would_be_lost_is_not_packed() {
-        let of = |change: fn(&mut MeshVertex)| VertexFormat::of(&mesh(change));
+        let of = |change: fn(&mut MeshVertex)| Drawable::new(mesh(change).into(), Material::default()).vertex_format();
         assert_eq!(of(|_| {}), VertexFormat::Packed);
         assert_eq!(of(|v| v.uv[0] = 1.000001), VertexFormat::Packed, "rounding of a whole");
         assert_eq!(of(|v| v.uv[1] = 1.01), VertexFormat::Full);
@@ -110,7 +122,7 @@ mod tests {
         assert_eq!(of(|v| v.color[3] = 254), VertexFormat::Full);
         let mut small = mesh(|_| {});
         small.indices = (0..30).collect();
-        assert_eq!(VertexFormat::of(&small), VertexFormat::Full);
+        assert_eq!(Drawable::new(small.into(), Material::default()).vertex_format(), VertexFormat::Full);
     }
 
     #[test]
@@ -129,6 +141,38 @@ mod tests {
         let bytes = VertexFormat::Packed.bytes(&ends, &mut scratch);
         let uv = |i: usize| bytemuck::pod_read_unaligned::<PackedVertex>(&bytes[20 * i..20 * i + 20]).uv;
         assert_eq!([uv(0), uv(1)], [[0, u16::MAX], [u16::MAX, 0]]);
+    }
+
+    #[test]
+    fn positions_of_16_bits_come_back_as_they_were() {
+        let steps = [0u16, 1, 2, 255, 256, 32_767, 32_768, 65_534, 65_535];
+        let vertex = |i: usize| MeshVertex {
+            position: [0, 3, 5].map(|k| f32::from(steps[(i + k) % steps.len()]) / 65535.0),
+            uv: [0.25, 1.0],
+            normal: [1, 2, -3, 0],
+            color: WHITE,
+        };
+        let (vertices, mut scratch): (Vec<MeshVertex>, _) = ((0..steps.len()).map(vertex).collect(), Vec::new());
+        let bytes = VertexFormat::Quantized.bytes(&vertices, &mut scratch);
+        assert_eq!(bytes.len(), 16 * vertices.len());
+        for (i, got) in bytes.chunks_exact(16).enumerate() {
+            let got: QuantizedVertex = bytemuck::pod_read_unaligned(got);
+            let [x, y, z] = [0, 3, 5].map(|k| steps[(i + k) % steps.len()]);
+            assert_eq!((got.position, got.uv, got.normal), ([x, y, z, 0], [16_384, 65_535], [1, 2, -3, 0]));
+        }
+    }
+
+    #[test]
+    fn what_is_known_of_a_mesh_is_not_held_of_another() {
+        let of =
+            |mesh: Mesh| Drawable::new(mesh.into(), Material::default()).with_vertex_format(VertexFormat::Quantized);
+        let mut drawable = of(mesh(|_| {}));
+        assert_eq!(drawable.vertex_format(), VertexFormat::Quantized);
+        drawable.geometry = mesh(|v| v.color[0] = 0).into();
+        assert_eq!(drawable.vertex_format(), VertexFormat::Full);
+        let mut small = mesh(|_| {});
+        small.indices = (0..30).collect();
+        assert_eq!(of(small).vertex_format(), VertexFormat::Full);
     }
 
     #[test]

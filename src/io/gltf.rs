@@ -17,7 +17,7 @@ use super::{IoError, Limits, image, occluder};
 use crate::math::Aabb;
 use crate::scene::{
     AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, SharedParts,
-    SharedStateManager, Topology,
+    SharedStateManager, Topology, VertexFormat,
 };
 
 /// Extensions that may be required.
@@ -200,6 +200,10 @@ struct Elements<'a> {
 }
 
 impl Elements<'_> {
+    fn is_unorm16(&self) -> bool {
+        self.data_type == DataType::U16 && self.normalized
+    }
+
     /// Component `c` of element `i`, converted as the accessor says. Both are in range by construction.
     fn value(&self, i: usize, c: usize) -> f32 {
         let at = i * self.stride + c * self.data_type.size();
@@ -215,14 +219,22 @@ impl Elements<'_> {
         if self.normalized { (raw / max).max(-1.0) } else { raw }
     }
 
-    fn vec3(&self, i: usize) -> [f32; 3] {
-        if self.data_type == DataType::F32 {
-            let at = i * self.stride;
-            if let Some(b) = self.bytes.get(at..at + 12) {
-                return bytemuck::pod_read_unaligned(b);
+    /// The first `N` components of element `i`; fast for what most vertices are.
+    fn vector<const N: usize>(&self, i: usize) -> [f32; N] {
+        let at = i * self.stride;
+        let scale = |max: f32| if self.normalized { max } else { 1.0 };
+        match self.data_type {
+            DataType::F32 => {
+                let bytes = self.bytes.get(at..at + 4 * N).map(|b| b.as_chunks().0);
+                bytes.map_or([0.0; N], |b| std::array::from_fn(|k| f32::from_le_bytes(b[k])))
             }
+            DataType::U16 => {
+                let max = scale(65535.0);
+                let bytes = self.bytes.get(at..at + 2 * N).map(|b| b.as_chunks().0);
+                bytes.map_or([0.0; N], |b| std::array::from_fn(|k| f32::from(u16::from_le_bytes(b[k])) / max))
+            }
+            _ => std::array::from_fn(|k| self.value(i, k)),
         }
-        [self.value(i, 0), self.value(i, 1), self.value(i, 2)]
     }
 }
 
@@ -294,7 +306,7 @@ impl<'a> Reader<'a> {
         let mut vertices = Vec::with_capacity(count);
         let mut packs = true;
         for i in 0..count {
-            let position = positions.vec3(i);
+            let position = positions.vector::<3>(i);
             let p = Vec3::from_array(position);
             if !p.is_finite() {
                 return Err(self.bad(format!("position {i} is not finite")));
@@ -302,11 +314,11 @@ impl<'a> Reader<'a> {
             (min, max) = (min.min(p), max.max(p));
             let mut vertex = MeshVertex { position, color: [255; 4], ..MeshVertex::default() };
             if let Some(n) = &normals {
-                let n = n.vec3(i).map(|x| (x.clamp(-1.0, 1.0) * 127.0).round() as i8);
+                let n = n.vector::<3>(i).map(|x| (x.clamp(-1.0, 1.0) * 127.0).round() as i8);
                 vertex.normal = [n[0], n[1], n[2], 0];
             }
             if let Some(uv) = &uvs {
-                vertex.uv = [uv.value(i, 0), uv.value(i, 1)];
+                vertex.uv = uv.vector(i);
                 if let Some(t) = &uv_transform {
                     let ([sx, sy], [ox, oy], (sin, cos)) = (t.scale(), t.offset(), t.rotation().sin_cos());
                     let [u, v] = [vertex.uv[0] * sx, vertex.uv[1] * sy];
@@ -321,6 +333,11 @@ impl<'a> Reader<'a> {
             packs &= vertex.packs();
             vertices.push(vertex);
         }
+        let format = match packs {
+            true if positions.is_unorm16() => VertexFormat::Quantized,
+            true => VertexFormat::Packed,
+            false => VertexFormat::Full,
+        };
         // Now, while they are in the cache.
         let vertices_key = self.sharing.map(|_| ContentKey::of(&[bytemuck::cast_slice(&vertices)]));
         let (listed, list_key) = match primitive.indices() {
@@ -355,8 +372,7 @@ impl<'a> Reader<'a> {
         };
         let mut drawable = Drawable::new(Geometry::Mesh(mesh), material);
         drawable.shared = SharedParts { geometry, indices, texture: shared_texture };
-        drawable.packs = Some(packs);
-        Ok(drawable)
+        Ok(drawable.with_vertex_format(format))
     }
 
     fn attribute(

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::NodeId;
-use super::geometry::{AlphaMode, Geometry, Topology};
+use super::geometry::{AlphaMode, Geometry, Topology, VertexFormat};
 use super::graph::Scene;
 use super::page::{BLEND, NONE, Page, VIEW};
 use crate::state::ResolvedState;
@@ -29,8 +29,8 @@ pub struct DrawKind {
     pub mirrored: bool,
     /// A mesh of a few triangles.
     pub is_small: bool,
-    /// A mesh whose vertices take fewer bytes on the adapter.
-    pub is_packed: bool,
+    /// Of a mesh's vertices.
+    pub vertex_format: VertexFormat,
 }
 
 impl Scene {
@@ -50,12 +50,6 @@ impl Scene {
                 Geometry::Custom(_) => continue,
             };
             let is_small = (3..=SMALL_MESH_INDICES as usize).contains(&indices);
-            let is_packed = match &drawable.geometry {
-                Geometry::Mesh(mesh) => {
-                    indices > SMALL_MESH_INDICES as usize && drawable.packs.unwrap_or_else(|| mesh.packs())
-                }
-                _ => false,
-            };
             let linear = page.transforms.page_from_node(of.transform).matrix3;
             let kind = (
                 topology,
@@ -63,18 +57,19 @@ impl Scene {
                 drawable.material.double_sided,
                 world_from_page * linear.determinant() < 0.0,
                 is_small,
-                is_packed,
+                drawable.vertex_format(),
             );
-            let of_kind = |k: &DrawKind| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small, k.is_packed);
+            let of_kind =
+                |k: &DrawKind| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small, k.vertex_format);
             if met.iter().rev().any(|(path, known)| *path == of.state_path && of_kind(known) == kind) {
                 continue;
             }
             if met.len() >= MOST_KINDS {
                 break;
             }
-            let (topology, is_masked, double_sided, mirrored, is_small, is_packed) = kind;
+            let (topology, is_masked, double_sided, mirrored, is_small, vertex_format) = kind;
             let state = states.at(of.state_path);
-            let kind = DrawKind { state, topology, is_masked, double_sided, mirrored, is_small, is_packed };
+            let kind = DrawKind { state, topology, is_masked, double_sided, mirrored, is_small, vertex_format };
             met.push((of.state_path, kind));
         }
         met.into_iter().map(|(_, kind)| kind).collect()

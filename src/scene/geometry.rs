@@ -3,8 +3,9 @@
 //! Filled by decode workers, read once by the draw thread when it compiles a page, then dropped
 //! unless the application keeps its own `Arc`.
 
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
+use super::draw_kinds::SMALL_MESH_INDICES;
 use super::kinds::NormalCone;
 use super::shared::SharedParts;
 use crate::math::Aabb;
@@ -34,6 +35,18 @@ impl MeshVertex {
     }
 }
 
+/// How the vertices of a mesh lie on the adapter: in as few bytes as lose nothing visible.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum VertexFormat {
+    /// As a [`MeshVertex`]. Small meshes always do.
+    #[default]
+    Full,
+    /// White, with texture coordinates of 0 to 1: 20 bytes.
+    Packed,
+    /// `Packed`, with positions that were read from 16 bits each, of 0 to 1: 16 bytes.
+    Quantized,
+}
+
 /// How indices form primitives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Topology {
@@ -60,11 +73,6 @@ pub struct Mesh {
 }
 
 impl Mesh {
-    /// White, with texture coordinates of 0 to 1: nothing visible is lost in 20 bytes a vertex.
-    pub(crate) fn packs(&self) -> bool {
-        self.vertices.iter().all(MeshVertex::packs)
-    }
-
     /// The directions in which the triangles look; `None` without triangles, or where they look apart by 90 degrees
     /// or more from their mean.
     pub fn normal_cone(&self) -> Option<NormalCone> {
@@ -236,14 +244,36 @@ pub struct Drawable {
     pub cluster: Option<NormalCone>,
     /// What others have too, if a [`SharedStateManager`](super::SharedStateManager) has looked.
     pub(crate) shared: SharedParts,
-    /// [`Mesh::packs`] of its mesh, where its reader knew; a hint.
-    pub(crate) packs: Option<bool>,
+    /// What its reader found the vertices of a mesh to be.
+    vertex_format: Option<(Weak<Mesh>, VertexFormat)>,
 }
 
 impl Drawable {
     /// A shape with a surface.
     pub fn new(geometry: Geometry, material: Material) -> Self {
-        Self { geometry, material, cluster: None, shared: SharedParts::default(), packs: None }
+        Self { geometry, material, cluster: None, shared: SharedParts::default(), vertex_format: None }
+    }
+
+    /// The same, of a mesh whose vertices are known to take this format.
+    pub(crate) fn with_vertex_format(mut self, format: VertexFormat) -> Self {
+        if let Geometry::Mesh(mesh) = &self.geometry {
+            self.vertex_format = Some((Arc::downgrade(mesh), format));
+        }
+        self
+    }
+
+    /// How the vertices of a mesh are to lie on the adapter. They are all looked at where no reader has.
+    pub(crate) fn vertex_format(&self) -> VertexFormat {
+        let Geometry::Mesh(mesh) = &self.geometry else { return VertexFormat::Full };
+        if mesh.indices.len() <= SMALL_MESH_INDICES as usize {
+            return VertexFormat::Full;
+        }
+        match &self.vertex_format {
+            // The pointer keeps the mesh from being changed in its place, and its address from another mesh.
+            Some((known, format)) if std::ptr::eq(known.as_ptr(), Arc::as_ptr(mesh)) => *format,
+            _ if mesh.vertices.iter().all(MeshVertex::packs) => VertexFormat::Packed,
+            _ => VertexFormat::Full,
+        }
     }
 
     /// The same with the cone of its triangles' normals, unless they look too far apart for one.

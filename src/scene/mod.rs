@@ -38,6 +38,7 @@ pub use error::SceneError;
 pub use flatten::MAX_DEPTH;
 pub use geometry::{
     AlphaMode, CustomGeometry, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology,
+    VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId};

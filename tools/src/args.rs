@@ -359,6 +359,8 @@ pub enum Bench {
 pub enum PageContent {
     /// Binary glTF with positions, normals, texture coordinates and an image, as the peer's tiles
     Mesh,
+    /// The same in 16 bytes a vertex, as KHR_mesh_quantization and `terrane gen` have them
+    Quantized,
     /// EXR heights on a shared grid and an image
     Height,
 }

@@ -16,7 +16,7 @@ use crate::draw::batch::sample_grid::SampleGrid;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
 use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
-use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape, VertexFormat};
+use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
 use crate::scene::{AlphaMode, SMALL_MESH_INDICES, Topology};
 use crate::state::{ResolvedState, SortMode};
 
@@ -440,7 +440,7 @@ impl Batch {
             let is_mesh = !is_height && !is_custom;
             let pipeline = match () {
                 _ if stride > 0 => pipeline.pulled(),
-                _ if is_mesh && ctx.pools().meshes.format_of(vertex_chunk) == VertexFormat::Packed => pipeline.packed(),
+                _ if is_mesh => pipeline.with_vertices(ctx.pools().meshes.format_of(vertex_chunk)),
                 _ => pipeline,
             };
             let statics = state.statics;

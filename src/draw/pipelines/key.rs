@@ -2,10 +2,10 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16-21 blending   22-23 air   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58 pulled   59 texture units   60 fading   61 packed vertices   62 receives shadows   63 casts
+//! 11-12 polygon mode   13-15 color mask   16-21 blending   22-23 air   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58-59 vertices   60 texture units   61 fading   62 receives shadows   63 casts
 //! ```
 
-use crate::scene::{Environment, Sky, Topology};
+use crate::scene::{Environment, Sky, Topology, VertexFormat};
 use crate::state::{
     BlendEquation, BlendFunc, ColorMask, CompareFunction, CullFace, FrontFace, Mode, PolygonMode, PolygonOffset,
     ResolvedState, Stencil,
@@ -39,10 +39,11 @@ const AIR_SHIFT: u32 = 22;
 const FIXED: u64 = 1 << 40;
 const ALPHA_TO_COVERAGE: u64 = 1 << 41;
 const PROGRAM: u64 = 0x3ff << 48;
-const PULLED: u64 = 1 << 58;
-const TEXTURED: u64 = 1 << 59;
-const FADING: u64 = 1 << 60;
-const PACKED: u64 = 1 << 61;
+const VERTICES_SHIFT: u32 = 58;
+/// Of [`VERTICES_SHIFT`], where a [`VertexFormat`] may stand.
+const PULLED: usize = 3;
+const TEXTURED: u64 = 1 << 60;
+const FADING: u64 = 1 << 61;
 const SHADOWED: u64 = 1 << 62;
 const CASTER: u64 = 1 << 63;
 
@@ -287,16 +288,23 @@ impl PipelineKey {
 
     /// The same for meshes that fetch their vertices themselves. Not for programs, which are given theirs.
     pub fn pulled(self) -> Self {
-        Self(self.0 | PULLED)
+        Self(self.0 | (PULLED as u64) << VERTICES_SHIFT)
     }
 
-    /// The same for meshes whose vertices are packed.
-    pub fn packed(self) -> Self {
-        Self(self.0 | PACKED)
+    /// The same for meshes whose vertices lie so.
+    pub fn with_vertices(self, format: VertexFormat) -> Self {
+        Self(self.0 | (format as u64) << VERTICES_SHIFT)
     }
 
-    pub fn is_packed(self) -> bool {
-        self.0 & PACKED != 0
+    /// `None` for those that fetch them themselves.
+    pub fn vertices(self) -> Option<VertexFormat> {
+        use VertexFormat::{Full, Packed, Quantized};
+        [Some(Full), Some(Packed), Some(Quantized), None][self.field(VERTICES_SHIFT, 2)]
+    }
+
+    /// All vertices have the one color of the pool.
+    pub fn is_white(self) -> bool {
+        matches!(self.vertices(), Some(VertexFormat::Packed | VertexFormat::Quantized))
     }
 
     /// The sun's shadows fall on it.
@@ -310,7 +318,7 @@ impl PipelineKey {
     }
 
     pub fn is_pulled(self) -> bool {
-        self.0 & PULLED != 0
+        self.field(VERTICES_SHIFT, 2) == PULLED
     }
 
     pub fn is_fading(self) -> bool {
@@ -420,6 +428,12 @@ mod tests {
         let broken = StateKey::new(&ResolvedState::default(), parts, Shading::Fallback, 33);
         assert_eq!(PipelineKey::height(&broken, false).shading(), Shading::Plain);
         assert!(!state.order_is_free);
+        for format in [VertexFormat::Full, VertexFormat::Packed, VertexFormat::Quantized] {
+            let of_format = key.with_vertices(format);
+            assert_eq!((of_format.vertices(), of_format.is_pulled()), (Some(format), false));
+            assert_eq!(of_format.is_white(), format != VertexFormat::Full);
+        }
+        assert!(key.pulled().is_pulled() && key.pulled().vertices().is_none() && !key.pulled().is_white());
         let mirrored = PipelineKey::mesh(&state, Topology::Triangles, false, true, true);
         assert_eq!((mirrored.is_clockwise(), mirrored.culled()), (false, 0));
         let line = PipelineKey::mesh(&state, Topology::Lines, true, false, true);

@@ -40,10 +40,12 @@ pub(in crate::draw) enum Bare {
     ShadowedWater,
 }
 
-/// Attributes of vertices of each form, and of the one white that packed ones share.
+/// Attributes of vertices of each format, and of the one white that packed and quantized ones share.
 const OF_FULL: [wgpu::VertexAttribute; 4] =
     wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x2, 2 => Snorm8x4, 3 => Unorm8x4];
 const OF_PACKED: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Float32x3, 1 => Unorm16x2, 2 => Snorm8x4];
+const OF_QUANTIZED: [wgpu::VertexAttribute; 3] =
+    wgpu::vertex_attr_array![0 => Unorm16x4, 1 => Unorm16x2, 2 => Snorm8x4];
 const OF_WHITE: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![3 => Unorm8x4];
 
 /// How many there are.
@@ -347,9 +349,11 @@ impl Pipelines {
         let layout = |array_stride, attributes| {
             Some(wgpu::VertexBufferLayout { array_stride, step_mode: wgpu::VertexStepMode::Vertex, attributes })
         };
-        let full = [layout(VertexFormat::Full.stride() as u64, &OF_FULL)];
+        let of = |format: VertexFormat, attributes| layout(format.stride() as u64, attributes);
+        let full = [of(VertexFormat::Full, &OF_FULL)];
         // The color is one for all.
-        let packed = [layout(VertexFormat::Packed.stride() as u64, &OF_PACKED), layout(0, &OF_WHITE)];
+        let packed = [of(VertexFormat::Packed, &OF_PACKED), layout(0, &OF_WHITE)];
+        let quantized = [of(VertexFormat::Quantized, &OF_QUANTIZED), layout(0, &OF_WHITE)];
         let mut write_mask = wgpu::ColorWrites::from_bits_truncate(key.color_mask() as u32);
         write_mask.set(wgpu::ColorWrites::ALPHA, target.keeps_alpha);
         let mut label = format!("{fragment} of target {}", key.target());
@@ -365,10 +369,12 @@ impl Pipelines {
             state_layout: state_layout.as_ref(),
             pull_layout: pull_layout.as_ref(),
             constants: &constants,
-            buffers: match () {
-                _ if is_height || key.is_pulled() => &[],
-                _ if key.is_packed() => &packed,
-                _ => &full,
+            buffers: match key.vertices() {
+                _ if is_height => &[],
+                None => &[],
+                Some(VertexFormat::Full) => &full,
+                Some(VertexFormat::Packed) => &packed,
+                Some(VertexFormat::Quantized) => &quantized,
             },
             topology,
             culled: match key.culled() {

@@ -80,11 +80,7 @@ impl Renderer {
         };
         let is_pulled =
             kind.is_small && state.can_pull && !kind.is_masked && kind.topology == Some(Topology::Triangles);
-        let key = match (is_pulled, kind.is_packed) {
-            (true, _) => key.pulled(),
-            (false, true) => key.packed(),
-            (false, false) => key,
-        };
+        let key = if is_pulled { key.pulled() } else { key.with_vertices(kind.vertex_format) };
         self.pipelines.ensure(ctx, key);
     }
 

@@ -524,7 +524,7 @@ mod tests {
             + changes(direct().map(|(b, _)| b.index_chunk))
             + changes(buckets().filter(|(b, _)| b.stride > 0).map(|(b, _)| (b.vertex_chunk, b.index_chunk)))
             // The color that packed vertices share is set once.
-            + u32::from(direct().any(|(b, _)| b.pipeline.is_packed()))
+            + u32::from(direct().any(|(b, _)| b.pipeline.is_white()))
             + changes(statics().map(|s| s.frame))
             + changes(statics().filter_map(|s| s.group))
             + scissors;

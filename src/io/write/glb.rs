@@ -1,4 +1,5 @@
-//! A minimal glb: one mesh, one material, at most one embedded image. glTF 2.0, section "GLB File Format".
+//! A minimal glb: one mesh, one material, at most one embedded image. glTF 2.0, section "GLB File Format", and
+//! KHR_mesh_quantization.
 
 use serde_json::json;
 
@@ -17,6 +18,55 @@ pub struct GlbMesh {
     pub image: Option<Vec<u8>>,
     /// Linear factor of the base colour.
     pub base_color: [f32; 4],
+    /// 16 bytes a vertex instead of 32, as KHR_mesh_quantization has them: positions in steps of the box's longest side /
+    /// 65,535, which a scale of the node makes metres, normals of 8 bits, texture coordinates of 16. Where those leave 0..1
+    /// they stay floats, as all does of a mesh without positions or with some that are not finite.
+    pub quantized: bool,
+}
+
+/// Component types of accessors.
+const BYTE: u32 = 5120;
+const UNSIGNED_SHORT: u32 = 5123;
+const FLOAT: u32 = 5126;
+
+/// The smallest coordinates and the largest.
+fn bounds(positions: &[[f32; 3]]) -> [[f32; 3]; 2] {
+    let fold = |start: f32, pick: fn(f32, f32) -> f32| {
+        positions.iter().fold([start; 3], |b, p| [pick(b[0], p[0]), pick(b[1], p[1]), pick(b[2], p[2])])
+    };
+    [fold(f32::INFINITY, f32::min), fold(f32::NEG_INFINITY, f32::max)]
+}
+
+/// Whole numbers from coordinates: those of `low` become 0, those `side` further 65,535.
+struct Grid {
+    low: [f32; 3],
+    side: f32,
+}
+
+impl Grid {
+    fn of(mesh: &GlbMesh) -> Option<Self> {
+        if !mesh.quantized || mesh.positions.is_empty() || !mesh.positions.as_flattened().iter().all(|x| x.is_finite())
+        {
+            return None;
+        }
+        let [low, high] = bounds(&mesh.positions);
+        let side = (0..3).map(|k| high[k] - low[k]).fold(0.0, f32::max);
+        side.is_finite().then_some(Self { low, side: if side > 0.0 { side } else { 1.0 } })
+    }
+
+    /// The fourth fills a whole number of words.
+    fn steps(&self, position: &[f32; 3]) -> [u16; 4] {
+        let [x, y, z] = [0, 1, 2].map(|k| unorm16((position[k] - self.low[k]) / self.side));
+        [x, y, z, 0]
+    }
+}
+
+fn unorm16(x: f32) -> u16 {
+    (x * 65535.0).round() as u16
+}
+
+fn snorm8(x: f32) -> i8 {
+    (x * 127.0).round() as i8
 }
 
 /// The file's bytes. Chunks are padded to 4 bytes, accessors carry the bounds that glTF asks for.
@@ -25,49 +75,84 @@ pub fn write_glb(mesh: &GlbMesh) -> Vec<u8> {
     let mut views = Vec::new();
     let mut accessors = Vec::new();
     let mut attributes = serde_json::Map::new();
-    let mut view = |binary: &mut Vec<u8>, bytes: &[u8], target: Option<u32>| {
+    let mut view = |binary: &mut Vec<u8>, bytes: &[u8], target: Option<u32>, stride: Option<usize>| {
         binary.resize(binary.len().next_multiple_of(4), 0);
         let mut v = json!({ "buffer": 0, "byteOffset": binary.len(), "byteLength": bytes.len() });
         if let Some(target) = target {
             v["target"] = target.into();
         }
+        if let Some(stride) = stride {
+            v["byteStride"] = stride.into();
+        }
         binary.extend_from_slice(bytes);
         views.push(v);
         views.len() - 1
     };
-    let bound = |start: f32, pick: fn(f32, f32) -> f32| {
-        mesh.positions.iter().fold([start; 3], |b, p| [pick(b[0], p[0]), pick(b[1], p[1]), pick(b[2], p[2])])
-    };
-    let index = view(&mut binary, bytemuck::cast_slice(&mesh.positions), Some(34962));
-    attributes.insert("POSITION".into(), accessors.len().into());
-    accessors.push(json!({
-        "bufferView": index, "componentType": 5126, "count": mesh.positions.len(), "type": "VEC3",
-        "min": bound(f32::INFINITY, f32::min), "max": bound(f32::NEG_INFINITY, f32::max),
-    }));
-    if !mesh.normals.is_empty() {
-        let index = view(&mut binary, bytemuck::cast_slice(&mesh.normals), Some(34962));
-        attributes.insert("NORMAL".into(), accessors.len().into());
+    // Elements begin at multiples of 4 bytes.
+    let mut attribute = |name: &str, kind: &str, component: u32, stride: usize, bytes: &[u8]| {
+        let index = view(&mut binary, bytes, Some(34962), Some(stride));
+        attributes.insert(name.into(), accessors.len().into());
         accessors.push(json!({
-            "bufferView": index, "componentType": 5126, "count": mesh.normals.len(), "type": "VEC3",
+            "bufferView": index, "componentType": component, "count": bytes.len() / stride, "type": kind,
         }));
+        if let Some(last) = accessors.last_mut().filter(|_| component != FLOAT) {
+            last["normalized"] = true.into();
+        }
+    };
+    let grid = Grid::of(mesh);
+    let [min, max] = match &grid {
+        Some(grid) => {
+            let steps: Vec<[u16; 4]> = mesh.positions.iter().map(|p| grid.steps(p)).collect();
+            attribute("POSITION", "VEC3", UNSIGNED_SHORT, 8, bytemuck::cast_slice(&steps));
+            let bound = |pick: fn(u16, u16) -> u16| {
+                let of_all = steps.iter().copied().reduce(|a, b| std::array::from_fn(|k| pick(a[k], b[k])));
+                json!(of_all.unwrap_or_default()[..3])
+            };
+            [bound(u16::min), bound(u16::max)]
+        }
+        None => {
+            attribute("POSITION", "VEC3", FLOAT, 12, bytemuck::cast_slice(&mesh.positions));
+            bounds(&mesh.positions).map(|bound| json!(bound))
+        }
+    };
+    if !mesh.normals.is_empty() {
+        if grid.is_some() {
+            let padded: Vec<[i8; 4]> =
+                mesh.normals.iter().map(|n| n.map(snorm8)).map(|[x, y, z]| [x, y, z, 0]).collect();
+            attribute("NORMAL", "VEC3", BYTE, 4, bytemuck::cast_slice(&padded));
+        } else {
+            attribute("NORMAL", "VEC3", FLOAT, 12, bytemuck::cast_slice(&mesh.normals));
+        }
     }
     if !mesh.uvs.is_empty() {
-        let index = view(&mut binary, bytemuck::cast_slice(&mesh.uvs), Some(34962));
-        attributes.insert("TEXCOORD_0".into(), accessors.len().into());
-        accessors.push(json!({ "bufferView": index, "componentType": 5126, "count": mesh.uvs.len(), "type": "VEC2" }));
+        if grid.is_some() && mesh.uvs.as_flattened().iter().all(|x| (0.0..=1.0).contains(x)) {
+            let steps: Vec<[u16; 2]> = mesh.uvs.iter().map(|uv| uv.map(unorm16)).collect();
+            attribute("TEXCOORD_0", "VEC2", UNSIGNED_SHORT, 4, bytemuck::cast_slice(&steps));
+        } else {
+            attribute("TEXCOORD_0", "VEC2", FLOAT, 8, bytemuck::cast_slice(&mesh.uvs));
+        }
     }
-    let index = view(&mut binary, bytemuck::cast_slice(&mesh.indices), Some(34963));
+    accessors[0]["min"] = min;
+    accessors[0]["max"] = max;
+    let index = view(&mut binary, bytemuck::cast_slice(&mesh.indices), Some(34963), None);
     let indices = accessors.len();
-    accessors
-        .push(json!({ "bufferView": index, "componentType": 5123, "count": mesh.indices.len(), "type": "SCALAR" }));
+    accessors.push(
+        json!({ "bufferView": index, "componentType": UNSIGNED_SHORT, "count": mesh.indices.len(), "type": "SCALAR" }),
+    );
     let mut pbr = json!({ "metallicFactor": 0.0, "roughnessFactor": 1.0, "baseColorFactor": mesh.base_color });
     let mut root = json!({
         "asset": { "version": "2.0", "generator": "terrane" },
         "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
         "meshes": [{ "primitives": [{ "attributes": attributes, "indices": indices, "material": 0 }] }],
     });
+    if let Some(Grid { low, side }) = grid {
+        root["nodes"][0]["translation"] = json!(low);
+        root["nodes"][0]["scale"] = json!([side, side, side]);
+        root["extensionsUsed"] = json!(["KHR_mesh_quantization"]);
+        root["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
+    }
     if let Some(image) = &mesh.image {
-        let index = view(&mut binary, image, None);
+        let index = view(&mut binary, image, None, None);
         let mime = if image.starts_with(b"\x89PNG") { "image/png" } else { "image/jpeg" };
         root["images"] = json!([{ "bufferView": index, "mimeType": mime }]);
         root["samplers"] = json!([{ "magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071 }]);

@@ -24,7 +24,7 @@ const TEXELS: usize = 64;
 /// A tile gives way to its children nearer than so many radii.
 const RATIO: f64 = 7.0;
 /// Changes when the tiles' form does: other folders are not read.
-const VERSION: &str = "bench-page-2";
+const VERSION: &str = "bench-page-3";
 /// The ground above a place.
 pub fn height_m(x: f64, y: f64) -> f64 {
     800.0 * (x / 5000.0).sin() * (y / 7000.0).cos()
@@ -61,8 +61,10 @@ impl Tile {
     /// The content's URI, and what its reader needs beside it.
     fn content(self, base: &str, content: PageContent) -> (Arc<str>, Option<Arc<str>>) {
         let uri = |extension| format!("{base}{}", self.file(extension));
-        if content == PageContent::Mesh {
-            return (uri("glb").into(), None);
+        match content {
+            PageContent::Mesh => return (uri("glb").into(), None),
+            PageContent::Quantized => return (uri("quantized.glb").into(), None),
+            PageContent::Height => {}
         }
         let half = 0.5 * self.side_m();
         let data = json!({
@@ -111,10 +113,10 @@ impl Tile {
     }
 
     /// The tile as binary glTF: y-up, east and north relative to its centre; a stored (not deflated) PNG.
-    fn glb(self, png: &[u8]) -> Result<Vec<u8>> {
+    fn glb(self, png: &[u8], quantized: bool) -> Result<Vec<u8>> {
         let ([x0, y0], center, side_m) = (self.corner(), self.center(), self.side_m());
         let step = side_m / (SIDE - 1) as f64;
-        let mut mesh = GlbMesh { image: Some(png.to_vec()), base_color: [1.0; 4], ..GlbMesh::default() };
+        let mut mesh = GlbMesh { image: Some(png.to_vec()), base_color: [1.0; 4], quantized, ..GlbMesh::default() };
         for j in 0..SIDE {
             for i in 0..SIDE {
                 let (x, y) = (x0 + i as f64 * step, y0 + j as f64 * step);
@@ -188,11 +190,13 @@ pub fn tiles() -> Result<PathBuf> {
     if !complete.exists() {
         let made = || format!("cannot write tiles to {}", folder.display());
         std::fs::create_dir_all(&folder).with_context(made)?;
-        eprintln!("writing 5461 tiles in two forms to {} (420 MB)", folder.display());
+        eprintln!("writing 5461 tiles in three forms to {} (640 MB)", folder.display());
         let mut open = vec![ROOT];
         while let Some(tile) = open.pop() {
             let png = tile.png()?;
-            std::fs::write(folder.join(tile.file("glb")), tile.glb(&png)?).with_context(made)?;
+            for (extension, quantized) in [("glb", false), ("quantized.glb", true)] {
+                std::fs::write(folder.join(tile.file(extension)), tile.glb(&png, quantized)?).with_context(made)?;
+            }
             std::fs::write(folder.join(tile.file("exr")), tile.exr()?).with_context(made)?;
             std::fs::write(folder.join(tile.file("png")), png).with_context(made)?;
             open.extend(tile.children());
