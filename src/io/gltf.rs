@@ -219,21 +219,28 @@ impl Elements<'_> {
         if self.normalized { (raw / max).max(-1.0) } else { raw }
     }
 
-    /// The first `N` components of element `i`; fast for what most vertices are.
-    fn vector<const N: usize>(&self, i: usize) -> [f32; N] {
-        let at = i * self.stride;
-        let scale = |max: f32| if self.normalized { max } else { 1.0 };
+    /// Gives each vertex its element of `N` components; as many as there are of both.
+    fn read_into<const N: usize>(&self, vertices: &mut [MeshVertex], mut set: impl FnMut(&mut MeshVertex, [f32; N])) {
+        let elements = vertices.iter_mut().zip(self.bytes.chunks(self.stride.max(1)));
         match self.data_type {
-            DataType::F32 => {
-                let bytes = self.bytes.get(at..at + 4 * N).map(|b| b.as_chunks().0);
-                bytes.map_or([0.0; N], |b| std::array::from_fn(|k| f32::from_le_bytes(b[k])))
-            }
+            // A loop for each of what most are.
+            DataType::F32 => elements.for_each(|(vertex, bytes)| {
+                let (parts, _) = bytes.as_chunks();
+                set(vertex, std::array::from_fn(|k| parts.get(k).map_or(0.0, |part| f32::from_le_bytes(*part))));
+            }),
             DataType::U16 => {
-                let max = scale(65535.0);
-                let bytes = self.bytes.get(at..at + 2 * N).map(|b| b.as_chunks().0);
-                bytes.map_or([0.0; N], |b| std::array::from_fn(|k| f32::from(u16::from_le_bytes(b[k])) / max))
+                let max = if self.normalized { 65535.0 } else { 1.0 };
+                elements.for_each(|(vertex, bytes)| {
+                    let (parts, _) = bytes.as_chunks();
+                    let whole = |k: usize| parts.get(k).map_or(0, |part| u16::from_le_bytes(*part));
+                    set(vertex, std::array::from_fn(|k| f32::from(whole(k)) / max));
+                });
             }
-            _ => std::array::from_fn(|k| self.value(i, k)),
+            _ => {
+                for (i, (vertex, _)) in elements.enumerate() {
+                    set(vertex, std::array::from_fn(|k| self.value(i, k)));
+                }
+            }
         }
     }
 }
@@ -302,37 +309,42 @@ impl<'a> Reader<'a> {
         let normals = self.attribute(primitive, &Semantic::Normals, count, &[Dimensions::Vec3])?;
         let uvs = self.attribute(primitive, &Semantic::TexCoords(uv_set), count, &[Dimensions::Vec2])?;
         let colors = self.attribute(primitive, &Semantic::Colors(0), count, &[Dimensions::Vec3, Dimensions::Vec4])?;
-        let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        let mut vertices = Vec::with_capacity(count);
-        let mut packs = true;
-        for i in 0..count {
-            let position = positions.vector::<3>(i);
+        let (mut min, mut max, mut is_finite) = (Vec3::INFINITY, Vec3::NEG_INFINITY, true);
+        let mut vertices = vec![MeshVertex { color: [255; 4], ..MeshVertex::default() }; count];
+        positions.read_into(&mut vertices, |vertex, position| {
+            vertex.position = position;
             let p = Vec3::from_array(position);
-            if !p.is_finite() {
-                return Err(self.bad(format!("position {i} is not finite")));
-            }
             (min, max) = (min.min(p), max.max(p));
-            let mut vertex = MeshVertex { position, color: [255; 4], ..MeshVertex::default() };
-            if let Some(n) = &normals {
-                let n = n.vector::<3>(i).map(|x| (x.clamp(-1.0, 1.0) * 127.0).round() as i8);
-                vertex.normal = [n[0], n[1], n[2], 0];
-            }
-            if let Some(uv) = &uvs {
-                vertex.uv = uv.vector(i);
-                if let Some(t) = &uv_transform {
-                    let ([sx, sy], [ox, oy], (sin, cos)) = (t.scale(), t.offset(), t.rotation().sin_cos());
-                    let [u, v] = [vertex.uv[0] * sx, vertex.uv[1] * sy];
-                    vertex.uv = [u * cos + v * sin + ox, v * cos - u * sin + oy];
+            is_finite &= p.is_finite();
+        });
+        if !is_finite {
+            let first = vertices.iter().position(|vertex| !Vec3::from_array(vertex.position).is_finite());
+            return Err(self.bad(format!("position {} is not finite", first.unwrap_or_default())));
+        }
+        if let Some(normals) = &normals {
+            normals.read_into(&mut vertices, |vertex, normal: [f32; 3]| {
+                let [x, y, z] = normal.map(snorm8);
+                vertex.normal = [x, y, z, 0];
+            });
+        }
+        if let Some(uvs) = &uvs {
+            uvs.read_into(&mut vertices, |vertex, uv| vertex.uv = uv);
+            if let Some(t) = &uv_transform {
+                let ([sx, sy], [ox, oy], (sin, cos)) = (t.scale(), t.offset(), t.rotation().sin_cos());
+                for MeshVertex { uv, .. } in &mut vertices {
+                    let [u, v] = [uv[0] * sx, uv[1] * sy];
+                    *uv = [u * cos + v * sin + ox, v * cos - u * sin + oy];
                 }
             }
-            if let Some(c) = &colors {
+        }
+        if let Some(c) = &colors {
+            for (i, vertex) in vertices.iter_mut().enumerate() {
                 for k in 0..c.components.min(4) {
                     vertex.color[k] = (c.value(i, k).clamp(0.0, 1.0) * 255.0).round() as u8;
                 }
             }
-            packs &= vertex.packs();
-            vertices.push(vertex);
         }
+        let packs = vertices.iter().all(MeshVertex::packs);
         let format = match packs {
             true if positions.is_unorm16() => VertexFormat::Quantized,
             true => VertexFormat::Packed,
@@ -490,6 +502,11 @@ impl<'a> Reader<'a> {
         self.textures.insert(key, decoded.clone());
         Ok(decoded)
     }
+}
+
+/// Rounded to the nearest: among numbers of 2^23 to 2^24, a whole is the lowest bit.
+fn snorm8(x: f32) -> i8 {
+    (x.clamp(-1.0, 1.0) * 127.0 + 12_582_912.0).to_bits() as i8
 }
 
 /// The same list as one read before from equal bytes, where there is one: tiles of a terrain often share their grid, and

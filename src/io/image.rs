@@ -1,9 +1,10 @@
 //! PNG and JPEG to RGBA8 textures with mip levels. Sizes are checked before a pixel is decoded.
 
+use std::cell::RefCell;
 use std::io::Cursor;
 use std::sync::{Arc, OnceLock};
 
-use image::{ImageFormat, ImageReader, Limits as ImageLimits};
+use image::{ColorType, DynamicImage, ImageDecoder as _, ImageFormat, ImageReader, Limits as ImageLimits};
 
 use super::{IoError, Limits};
 use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
@@ -41,7 +42,8 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], repeat: bool, limits: &Limits) -> 
         return Err(IoError::unsupported(uri, "image that is neither PNG nor JPEG"));
     };
     let bad = |e: image::ImageError| IoError::invalid(uri, format!("image: {e}"));
-    let (width, height) = ImageReader::with_format(Cursor::new(bytes), format).into_dimensions().map_err(bad)?;
+    let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(bad)?;
+    let (width, height) = decoder.dimensions();
     let too_large = |got: u64, limit: u64| IoError::TooLarge { uri: uri.to_owned(), what: "image", got, limit };
     if width == 0 || height == 0 {
         return Err(IoError::invalid(uri, format!("image of {width} x {height} pixels")));
@@ -54,11 +56,14 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], repeat: bool, limits: &Limits) -> 
     if size > limits.max_image_bytes {
         return Err(too_large(size, limits.max_image_bytes));
     }
-    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut image_limits = ImageLimits::default();
     image_limits.max_alloc = Some(limits.max_image_bytes.saturating_mul(2));
-    reader.limits(image_limits);
-    let pixels = reader.decode().map_err(bad)?.into_rgba8().into_raw();
+    decoder.set_limits(image_limits).map_err(bad)?;
+    let pixels = if decoder.color_type() == ColorType::Rgb8 {
+        opaque(width as usize * height as usize * 3, |rgb| decoder.read_image(rgb)).map_err(bad)?
+    } else {
+        DynamicImage::from_decoder(decoder).map_err(bad)?.into_rgba8().into_raw()
+    };
     Ok(Arc::new(Texture { width, height, mips: mips(width, height, pixels), repeat }))
 }
 
@@ -68,39 +73,72 @@ pub(crate) fn decode_file(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Ar
     std::panic::catch_unwind(decode).unwrap_or_else(|_| Err(IoError::invalid(uri, super::DECODER_PANICKED)))
 }
 
+/// Most bytes that a thread keeps for the next image.
+const MOST_KEPT_BYTES: usize = 4 << 20;
+
+/// Four bytes a pixel of what is read in three.
+fn opaque<E>(bytes: usize, read: impl FnOnce(&mut [u8]) -> Result<(), E>) -> Result<Vec<u8>, E> {
+    const ALPHA: u32 = 0xff00_0000;
+    thread_local! {
+        static READ: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+    }
+    READ.with_borrow_mut(|rgb| {
+        if rgb.len() < bytes {
+            rgb.resize(bytes, 0);
+        }
+        read(&mut rgb[..bytes])?;
+        let (threes, rest) = rgb[..bytes].as_chunks::<12>();
+        let mut fours: Vec<[[u8; 4]; 4]> = Vec::with_capacity(bytes.div_ceil(12));
+        fours.extend(threes.iter().map(|three| {
+            let word = |k: usize| u32::from_le_bytes([three[k], three[k + 1], three[k + 2], three[k + 3]]);
+            let [a, b, c] = [word(0), word(4), word(8)];
+            [a, a >> 24 | b << 8, b >> 16 | c << 16, c >> 8].map(|pixel| (pixel | ALPHA).to_le_bytes())
+        }));
+        let mut out = fours.into_flattened();
+        out.extend(rest.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]));
+        if rgb.len() > MOST_KEPT_BYTES {
+            *rgb = Vec::new();
+        }
+        Ok(out.into_flattened())
+    })
+}
+
 /// The whole chain, box filtered in linear light.
 pub(crate) fn mips(width: u32, height: u32, level_0: Vec<u8>) -> Vec<Vec<u8>> {
-    let (to_linear, to_srgb) = srgb_tables();
     let (mut w, mut h) = (width as usize, height as usize);
     let mut levels = vec![level_0];
     while w > 1 || h > 1 {
         let (nw, nh) = ((w / 2).max(1), (h / 2).max(1));
-        let mut next = vec![0u8; nw * nh * 4];
-        if let Some(above) = levels.last() {
-            let (dx, dy) = (if w > 1 { 4 } else { 0 }, if h > 1 { w * 4 } else { 0 });
-            for (y, out_row) in next.chunks_exact_mut(nw * 4).enumerate() {
-                let row = &above[(if h > 1 { 2 * y } else { 0 }) * w * 4..];
-                for (x, out) in out_row.chunks_exact_mut(4).enumerate() {
-                    let at = if w > 1 { 8 * x } else { 0 };
-                    for c in 0..3 {
-                        let sum = to_linear[row[at + c] as usize]
-                            + to_linear[row[at + dx + c] as usize]
-                            + to_linear[row[at + dy + c] as usize]
-                            + to_linear[row[at + dx + dy + c] as usize];
-                        out[c] = to_srgb[(sum >> 6) as usize];
-                    }
-                    let alpha = u32::from(row[at + 3])
-                        + u32::from(row[at + dx + 3])
-                        + u32::from(row[at + dy + 3])
-                        + u32::from(row[at + dx + dy + 3]);
-                    out[3] = ((alpha + 2) / 4) as u8;
-                }
+        let mut next = Vec::with_capacity(nw * nh);
+        let above = levels.last().map_or(&[][..], Vec::as_slice);
+        if w > 1 && h > 1 {
+            for rows in above.chunks_exact(2 * w * 4) {
+                let (upper, lower) = rows.split_at(w * 4);
+                next.extend(halved(upper, lower));
             }
+        } else {
+            // A row or a column: a texel is half of two pixels and half of the same two.
+            next.extend(halved(above, above));
         }
-        levels.push(next);
+        levels.push(next.into_flattened());
         (w, h) = (nw, nh);
     }
     levels
+}
+
+/// A row of half as many texels from two rows; what is left over of an odd one is not looked at.
+fn halved(upper: &[u8], lower: &[u8]) -> impl Iterator<Item = [u8; 4]> {
+    let (to_linear, to_srgb) = srgb_tables();
+    let pairs = upper.as_chunks::<8>().0.iter().zip(lower.as_chunks::<8>().0);
+    pairs.map(|(a, b)| {
+        let color = |c: usize| {
+            let linear = |of: &[u8; 8]| to_linear[usize::from(of[c])] + to_linear[usize::from(of[c + 4])];
+            // Four of 16 bits come to 12 bits and 6.
+            to_srgb[((linear(a) + linear(b)) >> 6) as usize & 4095]
+        };
+        let alpha = [a[3], a[7], b[3], b[7]].map(u32::from).iter().sum::<u32>();
+        [color(0), color(1), color(2), ((alpha + 2) / 4) as u8]
+    })
 }
 
 /// To linear and back.
@@ -129,6 +167,51 @@ fn srgb_tables() -> &'static Tables {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn three_bytes_become_four() {
+        for pixels in [0usize, 1, 3, 4, 5, 8, 11] {
+            let rgb: Vec<u8> = (0..3 * pixels).map(|i| i as u8).collect();
+            let expected: Vec<u8> = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+            let read = |into: &mut [u8]| {
+                into.copy_from_slice(&rgb);
+                Ok::<_, ()>(())
+            };
+            assert_eq!(opaque(rgb.len(), read), Ok(expected));
+        }
+    }
+
+    /// Each texel is the mean, in linear light, of those it stands for: of two by two, or of two in a row or column.
+    #[test]
+    fn texels_are_means_of_what_they_stand_for() {
+        let linear = |v: u8| {
+            let s = f64::from(v) / 255.0;
+            if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
+        };
+        for (w, h) in [(6u32, 4u32), (7, 5), (1, 9), (8, 1), (2, 3), (3, 2), (1, 1)] {
+            let pixels: Vec<u8> = (0..w * h * 4).map(|i| (i * 89 + i * i * 7) as u8).collect();
+            let levels = mips(w, h, pixels.clone());
+            assert_eq!(levels.len() as u32, 32 - w.max(h).leading_zeros());
+            let Some(half) = levels.get(1) else { continue };
+            let (nw, nh) = ((w / 2).max(1), (h / 2).max(1));
+            assert_eq!(half.len() as u32, nw * nh * 4);
+            for (x, y, c) in (0..nw * nh * 4).map(|k| (k / 4 % nw, k / 4 / nw, k % 4)) {
+                let at = |x: u32, y: u32| pixels[((y.min(h - 1) * w + x.min(w - 1)) * 4 + c) as usize];
+                let of = [at(2 * x, 2 * y), at(2 * x + 1, 2 * y), at(2 * x, 2 * y + 1), at(2 * x + 1, 2 * y + 1)];
+                let got = half[((y * nw + x) * 4 + c) as usize];
+                if c == 3 {
+                    let mean = of.map(f64::from).iter().sum::<f64>() / 4.0;
+                    assert!((f64::from(got) - mean).abs() <= 0.5, "{w} x {h}: {got} of {of:?}");
+                } else {
+                    let mean = of.map(linear).iter().sum::<f64>() / 4.0;
+                    // The way back has 4,096 steps.
+                    let slack = 1.0 / 4096.0;
+                    let (low, high) = (linear(got.saturating_sub(1)) - slack, linear(got.saturating_add(1)) + slack);
+                    assert!((low..=high).contains(&mean), "{w} x {h}: {got} of {of:?}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn mips_keep_a_flat_colour() {

@@ -12,9 +12,10 @@ use crate::io;
 use crate::scene::{Scene, SlotState};
 use crate::timeline;
 
-/// Decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing is loaded.
+/// Of each decode thread, decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing
+/// is loaded. What a thread decodes while the main thread has a frame to make.
 const MOST_PENDING_BYTES: u64 = 8 << 20;
-/// But of each decode thread so many pages may, however large they are.
+/// But so many pages may, however large they are.
 const LEAST_PENDING: u64 = 2;
 
 /// Waiting contents that are wanted only later are listed for so many times as many as may be under way: enough until the
@@ -181,8 +182,8 @@ impl DatabasePager {
             return 0;
         }
         // What waits for its upload holds memory besides the budgets'.
-        let least = LEAST_PENDING * self.config.decode_threads.max(1) as u64;
-        let pending = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).max(least).saturating_sub(self.arrived());
+        let of_each = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).max(LEAST_PENDING);
+        let pending = (of_each * self.config.decode_threads.max(1) as u64).saturating_sub(self.arrived());
         self.room_within(0).min(pending).min(capacity as u64) as usize
     }
 

@@ -192,6 +192,7 @@ impl DatabasePager {
                 context.run_compiles(&CompileBudget { time, bytes: u64::MAX });
             }
             self.merge_arrived(scene, contexts);
+            self.allow_more();
         }
         self.count();
     }
