@@ -186,7 +186,7 @@ struct Reader<'a> {
     /// Decoded once a file: image index and wrap.
     textures: HashMap<(usize, bool), image::Shared>,
     /// Index accessors shared by primitives.
-    indices: HashMap<usize, (Arc<[u32]>, ContentKey)>,
+    indices: HashMap<usize, (Listed, ContentKey)>,
 }
 
 /// A checked view of an accessor's elements.
@@ -225,15 +225,14 @@ impl Elements<'_> {
         match self.data_type {
             // A loop for each of what most are.
             DataType::F32 => elements.for_each(|(vertex, bytes)| {
-                let (parts, _) = bytes.as_chunks();
-                set(vertex, std::array::from_fn(|k| parts.get(k).map_or(0.0, |part| f32::from_le_bytes(*part))));
+                let parts = bytes.as_chunks().0.first_chunk::<N>().copied();
+                set(vertex, parts.unwrap_or([[0; 4]; N]).map(f32::from_le_bytes));
             }),
             DataType::U16 => {
                 let max = if self.normalized { 65535.0 } else { 1.0 };
                 elements.for_each(|(vertex, bytes)| {
-                    let (parts, _) = bytes.as_chunks();
-                    let whole = |k: usize| parts.get(k).map_or(0, |part| u16::from_le_bytes(*part));
-                    set(vertex, std::array::from_fn(|k| f32::from(whole(k)) / max));
+                    let parts = bytes.as_chunks().0.first_chunk::<N>().copied();
+                    set(vertex, parts.unwrap_or([[0; 2]; N]).map(|part| f32::from(u16::from_le_bytes(part)) / max));
                 });
             }
             _ => {
@@ -353,7 +352,7 @@ impl<'a> Reader<'a> {
         // Now, while they are in the cache.
         let vertices_key = self.sharing.map(|_| ContentKey::of(&[bytemuck::cast_slice(&vertices)]));
         let (listed, list_key) = match primitive.indices() {
-            Some(accessor) => self.indices(&accessor, count).map(|(list, key)| (list, Some(key)))?,
+            Some(accessor) => self.indices(&accessor, count).map(|(listed, key)| (listed.list, Some(key)))?,
             None => ((0..count as u32).collect(), None),
         };
         let (topology, indices) = assemble(primitive.mode(), listed.clone());
@@ -441,7 +440,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    fn indices(&mut self, accessor: &gltf::Accessor<'_>, vertices: usize) -> Result<(Arc<[u32]>, ContentKey), IoError> {
+    fn indices(&mut self, accessor: &gltf::Accessor<'_>, vertices: usize) -> Result<(Listed, ContentKey), IoError> {
         let known = self.indices.get(&accessor.index()).cloned();
         let indices = match known {
             Some(indices) => indices,
@@ -467,13 +466,15 @@ impl<'a> Reader<'a> {
                 };
                 let is_unsigned = matches!(e.data_type, DataType::U8 | DataType::U16 | DataType::U32);
                 let list = if is_unsigned { shared(key, read) } else { None };
-                let list = list.ok_or_else(|| self.bad("indices of a signed or float type"))?;
-                self.indices.insert(accessor.index(), (list.clone(), key));
-                (list, key)
+                let listed = list.ok_or_else(|| self.bad("indices of a signed or float type"))?;
+                self.indices.insert(accessor.index(), (listed.clone(), key));
+                (listed, key)
             }
         };
-        match indices.0.iter().max() {
-            Some(&max) if max as usize >= vertices => Err(self.bad(format!("index {max} of {vertices} vertices"))),
+        match indices.0.largest {
+            Some(largest) if largest as usize >= vertices => {
+                Err(self.bad(format!("index {largest} of {vertices} vertices")))
+            }
             _ => Ok(indices),
         }
     }
@@ -509,25 +510,34 @@ fn snorm8(x: f32) -> i8 {
     (x.clamp(-1.0, 1.0) * 127.0 + 12_582_912.0).to_bits() as i8
 }
 
+/// A list of indices and the largest.
+#[derive(Clone)]
+struct Listed {
+    list: Arc<[u32]>,
+    largest: Option<u32>,
+}
+
 /// The same list as one read before from equal bytes, where there is one: tiles of a terrain often share their grid, and
 /// what is one `Arc` is uploaded once. Decode workers share the few lists that are kept.
-fn shared(key: ContentKey, read: impl FnOnce() -> Option<Arc<[u32]>>) -> Option<Arc<[u32]>> {
-    static LISTS: OnceLock<Mutex<LruCache<ContentKey, Weak<[u32]>>>> = OnceLock::new();
+fn shared(key: ContentKey, read: impl FnOnce() -> Option<Arc<[u32]>>) -> Option<Listed> {
+    type Known = (Weak<[u32]>, Option<u32>);
+    static LISTS: OnceLock<Mutex<LruCache<ContentKey, Known>>> = OnceLock::new();
     const KEPT: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
     let lists = LISTS.get_or_init(|| Mutex::new(LruCache::new(KEPT)));
     let lock = || lists.lock().unwrap_or_else(PoisonError::into_inner);
-    let known = lock().get(&key).and_then(Weak::upgrade);
-    if known.is_some() {
-        return known;
+    let known = |(list, largest): &Known| list.upgrade().map(|list| Listed { list, largest: *largest });
+    if let Some(listed) = lock().get(&key).and_then(known) {
+        return Some(listed);
     }
     let list = read()?;
+    let largest = list.iter().copied().max();
     let mut lists = lock();
     // Another worker may have read it meanwhile.
-    if let Some(known) = lists.get(&key).and_then(Weak::upgrade) {
-        return Some(known);
+    if let Some(listed) = lists.get(&key).and_then(known) {
+        return Some(listed);
     }
-    lists.put(key, Arc::downgrade(&list));
-    Some(list)
+    lists.put(key, (Arc::downgrade(&list), largest));
+    Some(Listed { list, largest })
 }
 
 fn list_key_of(list: &[u32]) -> ContentKey {

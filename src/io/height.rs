@@ -4,12 +4,13 @@
 //! largest x and y in metres, for sets that are not on the earth) and `extras.terrane.imagery` the rest.
 //! The tileset's reader hands both to this reader as `reader_data`, JSON of [`TileData`].
 
-use std::f64::consts::FRAC_PI_2;
+use std::borrow::Cow;
+use std::f64::consts::{FRAC_PI_2, TAU};
 use std::io::Cursor;
 use std::sync::Arc;
 
-use exr::prelude::{ReadChannels, ReadLayers, read as exr_read};
-use glam::{DAffine3, DMat3, DVec3};
+use exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read as exr_read};
+use glam::{DAffine3, DMat3, DVec3, Vec4};
 use serde::{Deserialize, Serialize};
 
 use super::{Fetched, IoError, Limits, RootScope, image, resolve};
@@ -48,6 +49,28 @@ enum Place {
     Plane([f64; 4]),
 }
 
+impl TileData {
+    /// Applications may say anything of a tile, tilesets what [`HeightSet`] lets through.
+    fn check(&self) -> Result<(), &'static str> {
+        let parts = [
+            (self.place.is_sound(), "region or plane"),
+            (is_side(self.side), "side"),
+            (self.border == 1, "border"),
+            (are_errors(&self.errors_m), "errors_m"),
+        ];
+        parts.into_iter().find(|(is_sound, _)| !is_sound).map_or(Ok(()), |(_, part)| Err(part))
+    }
+}
+
+/// Of samples along a side: a power of two and one.
+fn is_side(side: u32) -> bool {
+    (3..=257).contains(&side) && (side - 1).is_power_of_two()
+}
+
+fn are_errors(errors_m: &[f64]) -> bool {
+    errors_m.len() <= 64 && errors_m.iter().all(|e| e.is_finite() && *e >= 0.0)
+}
+
 impl HeightSet {
     /// `None` when the tile set is not one of heights.
     pub fn from_extras(uri: &str, extras: Option<&serde_json::Value>) -> Result<Option<Self>, IoError> {
@@ -57,13 +80,13 @@ impl HeightSet {
         }
         let bad = |what: &str| IoError::invalid(uri, format!("asset.extras.terrane.{what}"));
         let number = |name: &str| terrane.get(name).and_then(|v| v.as_u64()).and_then(|v| u32::try_from(v).ok());
-        let side = number("side").filter(|s| (3..=257).contains(s) && (s - 1).is_power_of_two());
+        let side = number("side").filter(|side| is_side(*side));
         let errors: Option<Vec<f64>> = terrane
             .get("level_errors_m")
             .and_then(|v| v.as_array())
             .map(|a| a.iter().filter_map(serde_json::Value::as_f64).collect());
         let level_errors_m = errors.ok_or_else(|| bad("level_errors_m"))?;
-        if level_errors_m.len() > 64 || !level_errors_m.iter().all(|e| e.is_finite() && *e >= 0.0) {
+        if !are_errors(&level_errors_m) {
             return Err(bad("level_errors_m"));
         }
         Ok(Some(Self {
@@ -90,8 +113,11 @@ impl HeightSet {
         let own = extras.and_then(|e| e.get("terrane"));
         let plane = own.and_then(|own| own.get("plane")).map(|p| serde_json::from_value::<[f64; 4]>(p.clone()));
         let place = match (bounds, plane) {
-            (BoundingVolume::Region(r), None) => Place::Region([r.west, r.south, r.east, r.north]),
-            (_, Some(Ok(p))) if p.iter().all(|x| x.abs() < 1e9) && p[0] < p[2] && p[1] < p[3] => Place::Plane(p),
+            (BoundingVolume::Region(r), None) => {
+                let east = if r.east < r.west { r.east + TAU } else { r.east };
+                Place::Region([r.west, r.south, east, r.north])
+            }
+            (_, Some(Ok(p))) if Place::Plane(p).is_sound() => Place::Plane(p),
             _ => return Err(IoError::invalid(tileset_uri, "a height tile needs a region, or a plane in its extras")),
         };
         let imagery = own.and_then(|own| own.get("imagery")?.as_str());
@@ -128,6 +154,7 @@ pub(crate) fn read(
         Some(text) => serde_json::from_str(text).map_err(|e| IoError::invalid(uri, format!("tile data: {e}")))?,
         None => return Err(IoError::unsupported(uri, "EXR outside a height tile set")),
     };
+    data.check().map_err(|part| IoError::invalid(uri, format!("tile data: {part}")))?;
     let stride = data.side as usize + 2 * data.border as usize;
     let heights = heights(uri, bytes, stride, limits)?;
     let (mut texture, mut shared): (Option<Arc<Texture>>, _) = (None, None);
@@ -177,7 +204,10 @@ fn heights(uri: &str, bytes: &[u8], stride: usize, limits: &Limits) -> Result<Ve
         .find(|c| c.name.eq("Y"))
         .or_else(|| channels.first().filter(|_| channels.len() == 1))
         .ok_or_else(|| bad("EXR without a channel Y".to_owned()))?;
-    let samples: Vec<f32> = channel.sample_data.values_as_f32().collect();
+    let samples: Cow<'_, [f32]> = match &channel.sample_data {
+        FlatSamples::F32(samples) => samples.into(),
+        other => other.values_as_f32().collect(),
+    };
     if samples.len() != stride * stride {
         return Err(bad(format!("EXR with {} samples, {} expected", samples.len(), stride * stride)));
     }
@@ -185,7 +215,9 @@ fn heights(uri: &str, bytes: &[u8], stride: usize, limits: &Limits) -> Result<Ve
         return Err(bad("EXR with a height that is not finite".to_owned()));
     }
     // Images start in the north, tiles in the south.
-    Ok(samples.chunks_exact(stride).rev().flatten().copied().collect())
+    let mut heights = Vec::with_capacity(samples.len());
+    samples.chunks_exact(stride).rev().for_each(|row| heights.extend_from_slice(row));
+    Ok(heights)
 }
 
 /// The tile in small differences: what the rows, columns and the origin mean is said at [`HeightTile`].
@@ -198,6 +230,15 @@ struct Layout {
 }
 
 impl Place {
+    fn is_sound(self) -> bool {
+        // East of the date line longitudes go on.
+        let ([w, s, e, n], [most_x, most_y]) = match self {
+            Self::Region(region) => (region, [2.0 * TAU, FRAC_PI_2 + 1e-6]),
+            Self::Plane(plane) => (plane, [1e9, 1e9]),
+        };
+        w.abs().max(e.abs()) < most_x && s.abs().max(n.abs()) < most_y && w < e && s < n
+    }
+
     fn layout(self, side: usize) -> Layout {
         match self {
             Self::Region(region) => on_ellipsoid(region, side),
@@ -263,21 +304,7 @@ fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> (
     // too, which stands there while its children load.
     let coarsest_m = data.errors_m.iter().copied().fold(own_error_m, f64::max);
     let skirt_m = (own_error_m + coarsest_m + 1.0) as f32;
-    let mut min = DVec3::INFINITY;
-    let mut max = DVec3::NEG_INFINITY;
-    for j in 0..side {
-        let [dp, dz, cos, sin] = rows[j].map(f64::from);
-        for i in 0..side {
-            let [s, c1] = columns[i].map(f64::from);
-            let h = f64::from(heights[(j + 1) * stride + i + 1]);
-            for h in [h, h - f64::from(skirt_m)] {
-                let p = p0_m + dp + h * cos;
-                let v = DVec3::new(p * s, dp + h * cos - p * c1, dz + h * sin);
-                min = min.min(v);
-                max = max.max(v);
-            }
-        }
-    }
+    let bounds = bounds(&rows, &columns, p0_m, heights.chunks_exact(stride).skip(1), skirt_m);
     let tile = HeightTile {
         side: data.side,
         heights,
@@ -289,15 +316,55 @@ fn build(data: &TileData, heights: Vec<f32>, texture: Option<Arc<Texture>>) -> (
         skirt_m,
         cell_m,
         texture,
-        bounds: Aabb { min, max },
+        bounds,
     };
     (world_from_tile, tile)
 }
 
+/// A box around the tile and its skirts. `heights` are rows with their border, from the first of the tile on. Of each row
+/// the lowest and the highest are looked at, wherever they are in it.
+fn bounds<'a>(
+    rows: &[[f32; 4]],
+    columns: &[[f32; 2]],
+    p0_m: f64,
+    heights: impl Iterator<Item = &'a [f32]>,
+    skirt_m: f32,
+) -> Aabb {
+    let [sines, versines] = [0, 1].map(|k| range(&columns.iter().map(|column| column[k]).collect::<Vec<_>>()));
+    let mut bounds = Aabb::EMPTY;
+    for (row, heights) in rows.iter().zip(heights) {
+        let [dp, dz, cos, sin] = row.map(f64::from);
+        let inner = heights.get(1..=columns.len()).unwrap_or_default();
+        let [low, high] = range(inner);
+        for h in [low - f64::from(skirt_m), high] {
+            let p = p0_m + dp + h * cos;
+            // Linear in each of them: nothing lies beyond the corners.
+            for (s, c1) in sines.into_iter().zip(versines) {
+                let corner = DVec3::new(p * s, dp + h * cos - p * c1, dz + h * sin);
+                bounds = Aabb { min: bounds.min.min(corner), max: bounds.max.max(corner) };
+            }
+        }
+    }
+    bounds
+}
+
+/// The lowest and the highest.
+fn range(values: &[f32]) -> [f64; 2] {
+    let (fours, rest) = values.as_chunks::<4>();
+    let fold = |pick: fn(Vec4, Vec4) -> Vec4, start: f32| {
+        let lanes = fours.iter().fold(Vec4::splat(start), |found, four| pick(found, Vec4::from_array(*four)));
+        rest.iter().fold(lanes, |found, v| pick(found, Vec4::splat(*v)))
+    };
+    let (low, high) = (fold(Vec4::min, f32::INFINITY), fold(Vec4::max, f32::NEG_INFINITY));
+    [low.min_element().into(), high.max_element().into()]
+}
+
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
-    use crate::math::Geodetic;
+    use crate::math::{Geodetic, Region};
 
     #[test]
     fn the_small_differences_are_the_plane() {
@@ -314,6 +381,77 @@ mod tests {
                 let exact = DVec3::new(4000.0 + 250.0 * i as f64, -3000.0 + 500.0 * j as f64, f64::from(h));
                 assert!(world_from_tile.transform_point3(v).distance(exact) < 1e-3);
                 assert!((tile.bounds.min - 1e-3).cmple(v).all() && v.cmple(tile.bounds.max + 1e-3).all());
+            }
+        }
+    }
+
+    #[test]
+    fn what_an_application_says_of_a_tile_is_checked() {
+        let say = |place: &str, side: u32, border: u32, error: &str| {
+            let data = format!(r#"{{{place},"side":{side},"border":{border},"level":0,"errors_m":[{error}]}}"#);
+            read("t.exr", &[], Some(&data), Vec::new(), &Limits::default(), None).err().unwrap().to_string()
+        };
+        let plane = r#""plane":[0,0,10,10]"#;
+        assert!(say(plane, 33, 1, "1.5").contains("EXR header"), "all that is wrong is the file");
+        for (place, side, border, error, part) in [
+            (plane, 0, 1, "1", "side"),
+            (plane, u32::MAX, 1, "1", "side"),
+            (plane, 34, 1, "1", "side"),
+            (plane, 33, 0, "1", "border"),
+            (plane, 33, u32::MAX, "1", "border"),
+            (plane, 33, 1, "-1", "errors_m"),
+            (r#""plane":[0,0,-10,10]"#, 33, 1, "1", "region or plane"),
+            (r#""region":[0,0.5,0.1,9]"#, 33, 1, "1", "region or plane"),
+        ] {
+            let said = say(place, side, border, error);
+            assert!(said.contains("t.exr") && said.contains(&format!("tile data: {part}")), "{said}");
+        }
+    }
+
+    /// As if it lay anywhere else.
+    #[test]
+    fn a_tile_across_the_date_line_is_whole() {
+        let set = HeightSet { side: 5, border: 1, level_errors_m: vec![10.0] };
+        let tile = |west: f64, east: f64| {
+            let region = Region { west, south: 0.2, east, north: 0.21, min_height_m: 0.0, max_height_m: 9.0 };
+            let scope = RootScope::of("/set/tileset.json");
+            let data = set.tile_data("/set/tileset.json", 0, &BoundingVolume::Region(region), None, &scope).unwrap();
+            let data: TileData = serde_json::from_str(&data.unwrap()).unwrap();
+            assert_eq!(data.check(), Ok(()));
+            build(&data, (0..49).map(|i| i as f32).collect(), None)
+        };
+        let (ecef_from_tile, across) = tile(PI - 0.004, 0.006 - PI);
+        let (_, elsewhere) = tile(1.0, 1.01);
+        for ([a, b], [c, d]) in across.columns.iter().zip(&elsewhere.columns) {
+            assert!((a - c).abs() < 1e-7 && (b - d).abs() < 1e-7);
+        }
+        let center = WGS84.geodetic(ecef_from_tile.translation);
+        assert!((center.longitude + PI - 0.001).abs() < 1e-9, "{center:?}");
+    }
+
+    /// However wide: over a half of the earth, and with the highest anywhere in a row.
+    #[test]
+    fn bounds_hold_all_and_little_more() {
+        for (west, east) in [(0.1, 0.101), (0.1, 1.9), (-3.0, 3.1)] {
+            for peak in 0..81 {
+                let place = Place::Region([west, 0.3, east, 0.6]);
+                let data = TileData { place, side: 7, border: 1, level: 0, errors_m: vec![10.0], imagery: None };
+                let heights = (0..81).map(|k| if k == peak { 3000.0 } else { (k % 5) as f32 }).collect();
+                let (_, tile) = build(&data, heights, None);
+                let mut tight = Aabb::EMPTY;
+                for (j, i) in (0..49).map(|k| (k / 7, k % 7)) {
+                    let ([dp, dz, cos, sin], [s, c1]) = (tile.rows[j].map(f64::from), tile.columns[i].map(f64::from));
+                    let h = f64::from(tile.heights[(j + 1) * 9 + i + 1]);
+                    for h in [h, h - f64::from(tile.skirt_m)] {
+                        let p = f64::from(tile.p0_m) + dp + h * cos;
+                        let corner = DVec3::new(p * s, dp + h * cos - p * c1, dz + h * sin);
+                        tight = Aabb { min: tight.min.min(corner), max: tight.max.max(corner) };
+                    }
+                }
+                // What `p0_m` loses in f32, and a mountain that stands anywhere in its row.
+                let (low, high) = (tight.min - tile.bounds.min, tile.bounds.max - tight.max);
+                assert!(low.min_element() >= -1.0 && high.min_element() >= -1.0, "{west} {peak}: {low} {high}");
+                assert!(low.max_element() <= 3_100.0 && high.max_element() <= 3_100.0, "{west} {peak}: {low} {high}");
             }
         }
     }
