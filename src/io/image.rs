@@ -42,7 +42,11 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], repeat: bool, limits: &Limits) -> 
         return Err(IoError::unsupported(uri, "image that is neither PNG nor JPEG"));
     };
     let bad = |e: image::ImageError| IoError::invalid(uri, format!("image: {e}"));
-    let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(bad)?;
+    let mut image_limits = ImageLimits::default();
+    image_limits.max_alloc = Some(limits.max_image_bytes.saturating_mul(2));
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    reader.limits(image_limits.clone());
+    let mut decoder = reader.into_decoder().map_err(bad)?;
     let (width, height) = decoder.dimensions();
     let too_large = |got: u64, limit: u64| IoError::TooLarge { uri: uri.to_owned(), what: "image", got, limit };
     if width == 0 || height == 0 {
@@ -56,8 +60,7 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], repeat: bool, limits: &Limits) -> 
     if size > limits.max_image_bytes {
         return Err(too_large(size, limits.max_image_bytes));
     }
-    let mut image_limits = ImageLimits::default();
-    image_limits.max_alloc = Some(limits.max_image_bytes.saturating_mul(2));
+    image_limits.reserve(decoder.total_bytes()).map_err(bad)?;
     decoder.set_limits(image_limits).map_err(bad)?;
     let pixels = if decoder.color_type() == ColorType::Rgb8 {
         opaque(width as usize * height as usize * 3, |rgb| decoder.read_image(rgb)).map_err(bad)?

@@ -38,6 +38,8 @@ pub(super) struct PagedScene {
     root: Option<PageId>,
     /// The index is the number under which it was compiled.
     own: Vec<Own>,
+    /// Devices and numbers of what is being uploaded of these.
+    own_uploads: Vec<(u32, u32)>,
     keeps_drawables: bool,
     pub(super) update_callbacks: Vec<UpdateCallback>,
     /// Of all cameras in the last frame.
@@ -64,6 +66,7 @@ impl PagedScene {
             root_uri: None,
             root: None,
             own: Vec::new(),
+            own_uploads: Vec::new(),
             keeps_drawables,
             update_callbacks: Vec::new(),
             requests: Vec::new(),
@@ -117,7 +120,9 @@ impl PagedScene {
         if !drawables.is_empty() {
             rendering.devices_mut().for_each(|context| context.foresee(&kinds));
             let kept = if self.keeps_drawables { drawables.clone() } else { Vec::new() };
-            rendering.compile_own(self.owner, self.own.len() as u32, drawables)?;
+            let number = self.own.len() as u32;
+            self.own_uploads.extend(rendering.device_ids().map(|device| (device, number)));
+            rendering.compile_own(self.owner, number, drawables)?;
             self.own.push(Own { page: root, drawables: kept });
         }
         Ok(root)
@@ -148,9 +153,10 @@ impl PagedScene {
         })
     }
 
-    /// The last frame showed everything it wanted and the pager has nothing to do.
+    /// The last frame showed everything it wanted, the application's pages too, and the pager has nothing to do.
     pub(super) fn is_settled(&self) -> bool {
         self.wanted_missing == 0
+            && self.own_uploads.is_empty()
             && self.quiet_frames > 0
             && (self.requests.is_empty() || self.quiet_frames >= QUIET_FRAMES)
     }
@@ -261,6 +267,7 @@ impl PagedScene {
         }
         let scene = alone(&mut self.scene);
         for (context, number, compiled) in rendering.take_compiled_own(self.owner) {
+            self.own_uploads.retain(|upload| *upload != (context, number));
             for error in &compiled.errors {
                 log::error!("a drawable of a root cannot be drawn: {error}");
             }
@@ -307,6 +314,7 @@ impl PagedScene {
     pub(super) fn device_opened(&mut self, rendering: &mut Rendering, device: u32) -> Result<(), ViewerError> {
         for (number, own) in (0..).zip(&self.own) {
             if !own.drawables.is_empty() {
+                self.own_uploads.push((device, number));
                 rendering.compile_own_in(device, self.owner, number, own.drawables.clone())?;
             }
         }
@@ -324,6 +332,7 @@ impl PagedScene {
             rendering.compile_for(self.owner, |contexts| pager.forget_context(device, contexts));
         }
         alone(&mut self.scene).forget_context(device);
+        self.own_uploads.retain(|(of, _)| *of != device);
     }
 
     /// Uploads everything to a device that takes the place of a lost one.
