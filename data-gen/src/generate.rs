@@ -115,10 +115,15 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
         step = [step[0].min(own[0]), step[1].min(own[1])];
     }
     let pi = std::f64::consts::PI;
-    let sane = e.west >= -pi - 1e-6 && e.east <= pi + 1e-6 && e.south >= -0.5 * pi - 1e-6 && e.north <= 0.5 * pi + 1e-6;
-    if !sane || e.east - e.west < 1e-9 || e.north - e.south < 1e-9 {
-        let path = args.dem.first().cloned().unwrap_or_default();
-        return Err(GenError::invalid(path, "the elevation lies nowhere on the earth"));
+    let has_latitudes = e.south >= -0.5 * pi - 1e-6 && e.north <= 0.5 * pi + 1e-6;
+    let has_longitudes = e.west >= -pi - 1e-6 && e.east <= pi + 1e-6;
+    let problem = match (has_latitudes, has_longitudes) {
+        (true, false) if e.west.abs() < pi || e.east.abs() < pi => Some("the elevation reaches across the date line"),
+        (true, true) if e.east - e.west >= 1e-9 && e.north - e.south >= 1e-9 => None,
+        _ => Some("the elevation lies nowhere on the earth"),
+    };
+    if let Some(problem) = problem {
+        return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), problem));
     }
     // Less what rounding adds, so that 513 samples are 512 cells.
     let cells = ((e.east - e.west) / step[0]).max((e.north - e.south) / step[1]) - 1e-6;

@@ -156,9 +156,16 @@ where
     C: colortype::ColorType,
     [C::Inner]: tiff::encoder::TiffValue,
 {
+    write_tiff_at::<C>(PLACE, path, convert);
+}
+
+fn write_tiff_at<C>(([west, north], pixel): ([f64; 2], f64), path: &Path, convert: impl Fn(f64) -> C::Inner)
+where
+    C: colortype::ColorType,
+    [C::Inner]: tiff::encoder::TiffValue,
+{
     let mut encoder = TiffEncoder::new(std::fs::File::create(path).unwrap()).unwrap();
     let mut image = encoder.new_image::<C>(SIDE as u32, SIDE as u32).unwrap();
-    let ([west, north], pixel) = PLACE;
     let tags = image.encoder();
     tags.write_tag(Tag::ModelPixelScaleTag, &[pixel, pixel, 0.0][..]).unwrap();
     tags.write_tag(Tag::ModelTiepointTag, &[0.0, 0.0, 0.0, west, north, 0.0][..]).unwrap();
@@ -196,7 +203,12 @@ fn bad_files_are_one_clear_error_and_leave_nothing() {
         assert!(text.contains(name) && text.len() > name.len() + 4 && text.lines().count() == 1, "{text}");
         assert!(!out.exists(), "{name} leaves nothing");
     }
+    write_tiff_at::<colortype::GrayI16>(([179.95, 46.5], 0.001), &file("across.tif"), |h| h as i16);
     for (args, what) in [
+        (
+            GenArgs { dem: vec![file("across.tif")], ..small(file("a")) },
+            "across.tif: the elevation reaches across the date",
+        ),
         (GenArgs { levels: Some(0), ..small(file("a")) }, "--levels"),
         (GenArgs { levels: Some(99), ..small(file("a")) }, "--levels"),
         (GenArgs { size: f64::NAN, ..small(file("a")) }, "--size"),

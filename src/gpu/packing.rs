@@ -53,12 +53,12 @@ impl VertexFormat {
     pub(super) fn bytes<'a>(self, vertices: &'a [MeshVertex], scratch: &'a mut Vec<u8>) -> &'a [u8] {
         match self {
             Self::Full => bytemuck::cast_slice(vertices),
-            Self::Packed => made(vertices, scratch, |v| PackedVertex {
+            Self::Packed => converted(vertices, scratch, |v| PackedVertex {
                 position: v.position,
                 uv: v.uv.map(unorm16),
                 normal: v.normal,
             }),
-            Self::Quantized => made(vertices, scratch, |v| {
+            Self::Quantized => converted(vertices, scratch, |v| {
                 let [x, y, z] = v.position.map(unorm16);
                 QuantizedVertex { position: [x, y, z, 0], uv: v.uv.map(unorm16), normal: v.normal }
             }),
@@ -66,7 +66,8 @@ impl VertexFormat {
     }
 }
 
-fn made<'a, T: bytemuck::Pod>(
+/// The bytes of vertices of another kind.
+fn converted<'a, T: bytemuck::Pod>(
     vertices: &[MeshVertex],
     scratch: &'a mut Vec<u8>,
     make: impl Fn(&MeshVertex) -> T,
