@@ -81,7 +81,6 @@ const MOST_KEPT_BYTES: usize = 4 << 20;
 
 /// Four bytes a pixel of what is read in three.
 fn opaque<E>(bytes: usize, read: impl FnOnce(&mut [u8]) -> Result<(), E>) -> Result<Vec<u8>, E> {
-    const ALPHA: u32 = 0xff00_0000;
     thread_local! {
         static READ: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
     }
@@ -89,21 +88,27 @@ fn opaque<E>(bytes: usize, read: impl FnOnce(&mut [u8]) -> Result<(), E>) -> Res
         if rgb.len() < bytes {
             rgb.resize(bytes, 0);
         }
-        read(&mut rgb[..bytes])?;
-        let (threes, rest) = rgb[..bytes].as_chunks::<12>();
-        let mut fours: Vec<[[u8; 4]; 4]> = Vec::with_capacity(bytes.div_ceil(12));
-        fours.extend(threes.iter().map(|three| {
-            let word = |k: usize| u32::from_le_bytes([three[k], three[k + 1], three[k + 2], three[k + 3]]);
-            let [a, b, c] = [word(0), word(4), word(8)];
-            [a, a >> 24 | b << 8, b >> 16 | c << 16, c >> 8].map(|pixel| (pixel | ALPHA).to_le_bytes())
-        }));
-        let mut out = fours.into_flattened();
-        out.extend(rest.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]));
+        let pixels = read(&mut rgb[..bytes]).map(|()| with_alpha(&rgb[..bytes]));
         if rgb.len() > MOST_KEPT_BYTES {
             *rgb = Vec::new();
         }
-        Ok(out.into_flattened())
+        pixels
     })
+}
+
+/// RGBA from RGB, four pixels at a time.
+fn with_alpha(rgb: &[u8]) -> Vec<u8> {
+    const ALPHA: u32 = 0xff00_0000;
+    let (threes, rest) = rgb.as_chunks::<12>();
+    let mut fours: Vec<[[u8; 4]; 4]> = Vec::with_capacity(rgb.len().div_ceil(12));
+    fours.extend(threes.iter().map(|three| {
+        let word = |k: usize| u32::from_le_bytes([three[k], three[k + 1], three[k + 2], three[k + 3]]);
+        let [a, b, c] = [word(0), word(4), word(8)];
+        [a, a >> 24 | b << 8, b >> 16 | c << 16, c >> 8].map(|pixel| (pixel | ALPHA).to_le_bytes())
+    }));
+    let mut out = fours.into_flattened();
+    out.extend(rest.as_chunks::<3>().0.iter().map(|&[r, g, b]| [r, g, b, 255]));
+    out.into_flattened()
 }
 
 /// The whole chain, box filtered in linear light.
@@ -176,10 +181,12 @@ mod tests {
         for pixels in [0usize, 1, 3, 4, 5, 8, 11] {
             let rgb: Vec<u8> = (0..3 * pixels).map(|i| i as u8).collect();
             let expected: Vec<u8> = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+            assert_eq!(with_alpha(&rgb), expected);
             let read = |into: &mut [u8]| {
                 into.copy_from_slice(&rgb);
                 Ok::<_, ()>(())
             };
+            assert_eq!(opaque(rgb.len(), |_| Err("cut")), Err("cut"));
             assert_eq!(opaque(rgb.len(), read), Ok(expected));
         }
     }

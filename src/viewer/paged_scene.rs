@@ -121,8 +121,8 @@ impl PagedScene {
             rendering.devices_mut().for_each(|context| context.foresee(&kinds));
             let kept = if self.keeps_drawables { drawables.clone() } else { Vec::new() };
             let number = self.own.len() as u32;
-            self.own_uploads.extend(rendering.device_ids().map(|device| (device, number)));
             rendering.compile_own(self.owner, number, drawables)?;
+            self.own_uploads.extend(rendering.device_ids().map(|device| (device, number)));
             self.own.push(Own { page: root, drawables: kept });
         }
         Ok(root)
@@ -314,8 +314,8 @@ impl PagedScene {
     pub(super) fn device_opened(&mut self, rendering: &mut Rendering, device: u32) -> Result<(), ViewerError> {
         for (number, own) in (0..).zip(&self.own) {
             if !own.drawables.is_empty() {
-                self.own_uploads.push((device, number));
                 rendering.compile_own_in(device, self.owner, number, own.drawables.clone())?;
+                self.own_uploads.push((device, number));
             }
         }
         if let Some(images) = &mut self.image_pager {
