@@ -104,7 +104,12 @@ impl Cull<'_> {
                 frame::open(self.tile_stack, tile + 1, above);
                 tile = next;
                 if LOOKS && mask == 0 && !looks_everywhere {
-                    break;
+                    // Going over to the loop that does not look pays where children are replaced too: theirs is half
+                    // the range.
+                    let has_grandchildren = records.get(next as usize).is_some_and(TileRecord::has_children);
+                    if has_grandchildren && 4.0 * distance2 < range2 {
+                        break;
+                    }
                 }
                 continue;
             }
