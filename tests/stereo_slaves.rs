@@ -14,7 +14,7 @@ use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, Page};
 use terrane::viewer::{ContextId, Eyes, Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
-use viewer_support::or_skip;
+use viewer_support::{Settle, or_skip};
 
 const SIZE: [u32; 2] = [96, 64];
 
@@ -45,12 +45,7 @@ fn viewer(size_px: [u32; 2], stereo: Option<Stereo>, threading: ThreadingModel) 
 }
 
 fn pictures(viewer: &mut Viewer, contexts: &[ContextId]) -> Vec<RgbaImage> {
-    let mut frames = 0;
-    while frames < 4 || !viewer.is_settled() {
-        viewer.frame().unwrap();
-        frames += 1;
-        assert!(frames < 5_000, "does not settle");
-    }
+    viewer.settle(4);
     contexts.iter().map(|context| viewer.read_back_of(*context).unwrap()).collect()
 }
 

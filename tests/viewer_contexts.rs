@@ -16,7 +16,7 @@ use terrane::scene::{DataVariance, Inherit, Mesh, Node, NodeId, Page, ShareModes
 use terrane::viewer::{
     CompositeViewer, ContextId, KEY_COLOR, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError, Viewport, coverage,
 };
-use viewer_support::{ball, or_skip, small_set};
+use viewer_support::{Settle, ball, or_skip, small_set};
 
 fn config(threading: ThreadingModel, size_px: [u32; 2], blocking: bool) -> ViewerConfig {
     ViewerConfig {
@@ -121,9 +121,7 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
         }
         let too_many = (0..2).map(|_| viewer.open_context(context(size).unwrap())).last().unwrap();
         assert!(matches!(too_many, Err(ViewerError::TooManyContexts { limit: 4 })));
-        for _ in 0..3 {
-            viewer.frame().unwrap();
-        }
+        viewer.settle(3);
         let pictures: Vec<_> = contexts.iter().map(|c| viewer.read_back_of(*c).unwrap()).collect();
         let [middle, left, right] = &pictures[..] else { panic!() };
         let mut wall = RgbaImage::new(wide[0], wide[1]);
@@ -154,10 +152,7 @@ fn a_context_that_comes_later_shows_all() {
         let (at, radius) = (bounds.sphere.center, 0.2 * bounds.sphere.radius_m);
         viewer.add_root(Page::from_node(ball(at, radius, [1.0, 0.0, 0.0, 1.0])).unwrap()).unwrap();
         let settle = |viewer: &mut Viewer| {
-            let until = std::time::Instant::now() + std::time::Duration::from_secs(30);
-            while !viewer.is_settled() && std::time::Instant::now() < until {
-                viewer.frame().unwrap();
-            }
+            viewer.settle(1);
             // What was uploaded last is drawn.
             (0..4).for_each(|_| viewer.frame().unwrap());
         };
@@ -189,13 +184,8 @@ fn what_a_closed_context_held_counts_no_more() {
         let mut viewer = Viewer::new(of_first, &config).unwrap();
         viewer.load(&set).unwrap();
         let settle = |viewer: &mut Viewer| {
-            let until = std::time::Instant::now() + std::time::Duration::from_secs(60);
-            loop {
-                viewer.frame().unwrap();
-                if viewer.is_settled() || std::time::Instant::now() > until {
-                    break *viewer.pager().unwrap().stats();
-                }
-            }
+            viewer.settle(1);
+            *viewer.pager().unwrap().stats()
         };
         let one = settle(&mut viewer);
         let later = viewer.open_context(context(size).unwrap()).unwrap();
@@ -232,7 +222,7 @@ fn slaves_have_settings_of_their_own() {
     blind.settings.cull_mask = 2;
     let of_master = viewer.add_slave(blind).unwrap();
     viewer.add_slave(Slave { context: b, inherit: Inherit::NONE, ..blind }).unwrap();
-    (0..4).for_each(|_| viewer.frame().unwrap());
+    viewer.settle(4);
     let master = viewer.read_back().unwrap();
     assert!(viewer.read_back_of(a).unwrap() == master, "settings inherited are the master's");
     assert_eq!(coverage(&viewer.read_back_of(b).unwrap(), KEY_COLOR), 0.0, "a mask of its own hides everything");
@@ -266,7 +256,7 @@ fn views_have_scenes_of_their_own_or_share_one() {
             view.environment.fog.enabled = false;
             view.camera.look_at(DVec3::new(0.0, -6.0, 0.0), DVec3::ZERO, DVec3::Z);
         }
-        (0..5).for_each(|_| viewer.frame().unwrap());
+        viewer.settle(5);
         viewer.finish().unwrap();
         let (both, alone) = (viewer.read_back(main).unwrap(), viewer.read_back(other).unwrap());
         assert_eq!(both.get_pixel(50, 40).0, [255, 0, 0, 255]);
@@ -321,14 +311,8 @@ fn a_lost_device_is_replaced_and_everything_is_shown_again() {
         );
         viewer.add_root(Page::from_node(own).unwrap()).unwrap();
         let settle = |viewer: &mut Viewer| {
-            let until = std::time::Instant::now() + std::time::Duration::from_secs(60);
             // As many as may be under way when the device goes, and the one that is told.
-            for _ in 0..4 {
-                viewer.frame().unwrap();
-            }
-            while !viewer.is_settled() && std::time::Instant::now() < until {
-                viewer.frame().unwrap();
-            }
+            viewer.settle(4);
             viewer.frame().unwrap();
             viewer.frame().unwrap();
             viewer.read_back().unwrap()
@@ -355,7 +339,7 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
         viewer.add_root(page([1.0, 0.0, 0.0, 1.0])).unwrap();
         let drawn = |viewer: &mut Viewer| {
             // As many as may be under way, the one that is told, and those that upload.
-            (0..8).for_each(|_| viewer.frame().unwrap());
+            viewer.settle(8);
             viewer.finish().unwrap();
             viewer.read_back().unwrap()
         };
@@ -404,9 +388,7 @@ fn threads_that_keep_their_cores_draw_the_same() {
         let config = ViewerConfig { cpu_affinity, vsync: false, ..config(threading, size, true) };
         let mut viewer = Viewer::new(context, &config).unwrap();
         viewer.add_root(page([0.9, 0.3, 0.1, 1.0])).unwrap();
-        for _ in 0..3 {
-            viewer.frame().unwrap();
-        }
+        viewer.settle(3);
         pictures.push(viewer.read_back().unwrap());
     }
     assert!(coverage(&pictures[0], KEY_COLOR) > 0.5 && pictures[0] == pictures[1]);

@@ -21,7 +21,7 @@ use terrane::viewer::{
     KEY_COLOR, Key, Modifiers, MouseButton, ThreadingModel, Viewer, ViewerConfig, WindowCommand, coverage,
     event_callback,
 };
-use viewer_support::offscreen;
+use viewer_support::{Settle, offscreen};
 
 fn viewer(adapter: AdapterChoice) -> Option<Viewer> {
     let validation = adapter != AdapterChoice::Noop;
@@ -366,7 +366,7 @@ fn toggles_change_the_picture_and_overlays_lie_over_it() {
     let folder = tempfile::tempdir().unwrap();
     handlers::add_usual(&mut viewer, folder.path(), StatsPage::None);
     let settle = |viewer: &mut Viewer| {
-        (0..4).for_each(|_| viewer.frame().unwrap());
+        viewer.settle(4);
         viewer.read_back().unwrap()
     };
     let filled = settle(&mut viewer);

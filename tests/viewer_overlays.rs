@@ -13,7 +13,7 @@ use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::viewer::handlers::{StatsHandler, StatsPage};
 use terrane::viewer::{CompositeViewer, ContextId, ThreadingModel, Viewer, ViewerConfig, Viewport};
-use viewer_support::{offscreen, or_skip};
+use viewer_support::{Settle, offscreen, or_skip};
 
 const BACKGROUND: [u8; 3] = [200, 40, 40];
 
@@ -41,7 +41,7 @@ fn over(picture: &RgbaImage, [x, y, width, height]: [u32; 4]) -> [usize; 2] {
 
 fn picture(viewer: &mut CompositeViewer, context: ContextId) -> RgbaImage {
     // A page fades in.
-    (0..16).for_each(|_| viewer.frame().unwrap());
+    viewer.settle(16);
     viewer.read_back(context).unwrap()
 }
 
@@ -114,7 +114,7 @@ fn it_lies_over_a_new_device_too() {
         viewer.add_event_handler(stats());
         let context = viewer.context().unwrap();
         let shown = |viewer: &mut Viewer, name: &str| {
-            (0..16).for_each(|_| viewer.frame().unwrap());
+            viewer.settle(16);
             viewer.finish().unwrap();
             let picture = viewer.read_back().unwrap();
             keep(&format!("{threading}-{name}"), &picture);
@@ -123,7 +123,7 @@ fn it_lies_over_a_new_device_too() {
         let before = shown(&mut viewer, "before");
         assert!(before[0] > 1000 && before[1] > 30, "{threading}: {before:?}");
         viewer.lose_device(context).unwrap();
-        (0..16).for_each(|_| viewer.frame().unwrap());
+        viewer.settle(16);
         let after = shown(&mut viewer, "after");
         assert!(after[0] > 1000 && after[1] > 30, "{threading}: {after:?} after the loss, {before:?} before");
     }

@@ -14,7 +14,7 @@ use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::scene::{Drawable, Geometry, IntersectionLimit, Material, Mesh, Node, Page};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, ViewFrom, Viewer, ViewerConfig};
-use viewer_support::offscreen;
+use viewer_support::{Settle, offscreen};
 
 const SIZE_PX: [u32; 2] = [320, 180];
 
@@ -106,9 +106,7 @@ fn picks_lie_on_what_the_picture_shows() {
         let points: Vec<DVec3> = places.iter().map(|p| p.2).collect();
         for (beyond, least, most) in [(-0.2, 0.99, 1.0), (3.0, 0.0, 0.15)] {
             let root = viewer.add_root(balls(&viewer, &points, beyond)).unwrap();
-            for _ in 0..3 {
-                viewer.frame().unwrap();
-            }
+            viewer.settle(3);
             let with_balls = viewer.read_back().unwrap();
             let seen = places.iter().filter(|(x, y, _)| {
                 let [r, g, b, _] = with_balls.get_pixel(*x, *y).0;
@@ -171,9 +169,7 @@ fn picks_below_other_projections_lie_on_what_the_picture_shows() {
     let page = Page::from_node(root).unwrap();
     viewer.add_root(page).unwrap();
     viewer.camera.world_from_eye = DAffine3::IDENTITY;
-    for _ in 0..3 {
-        viewer.frame().unwrap();
-    }
+    viewer.settle(3);
     let picture = viewer.read_back().unwrap();
     if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
         picture.save(std::path::Path::new(&folder).join("window-picks.png")).unwrap();

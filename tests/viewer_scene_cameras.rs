@@ -19,7 +19,7 @@ use terrane::scene::{
     ReferenceFrame, RenderOrder, SceneError,
 };
 use terrane::viewer::{ThreadingModel, ViewFrom, Viewer, ViewerConfig};
-use viewer_support::{ball, offscreen, small_set};
+use viewer_support::{Settle, ball, offscreen, small_set};
 
 const SIZE_PX: [u32; 2] = [240, 160];
 
@@ -52,12 +52,7 @@ fn camera_at(viewer: &Viewer, world_from_eye: DAffine3, size_px: [u32; 2]) -> Cu
 
 /// Frames until all is there, and a few more for fades.
 fn settle(viewer: &mut Viewer) {
-    for _ in 0..400 {
-        viewer.frame().unwrap();
-        if viewer.is_settled() {
-            break;
-        }
-    }
+    viewer.settle(1);
     for frame in 0..8 {
         viewer.frame_at(1000.0 + f64::from(frame)).unwrap();
     }

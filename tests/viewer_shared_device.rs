@@ -6,7 +6,6 @@
 mod viewer_support;
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 
 use glam::{DMat4, DVec3};
 use image::RgbaImage;
@@ -16,7 +15,7 @@ use terrane::pager::PagerConfig;
 use terrane::scene::{DataVariance, Mesh, Node, NodeId, Page};
 use terrane::viewer::{CompositeViewer, ContextId, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError};
 
-use viewer_support::{ball, or_skip, small_set};
+use viewer_support::{Settle, ball, or_skip, small_set};
 
 const SIZE: [u32; 2] = [96, 72];
 
@@ -47,12 +46,7 @@ fn beside(context: ContextId, x: f64) -> Slave {
 
 /// Frames until nothing is wanted any more, and a few after.
 fn settle(viewer: &mut Viewer) {
-    let until = Instant::now() + Duration::from_secs(60);
-    (0..3).for_each(|_| viewer.frame().unwrap());
-    while !viewer.is_settled() && Instant::now() < until {
-        viewer.frame().unwrap();
-    }
-    assert!(viewer.is_settled());
+    viewer.settle(3);
     (0..3).for_each(|_| viewer.frame().unwrap());
     viewer.finish().unwrap();
 }
@@ -205,7 +199,7 @@ fn views_of_a_composite_viewer_share_a_device_too() {
             view.environment.fog.enabled = false;
             view.camera.look_at(DVec3::new(0.0, -6.0, 0.0), DVec3::ZERO, DVec3::Z);
         }
-        (0..5).for_each(|_| viewer.frame().unwrap());
+        viewer.settle(5);
         let both = [viewer.read_back(main).unwrap(), viewer.read_back(other).unwrap()];
         assert_eq!(both[0].dimensions(), (SIZE[0], SIZE[1]));
         assert_eq!((both[0].get_pixel(48, 36).0, both[0].get_pixel(1, 1).0), ([255, 0, 0, 255], [255, 255, 0, 255]));
@@ -231,7 +225,7 @@ fn contexts_come_and_go_in_any_order_under_any_model() {
     let Some(first) = context() else { return };
     let mut viewer = Viewer::new(first, &config(ThreadingModel::SingleThreaded)).unwrap();
     viewer.add_root(Page::from_node(ball(DVec3::ZERO, 1.0, [1.0, 0.0, 0.0, 1.0])).unwrap()).unwrap();
-    (0..3).for_each(|_| viewer.frame().unwrap());
+    viewer.settle(3);
     let expected = viewer.read_back().unwrap();
     let first = viewer.contexts().next().unwrap();
     let mut state = 0x2545_f491_4f6c_dd1d_u64;
@@ -261,8 +255,8 @@ fn contexts_come_and_go_in_any_order_under_any_model() {
             }
             _ => viewer.set_threading_model(ThreadingModel::ALL[below(4)]).unwrap(),
         }
-        // Uploads to a device of its own come with the second frame at the latest.
-        (0..3).for_each(|_| viewer.frame().unwrap());
+        // Also what a device of its own lacks.
+        viewer.settle(3);
         for context in viewer.contexts().collect::<Vec<_>>() {
             assert!(viewer.read_back_of(context).unwrap() == expected, "step {step}: {context:?} shows something else");
         }

@@ -19,7 +19,7 @@ use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, SurfaceAnswer};
 use terrane::scene::{Node, Page};
 use terrane::viewer::{ContextId, ThreadingModel, Viewer, ViewerConfig};
-use viewer_support::ball;
+use viewer_support::{Settle, ball};
 use winit::application::ApplicationHandler;
 use winit::dpi::PhysicalSize;
 use winit::event::WindowEvent;
@@ -114,7 +114,7 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     viewer.environment.sky = Sky::Background([200, 0, 0]);
     viewer.camera.look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z);
     let context = viewer.context().unwrap();
-    (0..3).for_each(|_| viewer.frame().unwrap());
+    viewer.settle(3);
     let before = picture(&mut viewer, context);
     let white = before.pixels().filter(|p| p.0 == [255; 4]).count();
     assert!(white > 200, "the ball is seen: {white}");

@@ -13,7 +13,7 @@ use terrane::draw::Sky;
 use terrane::gpu::AdapterChoice;
 use terrane::scene::{Node, Page};
 use terrane::viewer::{ArrangedViews, Arrangement, ViewerConfig, ViewsSetup};
-use viewer_support::{ball, or_skip, small_set};
+use viewer_support::{Settle, ball, or_skip, small_set};
 
 fn setup(folder: &Path, text: &str) -> ViewsSetup {
     let file = folder.join("views.json");
@@ -74,9 +74,7 @@ fn views_have_their_parts_scenes_and_slaves() {
         view.environment.sky = Sky::Background(color);
         view.environment.fog.enabled = false;
     }
-    for _ in 0..3 {
-        viewer.frame().unwrap();
-    }
+    viewer.settle(3);
     let [first, second] = [0, 1].map(|place| viewer.read_back(contexts[place]).unwrap());
     if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
         first.save(Path::new(&folder).join("views-first.png")).unwrap();
@@ -124,9 +122,7 @@ fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() 
     // Width and height of the ball, pixels, in parts of a picture that hold nothing else.
     let mut balls = |size_px: [u32; 2]| {
         viewer.resize_context(contexts[0], size_px).unwrap();
-        for _ in 0..3 {
-            viewer.frame().unwrap();
-        }
+        viewer.settle(3);
         let picture = viewer.read_back(contexts[0]).unwrap();
         if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
             picture.save(Path::new(&folder).join(format!("views-{}x{}.png", size_px[0], size_px[1]))).unwrap();

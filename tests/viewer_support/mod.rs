@@ -4,11 +4,12 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
 use terrane::gpu::GpuError;
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node};
-use terrane::viewer::{Viewer, ViewerConfig, ViewerError};
+use terrane::viewer::{CompositeViewer, Viewer, ViewerConfig, ViewerError};
 
 /// `None`, said aloud, where there is no adapter (a failure with REQUIRE_GPU=1, as in CI); any other error is a failure.
 pub fn or_skip<T>(made: Result<T, impl Into<ViewerError>>) -> Option<T> {
@@ -25,6 +26,39 @@ pub fn or_skip<T>(made: Result<T, impl Into<ViewerError>>) -> Option<T> {
 
 pub fn offscreen(config: &ViewerConfig) -> Option<Viewer> {
     or_skip(Viewer::new_offscreen(config))
+}
+
+/// Longer than anything takes.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Viewers that draw until nothing is missing: uploads take as many frames as the machine makes of them.
+pub trait Settle {
+    /// Draws a frame; true where nothing is missing after it.
+    fn draw(&mut self) -> bool;
+
+    /// Draws so many frames at least.
+    fn settle(&mut self, least: usize) {
+        let start = Instant::now();
+        let mut frames = 1;
+        while !self.draw() || frames < least {
+            frames += 1;
+            assert!(start.elapsed() < PATIENCE, "does not settle");
+        }
+    }
+}
+
+impl Settle for Viewer {
+    fn draw(&mut self) -> bool {
+        self.frame().unwrap();
+        self.is_settled()
+    }
+}
+
+impl Settle for CompositeViewer {
+    fn draw(&mut self) -> bool {
+        self.frame().unwrap();
+        self.is_settled()
+    }
 }
 
 pub fn small_set(folder: &Path) -> String {
