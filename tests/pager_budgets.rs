@@ -127,6 +127,19 @@ fn a_page_stays_as_long_as_its_options_say() {
 }
 
 #[test]
+fn what_is_in_no_picture_makes_room_where_less_than_a_page_is_free() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first, second) = (above(30.0), above(30.0) + DVec3::X * FAR_M);
+    // A third of the budget stays free, in which no page has room.
+    let config = PagerConfig { max_bytes_gpu: PAGE_GPU_BYTES * 3 / 2, ..PagerConfig::default() };
+    let mut run = two_tiles(folder.path(), PagingOptions::default(), config);
+    run.until(first, "the first does not come", |r| r.pager.stats().merged == 1);
+    run.until(second, "the second does not come", |r| r.pager.stats().merged == 2);
+    let s = run.pager.stats();
+    assert!(s.expired == 1 && s.gpu_bytes_peak <= PAGE_GPU_BYTES * 3 / 2, "{s:?}");
+}
+
+#[test]
 fn options_change_the_order_of_loads() {
     let own = |priority_scale, priority_offset| PagingOptions { priority_scale, priority_offset, ..Default::default() };
     assert_eq!(own(2.0, 5.0).priority(10.0), 25.0);

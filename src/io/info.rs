@@ -163,7 +163,7 @@ impl Info {
         options: &ReadOptions,
     ) -> Result<(), IoError> {
         if uri == base || options.chain.contains(uri) {
-            return Err(IoError::invalid(uri, "the tileset contains itself"));
+            return Err(IoError::unsupported(uri, "the tileset contains itself"));
         }
         if options.chain.len() >= options.limits.max_external_depth {
             return Err(IoError::invalid(uri, "external tilesets are nested too deep"));

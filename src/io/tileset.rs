@@ -102,7 +102,7 @@ pub(crate) fn parse(uri: &str, bytes: &[u8]) -> Result<TilesetJson, IoError> {
 /// A tileset as nodes: a tile is a PagedLod, an external tileset a ProxyNode.
 pub(crate) fn read(uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
     if options.chain.iter().any(|above| above == uri) {
-        return Err(IoError::invalid(uri, "the tileset contains itself"));
+        return Err(IoError::unsupported(uri, "the tileset contains itself"));
     }
     if options.chain.len() >= options.limits.max_external_depth {
         return Err(IoError::TooLarge {

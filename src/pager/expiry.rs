@@ -76,12 +76,17 @@ impl DatabasePager {
         }
         let expired_before = self.stats.expired;
         let mut looks = self.residents.len().min(self.expiry_looks);
-        while !self.has_free(EXPIRY_TENTHS) || self.lacks_room_ahead() {
+        while !self.has_free(EXPIRY_TENTHS) || self.lacks_room_ahead() || self.lacks_room_now() {
             let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { break };
             self.detach(scene, id, contexts);
         }
         let next = if self.stats.expired > expired_before { 2 * self.expiry_looks } else { self.expiry_looks / 2 };
         self.expiry_looks = next.clamp(*EXPIRY_LOOKS.start(), *EXPIRY_LOOKS.end());
+    }
+
+    /// Something is missing in a picture, and not one page of the mean size has room.
+    fn lacks_room_now(&self) -> bool {
+        self.is_short && self.room_within(0) == 0
     }
 
     fn lacks_room_ahead(&self) -> bool {

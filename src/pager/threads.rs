@@ -52,6 +52,15 @@ impl Threads {
         let for_files = beside + DECODED_AHEAD * decoders;
         let capacity = capacity.max(for_files);
         let list = Arc::new(RequestList::new(capacity, for_files));
+        // Before the channels, which end before it is dropped: where a thread cannot start, those that did end.
+        let mut threads = Self {
+            list: list.clone(),
+            answers: None,
+            #[cfg(feature = "http")]
+            door: None,
+            reaper: None,
+            handles: Vec::new(),
+        };
         let (read_sender, read) = bounded::<Loaded>(READ_AHEAD * decoders);
         #[cfg(feature = "http")]
         let (loaded_sender, loaded) = bounded::<Loaded>(capacity);
@@ -59,14 +68,7 @@ impl Threads {
         let loaded = never::<Loaded>();
         let (answer_sender, answers) = bounded::<Answer>(capacity);
         let (reaper, doomed) = bounded::<Box<Page>>(REAPER_QUEUE);
-        let mut threads = Self {
-            list: list.clone(),
-            answers: Some(answers),
-            #[cfg(feature = "http")]
-            door: None,
-            reaper: Some(reaper),
-            handles: Vec::new(),
-        };
+        (threads.answers, threads.reaper) = (Some(answers), Some(reaper));
         let files = Arc::new(io::FileReader::new(config.limits));
         for i in 0..readers {
             let (list, sender, files) = (list.clone(), read_sender.clone(), files.clone());

@@ -47,7 +47,7 @@ pub(crate) fn data_of(uri: &str, member: &Member, piece: &[u8]) -> Result<std::o
         return Err(broken());
     }
     let start = LOCAL_HEADER_BYTES + name + extra;
-    Ok(start..start + member.packed)
+    Ok(start..start.checked_add(member.packed).ok_or_else(broken)?)
 }
 
 /// Undoes the compression of a content.
@@ -65,4 +65,27 @@ pub(crate) fn unpack(uri: &str, member: &Member, packed: Vec<u8>, limits: &Limit
         return Err(IoError::invalid(uri, "not as its archive says: size or checksum is another"));
     }
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_beyond_any_file_are_broken() {
+        let mut piece = LOCAL_HEADER.to_le_bytes()[..4].to_vec();
+        piece.resize(LOCAL_HEADER_BYTES as usize, 0);
+        let with = |packed| Member {
+            offset: 0,
+            packed,
+            size: packed,
+            crc: 0,
+            method: STORED,
+            is_encrypted: false,
+            name_bytes: 0,
+            extra_bytes: 0,
+        };
+        assert_eq!(data_of("a", &with(7), &piece), Ok(30..37));
+        assert!(data_of("a", &with(u64::MAX), &piece).is_err());
+    }
 }

@@ -1,8 +1,11 @@
 //! Files of the cache: names by hash, and writing so that a file is whole or not there.
 
+use std::collections::hash_map::RandomState;
 use std::fs;
+use std::hash::BuildHasher as _;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
@@ -13,6 +16,8 @@ pub(super) type Hash = [u8; 32];
 
 /// What a cache folder holds beside its parts.
 pub(super) const MARKER: &str = "terrane-cache";
+/// Held by the process that makes room.
+pub(super) const LOCK: &str = "lock";
 const MARKER_TEXT: &[u8] = b"terrane cache 1\n";
 /// Left-overs of processes that were killed are removed after so long.
 const TEMPORARY_AGE: Duration = Duration::from_secs(3600);
@@ -72,6 +77,8 @@ impl Files {
         let marker = folder.join(MARKER);
         match fs::read(&marker) {
             Ok(text) if text == MARKER_TEXT => return Ok(files),
+            // A machine that stopped may leave the name without the text.
+            Ok(text) if text.is_empty() => {}
             Ok(_) => return Err(io::Error::other("is the cache of another version")),
             Err(e) if e.kind() == io::ErrorKind::NotFound => {}
             Err(e) => return Err(e),
@@ -81,7 +88,7 @@ impl Files {
             other => other?,
         }
         // Another process may be making the same folder at this moment.
-        let parts = ["tmp", "keys", "blobs", MARKER];
+        let parts = ["tmp", "keys", "blobs", LOCK, MARKER];
         for found in fs::read_dir(folder)? {
             if !found?.file_name().to_str().is_some_and(|name| parts.contains(&name)) {
                 return Err(io::Error::other("is not empty and no cache"));
@@ -111,8 +118,10 @@ impl Files {
     /// Writes beside and renames: whoever reads finds the old, the new or nothing.
     pub fn write(&self, place: &Path, bytes: &[u8]) -> io::Result<()> {
         static NUMBER: AtomicU64 = AtomicU64::new(0);
+        // Processes of several machines may have the same number.
+        static PROCESS: LazyLock<u64> = LazyLock::new(|| RandomState::new().hash_one(std::process::id()));
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let temporary = self.folder.join("tmp").join(format!("{}-{number}", std::process::id()));
+        let temporary = self.folder.join("tmp").join(format!("{:016x}-{number}", *PROCESS));
         let written = write_new(&temporary, bytes).and_then(|()| match fs::rename(&temporary, place) {
             Err(e) if e.kind() == io::ErrorKind::NotFound => {
                 let parent = place.parent().unwrap_or(&self.folder);
@@ -169,7 +178,7 @@ fn is_full(error: &io::Error) -> bool {
 }
 
 fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let open = || fs::File::options().write(true).create(true).truncate(true).open(path);
+    let open = || fs::File::options().write(true).create_new(true).open(path);
     let mut file = match open() {
         Err(e) if e.kind() == io::ErrorKind::NotFound => {
             fs::create_dir_all(path.parent().unwrap_or(path))?;
@@ -214,6 +223,13 @@ mod tests {
         let cache = folder.path().join("new/cache");
         Files::open(&cache).unwrap();
         Files::open(&cache).unwrap();
+        // Its marker found no room, or its text was lost.
+        fs::write(cache.join(LOCK), "").unwrap();
+        fs::remove_file(cache.join(MARKER)).unwrap();
+        Files::open(&cache).unwrap();
+        fs::write(cache.join(MARKER), "").unwrap();
+        Files::open(&cache).unwrap();
+        assert_eq!(fs::read(cache.join(MARKER)).unwrap(), MARKER_TEXT);
         fs::write(cache.join(MARKER), "terrane cache 7\n").unwrap();
         assert!(Files::open(&cache).is_err());
         let home = folder.path().join("home");

@@ -208,9 +208,7 @@ impl DiskCache {
         }
         add(&self.counts.stored, 1);
         add(&self.counts.bytes_stored, size);
-        if !there {
-            self.made_larger(&hash, size);
-        }
+        self.made_larger(&hash, entry.to_bytes().len() as u64 + if there { 0 } else { size });
     }
 
     /// Writes what is known of a URI whose body is kept.
@@ -260,10 +258,12 @@ impl DiskCache {
 
     fn touch(&self, key: Hash, paths: &[&Path]) {
         let now = Instant::now();
-        let before = lock(&self.touched).put(key, now);
-        if before.is_some_and(|before| now.duration_since(before) < TOUCH_EVERY) {
+        let mut touched = lock(&self.touched);
+        if touched.get(&key).is_some_and(|before| now.duration_since(*before) < TOUCH_EVERY) {
             return;
         }
+        touched.put(key, now);
+        drop(touched);
         for path in paths {
             // A cache that may only be read is one too.
             let _ = files::touch(path);
@@ -277,4 +277,47 @@ pub(super) fn read_at_most(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(most.min(file.metadata()?.len().saturating_add(1)) as usize);
     file.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_used_often_is_said_to_be_once_in_a_while() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(&CacheConfig::new(folder.path())).unwrap();
+        let (key, file) = ([7; 32], folder.path().join("used"));
+        fs::write(&file, "").unwrap();
+        let used = || fs::metadata(&file).unwrap().modified().unwrap();
+        let long_ago = std::time::SystemTime::now() - Duration::from_secs(3600);
+        let Some(lately) = Instant::now().checked_sub(TOUCH_EVERY / 2) else { return };
+        let set = |at| {
+            lock(&cache.touched).put(key, at);
+            fs::File::options().write(true).open(&file).unwrap().set_modified(long_ago).unwrap();
+        };
+        set(lately);
+        cache.touch(key, &[&file]);
+        assert_eq!(used(), long_ago, "not again so soon");
+        assert_eq!(lock(&cache.touched).get(&key), Some(&lately), "which does not put it off");
+        let Some(before) = Instant::now().checked_sub(TOUCH_EVERY) else { return };
+        set(before);
+        cache.touch(key, &[&file]);
+        assert!(used() > long_ago);
+    }
+
+    #[test]
+    fn what_is_known_of_uris_counts_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let max_bytes = 100_000;
+        let cache = DiskCache::open(&CacheConfig { max_bytes, ..CacheConfig::new(folder.path()) }).unwrap();
+        let uri = |i: usize| format!("http://h/sea/{i}.glb");
+        for i in 0..800 {
+            cache.store(&uri(i), Entry { uri: uri(i), ..Entry::default() }, &[5; 1000]);
+        }
+        let bytes = |part| cache.files.scan(part).unwrap().iter().map(|f| f.size).sum::<u64>();
+        assert!(bytes("keys") + bytes("blobs") <= max_bytes, "{} of keys", bytes("keys"));
+        assert!(bytes("keys") > max_bytes / 2 && bytes("blobs") == 1000);
+        assert!(cache.has(&uri(799)) && !cache.has(&uri(0)), "the oldest go first");
+    }
 }

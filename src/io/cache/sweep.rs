@@ -7,7 +7,7 @@ use std::fs;
 use std::io;
 use std::time::Duration;
 
-use super::files::{Found, Hash};
+use super::files::{Found, Hash, LOCK};
 use super::store::{DiskCache, add, lock};
 
 /// Room that is made at once, of the limit.
@@ -39,7 +39,7 @@ impl Room {
 }
 
 impl DiskCache {
-    /// Counts a body that was written and makes room where it is due.
+    /// Counts what was written with a body and makes room where it is due.
     pub(super) fn made_larger(&self, newest: &Hash, bytes: u64) {
         let mut room = lock(&self.room);
         room.written_bytes += bytes;
@@ -66,7 +66,7 @@ impl DiskCache {
     /// process is doing the same. The newest body goes last of all: file times are too coarse to tell it from those
     /// written just before, and clocks may be wrong.
     pub(super) fn sweep(&self, max_bytes: u64, newest: &Hash) -> io::Result<Option<u64>> {
-        let file = fs::File::options().create(true).truncate(false).write(true).open(self.files.folder.join("lock"))?;
+        let file = fs::File::options().create(true).truncate(false).write(true).open(self.files.folder.join(LOCK))?;
         match file.try_lock() {
             Ok(()) => {}
             Err(fs::TryLockError::WouldBlock) => return Ok(None),
@@ -74,26 +74,31 @@ impl DiskCache {
         }
         // The lock goes with the file, also when the process is killed.
         self.files.remove_left_overs()?;
-        let (mut blobs, keys) = (self.files.scan("blobs")?, self.files.scan("keys")?);
+        let (blobs, keys) = (self.files.scan("blobs")?, self.files.scan("keys")?);
         let size = |files: &[Found]| files.iter().map(|f| f.size).sum::<u64>();
         let mut left = size(&blobs) + size(&keys);
         if left <= max_bytes {
             return Ok(Some(left));
         }
-        blobs.sort_by_key(|blob| (blob.hash == *newest, blob.modified, blob.hash));
-        let mut blobs = blobs.into_iter();
+        // A body is used whenever one of its keys is: it goes after all of them, or with the last.
+        let blobs = blobs.into_iter().map(|blob| (blob.hash == *newest, blob.modified, true, blob));
+        let keys = keys.into_iter().map(|key| (false, key.modified, false, key));
+        let mut files: Vec<_> = blobs.chain(keys).collect();
+        files.sort_by_key(|(is_newest, modified, is_blob, file)| (*is_newest, *modified, *is_blob, file.hash));
+        let mut files = files.into_iter();
         while left > max_bytes - max_bytes / FREED_SHARE
-            && let Some(oldest) = blobs.next()
+            && let Some((_, _, is_blob, oldest)) = files.next()
         {
             if fs::remove_file(&oldest.path).is_ok() {
                 left -= oldest.size;
-                add(&self.counts.evicted, 1);
+                add(&self.counts.evicted, u64::from(is_blob));
             }
         }
-        // Keys are used with their bodies: those older than every body that is left have none, or are as old.
-        let oldest = blobs.next().and_then(|b| b.modified.checked_sub(SLACK));
-        for key in keys {
-            if oldest.is_none_or(|oldest| key.modified < oldest) && fs::remove_file(&key.path).is_ok() {
+        // Keys that are older than every body that is left have none.
+        let files: Vec<_> = files.collect();
+        let oldest = files.iter().find(|(_, _, is_blob, _)| *is_blob).and_then(|(_, at, ..)| at.checked_sub(SLACK));
+        for (_, modified, _, key) in files.into_iter().filter(|(_, _, is_blob, _)| !is_blob) {
+            if oldest.is_none_or(|oldest| modified < oldest) && fs::remove_file(&key.path).is_ok() {
                 left -= key.size;
             }
         }

@@ -7,9 +7,9 @@ use std::time::SystemTime;
 
 use lru::LruCache;
 use reqwest::header::{ACCEPT_ENCODING, CONTENT_RANGE, ETAG, HeaderMap, HeaderValue, RANGE};
-use tokio::sync::OnceCell;
 
 use super::cached::{hit, keep_validators};
+use super::once::Once;
 use super::tiles::RemoteTiles;
 use super::{DECODED_HERE_BYTES, HttpBody, HttpClient, blocking, exchange};
 use crate::io::archive::{self, Directory, End, Index, Member, SLACK_BYTES, Span, TAIL_BYTES, is_pmtiles};
@@ -21,7 +21,7 @@ const KEPT: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
 
 /// Directories by URL. Whoever needs one first reads it, the others wait for that.
 #[derive(Debug)]
-pub(super) struct Archives(Mutex<LruCache<String, Arc<OnceCell<Arc<RemoteArchive>>>>>);
+pub(super) struct Archives(Mutex<LruCache<String, Arc<Once<Arc<RemoteArchive>>>>>);
 
 #[derive(Debug)]
 pub(super) struct RemoteArchive {
@@ -43,7 +43,7 @@ pub(super) struct RemoteZip {
     place: Span,
     index: Option<Index>,
     /// Read when there is no index, or when what it says is not enough.
-    directory: OnceCell<Directory>,
+    directory: Once<Directory>,
 }
 
 impl Archives {
@@ -51,7 +51,7 @@ impl Archives {
         Self(Mutex::new(LruCache::new(KEPT)))
     }
 
-    fn cell(&self, url: &str) -> Arc<OnceCell<Arc<RemoteArchive>>> {
+    fn cell(&self, url: &str) -> Arc<Once<Arc<RemoteArchive>>> {
         let mut archives = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         archives.get_or_insert(url.to_owned(), Arc::default).clone()
     }
@@ -100,7 +100,7 @@ impl HttpClient {
         }
         let network_bytes = AtomicU64::new(0);
         let cell = self.inner.archives.cell(url);
-        let archive = cell.get_or_try_init(|| self.open_archive(url, limits, &network_bytes)).await?;
+        let archive = cell.get_or_read(async || self.open_archive(url, limits, &network_bytes).await).await?;
         let strong = archive.etag.as_ref().filter(|tag| !tag.starts_with("W/"));
         if let (Some(cache), Some((entry, bytes)), Some(tag)) = (cache, kept, strong)
             && entry.etag.as_ref() == Some(tag)
@@ -152,7 +152,7 @@ impl HttpClient {
         limits: &Limits,
         network_bytes: &AtomicU64,
     ) -> Result<Option<(Member, Part)>, IoError> {
-        let index = zip.index.as_ref().filter(|_| !zip.directory.initialized());
+        let index = zip.index.as_ref().filter(|_| !zip.directory.is_read());
         let span = index.and_then(|index| index.find(name));
         let Some(span) = span.filter(|s| s.size <= limits.max_file_bytes.saturating_add((1 << 18) + SLACK_BYTES))
         else {
@@ -172,12 +172,12 @@ impl HttpClient {
         limits: &Limits,
         network_bytes: &AtomicU64,
     ) -> Result<(Member, Part), IoError> {
-        let read = || async {
+        let read = async || {
             check_directory(url, zip.place, limits)?;
             let part = self.member_part(url, archive, zip.place, limits, network_bytes).await?;
             read_directory(url, part.bytes, zip.place, limits).await
         };
-        let directory = zip.directory.get_or_try_init(read).await?;
+        let directory = zip.directory.get_or_read(read).await?;
         let member = directory.find(name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
         let span = archive::piece_of(uri, &member, zip.place.offset, limits)?;
         let mut part = self.member_part(url, archive, span, limits, network_bytes).await?;
@@ -248,12 +248,12 @@ impl HttpClient {
             let piece = at(piece).await?;
             index = blocking(url, move || Index::read(&own, &piece, place, files)).await?;
         }
-        let directory = OnceCell::new();
+        let directory = Once::default();
         if index.is_none() {
             check_directory(url, place, limits)?;
             let bytes = if place.size == 0 { Vec::new() } else { at(place).await? };
             // Nobody else has it yet.
-            let _ = directory.set(read_directory(url, bytes, place, limits).await?);
+            directory.get_or_read(async || read_directory(url, bytes, place, limits).await).await?;
         }
         let inside = Inside::Zip(RemoteZip { place, index, directory });
         Ok(Arc::new(RemoteArchive { length, etag, inside }))

@@ -4,6 +4,7 @@ mod archive;
 mod cached;
 mod config;
 mod exchange;
+mod once;
 mod retry;
 #[cfg(feature = "object-store")]
 mod store;

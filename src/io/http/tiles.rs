@@ -6,9 +6,9 @@ use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use lru::LruCache;
-use tokio::sync::OnceCell;
 
 use super::archive::{Inside, Part, RemoteArchive, range};
+use super::once::Once;
 use super::{DECODED_HERE_BYTES, HttpClient, blocking};
 use crate::io::archive::Span;
 use crate::io::archive::pmtiles::{
@@ -20,7 +20,7 @@ use crate::io::{IoError, Limits, file};
 const KEPT: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
 
 /// By offset. Whoever needs one first reads it, the others wait for that.
-type Leaves = Mutex<LruCache<u64, Arc<OnceCell<TileDirectory>>>>;
+type Leaves = Mutex<LruCache<u64, Arc<Once<TileDirectory>>>>;
 
 /// What is known of a file.
 #[derive(Debug)]
@@ -88,12 +88,12 @@ impl HttpClient {
                 let mut leaves = tiles.leaves.lock().unwrap_or_else(PoisonError::into_inner);
                 leaves.get_or_insert(span.offset, Arc::default).clone()
             };
-            let read = || async {
+            let read = async || {
                 let part = self.member_part(url, archive, span, limits, network_bytes).await?;
                 let (header, of, limits) = (tiles.header, url.to_owned(), *limits);
                 blocking(uri, move || header.directory(&of, part.bytes, &limits)).await?
             };
-            step = tiles.header.look_up(cell.get_or_try_init(read).await?, id);
+            step = tiles.header.look_up(cell.get_or_read(read).await?, id);
         }
         Err(too_deep(uri))
     }

@@ -239,6 +239,11 @@ impl ImagePager {
             }
             self.let_go(&uri);
         }
+        for slot in self.slots.values_mut() {
+            if matches!(slot.state, State::Waiting) && slot.wanted != updates && slot.tries > 0 {
+                slot.state = State::Failed { retry_at: Some(now) };
+            }
+        }
         let is_kept = |s: &Slot| match s.state {
             State::Loaded(_) | State::Loading => true,
             State::Waiting => s.wanted == updates,
@@ -278,8 +283,10 @@ impl ImagePager {
         let mut wanted: Vec<(f64, &Arc<str>)> = Vec::new();
         let mut loading = 0;
         for (uri, slot) in &mut self.slots {
+            // Where nobody wants it, it waits on: its tries are not forgotten.
             if let State::Failed { retry_at: Some(at) } = slot.state
                 && at <= now
+                && slot.wanted == self.updates
             {
                 slot.state = State::Waiting;
             }
@@ -304,6 +311,8 @@ impl ImagePager {
 
     fn arrive(&mut self, loaded: Loaded) {
         let Loaded { uri, image, bytes_read } = loaded;
+        // What was taken and came since the last look is further already, and may be let go before the next.
+        self.threads.lock().taken.retain(|taken| *taken != uri);
         self.stats.bytes_read += bytes_read;
         let max_bytes = self.config.max_bytes;
         let image = image.and_then(|image| match bytes_of(&image) {
@@ -396,5 +405,52 @@ impl ImagePager {
         (s.images, s.bytes) = (self.images as u64, self.bytes);
         s.in_flight = self.slots.values().filter(|slot| matches!(slot.state, State::Loading)).count() as u64;
         s.waiting = self.threads.lock().uris.len() as u64;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pager_with(uri: &Arc<str>, state: State, tries: u32) -> ImagePager {
+        let mut pager = ImagePager::new(ImagePagerConfig::default()).unwrap();
+        let now = Instant::now();
+        let slot = Slot { state, tries, wanted: 0, wanted_at: now, due_s: 0.0, discards: false, admitted: false };
+        pager.slots.insert(uri.clone(), slot);
+        pager
+    }
+
+    #[test]
+    fn what_comes_and_goes_between_two_lists_is_asked_for_again() {
+        let uri: Arc<str> = "a.png".into();
+        let mut pager = pager_with(&uri, State::Waiting, 0);
+        pager.threads.lock().taken.push(uri.clone());
+        let image = Texture { width: 1, height: 1, mips: vec![vec![1; 4]], repeat: false };
+        pager.arrive(Loaded { uri: uri.clone(), image: Ok(image.into()), bytes_read: 4 });
+        pager.let_go(&uri);
+        pager.request(Instant::now());
+        assert!(matches!(pager.slots[&uri].state, State::Waiting));
+    }
+
+    #[test]
+    fn tries_are_not_forgotten_while_nobody_wants_an_image() {
+        let uri: Arc<str> = "a.png".into();
+        let now = Instant::now();
+        let is_to_be_tried = |pager: &ImagePager| {
+            let slot = &pager.slots[&uri];
+            slot.tries == 2 && matches!(slot.state, State::Failed { retry_at: Some(at) } if at <= now)
+        };
+        for state in [State::Failed { retry_at: Some(now) }, State::Waiting] {
+            let mut pager = pager_with(&uri, state, 2);
+            for _ in 0..3 {
+                pager.updates += 1;
+                pager.page_out(now);
+                pager.request(now);
+                assert!(is_to_be_tried(&pager));
+            }
+            pager.slots.get_mut(&uri).unwrap().wanted = pager.updates;
+            pager.request(now);
+            assert!(matches!(pager.slots[&uri].state, State::Waiting));
+        }
     }
 }
