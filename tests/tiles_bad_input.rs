@@ -83,6 +83,65 @@ fn occluders_that_are_none_are_refused() {
     }
 }
 
+/// Small files whose parts are each within the limits, and all of them together would take gigabytes.
+#[test]
+fn totals_of_a_gltf_are_limited() {
+    use base64::Engine as _;
+    let data = |bytes: &[u8]| format!("data:;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes));
+    let limits = Limits { max_elements: 1000, max_image_bytes: 64 * 64 * 4, ..Limits::default() };
+    // 900 indices, all 0; positions at so many places; a picture for each primitive.
+    let gltf = |primitives: usize, mode: u32, indices: usize, image: Option<&[u8]>| {
+        let list = |of: &dyn Fn(usize) -> String| (0..primitives).map(of).collect::<Vec<_>>().join(",");
+        let material = |i: usize| if image.is_some() { format!(r#","material":{i}"#) } else { String::new() };
+        let primitive = |i: usize| {
+            let material = material(i);
+            format!(r#"{{"attributes":{{"POSITION":{}}},"indices":0,"mode":{mode}{material}}}"#, i + 1)
+        };
+        let positions = |i: usize| {
+            let at = 12 * i;
+            format!(
+                r#"{{"bufferView":1,"byteOffset":{at},"componentType":5126,"count":1,"type":"VEC3","min":[0,0,0],"max":[0,0,0]}}"#
+            )
+        };
+        let pictures = image.map_or(String::new(), |image| {
+            let of = |name: &str, each: &dyn Fn(usize) -> String| format!(r#","{name}":[{}]"#, list(each));
+            [
+                of("materials", &|i| format!(r#"{{"pbrMetallicRoughness":{{"baseColorTexture":{{"index":{i}}}}}}}"#)),
+                of("textures", &|i| format!(r#"{{"source":{i}}}"#)),
+                of("images", &|_| format!(r#"{{"uri":"{}"}}"#, data(image))),
+            ]
+            .concat()
+        });
+        let buffer = vec![0; 900 + 12 * primitives];
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{}]}}],"accessors":[{{"bufferView":0,"componentType":5121,"count":{indices},"type":"SCALAR"}},{}],"bufferViews":[{{"buffer":0,"byteLength":900}},{{"buffer":0,"byteOffset":900,"byteLength":{}}}],"buffers":[{{"byteLength":{},"uri":"{}"}}]{pictures}}}"#,
+            list(&primitive),
+            list(&positions),
+            12 * primitives,
+            buffer.len(),
+            data(&buffer),
+        )
+    };
+    let read = |text: String| {
+        let bytes = text.into_bytes();
+        let content = Content { uri: "/set/tile".into(), bytes, reader_data: None, companions: Vec::new() };
+        decode(content, &ReadOptions::for_root(ROOT, limits))
+    };
+    let picture = png(64);
+    let [strip, triangles] = [5, 4];
+    for good in [gltf(2, strip, 900, None), gltf(99, triangles, 900, None), gltf(3, triangles, 900, Some(&picture))] {
+        read(good).unwrap();
+    }
+    for (bad, why) in [
+        (gltf(3, strip, 900, None), "9000 indices"),
+        (gltf(20, triangles, 899, None), "indices"),
+        (gltf(9, triangles, 900, Some(&picture)), "images of a glTF"),
+    ] {
+        let reason = read(bad).unwrap_err().to_string();
+        assert!(reason.contains(why), "{reason}");
+    }
+}
+
 const SPHERE: &str = r#""sphere":[0,0,0,5]"#;
 
 #[test]

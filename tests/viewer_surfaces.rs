@@ -119,6 +119,13 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     let white = before.pixels().filter(|p| p.0 == [255; 4]).count();
     assert!(white > 200, "the ball is seen: {white}");
 
+    // A frame that the window skips has no picture, which is no error.
+    viewer.pretend_surface(context, &[Timeout]).unwrap();
+    viewer.want_picture_of(context);
+    viewer.frame().unwrap();
+    viewer.finish().unwrap();
+    assert!(viewer.take_pictures_of(context).is_empty());
+
     for (answers, skipped) in [
         (&[Timeout][..], 1),
         (&[Occluded, Timeout, Occluded], 3),

@@ -12,7 +12,7 @@ use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::gpu::AdapterChoice;
 use terrane::scene::{Node, Page};
-use terrane::viewer::{ArrangedViews, Arrangement, ViewerConfig, ViewsSetup};
+use terrane::viewer::{ArrangedViews, Arrangement, CompositeViewer, ViewerConfig, ViewerError, ViewsSetup};
 use viewer_support::{Settle, ball, or_skip, small_set};
 
 fn setup(folder: &Path, text: &str) -> ViewsSetup {
@@ -93,6 +93,21 @@ fn views_have_their_parts_scenes_and_slaves() {
     let first = viewer.read_back(contexts[0]).unwrap();
     assert!(share(&part(&first, [100, 0, 100, 100]), [255; 3]) == 0.0);
     assert!(part(&first, [200, 0, 100, 100]) == far);
+}
+
+#[test]
+fn a_scene_shows_one_tile_set() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
+    let mut viewer = CompositeViewer::new(&config).unwrap();
+    let (first, second) = (viewer.add_scene().unwrap(), viewer.add_scene().unwrap());
+    let root = viewer.load(first, &set).unwrap();
+    let again = viewer.load(first, &set).unwrap_err();
+    assert!(matches!(&again, ViewerError::HasTileset { uri } if uri.contains("tileset.json")), "{again}");
+    viewer.load(second, &set).unwrap();
+    assert!(viewer.remove_root(first, root).unwrap().is_some());
+    viewer.load(first, &set).unwrap();
 }
 
 #[test]

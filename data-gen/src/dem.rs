@@ -55,13 +55,17 @@ impl Raster {
         let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;
         let got = std::io::Read::read(&mut file, &mut magic).map_err(GenError::file(path))?;
         let is_hgt = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
-        let raster = match &magic[..got] {
+        let mut raster = match &magic[..got] {
             _ if is_hgt => hgt(path)?,
             [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff(path)?,
             [0x89, b'P', b'N', b'G', ..] => terrain_rgb(path)?,
             [0x76, 0x2f, 0x31, 0x01, ..] => exr(path)?,
             _ => return Err(GenError::invalid(path, "neither GeoTIFF, HGT, PNG nor EXR")),
         };
+        // -32768 is the void of SRTM whether the file says so or not; nothing on earth is beyond 12 km.
+        for h in raster.samples.iter_mut().filter(|h| h.abs() > 12_000.0) {
+            *h = f32::NAN;
+        }
         if !raster.samples.iter().any(|h| h.is_finite()) {
             return Err(GenError::invalid(path, "no sample has a height"));
         }
@@ -141,11 +145,8 @@ fn tiff(path: &Path) -> Result<Raster, GenError> {
         _ => return Err(GenError::invalid(path, "TIFF: sample format that is not read")),
     };
     let nodata = t.nodata.map(|n| n as f32);
-    // -32768 is the void of SRTM whether the file says so or not; nothing on earth is beyond 12 km.
-    for h in &mut samples {
-        if nodata == Some(*h) || h.abs() > 12_000.0 {
-            *h = f32::NAN;
-        }
+    for h in samples.iter_mut().filter(|h| nodata == Some(**h)) {
+        *h = f32::NAN;
     }
     // A TIFF is expected to know its place; pictures and EXR are not.
     let (transform, crs) = t

@@ -99,11 +99,13 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
         return Ok((Box::new(source), extent, args.levels.unwrap_or(PROCEDURAL_LEVELS)));
     }
     let rasters = args.dem.iter().map(|path| Raster::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let mut longitudes: Vec<[f64; 2]> = Vec::new();
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // Smallest step between samples, east and north, radians.
     let mut step = [f64::INFINITY; 2];
     for r in &rasters {
         let [west, south, east, north] = r.bounds();
+        longitudes.push([west, east]);
         e = Extent {
             west: e.west.min(west),
             south: e.south.min(south),
@@ -117,8 +119,13 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
     let pi = std::f64::consts::PI;
     let has_latitudes = e.south >= -0.5 * pi - 1e-6 && e.north <= 0.5 * pi + 1e-6;
     let has_longitudes = e.west >= -pi - 1e-6 && e.east <= pi + 1e-6;
+    const ACROSS: &str = "the elevation reaches across the date line";
     let problem = match (has_latitudes, has_longitudes) {
-        (true, false) if e.west.abs() < pi || e.east.abs() < pi => Some("the elevation reaches across the date line"),
+        (true, false) if e.west.abs() < pi || e.east.abs() < pi => Some(ACROSS),
+        // Files on both sides of it, and nothing between them the other way round.
+        (true, true) if e.west < step[0] - pi && e.east > pi - step[0] && widest_gap(&mut longitudes) > pi => {
+            Some(ACROSS)
+        }
         (true, true) if e.east - e.west >= 1e-9 && e.north - e.south >= 1e-9 => None,
         _ => Some("the elevation lies nowhere on the earth"),
     };
@@ -129,6 +136,17 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
     let cells = ((e.east - e.west) / step[0]).max((e.north - e.south) / step[1]) - 1e-6;
     let wanted = ((cells / CELLS as f64).log2().ceil().max(0.0) as u32 + 1).clamp(1, MAX_LEVELS);
     Ok((Box::new(Mosaic(rasters)), e, args.levels.unwrap_or(wanted)))
+}
+
+/// The widest stretch between intervals of longitude where none is.
+fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
+    intervals.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let (mut gap, mut end) = (0.0f64, f64::INFINITY);
+    for [west, east] in intervals {
+        gap = gap.max(*west - end);
+        end = if end.is_finite() { end.max(*east) } else { *east };
+    }
+    gap
 }
 
 fn bar(length: u64, what: &'static str) -> ProgressBar {

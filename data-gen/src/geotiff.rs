@@ -20,6 +20,8 @@ pub(crate) struct Tiff {
     pub height: usize,
     pub channels: usize,
     pub samples: DecodingResult,
+    /// The last channel says what is there of a pixel.
+    pub has_alpha: bool,
     pub georeference: Option<(GeoTransform, Crs)>,
     pub nodata: Option<f64>,
 }
@@ -38,6 +40,15 @@ pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {
         .get_tag_ascii_string(Tag::GdalNodata)
         .ok()
         .and_then(|t| t.trim_matches(|c: char| c == '\0' || c.is_whitespace()).parse().ok());
+    let mut number = |tag| decoder.get_tag_unsigned::<u16>(tag).ok();
+    let (planes, channels) = (number(Tag::PlanarConfiguration), number(Tag::SamplesPerPixel));
+    if planes == Some(2) && channels.is_some_and(|channels| channels > 1) {
+        // The decoder would read the first only.
+        return Err(GenError::invalid(path, "TIFF with its channels in separate planes; interleave them by pixel"));
+    }
+    // 1 and 2 are alpha, premultiplied or not; other channels beside the colours are something else.
+    let extra = decoder.get_tag_u16_vec(Tag::ExtraSamples).unwrap_or_default();
+    let has_alpha = extra.last().is_some_and(|kind| matches!(kind, 1 | 2));
     let samples = decoder.read_image().map_err(bad)?;
     let (width, height) = (width as usize, height as usize);
     let count = match &samples {
@@ -54,7 +65,7 @@ pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {
     if width == 0 || height == 0 || count % (width * height) != 0 || count == 0 {
         return Err(GenError::invalid(path, format!("TIFF: {count} samples for {width} x {height} pixels")));
     }
-    Ok(Tiff { width, height, channels: count / (width * height), samples, georeference, nodata })
+    Ok(Tiff { width, height, channels: count / (width * height), samples, has_alpha, georeference, nodata })
 }
 
 /// The tags ModelPixelScale + ModelTiepoint or ModelTransformation, and the GeoKeys.

@@ -14,6 +14,8 @@ pub(crate) struct Imagery {
     width: usize,
     height: usize,
     channels: usize,
+    /// The last channel is 0 where the picture has nothing.
+    has_alpha: bool,
     pixels: Vec<u8>,
     transform: GeoTransform,
     crs: Crs,
@@ -28,12 +30,17 @@ impl Imagery {
                 return Err(GenError::invalid(path, "imagery must have 8 bits a channel"));
             };
             let (transform, crs) = t.georeference.unwrap_or_else(|| placed(path));
-            return Ok(Self { width: t.width, height: t.height, channels: t.channels, pixels, transform, crs });
+            let (width, height, channels) = (t.width, t.height, t.channels);
+            let has_alpha = t.has_alpha && channels > 1;
+            return Ok(Self { width, height, channels, has_alpha, pixels, transform, crs });
         }
-        let image = image::open(path).map_err(|e| GenError::invalid(path, e.to_string()))?.into_rgb8();
+        let image = image::open(path).map_err(|e| GenError::invalid(path, e.to_string()))?;
         let (transform, crs) = placed(path);
         let (width, height) = (image.width() as usize, image.height() as usize);
-        Ok(Self { width, height, channels: 3, pixels: image.into_raw(), transform, crs })
+        let has_alpha = image.color().has_alpha();
+        let (channels, pixels) =
+            if has_alpha { (4, image.into_rgba8().into_raw()) } else { (3, image.into_rgb8().into_raw()) };
+        Ok(Self { width, height, channels, has_alpha, pixels, transform, crs })
     }
 
     /// Whether the picture lies over any of `extent`: places of one are looked for in the other.
@@ -49,7 +56,7 @@ impl Imagery {
         })
     }
 
-    /// Bilinear sRGB at a place; `None` outside.
+    /// Bilinear sRGB at a place; `None` outside, and where the nearest pixel is transparent.
     pub fn at(&self, longitude: f64, latitude: f64) -> Option<[f64; 3]> {
         let [c, r] = self.transform.pixel(self.crs.project(longitude, latitude))?;
         let (w, h) = (self.width as f64, self.height as f64);
@@ -60,6 +67,10 @@ impl Imagery {
         let (x0, y0) = (x as usize, y as usize);
         let (x1, y1) = ((x0 + 1).min(self.width - 1), (y0 + 1).min(self.height - 1));
         let (fx, fy) = (x - x0 as f64, y - y0 as f64);
+        let nearest = (if fy < 0.5 { y0 } else { y1 }) * self.width + if fx < 0.5 { x0 } else { x1 };
+        if self.has_alpha && self.pixels.get((nearest + 1) * self.channels - 1) == Some(&0) {
+            return None;
+        }
         let at = |x: usize, y: usize, k: usize| {
             let k = if self.channels < 3 { 0 } else { k };
             f64::from(self.pixels.get((y * self.width + x) * self.channels + k).copied().unwrap_or(0))
@@ -69,5 +80,23 @@ impl Imagery {
             let high = at(x0, y1, k) * (1.0 - fx) + at(x1, y1, k) * fx;
             low * (1.0 - fy) + high * fy
         }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_transparent_is_not_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("half.png");
+        let half = |x: u32, _| image::Rgba([10, 20, 30, if x < 2 { 0 } else { 255 }]);
+        image::RgbaImage::from_fn(4, 4, half).save(&path).unwrap();
+        std::fs::write(path.with_extension("pgw"), "1\n0\n0\n-1\n0.5\n3.5\n").unwrap();
+        let imagery = Imagery::read(&path).unwrap();
+        let at = |longitude: f64| imagery.at(longitude.to_radians(), 2f64.to_radians());
+        assert_eq!([at(0.7), at(1.9), at(2.1), at(3.5)].map(|c| c.is_some()), [false, false, true, true]);
+        assert_eq!(at(3.5).unwrap(), [10.0, 20.0, 30.0]);
     }
 }

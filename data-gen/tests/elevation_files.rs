@@ -80,7 +80,14 @@ fn voids_are_filled_from_around_and_counted() {
         ("declared-uint16.tif", tiff_uint16(&with(9999.0), place, Some("9999"))),
         ("declared-float32.tif", tiff_float32(&with(-5000.0), place, Some("-5e3"))),
         ("nan-float32.tif", tiff_float32(&with(f32::NAN), place, None)),
+        ("lowest-float32.tif", tiff_float32(&with(f32::MIN), place, None)),
+        ("lowest.exr", write_height_exr("test", n, with(f32::MIN)).unwrap()),
     ] {
+        if name.ends_with(".exr") {
+            let ([west, north], [dx, dy]) = (PLACE.tie_deg, PLACE.pixel_deg);
+            let world = format!("{dx}\n0\n0\n-{dy}\n{}\n{}\n", west + 0.5 * dx, north - 0.5 * dy);
+            fs::write(folder.path().join("lowest.wld"), world).unwrap();
+        }
         let args = from_dem(folder.path(), name, &bytes);
         let summary = lands(&args, PLACE.bounds(), Some(corners(&heights(), n)));
         assert!(summary.min_height_m >= 195.0 && summary.max_height_m <= 820.0, "{name}: {summary}");
@@ -225,6 +232,35 @@ fn a_file_cut_anywhere_is_refused() {
     }
 }
 
+/// 2 x 2 pixels, red, green and blue each in a plane of its own.
+fn planar_tiff() -> Vec<u8> {
+    let mut bytes = b"II*\0".to_vec();
+    bytes.extend(50u32.to_le_bytes());
+    bytes.extend([200u8; 12]);
+    bytes.extend([8u16; 3].iter().flat_map(|bits| bits.to_le_bytes()));
+    bytes.extend([8u32, 12, 16, 4, 4, 4].iter().flat_map(|strip| strip.to_le_bytes()));
+    // Tag, type (3 is of 16, 4 of 32 bits), count, value or its place.
+    let entries: [[u32; 4]; 10] = [
+        [256, 3, 1, 2],
+        [257, 3, 1, 2],
+        [258, 3, 3, 20],
+        [259, 3, 1, 1],
+        [262, 3, 1, 2],
+        [273, 4, 3, 26],
+        [277, 3, 1, 3],
+        [278, 3, 1, 2],
+        [279, 4, 3, 38],
+        [284, 3, 1, 2],
+    ];
+    bytes.extend((entries.len() as u16).to_le_bytes());
+    for [tag, kind, count, value] in entries {
+        bytes.extend([tag as u16, kind as u16].iter().flat_map(|half| half.to_le_bytes()));
+        bytes.extend([count, value].iter().flat_map(|word| word.to_le_bytes()));
+    }
+    bytes.extend([0; 4]);
+    bytes
+}
+
 #[test]
 fn bad_imagery_and_arguments_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -232,6 +268,8 @@ fn bad_imagery_and_arguments_are_refused() {
     let path = folder.path().join("picture.tif");
     fs::write(&path, tiff_int16(&heights(), Some(PLACE), None)).unwrap();
     refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "8 bits a channel");
+    fs::write(&path, planar_tiff()).unwrap();
+    refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "channels in separate planes");
     let path = folder.path().join("picture.jpg");
     fs::write(&path, b"\xff\xd8\xff\xe0 nothing").unwrap();
     refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "");

@@ -26,7 +26,8 @@ pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option
         at = sum;
     } else if let Some(found) = [20usize, 24].into_iter().find_map(|header| {
         // Headers from before 1.0, without or with half a batch table.
-        let start = header.checked_add(if header == 20 { feature_binary } else { batch_json })?;
+        let table = if header == 20 { feature_binary } else { feature_json.checked_add(feature_binary)? };
+        let start = header.checked_add(table)?;
         is_glb(start).then_some(start)
     }) {
         at = found;
@@ -34,13 +35,74 @@ pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option
     } else {
         return Err(IoError::invalid(uri, "b3dm: no glb where the header says"));
     }
-    let table = bytes.get(feature.0..feature.0 + feature.1).unwrap_or(&[]);
-    let rtc = match serde_json::from_slice::<serde_json::Value>(table) {
-        Ok(json) => json.get("RTC_CENTER").and_then(|c| {
-            let c: Vec<f64> = c.as_array()?.iter().filter_map(serde_json::Value::as_f64).collect();
-            <[f64; 3]>::try_from(c).ok().map(DVec3::from_array)
-        }),
-        Err(_) => None,
+    let json = bytes.get(feature.0..feature.0 + feature.1).unwrap_or(&[]);
+    let binary = bytes.get(feature.0 + feature.1..).and_then(|b| b.get(..feature_binary)).unwrap_or(&[]);
+    let center = serde_json::from_slice::<serde_json::Value>(json).ok().and_then(|mut table| {
+        let center = table.get_mut("RTC_CENTER").map(serde_json::Value::take);
+        center.filter(|center| !center.is_null())
+    });
+    let rtc = match center {
+        Some(center) => {
+            let given = rtc_center(&center, binary);
+            Some(given.ok_or_else(|| IoError::invalid(uri, format!("b3dm: RTC_CENTER {center}")))?)
+        }
+        None => None,
     };
-    Ok((bytes.get(at..).unwrap_or(&[]), rtc.filter(|c| c.is_finite())))
+    Ok((bytes.get(at..).unwrap_or(&[]), rtc))
+}
+
+/// Three numbers, or where three f32 lie in the table's binary part.
+fn rtc_center(given: &serde_json::Value, binary: &[u8]) -> Option<DVec3> {
+    let numbers: Vec<f64> = match given.get("byteOffset") {
+        Some(offset) => {
+            let at = usize::try_from(offset.as_u64()?).ok()?;
+            let bytes = binary.get(at..at.checked_add(12)?)?;
+            bytes.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]))).collect()
+        }
+        None => given.as_array()?.iter().map(serde_json::Value::as_f64).collect::<Option<_>>()?,
+    };
+    let center = <[f64; 3]>::try_from(numbers).ok().map(DVec3::from_array)?;
+    center.is_finite().then_some(center)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with_header(lengths: &[u32], rest: &[&[u8]]) -> Vec<u8> {
+        let mut bytes = b"b3dm".to_vec();
+        bytes.extend([1, 0].iter().chain(lengths).flat_map(|word: &u32| word.to_le_bytes()));
+        rest.iter().for_each(|part| bytes.extend(*part));
+        bytes.extend(b"glTF");
+        bytes
+    }
+
+    #[test]
+    fn headers_of_all_times() {
+        let of =
+            |lengths: &[u32], rest: &[&[u8]]| unwrap("a", &with_header(lengths, rest)).map(|(glb, _)| glb.to_vec());
+        let table = [b' '; 100];
+        assert_eq!(of(&[0, 0, 60, 40], &[&table]).unwrap(), b"glTF");
+        // Number of features, bytes of their table.
+        assert_eq!(of(&[10, 100], &[&table]).unwrap(), b"glTF");
+        // Bytes of both parts of their table, number of features.
+        assert_eq!(of(&[60, 40, 10], &[&table]).unwrap(), b"glTF");
+        assert!(of(&[60, 41, 10], &[&table]).is_err());
+    }
+
+    #[test]
+    fn centres_are_numbers_or_bytes() {
+        let center = |json: &str, binary: &[u8]| {
+            let lengths = [json.len() as u32, binary.len() as u32, 0, 0];
+            unwrap("a", &with_header(&lengths, &[json.as_bytes(), binary])).map(|(_, center)| center)
+        };
+        let binary: Vec<u8> = [9.0f32, 1.0, 2.5, -3.0].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let expected = Some(DVec3::new(1.0, 2.5, -3.0));
+        assert_eq!(center(r#"{"RTC_CENTER":[1,2.5,-3]}"#, &[]).unwrap(), expected);
+        assert_eq!(center(r#"{"RTC_CENTER":{"byteOffset":4}}"#, &binary).unwrap(), expected);
+        assert_eq!(center(r#"{"BATCH_LENGTH":0}"#, &[]).unwrap(), None);
+        for broken in [r#"{"RTC_CENTER":{"byteOffset":8}}"#, r#"{"RTC_CENTER":[1,2]}"#, r#"{"RTC_CENTER":"here"}"#] {
+            assert!(center(broken, &binary).is_err(), "{broken}");
+        }
+    }
 }

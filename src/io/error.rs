@@ -159,9 +159,9 @@ pub struct Limits {
     pub max_file_bytes: u64,
     /// Width and height of an image in pixels.
     pub max_image_side_px: u32,
-    /// Bytes of one decoded image.
+    /// Bytes of one decoded image; of those of one glTF four times as many.
     pub max_image_bytes: u64,
-    /// Tiles of one tileset.json, nodes or vertices of one glTF.
+    /// Tiles of one tileset.json, nodes or vertices of one glTF; of its indices, as lists, eight times as many.
     pub max_elements: usize,
     /// Depth of nested tiles and glTF nodes.
     pub max_depth: u32,

@@ -4,20 +4,19 @@
 //! of what is returned turns it, as 3D Tiles asks.
 
 use std::collections::HashMap;
-use std::num::NonZeroUsize;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+use std::sync::Arc;
 
 use base64::Engine as _;
 use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
 use gltf::accessor::{DataType, Dimensions};
-use gltf::mesh::{Mode, Semantic};
-use lru::LruCache;
+use gltf::mesh::Semantic;
 
+use super::index_lists::{Listed, assemble, assembled, list_key_of, shared};
 use super::{IoError, Limits, image, occluder};
 use crate::math::Aabb;
 use crate::scene::{
     AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, SharedParts,
-    SharedStateManager, Topology, VertexFormat,
+    SharedStateManager, VertexFormat,
 };
 
 /// Extensions that may be required.
@@ -118,6 +117,8 @@ fn read(
         sharing,
         nodes: 0,
         vertices: 0,
+        listed: 0,
+        image_bytes: 0,
         textures: HashMap::new(),
         indices: HashMap::new(),
     };
@@ -183,6 +184,10 @@ struct Reader<'a> {
     sharing: Option<&'a SharedStateManager>,
     nodes: usize,
     vertices: usize,
+    /// Of lists made so far: of accessors, and of strips and the like.
+    listed: usize,
+    /// Of images decoded so far, with their mips.
+    image_bytes: u64,
     /// Decoded once a file: image index and wrap.
     textures: HashMap<(usize, bool), image::Shared>,
     /// Index accessors shared by primitives.
@@ -355,6 +360,7 @@ impl<'a> Reader<'a> {
             Some(accessor) => self.indices(&accessor, count).map(|(listed, key)| (listed.list, Some(key)))?,
             None => ((0..count as u32).collect(), None),
         };
+        self.count_listed(assembled(primitive.mode(), listed.len()))?;
         let (topology, indices) = assemble(primitive.mode(), listed.clone());
         let list_key = list_key.filter(|_| Arc::ptr_eq(&listed, &indices));
         let bounds = if count == 0 { Aabb::EMPTY } else { Aabb { min: min.as_dvec3(), max: max.as_dvec3() } };
@@ -449,6 +455,9 @@ impl<'a> Reader<'a> {
                 if e.count > self.limits.max_elements {
                     return Err(self.bad(format!("{} indices", e.count)));
                 }
+                let count = e.count;
+                self.count_listed(count)?;
+                let e = self.elements(accessor, Dimensions::Scalar)?;
                 let layout = [e.stride as u64, e.count as u64, e.data_type.size() as u64];
                 let key = ContentKey::of(&[e.bytes, bytemuck::cast_slice(&layout)]);
                 let at = |i: usize, n: usize| e.bytes.get(i * e.stride + n).copied().unwrap_or(0);
@@ -479,6 +488,15 @@ impl<'a> Reader<'a> {
         }
     }
 
+    /// Counts indices before there is memory for them.
+    fn count_listed(&mut self, indices: usize) -> Result<(), IoError> {
+        self.listed = self.listed.saturating_add(indices);
+        if self.listed > self.limits.max_elements.saturating_mul(8) {
+            return Err(self.bad(format!("{} indices", self.listed)));
+        }
+        Ok(())
+    }
+
     fn texture(&mut self, texture: &gltf::Texture<'_>) -> Result<image::Shared, IoError> {
         use gltf::texture::WrappingMode::ClampToEdge;
         let sampler = texture.sampler();
@@ -487,6 +505,11 @@ impl<'a> Reader<'a> {
         let key = (source.index(), repeat);
         if let Some(known) = self.textures.get(&key) {
             return Ok(known.clone());
+        }
+        let limit = self.limits.max_image_bytes.saturating_mul(4);
+        if self.image_bytes > limit {
+            let (uri, got) = (self.uri.to_owned(), self.image_bytes);
+            return Err(IoError::TooLarge { uri, what: "images of a glTF", got, limit });
         }
         let decoded = match source.source() {
             gltf::image::Source::View { view, .. } => {
@@ -500,6 +523,7 @@ impl<'a> Reader<'a> {
                 image::decode_shared(self.uri, &data_uri(self.uri, uri)?, repeat, self.limits, self.sharing)?
             }
         };
+        self.image_bytes += decoded.0.mips.iter().map(|mip| mip.len() as u64).sum::<u64>();
         self.textures.insert(key, decoded.clone());
         Ok(decoded)
     }
@@ -508,67 +532,4 @@ impl<'a> Reader<'a> {
 /// Rounded to the nearest: among numbers of 2^23 to 2^24, a whole is the lowest bit.
 fn snorm8(x: f32) -> i8 {
     (x.clamp(-1.0, 1.0) * 127.0 + 12_582_912.0).to_bits() as i8
-}
-
-/// A list of indices and the largest.
-#[derive(Clone)]
-struct Listed {
-    list: Arc<[u32]>,
-    largest: Option<u32>,
-}
-
-/// The same list as one read before from equal bytes, where there is one: tiles of a terrain often share their grid, and
-/// what is one `Arc` is uploaded once. Decode workers share the few lists that are kept.
-fn shared(key: ContentKey, read: impl FnOnce() -> Option<Arc<[u32]>>) -> Option<Listed> {
-    type Known = (Weak<[u32]>, Option<u32>);
-    static LISTS: OnceLock<Mutex<LruCache<ContentKey, Known>>> = OnceLock::new();
-    const KEPT: NonZeroUsize = NonZeroUsize::MIN.saturating_add(63);
-    let lists = LISTS.get_or_init(|| Mutex::new(LruCache::new(KEPT)));
-    let lock = || lists.lock().unwrap_or_else(PoisonError::into_inner);
-    let known = |(list, largest): &Known| list.upgrade().map(|list| Listed { list, largest: *largest });
-    if let Some(listed) = lock().get(&key).and_then(known) {
-        return Some(listed);
-    }
-    let list = read()?;
-    let largest = list.iter().copied().max();
-    let mut lists = lock();
-    // Another worker may have read it meanwhile.
-    if let Some(listed) = lists.get(&key).and_then(known) {
-        return Some(listed);
-    }
-    lists.put(key, (Arc::downgrade(&list), largest));
-    Some(Listed { list, largest })
-}
-
-fn list_key_of(list: &[u32]) -> ContentKey {
-    ContentKey::of(&[bytemuck::cast_slice(list)])
-}
-
-/// Strips, fans and loops as lists.
-fn assemble(mode: Mode, i: Arc<[u32]>) -> (Topology, Arc<[u32]>) {
-    let whole = |n: usize| -> Arc<[u32]> {
-        if i.len().is_multiple_of(n) { i.clone() } else { i[..i.len() - i.len() % n].into() }
-    };
-    match mode {
-        Mode::Points => (Topology::Points, i.clone()),
-        Mode::Lines => (Topology::Lines, whole(2)),
-        Mode::LineStrip | Mode::LineLoop => {
-            let mut out: Vec<u32> = i.windows(2).flatten().copied().collect();
-            if let (Mode::LineLoop, Some(first), Some(last)) = (mode, i.first(), i.last()) {
-                out.extend([*last, *first]);
-            }
-            (Topology::Lines, out.into())
-        }
-        Mode::Triangles => (Topology::Triangles, whole(3)),
-        Mode::TriangleStrip => {
-            let flip = |(k, t): (usize, &[u32])| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] };
-            (Topology::Triangles, i.windows(3).enumerate().flat_map(flip).collect())
-        }
-        Mode::TriangleFan => {
-            let fan = i.first().map_or(Vec::new(), |first| {
-                i.get(1..).unwrap_or(&[]).windows(2).flat_map(|t| [*first, t[0], t[1]]).collect()
-            });
-            (Topology::Triangles, fan.into())
-        }
-    }
 }

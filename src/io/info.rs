@@ -22,7 +22,7 @@ pub struct Info {
     pub contents: u64,
     /// By level, root first.
     pub levels: Vec<LevelInfo>,
-    /// Bytes of contents and tilesets; contents on servers are not fetched and count 0.
+    /// Bytes of contents, of height tiles' imagery and of tilesets; contents on servers are not fetched and count 0.
     pub bytes: u64,
     /// Extensions that the tilesets use.
     pub extensions: BTreeSet<String>,
@@ -41,7 +41,7 @@ pub struct LevelInfo {
     pub tiles: u64,
     /// Contents.
     pub contents: u64,
-    /// Bytes of the contents.
+    /// Bytes of the contents, and of height tiles' imagery.
     pub bytes: u64,
 }
 
@@ -121,8 +121,9 @@ impl Info {
         }
         self.tiles += 1;
         self.level(level).tiles += 1;
-        for content in tile.content.iter().chain(&tile.contents) {
-            let Some(reference) = content.uri() else { continue };
+        let imagery = tile.extras.as_ref().and_then(|extras| extras.get("terrane")?.get("imagery")?.as_str());
+        let contents = tile.content.iter().chain(&tile.contents).filter_map(|content| content.uri());
+        for (reference, is_content) in contents.map(|uri| (uri, true)).chain(imagery.map(|uri| (uri, false))) {
             let uri = match resolve(base, reference, &options.root) {
                 Ok(uri) => uri,
                 Err(e) => {
@@ -136,8 +137,8 @@ impl Info {
                 }
                 continue;
             }
-            self.contents += 1;
-            self.level(level).contents += 1;
+            self.contents += u64::from(is_content);
+            self.level(level).contents += u64::from(is_content);
             if is_remote(&uri) {
                 continue;
             }

@@ -16,6 +16,7 @@ mod height;
 #[cfg(feature = "http")]
 mod http;
 mod image;
+mod index_lists;
 mod info;
 mod occluder;
 mod pnts;

@@ -96,6 +96,11 @@ impl DatabasePager {
         })
     }
 
+    /// Counts its tickets on from another pager's, whose late answers then name none of its own.
+    pub(crate) fn continue_from(&mut self, before: &Self) {
+        self.next_ticket = self.next_ticket.max(before.next_ticket);
+    }
+
     /// Reads a root tileset (or a single content) on the calling thread.
     pub fn read_root(&mut self, uri: &Arc<str>) -> Result<Page, IoError> {
         let bytes = self.fetch(uri)?;

@@ -391,6 +391,15 @@ impl ViewerBase {
         }
     }
 
+    /// Of a frame that was lost or that its window skipped: what waits for its picture gets the next one's.
+    fn no_picture_came(&mut self, context: u32, frame: u32) {
+        let next = self.stamp.frame + 1;
+        for (_, f, _) in self.captures.iter_mut().filter(|(c, f, _)| (*c, *f) == (context, frame)) {
+            *f = next;
+        }
+        self.asked.retain(|of| *of != (context, frame));
+    }
+
     fn absorb_arrived(&mut self) -> Result<(), ViewerError> {
         for place in 0..self.rendering.device_count() {
             while let Some(done) = self.rendering.device_at(place).and_then(|c| c.try_done()) {
@@ -461,6 +470,7 @@ impl ViewerBase {
         let drawn = match done.stats {
             Err(lost @ GpuError::DeviceLost { .. }) => {
                 self.lost.get_or_insert(lost);
+                self.no_picture_came(done.context, frame);
                 return Ok(());
             }
             drawn => drawn?,
@@ -484,8 +494,19 @@ impl ViewerBase {
             stats.gpu_bytes += done.gpu_bytes;
             stats.drawn = is_last;
         }
-        if let Some(image) = done.image {
-            self.picture_came(done.context, frame, image?);
+        match done.image {
+            Some(Ok(image)) => self.picture_came(done.context, frame, image),
+            Some(Err(lost @ GpuError::DeviceLost { .. })) => {
+                self.lost.get_or_insert(lost);
+                self.no_picture_came(done.context, frame);
+            }
+            Some(Err(error)) => {
+                // It would be the same in the next frame.
+                self.captures.retain(|(c, f, _)| (*c, *f) != (done.context, frame));
+                self.no_picture_came(done.context, frame);
+                self.draw_errors.push(format!("the picture of frame {frame}: {error}"));
+            }
+            None => self.no_picture_came(done.context, frame),
         }
         Ok(())
     }

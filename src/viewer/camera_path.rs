@@ -170,9 +170,12 @@ impl AnimationPath {
         text
     }
 
-    /// Writes a file in the text form.
+    /// Writes a file in the text form, and makes the folder that it is in.
     pub fn write(&self, path: &std::path::Path) -> Result<(), PathError> {
         let error = |source| PathError::Io { path: path.display().to_string(), source };
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(error)?;
+        }
         std::fs::write(path, self.to_text()).map_err(error)
     }
 }

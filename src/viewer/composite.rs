@@ -98,7 +98,7 @@ impl CompositeViewer {
         self.scenes.get_mut(id.0).ok_or(ViewerError::NoScene(id))
     }
 
-    /// Loads a root tile set into a scene. The first root of a scene places the cameras of its views.
+    /// Loads a root tile set into a scene that shows none. The first root of a scene places the cameras of its views.
     pub fn load(&mut self, scene: SceneId, source: &str) -> Result<PageId, ViewerError> {
         self.set_root(scene, LoadedRoot::read(source, &self.config.pager)?)
     }
@@ -135,7 +135,8 @@ impl CompositeViewer {
 
     /// Pages files in a folder and below, for a scene made by hand.
     pub fn page_files_in(&mut self, scene: SceneId, folder: &Path) -> Result<(), ViewerError> {
-        self.paged_mut(scene)?.page_files_in(folder)
+        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
+        paged.page_files_in(folder, &mut self.base.rendering)
     }
 
     /// A scene; pages may be added and transforms set between frames.

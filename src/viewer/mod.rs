@@ -126,6 +126,12 @@ pub enum ViewerError {
     /// The viewer has no such view, or not any more.
     #[error("the viewer has no such view: {0:?}")]
     NoView(ViewId),
+    /// The scene shows a tile set, whose pager would not know another's files.
+    #[error("the scene shows {uri} already; remove its root first, or load into another scene")]
+    HasTileset {
+        /// The root that was loaded.
+        uri: String,
+    },
     /// A thread that draws or culls ended before it was told to.
     #[error("the draw thread has stopped")]
     DrawThreadStopped,

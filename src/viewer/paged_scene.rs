@@ -36,6 +36,8 @@ pub(super) struct PagedScene {
     pub(super) bounds: Option<SetBounds>,
     pub(super) root_uri: Option<Arc<str>>,
     root: Option<PageId>,
+    /// The root of the tile set that was loaded.
+    loaded: Option<PageId>,
     /// The index is the number under which it was compiled.
     own: Vec<Own>,
     /// Devices and numbers of what is being uploaded of these.
@@ -65,6 +67,7 @@ impl PagedScene {
             bounds: None,
             root_uri: None,
             root: None,
+            loaded: None,
             own: Vec::new(),
             own_uploads: Vec::new(),
             keeps_drawables,
@@ -97,15 +100,30 @@ impl PagedScene {
     }
 
     pub(super) fn set_root(&mut self, root: LoadedRoot, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
+        if let (Some(loaded), Some(uri)) = (self.loaded, &self.root_uri)
+            && self.scene.roots().contains(&loaded)
+        {
+            return Err(ViewerError::HasTileset { uri: crate::io::shown(uri).into_owned() });
+        }
         let LoadedRoot { pager, page, uri, region } = root;
-        self.pager = Some(pager);
+        self.set_pager(pager, rendering);
         self.root_uri = Some(uri);
         let first = self.bounds.is_none();
         let root = self.add_root(page, rendering)?;
+        self.loaded = Some(root);
         if let (true, Some(bounds), Some(region)) = (first, &mut self.bounds, region) {
             *bounds = SetBounds::new(bounds.sphere, Some(region));
         }
         Ok(root)
+    }
+
+    /// Takes another pager. What hangs in the scene by the one before goes with it.
+    pub(super) fn set_pager(&mut self, mut pager: DatabasePager, rendering: &mut Rendering) {
+        self.clear_pages(rendering);
+        if let Some(before) = &self.pager {
+            pager.continue_from(before);
+        }
+        self.pager = Some(pager);
     }
 
     pub(super) fn add_root(&mut self, mut page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
@@ -139,11 +157,11 @@ impl PagedScene {
         Some(page)
     }
 
-    pub(super) fn page_files_in(&mut self, folder: &Path) -> Result<(), ViewerError> {
+    pub(super) fn page_files_in(&mut self, folder: &Path, rendering: &mut Rendering) -> Result<(), ViewerError> {
         // The scope of a root is the folder it lies in.
         let root = folder.join("tileset.json").display().to_string();
         let options = ReadOptions::for_root(&root, self.pager_config.limits);
-        self.pager = Some(DatabasePager::new(self.pager_config.clone(), options)?);
+        self.set_pager(DatabasePager::new(self.pager_config.clone(), options)?, rendering);
         Ok(())
     }
 

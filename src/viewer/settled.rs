@@ -74,8 +74,13 @@ impl Viewer {
     pub fn drawn_contents(&mut self) -> Vec<Arc<str>> {
         self.cull_again();
         let context = self.view.context().map_or(u32::MAX, |c| c.0);
-        let mut drawn: Vec<DrawSlot> =
-            self.base.probe_stage.bins.iter().flat_map(|b| &b.leaves).map(|leaf| leaf.slot).collect();
+        let mut drawn: Vec<DrawSlot> = Vec::new();
+        // In stereo the eyes are stages before it.
+        let mut stages = vec![&self.base.probe_stage];
+        while let Some(stage) = stages.pop() {
+            drawn.extend(stage.bins.iter().flat_map(|bin| &bin.leaves).map(|leaf| leaf.slot));
+            stages.extend(stage.pre_render.iter().chain(&stage.post_render));
+        }
         drawn.retain(|slot| *slot != DrawSlot::NONE);
         drawn.sort_unstable();
         let mut uris = Vec::new();

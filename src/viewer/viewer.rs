@@ -185,8 +185,8 @@ impl Viewer {
         Ok(Self { compile_budget, base, view, paged, context, converge_s: None, first_pose: None })
     }
 
-    /// Loads a root tile set (folder, file or URL), places the camera at the first view of it and sets sun and
-    /// haze to its size. Blocks until the root file is read.
+    /// Loads a root tile set (folder, file or URL) into a scene that shows none, places the camera at the first view of
+    /// it and sets sun and haze to its size. Blocks until the root file is read.
     pub fn load(&mut self, source: &str) -> Result<PageId, ViewerError> {
         self.set_root(LoadedRoot::read(source, &self.paged.pager_config)?)
     }
@@ -222,12 +222,12 @@ impl Viewer {
 
     /// Pages files in a folder and below, for scenes made by hand.
     pub fn page_files_in(&mut self, folder: &Path) -> Result<(), ViewerError> {
-        self.paged.page_files_in(folder)
+        self.paged.page_files_in(folder, &mut self.base.rendering)
     }
 
-    /// Replaces the pager, for scenes made by hand.
+    /// Replaces the pager, for scenes made by hand. What the one before merged goes.
     pub fn set_pager(&mut self, pager: DatabasePager) {
-        self.paged.pager = Some(pager);
+        self.paged.set_pager(pager, &mut self.base.rendering);
     }
 
     /// The scene; pages may be added and transforms set between frames.

@@ -8,6 +8,7 @@ use glam::DVec2;
 use winit::application::ApplicationHandler;
 use winit::event::{ElementState, StartCause, TouchPhase, WindowEvent};
 use winit::event_loop::{ActiveEventLoop, ControlFlow};
+use winit::keyboard::PhysicalKey;
 use winit::window::{Window, WindowId};
 
 use super::ViewerError;
@@ -112,6 +113,8 @@ struct OpenWindow {
     grabbed: Option<(ViewId, u32)>,
     /// Fingers that are down, and their views.
     fingers: Vec<(u64, ViewId)>,
+    /// Keys that are down, and the views that they went down over.
+    keys: Vec<(PhysicalKey, ViewId)>,
     /// Of its views.
     overlays: Vec<(ViewId, OverlayInput)>,
 }
@@ -143,6 +146,7 @@ impl App {
                 pointer_px: DVec2::ZERO,
                 grabbed: None,
                 fingers: Vec::new(),
+                keys: Vec::new(),
                 overlays: Vec::new(),
             });
             Ok(context)
@@ -282,6 +286,7 @@ impl Open {
         for window in &mut self.windows {
             window.grabbed = window.grabbed.filter(|(view, _)| is_there(view, &self.viewer));
             window.fingers.retain(|(_, view)| is_there(view, &self.viewer));
+            window.keys.retain(|(_, view)| is_there(view, &self.viewer));
             window.overlays.retain(|(view, _)| is_there(view, &self.viewer));
         }
         Ok(())
@@ -293,9 +298,14 @@ impl Open {
         let window = &mut windows[place];
         let here = || viewer.views().filter(|(_, view)| view.context() == Some(window.context));
         let at = |position_px: DVec2| viewer.view_at(window.context, position_px).map(|(view, _)| view);
+        // Where the pointer is in none, a window still has a view for its keys.
+        let first_here = || here().next().map(|(id, _)| id);
         let for_view = match event {
             WindowEvent::CloseRequested | WindowEvent::Focused(_) | WindowEvent::ModifiersChanged(_) => {
                 let ids: Vec<ViewId> = here().map(|(id, _)| id).collect();
+                if let WindowEvent::Focused(false) = event {
+                    window.keys.clear();
+                }
                 for id in ids {
                     let view = viewer.view_mut(id)?;
                     overlay_of(&mut window.overlays, id).feed(view, &window.window, event);
@@ -324,8 +334,16 @@ impl Open {
                 }
                 view
             }
-            // Where the pointer is in none, a window still has a view for its keys.
-            _ => at(window.pointer_px).or_else(|| here().next().map(|(id, _)| id)),
+            WindowEvent::KeyboardInput { event, .. } => {
+                let known = window.keys.iter().find(|(key, _)| *key == event.physical_key).map(|(_, view)| *view);
+                let view = known.or_else(|| at(window.pointer_px)).or_else(first_here);
+                window.keys.retain(|(key, _)| *key != event.physical_key);
+                if event.state == ElementState::Pressed {
+                    window.keys.extend(view.map(|view| (event.physical_key, view)));
+                }
+                view
+            }
+            _ => at(window.pointer_px).or_else(first_here),
         };
         let Some(id) = for_view else { return Ok(()) };
         let view = viewer.view_mut(id)?;

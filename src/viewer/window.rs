@@ -312,7 +312,8 @@ impl Open {
                 self.slaves.remove(place);
             }
             WindowEvent::Resized(size) => self.viewer.resize_context(context, [size.width, size.height])?,
-            WindowEvent::KeyboardInput { .. } | WindowEvent::ModifiersChanged(_) => {
+            // Keys that are down when the focus goes come up.
+            WindowEvent::KeyboardInput { .. } | WindowEvent::ModifiersChanged(_) | WindowEvent::Focused(false) => {
                 window_events::feed(self.viewer.event_queue(), event, DVec2::ZERO);
             }
             _ => {}

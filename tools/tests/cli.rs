@@ -280,5 +280,18 @@ fn info_as_json() {
         assert!(info.get(name).is_some(), "{name} is missing");
     }
     assert_eq!(info["levels"].as_array().unwrap().len(), 3);
+    // Imagery belongs to the tiles: its bytes count, and where it is missing that is said.
+    let mut files = vec![set.clone()];
+    while let Some(folder) = files.iter().position(|path| path.is_dir()) {
+        let folder = files.swap_remove(folder);
+        files.extend(std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()));
+    }
+    let bytes: u64 = files.iter().map(|file| file.metadata().unwrap().len()).sum();
+    assert_eq!((info["bytes"].as_u64(), info["errors"].as_array().map(Vec::len)), (Some(bytes), Some(0)), "{files:?}");
+    let is_picture = |file: &&std::path::PathBuf| file.extension().is_some_and(|e| e == "jpg" || e == "png");
+    std::fs::remove_file(files.iter().find(is_picture).unwrap()).unwrap();
+    let out = terrane(&["info", set.to_str().unwrap(), "--json"]);
+    let info: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(info["errors"].as_array().map(Vec::len), Some(1), "{info}");
     assert!(terrane(&["info", "no/such/set"]).status.code() == Some(1));
 }

@@ -34,12 +34,29 @@ pub struct ScreenCaptureHandler {
 /// What the threads that write share with the handler.
 #[derive(Default)]
 struct Writing {
-    /// Pictures asked for and not yet written; by main and by each thread at its end.
+    /// Pictures asked for and not yet written: [`Asked`].
     count: AtomicUsize,
     /// Threads under way; main.
     threads: Mutex<Vec<JoinHandle<()>>>,
     /// What went wrong or well, to be told to the user; by each thread, taken by main.
     said: Mutex<Vec<String>>,
+}
+
+/// A picture until it is written, or will never come.
+struct Asked(Arc<Writing>);
+
+impl Asked {
+    /// `None` where too many are.
+    fn new(writing: &Arc<Writing>) -> Option<Self> {
+        let asked = Self(writing.clone());
+        (writing.count.fetch_add(1, Ordering::Relaxed) < MOST_WRITING).then_some(asked)
+    }
+}
+
+impl Drop for Asked {
+    fn drop(&mut self) {
+        self.0.count.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 impl ScreenCaptureHandler {
@@ -50,10 +67,7 @@ impl ScreenCaptureHandler {
 
     /// Asks for this frame's picture.
     fn take(&mut self, viewer: &mut GuiActionAdapter<'_>) {
-        if self.shared.count.load(Ordering::Relaxed) >= MOST_WRITING {
-            return;
-        }
-        self.shared.count.fetch_add(1, Ordering::Relaxed);
+        let Some(asked) = Asked::new(&self.shared) else { return };
         self.taken += 1;
         let mut file = self.folder.join(format!("terrane-{:03}.png", self.taken));
         while file.exists() {
@@ -62,16 +76,16 @@ impl ScreenCaptureHandler {
         }
         let shared = self.shared.clone();
         viewer.capture(Box::new(move |_, picture| {
-            let writing = shared.clone();
             let write = move || {
+                // A view's folder may not be there yet; where it cannot be made, saving says so.
+                let _ = file.parent().map(std::fs::create_dir_all);
                 let text = match picture.save(&file) {
                     Ok(()) => format!("wrote {}", file.display()),
                     Err(error) => format!("{}: {error}", file.display()),
                 };
-                if let Ok(mut said) = writing.said.lock() {
+                if let Ok(mut said) = asked.0.said.lock() {
                     said.push(text);
                 }
-                writing.count.fetch_sub(1, Ordering::Relaxed);
             };
             if let (Ok(mut threads), Ok(thread)) =
                 (shared.threads.lock(), std::thread::Builder::new().name("picture".to_owned()).spawn(write))

@@ -436,8 +436,9 @@ impl DrawSide {
             let _ = self.context.device().poll(wgpu::PollType::wait_indefinitely());
         }
         let drawn = Instant::now();
-        // A window's image can be read until it is presented only.
-        let image = (job.read_back && stats.is_ok()).then(|| self.renderer.read_back(&mut self.context));
+        // A window's image can be read until it is presented only; a frame that the window skipped has none.
+        let has_picture = stats.as_ref().is_ok_and(|stats| !stats.skipped);
+        let image = (job.read_back && has_picture).then(|| self.renderer.read_back(&mut self.context));
         let read_back_ms = if image.is_some() { millis(drawn.elapsed()) } else { 0.0 };
         let mut errors = self.renderer.take_errors();
         errors.append(&mut self.errors);
