@@ -169,7 +169,7 @@ fn a_drawable_that_cannot_be_made_is_an_error_of_its_own() {
     let Some(mut rig) = fresh("a_drawable_that_cannot_be_made_is_an_error_of_its_own") else { return };
     let good = quad([0.0; 3], [1.0, 1.0], [1.0; 4]);
     let bad_texture = |width: u32, height: u32, mips: Vec<Vec<u8>>| {
-        textured(&Arc::new(Texture { width, height, mips, repeat: false }))
+        textured(&Arc::new(Texture { width, height, mips, wrap: Default::default() }))
     };
     let with_index = |index: u32| {
         let mesh = mesh(vec![MeshVertex::default(); 3], vec![0, 1, index]);

@@ -12,7 +12,7 @@ use terrane::scene::{
     AlphaMode, Billboard, BillboardMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Texture,
     Topology,
 };
-use terrane::state::StateSet;
+use terrane::state::{StateSet, WrapMode};
 
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
 const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
@@ -88,7 +88,7 @@ fn masked_textures_are_cut_at_their_cutoff() {
     let Some(mut rig) = rig("masked_textures_are_cut_at_their_cutoff") else { return };
     // Left half opaque red, right half nearly transparent.
     let pixels = (0..64 * 64).flat_map(|i| [255, 0, 0, if i % 64 < 32 { 255 } else { 20 }]).collect();
-    let texture = Texture { width: 64, height: 64, mips: vec![pixels], repeat: false };
+    let texture = Texture { width: 64, height: 64, mips: vec![pixels], wrap: Default::default() };
     let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], [1.0; 4]);
     drawable.material.texture = Some(Arc::new(texture));
     drawable.material.alpha = AlphaMode::Mask(0.5);
@@ -98,6 +98,33 @@ fn masked_textures_are_cut_at_their_cutoff() {
     let red = count(&picture, [255, 0, 0]) as i64;
     assert!((red - 64 * 128).abs() <= 128, "{red}");
     rig.release(scene);
+}
+
+#[test]
+fn textures_wrap_along_each_axis_as_they_say() {
+    let Some(mut rig) = rig("textures_wrap_along_each_axis_as_they_say") else { return };
+    let (clamped, red, blue) = (WrapMode::ClampToEdge, [255, 0, 0, 255], [0, 0, 255, 255]);
+    // The first half red along one axis, and twice the picture along each.
+    for along in [0, 1] {
+        let is_red = |i: usize| [i % 64, i / 64][along] < 32;
+        let pixels: Vec<u8> = (0..64 * 64).flat_map(|i| if is_red(i) { red } else { blue }).collect();
+        for (mode, expected) in
+            [(clamped, [blue, blue]), (WrapMode::Repeat, [red, blue]), (WrapMode::Mirror, [blue, red])]
+        {
+            let wrap = if along == 0 { [mode, clamped] } else { [clamped, mode] };
+            let texture = Texture { width: 64, height: 64, mips: vec![pixels.clone()], wrap };
+            let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], [1.0; 4]);
+            let Geometry::Mesh(mesh) = &mut drawable.geometry else { panic!("a mesh") };
+            Arc::get_mut(mesh).unwrap().vertices.iter_mut().for_each(|v| v.uv = v.uv.map(|uv| 2.0 * uv));
+            drawable.material.texture = Some(Arc::new(texture));
+            let scene = rig.scene(Node::geode(vec![drawable]));
+            let picture = rig.picture(&scene, &unit_camera(256), &plain());
+            // At 1.25 and 1.75 along it, and at 0.75 along the other.
+            let at = |place: u32| picture.get_pixel([place, 112][along], [112, place][along]).0;
+            assert_eq!([at(144), at(176)], expected, "{wrap:?}");
+            rig.release(scene);
+        }
+    }
 }
 
 #[test]

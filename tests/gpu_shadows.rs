@@ -110,7 +110,7 @@ fn tilted_plates_throw_no_shadows_on_themselves() {
 
 fn half_transparent() -> Arc<Texture> {
     let texels = (0..64).flat_map(|i| [255, 255, 255, if i % 8 < 4 { 0 } else { 255 }]).collect();
-    Arc::new(Texture { width: 8, height: 8, mips: vec![texels], repeat: false })
+    Arc::new(Texture { width: 8, height: 8, mips: vec![texels], wrap: Default::default() })
 }
 
 /// A plate over the ground whose half towards +x is opaque.

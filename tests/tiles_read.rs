@@ -9,6 +9,7 @@ use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{Content, Limits, ReadOptions, decode, decode_node};
 use terrane::math::BoundingVolume;
 use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind, PagedLod, RangeMode, Refine, Topology};
+use terrane::state::WrapMode;
 
 const SET: &str = "/data/set/tileset.json";
 
@@ -183,6 +184,32 @@ fn b3dm_is_moved_by_its_center() {
     b3dm.extend(&glb);
     let drawable = only_drawable(&read(b3dm));
     assert_eq!(positions(&drawable)[1], DVec3::new(101.0, 200.0, 300.0));
+}
+
+#[test]
+fn gltf_samplers_wrap_each_axis() {
+    use base64::Engine as _;
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::RgbImage::new(1, 1).write_to(&mut png, image::ImageFormat::Png).unwrap();
+    let uri = |bytes: &[u8]| format!("data:;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes));
+    let (buffer, image) = (uri(&[0; 36]), uri(png.get_ref()));
+    let [repeat, clamped, mirror] = [WrapMode::Repeat, WrapMode::ClampToEdge, WrapMode::Mirror];
+    for (sampler, expected) in [
+        ("{}", [repeat, repeat]),
+        (r#"{"wrapS":33071,"wrapT":10497}"#, [clamped, repeat]),
+        (r#"{"wrapS":33648,"wrapT":33071}"#, [mirror, clamped]),
+    ] {
+        let gltf = format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
+            "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"material":0}}]}}],
+            "materials":[{{"pbrMetallicRoughness":{{"baseColorTexture":{{"index":0}}}}}}],
+            "textures":[{{"source":0,"sampler":0}}],"samplers":[{sampler}],"images":[{{"uri":"{image}"}}],
+            "buffers":[{{"byteLength":36,"uri":"{buffer}"}}],"bufferViews":[{{"buffer":0,"byteLength":36}}],
+            "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[0,0,0]}}]}}"#
+        );
+        let drawable = only_drawable(&read(gltf));
+        assert_eq!(drawable.1.material.texture.as_ref().unwrap().wrap, expected, "{sampler}");
+    }
 }
 
 #[test]

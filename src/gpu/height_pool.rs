@@ -11,6 +11,7 @@ use super::table::Table;
 use super::texture_pool::{ImageSize, array_view};
 use super::uploads::Destination;
 use crate::scene::{ContentKey, HeightTile};
+use crate::state::CLAMPED;
 
 /// Bytes a block aims at.
 const BLOCK_BYTES: u64 = 24 << 20;
@@ -266,7 +267,10 @@ impl Block {
                 },
                 wgpu::BindGroupEntry { binding: 1, resource: tables.as_entire_binding() },
                 wgpu::BindGroupEntry { binding: 2, resource: wgpu::BindingResource::TextureView(&array_view(&color)) },
-                wgpu::BindGroupEntry { binding: 3, resource: wgpu::BindingResource::Sampler(&layouts.clamp) },
+                wgpu::BindGroupEntry {
+                    binding: 3,
+                    resource: wgpu::BindingResource::Sampler(layouts.wrapping(CLAMPED)),
+                },
             ],
         });
         let slots = SlotAllocator::new(capacity);

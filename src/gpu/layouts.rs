@@ -1,5 +1,8 @@
 //! Bind group layouts of the frame (group 0 of the pipelines) and of the pools' blocks (group 1), and their samplers.
 
+use super::state_textures::address_mode;
+use crate::state::WrapMode;
+
 /// Shared by every block; made once a context.
 pub(crate) struct Layouts {
     /// Group 0.
@@ -8,9 +11,12 @@ pub(crate) struct Layouts {
     pub(crate) height_block: wgpu::BindGroupLayout,
     /// Group 1 of meshes: colour, sampler.
     pub(crate) texture_block: wgpu::BindGroupLayout,
-    pub(super) clamp: wgpu::Sampler,
-    pub(super) repeat: wgpu::Sampler,
+    /// By the modes along u and along v.
+    wrapping: [[wgpu::Sampler; WRAP_MODES.len()]; WRAP_MODES.len()],
 }
+
+/// In the order of their numbers.
+const WRAP_MODES: [WrapMode; 3] = [WrapMode::ClampToEdge, WrapMode::Repeat, WrapMode::Mirror];
 
 fn array_texture(binding: u32, visibility: wgpu::ShaderStages, filterable: bool) -> wgpu::BindGroupLayoutEntry {
     wgpu::BindGroupLayoutEntry {
@@ -118,11 +124,11 @@ impl Layouts {
             label: Some("texture block"),
             entries: &[array_texture(0, wgpu::ShaderStages::FRAGMENT, true), sampler(1)],
         });
-        let make_sampler = |label, mode| {
+        let make_sampler = |u, v| {
             device.create_sampler(&wgpu::SamplerDescriptor {
-                label: Some(label),
-                address_mode_u: mode,
-                address_mode_v: mode,
+                label: Some("texture block"),
+                address_mode_u: address_mode(u),
+                address_mode_v: address_mode(v),
                 mag_filter: wgpu::FilterMode::Linear,
                 min_filter: wgpu::FilterMode::Linear,
                 mipmap_filter: wgpu::MipmapFilterMode::Linear,
@@ -133,8 +139,12 @@ impl Layouts {
             frame: frame(device),
             height_block,
             texture_block,
-            clamp: make_sampler("clamp", wgpu::AddressMode::ClampToEdge),
-            repeat: make_sampler("repeat", wgpu::AddressMode::Repeat),
+            wrapping: WRAP_MODES.map(|u| WRAP_MODES.map(|v| make_sampler(u, v))),
         }
+    }
+
+    /// The sampler of mesh textures that wrap so.
+    pub(super) fn wrapping(&self, [u, v]: [WrapMode; 2]) -> &wgpu::Sampler {
+        &self.wrapping[u as usize][v as usize]
     }
 }

@@ -260,12 +260,16 @@ fn filter(mode: FilterMode) -> wgpu::FilterMode {
     }
 }
 
-fn make_sampler(device: &wgpu::Device, sampler: &Sampler) -> wgpu::Sampler {
-    let [u, v, w] = sampler.wrap.map(|mode| match mode {
+pub(super) fn address_mode(mode: WrapMode) -> wgpu::AddressMode {
+    match mode {
         WrapMode::ClampToEdge => wgpu::AddressMode::ClampToEdge,
         WrapMode::Repeat => wgpu::AddressMode::Repeat,
         WrapMode::Mirror => wgpu::AddressMode::MirrorRepeat,
-    });
+    }
+}
+
+fn make_sampler(device: &wgpu::Device, sampler: &Sampler) -> wgpu::Sampler {
+    let [u, v, w] = sampler.wrap.map(address_mode);
     let all_linear = [sampler.min_filter, sampler.mag_filter, sampler.mip_filter] == [FilterMode::Linear; 3];
     device.create_sampler(&wgpu::SamplerDescriptor {
         label: Some("state set"),

@@ -11,6 +11,7 @@ use super::slots::{Identity, SlotAllocator, block_capacity};
 use super::table::Table;
 use super::uploads::{Destination, QueueSink, Source, Upload};
 use crate::scene::{ContentKey, Texture};
+use crate::state::{CLAMPED, WrapMode};
 
 /// Bytes a block aims at; larger images get blocks of one layer.
 const BLOCK_BYTES: u64 = 32 << 20;
@@ -112,7 +113,7 @@ pub(crate) struct TextureLayer {
 
 struct Block {
     size: ImageSize,
-    repeat: bool,
+    wrap: [WrapMode; 2],
     texture: wgpu::Texture,
     bind_group: wgpu::BindGroup,
     slots: SlotAllocator,
@@ -158,7 +159,7 @@ impl TexturePool {
             }
         }
         let size = ImageSize::of(image, limits)?;
-        let place = self.take_place(device, layouts, limits, size, image.repeat)?;
+        let place = self.take_place(device, layouts, limits, size, image.wrap)?;
         if let Some(user) = self.user_mut(place) {
             *user = (1, key);
         }
@@ -178,7 +179,7 @@ impl TexturePool {
             return Ok(place);
         }
         let size = ImageSize { width: 1, height: 1, mips: 1 };
-        let place = self.take_place(device, layouts, limits, size, false)?;
+        let place = self.take_place(device, layouts, limits, size, CLAMPED)?;
         if let Some(into) = self.destination(place) {
             Upload::new(Source::White, into).write(&mut QueueSink(queue), &mut Vec::new(), 1);
         }
@@ -200,11 +201,11 @@ impl TexturePool {
         layouts: &Layouts,
         limits: &wgpu::Limits,
         size: ImageSize,
-        repeat: bool,
+        wrap: [WrapMode; 2],
     ) -> Result<TextureLayer, String> {
         let mut like = 0;
         for (index, block) in self.blocks.iter_mut() {
-            if block.size == size && block.repeat == repeat {
+            if block.size == size && block.wrap == wrap {
                 like += 1;
                 if let Some(layer) = block.slots.allocate() {
                     self.bytes_in_use += size.bytes();
@@ -223,16 +224,13 @@ impl TexturePool {
                     binding: 0,
                     resource: wgpu::BindingResource::TextureView(&array_view(&texture)),
                 },
-                wgpu::BindGroupEntry {
-                    binding: 1,
-                    resource: wgpu::BindingResource::Sampler(if repeat { &layouts.repeat } else { &layouts.clamp }),
-                },
+                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(layouts.wrapping(wrap)) },
             ],
         });
         let mut slots = SlotAllocator::new(capacity);
         let layer = slots.allocate().ok_or("a texture block without layers")?;
         let users = vec![(0, Identity::Address(0)); capacity as usize];
-        let block = Block { size, repeat, texture, bind_group, slots, capacity, users };
+        let block = Block { size, wrap, texture, bind_group, slots, capacity, users };
         self.bytes_allocated += size.bytes() * u64::from(capacity);
         self.bytes_in_use += size.bytes();
         let block = self.blocks.insert(block);

@@ -18,6 +18,7 @@ use crate::scene::{
     AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, SharedParts,
     SharedStateManager, VertexFormat,
 };
+use crate::state::WrapMode;
 
 /// Extensions that may be required.
 const KNOWN_EXTENSIONS: &[&str] =
@@ -189,7 +190,7 @@ struct Reader<'a> {
     /// Of images decoded so far, with their mips.
     image_bytes: u64,
     /// Decoded once a file: image index and wrap.
-    textures: HashMap<(usize, bool), image::Shared>,
+    textures: HashMap<(usize, [WrapMode; 2]), image::Shared>,
     /// Index accessors shared by primitives.
     indices: HashMap<usize, (Listed, ContentKey)>,
 }
@@ -498,11 +499,15 @@ impl<'a> Reader<'a> {
     }
 
     fn texture(&mut self, texture: &gltf::Texture<'_>) -> Result<image::Shared, IoError> {
-        use gltf::texture::WrappingMode::ClampToEdge;
+        use gltf::texture::WrappingMode::{ClampToEdge, MirroredRepeat, Repeat};
         let sampler = texture.sampler();
-        let repeat = sampler.wrap_s() != ClampToEdge || sampler.wrap_t() != ClampToEdge;
+        let wrap = [sampler.wrap_s(), sampler.wrap_t()].map(|mode| match mode {
+            ClampToEdge => WrapMode::ClampToEdge,
+            MirroredRepeat => WrapMode::Mirror,
+            Repeat => WrapMode::Repeat,
+        });
         let source = texture.source();
-        let key = (source.index(), repeat);
+        let key = (source.index(), wrap);
         if let Some(known) = self.textures.get(&key) {
             return Ok(known.clone());
         }
@@ -517,10 +522,10 @@ impl<'a> Reader<'a> {
                 let buffer = self.buffers.get(view.buffer().index()).ok_or_else(outside)?;
                 let end = view.offset().checked_add(view.length()).ok_or_else(outside)?;
                 let bytes = buffer.get(view.offset()..end).ok_or_else(outside)?;
-                image::decode_shared(self.uri, bytes, repeat, self.limits, self.sharing)?
+                image::decode_shared(self.uri, bytes, wrap, self.limits, self.sharing)?
             }
             gltf::image::Source::Uri { uri, .. } => {
-                image::decode_shared(self.uri, &data_uri(self.uri, uri)?, repeat, self.limits, self.sharing)?
+                image::decode_shared(self.uri, &data_uri(self.uri, uri)?, wrap, self.limits, self.sharing)?
             }
         };
         self.image_bytes += decoded.0.mips.iter().map(|mip| mip.len() as u64).sum::<u64>();

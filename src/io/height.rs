@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::{Fetched, IoError, Limits, RootScope, image, resolve};
 use crate::math::{Aabb, BoundingVolume, WGS84};
 use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, SharedParts, SharedStateManager, Texture};
+use crate::state::CLAMPED;
 
 /// What `asset.extras.terrane` says about a height tile set.
 pub(crate) struct HeightSet {
@@ -159,7 +160,7 @@ pub(crate) fn read(
     let heights = heights(uri, bytes, stride, limits)?;
     let (mut texture, mut shared): (Option<Arc<Texture>>, _) = (None, None);
     for (companion, bytes) in companions {
-        let (image, content) = image::decode_shared(&companion, &bytes?, false, limits, sharing)?;
+        let (image, content) = image::decode_shared(&companion, &bytes?, CLAMPED, limits, sharing)?;
         (texture, shared) = (Some(image), content);
     }
     let (world_from_tile, tile) = build(&data, heights, texture);

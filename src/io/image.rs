@@ -8,6 +8,7 @@ use image::{ColorType, DynamicImage, ImageDecoder as _, ImageFormat, ImageReader
 
 use super::{IoError, Limits};
 use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
+use crate::state::{CLAMPED, WrapMode};
 
 /// True for the magic bytes of PNG or JPEG.
 pub(crate) fn is_image(bytes: &[u8]) -> bool {
@@ -21,19 +22,19 @@ pub(crate) type Shared = (Arc<Texture>, Option<Arc<SharedContent>>);
 pub(crate) fn decode_shared(
     uri: &str,
     bytes: &[u8],
-    repeat: bool,
+    wrap: [WrapMode; 2],
     limits: &Limits,
     sharing: Option<&SharedStateManager>,
 ) -> Result<Shared, IoError> {
-    let decode = || decode(uri, bytes, repeat, limits);
+    let decode = || decode(uri, bytes, wrap, limits);
     match sharing {
-        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &[u8::from(repeat)]]), decode),
+        Some(sharing) => sharing.image(ContentKey::of(&[bytes, &wrap.map(|mode| mode as u8)]), decode),
         None => Ok((decode()?, None)),
     }
 }
 
 /// Decodes an image and builds its mips.
-pub(crate) fn decode(uri: &str, bytes: &[u8], repeat: bool, limits: &Limits) -> Result<Arc<Texture>, IoError> {
+pub(crate) fn decode(uri: &str, bytes: &[u8], wrap: [WrapMode; 2], limits: &Limits) -> Result<Arc<Texture>, IoError> {
     let format = if bytes.starts_with(b"\x89PNG") {
         ImageFormat::Png
     } else if bytes.starts_with(&[0xff, 0xd8, 0xff]) {
@@ -67,12 +68,12 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], repeat: bool, limits: &Limits) -> 
     } else {
         DynamicImage::from_decoder(decoder).map_err(bad)?.into_rgba8().into_raw()
     };
-    Ok(Arc::new(Texture { width, height, mips: mips(width, height, pixels), repeat }))
+    Ok(Arc::new(Texture { width, height, mips: mips(width, height, pixels), wrap }))
 }
 
 /// [`decode`] of a file by itself, clamped; a panic of a decoder is an error of that file.
 pub(crate) fn decode_file(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Arc<Texture>, IoError> {
-    let decode = || decode(uri, bytes, false, limits);
+    let decode = || decode(uri, bytes, CLAMPED, limits);
     std::panic::catch_unwind(decode).unwrap_or_else(|_| Err(IoError::invalid(uri, super::DECODER_PANICKED)))
 }
 

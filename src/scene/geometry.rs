@@ -9,7 +9,7 @@ use super::draw_kinds::SMALL_MESH_INDICES;
 use super::kinds::NormalCone;
 use super::shared::SharedParts;
 use crate::math::Aabb;
-use crate::state::DrawHook;
+use crate::state::{DrawHook, WrapMode};
 
 /// One vertex of a [`Mesh`], as the GPU reads it (28 bytes).
 #[repr(C)]
@@ -117,8 +117,8 @@ pub struct Texture {
     pub height: u32,
     /// Rows top to bottom, 4 bytes a texel; one entry per level.
     pub mips: Vec<Vec<u8>>,
-    /// Repeat outside 0..1 instead of clamping.
-    pub repeat: bool,
+    /// What is outside 0..1 along u and along v.
+    pub wrap: [WrapMode; 2],
 }
 
 impl std::fmt::Debug for Texture {

@@ -96,7 +96,7 @@ fn picture(width: u32, height: u32, coverage: Vec<f32>) -> Texture {
     loop {
         mips.push(level.iter().flat_map(|c| [255, 255, 255, (c.clamp(0.0, 1.0) * 255.0).round() as u8]).collect());
         if w == 1 && h == 1 {
-            return Texture { width, height, mips, repeat: false };
+            return Texture { width, height, mips, wrap: Default::default() };
         }
         let (nw, nh) = ((w / 2).max(1), (h / 2).max(1));
         let at = |x: usize, y: usize| level[y.min(h - 1) * w + x.min(w - 1)];

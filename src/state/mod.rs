@@ -19,6 +19,7 @@ pub use attributes::{
 pub use hook::DrawHook;
 pub use program::{Program, Uniform, UniformValue};
 pub use resolved::ResolvedState;
+pub(crate) use texture::CLAMPED;
 pub use texture::{FilterMode, Sampler, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode};
 pub use variance::DataVariance;
 

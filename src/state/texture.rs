@@ -150,6 +150,9 @@ pub enum WrapMode {
     Mirror,
 }
 
+/// Clamped along both axes of a picture.
+pub(crate) const CLAMPED: [WrapMode; 2] = [WrapMode::ClampToEdge; 2];
+
 /// How a texture is sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampler {

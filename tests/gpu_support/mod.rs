@@ -369,7 +369,7 @@ pub fn with_mips(width: u32, height: u32, pixels: Vec<u8>) -> Texture {
         mips.push(level);
         (w, h) = (nw, nh);
     }
-    Texture { width, height, mips, repeat: false }
+    Texture { width, height, mips, wrap: Default::default() }
 }
 
 /// Number of pixels of a color.

@@ -425,7 +425,7 @@ mod tests {
         let uri: Arc<str> = "a.png".into();
         let mut pager = pager_with(&uri, State::Waiting, 0);
         pager.threads.lock().taken.push(uri.clone());
-        let image = Texture { width: 1, height: 1, mips: vec![vec![1; 4]], repeat: false };
+        let image = Texture { width: 1, height: 1, mips: vec![vec![1; 4]], wrap: Default::default() };
         pager.arrive(Loaded { uri: uri.clone(), image: Ok(image.into()), bytes_read: 4 });
         pager.let_go(&uri);
         pager.request(Instant::now());

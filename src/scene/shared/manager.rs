@@ -507,7 +507,8 @@ impl SharedStateManager {
 }
 
 fn texels_key(image: &Texture) -> ContentKey {
-    let size = [image.width, image.height, u32::from(image.repeat), image.mips.len() as u32];
+    let [u, v] = image.wrap.map(|mode| mode as u32);
+    let size = [image.width, image.height, u, v, image.mips.len() as u32];
     let mut parts: Vec<&[u8]> = vec![bytemuck::cast_slice(&size)];
     parts.extend(image.mips.iter().map(|m| &m[..]));
     ContentKey::of(&parts)
