@@ -15,7 +15,7 @@ use terrane::math::Aabb;
 use terrane::scene::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClearNode, ClipNode, ComputeNearFar,
     ConvexPlanarOccluder, CullAction, CullCallback, CullSettings, Inherit, LightSource, Node, NodeKind, NormalCone,
-    ReferenceFrame, RenderOrder, Scene, TexGenNode,
+    OcclusionQueryNode, ReferenceFrame, RenderOrder, Scene, TexGenNode,
 };
 use terrane::state::{BinDetails, Light, Mode, SortMode, StateSet, StateValue, TexGen, TextureFormat, TextureObject};
 
@@ -319,6 +319,34 @@ fn occluders_hide_what_is_behind_them_where_asked() {
     assert_eq!(slots(&cull(with(wall(2)), &masked)), [0, 1, 2], "the camera does not see the wall");
     let switched = Node { children: vec![wall(u32::MAX)], ..Node::new(NodeKind::Switch(vec![false])) };
     assert_eq!(slots(&cull(with(switched), &camera())), [0, 1, 2]);
+}
+
+#[test]
+fn one_eye_asks_whether_a_node_is_seen_and_looks_ahead_do_not() {
+    let query = OcclusionQueryNode { query_frames: 2, ..OcclusionQueryNode::default() };
+    let mut node = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+    node.children = vec![cube(DVec3::ZERO)];
+    let scene = scene(Node::group(vec![node]));
+    let mut eyes = [CullVisitor::new(), CullVisitor::new()];
+    let mut asks = |eye: usize, frame, ahead_frames| {
+        let mut stage = RenderStage::new();
+        eyes[eye].cull(&scene, &CullCamera { frame, ahead_frames, ..camera() }, &mut stage);
+        stage.queries.len()
+    };
+    assert_eq!([asks(0, 1, 0), asks(1, 1, 0)], [1, 0]);
+    assert_eq!([asks(1, 3, 30), asks(0, 3, 30)], [0, 0], "what nobody draws has no answer");
+    assert_eq!([asks(1, 3, 0), asks(0, 3, 0), asks(0, 4, 0)], [0, 1, 0], "and takes nobody's turn");
+    // The first has not come for long.
+    assert_eq!([asks(1, 200, 0), asks(0, 200, 0)], [1, 0]);
+}
+
+#[test]
+fn parallel_rays_make_nothing_smaller() {
+    let mut far = look_at(DVec3::new(0.0, -20_000.0, 0.0), DVec3::ZERO, DVec3::Z);
+    far.settings.culling = CullingMode::DEFAULT | CullingMode::SMALL_FEATURE;
+    assert!(slots(&cull(cube(DVec3::ZERO), &far)).is_empty());
+    far.clip_from_eye = proj::orthographic(-5.0, 5.0, -5.0, 5.0, 50_000.0, 0.1);
+    assert_eq!(slots(&cull(cube(DVec3::ZERO), &far)), [0]);
 }
 
 #[test]

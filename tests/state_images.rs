@@ -77,6 +77,9 @@ fn blending_weighs_and_adds() {
     assert_eq!(over(rig, WHITE, RED, equation(BlendEquation::ReverseSubtract)), CYAN);
     assert_eq!(over(rig, YELLOW, MAGENTA, equation(BlendEquation::Min)), RED);
     assert_eq!(over(rig, YELLOW, BLUE, equation(BlendEquation::Max)), WHITE);
+    // Without factors too: those of the function, whatever they are, do not count.
+    assert_eq!(over(rig, YELLOW, BLUE, later().with(Attribute::BlendEquation(BlendEquation::Max))), WHITE);
+    assert_eq!(over(rig, YELLOW, MAGENTA, later().with(Attribute::BlendEquation(BlendEquation::Min))), RED);
     // The function without the mode is no blending.
     let mut set = later();
     set.set_attribute(Attribute::BlendFunc(BlendFunc::ADD), StateValue::ON);
@@ -263,6 +266,8 @@ fn depth_ranges_are_layers() {
     };
     assert_eq!(middle(rig, nodes([0.0, 0.1], [0.1, 1.0])), GREEN);
     assert_eq!(middle(rig, nodes([0.0, 1.0], [0.0, 1.0])), RED);
+    assert_eq!(middle(rig, nodes([0.0, 1.0], [1.0, 1.0])), GREEN, "all of it at the far end");
+    assert_eq!(middle(rig, nodes([0.0, 0.0], [0.0, 1.0])), GREEN, "and at the near one");
     assert_eq!(middle(rig, nodes([f32::NAN, 2.0], [0.0, 1.0])), RED, "nonsense is the whole range");
 }
 

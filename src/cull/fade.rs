@@ -9,6 +9,8 @@
 //! when the tile was met in the cull before: what was out of the view appears at once. All that is drawn is met in the
 //! scene as it is now; what was expired meanwhile is not there, and ends its fade.
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 /// The part of the dither pattern in which leaves are drawn: pixels whose value, of 0 to 254, is at least `from` and
 /// less than `to`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -137,6 +139,8 @@ struct PageMarks {
 /// The fades of one eye.
 #[derive(Debug, Default)]
 pub(super) struct LodFades {
+    /// Names the eye; 0 before its first cull.
+    eye: u32,
     /// By place in the scene's page table.
     pages: Vec<PageMarks>,
     /// Counts culls; 0 is none.
@@ -156,8 +160,17 @@ pub(super) struct Step {
 impl LodFades {
     /// Starts a cull.
     pub fn start(&mut self, time_s: f64) {
+        if self.eye == 0 {
+            static EYES: AtomicU32 = AtomicU32::new(1);
+            self.eye = EYES.fetch_add(1, Ordering::Relaxed).max(1);
+        }
         self.cull = self.cull.wrapping_add(1).max(1);
         self.delta_s = time_s - std::mem::replace(&mut self.time_s, time_s);
+    }
+
+    /// A number that no other eye has.
+    pub fn eye(&self) -> u32 {
+        self.eye
     }
 
     /// How far fades of a length go on; all the way where time stands still, goes back or leaps.

@@ -142,7 +142,7 @@ impl Cull<'_> {
             let eye_from_drawable = candidate.eye_from_page * page.transforms.page_from_node(transform);
             Some((tree, sight.in_frame(&eye_from_drawable)))
         };
-        let slack = (1.0 / (MORPH_START * f64::from(view.range_per_error * view.settings.lod_scale as f32))).min(0.5);
+        let slack = (1.0 / (MORPH_START * f64::from(view.range_per_error))).min(0.5);
         met[first..].sort_unstable_by(|a, b| a.near.total_cmp(&b.near));
         for candidate in &met[first..] {
             if candidate.near >= near {

@@ -108,8 +108,8 @@ impl Cull<'_> {
         let end = node + page.nodes[node as usize].skip;
         self.scan_nodes(&below, node + 1, end, visit.mask, matrix);
         self.linear_rows.0 = NONE;
-        self.tile_view = tile_view;
-        // The planes of occluders are those of the page again.
+        // The planes of occluders are those of the page again; the tiles' are made again.
+        self.tile_view = tile_view.filter(|_| self.occluders.is_empty());
         self.frame_occluders(&context.visit.eye_from_page, page.origin);
     }
 
@@ -270,11 +270,15 @@ impl Cull<'_> {
     fn occlusion_query(&mut self, context: &PageContext, node: u32, query: &OcclusionQueryNode) -> bool {
         let page = context.page;
         let sphere = page.spheres[node as usize];
-        // What one eye does not see another may: answers are those of the picture itself.
-        if sphere.w >= UNBOUNDED || sphere.w < 0.0 || self.in_scene_camera {
+        // Answers are those of the picture itself: nobody draws what is looked at ahead of its time.
+        if sphere.w >= UNBOUNDED || sphere.w < 0.0 || self.in_scene_camera || self.camera.ahead_frames > 0 {
             return false;
         }
+        // What one eye does not see another may.
         let results = &query.results;
+        if !results.are_of(self.fades.eye(), self.camera.frame) {
+            return false;
+        }
         let center = page.origin + sphere.truncate().as_dvec3();
         let box_from_unit =
             DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(f64::from(sphere.w))), translation: center };

@@ -85,7 +85,13 @@ impl View {
         self.range_per_error = (px / (max_sse_px * lod_scale)) as f32;
         self.range_per_metre = (1.0 / lod_scale) as f32;
         self.max_sse_px = max_sse_px as f32;
-        let small = culling.contains(CullingMode::SMALL_FEATURE);
+        // Where rays are parallel, sizes do not depend on the distance, and rays reach behind what the eye would see.
+        let [x, y, z, _] = self.clip_from_eye.transpose().w_axis.to_array();
+        let is_parallel = [x, y, z] == [0.0; 3];
+        if is_parallel {
+            self.horizon = None;
+        }
+        let small = culling.contains(CullingMode::SMALL_FEATURE) && !is_parallel;
         self.small_feature = if small { (0.5 * small_feature_px / px) as f32 } else { 0.0 };
     }
 

@@ -212,6 +212,10 @@ impl Targets {
             if format == TextureFormat::Depth32 {
                 return Err(format!("texture {:?} holds depth and is attached as colour", attachment.texture.name));
             }
+            if format == TextureFormat::R32Float && samples > 1 {
+                let name = &attachment.texture.name;
+                return Err(format!("texture {name:?} holds numbers of 32 bits, of which samples cannot be resolved"));
+            }
             let format = texture_format(format);
             key.colors[location] = Some(format);
             let into = view(attachment)?;

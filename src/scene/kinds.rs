@@ -301,7 +301,12 @@ pub struct OcclusionResults {
     samples: AtomicU32,
     /// Frame of the last query; written by cull.
     queried: AtomicU32,
+    /// The eye that asks; written by cull.
+    eye: AtomicU32,
 }
+
+/// An eye that has not asked for so many frames asks no more.
+const IDLE_FRAMES: u32 = 120;
 
 impl OcclusionResults {
     /// Samples that passed in the last query that has arrived.
@@ -312,6 +317,20 @@ impl OcclusionResults {
     /// Failed queries in a row.
     pub fn failures(&self) -> u32 {
         self.failures.load(Ordering::Relaxed)
+    }
+
+    /// True for the eye that asks: the first that met the node, as long as it does. Others draw what is below.
+    pub(crate) fn are_of(&self, eye: u32, frame: u32) -> bool {
+        let asking = self.eye.load(Ordering::Relaxed);
+        if asking == eye {
+            return true;
+        }
+        let is_idle = frame.abs_diff(self.queried.load(Ordering::Relaxed)) > IDLE_FRAMES;
+        if asking == 0 || is_idle {
+            self.eye.store(eye, Ordering::Relaxed);
+            self.failures.store(0, Ordering::Relaxed);
+        }
+        asking == 0 || is_idle
     }
 
     /// True once every so many frames; notes the frame.

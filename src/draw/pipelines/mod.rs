@@ -390,10 +390,14 @@ impl Pipelines {
             stencil: self.stencil_state(key.stencil(), target.depth),
             bias: bias(self.parts.offsets.get(key.offset()).unwrap_or_default()),
             blend: self.parts.blends.get(key.blend()).map(|(func, equation)| {
+                let operation = operation(equation);
+                // The lesser and the greater are of the colours as they are: OpenGL does not look at factors then.
+                let ignores_factors = matches!(operation, wgpu::BlendOperation::Min | wgpu::BlendOperation::Max);
+                let factor = |of| if ignores_factors { wgpu::BlendFactor::One } else { factor(of) };
                 let component = |source, destination| wgpu::BlendComponent {
                     src_factor: factor(source),
                     dst_factor: factor(destination),
-                    operation: operation(equation),
+                    operation,
                 };
                 wgpu::BlendState {
                     color: component(func.source, func.destination),

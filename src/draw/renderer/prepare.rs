@@ -323,7 +323,11 @@ impl Renderer {
             }
             let Some(index) = queries.ask(query) else { break };
             let ViewFrame { uniform, positioned, air, .. } = *frames.get(query.view as usize).unwrap_or(&frames[0]);
-            let statics = Statics { frame: [uniform, positioned], air, ..base };
+            let mut statics = Statics { frame: [uniform, positioned], air, ..base };
+            let view = stage.views.get((query.view as usize).wrapping_sub(1));
+            if let Some(rect) = view.and_then(|view| view.viewport_px) {
+                statics.dynamics.viewport[..4].copy_from_slice(&clamped(rect.map(|v| v as f32), target.size_px));
+            }
             let place = match self.statics.iter().rposition(|s| *s == statics) {
                 Some(place) => place,
                 None => {
@@ -364,10 +368,9 @@ fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32
         dynamics.viewport[..4].copy_from_slice(&clamped([x, y, width, height], size_px));
     }
     if let Some(depth) = state.depth() {
-        // Stored reversed: the near plane has 1.
-        let unit = |v: f32| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 };
-        let [near, far] = depth.range.map(unit);
-        let (near, far) = if near < far { (near, far) } else { (0.0, 1.0) };
+        // Stored reversed: the near plane has 1. All may lie at one depth.
+        let [near, far] = depth.range.map(|v| v.clamp(0.0, 1.0));
+        let (near, far) = if near <= far { (near, far) } else { (0.0, 1.0) };
         (dynamics.viewport[4], dynamics.viewport[5]) = (1.0 - far, 1.0 - near);
     }
     if let Some(Scissor { x, y, width: w, height: h }) = state.scissor() {

@@ -30,7 +30,8 @@ fn unit_coordinates(unit: u32, s: Surface) -> vec3<f32> {
         }
         case 3u: {
             let m = 2.0 * length(mirrored + vec3<f32>(0.0, 0.0, 1.0));
-            return vec3<f32>(mirrored.xy / max(m, 1e-6) + 0.5, 0.0);
+            // Rows of a picture go down.
+            return vec3<f32>(vec2<f32>(mirrored.x, -mirrored.y) / max(m, 1e-6) + 0.5, 0.0);
         }
         case 4u: { return s.normal; }
         case 5u: { return mirrored; }
