@@ -10,7 +10,10 @@ use gpu_support::{MAGENTA, Rig, Terrain, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::cull::CullCamera;
 use terrane::scene::Node;
-use terrane::state::{Attribute, Program, StateSet, UniformValue};
+use terrane::state::{
+    Attribute, CompareFunction, Program, Sampler, StateSet, TextureBinding, TextureDimension, TextureFormat,
+    TextureObject, UniformValue,
+};
 
 const SIDE: u32 = 64;
 const RED: [u8; 3] = [255, 0, 0];
@@ -181,4 +184,70 @@ fn programs_shade_height_tiles_too() {
         matches!(&errors[..], [e] if e.contains("\"for meshes\" on height tiles") && e.contains("height_at")),
         "{errors:?}"
     );
+}
+
+/// Whatever is bound: a frame that an adapter refuses would lose everything in it.
+#[test]
+fn depth_textures_are_read_with_samplers_that_fit_or_stood_in_for() {
+    let Some(mut rig) = rig("depth_textures_are_read_with_samplers_that_fit_or_stood_in_for") else { return };
+    let rig = &mut *rig;
+    let program = |dimension: &str, read: &str, sampler: &str| {
+        let wgsl = format!(
+            "@group(2) @binding(1) var depths: texture_depth_{dimension};
+            @group(2) @binding(2) var way: {sampler};
+            @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {{
+                return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0);
+            }}
+            @fragment fn fs_main() -> @location(0) vec4<f32> {{
+                return vec4<f32>({read}, 1.0, 0.0, 1.0);
+            }}"
+        );
+        Attribute::Program(Arc::new(Program { name: "depths".into(), wgsl, defines: vec![] }))
+    };
+    let plain_read = program("2d", "textureSample(depths, way, vec2<f32>(0.5))", "sampler");
+    let compared = program("2d", "textureSampleCompareLevel(depths, way, vec2<f32>(0.5), 0.5)", "sampler_comparison");
+    let cube = program("cube", "textureSample(depths, way, vec3<f32>(1.0, 0.0, 0.0))", "sampler");
+    let layers = program("2d_array", "textureSample(depths, way, vec2<f32>(0.5), 0)", "sampler");
+    // Each with a name of its own: what is wrong is said once.
+    let names = std::cell::Cell::new(0);
+    let bound = |is_depth: bool, compare| {
+        names.set(names.get() + 1);
+        let (format, texels) =
+            if is_depth { (TextureFormat::Depth32, vec![]) } else { (TextureFormat::Rgba8, vec![vec![255; 4]]) };
+        let name = names.get().to_string();
+        let (dimension, size) = (TextureDimension::D2, [1, 1, 1]);
+        let texture = Arc::new(TextureObject { name, dimension, size, format, levels: 1, texels });
+        let sampler = Sampler { compare, ..Sampler::default() };
+        Some(Attribute::Texture(0, TextureBinding { texture, sampler }))
+    };
+    let less = Some(CompareFunction::LessOrEqual);
+    // A program, what is bound, and whether that is told.
+    for (program, binding, is_wrong) in [
+        (&plain_read, None, false),
+        (&plain_read, bound(true, None), false),
+        (&plain_read, bound(true, less), true),
+        (&plain_read, bound(false, None), true),
+        (&compared, None, false),
+        (&compared, bound(true, less), false),
+        (&compared, bound(true, None), true),
+        (&cube, None, false),
+        (&cube, bound(true, None), true),
+        (&layers, None, false),
+        (&layers, bound(true, None), true),
+    ] {
+        let mut set = StateSet::default().with(program.clone());
+        if let Some(binding) = &binding {
+            set = set.with(binding.clone());
+        }
+        let reads = Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.3; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+        let other = Node::geode(vec![quad([0.5, 0.0, 0.0], [0.3; 2], [0.0, 0.0, 1.0, 1.0])]);
+        let scene = rig.scene(Node::group(vec![reads, other]));
+        let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+        rig.release(scene);
+        assert_eq!(pixel(&picture, 48, 32), BLUE, "the frame goes on: {binding:?}");
+        assert_eq!(pixel(&picture, 16, 32)[1..], GREEN[1..], "{binding:?}");
+        let errors = rig.renderer.take_errors();
+        assert_eq!(errors.iter().any(|e| e.contains("does not fit unit 0")), is_wrong, "{binding:?}: {errors:?}");
+        assert_eq!(errors.len(), usize::from(is_wrong), "{errors:?}");
+    }
 }

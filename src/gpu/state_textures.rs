@@ -34,12 +34,15 @@ pub(crate) struct StateTextures {
     can_filter_floats: bool,
 }
 
-/// A white texel for units without a texture.
+/// A white texel for units without a texture; of depth, one at which nothing is.
 pub(crate) struct White {
     pub(crate) plane: wgpu::TextureView,
     pub(crate) cube: wgpu::TextureView,
     pub(crate) volume: wgpu::TextureView,
     pub(crate) layers: wgpu::TextureView,
+    depth_plane: wgpu::TextureView,
+    depth_cube: wgpu::TextureView,
+    depth_layers: wgpu::TextureView,
 }
 
 pub(crate) fn texture_format(format: TextureFormat) -> wgpu::TextureFormat {
@@ -192,6 +195,11 @@ impl StateTextures {
         place as u32
     }
 
+    /// A sampler that was made.
+    pub(crate) fn known_sampler(&self, sampler: &Sampler) -> Option<&wgpu::Sampler> {
+        self.samplers.iter().find(|(s, _)| s == sampler).map(|(_, s)| s)
+    }
+
     pub(crate) fn sampler(&self, place: u32) -> Option<&wgpu::Sampler> {
         self.samplers.get(place as usize).map(|(_, s)| s)
     }
@@ -325,12 +333,42 @@ impl White {
             );
             texture.create_view(&wgpu::TextureViewDescriptor { dimension: Some(view), ..Default::default() })
         };
+        // What is not written is 0: the far end of depth.
+        let depth = |layers: u32, view: wgpu::TextureViewDimension| {
+            let texture = device.create_texture(&wgpu::TextureDescriptor {
+                label: Some("no depth"),
+                size: wgpu::Extent3d { width: 1, height: 1, depth_or_array_layers: layers },
+                mip_level_count: 1,
+                sample_count: 1,
+                dimension: wgpu::TextureDimension::D2,
+                format: wgpu::TextureFormat::Depth32Float,
+                usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::RENDER_ATTACHMENT,
+                view_formats: &[],
+            });
+            texture.create_view(&wgpu::TextureViewDescriptor { dimension: Some(view), ..Default::default() })
+        };
         let plane = wgpu::TextureDimension::D2;
         Self {
             plane: view(1, plane, wgpu::TextureViewDimension::D2),
             cube: view(6, plane, wgpu::TextureViewDimension::Cube),
             volume: view(1, wgpu::TextureDimension::D3, wgpu::TextureViewDimension::D3),
             layers: view(1, plane, wgpu::TextureViewDimension::D2Array),
+            depth_plane: depth(1, wgpu::TextureViewDimension::D2),
+            depth_cube: depth(6, wgpu::TextureViewDimension::Cube),
+            depth_layers: depth(1, wgpu::TextureViewDimension::D2Array),
+        }
+    }
+
+    /// What a program reads that declares such a texture.
+    pub(crate) fn of(&self, dimension: wgpu::TextureViewDimension, is_depth: bool) -> &wgpu::TextureView {
+        match (dimension, is_depth) {
+            (wgpu::TextureViewDimension::Cube, false) => &self.cube,
+            (wgpu::TextureViewDimension::Cube, true) => &self.depth_cube,
+            (wgpu::TextureViewDimension::D3, _) => &self.volume,
+            (wgpu::TextureViewDimension::D2Array, false) => &self.layers,
+            (wgpu::TextureViewDimension::D2Array, true) => &self.depth_layers,
+            (_, false) => &self.plane,
+            (_, true) => &self.depth_plane,
         }
     }
 }

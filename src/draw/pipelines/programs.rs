@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::draw::pipelines::key::MOST_PROGRAMS;
 use crate::draw::pipelines::{HEIGHT_PROGRAM_PRELUDE, PROGRAM_PRELUDE};
-use crate::state::{Program, ResolvedState, TEXTURE_UNITS};
+use crate::state::{CompareFunction, FilterMode, Program, ResolvedState, Sampler, TEXTURE_UNITS};
 
 /// Group of what a program declares itself.
 const GROUP: u32 = 2;
@@ -304,6 +304,28 @@ fn bindings(uniform_bytes: usize, units: &[Option<UnitLayout>; TEXTURE_UNITS]) -
 }
 
 impl UnitLayout {
+    /// A texture's sampler, as far as the program can use it; `None` where one compares and the other does not.
+    pub(in crate::draw) fn sampler(&self, given: &Sampler) -> Option<Sampler> {
+        if self.has_sampler && self.compares != given.compare.is_some() {
+            return None;
+        }
+        // Depths as they are have nothing between them.
+        let nearest = FilterMode::Nearest;
+        let is_plain = self.is_depth && !self.compares;
+        Some(if is_plain {
+            Sampler { min_filter: nearest, mag_filter: nearest, mip_filter: nearest, ..*given }
+        } else {
+            *given
+        })
+    }
+
+    /// The sampler where there is no texture.
+    pub(in crate::draw) fn own_sampler(&self) -> Sampler {
+        let compare = self.compares.then_some(CompareFunction::LessOrEqual);
+        let own = Sampler { compare, ..Sampler::default() };
+        self.sampler(&own).unwrap_or(own)
+    }
+
     pub(in crate::draw) fn has_sampler(&self) -> bool {
         self.has_sampler
     }

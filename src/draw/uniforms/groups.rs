@@ -128,29 +128,35 @@ impl Groups {
         for (unit, slot) in units.iter_mut().enumerate() {
             let Some(binding) = state.texture(unit) else { continue };
             let texture = &binding.texture;
-            let fits = match program {
-                Some(program) => program.units[unit].is_none_or(|u| {
+            let layout = program.and_then(|program| program.units[unit]);
+            let sampler = layout.map_or(Some(binding.sampler), |u| u.sampler(&binding.sampler));
+            let fits = match (program, layout) {
+                (Some(_), Some(u)) => {
                     u.dimension == view_dimension(texture.dimension)
                         && u.is_depth == (texture.format == crate::state::TextureFormat::Depth32)
                         && (u.is_depth || self.textures.is_filterable(texture.format))
-                }),
-                None => self.textures.is_filterable(texture.format) && binding.sampler.compare.is_none(),
+                }
+                (Some(_), None) => true,
+                (None, _) => self.textures.is_filterable(texture.format) && binding.sampler.compare.is_none(),
             };
             if attached(binding) {
                 wrong(format!("texture {:?} is read while it is drawn into", texture.name));
                 continue;
             }
-            if !fits {
+            let Some(sampler) = sampler.filter(|_| fits) else {
                 wrong(format!("texture {:?} ({:?}) does not fit unit {unit}", texture.name, texture.format));
                 continue;
-            }
+            };
             match self.textures.ensure(ctx.device(), ctx.queue(), texture) {
                 Ok(Some(serial)) => {
-                    *slot = (serial, self.textures.ensure_sampler(ctx.device(), &binding.sampler) + 1);
+                    *slot = (serial, self.textures.ensure_sampler(ctx.device(), &sampler) + 1);
                 }
                 Ok(None) => {}
                 Err(problem) => wrong(problem),
             }
+        }
+        for u in program.iter().flat_map(|program| program.units.iter().flatten()) {
+            self.textures.ensure_sampler(ctx.device(), &u.own_sampler());
         }
         let shading = match shading {
             Shading::Program(place) => place + 1,
@@ -236,13 +242,9 @@ impl Groups {
                 let program = pipelines.programs.get(place)?;
                 for (unit, layout) in program.units.iter().enumerate() {
                     let Some(layout) = layout else { continue };
-                    let white = match layout.dimension {
-                        wgpu::TextureViewDimension::Cube => &self.white.cube,
-                        wgpu::TextureViewDimension::D3 => &self.white.volume,
-                        wgpu::TextureViewDimension::D2Array => &self.white.layers,
-                        _ => &self.white.plane,
-                    };
-                    let (view, sampler) = view(unit).map_or((white, white_sampler), |(v, s, _)| (v, s));
+                    let white = self.white.of(layout.dimension, layout.is_depth);
+                    let own_sampler = self.textures.known_sampler(&layout.own_sampler())?;
+                    let (view, sampler) = view(unit).map_or((white, own_sampler), |(v, s, _)| (v, s));
                     push(&mut entries, unit, view, layout.has_sampler().then_some(sampler));
                 }
                 (&program.layout, program.uniform_bytes)
