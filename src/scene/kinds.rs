@@ -272,8 +272,9 @@ pub struct ConvexPlanarOccluder {
     pub holes: Vec<Vec<DVec3>>,
 }
 
-/// Asks the adapter how many samples of its box are seen, and skips its children while none are. Cameras in the graph that
-/// show the scene neither ask nor heed what is answered.
+/// Asks the adapter how many samples of its box are seen, and skips its children while none are. One eye asks, the first
+/// that met the node and still does: what it does not see another may, so that others draw what is below. Cameras in the
+/// graph that show the scene neither ask nor heed what is answered.
 #[derive(Clone, Debug)]
 pub struct OcclusionQueryNode {
     /// Hidden when fewer samples pass.
