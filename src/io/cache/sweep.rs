@@ -5,16 +5,12 @@
 
 use std::fs;
 use std::io;
-use std::time::Duration;
 
 use super::files::{Found, Hash, LOCK};
 use super::store::{DiskCache, add, lock};
 
 /// Room that is made at once, of the limit.
 const FREED_SHARE: u64 = 10;
-/// A body's file and its key's may differ in age by so much though they were used together.
-const SLACK: Duration = Duration::from_secs(180);
-
 /// What a process knows of the size.
 #[derive(Debug)]
 pub(super) struct Room {
@@ -80,7 +76,7 @@ impl DiskCache {
         if left <= max_bytes {
             return Ok(Some(left));
         }
-        // A body is used whenever one of its keys is: it goes after all of them, or with the last.
+        // A body is used whenever one of its keys is: it goes about when the last of them does.
         let blobs = blobs.into_iter().map(|blob| (blob.hash == *newest, blob.modified, true, blob));
         let keys = keys.into_iter().map(|key| (false, key.modified, false, key));
         let mut files: Vec<_> = blobs.chain(keys).collect();
@@ -94,21 +90,13 @@ impl DiskCache {
                 add(&self.counts.evicted, u64::from(is_blob));
             }
         }
-        // Keys that are older than every body that is left have none.
-        let files: Vec<_> = files.collect();
-        let oldest = files.iter().find(|(_, _, is_blob, _)| *is_blob).and_then(|(_, at, ..)| at.checked_sub(SLACK));
-        for (_, modified, _, key) in files.into_iter().filter(|(_, _, is_blob, _)| !is_blob) {
-            if oldest.is_none_or(|oldest| modified < oldest) && fs::remove_file(&key.path).is_ok() {
-                left -= key.size;
-            }
-        }
         Ok(Some(left))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::time::SystemTime;
+    use std::time::{Duration, SystemTime};
 
     use super::super::files::hash;
     use super::super::store::CacheConfig;
