@@ -6,11 +6,12 @@ mod scenes;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec3};
 use scenes::{content, look_at, page, square_box};
 use terrane::cull::{CullCamera, CullSettings, CullVisitor, CullingMode, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume};
-use terrane::scene::{Node, NodeId, NodeKind, PagedLod, PagingOptions, RangeMode, Refine, Scene};
+use terrane::scene::{ComputeNearFar, Node, NodeId, NodeKind, PagedLod, PagingOptions, RangeMode, Refine, Scene};
 use terrane::state::StateSet;
 
 /// A globe of 6 x 12 tiles of 30 degrees: from 1,000 km up only what is on this side of the horizon is met.
@@ -111,6 +112,46 @@ fn small_features_spare_tiles() {
     let culling = CullingMode::DEFAULT | CullingMode::SMALL_FEATURE;
     let settings = CullSettings { culling, ..CullSettings::default() };
     assert_eq!(settle(&mut scene, &CullCamera { settings, ..far }).counters.tiles_drawn, 1);
+}
+
+/// The picture is 1,024 pixels high: where it shows 200 m without perspective, an error of 3 m takes 15.36 of them.
+#[test]
+fn where_rays_are_parallel_errors_are_as_large_from_anywhere() {
+    let eye = DVec3::new(0.0, 0.0, 5000.0);
+    for (error_m, height_m, drawn) in [(3.0, 5000.0, 1), (3.3, 5000.0, 4), (3.0, 60.0, 1), (3.3, 60.0, 4)] {
+        let mut parent = flat_tile(DVec3::ZERO, 100.0, error_m);
+        parent.children = [(-50.0, -50.0), (50.0, -50.0), (-50.0, 50.0), (50.0, 50.0)]
+            .map(|(x, y)| flat_tile(DVec3::new(x, y, 0.0), 50.0, 0.0))
+            .to_vec();
+        let mut scene = Scene::new();
+        scene.add_root(page(parent, 0));
+        let mut camera = look_at(eye.with_z(height_m), DVec3::ZERO, DVec3::Y);
+        camera.clip_from_eye = proj::orthographic(-100.0, 100.0, -100.0, 100.0, 1e5, 0.1);
+        assert_eq!(settle(&mut scene, &camera).counters.tiles_drawn, drawn, "{error_m} {height_m}");
+        assert!(camera.eye_point().is_parallel);
+    }
+}
+
+/// What hangs at tiles is met after all that is in the page itself.
+#[test]
+fn near_and_far_of_a_nested_view_follow_its_tiles() {
+    let narrow = proj::perspective(0.5, 1.0, 1e5, 0.1);
+    let view = Node { children: vec![flat_tile(DVec3::ZERO, 100.0, 0.0)], ..Node::new(NodeKind::Projection(narrow)) };
+    let mut scene = Scene::new();
+    scene.add_root(page(Node::group(vec![view, flat_tile(DVec3::new(0.0, 0.0, -5000.0), 100.0, 0.0)]), 0));
+    let mut camera = look_at(DVec3::new(0.0, 0.0, 1000.0), DVec3::ZERO, DVec3::Y);
+    camera.settings.compute_near_far = ComputeNearFar::BoundingVolumes;
+    let stage = settle(&mut scene, &camera);
+    let [near_m, far_m] = stage.views[0].range_m;
+    // The content is two metres thick.
+    assert!((near_m - 999.0).abs() < 0.1 && (far_m - 1001.0).abs() < 0.1, "{near_m} {far_m}");
+    let clip = stage.views[0].clip_from_eye;
+    let depth = |distance_m: f64| {
+        let clip = clip * glam::DVec4::new(0.0, 0.0, -distance_m, 1.0);
+        clip.z / clip.w
+    };
+    assert!(depth(999.0) < 1.0 && depth(970.0) > 1.0 && depth(1001.0) > 0.0 && depth(1030.0) < 0.0);
+    assert!(stage.near_m > 5000.0, "what another view shows does not count: {}", stage.near_m);
 }
 
 #[test]

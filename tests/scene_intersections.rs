@@ -211,6 +211,7 @@ fn eye_at(random: &mut Random) -> EyePoint {
             random.point(80.0),
         ),
         px_per_radian: 1000.0,
+        is_parallel: false,
         max_sse_px: 16.0,
         lod_scale: 0.5 + random.next(),
     }

@@ -11,10 +11,11 @@ use glam::{DAffine3, DMat3, DMat4, DQuat, DVec2, DVec3, DVec4};
 use proptest::prelude::*;
 use terrane::cull::CullSettings;
 use terrane::scene::{
-    CameraNode, CameraTarget, ComputeNearFar, Drawable, EyePoint, Geometry, Inherit, Intersection, IntersectionLimit,
-    IntersectionVisitor, LineSegmentIntersector, Material, Mesh, MeshVertex, Node, NodeKind, Page, PolytopeIntersector,
-    RayIntersector, ReferenceFrame, RenderOrder, Scene, Topology, WindowView,
+    Attachment, CameraNode, CameraTarget, ComputeNearFar, Drawable, EyePoint, Geometry, Inherit, Intersection,
+    IntersectionLimit, IntersectionVisitor, LineSegmentIntersector, Material, Mesh, MeshVertex, Node, NodeKind, Page,
+    PolytopeIntersector, RayIntersector, ReferenceFrame, RenderOrder, Scene, Topology, WindowView,
 };
+use terrane::state::{TextureFormat, TextureObject};
 
 const SIZE_PX: [u32; 2] = [640, 360];
 
@@ -60,6 +61,13 @@ fn projection(random: &mut Random) -> DMat4 {
     }
 }
 
+/// A texture, or nothing, which is the target of the stage around.
+fn target(random: &mut Random) -> CameraTarget {
+    let texture = || Attachment::new(TextureObject::target("elsewhere", [8, 8], TextureFormat::Rgba8Srgb));
+    let colors = if random.next() < 0.5 { vec![texture()] } else { Vec::new() };
+    CameraTarget { colors, ..CameraTarget::default() }
+}
+
 fn camera(random: &mut Random) -> CameraNode {
     let order = [RenderOrder::Nested, RenderOrder::PostRender(random.below(3) as i32), RenderOrder::PreRender(0)];
     let rect = [random.below(300), random.below(150), 40 + random.below(300), 30 + random.below(150)];
@@ -71,7 +79,7 @@ fn camera(random: &mut Random) -> CameraNode {
         projection: (random.next() < 0.6).then(|| projection(random)),
         viewport_px: (random.next() < 0.4).then_some(rect.map(|v| v as u32)),
         clear_depth: random.next() < 0.7,
-        target: (random.next() < 0.1).then(|| Arc::new(CameraTarget::default())),
+        target: (random.next() < 0.2).then(|| Arc::new(target(random))),
         settings: fits,
         inherit: if random.next() < 0.8 { Inherit::ALL } else { Inherit::NONE },
         ..CameraNode::new(order[random.below(3)])
@@ -130,7 +138,8 @@ impl Oracle {
             NodeKind::AbsoluteTransform(map) => below = eye_from_node.map(|_| *map),
             NodeKind::Projection(clip_from_eye) => (how.clip_from_eye, how.is_whole) = (*clip_from_eye, drawn.fits),
             NodeKind::Camera(camera) => {
-                if camera.order != RenderOrder::Nested && camera.target.is_some() {
+                let is_elsewhere = camera.target.as_ref().is_some_and(|target| !target.colors.is_empty());
+                if camera.order != RenderOrder::Nested && is_elsewhere {
                     below = None;
                 }
                 below = match camera.frame {
@@ -143,9 +152,6 @@ impl Oracle {
                 if camera.projection.is_some() || camera.viewport_px.is_some() {
                     how.is_whole = how.fits;
                     how.clip_from_eye = camera.projection.unwrap_or(how.clip_from_eye);
-                    if camera.order != RenderOrder::Nested {
-                        how.viewport_px = [0, 0, SIZE_PX[0], SIZE_PX[1]];
-                    }
                     how.viewport_px = camera.viewport_px.unwrap_or(how.viewport_px);
                 } else {
                     // It has the picture of the one above, and its depths.
@@ -246,7 +252,7 @@ fn setup(random: &mut Random, fits_depth: bool) -> Setup {
     let world_from_eye = random.motion();
     let clip_from_eye = proj::perspective_infinite_reverse(0.8, 640.0 / 360.0, 0.1);
     let viewport_px = [0, 0, SIZE_PX[0], SIZE_PX[1]];
-    let view = WindowView { world_from_eye, clip_from_eye, viewport_px, target_px: SIZE_PX, fits_depth };
+    let view = WindowView { world_from_eye, clip_from_eye, viewport_px, fits_depth };
     let mut oracle = Oracle { drawables: 0, cameras: 0, triangles: Vec::new() };
     let drawn =
         Drawn { clip_from_eye, viewport_px, mask: u32::MAX, is_whole: true, fits: fits_depth, path: Vec::new() };
@@ -258,7 +264,7 @@ fn setup(random: &mut Random, fits_depth: bool) -> Setup {
     }
     let mut scene = Scene::new();
     scene.add_root(page);
-    let eye = EyePoint { world_from_eye, px_per_radian: 400.0, max_sse_px: 16.0, lod_scale: 1.0 };
+    let eye = EyePoint { world_from_eye, px_per_radian: 400.0, is_parallel: false, max_sse_px: 16.0, lod_scale: 1.0 };
     let mut visitor = IntersectionVisitor::new();
     visitor.eye = Some(eye);
     Setup { scene, visitor, view, oracle }
@@ -400,7 +406,6 @@ fn shapes_of_the_world_and_places_outside_meet_no_other_projection() {
         world_from_eye: DAffine3::IDENTITY,
         clip_from_eye: proj::perspective_infinite_reverse(0.8, 640.0 / 360.0, 0.1),
         viewport_px: [0, 0, SIZE_PX[0], SIZE_PX[1]],
-        target_px: SIZE_PX,
         fits_depth: false,
     };
     let mut visitor = IntersectionVisitor::new();

@@ -147,6 +147,52 @@ fn cameras_after_draw_over_the_picture_in_their_order() {
 }
 
 #[test]
+fn without_a_target_a_camera_draws_where_the_one_around_it_does() {
+    let Some(mut rig) = rig("without_a_target_a_camera_draws_where_the_one_around_it_does") else { return };
+    let rig = &mut *rig;
+    let over = |viewport_px| {
+        let (view, projection) = view();
+        let node = CameraNode {
+            frame: ReferenceFrame::Absolute,
+            view,
+            projection: Some(projection),
+            clear_color: None,
+            viewport_px,
+            ..CameraNode::new(RenderOrder::PostRender(0))
+        };
+        let small = quad([0.0; 3], [0.25; 2], [0.0, 1.0, 0.0, 1.0]);
+        Node::camera(node, vec![Node::geode(vec![small])])
+    };
+    let (texture, sink) = (target("below"), Arc::new(PictureSink::default()));
+    let mut camera = to_texture(&texture);
+    let mut into = camera.target.as_deref().unwrap().clone();
+    into.read_back = Some(sink.clone());
+    camera.target = Some(Arc::new(into));
+    let scene = rig.scene(Node::group(vec![Node::camera(camera, vec![red(), over(None)]), screen(&texture)]));
+    let read = drawn_until(rig, &scene, &sink);
+    let is_green = |p: &&[u8]| p[..3] == GREEN;
+    assert_eq!(read.chunks_exact(4).filter(is_green).count(), 16 * 16, "what was read back is the whole picture");
+    let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+    rig.release(scene);
+    assert_eq!((count(&picture, GREEN), count(&picture, RED)), (8 * 8, 16 * 16 - 8 * 8), "in the texture alone");
+    // In a part of the window, what is drawn over the picture is in that part too, unless it says another.
+    let scene = rig.scene(Node::group(vec![red(), over(None)]));
+    rig.visitor.viewport_px = Some([32, 0, 32, 32]);
+    let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+    rig.release(scene);
+    assert_eq!(
+        (pixel(&picture, 48, 16), count(&picture, GREEN), count(&picture, RED)),
+        (GREEN, 8 * 8, 16 * 16 - 8 * 8)
+    );
+    let scene = rig.scene(Node::group(vec![red(), over(Some([0, 32, 32, 32]))]));
+    let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+    rig.visitor.viewport_px = None;
+    rig.release(scene);
+    assert_eq!((pixel(&picture, 16, 48), count(&picture, GREEN), count(&picture, RED)), (GREEN, 8 * 8, 16 * 16));
+    no_errors(rig);
+}
+
+#[test]
 fn stages_come_in_the_order_of_their_numbers() {
     let Some(mut rig) = rig("stages_come_in_the_order_of_their_numbers") else { return };
     let rig = &mut *rig;

@@ -5,11 +5,12 @@ mod gpu_support;
 
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::dcamera::rh::proj::directx as proj;
+use glam::{DAffine3, DVec3};
 use gpu_support::{Rig, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::cull::{CullCamera, Stereo, StereoMode};
-use terrane::scene::{Attachment, CameraTarget, Node, Page};
+use terrane::scene::{Attachment, CameraNode, CameraTarget, Node, Page, ReferenceFrame, RenderOrder};
 use terrane::state::{TextureFormat, TextureObject};
 use terrane::viewer::{Viewer, ViewerConfig};
 
@@ -64,6 +65,41 @@ fn each_mode_puts_the_eyes_where_it_should() {
                 StereoMode::Checkerboard => (x + y) % 2 == 1,
             };
             assert_eq!(pixel(&picture, x, y), if is_right { CYAN } else { YELLOW }, "{mode:?} at {x}, {y}");
+        }
+    }
+}
+
+#[test]
+fn what_is_drawn_over_a_picture_is_in_both_eyes() {
+    let Some(mut rig) = rig("what_is_drawn_over_a_picture_is_in_both_eyes") else { return };
+    let rig = &mut *rig;
+    let hud = CameraNode {
+        frame: ReferenceFrame::Absolute,
+        view: DAffine3::IDENTITY,
+        projection: Some(proj::orthographic(-1.0, 1.0, -1.0, 1.0, 10.0, 0.1)),
+        clear_color: None,
+        ..CameraNode::new(RenderOrder::PostRender(0))
+    };
+    let left_half = || {
+        Node::camera(hud.clone(), vec![Node::geode(vec![quad([-0.5, 0.0, -1.0], [0.5, 1.0], [0.0, 1.0, 0.0, 1.0])])])
+    };
+    for samples in [1, 4] {
+        let scene = rig.scene(left_half());
+        let targets = ["left", "right"].map(|name| {
+            let texture = TextureObject::target(name, [SIDE / 2, SIDE], TextureFormat::Rgba8Srgb);
+            Arc::new(CameraTarget { colors: vec![Attachment::new(texture)], samples, ..CameraTarget::default() })
+        });
+        rig.ctx.resize([SIDE, SIDE]).unwrap();
+        let stereo = Stereo::new(StereoMode::HorizontalSplit);
+        rig.visitor.cull_stereo(&scene, &unit_camera(SIDE), &stereo, &targets, &mut rig.stage);
+        rig.renderer.draw(&mut rig.ctx, &rig.stage, &plain()).unwrap();
+        let errors = (rig.ctx.take_device_errors(), rig.renderer.take_errors());
+        assert!(errors.0.is_empty() && errors.1.is_empty(), "{errors:?}");
+        let picture = rig.read_back();
+        rig.release(scene);
+        for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
+            let is_left = x % (SIDE / 2) < SIDE / 4;
+            assert_eq!(pixel(&picture, x, y) == [0, 255, 0], is_left, "{samples} samples at {x}, {y}");
         }
     }
 }

@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat4};
 
 use crate::math::Ellipsoid;
-use crate::scene::{CullSettings, EyePoint};
+use crate::scene::{CullSettings, EyePoint, has_parallel_rays};
 
 /// A camera for one cull.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +52,8 @@ impl Default for CullCamera {
 }
 
 impl CullCamera {
-    /// Pixels that one metre covers at a distance of one metre: `viewport height / (2 tan(fovy / 2))`.
+    /// Pixels that one metre covers at a distance of one metre: `viewport height / (2 tan(fovy / 2))`. Where rays are
+    /// parallel, at any distance.
     pub fn px_per_radian(&self) -> f64 {
         px_per_radian(&self.clip_from_eye, self.viewport_px)
     }
@@ -62,13 +63,14 @@ impl CullCamera {
         EyePoint {
             world_from_eye: self.eye_from_world.inverse(),
             px_per_radian: self.px_per_radian(),
+            is_parallel: has_parallel_rays(&self.clip_from_eye),
             max_sse_px: self.settings.max_sse_px,
             lod_scale: self.settings.lod_scale,
         }
     }
 }
 
-/// Pixels that one metre covers at a distance of one metre.
+/// Pixels that one metre covers at a distance of one metre, or, where rays are parallel, at any.
 pub(super) fn px_per_radian(clip_from_eye: &DMat4, viewport_px: [u32; 2]) -> f64 {
     0.5 * f64::from(viewport_px[1]) * clip_from_eye.y_axis.y.abs()
 }

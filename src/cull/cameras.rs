@@ -8,7 +8,7 @@ use super::stage::StageTarget;
 use super::view::View;
 use super::visitor::{Cull, CullVisitor, PageVisit};
 use super::{CullCamera, RenderStage};
-use crate::scene::{CameraShadows, ClampProjection, Environment, Scene};
+use crate::scene::{CameraShadows, Environment, Scene};
 
 /// Where a camera of the graph hangs.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +31,6 @@ pub(super) struct DeferredCamera {
     pub view: View,
     pub is_pre: bool,
     pub target: StageTarget,
-    pub clamp_projection: Option<ClampProjection>,
 }
 
 /// A nested camera with shadows, which are culled once its stage is done.
@@ -59,7 +58,6 @@ impl CullVisitor {
             let met = self.deferred.remove(first);
             let mut below = stage.spare.stages.pop().unwrap_or_default();
             let (view, target, is_pre) = (met.view, met.target.clone(), met.is_pre);
-            let clamp_projection = met.clamp_projection;
             let camera = CullCamera {
                 eye_from_world: view.eye_from_world,
                 clip_from_eye: view.clip_from_eye,
@@ -68,11 +66,11 @@ impl CullVisitor {
                 horizon: view.horizon,
                 ..*camera
             };
-            let view = View { index: 0, ..View::new(&camera) };
+            let view = View { clamp_projection: met.view.clamp_projection, ..View::new(&camera) };
             let others = self.deferred.len();
             let was_in_scene_camera = self.in_scene_camera;
             self.in_scene_camera |= met.met.shows_scene;
-            self.traverse_stage(scene, &camera, view, Some(&met.met), clamp_projection, &mut below);
+            self.traverse_stage(scene, &camera, view, Some(&met.met), &mut below);
             self.sort(&mut below);
             let eye_in_world = camera.eye_from_world.inverse().translation;
             let environment = target.environment.of_camera(environment, eye_in_world);
@@ -82,7 +80,7 @@ impl CullVisitor {
                 self.cull_stage_shadows(scene, &camera, &light, Some(&met.met), &mut below);
             }
             self.cull_nested_shadows(scene, environment.as_ref(), nested, &mut below);
-            below.target = target;
+            below.target = target.within(&stage.target);
             below.inherit_positioned(stage);
             if depth < MOST_NESTED {
                 self.cull_deferred(scene, &camera, environment.as_ref(), &mut below, others, depth + 1);

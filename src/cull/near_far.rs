@@ -8,10 +8,8 @@ use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::view::View;
 use super::visitor::{Cull, DepthRange, PageContext};
-use crate::scene::{KdTree, UNBOUNDED};
+use crate::scene::{KdTree, Scene, UNBOUNDED};
 
-/// Share of a level's range where its vertices begin to morph; as draw has it.
-const MORPH_START: f64 = 0.7;
 /// Most corners of a triangle cut by five planes.
 const MOST_CORNERS: usize = 8;
 
@@ -126,54 +124,59 @@ impl Cull<'_> {
         true
     }
 
-    /// Widens near and far by what was put aside since there were `first`, as a view sees it.
-    pub(super) fn look_at_primitives(&mut self, first: usize, view: &View) {
-        if self.candidates.len() <= first {
-            return;
-        }
-        let sight = Sight::new(view);
-        let DepthRange { mut near, mut far } = self.range;
-        let scene = self.scene;
+    /// Widens near and far of the views by what was put aside.
+    pub(super) fn look_at_primitives(&mut self) {
         let mut met = std::mem::take(self.candidates);
-        let of = |candidate: &Candidate| {
-            let page = scene.page_at(candidate.place)?;
-            let tree = page.kd_tree(candidate.drawable)?;
-            let transform = page.drawable_refs.get(candidate.drawable as usize)?.transform;
-            let eye_from_drawable = candidate.eye_from_page * page.transforms.page_from_node(transform);
-            Some((tree, sight.in_frame(&eye_from_drawable)))
-        };
-        let slack = (1.0 / (MORPH_START * f64::from(view.range_per_error))).min(0.5);
-        met[first..].sort_unstable_by(|a, b| a.near.total_cmp(&b.near));
-        for candidate in &met[first..] {
-            if candidate.near >= near {
-                break;
+        met.sort_unstable_by_key(|candidate| candidate.view);
+        for of_view in met.chunk_by_mut(|a, b| a.view == b.view) {
+            if let Some(view) = self.views.get_mut(of_view[0].view as usize) {
+                view.range = widened(self.scene, view, of_view);
             }
-            let nearest = match of(candidate).filter(|_| candidate.view == view.index) {
-                Some((tree, sight)) if tree.is_of_heights() => {
-                    let surface = least(tree, &sight, 1.0, f64::INFINITY) * (1.0 - slack);
-                    (surface as f32).max(candidate.near)
-                }
-                Some((tree, sight)) => least(tree, &sight, 1.0, f64::from(near)) as f32,
-                None => candidate.near,
-            };
-            near = near.min(nearest);
         }
-        met[first..].sort_unstable_by(|a, b| b.far.total_cmp(&a.far));
-        for candidate in &met[first..] {
-            if candidate.far <= far {
-                break;
-            }
-            let farthest = match of(candidate).filter(|_| candidate.view == view.index) {
-                Some((tree, _)) if tree.is_of_heights() => candidate.far,
-                Some((tree, sight)) => -least(tree, &sight, -1.0, -f64::from(far)) as f32,
-                None => candidate.far,
-            };
-            far = far.max(farthest);
-        }
-        met.truncate(first);
+        met.clear();
         *self.candidates = met;
-        self.range = DepthRange { near, far };
     }
+}
+
+/// Near and far of a view, and of what of it was put aside.
+fn widened(scene: &Scene, view: &View, met: &mut [Candidate]) -> DepthRange {
+    let sight = Sight::new(view);
+    let DepthRange { mut near, mut far } = view.range;
+    let of = |candidate: &Candidate| {
+        let page = scene.page_at(candidate.place)?;
+        let tree = page.kd_tree(candidate.drawable)?;
+        let transform = page.drawable_refs.get(candidate.drawable as usize)?.transform;
+        let eye_from_drawable = candidate.eye_from_page * page.transforms.page_from_node(transform);
+        Some((tree, sight.in_frame(&eye_from_drawable)))
+    };
+    met.sort_unstable_by(|a, b| a.near.total_cmp(&b.near));
+    for candidate in &*met {
+        if candidate.near >= near {
+            break;
+        }
+        let nearest = match of(candidate) {
+            Some((tree, sight)) if tree.is_of_heights() => {
+                let surface = least(tree, &sight, 1.0, f64::INFINITY);
+                (view.ranges.before_morph(surface) as f32).max(candidate.near)
+            }
+            Some((tree, sight)) => least(tree, &sight, 1.0, f64::from(near)) as f32,
+            None => candidate.near,
+        };
+        near = near.min(nearest);
+    }
+    met.sort_unstable_by(|a, b| b.far.total_cmp(&a.far));
+    for candidate in &*met {
+        if candidate.far <= far {
+            break;
+        }
+        let farthest = match of(candidate) {
+            Some((tree, _)) if tree.is_of_heights() => candidate.far,
+            Some((tree, sight)) => -least(tree, &sight, -1.0, -f64::from(far)) as f32,
+            None => candidate.far,
+        };
+        far = far.max(farthest);
+    }
+    DepthRange { near, far }
 }
 
 #[cfg(test)]

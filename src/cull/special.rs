@@ -3,17 +3,16 @@
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::cameras::{CameraPlace, DeferredCamera, NestedCamera};
-use super::occluders::NO_OCCLUDERS;
 use super::stage::{
     ClipPlane, OcclusionQuery, PositionedLight, PositionedTexGen, RenderLeaf, StageTarget, StageView, moved,
     plane_moved, texgen_moved,
 };
-use super::view::{View, clamp};
+use super::view::View;
 use super::visitor::{Cull, DepthRange, PageContext};
 use super::{CullCamera, StageShadows};
 use crate::scene::{
-    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, ComputeNearFar, DrawSlot, NONE, OcclusionQueryNode,
-    ReferenceFrame, RenderOrder, Special, UNBOUNDED,
+    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, DrawSlot, NONE, OcclusionQueryNode, ReferenceFrame,
+    RenderOrder, Special, UNBOUNDED,
 };
 
 /// Cameras inside cameras are followed so deep.
@@ -67,10 +66,9 @@ impl Cull<'_> {
                 true
             }
             Special::Projection { clip_from_eye, path } => {
-                let mut view = self.view;
-                view.clip_from_eye = *clip_from_eye;
+                let view = View { clip_from_eye: *clip_from_eye, clamp_projection: None, ..self.view };
                 let environment = CameraEnvironment::Light;
-                self.in_view(context, node, view, environment, None, context.visit.eye_from_page, *path);
+                self.in_view(context, node, view, environment, context.visit.eye_from_page, *path);
                 true
             }
             Special::AbsoluteTransform => {
@@ -114,14 +112,12 @@ impl Cull<'_> {
     }
 
     /// Scans the children of a node under another view of the same stage.
-    #[allow(clippy::too_many_arguments, reason = "what a view is made of")]
     fn in_view(
         &mut self,
         context: &PageContext,
         node: u32,
         mut view: View,
         environment: CameraEnvironment,
-        clamp_projection: Option<crate::scene::ClampProjection>,
         eye_from_page: DAffine3,
         path: u32,
     ) {
@@ -144,35 +140,17 @@ impl Cull<'_> {
             shadows: StageShadows::default(),
             range_m: [0.0; 2],
         });
-        let index = self.stage.views.len();
-        view.index = index as u32;
+        view.index = self.stage.views.len() as u32;
         view.derive();
+        view.range = DepthRange::EMPTY;
         self.views.push(view);
-        let above = std::mem::replace(&mut self.view, view);
-        let occluders = std::mem::replace(&mut self.occluders, &NO_OCCLUDERS);
-        let range = std::mem::replace(&mut self.range, DepthRange::EMPTY);
-        let aside = self.candidates.len();
+        self.enter_view(view.index);
         // Known before anything below it is met.
         self.chain_state(context.page, path);
         let mut below = *context;
         below.visit.view = view.index;
         self.in_frame(&below, node, eye_from_page, None);
-        self.look_at_primitives(aside, &view);
-        let DepthRange { near, far } = std::mem::replace(&mut self.range, range);
-        if near <= far {
-            let (near_m, far_m) = (f64::from(near.max(0.0)), f64::from(far.max(0.0)));
-            let clamped = match clamp_projection {
-                Some(callback) if view.settings.compute_near_far != ComputeNearFar::Off => {
-                    let (near_m, far_m) = callback(near_m, far_m);
-                    clamp(&view.clip_from_eye, near_m, far_m, 0.0)
-                }
-                _ => view.clamped(near_m, far_m),
-            };
-            let of_view = &mut self.stage.views[index - 1];
-            (of_view.clip_from_eye, of_view.range_m) = (clamped, [near_m, far_m]);
-        }
-        self.view = above;
-        self.occluders = occluders;
+        self.enter_view(above);
     }
 
     fn camera_node(&mut self, context: &PageContext, node: u32, camera: &CameraNode, path: u32, mask: u8) {
@@ -184,6 +162,7 @@ impl Cull<'_> {
         let Some(node_from_page) = finite(above.inverse()) else { return };
         let mut view = self.view;
         view.settings = camera.settings.inheriting(&self.view.settings, camera.inherit);
+        view.clamp_projection = camera.clamp_projection;
         let eye_from_node = match camera.frame {
             ReferenceFrame::Absolute => camera.view,
             ReferenceFrame::Relative => context.visit.eye_from_page * above * camera.view,
@@ -213,7 +192,7 @@ impl Cull<'_> {
             RenderOrder::Nested => {
                 let place = self.stage.views.len() as u32 + 1;
                 let environment = camera.environment.clone();
-                self.in_view(context, node, view, environment, camera.clamp_projection, eye_from_page, path);
+                self.in_view(context, node, view, environment, eye_from_page, path);
                 if camera.shadows != CameraShadows::None {
                     let (state, mut visit) = (self.chain_state(page, path), context.visit);
                     (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
@@ -224,12 +203,12 @@ impl Cull<'_> {
             }
             RenderOrder::PreRender(order) | RenderOrder::PostRender(order) => order,
         };
-        if let (None, Some(target)) = (camera.viewport_px, &camera.target)
-            && let Some(first) = target.colors.first().or(target.depth.as_ref())
-        {
-            let [width, height, _] = first.texture.level_size(first.level);
-            view.viewport_px = [width, height];
+        let target_px = camera.target.as_ref().and_then(|target| target.size_px());
+        if let (None, Some(size_px)) = (camera.viewport_px, target_px) {
+            view.viewport_px = size_px;
         }
+        // Where it has no target of its own, it is where the view is that it was met in.
+        let viewport_px = if target_px.is_some() { camera.viewport_px } else { view.viewport_rect };
         let mut visit = context.visit;
         (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
         let state = self.chain_state(page, path);
@@ -238,8 +217,9 @@ impl Cull<'_> {
             view,
             is_pre: matches!(camera.order, RenderOrder::PreRender(_)),
             target: StageTarget {
-                camera: camera.target.clone(),
-                viewport_px: camera.viewport_px,
+                camera: camera.target.clone().filter(|_| target_px.is_some()),
+                is_shared: false,
+                viewport_px,
                 clear_color: camera.clear_color,
                 clear_depth: camera.clear_depth,
                 order,
@@ -247,7 +227,6 @@ impl Cull<'_> {
                 environment: camera.environment.clone(),
                 shadows: camera.shadows,
             },
-            clamp_projection: camera.clamp_projection,
         });
     }
 

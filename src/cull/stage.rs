@@ -221,6 +221,8 @@ pub struct OcclusionQuery {
 pub struct StageTarget {
     /// `None`: the target of the context.
     pub camera: Option<Arc<CameraTarget>>,
+    /// It is that of the stage around this one.
+    pub is_shared: bool,
     /// x, y, width and height in the target; `None`: all of it.
     pub viewport_px: Option<[u32; 4]>,
     /// Linear colour to clear with; `None` keeps what is there. Of a camera in the graph.
@@ -235,6 +237,21 @@ pub struct StageTarget {
     pub environment: CameraEnvironment,
     /// Its shadows, of a camera in the graph.
     pub shadows: CameraShadows,
+}
+
+impl StageTarget {
+    /// Without attachments of its own a camera draws where the stage does that it was met in, unless it says which part.
+    pub(super) fn within(self, around: &Self) -> Self {
+        match self.camera {
+            Some(_) => self,
+            None => Self {
+                camera: around.camera.clone(),
+                is_shared: true,
+                viewport_px: self.viewport_px.or(around.viewport_px),
+                ..self
+            },
+        }
+    }
 }
 
 /// What is drawn for a camera.

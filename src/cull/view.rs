@@ -5,9 +5,10 @@ use glam::{DAffine3, DMat4, DVec3};
 
 use super::camera::px_per_radian;
 use super::planes::EyePlanes;
+use super::visitor::DepthRange;
 use super::{CullCamera, CullingMode};
 use crate::math::Ellipsoid;
-use crate::scene::{ComputeNearFar, CullSettings};
+use crate::scene::{ClampProjection, ComputeNearFar, CullSettings, LodRanges, has_parallel_rays};
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
@@ -21,9 +22,8 @@ pub(super) struct View {
     pub planes: EyePlanes,
     /// Index of the projection: 0 is the stage's.
     pub index: u32,
-    /// Pixels at 1 m of distance per metre, over the error limit and the LOD scale: error times it = range.
-    pub range_per_error: f32,
-    pub range_per_metre: f32,
+    /// At which tiles are refined.
+    pub ranges: LodRanges,
     pub max_sse_px: f32,
     /// Radius over depth below which a bound is too small; 0 when off.
     pub small_feature: f32,
@@ -33,6 +33,10 @@ pub(super) struct View {
     pub least_depth: f32,
     /// Of a shadow's cascade: nothing is asked for, nothing positioned, nothing below other projections is there.
     pub casts: bool,
+    /// Says near and far instead of what is found.
+    pub clamp_projection: Option<ClampProjection>,
+    /// What was found before another view was gone over to.
+    pub range: DepthRange,
 }
 
 impl View {
@@ -46,13 +50,14 @@ impl View {
             horizon: camera.horizon,
             planes: EyePlanes::NONE,
             index: 0,
-            range_per_error: 0.0,
-            range_per_metre: 0.0,
+            ranges: LodRanges::new(1.0, 1.0, 1.0, false),
             max_sse_px: 0.0,
             small_feature: 0.0,
             depth_axis: DVec3::NEG_Z,
             least_depth: 0.0,
             casts: false,
+            clamp_projection: None,
+            range: DepthRange::EMPTY,
         };
         view.derive();
         view
@@ -82,12 +87,10 @@ impl View {
         let CullSettings { culling, lod_scale, max_sse_px, small_feature_px, .. } = self.settings;
         let px = px_per_radian(&self.clip_from_eye, self.viewport_px);
         self.planes = EyePlanes::new(&self.clip_from_eye, culling);
-        self.range_per_error = (px / (max_sse_px * lod_scale)) as f32;
-        self.range_per_metre = (1.0 / lod_scale) as f32;
+        // Sizes do not depend on the distance then, and rays reach behind what the eye would see.
+        let is_parallel = has_parallel_rays(&self.clip_from_eye);
+        self.ranges = LodRanges::new(px, max_sse_px, lod_scale, is_parallel);
         self.max_sse_px = max_sse_px as f32;
-        // Where rays are parallel, sizes do not depend on the distance, and rays reach behind what the eye would see.
-        let [x, y, z, _] = self.clip_from_eye.transpose().w_axis.to_array();
-        let is_parallel = [x, y, z] == [0.0; 3];
         if is_parallel {
             self.horizon = None;
         }
@@ -95,17 +98,30 @@ impl View {
         self.small_feature = if small { (0.5 * small_feature_px / px) as f32 } else { 0.0 };
     }
 
-    /// The same view with a projection clamped to depths, if the settings ask for it.
-    pub fn clamped(&self, near_m: f64, far_m: f64) -> DMat4 {
-        match self.settings.compute_near_far {
-            ComputeNearFar::Off => self.clip_from_eye,
-            _ => clamp(&self.clip_from_eye, near_m, far_m, self.settings.near_far_ratio),
+    /// Near and far of what was met, in metres; 0 where that is nothing.
+    pub fn depths_m(&self) -> [f64; 2] {
+        let DepthRange { near, far } = self.range;
+        if near <= far { [near, far].map(|depth| f64::from(depth.max(self.least_depth))) } else { [0.0; 2] }
+    }
+
+    /// The projection clamped to what was met, if the settings ask for it.
+    pub fn clamped(&self) -> DMat4 {
+        let [near_m, far_m] = self.depths_m();
+        if self.settings.compute_near_far == ComputeNearFar::Off || far_m <= 0.0 {
+            return self.clip_from_eye;
+        }
+        match self.clamp_projection {
+            Some(callback) => {
+                let (near_m, far_m) = callback(near_m, far_m);
+                clamp(&self.clip_from_eye, near_m, far_m, 0.0)
+            }
+            None => clamp(&self.clip_from_eye, near_m, far_m, self.settings.near_far_ratio),
         }
     }
 }
 
 /// A reversed-Z projection with other depths: near (not nearer than a share of far) and, where it has one, far.
-pub(super) fn clamp(clip_from_eye: &DMat4, near_m: f64, far_m: f64, ratio: f64) -> DMat4 {
+fn clamp(clip_from_eye: &DMat4, near_m: f64, far_m: f64, ratio: f64) -> DMat4 {
     let mut m = *clip_from_eye;
     let near_m = near_m.max(far_m * ratio);
     if !(near_m.is_finite() && far_m.is_finite() && near_m > 0.0 && far_m >= near_m) {

@@ -14,7 +14,7 @@ use super::sort::Sorter;
 use super::stage::{CullCounters, RenderLeaf, RenderStage};
 use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{MOST_PX, TileFrame, TileView};
-use super::view::{View, clamp};
+use super::view::View;
 use super::{CullCamera, Stereo};
 use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, CullingMode, Environment, NONE, Page, Scene};
 use crate::state::StateSet;
@@ -138,6 +138,10 @@ pub struct CullVisitor {
     visits_all: bool,
     /// Only the pages that hang at the scene's root are visited.
     walks_only: bool,
+    /// x, y, width and height of the picture in its target; `None`: all of it.
+    pub viewport_px: Option<[u32; 4]>,
+    /// Of the eye that is culled for, where it has a picture of its own.
+    eye_target: Option<Arc<CameraTarget>>,
     /// Changes near and far of the outermost stage when its settings have them computed.
     pub clamp_projection: Option<ClampProjection>,
     /// State above all roots; OSG's state set of a camera.
@@ -243,16 +247,16 @@ impl CullVisitor {
         stage.clear(camera);
         stage.bins.clear();
         stage.state_sets.clear();
+        stage.target.viewport_px = self.viewport_px;
         stage.stereo = Some(stereo.mode);
         stage.stereo_gap_px = stereo.separation_px;
         stage.counters = CullCounters::default();
         (stage.near_m, stage.far_m) = (f64::INFINITY, 0.0);
         for (place, (eye, target)) in stereo.eyes(camera).iter().zip(targets).enumerate() {
             let mut of_eye = stage.spare.stages.pop().unwrap_or_default();
-            self.eye = place;
+            (self.eye, self.eye_target) = (place, Some(target.clone()));
             self.cull(scene, eye, &mut of_eye);
-            self.eye = 0;
-            of_eye.target.camera = Some(target.clone());
+            (self.eye, self.eye_target) = (0, None);
             stage.requests.append(&mut of_eye.requests);
             stage.counters.add(&of_eye.counters);
             stage.near_m = stage.near_m.min(of_eye.near_m);
@@ -269,8 +273,10 @@ impl CullVisitor {
         self.graph.start_frame();
         self.fades[self.eye].start(camera.simulation_time_s);
         self.deferred.clear();
-        let clamp = self.clamp_projection;
-        self.traverse_stage(scene, camera, View::new(camera), None, clamp, stage);
+        let view = View { clamp_projection: self.clamp_projection, ..View::new(camera) };
+        self.traverse_stage(scene, camera, view, None, stage);
+        stage.target.camera = self.eye_target.clone();
+        stage.target.viewport_px = self.viewport_px.filter(|_| self.eye_target.is_none());
     }
 
     /// The second half of [`Self::cull`].
@@ -286,7 +292,6 @@ impl CullVisitor {
         camera: &CullCamera,
         view: View,
         met: Option<&CameraPlace>,
-        clamp_projection: Option<ClampProjection>,
         stage: &mut RenderStage,
     ) {
         stage.clear(camera);
@@ -336,12 +341,12 @@ impl CullVisitor {
             most_pages: if self.walks_only { scene.roots().len() } else { usize::MAX },
             in_scene_camera: self.in_scene_camera,
         };
-        cull.run(met, clamp_projection);
+        cull.run(met);
     }
 }
 
 impl<'a> Cull<'a> {
-    fn run(&mut self, met: Option<&CameraPlace>, clamp_projection: Option<ClampProjection>) {
+    fn run(&mut self, met: Option<&CameraPlace>) {
         match met {
             None => self.queue_roots(self.root_state),
             Some(met) => {
@@ -361,28 +366,29 @@ impl<'a> Cull<'a> {
         self.counters.wanted_missing = self.stage.requests.len() as u32;
         self.counters.leaves = self.leaves.len() as u32;
         self.stage.counters = self.counters;
-        self.look_at_primitives(0, &{ self.views[0] });
-        let DepthRange { near, far } = self.range;
-        let least = self.views[0].least_depth;
-        let (near, far) = if near <= far { (near.max(least), far.max(least)) } else { (0.0, 0.0) };
-        (self.stage.near_m, self.stage.far_m) = (f64::from(near), f64::from(far));
-        // Pages that tiles hold are visited late, and their depths are known of the whole stage only.
-        for nested in self.nested.iter().filter(|nested| self.hangers.iter().any(|h| h.view == nested.place)) {
-            if let Some(view) = self.stage.views.get_mut(nested.place as usize - 1) {
-                let [near_m, far_m] = &mut view.range_m;
-                let nearest = if *far_m > 0.0 { near_m.min(self.stage.near_m) } else { self.stage.near_m };
-                (*near_m, *far_m) = (nearest, far_m.max(self.stage.far_m));
-            }
-        }
-        let view = &self.views[0];
-        if view.settings.compute_near_far != ComputeNearFar::Off && far > 0.0 {
-            self.stage.camera.clip_from_eye = match clamp_projection {
-                Some(callback) => {
-                    let (near_m, far_m) = callback(self.stage.near_m, self.stage.far_m);
-                    clamp(&view.clip_from_eye, near_m, far_m, 0.0)
-                }
-                None => view.clamped(self.stage.near_m, self.stage.far_m),
-            };
+        self.fit_views();
+    }
+
+    /// Goes over to another view of the stage, with what was found in it so far; the one before.
+    pub(super) fn enter_view(&mut self, view: u32) -> u32 {
+        let before = self.view.index;
+        self.views[before as usize].range = self.range;
+        self.view = self.views[view as usize];
+        self.range = self.view.range;
+        // Those of other views are not looked for.
+        self.occluders = if view == 0 { self.stage_occluders } else { &NO_OCCLUDERS };
+        before
+    }
+
+    /// Near and far of each view, from all that was met in it.
+    fn fit_views(&mut self) {
+        self.views[self.view.index as usize].range = self.range;
+        self.look_at_primitives();
+        let [own, nested @ ..] = &self.views[..] else { return };
+        [self.stage.near_m, self.stage.far_m] = own.depths_m();
+        self.stage.camera.clip_from_eye = own.clamped();
+        for (view, found) in self.stage.views.iter_mut().zip(nested) {
+            (view.clip_from_eye, view.range_m) = (found.clamped(), found.depths_m());
         }
     }
 
@@ -421,9 +427,7 @@ impl<'a> Cull<'a> {
         let &Waiting { first, end, hanger, state, fade, mask } = waiting;
         let Hanger { eye_from_frame, page: holder, view, purpose, required, shown_px } = self.hangers[hanger as usize];
         if view != self.view.index {
-            self.view = self.views[view as usize];
-            // Those of other views are not looked for.
-            self.occluders = if view == 0 { self.stage_occluders } else { &NO_OCCLUDERS };
+            self.enter_view(view);
         }
         let takes_lone = purpose == Purpose::Draw && self.takes_ranges && self.takes_whole_nodes();
         let holder = self.scene.page_at(holder);

@@ -116,10 +116,8 @@ impl Targets {
         is_outermost: bool,
     ) -> Result<PassTarget, String> {
         match &target.camera {
-            Some(camera) if !camera.colors.is_empty() || camera.depth.is_some() => {
-                self.of_camera(ctx, textures, pipelines, camera, is_outermost)
-            }
-            _ => self.of_context(ctx, pipelines, is_outermost),
+            Some(camera) => self.of_camera(ctx, textures, pipelines, camera, is_outermost),
+            None => self.of_context(ctx, pipelines, is_outermost),
         }
     }
 

@@ -118,14 +118,24 @@ pub enum RenderOrder {
 /// What a camera in the graph draws into.
 #[derive(Clone, Debug, Default)]
 pub struct CameraTarget {
-    /// Colour attachments by location; none means the target of the stage above.
+    /// Colour attachments by location. Without any, and without depth, it is the target of the stage that the camera was met
+    /// in.
     pub colors: Vec<Attachment>,
     /// Depth, to be sampled later; without one a depth buffer of the camera's own is used.
     pub depth: Option<Attachment>,
     /// Samples a pixel, 1 or 4; resolved into the colour attachments.
     pub samples: u32,
-    /// Where the first colour attachment is copied to after each draw, without waiting for it.
+    /// Where the first colour attachment is copied to after each draw, with what cameras below draw over it; without waiting.
     pub read_back: Option<Arc<PictureSink>>,
+}
+
+impl CameraTarget {
+    /// Width and height, where something is attached.
+    pub fn size_px(&self) -> Option<[u32; 2]> {
+        let first = self.colors.first().or(self.depth.as_ref())?;
+        let [width, height, _] = first.texture.level_size(first.level);
+        Some([width, height])
+    }
 }
 
 /// A part of a texture to draw into.
@@ -135,7 +145,7 @@ pub struct Attachment {
     pub texture: Arc<TextureObject>,
     /// Mip level.
     pub level: u32,
-    /// Array layer, cube face or depth slice.
+    /// Array layer or cube face.
     pub layer: u32,
 }
 
@@ -192,7 +202,8 @@ pub struct CameraNode {
     pub frame: ReferenceFrame,
     /// Reversed-Z projection; `None` keeps the one above.
     pub projection: Option<DMat4>,
-    /// x, y, width, height in pixels of the target, origin upper left; `None`: all of it.
+    /// x, y, width, height in pixels of the target, origin upper left; `None`: all of its own target, or what the view has
+    /// of it that the camera was met in.
     pub viewport_px: Option<[u32; 4]>,
     /// Linear colour to clear with; `None` keeps what is there. Nested cameras clear nothing.
     pub clear_color: Option<[f32; 4]>,
@@ -202,7 +213,7 @@ pub struct CameraNode {
     /// the tiles that the camera's own eye asks for. Levels of detail do not cross-fade in its picture. Of cameras that
     /// show the scene none is drawn in another's picture. Not for nested cameras.
     pub shows_scene: bool,
-    /// What it draws into.
+    /// What it draws into; `None`: what the stage draws into that the camera was met in.
     pub target: Option<Arc<CameraTarget>>,
     /// Light, air, sky and water of its picture.
     pub environment: CameraEnvironment,

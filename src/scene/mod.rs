@@ -14,6 +14,7 @@ mod graph;
 mod id;
 mod intersect;
 mod kinds;
+mod lod_ranges;
 mod lone;
 mod node;
 mod occluders;
@@ -64,6 +65,7 @@ pub use world::TileInfo;
 pub use crate::state::DataVariance;
 
 pub(crate) use draw_kinds::SMALL_MESH_INDICES;
+pub(crate) use lod_ranges::{LodRanges, MORPH_START, has_parallel_rays};
 pub(crate) use lone::LoneDrawable;
 pub(crate) use occluders::OccluderPage;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};

@@ -8,6 +8,7 @@ use std::sync::atomic::AtomicU32;
 
 use glam::{DAffine3, DMat3, DVec3};
 
+use super::lod_ranges::LodRanges;
 use super::node::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 use super::page::{NONE, UNBOUNDED};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox};
@@ -402,7 +403,6 @@ impl Tiles {
     }
 
     /// Squared distance at which a tile wants its children, and squared distance now; metres of the tile frame.
-    /// `per` are the ranges of a metre of error and of a metre of range.
     #[inline(always)]
     pub fn range_and_distance(
         &self,
@@ -411,15 +411,16 @@ impl Tiles {
         bounds: &TileBounds,
         offset: [f32; 3],
         eye: DVec3,
-        per: (f32, f32),
+        ranges: &LodRanges,
     ) -> (f32, f32) {
         let (range, distance2) = if record.has(flag::DISTANCE) {
-            let distance = self.distance_center(tile).distance(eye) as f32;
-            (bounds.metric_m * per.1, distance * distance)
+            let (range, distance) =
+                (bounds.metric_m * ranges.per_metre, self.distance_center(tile).distance(eye) as f32);
+            return (range * range, distance * distance);
         } else if record.has(flag::SPHERE) {
             let [x, y, z] = offset;
             let outside = ((x * x + y * y + z * z).sqrt() - bounds.radius_m).max(0.0);
-            (bounds.metric_m * per.0, outside * outside)
+            (bounds.metric_m * ranges.per_error, outside * outside)
         } else {
             let along = if bounds.is_along_frame() {
                 offset
@@ -432,9 +433,9 @@ impl Tiles {
                 if outside > 0.0 { outside } else { 0.0 }
             };
             let [x, y, z] = [outside(0), outside(1), outside(2)];
-            (bounds.metric_m * per.0, x * x + y * y + z * z)
+            (bounds.metric_m * ranges.per_error, x * x + y * y + z * z)
         };
-        (range * range, distance2.max(1.0e-14))
+        (range * range, distance2.max(ranges.least_distance2))
     }
 
     pub fn distance_center(&self, tile: u32) -> DVec3 {

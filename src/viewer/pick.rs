@@ -15,7 +15,7 @@ impl Camera {
         self.cull_camera(size_px, 0, 0).eye_point()
     }
 
-    /// This camera's picture of a size, for intersectors at places of it. It is all of its target; its near plane is at
+    /// This camera's picture of a size, for intersectors at places of it: all of its target. Its near plane is at
     /// [`Self::min_near_m`].
     pub fn window_view(&self, size_px: [u32; 2]) -> WindowView {
         let [width, height] = size_px.map(|side| side.max(1));
@@ -23,7 +23,6 @@ impl Camera {
             world_from_eye: self.world_from_eye,
             clip_from_eye: self.clip_from_eye(size_px, self.min_near_m),
             viewport_px: [0, 0, width, height],
-            target_px: [width, height],
             fits_depth: self.settings.compute_near_far != ComputeNearFar::Off,
         }
     }

@@ -237,8 +237,8 @@ impl Collector<'_> {
             return true;
         }
         let bounds = &tiles.bounds[tile as usize];
-        let ranges = (self.view.range_per_error, self.view.range_per_metre);
-        let to_range = tiles.range_and_distance(tile, record, bounds, bounds.offset_from(eye), eye, ranges);
+        let offset = bounds.offset_from(eye);
+        let to_range = tiles.range_and_distance(tile, record, bounds, offset, eye, &self.view.ranges);
         let is_refined = shows_children(record, to_range);
         let part = match below {
             true => TilePart::Below,

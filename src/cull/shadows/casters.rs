@@ -74,7 +74,7 @@ impl CullVisitor {
         for cascade in &fit.cascades[..fit.count] {
             let mut casters = stage.spare.stages.pop().unwrap_or_default();
             let view = View::casting(camera, &cascade.casters_from_eye, to_sun, light.shadows.caster_mask);
-            self.traverse_stage(scene, camera, view, met, None, &mut casters);
+            self.traverse_stage(scene, camera, view, met, &mut casters);
             if casters.state_sets.iter().any(|s| !s.casts_shadow()) {
                 self.leaves.retain(|leaf| casters.state_sets[leaf.state as usize].casts_shadow());
             }

@@ -17,7 +17,7 @@ use super::horizon::Horizon;
 use super::planes::Planes;
 use super::stage::PageRequest;
 use super::visitor::{Cull, Hanger, PageVisit, Purpose, Waiting, eye_in};
-use crate::scene::{NONE, NodeId, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, UNBOUNDED, flag};
+use crate::scene::{LodRanges, NONE, NodeId, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, UNBOUNDED, flag};
 
 /// A frame with tile trees, seen from the eye.
 #[derive(Clone, Copy, Debug)]
@@ -38,8 +38,7 @@ struct Walk<'a> {
     tiles: &'a Tiles,
     root: &'a TileRoot,
     view: TileView,
-    /// Ranges of a metre of error and of a metre of range.
-    ranges: (f32, f32),
+    ranges: LodRanges,
     max_sse_px2: f32,
     /// Shadows take what is there.
     asks: bool,
@@ -82,7 +81,7 @@ impl Cull<'_> {
             tiles,
             root: tile_root,
             view: self.tile_view(page, visit, tile_root.transform),
-            ranges: (self.view.range_per_error, self.view.range_per_metre),
+            ranges: self.view.ranges,
             max_sse_px2: self.view.max_sse_px * self.view.max_sse_px,
             asks: !self.view.casts,
             cull_mask,
@@ -517,7 +516,7 @@ impl Walk<'_> {
     #[inline(always)]
     fn range_and_distance(&self, tile: u32, record: &TileRecord, bounds: &TileBounds) -> (f32, f32) {
         let offset = bounds.offset_from(self.view.eye);
-        self.tiles.range_and_distance(tile, record, bounds, offset, self.view.eye, self.ranges)
+        self.tiles.range_and_distance(tile, record, bounds, offset, self.view.eye, &self.ranges)
     }
 }
 

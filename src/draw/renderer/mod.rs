@@ -387,7 +387,7 @@ impl Renderer {
 
     /// Copies what a camera has drawn to whoever wants it.
     fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
-        let Some(camera) = &stage.target.camera else { return };
+        let Some(camera) = stage.target.camera.as_ref().filter(|_| !stage.target.is_shared) else { return };
         let (Some(sink), Some(first)) = (&camera.read_back, camera.colors.first()) else { return };
         let frame = stage.camera.frame;
         let is_bytes = first.texture.format.texel_bytes() == 4;

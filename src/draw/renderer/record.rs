@@ -74,17 +74,22 @@ impl Renderer {
         for before in &stage.pre_render {
             self.record_all(ctx, encoder, before, plans, next, stats);
         }
+        let mut is_drawn = false;
         if let Some(plan) = plans.get(*next)
             && let Some(target) = &plan.target
         {
             self.record_casters(ctx, encoder, plan, stats);
             let of_pass = self.record_pass(ctx, encoder, stage, plan, target, callbacks, &info);
             stats.add(&of_pass);
-            self.copy_picture(ctx, encoder, stage);
+            is_drawn = true;
         }
         *next += 1;
         for after in &stage.post_render {
             self.record_all(ctx, encoder, after, plans, next, stats);
+        }
+        // With what others draw into the same target.
+        if is_drawn {
+            self.copy_picture(ctx, encoder, stage);
         }
         if let Some(final_draw) = callbacks.and_then(|c| c.final_draw.as_ref()) {
             final_draw(&info, encoder);

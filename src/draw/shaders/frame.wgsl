@@ -11,7 +11,8 @@ struct Frame {
                                // an atmosphere; 1 where it is seen in front of things
     ray: vec4<f32>,            // eye ray from clip position: scale xy, offset zw
     water: vec4<f32>,          // linear colour of deep water; w: its height, metres
-    air: vec4<f32>,            // of the eye: kilometres from the earth's centre, cosines of horizon and limb (air.wgsl)
+    air: vec4<f32>,            // of the eye: kilometres from the earth's centre, cosines of horizon and limb (air.wgsl); w: 1
+                               // where rays are parallel
     sun_top: vec4<f32>,        // linear irradiance of the sun before any air; w: layer of the first cascade's shadow map
     shadow_x: vec4<f32>,       // in eye space, across the sun's rays; w: how far points are moved along normals, texels
     shadow_y: vec4<f32>,       // the other axis; w: how far points are moved towards the sun, texels

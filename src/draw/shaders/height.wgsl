@@ -1,8 +1,8 @@
 // Height tiles: one grid, displaced and morphed here.
 //
 // Vertex v of level L is drawn at p_L(v) = (1 - k) P(v) + k p_{L-1}(snap(v)), where P is the tile's own surface,
-// snap(v) is the coarser level's vertex south-west of v, and k depends on the distance from the eye to P(v) and on
-// the level alone. So two tiles that share an edge compute the same points on it: where the finer one ends, its
+// snap(v) is the coarser level's vertex south-west of v, and k depends on the distance from the eye to P(v) (where rays
+// are parallel, on nothing in its place) and on the level alone. So two tiles that share an edge compute the same points on it: where the finer one ends, its
 // edge has k = 1, which is the coarser one's edge.
 
 // A vertex with height h, in the row (dp, dz, cos, sin) and the column (sin, 1 - cos), lies at
@@ -118,7 +118,7 @@ fn height_point(index: u32, instance: u32) -> HeightPoint {
         let point = vec3<f32>(across * v_column.x, out - across * v_column.y, v_row.y + height * v_row.w);
         var k = 0.0;
         if n < levels {
-            let distance = length(point_in_eye(leaf, point));
+            let distance = select(length(point_in_eye(leaf, point)), 1.0, frame.air.w > 0.0);
             let range = max(range_error(table, n) * range_per_error, 1e-6);
             k = clamp((distance / range - morph_start) / (1.0 - morph_start), 0.0, 1.0);
         }

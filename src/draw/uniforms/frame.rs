@@ -5,10 +5,8 @@ use glam::{DMat4, DVec3, Mat4, Vec3};
 use crate::cull::{CullCamera, MOST_CASCADES, StageShadows};
 use crate::draw::atmosphere::Air;
 use crate::math::WGS84;
-use crate::scene::{Environment, Sky, is_over_globe};
+use crate::scene::{Environment, MORPH_START, Sky, has_parallel_rays, is_over_globe};
 
-/// Share of a level's range at which its vertices start to morph into the coarser level.
-const MORPH_START: f32 = 0.7;
 /// Height in metres over which air thins to 1/e.
 const AIR_SCALE_HEIGHT_M: f64 = 8_000.0;
 
@@ -34,7 +32,8 @@ pub(in crate::draw) struct FrameUniform {
     pub(in crate::draw) ray: [f32; 4],
     /// Linear colour of deep water; w: its height in metres.
     pub(in crate::draw) water: [f32; 4],
-    /// Of the eye the air's tables were made for: kilometres from the earth's centre, cosines of horizon and limb.
+    /// Of the eye the air's tables were made for: kilometres from the earth's centre, cosines of horizon and limb; w: 1
+    /// where rays are parallel.
     pub(in crate::draw) air: [f32; 4],
     /// Linear irradiance of the sun before any air; w: layer of the first cascade's map.
     pub(in crate::draw) sun_top: [f32; 4],
@@ -147,7 +146,7 @@ impl FrameUniform {
         Self {
             clip_from_eye: p.as_mat4(),
             sun_direction: vec4(sun, sse_scale),
-            sun_color: with_w(environment.sun_color, MORPH_START),
+            sun_color: with_w(environment.sun_color, MORPH_START as f32),
             ambient_color: with_w(environment.ambient_color, density as f32),
             up: vec4(up, height_m),
             horizon_color: vec4(horizon, 1.0 / AIR_SCALE_HEIGHT_M),
@@ -164,7 +163,7 @@ impl FrameUniform {
                 (p.z_axis.y / p.y_axis.y) as f32,
             ],
             water: environment.water.map_or([0.0; 4], |w| with_w(w.color, w.height_m)),
-            air: [air.eye_km, air.horizon_cosine, air.limb_cosine, 0.0],
+            air: [air.eye_km, air.horizon_cosine, air.limb_cosine, switch(has_parallel_rays(p))],
             sun_top: with_w(air.sun_irradiance(environment.sun_color), 0.0),
             shadow_x: [0.0; 4],
             shadow_y: [0.0; 4],

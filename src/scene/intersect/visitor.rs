@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 
 use super::surface::Surface;
 use super::walk::{Candidate, Probe, Rules, candidates, node_of_drawable};
-use crate::scene::{NodeId, Scene};
+use crate::scene::{LodRanges, NodeId, Scene};
 
 /// Which level of detail is intersected.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,8 +27,10 @@ pub enum LodSelection {
 pub struct EyePoint {
     /// Eye space (looking down -z, y up) to world, without scale.
     pub world_from_eye: DAffine3,
-    /// Pixels that one metre covers at a distance of one metre.
+    /// Pixels that one metre covers at a distance of one metre; at any distance where rays are parallel.
     pub px_per_radian: f64,
+    /// The projection is no perspective one: errors are seen as large from anywhere.
+    pub is_parallel: bool,
     /// A tile whose error projects to more pixels is refined.
     pub max_sse_px: f64,
     /// Distances are multiplied with it where levels are chosen.
@@ -41,10 +43,9 @@ impl EyePoint {
         self.world_from_eye.translation
     }
 
-    /// Distance at which a metre of error, and a metre of range, are refined. As cull has them, in f32.
-    pub(super) fn ranges(&self) -> (f32, f32) {
-        let per_error = (self.px_per_radian / (self.max_sse_px * self.lod_scale)) as f32;
-        (per_error, (1.0 / self.lod_scale) as f32)
+    /// Distances at which tiles are refined, as cull has them.
+    pub(super) fn ranges(&self) -> LodRanges {
+        LodRanges::new(self.px_per_radian, self.max_sse_px, self.lod_scale, self.is_parallel)
     }
 }
 

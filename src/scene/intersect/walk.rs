@@ -8,7 +8,9 @@ use super::visitor::{EyePoint, LodSelection};
 use super::window::WindowView;
 use crate::scene::page::{NONE, Page, Special, UNBOUNDED, kind};
 use crate::scene::tiles::{TileBounds, TileRecord, Tiles, flag};
-use crate::scene::{CameraNode, ComputeNearFar, INACTIVE, Inherit, ReferenceFrame, RenderOrder, Scene};
+use crate::scene::{
+    CameraNode, ComputeNearFar, INACTIVE, Inherit, ReferenceFrame, RenderOrder, Scene, has_parallel_rays,
+};
 
 /// A shape in the world that can be moved into other frames.
 pub trait Probe {
@@ -307,7 +309,8 @@ impl<P: Probe> Walk<'_, P> {
     }
 
     fn camera(&mut self, here: &InPage<P::Local>, node: u32, camera: &CameraNode) {
-        if camera.target.is_some() && camera.order != RenderOrder::Nested {
+        let is_elsewhere = camera.target.as_ref().is_some_and(|target| target.size_px().is_some());
+        if is_elsewhere && camera.order != RenderOrder::Nested {
             return; // a picture of its own, shown by whatever has its texture
         }
         if camera.shows_scene && self.view.in_scene_camera {
@@ -349,8 +352,6 @@ impl<P: Probe> Walk<'_, P> {
                 (moved * window.world_from_eye, here.world_from_page)
             }
         };
-        let whole = [0, 0, window.target_px[0], window.target_px[1]];
-        let unless_said = if camera.order == RenderOrder::Nested { window.viewport_px } else { whole };
         let fits_depth = match camera.inherit.has(Inherit::NEAR_FAR) {
             true => window.fits_depth,
             false => camera.settings.compute_near_far != ComputeNearFar::Off,
@@ -358,7 +359,7 @@ impl<P: Probe> Walk<'_, P> {
         let window = WindowView {
             world_from_eye,
             clip_from_eye: camera.projection.unwrap_or(window.clip_from_eye),
-            viewport_px: camera.viewport_px.unwrap_or(unless_said),
+            viewport_px: camera.viewport_px.unwrap_or(window.viewport_px),
             fits_depth,
             ..window
         };
@@ -415,6 +416,7 @@ impl<P: Probe> Walk<'_, P> {
         (view.shape, view.window) = (shape, Some(window));
         if let Some(eye) = &mut view.rules.eye {
             eye.world_from_eye = window.world_from_eye;
+            eye.is_parallel = has_parallel_rays(&window.clip_from_eye);
             eye.px_per_radian = 0.5 * f64::from(window.viewport_px[3]) * window.clip_from_eye.y_axis.y.abs();
         }
         let outer = std::mem::replace(&mut self.view, view);
@@ -484,7 +486,7 @@ impl<P: Probe> Walk<'_, P> {
                 let bounds = &tiles.bounds[tile as usize];
                 let offset = bounds.offset_from(eye_in_tile);
                 let (range2, distance2) =
-                    tiles.range_and_distance(tile, record, bounds, offset, eye_in_tile, eye.ranges());
+                    tiles.range_and_distance(tile, record, bounds, offset, eye_in_tile, &eye.ranges());
                 distance2 < range2
             }
             _ => true,

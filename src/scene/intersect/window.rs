@@ -19,8 +19,6 @@ pub struct WindowView {
     pub clip_from_eye: DMat4,
     /// x, y, width and height of the picture in its target, pixels from the upper left corner.
     pub viewport_px: [u32; 4],
-    /// Size of the target, all of which cameras drawn before or after have unless they say otherwise.
-    pub target_px: [u32; 2],
     /// Near and far are fitted to what is drawn and cut nothing off; else what is nearer or farther is not met below
     /// other projections.
     pub fits_depth: bool,

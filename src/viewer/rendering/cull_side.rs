@@ -93,6 +93,7 @@ impl CullTask {
         let Self { scene, camera, lens, sight, environment, state_set, viewport_px, mut requests, .. } = self;
         visitor.state_set = state_set;
         visitor.environment = Some(environment);
+        visitor.viewport_px = viewport_px;
         let fits_itself = camera.settings.compute_near_far != ComputeNearFar::Off;
         match &sight {
             Sight::Middle => {
@@ -124,7 +125,6 @@ impl CullTask {
             }
         }
         drop(scene);
-        stage.target.viewport_px = viewport_px;
         requests.clear();
         // The stage goes to the draw thread; its requests stay for the next update.
         std::mem::swap(&mut requests, &mut stage.requests);

@@ -1,0 +1,49 @@
+//! The distances at which tiles give way to their children, by the error they have in pixels. Plain values, shared by cull,
+//! intersections and draw.
+
+use glam::DMat4;
+
+/// Share of a level's range at which the vertices of height tiles start to morph into the coarser level.
+pub(crate) const MORPH_START: f64 = 0.7;
+
+/// Where rays are parallel nothing is seen larger for being near: all counts as so far away, in metres, which is farther
+/// than anything is.
+const PARALLEL_M: f64 = 1e10;
+
+/// Ranges of one eye.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LodRanges {
+    /// Of a metre of geometric error.
+    pub per_error: f32,
+    /// Of a metre of a range that is said in metres.
+    pub per_metre: f32,
+    /// The squared distance from which an error is seen at least.
+    pub least_distance2: f32,
+    is_parallel: bool,
+}
+
+impl LodRanges {
+    /// Ranges of an eye for which one metre covers so many pixels: at a distance of one metre, or at all where its rays are
+    /// parallel. A tile is refined where its error, over the scale, is more than `max_sse_px`.
+    pub fn new(px_per_metre: f64, max_sse_px: f64, lod_scale: f64, is_parallel: bool) -> Self {
+        let per_error = px_per_metre / (max_sse_px * lod_scale);
+        let (distance_m, least_distance2) = if is_parallel { (PARALLEL_M, PARALLEL_M.powi(2)) } else { (1.0, 1e-14) };
+        Self {
+            per_error: (per_error * distance_m) as f32,
+            per_metre: (1.0 / lod_scale) as f32,
+            least_distance2: least_distance2 as f32,
+            is_parallel,
+        }
+    }
+
+    /// The least depth at which a height tile can lie whose own surface is at a depth, as far as it may have morphed.
+    pub fn before_morph(&self, depth_m: f64) -> f64 {
+        let slack = 1.0 / (MORPH_START * f64::from(self.per_error));
+        if self.is_parallel { depth_m - slack * PARALLEL_M } else { depth_m * (1.0 - slack.min(0.5)) }
+    }
+}
+
+/// True for projections that are not perspective.
+pub(crate) fn has_parallel_rays(clip_from_eye: &DMat4) -> bool {
+    clip_from_eye.row(3).truncate() == glam::DVec3::ZERO
+}
