@@ -5,6 +5,7 @@ mod gpu_support;
 
 use std::sync::Arc;
 
+use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec3};
 use gpu_support::{MAGENTA, Terrain, camera, count, mesh, plain, quad, rig, unit_camera, with_mips};
 use terrane::draw::{Environment, Fog, Sky};
@@ -334,6 +335,43 @@ fn no_background_shows_between_levels() {
         // Without skirts, a pixel may fall between two edges that are equal but for rounding.
         let allowed = if skirts { 0 } else { 2 };
         assert!(leaks <= allowed, "{leaks} pixels of background, skirts {skirts}");
+    }
+}
+
+/// The heights of a tile and those below it that morph into coarser levels no longer.
+fn without_morph(node: &mut Node) {
+    if let terrane::scene::NodeKind::Geode(drawables) = &mut node.kind {
+        for drawable in drawables {
+            if let Geometry::Height(tile) = &mut drawable.geometry {
+                Arc::make_mut(tile).coarser_errors_m.clear();
+            }
+        }
+    }
+    node.children.iter_mut().for_each(without_morph);
+}
+
+#[test]
+fn where_rays_are_parallel_heights_morph_by_their_error_alone() {
+    let Some(mut rig) = rig("where_rays_are_parallel_heights_morph_by_their_error_alone") else { return };
+    let terrain = terrain(true);
+    let mut seen = |above_m: f64, max_sse_px: f64, morphs: bool| {
+        let mut camera = camera([256, 256], terrain.world(0.5, 0.5, above_m), terrain.world(0.5, 0.5, 0.0), DVec3::Z);
+        // A pixel is 60 m wide: the root's error of 250 m takes 4.2 of them.
+        camera.clip_from_eye = proj::orthographic(-7_680.0, 7_680.0, -7_680.0, 7_680.0, 1e6, 1.0);
+        camera.settings.max_sse_px = max_sse_px;
+        let mut root = terrain.tile(1, 0, 0);
+        if !morphs {
+            without_morph(&mut root);
+        }
+        let scene = rig.scene(root);
+        let picture = rig.picture(&scene, &camera, &plain());
+        rig.release(scene);
+        picture
+    };
+    let own = seen(20_000.0, 2.0, false);
+    for above_m in [20_000.0, 200_000.0] {
+        let (near, far) = (differing(&own, &seen(above_m, 2.0, true)), differing(&own, &seen(above_m, 6.0, true)));
+        assert!(near < 300 && far > 5_000, "{above_m} m: {near} and {far} pixels");
     }
 }
 
