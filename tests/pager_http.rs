@@ -307,6 +307,31 @@ fn tries_are_not_forgotten_while_nobody_looks() {
     assert_eq!((run.pager.stats().failed, run.pager.stats().retried), (2, 1));
 }
 
+/// The same for those that were to be tried again when nobody wanted them any longer, whether they waited or were read.
+#[test]
+fn tries_are_not_forgotten_where_a_request_goes_stale() {
+    let url = "/set/child2.glb";
+    let server = Server::start(set(), move |path, n| match n {
+        0 | 2.. if path == url => Answer::Status(503),
+        1 if path == url => Answer::Silent,
+        _ => Answer::Whole,
+    });
+    let wait = Duration::from_millis(20);
+    let http = HttpConfig { max_retries: 0, ..patient().http };
+    let mut run = run_of(&server, PagerConfig { max_tries: 2, retry_after: wait, http, ..impatient() });
+    run.until(NEAR, "does not fail", |r| r.pager.stats().failed == 1);
+    run.pager.set_paused(true);
+    run.until(NEAR, "does not wait again", |r| r.pager.stats().retried == 1);
+    run.until(FAR, "does not go stale", |r| r.pager.stats().stale == 1);
+    run.pager.set_paused(false);
+    run.until(NEAR, "is not read again", |_| server.requests(url) == 2);
+    run.until(FAR, "is not given up", |r| r.pager.stats().cancelled == 1);
+    run.until(NEAR, "does not fail again", |r| r.pager.stats().failed == 2);
+    let end = Instant::now() + 10 * wait;
+    run.until(NEAR, "", |_| Instant::now() > end);
+    assert_eq!((run.pager.stats().failed, server.requests(url)), (2, 3));
+}
+
 #[test]
 fn a_hung_request_blocks_nobody() {
     let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });

@@ -38,7 +38,9 @@ impl DatabasePager {
             None => {
                 self.stats.cancelled += 1;
                 timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "cancelled");
-                self.entries.remove(&slot);
+                if !entry.rests() {
+                    self.entries.remove(&slot);
+                }
             }
             Some(Err(error)) => {
                 self.stats.failed += 1;

@@ -231,4 +231,11 @@ impl Entry {
     pub fn is_ahead(&self) -> bool {
         self.ahead_frames > 0
     }
+
+    /// Nobody wants it any longer. False where it can be forgotten: tries that failed are not, so that whoever comes back
+    /// does not make them again.
+    pub fn rests(&mut self) -> bool {
+        self.progress = Progress::Failed { retry_at: Some(Instant::now()) };
+        self.tries > 0
+    }
 }

@@ -130,7 +130,7 @@ impl DatabasePager {
             if old {
                 timeline::request_ends(self.threads.list.ticket_source | e.job.ticket, "stale");
             }
-            !old
+            !old || e.rests()
         });
         self.stats.stale += stale;
         let mut jobs: Vec<(f32, &Entry)> = Vec::new();
