@@ -173,12 +173,12 @@ impl StateGraph {
         })
     }
 
-    /// The state of what has another projection under a parent.
+    /// The state of what has another projection under a parent. View 0 begins a stage, which has fades of its own.
     pub fn find_or_insert_view(&mut self, parent: u32, view: u32) -> u32 {
         let key = VIEW_KEY + 2 * view as usize;
         self.find(parent, key).unwrap_or_else(|place| {
             let Node { resolved, at, .. } = &self.nodes[parent as usize];
-            let (resolved, at) = (resolved.clone(), At { view, ..*at });
+            let (resolved, at) = (resolved.clone(), At { view, fade: if view == 0 { 0 } else { at.fade } });
             self.insert(place, parent, key, resolved, at, None)
         })
     }
@@ -329,16 +329,17 @@ mod tests {
         let other_view = graph.find_or_insert_view(b, 2);
         let fading = graph.find_or_insert_fade(other_view, 3);
         assert_ne!(graph.find_or_insert_fade(other_view, 4), fading);
+        let (inside, of_stage) = (graph.find_or_insert_view(fading, 1), graph.find_or_insert_view(fading, 0));
         graph.start_stage();
-        let places = [blended, blended_below, b, other_view, fading].map(|s| graph.meet(s, &mut stage));
-        assert_eq!(places, [0, 1, 2, 3, 4]);
+        let states = [blended, blended_below, b, other_view, fading, inside, of_stage];
+        assert_eq!(states.map(|s| graph.meet(s, &mut stage)), [0, 1, 2, 3, 4, 5, 6]);
         let [blended, below, b, other] = [0, 1, 2, 3].map(|i: usize| stage.state_sets[i].clone());
         assert!(!blended.writes_depth());
         assert_eq!(blended.bin(), BinDetails::TRANSPARENT);
         assert!(below.writes_depth());
         assert_eq!(b.color, [0.25, 0.0, 0.0, 0.5]);
         assert!(b.mode(Mode::DepthTest) && Arc::ptr_eq(&b, &other));
-        assert_eq!((stage.view_of_state, stage.fade_of_state), (vec![0, 0, 0, 2, 2], vec![0, 0, 0, 0, 3]));
+        assert_eq!((stage.view_of_state, stage.fade_of_state), (vec![0, 0, 0, 2, 2, 1, 0], vec![0, 0, 0, 0, 3, 3, 0]));
         assert!(Arc::ptr_eq(&other, &stage.state_sets[4]));
         assert_ne!(StateValue::ON, StateValue::OFF);
     }

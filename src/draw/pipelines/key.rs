@@ -341,6 +341,9 @@ impl PipelineKey {
     }
 }
 
+/// So many different parts of a kind have room in a key's 6 bits.
+const MOST_PARTS: usize = 63;
+
 /// Parts of states that are met, each kept once; 0 is none.
 #[derive(Debug)]
 pub(in crate::draw) struct Interned<T>(Vec<T>);
@@ -352,12 +355,16 @@ impl<T> Default for Interned<T> {
 }
 
 impl<T: Copy + PartialEq> Interned<T> {
-    /// The index of a value. Beyond 63 different ones the last is used for all further.
-    pub fn index_of(&mut self, value: Option<T>) -> u8 {
+    /// The index of a value. Beyond 63 different ones, which is said, the last is used for all further.
+    pub fn index_of(&mut self, value: Option<T>, what: &str, errors: &mut Vec<String>) -> u8 {
         let Some(value) = value else { return 0 };
         let place = self.0.iter().position(|v| *v == value).unwrap_or_else(|| {
-            if self.0.len() < 63 {
+            if self.0.len() < MOST_PARTS {
                 self.0.push(value);
+            } else {
+                errors.push(format!(
+                    "more than {MOST_PARTS} different {what}; further ones are drawn as the last of them"
+                ));
             }
             self.0.len() - 1
         });
@@ -387,13 +394,15 @@ pub(in crate::draw) struct PartIndices {
 }
 
 impl Parts {
-    pub fn of(&mut self, state: &ResolvedState) -> PartIndices {
+    /// Those of a state; what there is no room for goes to `errors`.
+    pub fn of(&mut self, state: &ResolvedState, errors: &mut Vec<String>) -> PartIndices {
         let usable = |o: &PolygonOffset| o.factor.is_finite() && o.units.is_finite() && *o != PolygonOffset::default();
         let blend = state.blends().then(|| (state.blend_func(), state.blend_equation()));
+        let stencil = state.stencil().map(|s| Stencil { reference: 0, ..s });
         PartIndices {
-            offset: self.offsets.index_of(state.polygon_offset().filter(usable)),
-            stencil: self.stencils.index_of(state.stencil().map(|s| Stencil { reference: 0, ..s })),
-            blend: self.blends.index_of(blend),
+            offset: self.offsets.index_of(state.polygon_offset().filter(usable), "polygon offsets", errors),
+            stencil: self.stencils.index_of(stencil, "stencils", errors),
+            blend: self.blends.index_of(blend, "blend functions and equations", errors),
         }
     }
 }
@@ -465,26 +474,27 @@ mod tests {
 
     #[test]
     fn parts_are_kept_once() {
-        let mut parts = Parts::default();
+        let (mut parts, mut errors) = (Parts::default(), Vec::new());
         let offset = |factor, units| {
             let set = StateSet::default().with(Attribute::PolygonOffset(PolygonOffset { factor, units }));
             ResolvedState::default().below(&set)
         };
         let indices = [ResolvedState::default(), offset(1.0, 2.0), offset(1.0, 2.0), offset(f32::NAN, 0.0)];
-        assert_eq!(indices.map(|state| parts.of(&state).offset), [0, 1, 1, 0]);
+        assert_eq!(indices.map(|state| parts.of(&state, &mut errors).offset), [0, 1, 1, 0]);
         assert_eq!(parts.offsets.get(1), Some(PolygonOffset { factor: 1.0, units: 2.0 }));
         assert_eq!((parts.offsets.get(0), parts.offsets.get(9)), (None, None));
         for i in 0..300 {
-            parts.of(&offset(0.0, i as f32 + 1.0));
+            parts.of(&offset(0.0, i as f32 + 1.0), &mut errors);
         }
-        assert_eq!(parts.offsets.0.len(), 63);
+        assert_eq!((parts.offsets.0.len(), errors.len()), (63, 300 - 62));
+        assert!(errors[0].contains("polygon offsets"));
         let blend = |func| {
             let set = StateSet::default().with(Attribute::BlendFunc(func)).with_mode(Mode::Blend, StateValue::ON);
             ResolvedState::default().below(&set)
         };
         let apart = BlendFunc::ALPHA.with_alpha(BlendFactor::One, BlendFactor::Zero);
         let states = [BlendFunc::ALPHA, apart, BlendFunc::ALPHA].map(blend);
-        assert_eq!(states.map(|state| parts.of(&state).blend), [1, 2, 1]);
+        assert_eq!(states.map(|state| parts.of(&state, &mut errors).blend), [1, 2, 1]);
         assert_eq!(parts.blends.get(2), Some((apart, BlendEquation::Add)));
     }
 }

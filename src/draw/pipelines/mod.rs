@@ -150,7 +150,7 @@ impl Pipelines {
 
     /// The pipeline part of a state.
     pub(in crate::draw) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u8) -> StateKey {
-        let parts = self.parts.of(state);
+        let parts = self.parts.of(state, &mut self.errors);
         StateKey::new(state, parts, shading, target)
     }
 

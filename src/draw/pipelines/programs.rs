@@ -81,7 +81,8 @@ impl Programs {
             return Ok(self.entries[place].compiled.is_some().then_some(place as u16));
         }
         if self.entries.len() >= MOST_PROGRAMS {
-            return Ok(None);
+            let name = &program.name;
+            return Err(format!("program {name:?} is one more than the {MOST_PROGRAMS} that there can be"));
         }
         let compiled = compile(device, program);
         let place = self.entries.len() as u16;
