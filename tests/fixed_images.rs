@@ -339,6 +339,19 @@ fn coordinates_come_from_planes_and_mirrors() {
         unlit().with(Attribute::Texture(0, nearest(dot(RED, 4, 4)))).with(Attribute::TexGen(0, TexGen::SphereMap));
     let picture = draw(rig, vec![node(square(WHITE), map)]);
     assert!(count(&picture, RED) > 0);
+    // One that leans back, or aside, shows what is above, or aside: upper rows, columns on that side.
+    let red_above = [[255, 0, 0, 255], [0, 255, 0, 255]].concat();
+    let halves = |size: [u32; 2]| TextureObject::image("halves", size, red_above.clone());
+    for (size, turn, seen) in [
+        ([1, 2], DAffine3::from_rotation_x(-0.5), RED),
+        ([1, 2], DAffine3::from_rotation_x(0.5), GREEN),
+        ([2, 1], DAffine3::from_rotation_y(-0.5), RED),
+        ([2, 1], DAffine3::from_rotation_y(0.5), GREEN),
+    ] {
+        let map =
+            unlit().with(Attribute::Texture(0, nearest(halves(size)))).with(Attribute::TexGen(0, TexGen::SphereMap));
+        assert_eq!(middle(rig, vec![Node::transform(turn, vec![node(square(WHITE), map)])]), seen, "{size:?} {turn}");
+    }
     // Reflected straight back: +z again, the fifth face of a cube.
     let face = |i: u8| if i == 4 { [0, 255, 0, 255] } else { [255, 0, 0, 255] };
     let cube = Arc::new(TextureObject {

@@ -429,6 +429,7 @@ fn wrong_targets_are_one_error_and_the_rest_is_drawn() {
         samples: 1,
         ..CameraTarget::default()
     };
+    let numbers = TextureObject::target("numbers", [SIDE; 2], TextureFormat::R32Float);
     let mut huge = (*target("huge")).clone();
     huge.size = [1 << 20, 4, 1];
     for (target, says) in [
@@ -438,6 +439,7 @@ fn wrong_targets_are_one_error_and_the_rest_is_drawn() {
         (attached(&[&fine], Some(&fine)), "\"fine\" holds colour"),
         (attached(&[&Arc::new(huge)], None), "\"huge\""),
         (missing, "\"fine\" has no level 3"),
+        (CameraTarget { samples: 4, ..attached(&[&numbers], None) }, "\"numbers\" holds numbers of 32 bits"),
     ] {
         let camera = CameraNode { target: Some(Arc::new(target)), ..CameraNode::new(RenderOrder::PreRender(0)) };
         let scene = rig.scene(Node::group(vec![Node::camera(camera, vec![red()]), red()]));
@@ -572,6 +574,39 @@ fn queries_hide_what_is_not_seen_and_show_it_again() {
     }
     assert!(results.samples() > 0 && results.failures() == 0);
     rig.release(scene);
+    no_errors(rig);
+}
+
+/// What hides a box below a camera with a part of the picture is what lies before it there.
+#[test]
+fn queries_below_a_nested_camera_look_at_its_part() {
+    let Some(mut rig) = rig("queries_below_a_nested_camera_look_at_its_part") else { return };
+    let rig = &mut *rig;
+    for (wall_x, is_seen) in [(-0.5, true), (0.5, false)] {
+        let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 2, ..OcclusionQueryNode::default() };
+        let results = query.results.clone();
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children = vec![Node::geode(vec![quad([0.0, 0.0, -3.0], [0.2; 2], [0.0, 1.0, 0.0, 1.0])])];
+        let (view, projection) = view();
+        let right_half = CameraNode {
+            frame: ReferenceFrame::Absolute,
+            view,
+            projection: Some(projection),
+            viewport_px: Some([SIDE / 2, 0, SIDE / 2, SIDE]),
+            ..CameraNode::new(RenderOrder::Nested)
+        };
+        // In the whole picture it covers the left or the right half.
+        let wall = Node::geode(vec![quad([wall_x, 0.0, 0.0], [0.5, 1.0], [1.0, 0.0, 0.0, 1.0])]);
+        let scene = rig.scene(Node::group(vec![wall, Node::camera(right_half, vec![asked])]));
+        let mut frame = 0;
+        while results.failures() < 2 && results.samples() == 0 {
+            frame += 1;
+            rig.draw(&scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+            assert!(frame < 400, "no answer came");
+        }
+        assert_eq!(results.samples() > 0, is_seen, "{} samples", results.samples());
+        rig.release(scene);
+    }
     no_errors(rig);
 }
 

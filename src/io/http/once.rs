@@ -1,4 +1,4 @@
-//! What many requests need and one of them reads.
+//! What many requests need and one of them reads. The HTTP thread, and whoever reads on a thread of its own.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;

@@ -361,7 +361,6 @@ impl<P: Probe> Walk<'_, P> {
             clip_from_eye: camera.projection.unwrap_or(window.clip_from_eye),
             viewport_px: camera.viewport_px.unwrap_or(window.viewport_px),
             fits_depth,
-            ..window
         };
         self.in_view(here, node, window, view, world_from_page);
     }
