@@ -58,7 +58,8 @@ fn child_places(center: DVec3, half_m: f64) -> [DVec3; 4] {
     [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].map(|(x, y)| center + half_m * DVec3::new(x, y, 0.0))
 }
 
-fn build(tile: &Tile, center: DVec3, half_m: f64, name: &str) -> Node {
+/// `is_replaced`: content above gives way to it.
+fn build(tile: &Tile, center: DVec3, half_m: f64, name: &str, is_replaced: bool) -> Node {
     let bounds = BoundingVolume::Box(square_box(center, half_m));
     if tile.kind == Kind::Proxy {
         return Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
@@ -70,7 +71,7 @@ fn build(tile: &Tile, center: DVec3, half_m: f64, name: &str) -> Node {
     }
     let lod = PagedLod {
         bounds,
-        range_mode: RangeMode::ScreenSpaceError { geometric_error_m: error_m(tile, half_m) },
+        range_mode: RangeMode::ScreenSpaceError { geometric_error_m: error_m(tile, half_m, is_replaced) },
         refine: tile.refine,
         content: (tile.kind != Kind::Empty).then(|| name.into()),
         content_transform: if tile.kind == Kind::External {
@@ -84,23 +85,33 @@ fn build(tile: &Tile, center: DVec3, half_m: f64, name: &str) -> Node {
     };
     let mut node = Node::new(NodeKind::PagedLod(Box::new(lod)));
     if tile.kind != Kind::External {
-        node.children = build_children(tile, center, half_m, name);
+        let below = is_replaced || replaces(tile);
+        node.children = build_children(tile, center, half_m, name, below);
     }
     node
 }
 
-fn build_children(tile: &Tile, center: DVec3, half_m: f64, name: &str) -> Vec<Node> {
+fn build_children(tile: &Tile, center: DVec3, half_m: f64, name: &str, is_replaced: bool) -> Vec<Node> {
     let places = child_places(center, half_m);
     tile.children
         .iter()
         .zip(places)
         .enumerate()
-        .map(|(i, (child, place))| build(child, place, 0.5 * half_m, &format!("{name}/{i}")))
+        .map(|(i, (child, place))| build(child, place, 0.5 * half_m, &format!("{name}/{i}"), is_replaced))
         .collect()
 }
 
-fn error_m(tile: &Tile, half_m: f64) -> f64 {
-    if tile.children.is_empty() { 0.0 } else { 0.05 * half_m }
+/// Other tiles come in the place of its content, or nobody knows of what.
+fn replaces(tile: &Tile) -> bool {
+    tile.kind != Kind::Empty && (tile.kind != Kind::Content || tile.refine == Refine::Replace)
+}
+
+fn error_m(tile: &Tile, half_m: f64, is_replaced: bool) -> f64 {
+    match tile.kind {
+        _ if tile.children.is_empty() => 0.0,
+        Kind::Empty if is_replaced => f64::MAX / 1e6,
+        _ => 0.05 * half_m,
+    }
 }
 
 /// The scene of a model, with what is resident in it.
@@ -116,7 +127,7 @@ impl World {
         let mut tiles = BTreeMap::new();
         collect(root_tile, DVec3::ZERO, 1024.0, "r", &mut tiles);
         let mut scene = Scene::new();
-        let root = scene.add_root(page(build(root_tile, DVec3::ZERO, 1024.0, "r"), 0));
+        let root = scene.add_root(page(build(root_tile, DVec3::ZERO, 1024.0, "r", false), 0));
         let slots = tiles.keys().enumerate().map(|(i, name)| (i as u32, name.clone())).collect();
         Self { scene, root, tiles, slots }
     }
@@ -125,7 +136,7 @@ impl World {
         let name = self.scene.slot(slot).unwrap().uri.to_string();
         let (tile, center, half_m) = &self.tiles[&name];
         let page = if matches!(tile.kind, Kind::External | Kind::Proxy) {
-            page(Node::group(build_children(tile, *center, *half_m, &name)), 0)
+            page(Node::group(build_children(tile, *center, *half_m, &name, true)), 0)
         } else {
             let number = self.tiles.keys().position(|k| *k == name).unwrap();
             content(*half_m, number as u32)
@@ -342,12 +353,13 @@ impl Wanted<'_> {
         }
         let eye = self.camera.eye_from_world.inverse().translation;
         let distance_m = bounds.distance_to(eye).max(1e-7);
-        let error_px = error_m(tile, *half_m) * f64::from(self.camera.viewport_px[1])
+        let is_replaced = ancestors(name).any(|above| above != name && replaces(&self.world.tiles[above].0));
+        let error_px = error_m(tile, *half_m, is_replaced) * f64::from(self.camera.viewport_px[1])
             / (2.0 * 30f64.to_radians().tan())
             / distance_m
             / self.camera.settings.lod_scale;
         let limit_px = self.camera.settings.max_sse_px;
-        let always = tile.kind != Kind::Content;
+        let always = !matches!(tile.kind, Kind::Content | Kind::Empty);
         self.unsure |= !always && error_px > 0.0 && (error_px / limit_px - 1.0).abs() < 1e-3;
         let refine = !tile.children.is_empty() && (always || error_px > limit_px);
         if tile.kind == Kind::Content && (!refine || tile.refine == Refine::Add) {
@@ -372,6 +384,17 @@ impl Wanted<'_> {
         }
         if closest.abs() < 0.01 { None } else { Some(closest > 0.0) }
     }
+}
+
+/// Nothing is loaded for tiles that would show nothing that large.
+#[test]
+fn empty_tiles_heed_their_error() {
+    let leaf = Tile { refine: Refine::Replace, kind: Kind::Content, children: vec![] };
+    let tree = Tile { refine: Refine::Replace, kind: Kind::Empty, children: vec![leaf] };
+    let world = World::new(&tree);
+    // An error of 51.2 m takes 16 pixels of 512, which show 60 degrees, at 1,419 m.
+    let asked = |height_m: f64| world.cull(&camera([0.0, 0.0, height_m], [0.0, 0.1])).requests.len();
+    assert_eq!([1_000.0, 1_400.0, 1_440.0, 1e6].map(asked), [1, 1, 0, 0]);
 }
 
 #[test]

@@ -99,6 +99,19 @@ pub(crate) fn parse(uri: &str, bytes: &[u8]) -> Result<TilesetJson, IoError> {
     Ok(tileset)
 }
 
+/// An error that is seen from everywhere.
+const ALWAYS_M: f64 = f64::MAX / 1e6;
+
+/// What holds above a tile.
+#[derive(Clone, Copy)]
+struct Above {
+    /// That of the parent, which a tile has that says none.
+    refine: Refine,
+    /// Content above gives way to what is below it.
+    is_replaced: bool,
+    level: u32,
+}
+
 /// A tileset as nodes: a tile is a PagedLod, an external tileset a ProxyNode.
 pub(crate) fn read(uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
     if options.chain.iter().any(|above| above == uri) {
@@ -115,7 +128,9 @@ pub(crate) fn read(uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Resul
     let tileset = parse(uri, bytes)?;
     let heights = HeightSet::from_extras(uri, tileset.asset.extras.as_ref())?;
     let mut reader = Reader { uri, options, heights, tiles: 0 };
-    reader.tile(tileset.root, DAffine3::IDENTITY, Refine::Replace, 0)
+    // What shows an external tileset's place meanwhile is not known here.
+    let above = Above { refine: Refine::Replace, is_replaced: !options.chain.is_empty(), level: 0 };
+    reader.tile(tileset.root, DAffine3::IDENTITY, above)
 }
 
 struct Reader<'a> {
@@ -126,7 +141,8 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    fn tile(&mut self, json: TileJson, parent: DAffine3, inherited: Refine, level: u32) -> Result<Node, IoError> {
+    fn tile(&mut self, json: TileJson, parent: DAffine3, above: Above) -> Result<Node, IoError> {
+        let level = above.level;
         let limits = &self.options.limits;
         self.tiles += 1;
         if self.tiles > limits.max_elements || level > limits.max_depth {
@@ -148,7 +164,7 @@ impl Reader<'_> {
         let refine = match json.refine.as_deref() {
             Some(r) if r.eq_ignore_ascii_case("add") => Refine::Add,
             Some(r) if r.eq_ignore_ascii_case("replace") => Refine::Replace,
-            _ => inherited,
+            _ => above.refine,
         };
         let bounds = self.volume(&json.bounding_volume, &world)?;
         let request_volume = json.viewer_request_volume.as_ref().map(|v| self.volume(v, &world)).transpose()?;
@@ -182,6 +198,13 @@ impl Reader<'_> {
         // An external tileset is the tile's only refinement: without other content the tile is an empty one.
         let mut contents = contents.into_iter();
         let first = contents.next();
+        // Without content it shows nothing where its error is small, which leaves a hole where content above has given way.
+        // External tilesets are refined to wherever they are met.
+        if first.is_none() && (above.is_replaced || !children.is_empty()) {
+            geometric_error_m = ALWAYS_M;
+        }
+        let replaces = first.is_some() && refine == Refine::Replace;
+        let below = Above { refine, is_replaced: above.is_replaced || replaces, level: level + 1 };
         let extra: Vec<Node> = contents
             .map(|uri| {
                 Node::new(NodeKind::PagedLod(Box::new(PagedLod {
@@ -197,7 +220,7 @@ impl Reader<'_> {
             })
             .collect();
         for child in json.children {
-            children.push(self.tile(child, world, refine, level + 1)?);
+            children.push(self.tile(child, world, below)?);
         }
         let tile = Node {
             children,
@@ -223,7 +246,7 @@ impl Reader<'_> {
                 children: all,
                 ..Node::new(NodeKind::PagedLod(Box::new(PagedLod {
                     bounds,
-                    range_mode: RangeMode::ScreenSpaceError { geometric_error_m: f64::MAX / 1e6 },
+                    range_mode: RangeMode::ScreenSpaceError { geometric_error_m: ALWAYS_M },
                     refine: Refine::Add,
                     content: None,
                     content_transform: world,

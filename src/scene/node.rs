@@ -118,7 +118,8 @@ pub struct PagedLod {
     pub range_mode: RangeMode,
     /// REPLACE or ADD.
     pub refine: Refine,
-    /// Absolute URI of the content; `None` for an empty tile.
+    /// Absolute URI of the content; `None` for an empty tile, which shows its children in their range, and nothing beyond:
+    /// below content that is replaced give it a range that is always met, or there are holes.
     pub content: Option<Arc<str>>,
     /// Node-from-content map applied to the page that the content becomes (the tile's transform).
     pub content_transform: DAffine3,

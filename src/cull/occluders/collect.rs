@@ -233,12 +233,15 @@ impl Collector<'_> {
         if record.has(flag::REQUEST_VOLUME) && !tiles.may_be_requested(tile, eye) {
             return false;
         }
-        if record.has(flag::PROXY | flag::EXTERNAL) || !record.has(flag::CONTENT) {
+        if record.has(flag::PROXY | flag::EXTERNAL) {
             return true;
         }
         let bounds = &tiles.bounds[tile as usize];
         let offset = bounds.offset_from(eye);
         let to_range = tiles.range_and_distance(tile, record, bounds, offset, eye, &self.view.ranges);
+        if !record.has(flag::CONTENT) {
+            return to_range.1 < to_range.0;
+        }
         let is_refined = shows_children(record, to_range);
         let part = match below {
             true => TilePart::Below,

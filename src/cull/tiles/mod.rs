@@ -229,7 +229,9 @@ impl Cull<'_> {
                 && self.open_tile(walk, tile, (purpose, mask), false, above.shown_px2, above.fade);
         }
         if !record.has(flag::CONTENT) {
-            return self.open_tile(walk, tile, (purpose, mask), above.required, above.shown_px2, above.fade);
+            let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
+            return distance2 < range2
+                && self.open_tile(walk, tile, (purpose, mask), above.required, above.shown_px2, above.fade);
         }
         // Content that stays with its children.
         match purpose {

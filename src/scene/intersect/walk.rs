@@ -461,7 +461,7 @@ impl<P: Probe> Walk<'_, P> {
             let (draws, descends) = if record.has(flag::PROXY | flag::EXTERNAL) {
                 (resident, true)
             } else if !record.has(flag::CONTENT) {
-                (false, true)
+                (false, wants || self.view.rules.lods != LodSelection::AsSeen)
             } else if record.has(flag::ADD) {
                 (resident, wants)
             } else if wants && ready {
