@@ -127,15 +127,36 @@ fn totals_of_a_gltf_are_limited() {
         let content = Content { uri: "/set/tile".into(), bytes, reader_data: None, companions: Vec::new() };
         decode(content, &ReadOptions::for_root(ROOT, limits))
     };
+    let nodes = |nodes: &str| {
+        format!(r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{nodes}]}}"#)
+    };
+    // So many drawables of no vertex, in so many places.
+    let instanced = |primitives: usize, places: usize| {
+        let all = |what: &str, count: usize| vec![what; count].join(",");
+        let roots: Vec<String> = (0..places).map(|i| i.to_string()).collect();
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[{}]}}],"nodes":[{}],"meshes":[{{"primitives":[{}]}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":0,"type":"VEC3","min":[0,0,0],"max":[0,0,0]}}],"bufferViews":[{{"buffer":0,"byteLength":4}}],"buffers":[{{"byteLength":4,"uri":"{}"}}]}}"#,
+            roots.join(","),
+            all(r#"{"mesh":0}"#, places),
+            all(r#"{"attributes":{"POSITION":0}}"#, primitives),
+            data(&[0; 4]),
+        )
+    };
     let picture = png(64);
     let [strip, triangles] = [5, 4];
-    for good in [gltf(2, strip, 900, None), gltf(99, triangles, 900, None), gltf(3, triangles, 900, Some(&picture))] {
+    for good in [gltf(2, strip, 900, None), gltf(60, triangles, 900, None), gltf(3, triangles, 900, Some(&picture))] {
         read(good).unwrap();
     }
     for (bad, why) in [
         (gltf(3, strip, 900, None), "9000 indices"),
         (gltf(20, triangles, 899, None), "indices"),
         (gltf(9, triangles, 900, Some(&picture)), "images of a glTF"),
+        (gltf(63, triangles, 900, None), "63 primitives"),
+        (instanced(40, 40), "primitives"),
+        (nodes(r#"{"children":[1,1]},{}"#), "node 1 hangs in two places"),
+        (nodes(r#"{"children":[1]},{"children":[0]}"#), "node 0 hangs in two places"),
+        (nodes(r#"{"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,2]}"#), "not affine"),
+        (nodes(r#"{"rotation":[0,0,0,0]}"#), "not affine and finite"),
     ] {
         let reason = read(bad).unwrap_err().to_string();
         assert!(reason.contains(why), "{reason}");

@@ -156,6 +156,23 @@ fn triangle() -> Vec<u8> {
     })
 }
 
+/// 65,535 in 16 bits begins a strip anew.
+#[test]
+fn the_last_of_65_536_vertices_is_written_in_32_bits() {
+    let wide = |vertices: usize| {
+        let last = (vertices - 1) as u16;
+        let indices = vec![0, 1, last];
+        write_glb(&GlbMesh { positions: vec![[0.5; 3]; vertices], indices, ..GlbMesh::default() })
+    };
+    for (vertices, component) in [(65_535, "5123"), (65_536, "5125")] {
+        let glb = wide(vertices);
+        let json = String::from_utf8_lossy(&glb[20..2000]).into_owned();
+        assert!(json.contains(&format!(r#""componentType":{component},"count":3"#)), "{json:.800}");
+        let Geometry::Mesh(mesh) = only_drawable(&read(glb)).1.geometry else { panic!("a mesh") };
+        assert_eq!(mesh.indices[2] as usize, vertices - 1);
+    }
+}
+
 /// World positions of a drawable's vertices.
 fn positions((world, drawable): &(DAffine3, Drawable)) -> Vec<DVec3> {
     let Geometry::Mesh(mesh) = &drawable.geometry else { panic!("a mesh") };
@@ -169,6 +186,42 @@ fn gltf_is_turned_z_up() {
     assert_eq!(drawable.1.material.base_color, [0.5, 1.0, 1.0, 1.0]);
     let page = decode(content(triangle()), &ReadOptions::for_root(SET, Limits::default())).unwrap();
     assert_eq!(page.drawable_count(), 1);
+}
+
+/// The triangle under nodes, from the scene's on down; each is the only child of the one before.
+fn under(nodes: &[&str]) -> String {
+    use base64::Engine as _;
+    let bytes: Vec<u8> =
+        [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|x| x.to_le_bytes()).collect();
+    let data = base64::engine::general_purpose::STANDARD.encode(bytes);
+    let below =
+        |i: usize| if i + 1 < nodes.len() { format!(r#""children":[{}]"#, i + 1) } else { r#""mesh":0"#.into() };
+    let of = |(i, node): (usize, &&str)| format!("{{{node}{}}}", below(i));
+    let nodes: Vec<String> = nodes.iter().enumerate().map(of).collect();
+    format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{}],
+        "extensionsUsed":["KHR_draco_mesh_compression"],
+        "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},
+            "extensions":{{"KHR_draco_mesh_compression":{{"bufferView":0,"attributes":{{"POSITION":0}}}}}}}}]}}],
+        "buffers":[{{"byteLength":36,"uri":"data:;base64,{data}"}}],"bufferViews":[{{"buffer":0,"byteLength":36}}],
+        "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}}]}}"#,
+        nodes.join(",")
+    )
+}
+
+#[test]
+fn transforms_of_nodes_keep_their_digits() {
+    let turn = r#""rotation":[0.7071067811865476,0,0,0.7071067811865476],"#;
+    let back = r#""rotation":[-0.7071068,0,0,0.7071068],"#;
+    let there = r#""translation":[1215013.8,4081603.6,-4736302.2],"#;
+    let matrix = r#""matrix":[1,0,0,0,0,1,0,0,0,0,1,0,1215013.8,4081603.6,-4736302.2,1],"#;
+    // y and z change places by the turn to z up: x, -z, y.
+    for nodes in [&[there][..], &[matrix], &[turn, back, there]] {
+        let drawable = only_drawable(&read(under(nodes)));
+        let [origin, along_x, ..] = positions(&drawable)[..] else { panic!("a triangle") };
+        assert!(origin.distance(DVec3::new(1215013.8, 4736302.2, 4081603.6)) < 1e-7, "{nodes:?} {origin}");
+        assert!((along_x - origin).distance(DVec3::X) < 1e-7);
+    }
 }
 
 #[test]

@@ -1,8 +1,16 @@
 //! Batched 3D Model (3D Tiles 1.0): a header, tables, and a glb. The tables matter only for RTC_CENTER.
 
 use glam::DVec3;
+use serde::Deserialize;
 
 use super::IoError;
+use super::feature_table::{self, Global};
+
+#[derive(Default, Deserialize)]
+struct FeatureTable {
+    #[serde(rename = "RTC_CENTER")]
+    rtc_center: Option<Global<[f64; 3]>>,
+}
 
 /// The glb inside, and the centre its positions are relative to.
 pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option<DVec3>), IoError> {
@@ -37,32 +45,18 @@ pub(crate) fn unwrap<'a>(uri: &str, bytes: &'a [u8]) -> Result<(&'a [u8], Option
     }
     let json = bytes.get(feature.0..feature.0 + feature.1).unwrap_or(&[]);
     let binary = bytes.get(feature.0 + feature.1..).and_then(|b| b.get(..feature_binary)).unwrap_or(&[]);
-    let center = serde_json::from_slice::<serde_json::Value>(json).ok().and_then(|mut table| {
-        let center = table.get_mut("RTC_CENTER").map(serde_json::Value::take);
-        center.filter(|center| !center.is_null())
-    });
-    let rtc = match center {
+    let table = match json.iter().all(u8::is_ascii_whitespace) {
+        true => FeatureTable::default(),
+        false => feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("b3dm feature table: {e}")))?,
+    };
+    let rtc = match table.rtc_center {
         Some(center) => {
-            let given = rtc_center(&center, binary);
-            Some(given.ok_or_else(|| IoError::invalid(uri, format!("b3dm: RTC_CENTER {center}")))?)
+            let center = center.vector(binary).ok_or_else(|| IoError::invalid(uri, "b3dm: RTC_CENTER"))?;
+            Some(DVec3::from_array(center))
         }
         None => None,
     };
     Ok((bytes.get(at..).unwrap_or(&[]), rtc))
-}
-
-/// Three numbers, or where three f32 lie in the table's binary part.
-fn rtc_center(given: &serde_json::Value, binary: &[u8]) -> Option<DVec3> {
-    let numbers: Vec<f64> = match given.get("byteOffset") {
-        Some(offset) => {
-            let at = usize::try_from(offset.as_u64()?).ok()?;
-            let bytes = binary.get(at..at.checked_add(12)?)?;
-            bytes.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]))).collect()
-        }
-        None => given.as_array()?.iter().map(serde_json::Value::as_f64).collect::<Option<_>>()?,
-    };
-    let center = <[f64; 3]>::try_from(numbers).ok().map(DVec3::from_array)?;
-    center.is_finite().then_some(center)
 }
 
 #[cfg(test)]
@@ -100,8 +94,15 @@ mod tests {
         let expected = Some(DVec3::new(1.0, 2.5, -3.0));
         assert_eq!(center(r#"{"RTC_CENTER":[1,2.5,-3]}"#, &[]).unwrap(), expected);
         assert_eq!(center(r#"{"RTC_CENTER":{"byteOffset":4}}"#, &binary).unwrap(), expected);
+        assert_eq!(center("{\"RTC_CENTER\":[1,2.5,-3]}\0\0\0", &[]).unwrap(), expected);
         assert_eq!(center(r#"{"BATCH_LENGTH":0}"#, &[]).unwrap(), None);
-        for broken in [r#"{"RTC_CENTER":{"byteOffset":8}}"#, r#"{"RTC_CENTER":[1,2]}"#, r#"{"RTC_CENTER":"here"}"#] {
+        assert_eq!(center("   ", &[]).unwrap(), None);
+        for broken in [
+            r#"{"RTC_CENTER":[1,"#,
+            r#"{"RTC_CENTER":{"byteOffset":8}}"#,
+            r#"{"RTC_CENTER":[1,2]}"#,
+            r#"{"RTC_CENTER":"here"}"#,
+        ] {
             assert!(center(broken, &binary).is_err(), "{broken}");
         }
     }

@@ -7,10 +7,11 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use base64::Engine as _;
-use glam::{DAffine3, DMat3, DMat4, DVec3, Vec3};
+use glam::{DAffine3, DMat3, DVec3, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::Semantic;
 
+use super::gltf_json::Document;
 use super::index_lists::{Listed, assemble, assembled, list_key_of, shared};
 use super::{IoError, Limits, image, occluder};
 use crate::math::Aabb;
@@ -23,6 +24,9 @@ use crate::state::WrapMode;
 /// Extensions that may be required.
 const KNOWN_EXTENSIONS: &[&str] =
     &["KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform", "CESIUM_RTC"];
+
+/// A primitive takes about as much memory as so many vertices.
+const VERTICES_OF_PRIMITIVE: usize = 16;
 
 /// z-up from y-up: (x, y, z) becomes (x, -z, y).
 const Z_UP_FROM_Y_UP: DMat3 = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
@@ -109,14 +113,17 @@ fn read(
     for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
         primitive.attributes.retain(|semantic, _| matches!(semantic, gltf::json::validation::Checked::Valid(_)));
     }
-    let cesium_rtc: Option<DVec3> = root.extensions.as_ref().and_then(|_| cesium_rtc(json));
+    let places = Document::read(json, &root).map_err(|e| IoError::invalid(uri, format!("glTF JSON: {e}")))?;
+    let cesium_rtc = places.cesium_rtc();
     let document = gltf::Document::from_json(root).map_err(|e| IoError::invalid(uri, format!("glTF: {e}")))?;
     let mut reader = Reader {
         uri,
         buffers: Vec::new(),
         limits,
         sharing,
-        nodes: 0,
+        is_met: vec![false; document.nodes().len()],
+        places,
+        primitives: 0,
         vertices: 0,
         listed: 0,
         image_bytes: 0,
@@ -125,6 +132,9 @@ fn read(
     };
     for buffer in document.buffers() {
         let data = match buffer.source() {
+            gltf::buffer::Source::Bin if buffer.index() > 0 => {
+                return Err(IoError::invalid(uri, format!("glTF: buffer {} has no data", buffer.index())));
+            }
             gltf::buffer::Source::Bin => {
                 std::borrow::Cow::Borrowed(binary.ok_or_else(|| IoError::invalid(uri, "glTF: no binary chunk"))?)
             }
@@ -156,14 +166,6 @@ fn read(
     Ok(Node::transform(turn, children))
 }
 
-/// `extensions.CESIUM_RTC.center`.
-fn cesium_rtc(json: &[u8]) -> Option<DVec3> {
-    let value: serde_json::Value = serde_json::from_slice(json).ok()?;
-    let center = value.get("extensions")?.get("CESIUM_RTC")?.get("center")?.as_array()?;
-    let center: Vec<f64> = center.iter().filter_map(serde_json::Value::as_f64).collect();
-    <[f64; 3]>::try_from(center).ok().map(DVec3::from_array).filter(|c| c.is_finite())
-}
-
 /// The bytes of a base64 `data:` URI; anything else is refused.
 fn data_uri(uri: &str, reference: &str) -> Result<Vec<u8>, IoError> {
     let data = reference.strip_prefix("data:").and_then(|d| d.split_once(";base64,"));
@@ -183,7 +185,11 @@ struct Reader<'a> {
     buffers: Vec<std::borrow::Cow<'a, [u8]>>,
     limits: &'a Limits,
     sharing: Option<&'a SharedStateManager>,
-    nodes: usize,
+    places: Document,
+    /// By node: it hangs somewhere.
+    is_met: Vec<bool>,
+    /// Drawn so far, with those of meshes that are drawn again.
+    primitives: usize,
     vertices: usize,
     /// Of lists made so far: of accessors, and of strips and the like.
     listed: usize,
@@ -256,17 +262,17 @@ impl<'a> Reader<'a> {
     }
 
     fn node(&mut self, node: &gltf::Node<'_>, depth: u32) -> Result<Node, IoError> {
-        self.nodes += 1;
-        if depth > self.limits.max_depth || self.nodes > self.limits.max_elements {
-            return Err(self.bad("node tree too deep, too large, or a cycle"));
+        if depth > self.limits.max_depth {
+            return Err(self.bad("node tree too deep"));
+        }
+        if self.is_met.get_mut(node.index()).is_none_or(|is_met| std::mem::replace(is_met, true)) {
+            return Err(self.bad(format!("node {} hangs in two places", node.index())));
         }
         if node.extension_value("EXT_mesh_gpu_instancing").is_some() {
             return Err(IoError::unsupported(self.uri, "glTF extension EXT_mesh_gpu_instancing"));
         }
-        let m = DMat4::from_cols_array_2d(&node.transform().matrix().map(|c| c.map(f64::from)));
-        if !m.is_finite() {
-            return Err(self.bad("transform of a node is not finite"));
-        }
+        let transform = self.places.transform(node.index());
+        let transform = transform.ok_or_else(|| self.bad("transform of a node is not affine and finite"))?;
         let mut children = Vec::new();
         if let Some(mesh) = node.mesh() {
             children.push(self.mesh(&mesh)?);
@@ -279,13 +285,17 @@ impl<'a> Reader<'a> {
         for child in node.children() {
             children.push(self.node(&child, depth + 1)?);
         }
-        if m == DMat4::IDENTITY {
+        if transform == DAffine3::IDENTITY {
             return Ok(if children.len() == 1 { children.swap_remove(0) } else { Node::group(children) });
         }
-        Ok(Node::transform(DAffine3::from_mat4(m), children))
+        Ok(Node::transform(transform, children))
     }
 
     fn mesh(&mut self, mesh: &gltf::Mesh<'_>) -> Result<Node, IoError> {
+        self.primitives = self.primitives.saturating_add(mesh.primitives().len());
+        if self.primitives > self.limits.max_elements / VERTICES_OF_PRIMITIVE {
+            return Err(self.bad(format!("{} primitives", self.primitives)));
+        }
         let mut drawables = Vec::with_capacity(mesh.primitives().len());
         for primitive in mesh.primitives() {
             drawables.push(self.primitive(&primitive)?);
@@ -294,9 +304,6 @@ impl<'a> Reader<'a> {
     }
 
     fn primitive(&mut self, primitive: &gltf::Primitive<'_>) -> Result<Drawable, IoError> {
-        if primitive.extension_value("KHR_draco_mesh_compression").is_some() {
-            return Err(IoError::unsupported(self.uri, "glTF extension KHR_draco_mesh_compression"));
-        }
         let positions = primitive.get(&Semantic::Positions).ok_or_else(|| self.bad("primitive without POSITION"))?;
         let count = positions.count();
         self.vertices = self.vertices.saturating_add(count);
@@ -417,9 +424,6 @@ impl<'a> Reader<'a> {
             return Err(IoError::unsupported(self.uri, "sparse accessor"));
         }
         let view = accessor.view().ok_or_else(|| IoError::unsupported(self.uri, "accessor without a bufferView"))?;
-        if view.extension_value("EXT_meshopt_compression").is_some() {
-            return Err(IoError::unsupported(self.uri, "glTF extension EXT_meshopt_compression"));
-        }
         let (count, size) = (accessor.count(), accessor.size());
         let stride = view.stride().unwrap_or(size);
         let outside = || self.bad("accessor reaches beyond its buffer");

@@ -8,10 +8,12 @@ mod b3dm;
 mod cache;
 mod encoding;
 mod error;
+mod feature_table;
 mod file;
 #[cfg(feature = "http")]
 mod fill;
 mod gltf;
+mod gltf_json;
 mod height;
 #[cfg(feature = "http")]
 mod http;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use serde::Deserialize;
 
+use super::feature_table::{self, Global, Place};
 use super::{IoError, Limits};
 use crate::math::Aabb;
 use crate::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topology};
@@ -13,24 +14,18 @@ use crate::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topolog
 const HEADER_BYTES: usize = 28;
 
 #[derive(Deserialize)]
-struct Place {
-    #[serde(rename = "byteOffset")]
-    byte_offset: usize,
-}
-
-#[derive(Deserialize)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 struct FeatureTable {
-    points_length: usize,
+    points_length: Global<usize>,
     position: Option<Place>,
     position_quantized: Option<Place>,
-    quantized_volume_offset: Option<[f64; 3]>,
-    quantized_volume_scale: Option<[f64; 3]>,
-    rtc_center: Option<[f64; 3]>,
+    quantized_volume_offset: Option<Global<[f64; 3]>>,
+    quantized_volume_scale: Option<Global<[f64; 3]>>,
+    rtc_center: Option<Global<[f64; 3]>>,
     rgba: Option<Place>,
     rgb: Option<Place>,
     rgb565: Option<Place>,
-    constant_rgba: Option<[u8; 4]>,
+    constant_rgba: Option<Global<[u8; 4]>>,
     normal: Option<Place>,
     normal_oct16p: Option<Place>,
     #[serde(rename = "extensions")]
@@ -51,11 +46,11 @@ pub(crate) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoE
     let end = json_end.checked_add(binary_bytes).ok_or_else(|| bad("lengths"))?;
     let binary = bytes.get(json_end..end).ok_or_else(|| bad("truncated feature table"))?;
     let table: FeatureTable =
-        serde_json::from_slice(json).map_err(|e| IoError::invalid(uri, format!("pnts feature table: {e}")))?;
+        feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("pnts feature table: {e}")))?;
     if table.extensions.as_ref().is_some_and(|e| e.contains_key("3DTILES_draco_point_compression")) {
         return Err(IoError::unsupported(uri, "extension 3DTILES_draco_point_compression"));
     }
-    let count = table.points_length;
+    let count = table.points_length.count(binary).ok_or_else(|| bad("POINTS_LENGTH"))?;
     if count > limits.max_elements {
         return Err(bad(&format!("{count} points")));
     }
@@ -64,13 +59,20 @@ pub(crate) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoE
         let end = count.checked_mul(size).and_then(|n| n.checked_add(place.byte_offset));
         end.and_then(|end| binary.get(place.byte_offset..end)).map(Some).ok_or_else(|| bad("reaches beyond its table"))
     };
-    let (mut positions, origin) = positions(&table, &column, &bad)?;
+    let vector = |global: &Option<Global<[f64; 3]>>, name: &str| -> Result<Option<DVec3>, IoError> {
+        let Some(global) = global else { return Ok(None) };
+        global.vector(binary).map(|v| Some(DVec3::from_array(v))).ok_or_else(|| bad(name))
+    };
+    let (mut positions, origin) = positions(&table, &column, &vector, &bad)?;
     let normals = match (column(&table.normal, 12)?, column(&table.normal_oct16p, 2)?) {
         (Some(data), _) => Some(data.chunks_exact(12).map(vec3).collect::<Vec<_>>()),
         (None, Some(data)) => Some(data.chunks_exact(2).map(|b| oct16p(b[0], b[1])).collect()),
         (None, None) => None,
     };
-    let constant = table.constant_rgba.unwrap_or([255; 4]);
+    let constant = match table.constant_rgba {
+        Some(global) => global.bytes(binary).ok_or_else(|| bad("CONSTANT_RGBA"))?,
+        None => [255; 4],
+    };
     let colors: Vec<[u8; 4]> = match (column(&table.rgba, 4)?, column(&table.rgb, 3)?, column(&table.rgb565, 2)?) {
         (Some(data), _, _) => data.chunks_exact(4).map(|c| [c[0], c[1], c[2], c[3]]).collect(),
         (_, Some(data), _) => data.chunks_exact(3).map(|c| [c[0], c[1], c[2], 255]).collect(),
@@ -106,21 +108,24 @@ pub(crate) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoE
 fn positions<'a>(
     table: &FeatureTable,
     column: &impl Fn(&Option<Place>, usize) -> Result<Option<&'a [u8]>, IoError>,
+    vector: &impl Fn(&Option<Global<[f64; 3]>>, &str) -> Result<Option<DVec3>, IoError>,
     bad: &impl Fn(&str) -> IoError,
 ) -> Result<(Vec<Vec3>, DVec3), IoError> {
-    let center = DVec3::from_array(table.rtc_center.unwrap_or_default());
+    let center = vector(&table.rtc_center, "RTC_CENTER")?.unwrap_or_default();
     let (points, origin) = if let Some(data) = column(&table.position, 12)? {
         (data.chunks_exact(12).map(vec3).collect(), center)
     } else if let Some(data) = column(&table.position_quantized, 6)? {
-        let (Some(offset), Some(scale)) = (table.quantized_volume_offset, table.quantized_volume_scale) else {
+        let offset = vector(&table.quantized_volume_offset, "QUANTIZED_VOLUME_OFFSET")?;
+        let scale = vector(&table.quantized_volume_scale, "QUANTIZED_VOLUME_SCALE")?;
+        let (Some(offset), Some(scale)) = (offset, scale) else {
             return Err(bad("quantized positions without their volume"));
         };
-        let step = DVec3::from_array(scale) / 65535.0;
+        let step = scale / 65535.0;
         let point = |b: &[u8]| {
             let [x, y, z] = [0, 2, 4].map(|k| f64::from(u16::from_le_bytes([b[k], b[k + 1]])));
             (DVec3::new(x, y, z) * step).as_vec3()
         };
-        (data.chunks_exact(6).map(point).collect(), center + DVec3::from_array(offset))
+        (data.chunks_exact(6).map(point).collect(), center + offset)
     } else {
         return Err(bad("no positions"));
     };
@@ -200,6 +205,22 @@ mod tests {
         let [x, y, z] = mesh.vertices[0].position;
         assert!(x == 0.0 && y == 10.0 && (z - 5.0).abs() < 1e-3);
         assert_eq!((mesh.vertices[0].color, material.unlit), ([255, 255, 0, 255], true));
+    }
+
+    #[test]
+    fn what_holds_for_all_points_may_be_stored_too() {
+        let mut binary: Vec<u8> = [65535u16, 0, 32768, 0].iter().flat_map(|x| x.to_le_bytes()).collect();
+        let numbers = [1.0f32, 2.0, 3.0, 10.0, 10.0, 10.0, 100.0, 200.0, 300.0];
+        binary.extend(numbers.iter().flat_map(|x| x.to_le_bytes()));
+        binary.extend([1, 0, 0, 0, 255, 0, 0, 255]);
+        let json = r#"{"POINTS_LENGTH":{"byteOffset":44},"POSITION_QUANTIZED":{"byteOffset":0},"QUANTIZED_VOLUME_OFFSET":{"byteOffset":8},"QUANTIZED_VOLUME_SCALE":{"byteOffset":20},"RTC_CENTER":{"byteOffset":32},"CONSTANT_RGBA":{"byteOffset":48}}"#;
+        let (origin, mesh, _) = cloud(&pnts(json, &binary));
+        assert_eq!((origin, mesh.vertices.len()), (DVec3::new(101.0, 202.0, 303.0), 1));
+        assert_eq!((mesh.vertices[0].position[0], mesh.vertices[0].color), (10.0, [255, 0, 0, 255]));
+        for at in [8, 20, 32, 44, 48] {
+            let beyond = json.replace(&format!("Offset\":{at}}}"), "Offset\":50}");
+            assert!(read("t", &pnts(&beyond, &binary), &Limits::default()).is_err(), "{beyond}");
+        }
     }
 
     #[test]

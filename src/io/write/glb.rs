@@ -3,7 +3,7 @@
 
 use serde_json::json;
 
-/// One triangle mesh as glTF wants it: y-up, counter-clockwise, indices below 65,536.
+/// One triangle mesh as glTF wants it: y-up, counter-clockwise.
 #[derive(Clone, Debug, Default)]
 pub struct GlbMesh {
     /// Metres, y-up.
@@ -27,6 +27,7 @@ pub struct GlbMesh {
 /// Component types of accessors.
 const BYTE: u32 = 5120;
 const UNSIGNED_SHORT: u32 = 5123;
+const UNSIGNED_INT: u32 = 5125;
 const FLOAT: u32 = 5126;
 
 /// The smallest coordinates and the largest.
@@ -134,10 +135,19 @@ pub fn write_glb(mesh: &GlbMesh) -> Vec<u8> {
     }
     accessors[0]["min"] = min;
     accessors[0]["max"] = max;
-    let index = view(&mut binary, bytemuck::cast_slice(&mesh.indices), Some(34963), None);
+    // The largest number of 16 bits is none of a vertex.
+    let long: Vec<u32> = match mesh.indices.contains(&u16::MAX) {
+        true => mesh.indices.iter().copied().map(u32::from).collect(),
+        false => Vec::new(),
+    };
+    let (component, bytes) = match long.is_empty() {
+        true => (UNSIGNED_SHORT, bytemuck::cast_slice(&mesh.indices)),
+        false => (UNSIGNED_INT, bytemuck::cast_slice(&long)),
+    };
+    let index = view(&mut binary, bytes, Some(34963), None);
     let indices = accessors.len();
     accessors.push(
-        json!({ "bufferView": index, "componentType": UNSIGNED_SHORT, "count": mesh.indices.len(), "type": "SCALAR" }),
+        json!({ "bufferView": index, "componentType": component, "count": mesh.indices.len(), "type": "SCALAR" }),
     );
     let mut pbr = json!({ "metallicFactor": 0.0, "roughnessFactor": 1.0, "baseColorFactor": mesh.base_color });
     let mut root = json!({
