@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DMat4, DVec3, DVec4};
 use scenes::{drawable, look_at, page};
-use terrane::cull::{CullCamera, CullVisitor, CullingMode, PositionedTexGen, RenderStage};
+use terrane::cull::{CullCamera, CullVisitor, CullingMode, PositionedLight, PositionedTexGen, RenderStage};
 use terrane::math::Aabb;
 use terrane::scene::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClearNode, ClipNode, ComputeNearFar,
@@ -190,10 +190,9 @@ fn stages_inherit_lights_where_they_shine() {
     // Met after the camera, and all the same.
     let stage = cull(Node::group(vec![below, lamp(1, 4.0), lamp(2, 5.0)]), &camera());
     let of = |stage: &RenderStage| {
-        let mut lights: Vec<_> =
-            stage.lights.iter().map(|l| (l.light.number, l.light.position.map(f64::round))).collect();
-        lights.sort_by_key(|l| l.0);
-        lights
+        // Of those with a number the last counts.
+        let place = |l: &PositionedLight| (l.light.number, l.light.position.map(f64::round));
+        stage.lights.iter().map(place).collect::<std::collections::BTreeMap<_, _>>().into_iter().collect::<Vec<_>>()
     };
     assert_eq!(of(&stage), [(1, [0.0, 4.0, -10.0, 1.0]), (2, [0.0, 5.0, -10.0, 1.0])]);
     assert_eq!(of(&stage.pre_render[0]), [(1, [0.0, 4.0, -50.0, 1.0]), (2, [0.0, 9.0, -50.0, 1.0])]);
@@ -432,6 +431,94 @@ fn near_and_far_follow_what_is_kept() {
     let stage = cull(Node::group(vec![broken, cube(DVec3::ZERO)]), &camera);
     assert_eq!(stage.bins[0].leaves.len(), 2);
     assert!(stage.camera.clip_from_eye.is_finite() && depth(&stage.camera.clip_from_eye, 10.0) > 0.0);
+}
+
+/// Things that are compared by depth are so in one projection.
+#[test]
+fn cameras_that_keep_the_projection_have_near_and_far_in_common() {
+    let like = |order, clear_depth| {
+        let node = CameraNode { clear_depth, clear_color: None, ..CameraNode::new(order) };
+        // Nearer, and farther, than all else.
+        Node::camera(node, vec![cube(DVec3::new(0.0, -5.0, 0.0)), cube(DVec3::new(0.0, 90.0, 0.0))])
+    };
+    for fitted in [ComputeNearFar::BoundingVolumes, ComputeNearFar::Off] {
+        let mut camera = camera();
+        camera.clip_from_eye = proj::perspective(1.0, 1.0, 1e5, 0.1);
+        camera.settings.compute_near_far = fitted;
+        camera.settings.near_far_ratio = 0.0;
+        let all = vec![cube(DVec3::ZERO), cube(DVec3::new(0.0, -5.0, 0.0)), cube(DVec3::new(0.0, 90.0, 0.0))];
+        let plain = cull(Node::group(all), &camera);
+        let nested = cull(Node::group(vec![cube(DVec3::ZERO), like(RenderOrder::Nested, true)]), &camera);
+        let over = cull(Node::group(vec![cube(DVec3::ZERO), like(RenderOrder::PostRender(0), false)]), &camera);
+        let apart = cull(Node::group(vec![cube(DVec3::ZERO), like(RenderOrder::PostRender(0), true)]), &camera);
+        for stage in [&nested, &over] {
+            assert_eq!((stage.near_m, stage.far_m), (plain.near_m, plain.far_m));
+            assert_eq!(stage.camera.clip_from_eye, plain.camera.clip_from_eye);
+        }
+        assert_eq!(nested.views[0].clip_from_eye, plain.camera.clip_from_eye);
+        assert_eq!(over.post_render[0].camera.clip_from_eye, plain.camera.clip_from_eye);
+        assert!(apart.near_m > 9.0 && apart.post_render[0].near_m < 5.0, "each has depths of its own");
+    }
+}
+
+#[test]
+fn parallel_rays_begin_at_the_near_plane() {
+    let mut camera = camera();
+    camera.clip_from_eye = proj::orthographic(-5.0, 5.0, -5.0, 5.0, 50.0, -20.0);
+    let behind = || cube(DVec3::new(0.0, -20.0, 0.0));
+    assert_eq!(slots(&cull(behind(), &camera)), [0]);
+    assert!(slots(&cull(cube(DVec3::new(0.0, -40.0, 0.0)), &camera)).is_empty());
+    camera.clip_from_eye = CullCamera::default().clip_from_eye;
+    camera.settings.culling = CullingMode::NONE;
+    assert!(slots(&cull(behind(), &camera)).is_empty());
+}
+
+/// A Lod that is between two levels: the second cull comes before its fade has ended.
+fn fading(root: impl Fn(Node) -> Node, inside: impl Fn() -> Vec<Node>) -> RenderStage {
+    let mut lod = Node::new(NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, 10.0], [10.0, 1e9]] });
+    lod.children = vec![cube(DVec3::ZERO), Node::group(inside())];
+    let scene = scene(root(lod));
+    let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+    for (frame, time_s, distance_m) in [(1, 1.0, 9.0), (2, 1.1, 9.0), (3, 1.2, 11.0)] {
+        let eye = look_at(DVec3::new(0.0, -distance_m, 0.0), DVec3::ZERO, DVec3::Z);
+        visitor.cull(&scene, &CullCamera { frame, simulation_time_s: time_s, ..eye }, &mut stage);
+    }
+    stage
+}
+
+#[test]
+fn lods_fade_below_cameras_and_around_projections() {
+    // Below a camera with a stage of its own, each level has its part of the pixels.
+    let over = |lod| Node::camera(CameraNode::new(RenderOrder::PostRender(0)), vec![lod]);
+    let stage = fading(over, || vec![cube(DVec3::ZERO)]);
+    let below = &stage.post_render[0];
+    let bands: Vec<u32> = below.bins[0].leaves.iter().map(|l| below.fade_of_state[l.state as usize]).collect();
+    assert!(bands.len() == 2 && bands[0] != bands[1] && !bands.contains(&0), "{bands:?}");
+    // What follows another projection inside is drawn by the one around, and what follows the Lod too.
+    let projection = || NodeKind::Projection(proj::perspective_infinite_reverse(1.2, 1.0, 0.1));
+    let with = |children| Node { children, ..Node::new(projection()) };
+    let around = |lod| with(vec![lod, cube(DVec3::new(1.0, 0.0, 0.0))]);
+    let stage = fading(around, || vec![with(vec![cube(DVec3::ZERO)]), cube(DVec3::new(-1.0, 0.0, 0.0))]);
+    let view_of = |slot: u32| {
+        let leaf = stage.bins.iter().flat_map(|b| &b.leaves).find(|l| l.slot.0 == slot).unwrap();
+        (stage.view_of_state[leaf.state as usize], stage.fade_of_state[leaf.state as usize] != 0)
+    };
+    assert_eq!([0, 1, 2, 3].map(view_of), [(1, true), (2, true), (1, true), (1, false)]);
+}
+
+#[test]
+fn of_lights_with_one_number_the_last_counts_and_texture_planes_are_inherited() {
+    let light = |red: f32| {
+        let light = Light { number: 1, diffuse: [red, 0.0, 0.0], ..Light::default() };
+        Node::new(NodeKind::LightSource(LightSource { light, frame: ReferenceFrame::Relative }.into()))
+    };
+    let planes = TexGen::EyeLinear([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]);
+    let texgen = Node::new(NodeKind::TexGenNode(Box::new(TexGenNode { unit: 2, texgen: planes })));
+    let below = Node::camera(CameraNode::new(RenderOrder::PostRender(0)), vec![light(0.75), cube(DVec3::ZERO)]);
+    let stage = cull(Node::group(vec![light(0.25), light(0.5), texgen, below]), &camera());
+    let reds = |stage: &RenderStage| stage.lights.iter().map(|l| l.light.diffuse[0]).collect::<Vec<_>>();
+    assert_eq!((reds(&stage), reds(&stage.post_render[0])), (vec![0.25, 0.5], vec![0.25, 0.5, 0.75]));
+    assert_eq!(stage.post_render[0].texgens, stage.texgens);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::shadows::ShadowLight;
 use super::special::MOST_NESTED;
 use super::stage::StageTarget;
 use super::view::View;
-use super::visitor::{Cull, CullVisitor, PageVisit};
+use super::visitor::{Cull, CullVisitor, DepthRange, PageVisit};
 use super::{CullCamera, RenderStage};
 use crate::scene::{CameraShadows, Environment, Scene};
 
@@ -58,7 +58,7 @@ impl CullVisitor {
             let met = self.deferred.remove(first);
             let mut below = stage.spare.stages.pop().unwrap_or_default();
             let (view, target, is_pre) = (met.view, met.target.clone(), met.is_pre);
-            let camera = CullCamera {
+            let own = CullCamera {
                 eye_from_world: view.eye_from_world,
                 clip_from_eye: view.clip_from_eye,
                 viewport_px: view.viewport_px,
@@ -66,33 +66,42 @@ impl CullVisitor {
                 horizon: view.horizon,
                 ..*camera
             };
-            let view = View { clamp_projection: met.view.clamp_projection, ..View::new(&camera) };
+            let view = View { clamp_projection: met.view.clamp_projection, ..View::new(&own) };
             let others = self.deferred.len();
             let was_in_scene_camera = self.in_scene_camera;
             self.in_scene_camera |= met.met.shows_scene;
-            self.traverse_stage(scene, &camera, view, Some(&met.met), &mut below);
+            self.traverse_stage(scene, &own, view, Some(&met.met), &mut below);
             self.sort(&mut below);
-            let eye_in_world = camera.eye_from_world.inverse().translation;
+            let eye_in_world = own.eye_from_world.inverse().translation;
             let environment = target.environment.of_camera(environment, eye_in_world);
             let nested = std::mem::take(&mut self.nested);
             let light = environment.and_then(|e| Some(ShadowLight::new(&e, target.shadows.under(&e)?)));
             if let Some(light) = light.filter(|_| self.takes_shadows(&mut below)) {
-                self.cull_stage_shadows(scene, &camera, &light, Some(&met.met), &mut below);
+                self.cull_stage_shadows(scene, &own, &light, Some(&met.met), &mut below);
             }
             self.cull_nested_shadows(scene, environment.as_ref(), nested, &mut below);
             below.target = target.within(&stage.target);
             below.inherit_positioned(stage);
             if depth < MOST_NESTED {
-                self.cull_deferred(scene, &camera, environment.as_ref(), &mut below, others, depth + 1);
+                self.cull_deferred(scene, &own, environment.as_ref(), &mut below, others, depth + 1);
             } else {
                 self.deferred.truncate(others);
             }
             self.in_scene_camera = was_in_scene_camera;
+            if below.target.keeps_projection {
+                stage.widen(&below);
+            }
             stage.requests.append(&mut below.requests);
             stage.counters.add(&below.counters);
             let list = if is_pre { &mut stage.pre_render } else { &mut stage.post_render };
             let place = list.partition_point(|s| s.target.order <= below.target.order);
             list.insert(place, below);
+        }
+        if stage.post_render.iter().any(|after| after.target.keeps_projection) {
+            // Together they have other depths.
+            let range = DepthRange { near: stage.near_m as f32, far: stage.far_m as f32 };
+            let view = View { clamp_projection: stage.clamp_projection, range, ..View::new(camera) };
+            stage.set_projection(view.clamped());
         }
     }
 }

@@ -228,13 +228,11 @@ impl Cull<'_> {
         if band.is_empty() {
             return;
         }
-        // The states of the page's chains under another root, until the end of the child.
         let mut below = *context;
         below.visit.fade = Fade::new(band, above.covered(), leaving);
-        below.visit.state = self.faded_state(context.visit.state, band);
-        self.open_page(context.page, below.visit.state);
+        let outer = self.enter_band(band);
         self.scan_nodes(&below, nodes.start, nodes.end, mask, matrix);
-        self.open_page(context.page, context.visit.state);
+        self.enter_band(outer);
     }
 
     /// Keeps the tiles of a culled subtree: the page can only replace what is above it as a whole.

@@ -66,7 +66,8 @@ impl Cull<'_> {
                 true
             }
             Special::Projection { clip_from_eye, path } => {
-                let view = View { clip_from_eye: *clip_from_eye, clamp_projection: None, ..self.view };
+                let own = View { clamp_projection: None, is_of_above: false, ..self.view };
+                let view = View { clip_from_eye: *clip_from_eye, ..own };
                 let environment = CameraEnvironment::Light;
                 self.in_view(context, node, view, environment, context.visit.eye_from_page, *path);
                 true
@@ -136,6 +137,7 @@ impl Cull<'_> {
             viewport_px: view.viewport_rect,
             camera,
             above,
+            is_of_above: view.is_of_above,
             environment,
             shadows: StageShadows::default(),
             range_m: [0.0; 2],
@@ -153,6 +155,15 @@ impl Cull<'_> {
         self.enter_view(above);
     }
 
+    /// The current view has the projection of the stage.
+    fn is_of_stage(&self) -> bool {
+        let mut view = self.view.index;
+        while let Some(found) = self.stage.views.get((view as usize).wrapping_sub(1)).filter(|view| view.is_of_above) {
+            view = found.above;
+        }
+        view == 0
+    }
+
     fn camera_node(&mut self, context: &PageContext, node: u32, camera: &CameraNode, path: u32, mask: u8) {
         let page = context.page;
         if camera.shows_scene && self.in_scene_camera {
@@ -163,6 +174,7 @@ impl Cull<'_> {
         let mut view = self.view;
         view.settings = camera.settings.inheriting(&self.view.settings, camera.inherit);
         view.clamp_projection = camera.clamp_projection;
+        view.is_of_above = camera.projection.is_none() && camera.clamp_projection.is_none();
         let eye_from_node = match camera.frame {
             ReferenceFrame::Absolute => camera.view,
             ReferenceFrame::Relative => context.visit.eye_from_page * above * camera.view,
@@ -209,6 +221,8 @@ impl Cull<'_> {
         }
         // Where it has no target of its own, it is where the view is that it was met in.
         let viewport_px = if target_px.is_some() { camera.viewport_px } else { view.viewport_rect };
+        let is_after = matches!(camera.order, RenderOrder::PostRender(_)) && !camera.clear_depth;
+        let keeps_projection = is_after && target_px.is_none() && view.is_of_above && self.is_of_stage();
         let mut visit = context.visit;
         (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
         let state = self.chain_state(page, path);
@@ -219,6 +233,7 @@ impl Cull<'_> {
             target: StageTarget {
                 camera: camera.target.clone().filter(|_| target_px.is_some()),
                 is_shared: false,
+                keeps_projection,
                 viewport_px,
                 clear_color: camera.clear_color,
                 clear_depth: camera.clear_depth,
@@ -271,6 +286,12 @@ impl Cull<'_> {
         }
         if results.is_due(self.camera.frame, query.query_frames) {
             let matrix = self.push_matrix(&eye_from_unit);
+            // What near or far cut off is not seen.
+            let axis = self.view.depth_axis;
+            let middle = axis.dot(eye_from_unit.translation);
+            let reach = (eye_from_unit.matrix3.transpose() * axis).abs().element_sum();
+            self.range.near = self.range.near.min((middle - reach) as f32);
+            self.range.far = self.range.far.max((middle + reach) as f32);
             self.stage.queries.push(OcclusionQuery {
                 results: results.clone(),
                 visibility_threshold: query.visibility_threshold,
@@ -284,4 +305,33 @@ impl Cull<'_> {
 
 fn finite(map: DAffine3) -> Option<DAffine3> {
     map.is_finite().then_some(map)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cull::{CullVisitor, RenderStage};
+    use crate::math::Aabb;
+    use crate::scene::{Drawable, Material, Mesh, Node, NodeKind, Page, Scene};
+
+    #[test]
+    fn a_hidden_node_is_asked_for_where_near_and_far_do_not_cut_it_off() {
+        let cube = |z: f64| {
+            let center = DVec3::new(0.0, 0.0, z);
+            let mesh = Mesh::cuboid(&Aabb { min: center - 1.0, max: center + 1.0 });
+            Node::geode(vec![Drawable::new(mesh.into(), Material::default())])
+        };
+        let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 2, ..OcclusionQueryNode::default() };
+        let results = query.results.clone();
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children.push(cube(-20.0));
+        let mut scene = Scene::new();
+        scene.add_root(Page::from_node(Node::group(vec![asked, cube(-1000.0)])).unwrap());
+        let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+        visitor.cull(&scene, &CullCamera { frame: 1, ..CullCamera::default() }, &mut stage);
+        (0..2).for_each(|_| results.answered(0, 1));
+        visitor.cull(&scene, &CullCamera { frame: 5, ..CullCamera::default() }, &mut stage);
+        assert_eq!((stage.leaf_count(), stage.queries.len()), (1, 1));
+        assert!(stage.near_m < 19.0 && stage.far_m > 1000.0, "{} to {}", stage.near_m, stage.far_m);
+    }
 }

@@ -6,7 +6,9 @@ use glam::{DAffine3, DMat4, DVec3, DVec4};
 
 use super::sort::Spare;
 use super::{CullCamera, FadeBand, StageShadows, StereoMode};
-use crate::scene::{CameraEnvironment, CameraShadows, CameraTarget, DrawHook, DrawSlot, NodeId, OcclusionResults};
+use crate::scene::{
+    CameraEnvironment, CameraShadows, CameraTarget, ClampProjection, DrawHook, DrawSlot, NodeId, OcclusionResults,
+};
 use crate::state::{BinDetails, Light, ResolvedState, SortMode, TexGen};
 
 /// Something to draw; 16 bytes.
@@ -122,6 +124,8 @@ pub struct StageView {
     pub camera: CullCamera,
     /// The view that it hangs in: 0 is the stage's own, others are one more than their index in [`RenderStage::views`].
     pub above: u32,
+    /// Its projection is that of the view that it hangs in, with the same near and far.
+    pub is_of_above: bool,
     /// Light and air of a nested camera.
     pub environment: CameraEnvironment,
     /// What casts shadows into what is below a nested camera.
@@ -223,6 +227,8 @@ pub struct StageTarget {
     pub camera: Option<Arc<CameraTarget>>,
     /// It is that of the stage around this one.
     pub is_shared: bool,
+    /// What is drawn is compared with the depths there, in the projection of the stage around.
+    pub keeps_projection: bool,
     /// x, y, width and height in the target; `None`: all of it.
     pub viewport_px: Option<[u32; 4]>,
     /// Linear colour to clear with; `None` keeps what is there. Of a camera in the graph.
@@ -304,6 +310,8 @@ pub struct RenderStage {
     pub far_m: f64,
     /// What the cull did; stages before and after it included.
     pub counters: CullCounters,
+    /// Says near and far instead of what is found.
+    pub(super) clamp_projection: Option<ClampProjection>,
     pub(super) spare: Spare,
 }
 
@@ -345,23 +353,50 @@ impl RenderStage {
         }
     }
 
-    /// Takes lights and clip planes of the stage it was met in that it has not itself, moved to its own eye.
+    /// Takes lights, clip planes and texture planes of the stage it was met in, moved to its own eye. Of two with the same
+    /// number the last counts, so that its own come after them.
     pub(super) fn inherit_positioned(&mut self, above: &Self) {
         let eye_from_world = self.camera.eye_from_world;
         let below_from = |view: u32| {
             Some(eye_from_world * above.camera_of(view).eye_from_world.inverse()).filter(DAffine3::is_finite)
         };
-        for positioned in &above.lights {
-            let Some(to_from) = below_from(positioned.view) else { continue };
-            if self.lights.iter().all(|own| own.light.number != positioned.light.number) {
-                self.lights.push(PositionedLight { light: moved(&to_from, &positioned.light), view: 0 });
-            }
+        let own = [self.lights.len(), self.clip_planes.len(), self.texgens.len()];
+        for PositionedLight { light, view } in &above.lights {
+            let Some(to_from) = below_from(*view) else { continue };
+            self.lights.push(PositionedLight { light: moved(&to_from, light), view: 0 });
         }
         for clip in &above.clip_planes {
             let Some(to_from) = below_from(clip.view) else { continue };
-            if self.clip_planes.iter().all(|own| own.number != clip.number) {
-                self.clip_planes.push(ClipPlane { plane: plane_moved(&to_from, clip.plane), view: 0, ..*clip });
+            self.clip_planes.push(ClipPlane { plane: plane_moved(&to_from, clip.plane), view: 0, ..*clip });
+        }
+        for PositionedTexGen { unit, texgen, view } in &above.texgens {
+            let Some(to_from) = below_from(*view) else { continue };
+            self.texgens.push(PositionedTexGen { unit: *unit, texgen: texgen_moved(&to_from, *texgen), view: 0 });
+        }
+        self.lights.rotate_left(own[0]);
+        self.clip_planes.rotate_left(own[1]);
+        self.texgens.rotate_left(own[2]);
+    }
+
+    /// Takes up near and far of what is drawn with its projection.
+    pub(super) fn widen(&mut self, other: &Self) {
+        if other.far_m > 0.0 {
+            let near_m = if self.far_m > 0.0 { self.near_m.min(other.near_m) } else { other.near_m };
+            (self.near_m, self.far_m) = (near_m, self.far_m.max(other.far_m));
+        }
+    }
+
+    /// Gives it another projection, and what is drawn with the same: views inside it and stages after it.
+    pub(crate) fn set_projection(&mut self, clip_from_eye: DMat4) {
+        self.camera.clip_from_eye = clip_from_eye;
+        for index in 0..self.views.len() {
+            if self.views[index].is_of_above {
+                let above = (self.views[index].above as usize).checked_sub(1);
+                self.views[index].clip_from_eye = above.map_or(clip_from_eye, |above| self.views[above].clip_from_eye);
             }
+        }
+        for after in self.post_render.iter_mut().filter(|after| after.target.keeps_projection) {
+            after.set_projection(clip_from_eye);
         }
     }
 

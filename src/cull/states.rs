@@ -27,11 +27,18 @@ impl Cull<'_> {
     #[inline(never)]
     fn meet_state(&mut self, page: &Page, path: u32) -> u32 {
         let state = self.chain_state(page, path);
+        let state = self.faded_state(state, self.band);
         let state = self.graph.meet(state, self.stage);
         if let Some(known) = self.memo.get_mut(path as usize) {
             *known = state;
         }
         state
+    }
+
+    /// Draws what comes in another part of the pixels; the one before.
+    pub(super) fn enter_band(&mut self, band: FadeBand) -> FadeBand {
+        self.memo.fill(NONE);
+        std::mem::replace(&mut self.band, band)
     }
 
     /// A state, drawn in a part of the pixels.

@@ -29,12 +29,14 @@ pub(super) struct View {
     pub small_feature: f32,
     /// Along which depths are counted, in eye space.
     pub depth_axis: DVec3,
-    /// What is nearer as a whole is not there: 0, what is behind the eye.
+    /// What is nearer as a whole is not there: 0, what is behind the eye. Parallel rays begin anywhere.
     pub least_depth: f32,
     /// Of a shadow's cascade: nothing is asked for, nothing positioned, nothing below other projections is there.
     pub casts: bool,
     /// Says near and far instead of what is found.
     pub clamp_projection: Option<ClampProjection>,
+    /// The projection is that of the view that it is in.
+    pub is_of_above: bool,
     /// What was found before another view was gone over to.
     pub range: DepthRange,
 }
@@ -57,6 +59,7 @@ impl View {
             least_depth: 0.0,
             casts: false,
             clamp_projection: None,
+            is_of_above: false,
             range: DepthRange::EMPTY,
         };
         view.derive();
@@ -94,6 +97,8 @@ impl View {
         if is_parallel {
             self.horizon = None;
         }
+        let is_fitted = self.settings.compute_near_far != ComputeNearFar::Off;
+        self.least_depth = if is_parallel && !is_fitted { f32::NEG_INFINITY } else { 0.0 };
         let small = culling.contains(CullingMode::SMALL_FEATURE) && !is_parallel;
         self.small_feature = if small { (0.5 * small_feature_px / px) as f32 } else { 0.0 };
     }
@@ -101,7 +106,8 @@ impl View {
     /// Near and far of what was met, in metres; 0 where that is nothing.
     pub fn depths_m(&self) -> [f64; 2] {
         let DepthRange { near, far } = self.range;
-        if near <= far { [near, far].map(|depth| f64::from(depth.max(self.least_depth))) } else { [0.0; 2] }
+        let least = if self.casts { f32::NEG_INFINITY } else { 0.0 };
+        if near <= far { [near, far].map(|depth| f64::from(depth.max(least))) } else { [0.0; 2] }
     }
 
     /// The projection clamped to what was met, if the settings ask for it.

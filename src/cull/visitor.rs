@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3, Vec4};
 
 use super::cameras::{CameraPlace, DeferredCamera, NestedCamera};
-use super::fade::{Fade, LodFades};
+use super::fade::{Fade, FadeBand, LodFades};
 use super::near_far::Candidate;
 use super::occluders::{Collector, FrameOccluders, NO_OCCLUDERS, Occluders};
 use super::planes::{Planes, depth_row};
@@ -184,6 +184,8 @@ pub(super) struct Cull<'a> {
     pub page_occluders: &'a mut FrameOccluders,
     pub tile_occluders: &'a mut FrameOccluders,
     pub fades: &'a mut LodFades,
+    /// Of a Lod of the current page that fades around what is visited.
+    pub band: FadeBand,
     pub range: DepthRange,
     /// The last linear part of the current page that was multiplied, and the product as rows.
     pub linear_rows: (u32, [Vec4; 3]),
@@ -295,6 +297,7 @@ impl CullVisitor {
         stage: &mut RenderStage,
     ) {
         stage.clear(camera);
+        stage.clamp_projection = view.clamp_projection;
         self.graph.start_stage();
         self.leaves.clear();
         self.queue.clear();
@@ -333,6 +336,7 @@ impl CullVisitor {
             page_occluders: &mut self.page_occluders,
             tile_occluders: &mut self.tile_occluders,
             fades: &mut self.fades[self.eye],
+            band: FadeBand::FULL,
             range: DepthRange::EMPTY,
             linear_rows: (NONE, [Vec4::ZERO; 3]),
             tile_view: None,
@@ -384,12 +388,19 @@ impl<'a> Cull<'a> {
     fn fit_views(&mut self) {
         self.views[self.view.index as usize].range = self.range;
         self.look_at_primitives();
+        for (index, view) in self.stage.views.iter().enumerate().rev() {
+            if view.is_of_above {
+                let found = self.views[index + 1].range;
+                let above = &mut self.views[view.above as usize].range;
+                *above = DepthRange { near: above.near.min(found.near), far: above.far.max(found.far) };
+            }
+        }
         let [own, nested @ ..] = &self.views[..] else { return };
         [self.stage.near_m, self.stage.far_m] = own.depths_m();
-        self.stage.camera.clip_from_eye = own.clamped();
         for (view, found) in self.stage.views.iter_mut().zip(nested) {
             (view.clip_from_eye, view.range_m) = (found.clamped(), found.depths_m());
         }
+        self.stage.set_projection(own.clamped());
     }
 
     /// The scene's roots are to be visited, under a state.
@@ -413,6 +424,7 @@ impl<'a> Cull<'a> {
     /// Forgets what was known of the page before.
     pub(super) fn open_page(&mut self, page: &Page, state: u32) {
         self.tile_view = None;
+        self.band = FadeBand::FULL;
         self.memo.clear();
         self.memo.resize(page.paths.len(), NONE);
         self.chains.clear();

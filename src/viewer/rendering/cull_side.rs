@@ -100,7 +100,7 @@ impl CullTask {
                 visitor.cull(&scene, &camera, stage);
                 if !fits_itself {
                     // The near plane of this very frame, from what cull has just found.
-                    stage.camera.clip_from_eye = lens.clip_from_eye(lens.camera.near_for(stage.near_m));
+                    stage.set_projection(lens.clip_from_eye(lens.camera.near_for(stage.near_m)));
                 }
             }
             Sight::One(stereo, place) => {
@@ -110,7 +110,7 @@ impl CullTask {
                 if !fits_itself {
                     let near_m = lens.camera.near_for(stage.near_m);
                     let camera = CullCamera { clip_from_eye: lens.clip_from_eye(near_m), ..camera };
-                    stage.camera.clip_from_eye = stereo.eyes(&camera)[*place].clip_from_eye;
+                    stage.set_projection(stereo.eyes(&camera)[*place].clip_from_eye);
                 }
             }
             Sight::Both(stereo, targets) => {
@@ -119,7 +119,7 @@ impl CullTask {
                     let near_m = lens.camera.near_for(stage.near_m);
                     let camera = CullCamera { clip_from_eye: lens.clip_from_eye(near_m), ..camera };
                     for (eye, of_eye) in stereo.eyes(&camera).iter().zip(&mut stage.pre_render) {
-                        of_eye.camera.clip_from_eye = eye.clip_from_eye;
+                        of_eye.set_projection(eye.clip_from_eye);
                     }
                 }
             }
