@@ -74,6 +74,42 @@ fn a_traversal_visits_callbacks_and_not_nodes() {
 }
 
 #[test]
+fn pages_that_go_take_nobody_s_turn() {
+    let log = Log::default();
+    let mut scene = Scene::new();
+    let add = |scene: &mut Scene, callback| {
+        scene.add_root(Page::from_node(with_callback(Node::group(Vec::new()), callback)).unwrap())
+    };
+    let first = ["a", "b"].map(|name| add(&mut scene, logs(&log, name, Traverse::Below)));
+    let closing = log.clone();
+    let closes = UpdateCallback::new(move |scene: &mut Scene, _, _| {
+        closing.lock().unwrap().push("closes".into());
+        first.iter().for_each(|page| drop(scene.remove_root(*page)));
+        Traverse::Below
+    });
+    add(&mut scene, closes);
+    add(&mut scene, logs(&log, "d", Traverse::Below));
+    scene.update_traversal(&info(1));
+    assert_eq!(taken(&log), ["a 0 1", "b 0 1", "closes", "d 0 1"]);
+    scene.update_traversal(&info(2));
+    assert_eq!(taken(&log), ["closes", "d 0 2"]);
+}
+
+#[test]
+fn a_page_comes_before_those_that_hang_in_it_whenever_it_gets_its_callback() {
+    let log = Log::default();
+    let mut scene = Scene::new();
+    let root = scene.add_root(Page::from_node(Node::group(vec![tile("x")])).unwrap());
+    let slot = scene.slots_of_page(root).next().unwrap();
+    let below = with_callback(Node::group(Vec::new()), logs(&log, "below", Traverse::Below));
+    scene.attach(slot, Page::from_node(below).unwrap()).unwrap();
+    let skips = logs(&log, "above", Traverse::Skip);
+    scene.set_update_callback(NodeId { page: root, index: 0 }, Some(skips)).unwrap();
+    scene.update_traversal(&info(1));
+    assert_eq!(taken(&log), ["above 0 1"]);
+}
+
+#[test]
 fn what_is_skipped_reaches_into_the_pages_below() {
     let log = Log::default();
     let skipping = with_callback(Node::group(vec![tile("x")]), logs(&log, "above", Traverse::Skip));

@@ -99,26 +99,62 @@ impl Call<dyn Any> for EventCallback {
 /// Places of the pages that have callbacks, in the order they came: a page after the one it hangs in.
 #[derive(Debug, Default)]
 pub(super) struct CallbackPages {
-    update: Vec<u32>,
-    event: Vec<u32>,
+    update: Turns,
+    event: Turns,
     /// Subtrees left out of the traversal under way: place of the page, first node, end.
     skipped: Vec<(u32, u32, u32)>,
 }
 
+/// Pages one after the other, also while some come and go.
+#[derive(Debug, Default)]
+struct Turns {
+    places: Vec<u32>,
+    /// Whose turn is next in the traversal under way.
+    next: usize,
+}
+
+impl Turns {
+    fn take(&mut self) -> Option<u32> {
+        let place = self.places.get(self.next).copied()?;
+        self.next += 1;
+        Some(place)
+    }
+
+    /// Before the first page that is below it.
+    fn insert(&mut self, place: u32, is_below: impl Fn(u32) -> bool) {
+        if !self.places.contains(&place) {
+            let at = self.places.iter().position(|other| is_below(*other)).unwrap_or(self.places.len());
+            self.places.insert(at, place);
+            self.next += usize::from(at < self.next);
+        }
+    }
+
+    fn forget(&mut self, place: u32) {
+        if let Some(at) = self.places.iter().position(|other| *other == place) {
+            self.places.remove(at);
+            self.next -= usize::from(at < self.next);
+        }
+    }
+}
+
 impl CallbackPages {
+    /// A page that has come.
     pub fn note(&mut self, place: u32, page: &Page) {
-        for (list, any) in
-            [(&mut self.update, !page.update_callbacks.is_empty()), (&mut self.event, !page.event_callbacks.is_empty())]
-        {
-            if any && !list.contains(&place) {
-                list.push(place);
-            }
+        self.insert(place, page, |_| false);
+    }
+
+    fn insert(&mut self, place: u32, page: &Page, is_below: impl Fn(u32) -> bool) {
+        if !page.update_callbacks.is_empty() {
+            self.update.insert(place, &is_below);
+        }
+        if !page.event_callbacks.is_empty() {
+            self.event.insert(place, &is_below);
         }
     }
 
     pub fn forget(&mut self, place: u32) {
-        self.update.retain(|p| *p != place);
-        self.event.retain(|p| *p != place);
+        self.update.forget(place);
+        self.event.forget(place);
     }
 }
 
@@ -126,23 +162,23 @@ impl Scene {
     /// Calls the update callbacks of all nodes, in each page depth-first; returns how many nodes it visited. The update
     /// phase, once a frame.
     pub fn update_traversal(&mut self, info: &UpdateInfo) -> usize {
-        self.traverse_callbacks::<UpdateInfo, UpdateCallback>(|pages| &pages.update, info)
+        self.traverse_callbacks::<UpdateInfo, UpdateCallback>(|pages| &mut pages.update, info)
     }
 
     /// Calls the event callbacks of all nodes, in each page depth-first; returns how many nodes it visited. The event
     /// phase, once an event.
     pub fn event_traversal(&mut self, event: &dyn Any) -> usize {
-        self.traverse_callbacks::<dyn Any, EventCallback>(|pages| &pages.event, event)
+        self.traverse_callbacks::<dyn Any, EventCallback>(|pages| &mut pages.event, event)
     }
 
     /// True when some node has an update callback.
     pub fn has_update_callbacks(&self) -> bool {
-        !self.callback_pages.update.is_empty()
+        !self.callback_pages.update.places.is_empty()
     }
 
     /// True when some node has an event callback.
     pub fn has_event_callbacks(&self) -> bool {
-        !self.callback_pages.event.is_empty()
+        !self.callback_pages.event.places.is_empty()
     }
 
     /// Gives a node another update callback, or none.
@@ -178,18 +214,23 @@ impl Scene {
             Some(page) if page.update_callbacks.is_empty() && page.event_callbacks.is_empty() => {
                 pages.forget(node.page.slot);
             }
-            Some(page) => pages.note(node.page.slot, page),
+            Some(page) => pages.insert(node.page.slot, page, |other| self.hangs_in(self.page_id_at(other), node.page)),
             None => {}
         }
         self.callback_pages = pages;
         Ok(())
     }
 
-    fn traverse_callbacks<I: ?Sized, C: Call<I>>(&mut self, pages: fn(&CallbackPages) -> &Vec<u32>, info: &I) -> usize {
+    fn traverse_callbacks<I: ?Sized, C: Call<I>>(
+        &mut self,
+        turns: fn(&mut CallbackPages) -> &mut Turns,
+        info: &I,
+    ) -> usize {
         self.callback_pages.skipped.clear();
-        let (mut visited, mut next_page) = (0, 0);
+        turns(&mut self.callback_pages).next = 0;
+        let mut visited = 0;
         // Callbacks may add, remove and change: whatever is next is looked up each time.
-        while let Some(place) = pages(&self.callback_pages).get(next_page).copied() {
+        while let Some(place) = turns(&mut self.callback_pages).take() {
             let page_id = self.page_id_at(place);
             let is_skipped = !self.callback_pages.skipped.is_empty() && self.hangs_below_skipped(page_id);
             let mut next_node = if is_skipped { u32::MAX } else { 0 };
@@ -203,10 +244,20 @@ impl Scene {
                     self.callback_pages.skipped.push((place, node, next_node));
                 }
             }
-            // A page that went in the meantime leaves its number to the next.
-            next_page += usize::from(pages(&self.callback_pages).get(next_page) == Some(&place));
         }
         visited
+    }
+
+    /// True for a page somewhere below another.
+    fn hangs_in(&self, page: PageId, above: PageId) -> bool {
+        let mut at = self.slot_of(page);
+        while let Some(slot) = at {
+            if slot.page == above {
+                return true;
+            }
+            at = self.slot_of(slot.page);
+        }
+        false
     }
 
     fn hangs_below_skipped(&self, page: PageId) -> bool {
