@@ -388,6 +388,26 @@ proptest! {
     }
 }
 
+/// A picture without perspective begins at its near plane, also behind the eye, as what it draws.
+#[test]
+fn parallel_pictures_are_met_from_their_near_plane_on() {
+    let mesh = Mesh::rectangle(DVec3::new(-1.0, -1.0, 5.0), DVec3::X * 2.0, DVec3::Y * 2.0);
+    let mut scene = Scene::new();
+    let square = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())]);
+    scene.add_root(Page::from_node(square).unwrap());
+    let viewport_px = [0, 0, SIZE_PX[0], SIZE_PX[1]];
+    for (near_m, count) in [(-10.0, true), (-2.0, false)] {
+        let clip_from_eye = proj::orthographic(-2.0, 2.0, -2.0, 2.0, 50.0, near_m);
+        let view = WindowView { world_from_eye: DAffine3::IDENTITY, clip_from_eye, viewport_px, fits_depth: false };
+        let mut visitor = IntersectionVisitor::new();
+        let mut ray = RayIntersector::at_window(&view, DVec2::new(330.0, 180.0));
+        visitor.traverse(&scene, &mut ray);
+        let mut polytope = PolytopeIntersector::at_window(&view, DVec2::new(310.0, 170.0), DVec2::new(330.0, 190.0));
+        visitor.traverse(&scene, &mut polytope);
+        assert_eq!((!ray.intersections().is_empty(), !polytope.intersections().is_empty()), (count, count), "{near_m}");
+    }
+}
+
 #[test]
 fn shapes_of_the_world_and_places_outside_meet_no_other_projection() {
     let square = |x: f64| {

@@ -84,7 +84,7 @@ impl PolytopeView {
             planes.push(in_world(plane * inside.signum()));
         }
         let forward = DVec4::new(0.0, 0.0, -1.0, 0.0);
-        if is_first || window.fits_depth {
+        if window.begins_at_eye(is_first) {
             planes.push(in_world(forward));
         } else {
             let (depth, w) = (window.clip_from_eye.row(2), window.clip_from_eye.row(3));

@@ -3,6 +3,7 @@
 use glam::{DAffine3, DMat4, DVec2, DVec3, DVec4};
 
 use crate::math::Ray;
+use crate::scene::has_parallel_rays;
 
 /// What has less depth is ordered by its distance.
 const LEAST_DEPTH: f64 = 1e-12;
@@ -62,12 +63,18 @@ impl WindowView {
         let near = self.eye_at(at_px, 1.0)?;
         let direction = (self.eye_at(at_px, 0.5)? - near).try_normalize()?;
         let whole = Ray::infinite(near - direction * (near.z / direction.z), direction);
-        if all || self.fits_depth {
+        if self.begins_at_eye(all) {
             return whole.is_valid().then_some(whole);
         }
         let max_ratio = self.eye_at(at_px, 0.0).map_or(f64::INFINITY, |far| near.distance(far));
         let cut = Ray { origin: near, direction, max_ratio };
         cut.is_valid().then_some(cut)
+    }
+
+    /// What shows begins at the eye's plane, wherever the near plane is: it is fitted, or, where `all` is to be met, only there
+    /// because there has to be one. Parallel rays that are not fitted begin at theirs.
+    pub(super) fn begins_at_eye(&self, all: bool) -> bool {
+        self.fits_depth || (all && !has_parallel_rays(&self.clip_from_eye))
     }
 
     /// The same picture as another view has it: where a point of its eye space would be in this one, were it here at
