@@ -6,6 +6,7 @@
 mod viewer_support;
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use glam::{DAffine3, DMat4, DVec3};
 use image::RgbaImage;
@@ -13,6 +14,7 @@ use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::pager::PagerConfig;
 use terrane::scene::{DataVariance, Inherit, Mesh, Node, NodeId, Page, ShareModes};
+use terrane::state::{Attribute, Program, StateSet};
 use terrane::viewer::{
     CompositeViewer, ContextId, KEY_COLOR, Slave, ThreadingModel, Viewer, ViewerConfig, ViewerError, Viewport, coverage,
 };
@@ -328,6 +330,97 @@ fn a_lost_device_is_replaced_and_everything_is_shown_again() {
         let failed = (0..4).find_map(|_| viewer.frame().err()).or_else(|| viewer.finish().err());
         assert!(viewer.frame_stamp().frame > 60 || failed.is_some(), "{threading}");
     }
+}
+
+#[test]
+fn pictures_that_were_asked_for_come_though_a_device_is_lost() {
+    let size = [64, 48];
+    for threading in ThreadingModel::ALL {
+        let Some(of_first) = context(size) else { return };
+        let mut viewer = Viewer::new(of_first, &config(threading, size, false)).unwrap();
+        viewer.add_root(page([1.0, 0.0, 0.0, 1.0])).unwrap();
+        viewer.settle(2);
+        let came = Arc::new(AtomicU32::new(0));
+        for frame in 0..20 {
+            if frame == 5 {
+                let context = viewer.context().unwrap();
+                viewer.lose_device(context).unwrap();
+            }
+            let came = came.clone();
+            viewer.capture(Box::new(move |_, _| drop(came.fetch_add(1, Ordering::Relaxed))));
+            viewer.frame().unwrap();
+        }
+        (0..10).for_each(|_| viewer.frame().unwrap());
+        viewer.finish().unwrap();
+        assert_eq!(came.load(Ordering::Relaxed), 20, "{threading}");
+    }
+}
+
+/// Nothing moves, and yet who asked for a picture needs frames until it has come.
+#[test]
+fn a_picture_that_was_asked_for_needs_a_frame() {
+    let size = [64, 48];
+    for threading in ThreadingModel::ALL {
+        let Some(of_first) = context(size) else { return };
+        let mut viewer = Viewer::new(of_first, &config(threading, size, false)).unwrap();
+        viewer.add_root(page([1.0, 0.0, 0.0, 1.0])).unwrap();
+        viewer.settle(8);
+        let frames_needed = |viewer: &mut Viewer| {
+            let mut frames = 0;
+            while viewer.check_need_to_do_frame() {
+                viewer.frame().unwrap();
+                frames += 1;
+                assert!(frames < 1000, "{threading}: never rests");
+            }
+            frames
+        };
+        frames_needed(&mut viewer);
+        let came = Arc::new(AtomicU32::new(0));
+        let told = came.clone();
+        viewer.capture(Box::new(move |_, _| drop(told.fetch_add(1, Ordering::Relaxed))));
+        assert!(frames_needed(&mut viewer) > 0 && came.load(Ordering::Relaxed) == 1, "{threading}");
+    }
+}
+
+#[test]
+fn what_a_picture_drawn_once_more_says_is_reported_and_frames_are_counted() {
+    let size = [64, 48];
+    let Some(of_first) = context(size) else { return };
+    let config = ViewerConfig { history_frames: 10, ..config(ThreadingModel::SingleThreaded, size, false) };
+    let mut viewer = Viewer::new(of_first, &config).unwrap();
+    let plain = Arc::new(StateSet::default());
+    let ball = ball(DVec3::ZERO, 1.0, [1.0; 4]).with_state_set(plain.clone());
+    let root = viewer.add_root(Page::from_node(ball).unwrap()).unwrap();
+    for _ in 0..25 {
+        viewer.frame().unwrap();
+    }
+    let report = viewer.report().unwrap();
+    assert_eq!((report.frames, report.errors.len()), (25, 0));
+    let broken = StateSet::default().with(Attribute::Program(Program::new("broken", "fn vs_main() {")));
+    assert!(viewer.scene_mut().replace_state_set(root, &plain, Arc::new(broken)));
+    viewer.picture().unwrap();
+    viewer.frame().unwrap();
+    let errors = viewer.report().unwrap().errors;
+    assert!(errors.len() == 1 && errors[0].reason.contains("broken"), "{errors:?}");
+}
+
+#[test]
+fn meshes_that_were_not_kept_change_where_they_are() {
+    let size = [64, 48];
+    let Some(of_first) = context(size) else { return };
+    let base = config(ThreadingModel::SingleThreaded, size, false);
+    let mut viewer = Viewer::new(of_first, &ViewerConfig { keep_drawables: false, ..base }).unwrap();
+    let root = viewer.add_root(page([1.0, 0.0, 0.0, 1.0])).unwrap();
+    viewer.settle(2);
+    let before = viewer.read_back().unwrap();
+    let second = viewer.open_context(context(size).unwrap()).unwrap();
+    viewer.add_slave(Slave::new(second)).unwrap();
+    viewer.settle(2);
+    let geode = NodeId { page: root, index: 2 };
+    let away = Arc::new(Mesh::sphere(DVec3::new(0.0, 0.0, -1e6), 1.0, 24));
+    viewer.scene_mut().set_mesh(geode, 0, away, DataVariance::Static).unwrap();
+    viewer.frame().unwrap();
+    assert!(differing(&before, &viewer.read_back().unwrap()) > 100, "the first context has it");
 }
 
 #[test]

@@ -157,6 +157,17 @@ impl ViewerBase {
             Err(ViewerError::Gpu(error @ GpuError::DeviceLost { .. })) if self.may_renew() => {
                 log::warn!("{error}; another takes its place");
                 self.renewed = self.stamp.frame;
+                // Some may have been drawn, others tell what waits for their pictures.
+                for done in self.rendering.end_frames()? {
+                    if let Err(error) = self.absorb(*done) {
+                        self.draw_errors.push(error.to_string());
+                    }
+                }
+                self.lost = None;
+                // Nothing is under way.
+                let next = self.stamp.frame + 1;
+                self.captures.iter_mut().for_each(|(_, of_frame, _)| *of_frame = next.max(*of_frame));
+                self.asked.clear();
                 for device in self.rendering.renew_lost()? {
                     for scene in scenes.iter_mut() {
                         scene.device_renewed(&mut self.rendering, device)?;
@@ -459,21 +470,35 @@ impl ViewerBase {
         self.lost.take().map_or(Ok(()), |lost| Err(lost.into()))
     }
 
+    /// What a drawn frame told besides its figures.
+    pub(super) fn took(&mut self, errors: Vec<String>, gpu_bytes_peak: u64) {
+        self.draw_errors.extend(errors);
+        self.gpu_bytes_peak = self.gpu_bytes_peak.max(gpu_bytes_peak);
+    }
+
+    /// Some picture was asked for that has not come.
+    pub(super) fn awaits_picture(&self) -> bool {
+        !(self.captures.is_empty() && self.wanted.is_empty() && self.asked.is_empty())
+    }
+
     /// A frame that is lost with its device is over too: the next one says so, and replaces the device.
     fn absorb(&mut self, done: FrameDone) -> Result<(), ViewerError> {
         let frame = done.frame;
-        self.gpu_bytes_peak = self.gpu_bytes_peak.max(done.gpu_bytes_peak);
         if !self.rendering.overlaps() {
             self.read_back_ms += done.read_back_ms;
         }
-        self.draw_errors.extend(done.errors);
+        self.took(done.errors, done.gpu_bytes_peak);
         let drawn = match done.stats {
             Err(lost @ GpuError::DeviceLost { .. }) => {
                 self.lost.get_or_insert(lost);
                 self.no_picture_came(done.context, frame);
                 return Ok(());
             }
-            drawn => drawn?,
+            Err(error) => {
+                self.no_picture_came(done.context, frame);
+                return Err(error.into());
+            }
+            Ok(drawn) => drawn,
         };
         let is_last = self.rendering.all_done(frame);
         if let Some(stats) = self.history.frame_mut(frame) {

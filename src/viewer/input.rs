@@ -124,6 +124,7 @@ pub(super) fn needs_frame(base: &ViewerBase, view: &View, paged: &PagedScene) ->
         || view.shows_overlay()
         || input.manipulator.as_ref().is_some_and(|m| m.is_moving())
         || base.stamp.frame == 0
+        || base.awaits_picture()
         || !paged.update_callbacks.is_empty()
         || paged.scene().has_update_callbacks()
         || !paged.is_at_rest()

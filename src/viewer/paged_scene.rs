@@ -304,8 +304,10 @@ impl PagedScene {
         for rewritten in std::mem::take(scene.rewritten_mut()) {
             let Some(page) = scene.page(rewritten.page) else { continue };
             let slots = |context: u32| page.draw_slots_of(context);
-            if rendering.device_ids().any(|device| slots(device).is_empty()) {
-                // Not uploaded yet.
+            let own = self.own.iter().position(|own| own.page == rewritten.page);
+            // The application's own are there or on their way, but for those that were not kept for a later device.
+            let comes = |device| own.is_none_or(|number| self.own_uploads.contains(&(device, number as u32)));
+            if rendering.device_ids().any(|device| slots(device).is_empty() && comes(device)) {
                 scene.rewritten_mut().push(rewritten);
                 continue;
             }

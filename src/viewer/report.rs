@@ -320,6 +320,7 @@ impl Viewer {
     pub fn report(&mut self) -> Result<Report, ViewerError> {
         self.base.absorb_all()?;
         let mut report = Report::from_frames(self.base.history.iter());
+        report.frames = self.base.history.count();
         report.adapter = self.adapter_name().to_owned();
         report.threading = self.threading_model().to_string();
         report.size = self.size_px();

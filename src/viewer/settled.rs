@@ -36,6 +36,7 @@ impl Viewer {
         let handle = self.base.rendering.device_of(context.0).ok_or(ViewerError::NoContext(context))?;
         let done = handle.draw_alone(job)?;
         self.base.probe_stage = done.stage.unwrap_or_default();
+        self.base.took(done.errors, done.gpu_bytes_peak);
         let drawn = done.stats?;
         stats.triangles = drawn.triangles;
         stats.points = drawn.points;

@@ -65,12 +65,14 @@ pub struct FrameStats {
 pub struct StatsHistory {
     frames: VecDeque<FrameStats>,
     limit: usize,
+    /// With those that were dropped.
+    count: u32,
 }
 
 impl StatsHistory {
     /// Keeps at most `limit` frames; memory for the first thousands is taken at once.
     pub fn new(limit: usize) -> Self {
-        Self { frames: VecDeque::with_capacity(limit.clamp(1, 4096)), limit: limit.max(1) }
+        Self { frames: VecDeque::with_capacity(limit.clamp(1, 4096)), limit: limit.max(1), count: 0 }
     }
 
     /// Adds a frame.
@@ -79,6 +81,7 @@ impl StatsHistory {
             self.frames.pop_front();
         }
         self.frames.push_back(stats);
+        self.count += 1;
     }
 
     /// The record of a frame, to be filled in by the draw thread's answer.
@@ -89,6 +92,11 @@ impl StatsHistory {
     /// Newest last.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = &FrameStats> + ExactSizeIterator + Clone {
         self.frames.iter()
+    }
+
+    /// Frames since the last clear, those too that it keeps no longer.
+    pub fn count(&self) -> u32 {
+        self.count
     }
 
     /// The newest frame.
@@ -103,6 +111,7 @@ impl StatsHistory {
 
     /// Forgets everything, as after a warm-up.
     pub fn clear(&mut self) {
+        self.count = 0;
         self.frames.clear();
     }
 }

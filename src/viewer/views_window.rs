@@ -204,6 +204,8 @@ impl App {
                 open.viewer.resize_context(open.windows[place].context, [size.width, size.height])?;
             }
             WindowEvent::CloseRequested if place > 0 => open.close(place)?,
+            // Nobody else hears of it where no view's master camera is in it.
+            WindowEvent::CloseRequested if !open.has_view(place) => event_loop.exit(),
             event => open.feed(place, event)?,
         }
         if open.pace.is_on_demand() {
@@ -272,6 +274,11 @@ fn overlay_of(overlays: &mut Vec<(ViewId, OverlayInput)>, view: ViewId) -> &mut 
 }
 
 impl Open {
+    /// Some view's master camera is in a window.
+    fn has_view(&self, place: usize) -> bool {
+        self.viewer.views().any(|(_, view)| view.context() == Some(self.windows[place].context))
+    }
+
     /// Closes a window that is not the first, with the views whose master cameras are in it.
     fn close(&mut self, place: usize) -> Result<(), ViewerError> {
         let OpenWindow { context, .. } = self.windows.remove(place);
@@ -359,7 +366,7 @@ impl Open {
     /// One frame; false when it was the last.
     fn frame(&mut self, options: &mut ViewsOptions) -> Result<bool, ViewerError> {
         self.pace.begin_frame();
-        if !(options.before_frame)(&mut self.viewer)? {
+        if self.viewer.views().next().is_none() || !(options.before_frame)(&mut self.viewer)? {
             return Ok(false);
         }
         let ids: Vec<ViewId> = self.viewer.views().map(|(id, _)| id).collect();

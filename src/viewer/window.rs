@@ -241,7 +241,8 @@ impl App {
         let taken = open.overlay.feed(&open.viewer, &open.window, event);
         // What the overlay takes does not reach the scene; what comes up does, since it may have gone down there.
         if !(taken && window_events::is_press(event)) {
-            window_events::feed(open.viewer.event_queue(), event, DVec2::ZERO);
+            let origin_px = open.viewer.window_matrix().origin_px;
+            window_events::feed(open.viewer.event_queue(), event, origin_px);
         }
         if open.pace.is_on_demand() {
             open.window.request_redraw();

@@ -268,7 +268,7 @@ impl Renderer {
         std::mem::take(&mut self.errors)
     }
 
-    fn complain(&mut self, error: String) {
+    pub(crate) fn complain(&mut self, error: String) {
         if !error.is_empty() && self.said.len() < 16 * MOST_ERRORS && self.said.insert(error.clone()) {
             log::error!("{error}");
             if self.errors.len() < MOST_ERRORS {

@@ -385,11 +385,16 @@ impl DeviceHandle {
         self.send(DrawCommand::PretendSurface { context, answers: answers.to_vec() })
     }
 
-    /// Waits for the frames under way, whatever becomes of them. One whose threads have ended never comes.
-    pub(super) fn drop_frames(&mut self) -> Result<(), ViewerError> {
-        while self.in_flight > 0 && self.wait_done_for(MOST_WAIT)?.is_some() {}
+    /// Waits for the frames under way, whatever became of them. One whose threads have ended never comes.
+    pub(super) fn end_frames(&mut self) -> Result<Vec<Box<FrameDone>>, ViewerError> {
+        let mut done = Vec::new();
+        while self.in_flight > 0
+            && let Some(frame) = self.wait_done_for(MOST_WAIT)?
+        {
+            done.push(frame);
+        }
         self.in_flight = 0;
-        Ok(())
+        Ok(done)
     }
 
     /// Takes a new device where the old one is lost, with no thread and no frame under way; false where it is not.

@@ -164,8 +164,6 @@ pub(super) struct DrawSide {
     renderer: Renderer,
     /// By place among the device's targets, in which they are drawn one after the other.
     pub(super) contexts: Vec<DrawnContext>,
-    /// What else went wrong between frames; told with the next one.
-    errors: Vec<String>,
     pub(super) commands: Receiver<DrawCommand>,
     /// Never blocks: as many are on the way as were asked for.
     replies: Sender<Reply>,
@@ -207,7 +205,6 @@ impl DrawSide {
             context,
             renderer,
             contexts: vec![DrawnContext::new(first)],
-            errors: Vec::new(),
             commands,
             replies,
             stopping,
@@ -285,7 +282,7 @@ impl DrawSide {
             DrawCommand::Compile(operation) => return self.context.compile(operation),
             DrawCommand::Rewrite { slot, mesh } => {
                 if let Err(error) = self.context.rewrite(slot, &mesh) {
-                    self.errors.push(error.to_string());
+                    self.renderer.complain(error.to_string());
                 }
                 return;
             }
@@ -389,7 +386,7 @@ impl DrawSide {
         self.pass_on_compiled();
         for ImageChange { texture, image } in self.images.drain(..) {
             if let Err(problem) = self.renderer.show_image(&self.context, &texture, &image) {
-                self.errors.push(problem);
+                self.renderer.complain(problem);
             }
         }
         let (mut compile_ms, mut draw_ms) = (millis(start.elapsed()), 0.0);
@@ -440,8 +437,7 @@ impl DrawSide {
         let has_picture = stats.as_ref().is_ok_and(|stats| !stats.skipped);
         let image = (job.read_back && has_picture).then(|| self.renderer.read_back(&mut self.context));
         let read_back_ms = if image.is_some() { millis(drawn.elapsed()) } else { 0.0 };
-        let mut errors = self.renderer.take_errors();
-        errors.append(&mut self.errors);
+        let errors = self.renderer.take_errors();
         let context = &mut self.contexts[place];
         let stage = if own_stage { context.stages.pop().map(|culled| culled.stage) } else { None };
         context.give_back_stages();

@@ -268,12 +268,18 @@ impl Rendering {
         }
     }
 
-    /// Gives contexts whose devices are lost new ones, with nothing uploaded to them; the devices' numbers, which stay.
-    /// Ends the threads, and drops what is under way.
-    pub(super) fn renew_lost(&mut self) -> Result<Vec<u32>, ViewerError> {
+    /// Waits for all frames under way.
+    pub(super) fn end_frames(&mut self) -> Result<Vec<Box<FrameDone>>, ViewerError> {
+        let mut done = Vec::new();
         for device in &mut self.devices {
-            device.drop_frames()?;
+            done.append(&mut device.end_frames()?);
         }
+        Ok(done)
+    }
+
+    /// Gives contexts whose devices are lost new ones, with nothing uploaded to them; the devices' numbers, which stay.
+    /// Ends the threads; no frame is under way.
+    pub(super) fn renew_lost(&mut self) -> Result<Vec<u32>, ViewerError> {
         self.stop_threads();
         let mut renewed = Vec::new();
         for device in &mut self.devices {
