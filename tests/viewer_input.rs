@@ -321,7 +321,15 @@ fn a_path_is_recorded_written_and_played_back() {
     press(&mut viewer, Key::Char('Z'));
     let during = viewer.camera.eye();
     assert!(during.distance(path.points()[0].position) < 2.0, "{during}");
-    std::thread::sleep(std::time::Duration::from_secs_f64(path.duration_s() + 0.05));
+    // A pause is no part of it.
+    let longer = std::time::Duration::from_secs_f64(path.duration_s() + 0.05);
+    press(&mut viewer, Key::Char('p'));
+    std::thread::sleep(longer);
+    viewer.frame().unwrap();
+    viewer.frame().unwrap();
+    assert!(viewer.notice().is_none_or(|notice| !notice.contains("end of the path")));
+    press(&mut viewer, Key::Char('p'));
+    std::thread::sleep(longer);
     viewer.frame().unwrap();
     viewer.frame().unwrap();
     assert!(viewer.notice().unwrap().contains("end of the path"));

@@ -21,6 +21,8 @@ use crate::timeline::{self, Span};
 
 /// How often arrivals are looked for while the draw thread is busy.
 const ARRIVAL_POLL: Duration = Duration::from_micros(300);
+/// Between frames each of several scenes has so much time at once.
+const WORK_TURN: Duration = Duration::from_millis(2);
 /// A device that is lost within so many frames of the last loss is not replaced.
 const FRAMES_TO_RENEW: u32 = 60;
 /// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
@@ -373,6 +375,16 @@ impl ViewerBase {
     /// Works until shortly before `deadline`, sleeps the rest.
     pub(super) fn work_until(&mut self, scenes: &mut [PagedScene], deadline: Instant) {
         let _span = timeline::span("between frames");
+        // One that waits for its server leaves time to the others.
+        while scenes.iter().filter(|scene| scene.is_paging()).count() > 1 && Instant::now() < deadline {
+            let begun = Instant::now();
+            for scene in scenes.iter_mut() {
+                scene.work_until(&mut self.rendering, deadline.min(Instant::now() + WORK_TURN));
+            }
+            if begun.elapsed() < ARRIVAL_POLL {
+                break; // nothing is under way
+            }
+        }
         for scene in scenes {
             scene.work_until(&mut self.rendering, deadline);
         }

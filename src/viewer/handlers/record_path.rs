@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::GuiActionAdapter;
 use crate::viewer::camera_path::{AnimationPath, ControlPoint, PathError};
 use crate::viewer::events::{Bindings, EventMask, GuiEventAdapter, GuiEventHandler, Key, Usage};
-use crate::viewer::manipulators::{AnimationPathManipulator, CameraManipulator};
+use crate::viewer::manipulators::{AnimationPathManipulator, CameraManipulator, ManipulatorView};
 
 #[derive(Clone, Copy, Debug)]
 enum Action {
@@ -28,9 +28,6 @@ pub struct RecordCameraPathHandler {
 }
 
 struct Playing {
-    /// When it began.
-    start_s: f64,
-    duration_s: f64,
     /// What moved the camera before, and does so again.
     before: Option<Box<dyn CameraManipulator>>,
 }
@@ -72,10 +69,9 @@ impl RecordCameraPathHandler {
             Some(path) => path.clone(),
             None => self.path.insert(AnimationPath::read(&self.file)?).clone(),
         };
-        let duration_s = path.duration_s();
         let before = viewer.take_manipulator();
         viewer.set_manipulator(Some(Box::new(AnimationPathManipulator::new(path))));
-        self.playing = Some(Playing { start_s: viewer.frame_stamp().reference_time_s, duration_s, before });
+        self.playing = Some(Playing { before });
         Ok(())
     }
 
@@ -92,7 +88,8 @@ impl RecordCameraPathHandler {
         if let Some(points) = &mut self.recording {
             points.push(ControlPoint::from_pose(now_s, &viewer.camera.world_from_eye));
         }
-        if self.playing.as_ref().is_some_and(|playing| now_s - playing.start_s > playing.duration_s) {
+        let is_over = |manipulator: &mut dyn CameraManipulator, _: &ManipulatorView<'_>| manipulator.is_finished();
+        if self.playing.is_some() && viewer.with_manipulator(is_over) == Some(true) {
             self.stop(viewer);
             viewer.notify("the end of the path");
         }

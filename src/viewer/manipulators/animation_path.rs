@@ -29,11 +29,6 @@ impl AnimationPathManipulator {
         &self.path
     }
 
-    /// True once the end of a path that does not loop is reached.
-    pub fn is_finished(&self) -> bool {
-        self.path.loop_mode == LoopMode::NoLooping && self.at_s >= self.path.duration_s()
-    }
-
     fn rescale(&mut self, factor: f64) {
         self.time_scale = (self.time_scale * factor).clamp(1.0 / 64.0, 64.0);
     }
@@ -63,6 +58,11 @@ impl CameraManipulator for AnimationPathManipulator {
 
     fn home(&mut self, _: &ManipulatorView<'_>) {
         self.at_s = 0.0;
+    }
+
+    /// At the end of a path that does not loop.
+    fn is_finished(&self) -> bool {
+        self.path.loop_mode == LoopMode::NoLooping && self.at_s >= self.path.duration_s()
     }
 
     fn is_moving(&self) -> bool {

@@ -135,6 +135,11 @@ pub trait CameraManipulator: Send {
         true
     }
 
+    /// True once there is nothing left of what it shows, as at the end of a path.
+    fn is_finished(&self) -> bool {
+        false
+    }
+
     /// Where the eye will be (world from eye) after `seconds` more without events, where that is known: what will be
     /// wanted there is loaded ahead. `None`: as it moves now.
     fn pose_after(&self, _seconds: f64) -> Option<DAffine3> {
