@@ -72,11 +72,13 @@ fn all_models_draw_the_same_fade() {
                 viewer.want_picture();
             }
             viewer.frame_at(time_s).unwrap();
-            assert_eq!(viewer.check_need_to_do_frame(), !viewer.is_settled());
+            // A picture may be under way besides.
+            assert!(viewer.check_need_to_do_frame() || viewer.is_settled());
             let is_fading = (3..11).contains(&frame);
             assert_eq!(viewer.is_settled(), !is_fading, "{model} {frame}");
         }
         viewer.finish().unwrap();
+        assert!(!viewer.check_need_to_do_frame());
         let pictures: Vec<RgbaImage> = viewer.take_pictures().into_iter().map(|(_, picture)| picture).collect();
         assert_eq!(pictures.len(), 11);
         let counts: Vec<usize> = pictures.iter().map(greens).collect();

@@ -161,7 +161,7 @@ impl ViewerBase {
                 self.renewed = self.stamp.frame;
                 // Some may have been drawn, others tell what waits for their pictures.
                 for done in self.rendering.end_frames()? {
-                    if let Err(error) = self.absorb(*done) {
+                    if let Err(error) = self.absorb(done) {
                         self.draw_errors.push(error.to_string());
                     }
                 }

@@ -386,12 +386,12 @@ impl DeviceHandle {
     }
 
     /// Waits for the frames under way, whatever became of them. One whose threads have ended never comes.
-    pub(super) fn end_frames(&mut self) -> Result<Vec<Box<FrameDone>>, ViewerError> {
+    pub(super) fn end_frames(&mut self) -> Result<Vec<FrameDone>, ViewerError> {
         let mut done = Vec::new();
         while self.in_flight > 0
             && let Some(frame) = self.wait_done_for(MOST_WAIT)?
         {
-            done.push(frame);
+            done.push(*frame);
         }
         self.in_flight = 0;
         Ok(done)

@@ -269,7 +269,7 @@ impl Rendering {
     }
 
     /// Waits for all frames under way.
-    pub(super) fn end_frames(&mut self) -> Result<Vec<Box<FrameDone>>, ViewerError> {
+    pub(super) fn end_frames(&mut self) -> Result<Vec<FrameDone>, ViewerError> {
         let mut done = Vec::new();
         for device in &mut self.devices {
             done.append(&mut device.end_frames()?);
