@@ -76,6 +76,35 @@ fn programs_have_uniforms_and_defines() {
     );
 }
 
+/// More uniforms than the adapter takes: the program is said, and the rest of the picture drawn.
+#[test]
+fn programs_with_too_many_uniforms_are_said_and_lose_no_frame() {
+    let Some(mut rig) = rig("programs_with_too_many_uniforms_are_said_and_lose_no_frame") else { return };
+    let rig = &mut *rig;
+    let count = rig.ctx.device().limits().max_uniform_buffer_binding_size / 16 + 1;
+    let wgsl = format!(
+        "struct Uniforms {{ table: array<vec4<f32>, {count}> }}
+        @group(2) @binding(0) var<uniform> uniforms: Uniforms;
+        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {{
+            return clip_of(leaves[i], point_in_eye(leaves[i], vertex.position));
+        }}
+        @fragment fn fs_main() -> @location(0) vec4<f32> {{ return uniforms.table[1]; }}"
+    );
+    let set = StateSet::default().with(Attribute::Program(Program::new("a table", &wgsl)));
+    let tabled = Node::geode(vec![quad([0.5, 0.0, 0.0], [0.25; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+    let plain_one = Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]);
+    let scene = rig.scene(Node::group(vec![tabled, plain_one]));
+    for frame in 0..2 {
+        let picture = rig.picture(&scene, &unit_camera(64), &plain());
+        assert_eq!(pixel(&picture, 16, 32), [0, 255, 0]);
+        let errors = rig.renderer.take_errors();
+        assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
+        assert!(errors.iter().all(|e| e.contains("bytes of uniforms")), "{errors:?}");
+        assert!(rig.ctx.take_device_errors().is_empty());
+    }
+    rig.release(scene);
+}
+
 #[test]
 fn broken_programs_are_seen_and_said_once() {
     let Some(mut rig) = rig("broken_programs_are_seen_and_said_once") else { return };

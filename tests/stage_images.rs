@@ -577,6 +577,41 @@ fn queries_hide_what_is_not_seen_and_show_it_again() {
     no_errors(rig);
 }
 
+/// More than fit into a frame: those left out are drawn, whatever was known of them.
+#[test]
+fn queries_that_find_no_room_hide_nothing() {
+    let Some(mut rig) = rig("queries_that_find_no_room_hide_nothing") else { return };
+    let rig = &mut *rig;
+    const NODES: usize = 1200;
+    let mut all = Vec::new();
+    for _ in 0..NODES {
+        let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 1, ..OcclusionQueryNode::default() };
+        let mut node = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        node.children = vec![Node::geode(vec![quad([0.0, 0.0, -3.0], [0.2; 2], [0.0, 1.0, 0.0, 1.0])])];
+        all.push(node);
+    }
+    let wall = Node {
+        children: vec![Node::geode(vec![quad([0.0; 3], [0.9; 2], [1.0, 0.0, 0.0, 1.0])])],
+        ..Node::new(NodeKind::Switch(vec![true]))
+    };
+    // The wall first: its number is known.
+    all.insert(0, wall);
+    let mut scene = rig.scene(Node::group(all));
+    let root = scene.roots()[0];
+    let mut frame = 0;
+    let mut leaves = |rig: &mut Rig, scene: &Scene| {
+        frame += 1;
+        assert!(frame < 400, "never");
+        rig.draw(scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+        rig.stage.leaf_count()
+    };
+    while leaves(rig, &scene) > NODES - 1024 + 1 {}
+    scene.set_switch(terrane::scene::NodeId { page: root, index: 1 }, 0, false).unwrap();
+    while leaves(rig, &scene) < NODES {}
+    rig.release(scene);
+    no_errors(rig);
+}
+
 /// What hides a box below a camera with a part of the picture is what lies before it there.
 #[test]
 fn queries_below_a_nested_camera_look_at_its_part() {

@@ -72,12 +72,21 @@ impl Queries {
         }
     }
 
-    /// The index of a query; `None` when it has to wait for another frame.
+    /// The index of a query; `None` when it has to wait for another frame. Until then what there is no room for counts as
+    /// seen: others may have taken its place each time.
     pub(super) fn ask(&mut self, query: &OcclusionQuery) -> Option<u32> {
-        let slot = self.slots.get_mut(self.current?)?;
-        let index = u32::try_from(slot.asked.len()).ok().filter(|i| *i < MOST_QUERIES)?;
-        slot.asked.push((query.results.clone(), query.visibility_threshold));
-        Some(index)
+        let slot = self.current.and_then(|current| self.slots.get_mut(current));
+        let room = slot.as_ref().map(|slot| slot.asked.len() < MOST_QUERIES as usize);
+        match slot.filter(|_| room == Some(true)) {
+            Some(slot) => {
+                slot.asked.push((query.results.clone(), query.visibility_threshold));
+                Some(slot.asked.len() as u32 - 1)
+            }
+            None => {
+                query.results.was_not_asked(room == Some(false));
+                None
+            }
+        }
     }
 
     pub(super) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {

@@ -355,6 +355,14 @@ impl OcclusionResults {
         due
     }
 
+    /// A query that was due could not be made: it is due again, and what was hidden shows, if need be.
+    pub(crate) fn was_not_asked(&self, shows: bool) {
+        self.queried.store(0, Ordering::Relaxed);
+        if shows {
+            self.failures.store(0, Ordering::Relaxed);
+        }
+    }
+
     /// A query's answer, from the draw thread.
     pub(crate) fn answered(&self, samples: u64, threshold: u32) {
         self.samples.store(u32::try_from(samples).unwrap_or(u32::MAX), Ordering::Relaxed);

@@ -184,6 +184,10 @@ fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String>
         .filter_map(|(_, o)| o.name.as_ref())
         .filter_map(|name| program.defines.iter().find(|(n, _)| n == name).cloned())
         .collect();
+    let most = device.limits().max_uniform_buffer_binding_size;
+    if uniform_bytes as u64 > most {
+        return Err(format!("{uniform_bytes} bytes of uniforms, of which the adapter takes {most}"));
+    }
     let entries = bindings(uniform_bytes, &units);
     let layout = device
         .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(&program.name), entries: &entries });

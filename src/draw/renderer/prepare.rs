@@ -319,9 +319,10 @@ impl Renderer {
         for query in &stage.queries {
             let Some(rows) = stage.eye_from_drawable.get(query.matrix as usize) else { continue };
             if self.batch.leaves().len() >= self.most_leaves {
-                break;
+                query.results.was_not_asked(true);
+                continue;
             }
-            let Some(index) = queries.ask(query) else { break };
+            let Some(index) = queries.ask(query) else { continue };
             let ViewFrame { uniform, positioned, air, .. } = *frames.get(query.view as usize).unwrap_or(&frames[0]);
             let mut statics = Statics { frame: [uniform, positioned], air, ..base };
             let view = stage.views.get((query.view as usize).wrapping_sub(1));

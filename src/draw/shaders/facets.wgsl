@@ -8,7 +8,8 @@ fn facet_normal(in_eye: vec3<f32>) -> vec3<f32> {
         return frame.up.xyz;
     }
     let normal = across / size;
-    return select(normal, -normal, dot(normal, in_eye) > 0.0);
+    let from_eye = select(in_eye, vec3<f32>(0.0, 0.0, -1.0), frame.air.w > 0.0);
+    return select(normal, -normal, dot(normal, from_eye) > 0.0);
 }
 
 // The normal that a shadow is looked up with: that of the facet, which is what casts; where the sun only grazes a
