@@ -57,6 +57,10 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if occupied && !args.overwrite {
         return Err(GenError::Exists(out));
     }
+    let out = if out.exists() { out.canonicalize().map_err(GenError::file(&out))? } else { out };
+    if occupied {
+        may_be_replaced(&out, args)?;
+    }
     if !(args.size.is_finite() && (100.0..=2_000_000.0).contains(&args.size)) {
         return Err(GenError::Argument(format!("--size {} is not within 100 m and 2,000 km", args.size)));
     }
@@ -86,6 +90,19 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     summary.out = out;
     summary.seconds = start.elapsed().as_secs_f64();
     Ok(summary)
+}
+
+/// Whether a folder with something in it is a tile set that none of the sources lies in.
+fn may_be_replaced(out: &Path, args: &GenArgs) -> Result<(), GenError> {
+    if !out.join("tileset.json").is_file() {
+        let reason = format!("{} holds no tile set, which is all that --overwrite replaces", out.display());
+        return Err(GenError::Argument(reason));
+    }
+    let is_inside = |path: &&PathBuf| path.canonicalize().is_ok_and(|path| path.starts_with(out));
+    match args.dem.iter().chain(&args.imagery).find(is_inside) {
+        Some(path) => Err(GenError::Argument(format!("--overwrite would remove {}", path.display()))),
+        None => Ok(()),
+    }
 }
 
 /// What is sampled, where, and how finely.

@@ -74,9 +74,10 @@ fn what_is_there_is_replaced_only_when_told() {
     let out = folder.path().join("set");
     std::fs::create_dir(&out).unwrap();
     std::fs::write(out.join("precious.txt"), "mine").unwrap();
+    std::fs::write(out.join("tileset.json"), "{}").unwrap();
     let args = GenArgs { levels: Some(1), ..small(&out) };
     assert!(matches!(run(&args), Err(GenError::Exists(path)) if path == out));
-    assert_eq!(files(&out).len(), 1, "nothing was touched");
+    assert_eq!(files(&out).len(), 2, "nothing was touched");
     run(&GenArgs { overwrite: true, ..args }).unwrap();
     assert!(out.join("tileset.json").is_file() && !out.join("precious.txt").exists());
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no partial folder is left");

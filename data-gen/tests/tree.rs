@@ -25,6 +25,27 @@ fn a_failed_run_leaves_what_was_there() {
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
+/// Only tile sets are replaced, and none with what the new one is made of.
+#[test]
+fn nothing_but_a_tile_set_is_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("notes");
+    fs::create_dir_all(out.join("below")).unwrap();
+    fs::write(out.join("notes.txt"), "mine").unwrap();
+    for place in [out.clone(), out.join("below/..")] {
+        run(&GenArgs { levels: Some(1), overwrite: true, ..small(place) }).unwrap_err();
+        assert_eq!(fs::read_to_string(out.join("notes.txt")).unwrap(), "mine");
+    }
+    let set = folder.path().join("set");
+    run(&GenArgs { levels: Some(1), ..small(set.clone()) }).unwrap();
+    let inside = set.join("elevation.tif");
+    fs::write(&inside, "a model").unwrap();
+    run(&GenArgs { dem: vec![inside.clone()], overwrite: true, ..small(set.clone()) }).unwrap_err();
+    assert!(inside.is_file());
+    run(&GenArgs { levels: Some(1), overwrite: true, ..small(set.join("../set")) }).unwrap();
+    assert!(set.join("tileset.json").is_file() && !inside.exists());
+}
+
 #[test]
 fn errors_shrink_and_volumes_nest() {
     let folder = tempfile::tempdir().unwrap();
