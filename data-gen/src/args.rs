@@ -41,7 +41,7 @@ pub struct GenArgs {
     /// Threads; all cores by default
     #[arg(long)]
     pub jobs: Option<usize>,
-    /// Replace OUT where it exists
+    /// Replace the tile set that OUT holds
     #[arg(long)]
     pub overwrite: bool,
 }
