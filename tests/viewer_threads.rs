@@ -5,7 +5,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
@@ -14,6 +14,7 @@ use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::scene::{
     CameraNode, DataVariance, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, PageId, RenderOrder,
 };
+use terrane::sync::{Operation, OperationThread};
 use terrane::viewer::{
     CompositeViewer, ContextId, Slave, SlaveId, ThreadingModel, ViewId, Viewer, ViewerConfig, ViewerError,
 };
@@ -246,6 +247,38 @@ fn a_thread_that_panics_is_an_error_and_nothing_waits_for_it() {
             // Dropped with one context gone.
         });
     }
+}
+
+/// Whoever was let go while the object was still there could send it what nobody would ever take.
+#[test]
+fn who_waits_for_a_thread_that_panics_finds_its_object_gone() {
+    struct Owned(Arc<AtomicU64>);
+    impl Drop for Owned {
+        fn drop(&mut self) {
+            self.0.store(1, Ordering::SeqCst);
+        }
+    }
+    struct Panics {
+        gone: Arc<AtomicU64>,
+        seen: Sender<bool>,
+    }
+    impl Operation<Owned> for Panics {
+        fn name(&self) -> &str {
+            "panics"
+        }
+        fn run(&self, _: &mut Owned) {
+            panic!("an operation that panics on purpose");
+        }
+        fn release(&self) {
+            self.seen.send(self.gone.load(Ordering::SeqCst) == 1).unwrap();
+        }
+    }
+    let gone = Arc::new(AtomicU64::new(0));
+    let (seen, was_gone) = channel();
+    let operation: Arc<dyn Operation<Owned>> = Arc::new(Panics { gone: gone.clone(), seen });
+    let thread = OperationThread::start("dies", Owned(gone), [operation]).unwrap();
+    assert!(was_gone.recv_timeout(Duration::from_secs(30)).unwrap());
+    assert!(thread.join().is_err());
 }
 
 /// The scene was taken for granted: whoever changed it, or let the pager have it, panicked too.

@@ -19,7 +19,7 @@ pub struct OperationThread<T: Send + 'static> {
     join: Option<JoinHandle<T>>,
 }
 
-/// Releases what others wait for together with a thread that panics.
+/// Releases what others wait for together with a thread that panics, once its object is gone.
 struct CloseOnPanic<T>(Arc<OperationQueue<T>>);
 
 impl<T> Drop for CloseOnPanic<T> {
@@ -35,16 +35,19 @@ impl<T: Send + 'static> OperationThread<T> {
     /// Starts a thread on an object and the operations that are to be there from the start.
     pub fn start(
         name: &str,
-        mut object: T,
+        object: T,
         operations: impl IntoIterator<Item = Arc<dyn Operation<T>>>,
     ) -> std::io::Result<Self> {
         let queue = Arc::new(OperationQueue::new());
         for operation in operations {
             queue.add(operation);
         }
-        let of_thread = CloseOnPanic(queue.clone());
+        let of_thread = queue.clone();
         let work = move || {
-            while let Some(operation) = of_thread.0.next_operation() {
+            // Declared, and so dropped, in this order: whoever is let go finds the object's ends gone.
+            let closing = CloseOnPanic(of_thread);
+            let mut object = object;
+            while let Some(operation) = closing.0.next_operation() {
                 operation.run(&mut object);
             }
             object

@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! reset the end of dynamic draws
-//! jobs to the contexts, tasks to the cameras
+//! tasks to the cameras, jobs to the contexts
 //! start barrier             CullDrawThreadPerContext: contexts; CullThreadPerCamera...: cameras
 //! cull                      of the cameras that the main thread has
 //! draw, swap                of the contexts that the main thread has
@@ -368,16 +368,18 @@ impl Rendering {
         if let Some(block) = &running.end_of_dynamic {
             block.reset();
         }
+        // Before the jobs: once a thread has died no barrier holds the others back, and those that cull for themselves
+        // would look for a task that is still to come, and wait for its stage for ever.
+        for camera in &mut self.cameras {
+            let Some(task) = camera.next.take() else { continue };
+            let sent = camera.tasks.as_ref().is_some_and(|tasks| tasks.send(task).is_ok());
+            result = result.and(if sent { Ok(()) } else { Err(ViewerError::DrawThreadStopped) });
+        }
         for device in &mut self.devices {
             for place in 0..device.context_ids().count() {
                 let Some(context) = device.context_ids().nth(place) else { break };
                 result = result.and(device.frame(FrameJob { context, ..job(context) }));
             }
-        }
-        for camera in &mut self.cameras {
-            let Some(task) = camera.next.take() else { continue };
-            let sent = camera.tasks.as_ref().is_some_and(|tasks| tasks.send(task).is_ok());
-            result = result.and(if sent { Ok(()) } else { Err(ViewerError::DrawThreadStopped) });
         }
         if let Some(barrier) = &running.start {
             let _span = timeline::span("start barrier");
