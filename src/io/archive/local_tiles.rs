@@ -2,20 +2,16 @@
 
 use std::fs::File;
 use std::io;
-use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::SystemTime;
-
-use lru::LruCache;
 
 use super::directory::Span;
 use super::local::{failed, inside, read};
-use super::pmtiles::{HEAD_BYTES, MOST_DIRECTORIES, Step, TileDirectory, TileHeader, check_size, tile_id, too_deep};
+use super::pmtiles::{
+    HEAD_BYTES, KeptDirectories, MOST_DIRECTORIES, Step, TileDirectory, TileHeader, check_size, tile_id, too_deep,
+};
 use crate::io::{IoError, Limits};
-
-/// Directories below the root that are kept.
-const KEPT: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
 
 /// A file whose head has been read. It is opened for each tile, so that it can be replaced.
 #[derive(Debug)]
@@ -23,8 +19,7 @@ pub(crate) struct LocalTiles {
     path: PathBuf,
     header: TileHeader,
     root: TileDirectory,
-    /// By offset; taken for moments, a directory is read outside of it.
-    leaves: Mutex<LruCache<u64, Arc<TileDirectory>>>,
+    leaves: KeptDirectories<Arc<TileDirectory>>,
     length: u64,
     modified: Option<SystemTime>,
 }
@@ -44,7 +39,7 @@ impl LocalTiles {
             None => read(&mut file, inside(header.root, length)).map_err(failed)?,
         };
         let root = header.directory(&uri, root, limits)?;
-        let leaves = Mutex::new(LruCache::new(KEPT));
+        let leaves = KeptDirectories::new();
         Ok(Self { path: path.to_path_buf(), header, root, leaves, length, modified: metadata.modified().ok() })
     }
 
@@ -80,12 +75,13 @@ impl LocalTiles {
     }
 
     fn leaf(&self, uri: &str, span: Span, limits: &Limits) -> Result<Arc<TileDirectory>, IoError> {
-        if let Some(leaf) = self.leaves.lock().unwrap_or_else(PoisonError::into_inner).get(&span.offset) {
-            return Ok(leaf.clone());
+        if let Some(leaf) = self.leaves.get(span.offset) {
+            return Ok(leaf);
         }
         check_size(uri, span, limits)?;
         let leaf = Arc::new(self.header.directory(uri, self.span(uri, span)?, limits)?);
-        self.leaves.lock().unwrap_or_else(PoisonError::into_inner).put(span.offset, leaf.clone());
+        self.leaves.put(span.offset, leaf.clone());
+        self.leaves.trim(|leaf| leaf.len());
         Ok(leaf)
     }
 

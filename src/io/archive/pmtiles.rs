@@ -1,14 +1,22 @@
 //! PMTiles, version 3: tiles of a pyramid in one file, found by their place on a Hilbert curve through nested directories.
 //! A tile's name is `z/x/y`, with or without an ending.
 
-use crate::io::{IoError, Limits, encoding, file};
+use std::num::NonZeroUsize;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use lru::LruCache;
 
 use super::directory::{Span, number};
+use crate::io::{IoError, Limits, encoding, file};
 
 /// What is read at first: the header, and the root directory, which ends before it.
 pub(crate) const HEAD_BYTES: u64 = 16 << 10;
 /// Directories below each other; the format's own writers make two.
 pub(crate) const MOST_DIRECTORIES: usize = 4;
+/// Directories below the root that are kept of a file.
+const KEPT_DIRECTORIES: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
+/// Entries that these have in all, and one of them at most: 32 MiB. The format's own writers make some thousand each.
+const KEPT_ENTRIES: usize = 1 << 20;
 /// One more level does not fit into an id.
 const MOST_ZOOM: u32 = 31;
 
@@ -156,8 +164,8 @@ impl TileDirectory {
         let broken = || IoError::invalid(uri, "PMTiles: a broken directory");
         let mut rest = bytes;
         let count = varint(&mut rest).ok_or_else(broken)?;
-        if count > limits.max_elements as u64 {
-            let limit = limits.max_elements as u64;
+        let limit = limits.max_elements.min(KEPT_ENTRIES) as u64;
+        if count > limit {
             return Err(IoError::TooLarge { uri: uri.to_owned(), what: "directory of an archive", got: count, limit });
         }
         // Four numbers for each entry, of at least a byte.
@@ -189,10 +197,56 @@ impl TileDirectory {
         Ok(Self(entries))
     }
 
+    /// Its entries.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
     fn find(&self, id: u64) -> Option<Entry> {
         let after = self.0.partition_point(|entry| entry.id <= id);
         let entry = *self.0.get(after.checked_sub(1)?)?;
         (entry.run == 0 || id - entry.id < entry.run).then_some(entry)
+    }
+}
+
+/// Directories below the root by their offsets: those that were used last.
+#[derive(Debug)]
+pub(crate) struct KeptDirectories<D>(
+    /// Taken for moments; a directory is read outside of it.
+    Mutex<LruCache<u64, D>>,
+);
+
+impl<D: Clone> KeptDirectories<D> {
+    pub fn new() -> Self {
+        Self(Mutex::new(LruCache::new(KEPT_DIRECTORIES)))
+    }
+
+    fn kept(&self) -> MutexGuard<'_, LruCache<u64, D>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub fn get(&self, offset: u64) -> Option<D> {
+        self.kept().get(&offset).cloned()
+    }
+
+    #[cfg(feature = "http")]
+    pub fn get_or_insert(&self, offset: u64, make: impl FnOnce() -> D) -> D {
+        self.kept().get_or_insert(offset, make).clone()
+    }
+
+    pub fn put(&self, offset: u64, directory: D) {
+        self.kept().put(offset, directory);
+    }
+
+    /// Lets those go that were not used for longest, until all have no more entries than are kept.
+    pub fn trim(&self, entries: impl Fn(&D) -> usize) {
+        let mut kept = self.kept();
+        let mut all: usize = kept.iter().map(|(_, directory)| entries(directory)).sum();
+        while all > KEPT_ENTRIES
+            && let Some((_, oldest)) = kept.pop_lru()
+        {
+            all -= entries(&oldest);
+        }
     }
 }
 
@@ -307,5 +361,42 @@ mod tests {
         ] {
             assert_eq!(varint(&mut { bytes }), value, "{bytes:?}");
         }
+    }
+
+    #[test]
+    fn directories_are_kept_by_their_number_and_by_their_entries() {
+        let kept = KeptDirectories::new();
+        for offset in 0..100 {
+            kept.put(offset, KEPT_ENTRIES / 10);
+            kept.trim(|entries| *entries);
+        }
+        let there = |kept: &KeptDirectories<usize>, all: u64| (0..all).filter(|o| kept.get(*o).is_some()).count();
+        assert_eq!(there(&kept, 100), 10);
+        assert!(kept.get(99).is_some() && kept.get(90).is_some());
+        kept.put(100, KEPT_ENTRIES);
+        kept.trim(|entries| *entries);
+        assert_eq!((there(&kept, 101), kept.get(100)), (1, Some(KEPT_ENTRIES)));
+        for offset in 0..100 {
+            kept.put(offset, 1);
+            kept.trim(|entries| *entries);
+        }
+        assert_eq!(there(&kept, 101), KEPT_DIRECTORIES.get());
+    }
+
+    #[test]
+    fn a_directory_of_too_many_entries_is_refused() {
+        let of_entries = |count: usize| {
+            let mut bytes = Vec::new();
+            let mut rest = count;
+            while rest >= 0x80 {
+                bytes.push(rest as u8 | 0x80);
+                rest >>= 7;
+            }
+            bytes.push(rest as u8);
+            bytes.resize(bytes.len() + 4 * count, 1);
+            TileDirectory::read("t", &bytes, &Limits::default())
+        };
+        assert_eq!(of_entries(KEPT_ENTRIES).unwrap().len(), KEPT_ENTRIES);
+        assert!(matches!(of_entries(KEPT_ENTRIES + 1), Err(IoError::TooLarge { .. })));
     }
 }

@@ -26,6 +26,11 @@ impl<T> Once<T> {
         self.cell.initialized()
     }
 
+    /// What was read.
+    pub fn get(&self) -> Option<&T> {
+        self.cell.get()
+    }
+
     pub async fn get_or_read(&self, read: impl AsyncFnOnce() -> Result<T, IoError>) -> Result<&T, IoError> {
         let asked = Instant::now();
         let last_failure = || self.failed.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,33 +1,25 @@
 //! PMTiles on servers: the head by one request, each directory below it and each tile by another. HTTP
 //! thread.
 
-use std::num::NonZeroUsize;
+use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use std::sync::{Arc, Mutex, PoisonError};
-
-use lru::LruCache;
 
 use super::archive::{Inside, Part, RemoteArchive, range};
 use super::once::Once;
 use super::{DECODED_HERE_BYTES, HttpClient, blocking};
 use crate::io::archive::Span;
 use crate::io::archive::pmtiles::{
-    HEAD_BYTES, MOST_DIRECTORIES, Step, TileDirectory, TileHeader, check_size, tile_id, too_deep,
+    HEAD_BYTES, KeptDirectories, MOST_DIRECTORIES, Step, TileDirectory, TileHeader, check_size, tile_id, too_deep,
 };
 use crate::io::{IoError, Limits, file};
-
-/// Directories below the root that are kept.
-const KEPT: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
-
-/// By offset. Whoever needs one first reads it, the others wait for that.
-type Leaves = Mutex<LruCache<u64, Arc<Once<TileDirectory>>>>;
 
 /// What is known of a file.
 #[derive(Debug)]
 pub(super) struct RemoteTiles {
     header: TileHeader,
     root: TileDirectory,
-    leaves: Leaves,
+    /// Whoever needs one first reads it, the others wait for that.
+    leaves: KeptDirectories<Arc<Once<TileDirectory>>>,
 }
 
 impl HttpClient {
@@ -50,7 +42,7 @@ impl HttpClient {
             None => return Err(IoError::invalid(url, "PMTiles: the root directory is not at the beginning")),
         };
         let root = header.directory(url, root, limits)?;
-        let tiles = RemoteTiles { header, root, leaves: Mutex::new(LruCache::new(KEPT)) };
+        let tiles = RemoteTiles { header, root, leaves: KeptDirectories::new() };
         Ok(Arc::new(RemoteArchive { length: head.length, etag: head.etag(), inside: Inside::Tiles(tiles) }))
     }
 
@@ -84,16 +76,18 @@ impl HttpClient {
                 Step::Nothing | Step::Outside => break,
             };
             check_size(uri, span, limits)?;
-            let cell = {
-                let mut leaves = tiles.leaves.lock().unwrap_or_else(PoisonError::into_inner);
-                leaves.get_or_insert(span.offset, Arc::default).clone()
-            };
+            let cell = tiles.leaves.get_or_insert(span.offset, Arc::default);
+            let was_read = cell.is_read();
             let read = async || {
                 let part = self.member_part(url, archive, span, limits, network_bytes).await?;
                 let (header, of, limits) = (tiles.header, url.to_owned(), *limits);
                 blocking(uri, move || header.directory(&of, part.bytes, &limits)).await?
             };
-            step = tiles.header.look_up(cell.get_or_read(read).await?, id);
+            let directory = cell.get_or_read(read).await?;
+            if !was_read {
+                tiles.leaves.trim(|leaf| leaf.get().map_or(0, TileDirectory::len));
+            }
+            step = tiles.header.look_up(directory, id);
         }
         Err(too_deep(uri))
     }
