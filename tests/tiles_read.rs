@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use terrane::io::write::{GlbMesh, write_glb};
-use terrane::io::{Content, Limits, ReadOptions, decode, decode_node};
+use terrane::io::{Content, Limits, ReadOptions, decode, decode_node, inspect};
 use terrane::math::BoundingVolume;
 use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind, PagedLod, RangeMode, Refine, Topology};
 use terrane::state::WrapMode;
@@ -117,6 +117,47 @@ fn several_contents_are_drawn_together() {
     assert_eq!(lod(&node).refine, Refine::Add);
     let contents: Vec<_> = node.children.iter().map(|c| lod(c).content.as_deref().unwrap()).collect();
     assert_eq!(contents, ["/data/set/a.glb", "/data/set/b.glb"]);
+    // What children add to stays; contents that children replace would have to go together.
+    let with_children = |refine: &str| {
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,5]}},"geometricError":9,"refine":"{refine}",
+            "contents":[{{"uri":"a.glb"}},{{"uri":"b.glb"}}],
+            "children":[{{"boundingVolume":{{"sphere":[0,0,0,2]}},"geometricError":0,"content":{{"uri":"c.glb"}}}}]}}"#
+        )
+    };
+    let node = tileset("1.1", &with_children("ADD"));
+    let [first, second] = &node.children[..] else { panic!("two contents") };
+    assert_eq!((lod(first).content.as_deref(), error_m(lod(first))), (Some("/data/set/a.glb"), 9.0));
+    assert_eq!((lod(second).content.as_deref(), second.children.len()), (Some("/data/set/b.glb"), 0));
+    assert_eq!(lod(&first.children[0]).content.as_deref(), Some("/data/set/c.glb"));
+    let json = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{}}}"#, with_children("REPLACE"));
+    let error = decode_node(content(json), &ReadOptions::for_root(SET, Limits::default())).unwrap_err();
+    assert!(error.to_string().contains("several contents"), "{error}");
+}
+
+/// They were parsed, and not read: what the reader refuses was not said, and deep ones were left out without a word.
+#[test]
+fn info_reads_external_tilesets_as_the_reader_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = |below: &str| {
+        format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{{"boundingVolume":{{"sphere":[0,0,0,5]}},
+            "geometricError":9{below}}}}}"#
+        )
+    };
+    let limits = Limits { max_depth: 3, ..Limits::default() };
+    // Three levels in each of two files: no file is too deep.
+    let tile = r#""boundingVolume":{"sphere":[0,0,0,5]},"geometricError":1"#;
+    let nested = |last: &str| format!(r#","children":[{{{tile},"children":[{{{tile}{last}}}]}}]"#);
+    let write = |name: &str, json: String| std::fs::write(folder.path().join(name), json).unwrap();
+    write("tileset.json", set(&nested(r#","content":{"uri":"below.json"}"#)));
+    write("below.json", set(&nested("")));
+    let info = inspect(folder.path().to_str().unwrap(), &limits).unwrap();
+    assert_eq!((info.tiles, info.levels.len(), info.errors.len()), (6, 6, 0), "{info}");
+    write("below.json", set(r#","children":[{"boundingVolume":{},"geometricError":1}]"#));
+    let info = inspect(folder.path().to_str().unwrap(), &limits).unwrap();
+    let [error] = &info.errors[..] else { panic!("{info}") };
+    assert!(error.uri.ends_with("below.json") && error.reason.contains("boundingVolume"), "{info}");
 }
 
 #[test]

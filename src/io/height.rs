@@ -18,6 +18,30 @@ use crate::math::{Aabb, BoundingVolume, WGS84};
 use crate::scene::{Drawable, Geometry, HeightTile, Material, Node, SharedParts, SharedStateManager, Texture};
 use crate::state::CLAMPED;
 
+/// What `asset.extras.terrane` may say.
+#[derive(Debug, Deserialize)]
+pub(crate) struct SetExtras {
+    content: Option<String>,
+    side: Option<u32>,
+    border: Option<u32>,
+    level_errors_m: Option<Vec<f64>>,
+}
+
+impl SetExtras {
+    /// The tiles are of heights.
+    pub fn is_height(&self) -> bool {
+        self.content.as_deref() == Some("height")
+    }
+}
+
+/// What `extras.terrane` of a tile may say.
+#[derive(Debug, Deserialize)]
+pub(crate) struct TileExtras {
+    plane: Option<[f64; 4]>,
+    /// A reference to the picture that is laid over it.
+    pub imagery: Option<String>,
+}
+
 /// What `asset.extras.terrane` says about a height tile set.
 pub(crate) struct HeightSet {
     side: u32,
@@ -74,26 +98,13 @@ fn are_errors(errors_m: &[f64]) -> bool {
 
 impl HeightSet {
     /// `None` when the tile set is not one of heights.
-    pub fn from_extras(uri: &str, extras: Option<&serde_json::Value>) -> Result<Option<Self>, IoError> {
-        let Some(terrane) = extras.and_then(|e| e.get("terrane")) else { return Ok(None) };
-        if terrane.get("content").and_then(|c| c.as_str()) != Some("height") {
-            return Ok(None);
-        }
+    pub fn from_extras(uri: &str, extras: Option<SetExtras>) -> Result<Option<Self>, IoError> {
+        let Some(extras) = extras.filter(SetExtras::is_height) else { return Ok(None) };
         let bad = |what: &str| IoError::invalid(uri, format!("asset.extras.terrane.{what}"));
-        let number = |name: &str| terrane.get(name).and_then(|v| v.as_u64()).and_then(|v| u32::try_from(v).ok());
-        let side = number("side").filter(|side| is_side(*side));
-        let errors: Option<Vec<f64>> = terrane
-            .get("level_errors_m")
-            .and_then(|v| v.as_array())
-            .map(|a| a.iter().filter_map(serde_json::Value::as_f64).collect());
-        let level_errors_m = errors.ok_or_else(|| bad("level_errors_m"))?;
-        if !are_errors(&level_errors_m) {
-            return Err(bad("level_errors_m"));
-        }
         Ok(Some(Self {
-            side: side.ok_or_else(|| bad("side"))?,
-            border: number("border").filter(|b| *b == 1).ok_or_else(|| bad("border"))?,
-            level_errors_m,
+            side: extras.side.filter(|side| is_side(*side)).ok_or_else(|| bad("side"))?,
+            border: extras.border.filter(|border| *border == 1).ok_or_else(|| bad("border"))?,
+            level_errors_m: extras.level_errors_m.filter(|e| are_errors(e)).ok_or_else(|| bad("level_errors_m"))?,
         }))
     }
 
@@ -108,20 +119,19 @@ impl HeightSet {
         tileset_uri: &str,
         level: u32,
         bounds: &BoundingVolume,
-        extras: Option<&serde_json::Value>,
+        extras: Option<&TileExtras>,
         scope: &RootScope,
     ) -> Result<Option<Arc<str>>, IoError> {
-        let own = extras.and_then(|e| e.get("terrane"));
-        let plane = own.and_then(|own| own.get("plane")).map(|p| serde_json::from_value::<[f64; 4]>(p.clone()));
+        let plane = extras.and_then(|own| own.plane);
         let place = match (bounds, plane) {
             (BoundingVolume::Region(r), None) => {
                 let east = if r.east < r.west { r.east + TAU } else { r.east };
                 Place::Region([r.west, r.south, east, r.north])
             }
-            (_, Some(Ok(p))) if Place::Plane(p).is_sound() => Place::Plane(p),
+            (_, Some(p)) if Place::Plane(p).is_sound() => Place::Plane(p),
             _ => return Err(IoError::invalid(tileset_uri, "a height tile needs a region, or a plane in its extras")),
         };
-        let imagery = own.and_then(|own| own.get("imagery")?.as_str());
+        let imagery = extras.and_then(|own| own.imagery.as_deref());
         let data = TileData {
             place,
             side: self.side,

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use super::height::SetExtras;
 use super::tileset::{self, TileJson};
 use super::{IoError, Limits, ReadOptions, Source, is_remote, resolve, root_uri, shown};
 use crate::scene::Page;
@@ -83,7 +84,7 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
     let bytes = from.read(&root)?;
     let json = tileset::parse(&root, &bytes)?;
     info.version.clone_from(&json.asset.version);
-    if json.asset.extras.as_ref().and_then(|e| e.get("terrane")?.get("content")?.as_str()) == Some("height") {
+    if json.asset.extras.0.as_ref().is_some_and(SetExtras::is_height) {
         info.format = "3D Tiles with heights".to_owned();
     }
     info.bounds.region.clone_from(&json.root.bounding_volume.region);
@@ -99,7 +100,7 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
         }
         Err(e) => info.fail(&e),
     }
-    info.walk(&from, &root, &json.root, 0, &options);
+    info.walk(&from, &root, &json.root, (0, 0), &options);
     Ok(info)
 }
 
@@ -115,13 +116,22 @@ impl Info {
         &mut self.levels[level as usize]
     }
 
-    fn walk(&mut self, from: &Source, base: &Arc<str>, tile: &TileJson, level: u32, options: &ReadOptions) {
-        if level > options.limits.max_depth {
+    /// A tile of a level, which lies so deep in its file, and what is below it.
+    fn walk(
+        &mut self,
+        from: &Source,
+        base: &Arc<str>,
+        tile: &TileJson,
+        (level, depth): (u32, u32),
+        options: &ReadOptions,
+    ) {
+        if depth > options.limits.max_depth {
+            // As the reader said of the same file.
             return;
         }
         self.tiles += 1;
         self.level(level).tiles += 1;
-        let imagery = tile.extras.as_ref().and_then(|extras| extras.get("terrane")?.get("imagery")?.as_str());
+        let imagery = tile.extras.0.as_ref().and_then(|own| own.imagery.as_deref());
         let contents = tile.content.iter().chain(&tile.contents).filter_map(|content| content.uri());
         for (reference, is_content) in contents.map(|uri| (uri, true)).chain(imagery.map(|uri| (uri, false))) {
             let uri = match resolve(base, reference, &options.root) {
@@ -151,7 +161,7 @@ impl Info {
             }
         }
         for child in &tile.children {
-            self.walk(from, base, child, level + 1, options);
+            self.walk(from, base, child, (level + 1, depth + 1), options);
         }
     }
 
@@ -173,7 +183,11 @@ impl Info {
         let json = tileset::parse(uri, &bytes)?;
         self.bytes += bytes.len() as u64;
         self.extensions.extend(json.extensions_used.iter().cloned());
-        self.walk(from, uri, &json.root, level + 1, &options.below(base));
+        let below = options.below(base);
+        if let Err(e) = tileset::read(uri, &bytes, &below) {
+            self.fail(&e);
+        }
+        self.walk(from, uri, &json.root, (level + 1, 0), &below);
         Ok(())
     }
 }

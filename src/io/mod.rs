@@ -8,6 +8,7 @@ mod b3dm;
 mod cache;
 mod encoding;
 mod error;
+mod extras;
 mod feature_table;
 mod file;
 #[cfg(feature = "http")]

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 
 use super::feature_table::{self, Global, Place};
 use super::{IoError, Limits};
@@ -29,7 +30,13 @@ struct FeatureTable {
     normal: Option<Place>,
     normal_oct16p: Option<Place>,
     #[serde(rename = "extensions")]
-    extensions: Option<serde_json::Map<String, serde_json::Value>>,
+    extensions: Option<Extensions>,
+}
+
+#[derive(Deserialize)]
+struct Extensions {
+    #[serde(rename = "3DTILES_draco_point_compression", default)]
+    draco: Option<IgnoredAny>,
 }
 
 /// The cloud as one drawable of points.
@@ -47,7 +54,7 @@ pub(crate) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoE
     let binary = bytes.get(json_end..end).ok_or_else(|| bad("truncated feature table"))?;
     let table: FeatureTable =
         feature_table::parse(json).map_err(|e| IoError::invalid(uri, format!("pnts feature table: {e}")))?;
-    if table.extensions.as_ref().is_some_and(|e| e.contains_key("3DTILES_draco_point_compression")) {
+    if table.extensions.as_ref().is_some_and(|e| e.draco.is_some()) {
         return Err(IoError::unsupported(uri, "extension 3DTILES_draco_point_compression"));
     }
     let count = table.points_length.count(binary).ok_or_else(|| bad("POINTS_LENGTH"))?;

@@ -7,8 +7,10 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DMat4, DVec3};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 
-use super::height::HeightSet;
+use super::extras::Extras;
+use super::height::{HeightSet, SetExtras, TileExtras};
 use super::{IoError, ReadOptions, resolve};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
 use crate::scene::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
@@ -31,7 +33,7 @@ pub(crate) struct TilesetJson {
 pub(crate) struct AssetJson {
     pub version: String,
     #[serde(default)]
-    pub extras: Option<serde_json::Value>,
+    pub extras: Extras<SetExtras>,
 }
 
 #[derive(Deserialize)]
@@ -52,11 +54,17 @@ pub(crate) struct TileJson {
     #[serde(default)]
     pub children: Vec<TileJson>,
     #[serde(default)]
-    pub implicit_tiling: Option<serde_json::Value>,
+    pub implicit_tiling: Option<IgnoredAny>,
     #[serde(default)]
-    pub extensions: Option<serde_json::Map<String, serde_json::Value>>,
+    pub extensions: Option<TileExtensions>,
     #[serde(default)]
-    pub extras: Option<serde_json::Value>,
+    pub extras: Extras<TileExtras>,
+}
+
+#[derive(Deserialize)]
+pub(crate) struct TileExtensions {
+    #[serde(rename = "3DTILES_implicit_tiling", default)]
+    implicit_tiling: Option<IgnoredAny>,
 }
 
 #[derive(Deserialize)]
@@ -126,7 +134,7 @@ pub(crate) fn read(uri: &Arc<str>, bytes: &[u8], options: &ReadOptions) -> Resul
         });
     }
     let tileset = parse(uri, bytes)?;
-    let heights = HeightSet::from_extras(uri, tileset.asset.extras.as_ref())?;
+    let heights = HeightSet::from_extras(uri, tileset.asset.extras.0)?;
     let mut reader = Reader { uri, options, heights, tiles: 0 };
     // What shows an external tileset's place meanwhile is not known here.
     let above = Above { refine: Refine::Replace, is_replaced: !options.chain.is_empty(), level: 0 };
@@ -153,7 +161,7 @@ impl Reader<'_> {
                 limit: limits.max_elements as u64,
             });
         }
-        let implicit_1_0 = json.extensions.as_ref().is_some_and(|e| e.contains_key("3DTILES_implicit_tiling"));
+        let implicit_1_0 = json.extensions.as_ref().is_some_and(|e| e.implicit_tiling.is_some());
         if json.implicit_tiling.is_some() || implicit_1_0 {
             return Err(IoError::unsupported(self.uri, "implicit tiling"));
         }
@@ -176,7 +184,7 @@ impl Reader<'_> {
         let mut reader_data = None;
         if let Some(heights) = &self.heights {
             geometric_error_m = heights.level_error_m(level).unwrap_or(geometric_error_m);
-            reader_data = heights.tile_data(self.uri, level, &bounds, json.extras.as_ref(), &self.options.root)?;
+            reader_data = heights.tile_data(self.uri, level, &bounds, json.extras.0.as_ref(), &self.options.root)?;
         }
         let mut children = Vec::with_capacity(json.children.len());
         let mut contents: Vec<Arc<str>> = Vec::new();
@@ -239,7 +247,7 @@ impl Reader<'_> {
             return Ok(tile);
         }
         // Several contents of one tile: they come and go together as leaves of an empty ADD tile beside the first.
-        if tile.children.is_empty() {
+        if tile.children.is_empty() || refine == Refine::Add {
             let mut all = vec![tile];
             all.extend(extra);
             return Ok(Node {
@@ -256,7 +264,7 @@ impl Reader<'_> {
                 })))
             });
         }
-        Err(IoError::unsupported(self.uri, "several contents in a tile that has children"))
+        Err(IoError::unsupported(self.uri, "several contents in a tile that its children replace"))
     }
 
     fn affine(&self, m: &[f64]) -> Result<DAffine3, IoError> {
