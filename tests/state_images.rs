@@ -6,8 +6,8 @@ mod gpu_support;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
-use gpu_support::{MAGENTA, Rig, count, plain, quad, rig, unit_camera};
-use terrane::scene::{Drawable, Node};
+use gpu_support::{MAGENTA, Rig, Terrain, camera, count, plain, quad, rig, unit_camera};
+use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind};
 use terrane::state::{
     Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace, Depth,
     FrontFace, Mode, PolygonMode, PolygonOffset, Scissor, SortMode, StateSet, StateValue, Stencil, StencilFace,
@@ -84,6 +84,41 @@ fn blending_weighs_and_adds() {
     let mut set = later();
     set.set_attribute(Attribute::BlendFunc(BlendFunc::ADD), StateValue::ON);
     assert_eq!(over(rig, RED, GREEN, set), GREEN);
+}
+
+/// Materials with a mask were drawn whole, height tiles opaque.
+#[test]
+fn what_is_blended_keeps_its_mask_and_its_alpha() {
+    let Some(mut rig) = rig("what_is_blended_keeps_its_mask_and_its_alpha") else { return };
+    let rig = &mut *rig;
+    let mut masked = |alpha: f32| {
+        let mut drawable = quad([0.0, 0.0, 0.1], [0.5, 0.5], [0.0, 1.0, 0.0, alpha]);
+        drawable.material.alpha = AlphaMode::Mask(0.5);
+        let set = later().with(Attribute::BlendFunc(BlendFunc::ADD));
+        middle(rig, vec![node(square(0.0, RED), StateSet::default()), node(drawable, set)])
+    };
+    assert_eq!(masked(0.4), RED, "cut out");
+    assert_eq!(masked(0.6), YELLOW, "added");
+
+    let terrain =
+        Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured: true };
+    let eye = terrain.world(0.5, 0.1, 9_000.0);
+    let view = camera([SIDE; 2], eye, terrain.world(0.5, 0.6, 0.0), terrain.up(0.5, 0.5));
+    let mut ground = |alpha: u8, set: StateSet| {
+        let mut tile = terrain.tile(0, 0, 0);
+        let NodeKind::Geode(drawables) = &mut tile.children[0].kind else { panic!("a geode") };
+        let Geometry::Height(height) = &mut drawables[0].geometry else { panic!("heights") };
+        let texture = Arc::get_mut(Arc::get_mut(height).unwrap().texture.as_mut().unwrap()).unwrap();
+        texture.mips.iter_mut().for_each(|mip| mip.chunks_mut(4).for_each(|texel| texel[3] = alpha));
+        let scene = rig.scene(Node::group(vec![tile]).with_state_set(Arc::new(set)));
+        let picture = rig.picture(&scene, &view, &plain());
+        rig.release(scene);
+        picture.pixels().filter(|p| p.0[..3] != MAGENTA).count()
+    };
+    let blending = || later().with(func(BlendFactor::SrcAlpha, BlendFactor::OneMinusSrcAlpha));
+    let all = ground(255, StateSet::default());
+    assert!(all > 1000, "{all}");
+    assert_eq!([ground(0, StateSet::default()), ground(255, blending()), ground(0, blending())], [all, all, 0]);
 }
 
 #[test]

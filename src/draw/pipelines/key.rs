@@ -21,6 +21,7 @@ pub(in crate::draw) enum Alpha {
     Opaque,
     Masked,
     Blended,
+    MaskedBlended,
 }
 
 /// What the vertices are.
@@ -203,6 +204,7 @@ impl PipelineKey {
             Topology::Points => 3,
         };
         let alpha = match () {
+            _ if state.blends && is_masked && kind == 1 => 3 << 2,
             _ if state.blends => 2 << 2,
             _ if is_masked && kind == 1 => 1 << 2,
             _ => 0,
@@ -221,7 +223,7 @@ impl PipelineKey {
     }
 
     pub fn alpha(self) -> Alpha {
-        [Alpha::Opaque, Alpha::Masked, Alpha::Blended, Alpha::Blended][self.field(2, 2)]
+        [Alpha::Opaque, Alpha::Masked, Alpha::Blended, Alpha::MaskedBlended][self.field(2, 2)]
     }
 
     /// Bit 0: back faces, bit 1: front faces.
@@ -426,6 +428,9 @@ mod tests {
         let state = StateKey::new(&ResolvedState::default().below(&set), parts, Shading::Program(1000), 33);
         let key = PipelineKey::mesh(&state, Topology::Triangles, false, false, false);
         assert_eq!((key.kind(), key.alpha(), key.culled()), (Kind::Triangles, Alpha::Blended, 2));
+        let alpha = |topology, is_masked| PipelineKey::mesh(&state, topology, is_masked, false, false).alpha();
+        assert_eq!(alpha(Topology::Triangles, true), Alpha::MaskedBlended);
+        assert_eq!(alpha(Topology::Lines, true), Alpha::Blended);
         assert_eq!((key.writes_depth(), key.depth_compare()), (false, CompareFunction::NotEqual));
         assert_eq!((key.is_clockwise(), key.polygon_mode(), key.color_mask()), (true, PolygonMode::Point, 0b101));
         assert_eq!((key.blend(), key.offset()), (40, 50));

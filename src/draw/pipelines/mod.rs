@@ -328,19 +328,24 @@ impl Pipelines {
                     (Kind::Height, _) => "fs_height",
                     _ if is_thin => "fs_thin",
                     (_, Alpha::Masked) => "fs_mesh_masked",
+                    (_, Alpha::MaskedBlended) => "fs_mesh_masked_blended",
                     (_, Alpha::Opaque) if !has_alpha => "fs_mesh",
                     _ => "fs_mesh_blended",
                 };
                 (state_layout, outputs, constants) = (None, 1, Vec::new());
             }
         }
-        let fragment = if key.is_fading() { fading(fragment) } else { fragment };
         let mut constants: Vec<(&str, f64)> = constants.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         constants.extend_from_slice(match key.air() {
             AirKind::Atmosphere => &[],
             AirKind::Haze => &[("HAS_ATMOSPHERE", 0.0)],
             AirKind::Clear => &[("HAS_ATMOSPHERE", 0.0), ("HAS_HAZE", 0.0)],
         });
+        let has_alpha = key.alpha() == Alpha::Blended || key.has_alpha_to_coverage();
+        if has_alpha && matches!(fragment, "fs_height" | "fs_height_shadowed") {
+            constants.push(("HAS_ALPHA", 1.0));
+        }
+        let fragment = if key.is_fading() { fading(fragment) } else { fragment };
         let topology = match key.kind() {
             Kind::Height | Kind::Triangles => wgpu::PrimitiveTopology::TriangleList,
             Kind::Lines => wgpu::PrimitiveTopology::LineList,
@@ -448,6 +453,7 @@ fn fading(fragment: &'static str) -> &'static str {
         "fs_mesh" => "fs_mesh_fading",
         "fs_mesh_masked" => "fs_mesh_masked_fading",
         "fs_mesh_blended" => "fs_mesh_blended_fading",
+        "fs_mesh_masked_blended" => "fs_mesh_masked_blended_fading",
         "fs_thin" => "fs_thin_fading",
         "fs_fixed_height" => "fs_fixed_height_fading",
         "fs_fixed_mesh" => "fs_fixed_mesh_fading",
@@ -574,6 +580,7 @@ mod tests {
                     "fs_mesh" => fading("fs_mesh"),
                     "fs_mesh_masked" => fading("fs_mesh_masked"),
                     "fs_mesh_blended" => fading("fs_mesh_blended"),
+                    "fs_mesh_masked_blended" => fading("fs_mesh_masked_blended"),
                     "fs_thin" => fading("fs_thin"),
                     "fs_fixed_height" => fading("fs_fixed_height"),
                     "fs_fixed_mesh" => fading("fs_fixed_mesh"),

@@ -174,10 +174,13 @@ fn vs_height(@builtin(vertex_index) index: u32, @builtin(instance_index) instanc
     return out;
 }
 
+// The picture's alpha counts: something is blended or covered by it.
+override HAS_ALPHA: bool = false;
+
 fn height_color(in: HeightFragment) -> vec4<f32> {
     let layer = in.layer & ((1u << FLAGS_SHIFT) - 1u);
     let base = texel(textureSample(color_layers, color_sampler, in.uv, layer), in.layer >> FLAGS_SHIFT);
-    return vec4<f32>(through_air(base.rgb * in.light, in.air), 1.0);
+    return vec4<f32>(through_air(base.rgb * in.light, in.air), select(1.0, base.a, HAS_ALPHA));
 }
 
 @fragment

@@ -41,7 +41,7 @@ fn shadowed_height_color(in: ShadowedHeightFragment) -> vec4<f32> {
     if in.sun.r + in.sun.g + in.sun.b > 0.0 {
         light += in.sun * sun_shadow(in.in_eye, towards_sun(normalize(in.normal), facet));
     }
-    return vec4<f32>(through_air(base.rgb * light, in.air), 1.0);
+    return vec4<f32>(through_air(base.rgb * light, in.air), select(1.0, base.a, HAS_ALPHA));
 }
 
 @fragment

@@ -123,6 +123,25 @@ fn fs_mesh_blended_fading(in: MeshFragment, @builtin(front_facing) is_front: boo
     return color;
 }
 
+// What is masked and blended by its state set.
+@fragment
+fn fs_mesh_masked_blended(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let color = mesh_color(in, is_front);
+    if color.a < bitcast<f32>(in.leaf.z) {
+        discard;
+    }
+    return color;
+}
+
+@fragment
+fn fs_mesh_masked_blended_fading(in: MeshFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let color = mesh_color(in, is_front);
+    if color.a < bitcast<f32>(in.leaf.z) || is_faded_out(in.position.xy, in.leaf.y) {
+        discard;
+    }
+    return color;
+}
+
 @fragment
 fn fs_thin(in: MeshFragment) -> @location(0) vec4<f32> {
     return thin_color(in);
