@@ -13,7 +13,7 @@ use terrane::scene::{
     AlphaMode, Billboard, BillboardMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Texture,
     Topology,
 };
-use terrane::state::{StateSet, WrapMode};
+use terrane::state::{Attribute, BinDetails, BlendFactor, BlendFunc, SortMode, StateSet, WrapMode};
 
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
 const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
@@ -263,7 +263,13 @@ fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
     let Some(mut rig) = rig("the_sky_is_behind_everything_opaque_and_under_what_blends") else { return };
     let mut glass = quad([0.5, 0.0, 0.0], [0.25, 0.25], [1.0, 0.0, 0.0, 0.5]);
     glass.material.alpha = AlphaMode::Blend;
+    // Sorted and blended by its state set alone, which leaves it its depth.
+    let sorted = quad([0.5, 0.6, 0.0], [0.25, 0.25], [1.0, 0.0, 0.0, 0.5]);
+    let blends = BlendFunc::new(BlendFactor::SrcAlpha, BlendFactor::OneMinusSrcAlpha);
+    let bin = Some(BinDetails { number: 10, sort: SortMode::BackToFront });
+    let set = StateSet { bin, ..StateSet::default() }.with(Attribute::BlendFunc(blends));
     let scene = rig.scene(Node::group(vec![
+        Node::geode(vec![sorted]).with_state_set(Arc::new(set)),
         Node::geode(vec![glass]),
         Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25, 0.25], RED)]),
     ]));
@@ -276,6 +282,8 @@ fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
     let [sky, through] = [picture.get_pixel(128, 128).0, picture.get_pixel(192, 128).0];
     assert!(sky[2] > sky[0], "{sky:?}");
     assert!(through[0] > sky[0] && through[2] < sky[2] && through[2] > 60, "{through:?} over {sky:?}");
+    let [above, through] = [picture.get_pixel(128, 51).0, picture.get_pixel(192, 51).0];
+    assert!(through[0] > above[0] && through[2] < above[2] && through[2] > 60, "{through:?} over {above:?}");
     let top = picture.get_pixel(128, 4).0;
     assert!(top[0] < sky[0], "towards the zenith it is a deeper blue: {top:?} {sky:?}");
     rig.release(scene);

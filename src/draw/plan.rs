@@ -18,7 +18,7 @@ pub(super) struct StagePlan {
     pub(super) runs: std::ops::Range<usize>,
     /// In the batch, the first runs of its bins, where some of them are drawn by callbacks.
     pub(super) bin_starts: Option<std::ops::Range<usize>>,
-    /// First run that writes no depth.
+    /// First run that what lies behind shines through: sky and water are drawn before it.
     pub(super) see_through: usize,
     /// Index of the statics without any state set.
     pub(super) statics: u32,

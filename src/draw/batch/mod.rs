@@ -218,7 +218,7 @@ impl Batch {
     }
 
     /// Appends the runs of a stage, whose states are in [`Self::states`]. Returns how many leaves were more than the
-    /// buffer takes, and before which run the first one comes that writes no depth.
+    /// buffer takes, and before which run the first one comes that what lies behind shines through.
     pub(in crate::draw) fn build(
         &mut self,
         ctx: &GraphicsContext,
@@ -234,10 +234,10 @@ impl Batch {
         self.bucket_of.clear();
         self.first_bucket = self.buckets.len();
         self.last_bucket = (u64::MAX, 0);
-        let first_run = self.runs.len();
-        let mut dropped = 0;
+        let (mut dropped, mut see_through) = (0, None);
         for bin in &stage.bins {
-            self.bin_starts.push(self.runs.len() as u32);
+            let first_of_bin = self.runs.len();
+            self.bin_starts.push(first_of_bin as u32);
             let mut rest = &bin.leaves[..];
             while !rest.is_empty() {
                 let room = most_leaves.saturating_sub(self.leaf_count);
@@ -251,12 +251,17 @@ impl Batch {
                     self.in_order(ctx, pipelines, stage, group);
                 }
             }
+            // Leaves that blend in any order are rather ground: of those with depth, the sorted ones are not.
+            let is_sorted = bin.sort == SortMode::BackToFront;
+            let is_see_through = |run: &Run| {
+                let pipeline = self.buckets[run.bucket as usize].0.pipeline;
+                !pipeline.writes_depth() || is_sorted && pipeline.blend() != 0
+            };
+            let in_bin = || self.runs[first_of_bin..].iter().position(is_see_through).map(|at| first_of_bin + at);
+            see_through = see_through.or_else(in_bin);
         }
         self.bin_starts.push(self.runs.len() as u32);
-        let buckets = &self.buckets;
-        let is_see_through = |r: &Run| !buckets[r.bucket as usize].0.pipeline.writes_depth();
-        let see_through = self.runs[first_run..].iter().position(is_see_through);
-        (dropped, see_through.map_or(self.runs.len(), |at| first_run + at))
+        (dropped, see_through.unwrap_or(self.runs.len()))
     }
 
     /// Leaves that may change places: those with one bucket and geometry become one run, runs are sorted by bucket.
