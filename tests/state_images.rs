@@ -330,6 +330,19 @@ fn scissors_and_viewports_bound_what_is_drawn() {
     let quarter = Viewport { x: 0.0, y: 0.0, width: 32.0, height: 32.0 };
     let picture = draw(rig, vec![node(square(0.0, RED), StateSet::default().with(Attribute::Viewport(quarter)))]);
     assert_eq!(red(&picture), ([8, 8, 24, 24], 256));
+    // Beyond the target is cut, not squeezed into it: a quarter of a picture of twice the size, from each corner.
+    for (x, y, expected) in
+        [(0.0, 0.0, [32, 32, 64, 64]), (-64.0, 0.0, [0, 32, 32, 64]), (-64.0, -64.0, [0, 0, 32, 32])]
+    {
+        let larger = Viewport { x, y, width: 128.0, height: 128.0 };
+        let picture = draw(rig, vec![node(square(0.0, RED), StateSet::default().with(Attribute::Viewport(larger)))]);
+        assert_eq!(red(&picture), (expected, 32 * 32));
+    }
+    for x in [-9999.0, -64.0, 64.0, 1e6] {
+        let outside = Viewport { x, y: 0.0, width: 64.0, height: 64.0 };
+        let picture = draw(rig, vec![node(square(0.0, RED), StateSet::default().with(Attribute::Viewport(outside)))]);
+        assert_eq!(red(&picture).1, 0);
+    }
     let nonsense = Viewport { x: f32::NAN, y: -9.0, width: 1e9, height: f32::INFINITY };
     let set = StateSet::default().with(Attribute::Viewport(nonsense));
     draw(rig, vec![node(square(0.0, RED), set)]);

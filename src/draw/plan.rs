@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use crate::cull::{RenderStage, StageTarget};
 use crate::draw::pipelines::{Bare, MOST_COLORS, Pipelines, TargetFormats};
-use crate::draw::renderer::prepare::clamped;
 use crate::draw::state::Dynamics;
 use crate::gpu::{GraphicsContext, StateTextures, Transients, texture_format};
 use crate::scene::{Attachment, CameraTarget};
@@ -50,6 +49,8 @@ pub(super) struct PassTarget {
     /// Its depth is sampled later, or later stages go on with it.
     keeps_depth: bool,
     pub(super) size_px: [u32; 2],
+    /// Most pixels a side of a viewport.
+    pub(super) most_px: u32,
     /// A pixel.
     pub(super) samples: u32,
     /// In [`Pipelines`].
@@ -149,6 +150,7 @@ impl Targets {
             has_stencil: self.has_stencil,
             keeps_depth: self.has_followers,
             size_px,
+            most_px: ctx.device().limits().max_texture_dimension_2d,
             samples,
             index: pipelines.target(&key).ok_or("more different targets than there can be")?,
             is_outermost,
@@ -246,6 +248,7 @@ impl Targets {
             has_stencil: key.depth.has_stencil_aspect(),
             keeps_depth: true,
             size_px,
+            most_px: device.limits().max_texture_dimension_2d,
             samples,
             index: pipelines.target(&key).ok_or("more different targets than there can be")?,
             is_outermost,
@@ -264,13 +267,24 @@ impl PassTarget {
     pub(super) fn dynamics(&self, viewport_px: Option<[u32; 4]>) -> Dynamics {
         let [width, height] = self.size_px;
         let rect = viewport_px.unwrap_or([0, 0, width, height]).map(|v| v as f32);
-        let [x, y, w, h] = clamped(rect, self.size_px);
+        let [x, y, w, h] = self.viewport(rect);
         Dynamics {
             viewport: [x, y, w, h, 0.0, 1.0],
             scissor: [0, 0, width, height],
             stencil_reference: 0,
             blend_color: None,
         }
+    }
+
+    /// A viewport that wgpu takes: finite, not empty, not too large. It may reach beyond the target, which cuts off what
+    /// is drawn there.
+    pub(super) fn viewport(&self, rect: [f32; 4]) -> [f32; 4] {
+        let most = self.most_px as f32;
+        let [x, y, width, height] = rect.map(|v| if v.is_finite() { v } else { 0.0 });
+        let [width, height] = [width, height].map(|side| side.clamp(1.0, most));
+        // It wholly lies between -2 and 2 times the most; less one as wgpu has it, and one for what is rounded.
+        let (x, y) = (x.clamp(-most, 2.0 * most - width - 2.0), y.clamp(-most, 2.0 * most - height - 2.0));
+        [x, y, width, height]
     }
 
     /// True for textures that the stage itself draws into.

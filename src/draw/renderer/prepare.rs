@@ -123,7 +123,7 @@ impl Renderer {
             let of_view = frames.get(*view as usize).unwrap_or(&frames[0]);
             (statics.frame, statics.air) = ([of_view.uniform, of_view.positioned], of_view.air);
             let viewport = stage.views.get((*view as usize).wrapping_sub(1)).and_then(|v| v.viewport_px);
-            apply_state(&mut statics.dynamics, state, viewport, target.size_px);
+            apply_state(&mut statics.dynamics, state, viewport, &target);
             let recent = self.statics.len().saturating_sub(STATICS_COMPARED).max(first_statics as usize);
             let known = self.statics[recent..].iter().rposition(|s| *s == statics).map(|at| recent + at);
             let index = known.unwrap_or_else(|| {
@@ -327,7 +327,7 @@ impl Renderer {
             let mut statics = Statics { frame: [uniform, positioned], air, ..base };
             let view = stage.views.get((query.view as usize).wrapping_sub(1));
             if let Some(rect) = view.and_then(|view| view.viewport_px) {
-                statics.dynamics.viewport[..4].copy_from_slice(&clamped(rect.map(|v| v as f32), target.size_px));
+                statics.dynamics.viewport[..4].copy_from_slice(&target.viewport(rect.map(|v| v as f32)));
             }
             let place = match self.statics.iter().rposition(|s| *s == statics) {
                 Some(place) => place,
@@ -359,14 +359,13 @@ fn builtins(camera: &CullCamera, clock: &FrameClock) -> Builtins {
 }
 
 /// Puts a state's viewport, depth range, scissor and constants over those of its stage.
-fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32; 4]>, size_px: [u32; 2]) {
-    let [width, height] = size_px;
+fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32; 4]>, target: &PassTarget) {
+    let [width, height] = target.size_px;
     if let Some(rect) = view {
-        let [x, y, w, h] = rect.map(|v| v as f32);
-        dynamics.viewport[..4].copy_from_slice(&clamped([x, y, w, h], size_px));
+        dynamics.viewport[..4].copy_from_slice(&target.viewport(rect.map(|v| v as f32)));
     }
     if let Some(Viewport { x, y, width, height }) = state.viewport() {
-        dynamics.viewport[..4].copy_from_slice(&clamped([x, y, width, height], size_px));
+        dynamics.viewport[..4].copy_from_slice(&target.viewport([x, y, width, height]));
     }
     if let Some(depth) = state.depth() {
         // Stored reversed: the near plane has 1. All may lie at one depth.
@@ -382,12 +381,4 @@ fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32
     if state.blends() && state.blend_func().has_constant() {
         dynamics.blend_color = Some(state.blend_color());
     }
-}
-
-/// A viewport that wgpu takes: finite, not empty, inside the target.
-pub(in crate::draw) fn clamped(rect: [f32; 4], size_px: [u32; 2]) -> [f32; 4] {
-    let size = size_px.map(|s| s as f32);
-    let [x, y, width, height] = rect.map(|v| if v.is_finite() { v } else { 0.0 });
-    let (x, y) = (x.clamp(0.0, size[0] - 1.0), y.clamp(0.0, size[1] - 1.0));
-    [x, y, width.clamp(1.0, size[0] - x), height.clamp(1.0, size[1] - y)]
 }
