@@ -21,6 +21,42 @@ const GREEN: [u8; 3] = [0, 255, 0];
 const BLUE: [u8; 3] = [0, 0, 255];
 const BLACK: [u8; 3] = [0, 0, 0];
 
+/// What was made with a program that is gone was kept for ever; who comes after it has its place, and nothing of it.
+#[test]
+fn programs_take_the_places_of_others() {
+    let Some(mut rig) = rig("programs_take_the_places_of_others") else { return };
+    let rig = &mut *rig;
+    let set = |color: [u8; 3], has_uniforms: bool| {
+        let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
+        let (declared, value) = match has_uniforms {
+            true => ("struct U { tint: vec3<f32> } @group(2) @binding(0) var<uniform> u: U;", "u.tint".to_owned()),
+            false => ("", format!("vec3<f32>({r:?}, {g:?}, {b:?})")),
+        };
+        let wgsl = format!(
+            "{declared}
+            @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {{
+                return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0);
+            }}
+            @fragment fn fs_main() -> @location(0) vec4<f32> {{ return vec4<f32>({value}, 1.0); }}"
+        );
+        let program = Arc::new(Program { name: "one of many".into(), wgsl, defines: Vec::new() });
+        StateSet::default().with(Attribute::Program(program)).with_uniform("tint", UniformValue::Vec3([r, g, b]))
+    };
+    let stays = Arc::new(set(RED, true));
+    for round in 0..12 {
+        let color = [RED, GREEN, BLUE][round % 3];
+        let quad = |x: f32| quad([x, 0.0, 0.0], [0.25; 2], [1.0; 4]);
+        let scene = rig.scene(Node::group(vec![
+            Node::geode(vec![quad(-0.5)]).with_state_set(stays.clone()),
+            Node::geode(vec![quad(0.5)]).with_state_set(Arc::new(set(color, round % 2 == 0))),
+        ]));
+        let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+        rig.release(scene);
+        assert_eq!([pixel(&picture, 16, 32), pixel(&picture, 48, 32)], [RED, color], "round {round}");
+        assert!(rig.renderer.take_errors().is_empty());
+    }
+}
+
 #[test]
 fn programs_have_uniforms_and_defines() {
     let Some(mut rig) = rig("programs_have_uniforms_and_defines") else { return };

@@ -68,3 +68,14 @@ pub(super) fn operation(equation: BlendEquation) -> wgpu::BlendOperation {
         BlendEquation::Max => wgpu::BlendOperation::Max,
     }
 }
+
+/// Sets the stencil to 0, where there is one.
+pub(super) fn zeroed(format: wgpu::TextureFormat) -> wgpu::StencilState {
+    if !format.has_stencil_aspect() {
+        return wgpu::StencilState::default();
+    }
+    let zero = wgpu::StencilOperation::Zero;
+    let compare = wgpu::CompareFunction::Always;
+    let face = wgpu::StencilFaceState { compare, fail_op: zero, depth_fail_op: zero, pass_op: zero };
+    wgpu::StencilState { front: face, back: face, read_mask: 0xff, write_mask: 0xff }
+}

@@ -15,7 +15,7 @@ use sources::*;
 pub(in crate::draw) use sources::{HEIGHT_PROGRAM_PRELUDE, PROGRAM_PRELUDE};
 use variant::Variant;
 
-use convert::{bias, factor, operation, reversed, stencil_face};
+use convert::{bias, factor, operation, reversed, stencil_face, zeroed};
 
 use crate::gpu::{GraphicsContext, VertexFormat};
 pub(in crate::draw) use crate::gpu::{MOST_COLORS, TargetFormats};
@@ -60,8 +60,10 @@ pub(in crate::draw) struct Pipelines {
     /// Group 3 of pulled meshes: vertices and indices.
     pub(in crate::draw) pull_layout: wgpu::BindGroupLayout,
     pub(in crate::draw) programs: Programs,
-    pipelines: Vec<wgpu::RenderPipeline>,
-    /// Only looked up, never walked.
+    /// `None` where one was let go.
+    pipelines: Vec<Option<wgpu::RenderPipeline>>,
+    free: Vec<u32>,
+    /// Only looked up, never walked while anything is drawn.
     index_of: HashMap<PipelineKey, u32>,
     parts: Parts,
     targets: Vec<TargetFormats>,
@@ -127,6 +129,7 @@ impl Pipelines {
             pull_layout,
             programs: Programs::default(),
             pipelines: Vec::new(),
+            free: Vec::new(),
             index_of: HashMap::new(),
             parts: Parts::default(),
             targets: Vec::new(),
@@ -145,7 +148,7 @@ impl Pipelines {
 
     /// A pipeline by the index that [`Self::ensure`] gave.
     pub(in crate::draw) fn pipeline(&self, index: u32) -> Option<&wgpu::RenderPipeline> {
-        self.pipelines.get(index as usize)
+        self.pipelines.get(index as usize)?.as_ref()
     }
 
     /// The pipeline part of a state.
@@ -234,16 +237,43 @@ impl Pipelines {
         let made = self.make(ctx, key);
         self.created += 1;
         let index = match made {
-            Some(pipeline) => {
-                self.pipelines.push(pipeline);
-                self.pipelines.len() as u32 - 1
-            }
+            Some(pipeline) => self.keep(pipeline),
             // Drawn otherwise, so that the fault is seen; nothing at all where that cannot be made either.
             None if key.fallback() != key => self.ensure(ctx, key.fallback()),
             None => u32::MAX,
         };
         self.index_of.insert(key, index);
         index
+    }
+
+    fn keep(&mut self, pipeline: wgpu::RenderPipeline) -> u32 {
+        if let Some(index) = self.free.pop() {
+            self.pipelines[index as usize] = Some(pipeline);
+            return index;
+        }
+        self.pipelines.push(Some(pipeline));
+        self.pipelines.len() as u32 - 1
+    }
+
+    /// Lets programs go that nobody but this has, and what was made with them; whether there were any. Before a frame:
+    /// what is drawn holds its programs.
+    pub(in crate::draw) fn prune(&mut self) -> bool {
+        let gone = self.programs.prune();
+        if gone.is_empty() {
+            return false;
+        }
+        let is_gone = |key: &PipelineKey| matches!(key.shading(), Shading::Program(place) if gone.contains(&place));
+        let removed: Vec<u32> = self.index_of.extract_if(|key, _| is_gone(key)).map(|(_, index)| index).collect();
+        for index in removed {
+            // What could not be made has another key's, or none.
+            if let Some(pipeline) = self.pipelines.get_mut(index as usize)
+                && !self.index_of.values().any(|of_other| *of_other == index)
+                && pipeline.take().is_some()
+            {
+                self.free.push(index);
+            }
+        }
+        true
     }
 
     fn make(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> Option<wgpu::RenderPipeline> {
@@ -442,35 +472,6 @@ impl Pipelines {
             },
         }
     }
-}
-
-/// The fragment shader that does the same in a part of the pixels. Apart, so that where nothing fades nothing is
-/// discarded, and depth is tested before shading.
-fn fading(fragment: &'static str) -> &'static str {
-    match fragment {
-        "fs_height" => "fs_height_fading",
-        "fs_height_shadowed" => "fs_height_shadowed_fading",
-        "fs_mesh" => "fs_mesh_fading",
-        "fs_mesh_masked" => "fs_mesh_masked_fading",
-        "fs_mesh_blended" => "fs_mesh_blended_fading",
-        "fs_mesh_masked_blended" => "fs_mesh_masked_blended_fading",
-        "fs_thin" => "fs_thin_fading",
-        "fs_fixed_height" => "fs_fixed_height_fading",
-        "fs_fixed_mesh" => "fs_fixed_mesh_fading",
-        "fs_fixed_thin" => "fs_fixed_thin_fading",
-        other => other,
-    }
-}
-
-/// Sets the stencil to 0, where there is one.
-fn zeroed(format: wgpu::TextureFormat) -> wgpu::StencilState {
-    if !format.has_stencil_aspect() {
-        return wgpu::StencilState::default();
-    }
-    let zero = wgpu::StencilOperation::Zero;
-    let compare = wgpu::CompareFunction::Always;
-    let face = wgpu::StencilFaceState { compare, fail_op: zero, depth_fail_op: zero, pass_op: zero };
-    wgpu::StencilState { front: face, back: face, read_mask: 0xff, write_mask: 0xff }
 }
 
 #[cfg(test)]

@@ -53,10 +53,11 @@ struct Entry {
     compiled: Option<Compiled>,
 }
 
-/// Programs met so far, by identity.
+/// Programs that are in use, by identity.
 #[derive(Default)]
 pub(in crate::draw) struct Programs {
-    entries: Vec<Entry>,
+    /// A program's place is its own while it is there.
+    entries: Vec<Option<Entry>>,
 }
 
 /// Times and matrices that uniforms named `osg_…` get.
@@ -77,26 +78,44 @@ impl Programs {
         device: &wgpu::Device,
         program: &Arc<Program>,
     ) -> Result<Option<u16>, String> {
-        if let Some(place) = self.entries.iter().position(|e| Arc::ptr_eq(&e.program, program)) {
-            return Ok(self.entries[place].compiled.is_some().then_some(place as u16));
+        let is_it = |entry: &Option<Entry>| entry.as_ref().is_some_and(|e| Arc::ptr_eq(&e.program, program));
+        if let Some(place) = self.entries.iter().position(is_it) {
+            let place = place as u16;
+            return Ok(self.get(place).is_some().then_some(place));
         }
-        if self.entries.len() >= MOST_PROGRAMS {
+        let free = self.entries.iter().position(Option::is_none);
+        let place = free.unwrap_or(self.entries.len());
+        if place >= MOST_PROGRAMS {
             let name = &program.name;
             return Err(format!("program {name:?} is one more than the {MOST_PROGRAMS} that there can be"));
         }
         let compiled = compile(device, program);
-        let place = self.entries.len() as u16;
         let (compiled, result) = match compiled {
-            Ok(compiled) => (Some(compiled), Ok(Some(place))),
+            Ok(compiled) => (Some(compiled), Ok(Some(place as u16))),
             Err(reason) => (None, Err(format!("program {:?}: {reason}", program.name))),
         };
-        self.entries.push(Entry { program: program.clone(), compiled });
+        let entry = Some(Entry { program: program.clone(), compiled });
+        match free {
+            Some(place) => self.entries[place] = entry,
+            None => self.entries.push(entry),
+        }
         result
+    }
+
+    /// Lets those go that nobody else has; their places.
+    pub(in crate::draw) fn prune(&mut self) -> Vec<u16> {
+        let mut gone = Vec::new();
+        for (place, slot) in (0u16..).zip(&mut self.entries) {
+            if slot.take_if(|entry| Arc::strong_count(&entry.program) == 1).is_some() {
+                gone.push(place);
+            }
+        }
+        gone
     }
 
     /// Makes the module for height tiles, called once for each program. Why it cannot be.
     pub(in crate::draw) fn ensure_heights(&mut self, device: &wgpu::Device, place: u16) -> Result<(), String> {
-        let Some(entry) = self.entries.get_mut(usize::from(place)) else { return Ok(()) };
+        let Some(Some(entry)) = self.entries.get_mut(usize::from(place)) else { return Ok(()) };
         let Some(compiled) = entry.compiled.as_mut().filter(|c| c.heights.is_none()) else { return Ok(()) };
         let source = heights_source(&entry.program.wgsl)
             .map_err(|reason| format!("program {:?} on height tiles: {reason}", entry.program.name))?;
@@ -108,7 +127,7 @@ impl Programs {
     }
 
     pub(in crate::draw) fn get(&self, place: u16) -> Option<&Compiled> {
-        self.entries.get(usize::from(place))?.compiled.as_ref()
+        self.entries.get(usize::from(place))?.as_ref()?.compiled.as_ref()
     }
 }
 
@@ -418,8 +437,32 @@ impl Builtins {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 
     const FRAGMENT: &str = "@fragment fn fs_main() -> @location(0) vec4<f32> { return vec4<f32>(1.0); }";
+
+    #[test]
+    fn places_of_programs_that_nobody_has_are_used_again() {
+        let traits = ContextTraits { adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let vertex = "@vertex fn vs_main(v: MeshVertex) -> @builtin(position) vec4<f32> { return vec4<f32>(1.0); }";
+        let program = |wgsl: String| Arc::new(Program { name: "p".into(), wgsl, defines: Vec::new() });
+        let whole = || program(format!("{vertex}{FRAGMENT}"));
+        let mut programs = Programs::default();
+        let [first, second] = [whole(), whole()];
+        assert_eq!(programs.ensure(ctx.device(), &first), Ok(Some(0)));
+        assert_eq!(programs.ensure(ctx.device(), &second), Ok(Some(1)));
+        let broken = program(FRAGMENT.into());
+        assert!(programs.ensure(ctx.device(), &broken).is_err());
+        assert_eq!(programs.ensure(ctx.device(), &broken), Ok(None));
+        assert!(programs.prune().is_empty());
+        drop((first, broken));
+        assert_eq!(programs.prune(), [0, 2]);
+        assert!(programs.get(0).is_none() && programs.get(1).is_some());
+        let third = whole();
+        assert_eq!(programs.ensure(ctx.device(), &third), Ok(Some(0)));
+        assert_eq!(programs.ensure(ctx.device(), &second), Ok(Some(1)));
+    }
 
     #[test]
     fn programs_of_meshes_become_those_of_height_tiles() {

@@ -43,3 +43,21 @@ pub(in crate::draw) const HEIGHT_PROGRAM_PRELUDE: &str = wgsl![air, frame, shado
 /// the functions of `src/draw/shaders/frame.wgsl` and `shadows.wgsl`: `point_in_eye`, `direction_in_eye`,
 /// `normal_in_eye`, `above_ground`, `light`, `sun_shadow`, `aerial`, `through_air`, `tone_mapped`.
 pub const DRAWABLE_PRELUDE: &str = wgsl![air, frame, shadows];
+
+/// The fragment shader that does the same in a part of the pixels. Apart, so that where nothing fades nothing is
+/// discarded, and depth is tested before shading.
+pub(super) fn fading(fragment: &'static str) -> &'static str {
+    match fragment {
+        "fs_height" => "fs_height_fading",
+        "fs_height_shadowed" => "fs_height_shadowed_fading",
+        "fs_mesh" => "fs_mesh_fading",
+        "fs_mesh_masked" => "fs_mesh_masked_fading",
+        "fs_mesh_blended" => "fs_mesh_blended_fading",
+        "fs_mesh_masked_blended" => "fs_mesh_masked_blended_fading",
+        "fs_thin" => "fs_thin_fading",
+        "fs_fixed_height" => "fs_fixed_height_fading",
+        "fs_fixed_mesh" => "fs_fixed_mesh_fading",
+        "fs_fixed_thin" => "fs_fixed_thin_fading",
+        other => other,
+    }
+}

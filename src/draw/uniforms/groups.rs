@@ -70,10 +70,11 @@ impl Groups {
         }
     }
 
-    pub(in crate::draw) fn start_frame(&mut self) {
+    /// `programs_left` is whether places of programs will be others' from now on.
+    pub(in crate::draw) fn start_frame(&mut self, programs_left: bool) {
         self.bytes.clear();
         self.pending.clear();
-        if self.textures.prune() {
+        if self.textures.prune() | programs_left {
             self.forget_groups();
         }
     }
