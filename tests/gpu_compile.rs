@@ -164,6 +164,31 @@ fn released_places_are_used_again() {
     assert!(again.slots.iter().all(|s| first.slots.contains(s)), "{:?} {:?}", again.slots, first.slots);
 }
 
+/// They were uploaded to the end, one after the other, for nobody.
+#[test]
+fn what_is_cancelled_before_it_begins_is_not_uploaded() {
+    let Some(mut rig) = fresh("what_is_cancelled_before_it_begins_is_not_uploaded") else { return };
+    rig.compile(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]);
+    let base = rig.ctx.bytes_in_use();
+    let operation = |ticket| CompileOperation { ticket, drawables: vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])] };
+    (10..15).for_each(|ticket| rig.ctx.compile(operation(ticket)));
+    rig.ctx.cancel_compiles(&[11, 13, 14, 99]);
+    let mut done = Vec::new();
+    for _ in 0..1000 {
+        rig.ctx.run_compiles(&CompileBudget::UNLIMITED);
+        done.extend(rig.ctx.take_compiled());
+        if done.len() == 5 {
+            break;
+        }
+    }
+    done.sort_by_key(|compiled| compiled.ticket);
+    let made: Vec<_> = done.iter().map(|compiled| (compiled.ticket, compiled.slots.len())).collect();
+    assert_eq!(made, [(10, 1), (11, 0), (12, 1), (13, 0), (14, 0)]);
+    assert_eq!(rig.ctx.pending_compiles(), 0);
+    done.iter().for_each(|compiled| rig.ctx.release(&compiled.slots));
+    assert_eq!(rig.ctx.bytes_in_use(), base);
+}
+
 #[test]
 fn a_drawable_that_cannot_be_made_is_an_error_of_its_own() {
     let Some(mut rig) = fresh("a_drawable_that_cannot_be_made_is_an_error_of_its_own") else { return };

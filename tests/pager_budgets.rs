@@ -245,6 +245,7 @@ fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
     run.frame(far);
     let stats = *run.pager.stats();
     assert_eq!((stats.dropped, stats.resident, stats.in_flight), (1, 1, 0), "{stats:?}");
+    assert_eq!(run.context.cancelled, 1, "nobody waits for it");
     assert_eq!(run.context.slots_out, 1, "the outer content's");
     run.settle(near);
     assert_eq!((run.pager.stats().resident, run.context.slots_out), (3, 2), "{:?}", run.pager.stats());

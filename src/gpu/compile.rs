@@ -50,7 +50,8 @@ pub struct CompileOperation {
 pub struct Compiled {
     /// The operation's ticket.
     pub ticket: u64,
-    /// One slot a drawable, in order; [`DrawSlot::NONE`] for those that could not be made.
+    /// One slot a drawable, in order; [`DrawSlot::NONE`] for those that could not be made. None at all where the operation
+    /// was cancelled.
     pub slots: Vec<DrawSlot>,
     /// Bytes of GPU memory that were newly taken by what is not shared by content.
     pub bytes: u64,
@@ -61,6 +62,11 @@ pub struct Compiled {
 }
 
 impl Compiled {
+    /// Of an operation of which nothing is made yet, with room for so many slots.
+    fn nothing(ticket: u64, drawables: usize) -> Self {
+        Self { ticket, slots: Vec::with_capacity(drawables), bytes: 0, shared: Vec::new(), errors: Vec::new() }
+    }
+
     fn count(&mut self, content: Option<&ContentKey>, bytes: u64, is_new: bool) {
         match content {
             Some(key) => self.shared.push((*key, bytes)),
@@ -146,6 +152,16 @@ fn fitting(left: usize, unit_bytes: usize, most_bytes: u64, is_first: bool) -> u
 impl CompileQueue {
     pub(super) fn push(&mut self, operation: CompileOperation) {
         self.waiting.push_back(operation);
+    }
+
+    /// Ends operations that have not begun: nothing is made of them, and they are told to have finished.
+    pub(super) fn cancel(&mut self, tickets: &[u64]) {
+        let Self { waiting, finished, .. } = self;
+        waiting.retain(|operation| {
+            let is_cancelled = tickets.contains(&operation.ticket);
+            finished.extend(is_cancelled.then(|| Compiled::nothing(operation.ticket, 0)));
+            !is_cancelled
+        });
     }
 
     /// Everything written so far went to the driver with a draw.
@@ -369,13 +385,7 @@ impl CompileQueue {
     /// Begins with the operation that waits longest; false without one.
     fn begin_next(&mut self) -> bool {
         let Some(operation) = self.waiting.pop_front() else { return false };
-        let compiled = Compiled {
-            ticket: operation.ticket,
-            slots: Vec::with_capacity(operation.drawables.len()),
-            bytes: 0,
-            shared: Vec::new(),
-            errors: Vec::new(),
-        };
+        let compiled = Compiled::nothing(operation.ticket, operation.drawables.len());
         self.job = Some(Job { drawables: operation.drawables.into_iter(), compiled });
         true
     }

@@ -374,6 +374,11 @@ impl GraphicsContext {
         self.compiles.push(operation);
     }
 
+    /// Ends operations that have not begun, with no slot.
+    pub fn cancel_compiles(&mut self, tickets: &[u64]) {
+        self.compiles.cancel(tickets);
+    }
+
     /// Uploads within a budget, at least one slice; what is too big is split over calls.
     pub fn run_compiles(&mut self, budget: &CompileBudget) -> CompileStats {
         let _span = crate::timeline::span("compile");

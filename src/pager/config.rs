@@ -16,6 +16,8 @@ pub trait CompileContext {
     fn foresee(&mut self, _kinds: &Arc<[DrawKind]>) {}
     /// Queues drawables for upload; done within the context's budget a frame.
     fn compile(&mut self, operation: CompileOperation);
+    /// Nobody waits for these operations any more: those that have not begun may end with nothing made. All are answered.
+    fn cancel(&mut self, _tickets: &[u64]) {}
     /// Uploads within a budget, now or on the context's own thread: for the time between two frames. What a frame
     /// uploads itself is not the pager's to say.
     fn run_compiles(&mut self, budget: &CompileBudget);

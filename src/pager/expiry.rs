@@ -164,7 +164,8 @@ impl DatabasePager {
         self.ready.clear();
     }
 
-    /// Forgets requests, with what was loaded and uploaded for them; late answers and uploads find nobody.
+    /// Forgets requests, with what was loaded and uploaded for them, and what was to be; late answers and uploads find
+    /// nobody.
     pub(super) fn drop_entries(
         &mut self,
         contexts: &mut [&mut dyn CompileContext],
@@ -173,6 +174,12 @@ impl DatabasePager {
         let dropped: Vec<Entry> =
             self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
         self.is_listed &= dropped.is_empty();
+        let compiling =
+            |entry: &Entry| matches!(&entry.progress, Progress::Arrived(arrived) if arrived.contexts_left > 0);
+        let tickets: Vec<u64> = dropped.iter().filter(|e| compiling(e)).map(|entry| entry.job.ticket).collect();
+        if !tickets.is_empty() {
+            contexts.iter_mut().for_each(|context| context.cancel(&tickets));
+        }
         for Entry { job, progress, .. } in dropped {
             if matches!(progress, Progress::Failed { .. }) {
                 continue;

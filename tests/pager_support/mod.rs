@@ -22,6 +22,8 @@ pub const PAGE_GPU_BYTES: u64 = 1000;
 pub struct Context {
     done: Vec<Compiled>,
     pub slots_out: u64,
+    /// Operations that nobody waits for any more.
+    pub cancelled: usize,
     /// What is compiled is kept back.
     pub holds: bool,
 }
@@ -36,6 +38,10 @@ impl CompileContext for Context {
         self.slots_out += slots.len() as u64;
         let ticket = operation.ticket;
         self.done.push(Compiled { ticket, slots, bytes: PAGE_GPU_BYTES, shared: Vec::new(), errors: Vec::new() });
+    }
+
+    fn cancel(&mut self, tickets: &[u64]) {
+        self.cancelled += tickets.len();
     }
 
     fn run_compiles(&mut self, _: &CompileBudget) {}

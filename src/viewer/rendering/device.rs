@@ -315,6 +315,14 @@ impl DeviceHandle {
         let _ = self.send(DrawCommand::Compile(CompileOperation { ticket, ..operation }));
     }
 
+    /// Ends what a scene's pager does not want any more and is not begun; it is answered all the same.
+    pub(super) fn cancel_compiles(&mut self, owner: u16, tickets: &[u64]) {
+        let bits = owner_bits(owner, false);
+        let tickets = tickets.iter().map(|ticket| bits | (ticket & TICKET_MASK)).collect();
+        // A draw thread that has ended shows at the next frame.
+        let _ = self.send(DrawCommand::CancelCompiles(tickets));
+    }
+
     /// Uploads between two frames. On a draw thread this waits behind the frames sent before.
     pub(super) fn run_compiles(&mut self, budget: &CompileBudget) {
         if self.compiling > 0 && !self.running_compiles.swap(true, Ordering::AcqRel) {
@@ -344,8 +352,10 @@ impl DeviceHandle {
 
     /// Frees slots after the last frame that draws them.
     pub(super) fn release(&mut self, slots: Vec<DrawSlot>) {
-        // As above.
-        let _ = self.send(DrawCommand::Release(slots));
+        if !slots.is_empty() {
+            // As above.
+            let _ = self.send(DrawCommand::Release(slots));
+        }
     }
 
     /// Puts another mesh in the place of a drawable's, from the next frame on.
@@ -449,6 +459,10 @@ impl CompileContext for DeviceOfScene<'_> {
 
     fn compile(&mut self, operation: CompileOperation) {
         self.handle.compile(self.owner, operation);
+    }
+
+    fn cancel(&mut self, tickets: &[u64]) {
+        self.handle.cancel_compiles(self.owner, tickets);
     }
 
     fn run_compiles(&mut self, budget: &CompileBudget) {

@@ -81,6 +81,8 @@ pub(super) enum DrawCommand {
     Foresee(Arc<[DrawKind]>),
     /// Put drawables into the compile queue.
     Compile(CompileOperation),
+    /// End what has not begun of the compile queue.
+    CancelCompiles(Vec<u64>),
     /// Put another mesh in the place of a drawable's, from the next frame on.
     Rewrite { slot: DrawSlot, mesh: Arc<Mesh> },
     /// Write an image to a texture of state sets, in the next frame's compile step.
@@ -280,6 +282,10 @@ impl DrawSide {
         let reply = match command {
             DrawCommand::Foresee(kinds) => return self.renderer.foresee(&self.context, &kinds),
             DrawCommand::Compile(operation) => return self.context.compile(operation),
+            DrawCommand::CancelCompiles(tickets) => {
+                self.context.cancel_compiles(&tickets);
+                return self.pass_on_compiled();
+            }
             DrawCommand::Rewrite { slot, mesh } => {
                 if let Err(error) = self.context.rewrite(slot, &mesh) {
                     self.renderer.complain(error.to_string());
