@@ -8,11 +8,14 @@ mod pager_support;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use http_support::{Reply, Server};
-use terrane::io::{CacheConfig, CacheStats, CacheVerified, DiskCache, HttpClient, HttpConfig, IoError, Limits};
-use terrane::pager::PagerConfig;
+use terrane::io::{
+    CacheConfig, CacheStats, CacheVerified, Credential, DiskCache, HttpClient, HttpConfig, IoError, Limits, ReadOptions,
+};
+use terrane::pager::{DatabasePager, PagerConfig};
 
 fn config(cache: CacheConfig) -> HttpConfig {
     HttpConfig { cache: Some(cache), max_retries: 0, ..HttpConfig::default() }
@@ -124,6 +127,45 @@ fn what_is_fresh_is_not_asked_for_and_what_is_kept_is_asked_about() {
     assert_eq!(bodies, [b"body 0", b"body 1", b"body 2"]);
     // Five are kept, two of them under names of their own but with one body each.
     assert_eq!(cache_at(folder.path()).info().unwrap().entries, 6);
+}
+
+/// The answer's own lifetime alone counted: what "latest" led to once was shown for a year.
+#[test]
+fn an_answer_holds_no_longer_than_the_way_to_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(|r| {
+        let to = |status: u16| Reply::new(status, "").with("Location", if r.nth == 0 { "/v1" } else { "/v2" });
+        match r.path() {
+            "/latest" => to(302),
+            "/for-now" => to(307).with("Cache-Control", "max-age=1000"),
+            "/moved" => to(301),
+            "/secret" => to(308).with("Cache-Control", "no-store"),
+            path => Reply::ok(path).with("Cache-Control", "max-age=100000, immutable"),
+        }
+    });
+    for (path, again) in [("latest", "/v2"), ("for-now", "/v1"), ("moved", "/v1"), ("secret", "/v2")] {
+        let url = format!("{}/{path}", server.url);
+        assert_eq!(Client::at(folder.path()).get(&url), b"/v1", "{path}");
+        assert_eq!(Client::at(folder.path()).get(&url), again.as_bytes(), "{path}");
+    }
+}
+
+#[test]
+fn what_depends_on_who_asks_is_not_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(|r| {
+        let who = r.header("authorization").unwrap_or("nobody").to_owned();
+        let vary = if r.path() == "/private" { "Accept-Encoding, Authorization" } else { "Accept-Encoding" };
+        Reply::ok(who).with("Cache-Control", "private, max-age=1000").with("Vary", vary)
+    });
+    let as_user = |user: &str, path: &str| {
+        let credentials = vec![Credential::header(&server.url, "authorization", user).unwrap()];
+        let config = HttpConfig { credentials, ..config(CacheConfig::new(folder.path())) };
+        let client = Client(HttpClient::new(&config).unwrap(), Client::at(folder.path()).1);
+        String::from_utf8(client.get(&format!("{}/{path}", server.url))).unwrap()
+    };
+    assert_eq!([as_user("a", "private"), as_user("b", "private")], ["a", "b"]);
+    assert_eq!([as_user("a", "public"), as_user("b", "public")], ["a", "a"], "the server says that it is the same");
 }
 
 #[test]
@@ -451,4 +493,29 @@ fn what_is_no_content_is_not_kept() {
     drop(first);
     let second = fly(&server, folder.path());
     assert_eq!((second.pager.stats().failed, second.stage.counters.tiles_drawn), (0, 1));
+}
+
+/// Every start failed from the cache, until the page had gone stale.
+#[test]
+fn a_root_that_is_no_tileset_is_not_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(|r| {
+        let set = r#"{"asset":{"version":"1.1"},"geometricError":9,"root":{"boundingVolume":{"sphere":[0,0,0,2]},
+            "geometricError":0}}"#;
+        let body = if r.nth == 0 { "<html>Please log in</html>" } else { set };
+        Reply::ok(body).with("Cache-Control", "max-age=1000")
+    });
+    let uri: Arc<str> = format!("{}/tileset.json", server.url).into();
+    let read = || {
+        let config = PagerConfig { http: config(CacheConfig::new(folder.path())), ..PagerConfig::default() };
+        let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
+        pager.read_root(&uri).map(drop)
+    };
+    // What comes is written on a thread of its own.
+    assert!(read().is_err());
+    let until = Instant::now() + Duration::from_secs(30);
+    while let Err(error) = read() {
+        assert!(Instant::now() < until, "{error}");
+        assert!(server.count() < 20, "{error}");
+    }
 }

@@ -201,6 +201,27 @@ fn a_pause_holds_for_all_requests_to_the_server() {
     });
 }
 
+/// The pause was cut to what one request waits: then all that waited came at once, and so on.
+#[test]
+fn a_long_pause_is_kept_without_asking() {
+    let server = Server::start(|r| match r.target.as_str() {
+        "/first" => Reply::new(503, "").with("Retry-After", "600"),
+        _ => Reply::ok("body"),
+    });
+    let client = HttpClient::new(&HttpConfig { max_wait: 20 * MS, ..quick() }).unwrap();
+    runtime().block_on(async {
+        let limits = Limits::default();
+        assert!(client.get(&format!("{}/first", server.url), &limits).await.is_err());
+        tokio::time::sleep(50 * MS).await;
+        for k in 0..5 {
+            let error = client.get(&format!("{}/{k}", server.url), &limits).await.unwrap_err();
+            assert!(matches!(error, IoError::Status { status: 503, .. }), "{error}");
+            assert!(error.retry_after().is_some_and(|left| left > Duration::from_secs(500)), "{error:?}");
+        }
+    });
+    assert_eq!(server.count(), 1);
+}
+
 #[test]
 fn redirects_are_followed_on_http_only() {
     let other = Server::start(|r| Reply::ok(format!("other {}", r.target)));

@@ -41,7 +41,9 @@ fn set() -> Server {
             "/set/tileset.json" => tileset(tile(0, 0, 0, false)),
             "/set/east0.json" => tileset(tile(1, 1, 0, true)),
             "/set/east1.json" => tileset(tile(1, 1, 1, true)),
-            path if path.ends_with(".glb") => Reply::ok(path.repeat(50)).with("ETag", "\"t\""),
+            path if path.ends_with(".glb") => {
+                Reply::ok(path.repeat(50)).with("ETag", "\"t\"").with("Cache-Control", "max-age=1000")
+            }
             _ => Reply::new(404, ""),
         }
     })

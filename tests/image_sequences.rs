@@ -214,6 +214,29 @@ fn a_thousand_images_stay_within_a_budget_of_eight() {
     assert_eq!(theatre.shown(250.5, 100), Some(50));
 }
 
+/// They made room for each other, and the frame that waited for both never ended.
+#[test]
+fn images_that_do_not_fit_beside_each_other_end_the_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = write_images(folder.path(), 2, 64);
+    let sequences = [0, 1].map(|k| playing(vec![files[k].clone()], LoopingMode::Looping, 1.0));
+    let (done, ended) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let all: Vec<_> = sequences.iter().collect();
+        // Some mips more than the picture alone; two are too many.
+        let config = ImagePagerConfig { max_bytes: 64 * 64 * 4 * 3 / 2, ..blocking() };
+        let seen = Theatre::open(&all, config, ThreadingModel::SingleThreaded).map(|mut theatre| {
+            let shown = theatre.look(1.0);
+            (shown, *theatre.pager().stats())
+        });
+        let _ = done.send(seen);
+    });
+    let Some((shown, stats)) = ended.recv_timeout(Duration::from_secs(60)).expect("a frame ends") else { return };
+    let is_there = |k: usize| shade(k).iter().zip(shown[k]).all(|(a, b)| a.abs_diff(b) <= 2);
+    assert!(is_there(0) || is_there(1), "{shown:?}");
+    assert!(stats.bytes_peak <= 64 * 64 * 4 * 3 / 2 && stats.failed == 0, "{stats:?}");
+}
+
 #[test]
 fn sequences_go_in_step_share_files_and_stop_loading_when_nobody_looks() {
     let folder = tempfile::tempdir().unwrap();

@@ -107,7 +107,15 @@ impl DatabasePager {
         self.stats.bytes_read += bytes.len() as u64;
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
         // A root is the application's.
-        let page = io::decode(content, &ReadOptions { sharing: None, ..self.options.clone() })?;
+        let page = io::decode(content, &ReadOptions { sharing: None, ..self.options.clone() });
+        #[cfg(feature = "http")]
+        if let Err(io::IoError::Invalid { .. }) = &page
+            && let Some(cache) = self.threads.door.as_ref().and_then(|door| door.client.cache())
+        {
+            // An error page, say: asked for again next time.
+            cache.forget(uri);
+        }
+        let page = page?;
         self.above_roots.chain = self.options.below(uri).chain;
         Ok(page)
     }

@@ -147,7 +147,15 @@ impl Files {
         let mut found = Vec::new();
         let latest = SystemTime::now() + CLOCK_DRIFT;
         for folder in read_dir(&self.folder.join(part))? {
-            for path in read_dir(&folder)? {
+            let paths = match read_dir(&folder) {
+                Ok(paths) => paths,
+                // Another user's, say: the rest counts all the same.
+                Err(e) => {
+                    log::warn!("cache: {}: {e}", folder.display());
+                    continue;
+                }
+            };
+            for path in paths {
                 let Some(hash) = path.file_name().and_then(|n| n.to_str()).and_then(unhex) else { continue };
                 // Another process may have removed it.
                 let Ok(metadata) = fs::metadata(&path) else { continue };

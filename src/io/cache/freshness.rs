@@ -53,6 +53,15 @@ impl Freshness {
         let fresh_for = if ask { Some(Duration::ZERO) } else { lifetime.map(|l| l.saturating_sub(age).min(LONGEST)) };
         Self { store, fresh_for }
     }
+
+    /// That of an answer behind a redirect: it holds no longer than the way to it does. A redirect that says nothing of
+    /// itself holds for this time only, unless it is a permanent one.
+    pub fn behind(self, status: u16, headers: &HeaderMap, now: SystemTime) -> Self {
+        let hop = Self::of(headers, now);
+        let is_permanent = matches!(status, 301 | 308);
+        let way = hop.fresh_for.unwrap_or(if is_permanent { LONGEST } else { Duration::ZERO });
+        Self { store: self.store && hop.store, fresh_for: self.fresh_for.map(|own| own.min(way)) }
+    }
 }
 
 #[cfg(test)]
@@ -96,6 +105,24 @@ mod tests {
         ] {
             assert_eq!(of(headers), expected, "{headers:?}");
         }
+    }
+
+    #[test]
+    fn redirects_bound_what_is_behind_them() {
+        let now = SystemTime::UNIX_EPOCH + Duration::from_secs(1_000_000_000);
+        let year = Freshness { store: true, fresh_for: Some(LONGEST) };
+        let silent = Freshness { store: true, fresh_for: None };
+        let behind = |own: Freshness, status: u16, control: &'static str| {
+            let told = (!control.is_empty()).then(|| (CACHE_CONTROL, HeaderValue::from_static(control)));
+            let Freshness { store, fresh_for } = own.behind(status, &told.into_iter().collect(), now);
+            (store, fresh_for.map(|d| d.as_secs()))
+        };
+        assert_eq!(behind(year, 302, ""), (true, Some(0)));
+        assert_eq!(behind(year, 307, "max-age=60"), (true, Some(60)));
+        assert_eq!(behind(year, 301, ""), (true, Some(LONGEST.as_secs())));
+        assert_eq!(behind(year, 308, "no-cache"), (true, Some(0)));
+        assert_eq!(behind(year, 301, "no-store"), (false, Some(LONGEST.as_secs())));
+        assert_eq!(behind(silent, 302, "max-age=60"), (true, None), "asked about each time");
     }
 
     proptest::proptest! {

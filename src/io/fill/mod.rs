@@ -7,6 +7,7 @@ mod extent;
 use std::collections::HashSet;
 use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
+use std::time::Duration;
 
 use glam::DAffine3;
 use tokio::task::JoinSet;
@@ -95,6 +96,9 @@ struct Fill<'a> {
     seen: HashSet<Arc<str>>,
 }
 
+/// The longest pause of a server that is waited for.
+const PATIENCE: Duration = Duration::from_secs(600);
+
 /// Fetches a part of the tile set at a URL into the cache of the configuration. `progress` is called on this thread
 /// after each file; with `Break` it stops once what is under way has come. Fails only for a root that cannot be read,
 /// or without a cache.
@@ -108,7 +112,9 @@ pub fn fill(
     if !is_remote(&root) {
         return Err(IoError::Uri { uri: root.to_string(), reason: "only what is on a server is cached".to_owned() });
     }
-    let client = HttpClient::new(config)?;
+    // Nobody looks at a picture meanwhile: a server that asks for a pause gets it.
+    let client = HttpClient::new(&HttpConfig { max_wait: config.max_wait.max(PATIENCE), ..config.clone() })?;
+    let client = if options.refresh { client.asking() } else { client };
     if client.cache().is_none() {
         return Err(IoError::Uri { uri: root.to_string(), reason: "there is no cache to fill".to_owned() });
     }

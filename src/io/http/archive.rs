@@ -56,8 +56,13 @@ impl Archives {
         archives.get_or_insert(url.to_owned(), Arc::default).clone()
     }
 
-    fn forget(&self, url: &str) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).pop(url);
+    /// Lets an archive go that turned out to be another one by now; what was read of that meanwhile stays.
+    fn forget(&self, url: &str, archive: &RemoteArchive) {
+        let mut archives = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let read = archives.peek(url).and_then(|cell| cell.get());
+        if read.is_some_and(|read| std::ptr::eq(&**read, archive)) {
+            archives.pop(url);
+        }
     }
 }
 
@@ -68,6 +73,7 @@ pub(super) struct Part {
     /// Bytes of the whole archive.
     pub length: u64,
     headers: HeaderMap,
+    freshness: Freshness,
 }
 
 impl Part {
@@ -88,7 +94,7 @@ impl HttpClient {
         let mut kept = None;
         if let Some(cache) = cache {
             kept = match self.load(cache, uri, limits).await? {
-                Some((entry, bytes)) if cache.is_offline() || entry.is_fresh(SystemTime::now()) => {
+                Some((entry, bytes)) if self.takes(cache, &entry) => {
                     return Ok(hit(cache, &entry, bytes, false));
                 }
                 None if cache.is_offline() => {
@@ -191,7 +197,7 @@ impl HttpClient {
 
     async fn keep_member(&self, cache: &Arc<DiskCache>, uri: &str, part: &Part, bytes: &[u8]) {
         cache.count_miss();
-        let freshness = Freshness::of(&part.headers, SystemTime::now());
+        let freshness = part.freshness;
         if !freshness.store {
             return;
         }
@@ -274,7 +280,7 @@ impl HttpClient {
         let mut part = match self.part(url, &range(span), &limits, network_bytes).await {
             // Shorter than it was.
             Err(IoError::Status { status: 416, .. }) => {
-                self.inner.archives.forget(url);
+                self.inner.archives.forget(url, archive);
                 return Err(changed(url));
             }
             other => other?,
@@ -287,7 +293,7 @@ impl HttpClient {
         }
         if let Err(error) = same(url, &part, span, archive.length, &archive.etag) {
             // The next one reads the directory anew.
-            self.inner.archives.forget(url);
+            self.inner.archives.forget(url, archive);
             return Err(error);
         }
         Ok(part)
@@ -320,8 +326,8 @@ impl HttpClient {
             _ if answer.is_whole() => (0, answer.body.len() as u64),
             _ => return Err(answer.error(url)),
         };
-        let exchange::Answer { body: bytes, headers, .. } = answer;
-        Ok(Part { bytes, offset, length, headers })
+        let exchange::Answer { body: bytes, headers, freshness, .. } = answer;
+        Ok(Part { bytes, offset, length, headers, freshness })
     }
 }
 

@@ -5,8 +5,9 @@ use std::time::SystemTime;
 
 use reqwest::header::{ETAG, HeaderMap, HeaderName, HeaderValue, IF_MODIFIED_SINCE, IF_NONE_MATCH, LAST_MODIFIED};
 
+use super::exchange::Answer;
 use super::{HttpBody, HttpClient, accept_any, blocking, encodings};
-use crate::io::cache::{Entry, Freshness};
+use crate::io::cache::Entry;
 use crate::io::{DiskCache, IoError, Limits, encoding, shown};
 
 /// What the disk has of a URI.
@@ -25,7 +26,7 @@ impl HttpClient {
         uri: &str,
         limits: &Limits,
     ) -> Result<HttpBody, IoError> {
-        let entry = match look_up(cache, uri, limits).await? {
+        let entry = match self.look_up(cache, uri, limits).await? {
             Kept::Fresh(entry, bytes) => return Ok(hit(cache, &entry, bytes, false)),
             Kept::Nothing if cache.is_offline() => {
                 cache.count_miss();
@@ -39,15 +40,14 @@ impl HttpClient {
         let (answer, kept) =
             tokio::join!(self.get_new(cache, uri, &headers, limits), body_of(cache, uri, &entry, limits));
         let (body, not_modified) = answer?;
-        let Some(answer_headers) = not_modified else { return Ok(body) };
+        let Some(not_modified) = not_modified else { return Ok(body) };
         let Some(bytes) = kept? else {
             // It holds, but it is gone.
             return self.get_new(cache, uri, &accept_any(), limits).await.map(|(body, _)| body);
         };
         let mut renewed = entry.clone();
-        let freshness = Freshness::of(&answer_headers, SystemTime::now());
-        renewed.checked(SystemTime::now(), freshness.fresh_for);
-        keep_validators(&mut renewed, &answer_headers);
+        renewed.checked(SystemTime::now(), not_modified.freshness.fresh_for);
+        keep_validators(&mut renewed, &not_modified.headers);
         // When it was checked matters only to what is fresh for a while.
         let says_the_same = Entry { checked_s: entry.checked_s, ..renewed.clone() } == entry;
         if renewed.fresh_for_s > 0 || !says_the_same {
@@ -57,24 +57,24 @@ impl HttpClient {
         Ok(hit(cache, &entry, bytes, true))
     }
 
-    /// Asks the server and keeps what comes; with headers instead of a body where it says that the kept one holds.
+    /// Asks the server and keeps what comes; with the answer instead of a body where it says that the kept one holds.
     async fn get_new(
         &self,
         cache: &Arc<DiskCache>,
         uri: &str,
         headers: &HeaderMap,
         limits: &Limits,
-    ) -> Result<(HttpBody, Option<HeaderMap>), IoError> {
+    ) -> Result<(HttpBody, Option<Answer>), IoError> {
         let answer = self.exchange(uri, headers, limits).await?;
         let was_asked = headers.contains_key(IF_NONE_MATCH) || headers.contains_key(IF_MODIFIED_SINCE);
         if answer.status == 304 && was_asked {
-            return Ok((HttpBody::default(), Some(answer.headers)));
+            return Ok((HttpBody::default(), Some(answer)));
         }
         if !answer.is_whole() {
             return Err(answer.error(uri));
         }
         cache.count_miss();
-        let freshness = Freshness::of(&answer.headers, SystemTime::now());
+        let freshness = answer.freshness;
         let network_bytes = answer.body.len() as u64;
         let names = encodings(&answer.headers);
         let bytes = super::undo(uri, answer.body.clone(), names.clone(), limits).await?;
@@ -86,6 +86,21 @@ impl HttpClient {
             self.write_behind(cache, move |cache| cache.store(&of, entry, &answer.body)).await;
         }
         Ok((HttpBody { bytes, network_bytes }, None))
+    }
+
+    async fn look_up(&self, cache: &Arc<DiskCache>, uri: &str, limits: &Limits) -> Result<Kept, IoError> {
+        let (client, cache, of, limits) = (self.clone(), cache.clone(), uri.to_owned(), *limits);
+        blocking(uri, move || {
+            let Some(entry) = cache.entry(&of) else { return Kept::Nothing };
+            if !client.takes(&cache, &entry) {
+                return Kept::Stale(entry);
+            }
+            match read_body(&cache, &of, &entry, &limits) {
+                Some(bytes) => Kept::Fresh(entry, bytes),
+                None => Kept::Nothing,
+            }
+        })
+        .await
     }
 
     /// The content as it is kept, however old.
@@ -125,21 +140,6 @@ impl HttpClient {
             drop(permit);
         });
     }
-}
-
-async fn look_up(cache: &Arc<DiskCache>, uri: &str, limits: &Limits) -> Result<Kept, IoError> {
-    let (cache, of, limits) = (cache.clone(), uri.to_owned(), *limits);
-    blocking(uri, move || {
-        let Some(entry) = cache.entry(&of) else { return Kept::Nothing };
-        if !cache.is_offline() && !entry.is_fresh(SystemTime::now()) {
-            return Kept::Stale(entry);
-        }
-        match read_body(&cache, &of, &entry, &limits) {
-            Some(bytes) => Kept::Fresh(entry, bytes),
-            None => Kept::Nothing,
-        }
-    })
-    .await
 }
 
 async fn body_of(

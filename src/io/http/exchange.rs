@@ -5,11 +5,12 @@
 
 use std::time::{Duration, SystemTime};
 
-use reqwest::header::{HeaderMap, LOCATION, RANGE};
+use reqwest::header::{HeaderMap, LOCATION, RANGE, VARY};
 use url::Url;
 
 use super::HttpConfig;
 use super::retry::retry_after;
+use crate::io::cache::Freshness;
 use crate::io::{IoError, Limits, shown};
 
 /// Memory taken for an answer before its bytes come.
@@ -36,6 +37,8 @@ pub(super) struct Answer {
     pub headers: HeaderMap,
     /// As it came; empty for a failure.
     pub body: Vec<u8>,
+    /// Whether and for how long it may be kept, all redirects counted.
+    pub freshness: Freshness,
 }
 
 impl Answer {
@@ -63,11 +66,19 @@ impl Answer {
 impl Exchange<'_> {
     pub async fn run(&self, uri: &str) -> Result<Answer, IoError> {
         let mut url = parse(uri)?;
+        let mut hops: Vec<(u16, HeaderMap)> = Vec::new();
         for _ in 0..=MAX_REDIRECTS {
             let response = self.send(uri, &url).await?;
             let status = response.status().as_u16();
             let location = response.headers().get(LOCATION).filter(|_| matches!(status, 301 | 302 | 303 | 307 | 308));
-            let Some(location) = location else { return self.read(uri, response).await };
+            let Some(location) = location else {
+                let mut answer = self.read(uri, response).await?;
+                answer.freshness.store &= !self.depends_on_credentials(&url, &answer.headers);
+                let now = SystemTime::now();
+                let behind = |own: Freshness, (status, headers): &(u16, HeaderMap)| own.behind(*status, headers, now);
+                answer.freshness = hops.iter().fold(answer.freshness, behind);
+                return Ok(answer);
+            };
             let location = location.to_str().map_err(|_| refused(uri, "redirected to no URL".to_owned()))?;
             let next = url.join(location).map_err(|e| refused(uri, format!("redirected to no URL: {e}")))?;
             if !matches!(next.scheme(), "http" | "https") {
@@ -77,9 +88,22 @@ impl Exchange<'_> {
                 return Err(refused(uri, format!("redirected from https to {}", shown(next.as_str()))));
             }
             url = next;
+            hops.push((status, response.headers().clone()));
             self.drain(response).await;
         }
         Err(refused(uri, format!("more than {MAX_REDIRECTS} redirects")))
+    }
+
+    /// The answer is one for who has a credential (`Vary`): the cache, which knows no credentials, is not to keep it.
+    fn depends_on_credentials(&self, url: &Url, headers: &HeaderMap) -> bool {
+        let origin = url.origin().ascii_serialization();
+        let texts = headers.get_all(VARY).into_iter().filter_map(|v| v.to_str().ok());
+        let mut names = texts.flat_map(|text| text.split(',')).map(str::trim);
+        let is_sent = |name: &str| {
+            let mut sent = self.config.credentials.iter().filter_map(|c| c.header_for(&origin));
+            sent.any(|(header, _)| header.as_str().eq_ignore_ascii_case(name))
+        };
+        names.any(is_sent)
     }
 
     async fn send(&self, uri: &str, url: &Url) -> Result<reqwest::Response, IoError> {
@@ -116,9 +140,10 @@ impl Exchange<'_> {
     pub async fn read(&self, uri: &str, mut response: reqwest::Response) -> Result<Answer, IoError> {
         let status = response.status().as_u16();
         let headers = std::mem::take(response.headers_mut());
+        let freshness = Freshness::of(&headers, SystemTime::now());
         if !matches!(status, 200 | 203 | 206) {
             self.drain(response).await;
-            return Ok(Answer { status, headers, body: Vec::new() });
+            return Ok(Answer { status, headers, body: Vec::new(), freshness });
         }
         let mut limit = self.limits.max_file_bytes;
         let length = response.content_length();
@@ -137,7 +162,7 @@ impl Exchange<'_> {
         loop {
             let piece = match tokio::time::timeout(self.config.read_timeout, response.chunk()).await {
                 Ok(Ok(Some(piece))) => piece,
-                Ok(Ok(None)) => return Ok(Answer { status, headers, body }),
+                Ok(Ok(None)) => return Ok(Answer { status, headers, body, freshness }),
                 Ok(Err(e)) => return Err(IoError::Network { uri: uri.to_owned(), reason: chain(e) }),
                 Err(_) => return Err(timed_out(uri, "reading the answer", self.config.read_timeout)),
             };

@@ -14,7 +14,7 @@ mod tiles;
 mod tls;
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use reqwest::header::{ACCEPT_ENCODING, CONTENT_ENCODING, HeaderMap, HeaderValue};
 
@@ -44,10 +44,11 @@ pub fn fuzz_headers(text: &str) {
     }
 }
 use exchange::Exchange;
-use retry::{Backoff, Pauses};
+use retry::{Backoff, Pause, Pauses};
 use tokio::sync::Semaphore;
 
 use super::archive::split_url;
+use super::cache::Entry;
 use super::{DiskCache, IoError, Limits, encoding, is_store, server};
 
 /// Beyond this, undoing compression goes to a thread of its own, so that the HTTP thread keeps to its connections.
@@ -68,6 +69,8 @@ pub struct HttpBody {
 #[derive(Clone, Debug)]
 pub struct HttpClient {
     inner: Arc<Inner>,
+    /// What the cache has is asked about, however fresh it is.
+    asks: bool,
 }
 
 #[derive(Debug)]
@@ -115,7 +118,17 @@ impl HttpClient {
             cache,
             writes: Arc::new(Semaphore::new(WRITES)),
         };
-        Ok(Self { inner: Arc::new(inner) })
+        Ok(Self { inner: Arc::new(inner), asks: false })
+    }
+
+    /// The same one, for which nothing in the cache holds until the server has said so.
+    pub(crate) fn asking(&self) -> Self {
+        Self { asks: true, ..self.clone() }
+    }
+
+    /// An entry is taken without asking.
+    fn takes(&self, cache: &DiskCache, entry: &Entry) -> bool {
+        cache.is_offline() || (!self.asks && entry.is_fresh(SystemTime::now()))
     }
 
     /// The cache on disk, where there is one.
@@ -159,10 +172,12 @@ impl HttpClient {
         };
         let mut tries_left = config.max_retries;
         loop {
-            // Another request's answer may have asked for a pause.
-            let pause = pauses.left(&server);
-            if !pause.is_zero() {
-                tokio::time::sleep(pause).await;
+            // Another request's answer may have asked for a pause, and another one's while this waited.
+            while let Some(Pause { status, left }) = pauses.of(&server) {
+                if left > config.max_wait {
+                    return Err(IoError::Status { uri: uri.to_owned(), status, retry_after: Some(left) });
+                }
+                tokio::time::sleep(left + backoff.spread()).await;
             }
             let exchange = Exchange { client, config, limits, headers };
             let answer = match tokio::time::timeout(config.total_timeout, self.once(uri, &exchange)).await {
@@ -174,8 +189,8 @@ impl HttpClient {
                 Ok(answer) => answer.error(uri),
                 Err(error) => error,
             };
-            if let IoError::Status { status: 429 | 503, retry_after: Some(wait), .. } = error {
-                pauses.pause(&server, wait.min(config.max_wait));
+            if let IoError::Status { status: status @ (429 | 503), retry_after: Some(left), .. } = error {
+                pauses.pause(&server, Pause { status, left });
             }
             if !error.is_transient() || tries_left == 0 {
                 return Err(error);

@@ -7,6 +7,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use reqwest::header::{HeaderMap, RETRY_AFTER};
 
+/// No pause is kept for longer, whatever a server asks for.
+const LONGEST_PAUSE: Duration = Duration::from_secs(3600);
 /// Servers whose pauses are remembered.
 const MOST_PAUSES: usize = 256;
 
@@ -32,6 +34,11 @@ impl Backoff {
         (wait <= self.most).then_some(wait)
     }
 
+    /// Up to so long, another time for each request: what waits for one moment does not come at once.
+    pub fn spread(&mut self) -> Duration {
+        self.next.mul_f64(self.share())
+    }
+
     /// SplitMix64: from 0, below 1.
     fn share(&mut self) -> f64 {
         self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -52,30 +59,42 @@ pub(super) fn retry_after(headers: &HeaderMap, now: SystemTime) -> Option<Durati
     Some(httpdate::parse_http_date(text).ok()?.duration_since(now).unwrap_or_default())
 }
 
-/// Servers that asked for a pause, and until when. Shared by a client's requests; taken for moments.
+/// Why requests to a server have to wait, and how long.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Pause {
+    /// Of the answer that asked for it.
+    pub status: u16,
+    pub left: Duration,
+}
+
+/// Servers that asked for a pause: with what status, and until when. Shared by a client's requests; taken for moments.
 #[derive(Debug, Default)]
-pub(super) struct Pauses(Mutex<HashMap<String, Instant>>);
+pub(super) struct Pauses(Mutex<HashMap<String, (u16, Instant)>>);
 
 impl Pauses {
-    /// How long requests to a server have to wait.
-    pub fn left(&self, origin: &str) -> Duration {
+    /// How long requests to a server have to wait; `None` where they need not.
+    pub fn of(&self, origin: &str) -> Option<Pause> {
         let mut pauses = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let left = pauses.get(origin).map(|until| until.saturating_duration_since(Instant::now()));
-        if left == Some(Duration::ZERO) {
+        let (status, until) = *pauses.get(origin)?;
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() {
             pauses.remove(origin);
+            return None;
         }
-        left.unwrap_or_default()
+        Some(Pause { status, left })
     }
 
-    pub fn pause(&self, origin: &str, wait: Duration) {
-        let Some(until) = Instant::now().checked_add(wait) else { return };
+    pub fn pause(&self, origin: &str, Pause { status, left }: Pause) {
+        let until = Instant::now() + left.min(LONGEST_PAUSE);
         let mut pauses = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if pauses.len() >= MOST_PAUSES {
             let now = Instant::now();
-            pauses.retain(|_, until| *until > now);
+            pauses.retain(|_, (_, until)| *until > now);
         }
-        let entry = pauses.entry(origin.to_owned()).or_insert(until);
-        *entry = (*entry).max(until);
+        let entry = pauses.entry(origin.to_owned()).or_insert((status, until));
+        if until > entry.1 {
+            *entry = (status, until);
+        }
     }
 }
 
@@ -128,9 +147,15 @@ mod tests {
     #[test]
     fn a_pause_is_for_one_server() {
         let pauses = Pauses::default();
-        pauses.pause("http://a", Duration::from_secs(100));
-        pauses.pause("http://a", Duration::from_secs(1));
-        assert!(pauses.left("http://a") > Duration::from_secs(90), "the longest holds");
-        assert_eq!(pauses.left("http://b"), Duration::ZERO);
+        let seconds = |status, seconds| Pause { status, left: Duration::from_secs(seconds) };
+        pauses.pause("http://a", seconds(503, 100));
+        pauses.pause("http://a", seconds(429, 1));
+        let longest = pauses.of("http://a").unwrap();
+        assert!(longest.left > Duration::from_secs(90) && longest.status == 503, "the longest holds");
+        assert_eq!(pauses.of("http://b"), None);
+        pauses.pause("http://b", seconds(503, u64::MAX));
+        assert!(pauses.of("http://b").unwrap().left <= LONGEST_PAUSE);
+        pauses.pause("http://c", seconds(503, 0));
+        assert_eq!(pauses.of("http://c"), None);
     }
 }

@@ -141,6 +141,8 @@ impl ImagePager {
         while self.config.blocking && present.iter().any(|(_, image)| self.is_coming(image)) {
             if let Some(loaded) = self.threads.wait_loaded(Duration::from_millis(20)) {
                 self.arrive(loaded);
+                // Of another size than was thought: two that do not fit together would take turns for ever.
+                self.admit();
                 self.page_out(now);
                 self.request(now);
             }
