@@ -251,6 +251,47 @@ fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
     assert_eq!((run.pager.stats().resident, run.context.slots_out), (3, 2), "{:?}", run.pager.stats());
 }
 
+/// It was loaded in each frame, and what would have fitted waited behind it.
+#[test]
+fn what_finds_no_room_is_loaded_once_and_holds_up_nothing_smaller() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, points: u16, at: f32| {
+        let positions = (0..points).map(|k| [at + f32::from(k % 3), f32::from(k % 7), f32::from(k % 5)]).collect();
+        let mesh = GlbMesh { positions, indices: (0..points).collect(), base_color: [1.0; 4], ..GlbMesh::default() };
+        std::fs::write(folder.path().join(name), write_glb(&mesh)).unwrap();
+    };
+    write("root.glb", 600, 0.0);
+    write("large.glb", 3000, 1.0);
+    write("small.glb", 90, 2.0);
+    write("smallest.glb", 60, 3.0);
+    let tile = |name: &str, east_m: f64, radius_m: f64, error_m: f64, more: &str| {
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[{east_m},0,0,{radius_m}]}},"geometricError":{error_m},
+            "content":{{"uri":"{name}"}}{more}}}"#
+        )
+    };
+    // The larger one is in the middle of the view.
+    let smallest = tile("smallest.glb", 12.0, 1.0, 0.0, "");
+    let small = tile("small.glb", 12.0, 2.0, 500.0, &format!(r#","children":[{smallest}]"#));
+    let below = [tile("large.glb", 0.0, 9.0, 0.0, ""), small].join(",");
+    let root = tile("root.glb", 0.0, 20.0, 1000.0, &format!(r#","refine":"ADD","children":[{below}]"#));
+    let set = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{root}}}"#);
+    std::fs::write(folder.path().join("tileset.json"), set).unwrap();
+    let (source, eye) = (folder.path().to_str().unwrap(), above(60.0));
+    // The large one does not fit beside the first, several of the mean size do.
+    let config = PagerConfig { max_bytes_gpu: 3420, decode_threads: 1, ..PagerConfig::default() };
+    let mut run = Run::new(source, config.clone());
+    run.context.counts_vertices = true;
+    run.until(eye, "the small ones do not come", |r| r.pager.stats().resident == 3 && r.pager.stats().declined >= 1);
+    for _ in 0..300 {
+        run.frame(eye);
+        std::thread::sleep(Duration::from_micros(100));
+    }
+    let s = *run.pager.stats();
+    assert_eq!((s.resident, s.in_flight, s.waiting), (3, 0, 1), "{s:?}");
+    assert!(s.loaded <= 5 && s.declined <= 2 && s.gpu_bytes_peak <= config.max_bytes_gpu, "{s:?}");
+}
+
 #[test]
 fn a_pager_pauses_takes_no_requests_and_is_cleared() {
     let folder = tempfile::tempdir().unwrap();

@@ -9,6 +9,7 @@ use super::config::CompileContext;
 use super::expiry::EXPIRY_TENTHS;
 use super::list::{Above, Answer, Arrived, Entry, Job, Progress};
 use super::residents::Resident;
+use super::shares::Held;
 use crate::gpu::CompileOperation;
 use crate::io::IoError;
 use crate::scene::{DrawKind, NodeId, PagingOptions, Scene};
@@ -124,9 +125,10 @@ impl DatabasePager {
                 self.ready.push(slot);
                 continue;
             }
-            let Some(entry) = self.entries.remove(&slot) else { continue };
+            let Some(mut entry) = self.entries.remove(&slot) else { continue };
             let is_ahead = entry.is_ahead();
-            let Progress::Arrived(Arrived { page, gpu_bytes: by_context, .. }) = entry.progress else { continue };
+            let progress = std::mem::replace(&mut entry.progress, Progress::Waiting);
+            let Progress::Arrived(Arrived { page, gpu_bytes: by_context, .. }) = progress else { continue };
             let ticket = self.threads.list.ticket_source | entry.job.ticket;
             let cpu_bytes = page.own_bytes();
             let gpu_bytes = by_context.iter().map(|(_, bytes)| bytes).sum::<u64>();
@@ -140,15 +142,19 @@ impl DatabasePager {
             }
             // Counts before there is room, so that what goes to make room and shares with it takes nothing along.
             let added = self.shares.merge(&page);
-            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, cpu_bytes + added.cpu);
-            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, gpu_bytes + added.gpu);
+            let needs = Held { cpu: cpu_bytes + added.cpu, gpu: gpu_bytes + added.gpu };
             if (is_ahead && !self.has_free(EXPIRY_TENTHS)) || !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
                 self.stats.declined += 1;
                 timeline::request_ends(ticket, "declined");
                 self.shares.unmerge(&page);
                 self.retire(page, contexts);
+                if !is_ahead {
+                    self.ask_again(Entry { needs: Some(needs), ..entry });
+                }
                 continue;
             }
+            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, needs.cpu);
+            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, needs.gpu);
             let tile_tree = page.is_tile_tree();
             match scene.attach(slot, *page) {
                 Ok(id) => {
@@ -180,6 +186,18 @@ impl DatabasePager {
         }
     }
 
+    /// Puts a request that has ended among those that wait.
+    pub(super) fn ask_again(&mut self, mut entry: Entry) {
+        entry.job.ticket = self.next_ticket;
+        entry.job.stage.waits();
+        timeline::request_begins(self.threads.list.ticket_source | self.next_ticket, &entry.job.uri);
+        self.next_ticket += 1;
+        entry.progress = Progress::Waiting;
+        self.stats.retried += 1;
+        self.is_listed = false;
+        self.entries.insert(entry.job.slot, entry);
+    }
+
     /// A page that alone is beyond a budget: an error, and not asked for again.
     pub(super) fn refuse(&mut self, scene: &mut Scene, slot: NodeId, job: Job, (cpu_bytes, gpu_bytes): (u64, u64)) {
         let config = &self.config;
@@ -197,6 +215,7 @@ impl DatabasePager {
             ahead_frames: 0,
             since: Instant::now(),
             tries: self.config.max_tries,
+            needs: None,
             progress: Progress::Failed { retry_at: None },
             paging: PagingOptions::default(),
         };

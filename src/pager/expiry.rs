@@ -68,10 +68,10 @@ impl DatabasePager {
         if let Some(ahead) = self.ahead_short {
             unused.frames = unused.frames.min(ahead.frames + AHEAD_MARGIN);
         }
-        if self.is_short {
+        if self.is_short || self.lacks.is_some() {
             unused = UNSEEN;
         }
-        if self.is_short || self.ahead_short.is_some() {
+        if self.is_short || self.lacks.is_some() || self.ahead_short.is_some() {
             self.expiry_looks = *EXPIRY_LOOKS.end();
         }
         let expired_before = self.stats.expired;
@@ -84,9 +84,9 @@ impl DatabasePager {
         self.expiry_looks = next.clamp(*EXPIRY_LOOKS.start(), *EXPIRY_LOOKS.end());
     }
 
-    /// Something is missing in a picture, and not one page of the mean size has room.
+    /// Something is missing in a picture, and not one page of the mean size has room, or it is known to have none.
     fn lacks_room_now(&self) -> bool {
-        self.is_short && self.room_within(0) == 0
+        self.is_short && self.room_within(0) == 0 || self.lacks.is_some_and(|needs| !self.fits(&needs))
     }
 
     fn lacks_room_ahead(&self) -> bool {

@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use glam::DAffine3;
 
+use super::shares::Held;
 use super::states::Stage;
 use crate::io::{Fetched, IoError};
 use crate::scene::{NodeId, Page, PagingOptions};
@@ -222,6 +223,8 @@ pub(super) struct Entry {
     pub ahead_frames: u32,
     pub since: Instant,
     pub tries: u32,
+    /// Bytes that it takes, where it was loaded and found no room: it is not loaded again before it has.
+    pub needs: Option<Held>,
     pub progress: Progress,
     pub paging: PagingOptions,
 }

@@ -7,6 +7,7 @@ use std::time::Instant;
 use super::DatabasePager;
 use super::expiry::{AHEAD_MARGIN, EXPIRY_TENTHS};
 use super::list::{Entry, Job, Progress, Waiting};
+use super::shares::Held;
 use crate::cull::PageRequest;
 use crate::io;
 use crate::scene::{Scene, SlotState};
@@ -79,6 +80,7 @@ impl DatabasePager {
                 ahead_frames: request.ahead_frames,
                 since: Instant::now(),
                 tries: 0,
+                needs: None,
                 progress: Progress::Waiting,
             };
             self.entries.insert(request.slot, entry);
@@ -90,21 +92,15 @@ impl DatabasePager {
     /// nobody does.
     pub(super) fn retry(&mut self, scene: &mut Scene) {
         let (now, met) = (Instant::now(), self.frame.saturating_sub(MET_FRAMES)..=self.frame);
-        for entry in self.entries.values_mut() {
-            if let Progress::Failed { retry_at: Some(at) } = entry.progress
-                && at <= now
+        let is_due = |entry: &Entry| {
+            matches!(entry.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
                 && scene.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
-            {
-                scene.set_failed(entry.job.slot, false);
-                entry.job.ticket = self.next_ticket;
-                entry.job.stage.waits();
-                timeline::request_begins(self.threads.list.ticket_source | self.next_ticket, &entry.job.uri);
-                self.next_ticket += 1;
-                entry.wanted_frame = self.frame;
-                entry.progress = Progress::Waiting;
-                self.stats.retried += 1;
-                self.is_listed = false;
-            }
+        };
+        let due: Vec<Entry> = self.entries.extract_if(|_, entry| is_due(entry)).map(|(_, entry)| entry).collect();
+        for mut entry in due {
+            scene.set_failed(entry.job.slot, false);
+            entry.wanted_frame = self.frame;
+            self.ask_again(entry);
         }
     }
 
@@ -134,9 +130,16 @@ impl DatabasePager {
         });
         self.stats.stale += stale;
         let mut jobs: Vec<(f32, &Entry)> = Vec::new();
+        let mut lacks: Option<(f32, Held)> = None;
         for entry in self.entries.values() {
             match entry.progress {
-                Progress::Waiting => jobs.push((entry.priority, entry)),
+                Progress::Waiting => match entry.needs.filter(|needs| !self.fits(needs)) {
+                    None => jobs.push((entry.priority, entry)),
+                    Some(needs) if lacks.is_none_or(|(most, _)| entry.priority > most) => {
+                        lacks = Some((entry.priority, needs));
+                    }
+                    Some(_) => {}
+                },
                 Progress::Loading
                     if io::is_remote(&entry.job.uri)
                         && frame.saturating_sub(entry.wanted_frame) > self.config.abort_frames =>
@@ -174,6 +177,7 @@ impl DatabasePager {
         waiting.ahead_allowed = self.ahead_allowed(&waiting);
         drop(waiting);
         self.ahead_short = ahead_short;
+        self.lacks = lacks.filter(|_| !self.is_paused).map(|(_, needs)| needs);
     }
 
     /// How many loads the budgets have room for, at the mean size so far.
@@ -185,6 +189,15 @@ impl DatabasePager {
         let of_each = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).max(LEAST_PENDING);
         let pending = (of_each * self.config.decode_threads.max(1) as u64).saturating_sub(self.arrived());
         self.room_within(0).min(pending).min(capacity as u64) as usize
+    }
+
+    /// A page of known size has room beside what is merged or will be.
+    pub(super) fn fits(&self, needs: &Held) -> bool {
+        let arrived = self.arrived();
+        let has_room = |max: u64, used: u64, mean: u64, needs: u64| used + arrived * mean + needs <= max;
+        has_room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes, needs.cpu)
+            && has_room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes, needs.gpu)
+            && has_room(self.config.max_tiles as u64, self.residents.len() as u64, 1, 1)
     }
 
     /// Pages of the mean size that fit into the budgets less so many tenths, beside what is merged or will be.

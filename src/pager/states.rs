@@ -120,6 +120,7 @@ mod tests {
                 ahead_frames: 0,
                 since,
                 tries: 0,
+                needs: None,
                 progress: Progress::Waiting,
                 paging,
             }

@@ -8,7 +8,7 @@ use super::config::{CompileContext, PagerConfig, PagerError};
 use super::list::{Above, Entry, Progress};
 use super::requests::AheadShort;
 use super::residents::Residents;
-use super::shares::Shares;
+use super::shares::{Held, Shares};
 use super::states::RequestState;
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
@@ -52,6 +52,8 @@ pub struct DatabasePager {
     pub(super) full: bool,
     /// More waits than there is room for.
     pub(super) is_short: bool,
+    /// What the most urgent page needs that was loaded and found no room.
+    pub(super) lacks: Option<Held>,
     /// What is wanted soonest of what found no free room.
     pub(super) ahead_short: Option<AheadShort>,
     pub(super) is_paused: bool,
@@ -89,6 +91,7 @@ impl DatabasePager {
             mean_gpu_bytes: 0,
             full: false,
             is_short: false,
+            lacks: None,
             ahead_short: None,
             is_paused: false,
             takes_requests: true,
@@ -144,7 +147,7 @@ impl DatabasePager {
         self.merge_arrived(scene, contexts);
         self.retry(scene);
         // As a rule the same is asked for as after the last cull, and listed as it is to be.
-        if !self.is_listed {
+        if !self.is_listed || self.lacks.is_some() {
             self.rewrite_list();
         }
         self.is_listed = false;
@@ -267,7 +270,7 @@ impl DatabasePager {
     /// Something will change without another request: for the blocking mode.
     fn is_busy(&self) -> bool {
         self.entries.values().filter(|e| !e.is_ahead()).any(|e| match e.progress {
-            Progress::Waiting => !self.full,
+            Progress::Waiting => !self.full && e.needs.is_none_or(|needs| self.fits(&needs)),
             Progress::Loading | Progress::Arrived(_) => true,
             Progress::Failed { .. } => false,
         })

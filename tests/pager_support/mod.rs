@@ -12,7 +12,7 @@ use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{Limits, ReadOptions, root_uri};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
-use terrane::scene::{DrawSlot, Page, Scene};
+use terrane::scene::{DrawSlot, Drawable, Geometry, Page, Scene};
 
 /// Bytes that the context says a page takes.
 pub const PAGE_GPU_BYTES: u64 = 1000;
@@ -24,6 +24,8 @@ pub struct Context {
     pub slots_out: u64,
     /// Operations that nobody waits for any more.
     pub cancelled: usize,
+    /// Pages take as many bytes as their meshes have vertices, instead of [`PAGE_GPU_BYTES`].
+    pub counts_vertices: bool,
     /// What is compiled is kept back.
     pub holds: bool,
 }
@@ -37,7 +39,15 @@ impl CompileContext for Context {
         let slots = vec![DrawSlot(0); operation.drawables.len()];
         self.slots_out += slots.len() as u64;
         let ticket = operation.ticket;
-        self.done.push(Compiled { ticket, slots, bytes: PAGE_GPU_BYTES, shared: Vec::new(), errors: Vec::new() });
+        let vertices = |drawable: &Drawable| match &drawable.geometry {
+            Geometry::Mesh(mesh) => mesh.vertices.len() as u64,
+            _ => 0,
+        };
+        let bytes = match self.counts_vertices {
+            true => operation.drawables.iter().map(vertices).sum(),
+            false => PAGE_GPU_BYTES,
+        };
+        self.done.push(Compiled { ticket, slots, bytes, shared: Vec::new(), errors: Vec::new() });
     }
 
     fn cancel(&mut self, tickets: &[u64]) {
