@@ -1,6 +1,6 @@
 //! Elevation rasters: GeoTIFF, HGT, terrain-RGB PNG and EXR, placed on the earth.
 
-use std::io::BufReader;
+use std::io::{BufReader, Read as _};
 use std::path::Path;
 
 use tiff::decoder::DecodingResult;
@@ -53,7 +53,7 @@ impl Raster {
     pub fn read(path: &Path) -> Result<Self, GenError> {
         let mut magic = [0u8; 8];
         let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;
-        let got = std::io::Read::read(&mut file, &mut magic).map_err(GenError::file(path))?;
+        let got = file.read(&mut magic).map_err(GenError::file(path))?;
         let is_hgt = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
         let mut raster = match &magic[..got] {
             _ if is_hgt => hgt(path)?,
@@ -215,8 +215,15 @@ fn hgt(path: &Path) -> Result<Raster, GenError> {
     Ok(Raster { width: side, height: side, samples, transform, crs: Crs::Geographic })
 }
 
-/// Mapbox Terrain-RGB: `h = -10000 + (R * 65536 + G * 256 + B) / 10`.
+/// Mapbox Terrain-RGB: `h = -10000 + (R * 65536 + G * 256 + B) / 10`, in 8-bit RGB or RGBA; other PNG mean something else.
 fn terrain_rgb(path: &Path) -> Result<Raster, GenError> {
+    if let Some((bits, color)) = png_kind(path)?
+        && !matches!((bits, color), (8, "RGB" | "RGBA"))
+    {
+        let reason =
+            format!("PNG of {bits}-bit {color}: heights are read from terrain-RGB, which is 8-bit RGB or RGBA");
+        return Err(GenError::invalid(path, reason));
+    }
     let file = std::fs::File::open(path).map_err(GenError::file(path))?;
     let reader = image::ImageReader::with_format(BufReader::new(file), image::ImageFormat::Png);
     let image = reader.decode().map_err(|e| GenError::invalid(path, format!("PNG: {e}")))?.into_rgba8();
@@ -230,6 +237,24 @@ fn terrain_rgb(path: &Path) -> Result<Raster, GenError> {
         .collect();
     let (transform, crs) = placed(path);
     Ok(Raster { width, height, samples, transform, crs })
+}
+
+/// Bits of a sample (of an index, with a palette) and the colour type, from the IHDR chunk, which is always the first;
+/// `None` where the file ends before them. The decoder tells what it makes of them, not what is there.
+fn png_kind(path: &Path) -> Result<Option<(u8, &'static str)>, GenError> {
+    let mut header = Vec::new();
+    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
+    file.take(26).read_to_end(&mut header).map_err(GenError::file(path))?;
+    let Some(&[bits, color]) = header.get(24..26) else { return Ok(None) };
+    let color = match color {
+        0 => "grey",
+        2 => "RGB",
+        3 => "palette",
+        4 => "grey with alpha",
+        6 => "RGBA",
+        _ => "unknown colour type",
+    };
+    Ok(Some((bits, color)))
 }
 
 /// An EXR's channel Y, or its R, or its only one; metres.

@@ -134,6 +134,37 @@ fn pictures_of_heights_land_by_their_world_file() {
     }
 }
 
+/// Any PNG was read as terrain-RGB: a 16-bit grey one became heights around 100 km below the ground.
+#[test]
+fn pictures_that_are_no_terrain_rgb_are_refused() {
+    use image::ExtendedColorType as Color;
+    let folder = tempfile::tempdir().unwrap();
+    let png = |color: Color, bytes: usize| {
+        let mut png = Vec::new();
+        let encoder = image::codecs::png::PngEncoder::new(&mut png);
+        let samples: Vec<u8> = (0..bytes).map(|k| [1, 140][k % 2]).collect();
+        image::ImageEncoder::write_image(encoder, &samples, 8, 8, color).unwrap();
+        png
+    };
+    // 2 x 2 pixels of a palette with two colours.
+    let palette = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x02\0\0\0\x02\x08\x03\0\0\0\x45\x68\xfd\x16".to_vec();
+    for (name, bytes, why) in [
+        ("grey.png", png(Color::L8, 64), "8-bit grey:"),
+        ("grey-alpha.png", png(Color::La8, 128), "8-bit grey with alpha:"),
+        ("grey16.png", png(Color::L16, 128), "16-bit grey:"),
+        ("rgb16.png", png(Color::Rgb16, 384), "16-bit RGB:"),
+        ("rgba16.png", png(Color::Rgba16, 512), "16-bit RGBA:"),
+        ("palette.png", palette, "8-bit palette:"),
+    ] {
+        let args = from_dem(folder.path(), name, &bytes);
+        let error = refused(&args, &args.dem[0], why);
+        assert!(matches!(error, GenError::Invalid { .. }), "{error:?}");
+    }
+    for (name, bytes) in [("rgb.png", png(Color::Rgb8, 192)), ("rgba.png", png(Color::Rgba8, 256))] {
+        run(&from_dem(folder.path(), name, &bytes)).unwrap();
+    }
+}
+
 #[test]
 fn several_files_are_one_set() {
     let folder = tempfile::tempdir().unwrap();
