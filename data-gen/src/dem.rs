@@ -145,8 +145,10 @@ fn tiff(path: &Path) -> Result<Raster, GenError> {
         _ => return Err(GenError::invalid(path, "TIFF: sample format that is not read")),
     };
     let nodata = t.nodata.map(|n| n as f32);
-    for h in samples.iter_mut().filter(|h| nodata == Some(**h)) {
-        *h = f32::NAN;
+    let metres = t.keys.metres_of_heights().map_err(|reason| GenError::invalid(path, reason))?;
+    for h in &mut samples {
+        // SRTM's void before it is feet, which would make a depth of it that there might be.
+        *h = if nodata == Some(*h) || *h == f32::from(i16::MIN) { f32::NAN } else { (f64::from(*h) * metres) as f32 };
     }
     // A TIFF is expected to know its place; pictures and EXR are not.
     let (transform, crs) = t
@@ -215,7 +217,7 @@ fn hgt(path: &Path) -> Result<Raster, GenError> {
     Ok(Raster { width: side, height: side, samples, transform, crs: Crs::Geographic })
 }
 
-/// Mapbox Terrain-RGB: `h = -10000 + (R * 65536 + G * 256 + B) / 10`, in 8-bit RGB or RGBA; other PNG mean something else.
+/// Mapbox Terrain-RGB: `h = -10000 + (R * 65536 + G * 256 + B) / 10`, in 8-bit RGB or RGBA; other PNG mean other things.
 fn terrain_rgb(path: &Path) -> Result<Raster, GenError> {
     if let Some((bits, color)) = png_kind(path)?
         && !matches!((bits, color), (8, "RGB" | "RGBA"))

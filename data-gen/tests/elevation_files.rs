@@ -8,8 +8,8 @@ use std::fs;
 use std::path::Path;
 
 use files::{
-    PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_uint16, tile_heights,
-    tileset,
+    PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_int16_keyed, tiff_uint16,
+    tile_heights, tileset,
 };
 use terrane::io::write::write_height_exr;
 use terrane_data_gen::{GenArgs, GenError, Summary, run};
@@ -95,6 +95,46 @@ fn voids_are_filled_from_around_and_counted() {
         filled.push(summary.filled_samples);
     }
     assert!(filled.iter().all(|f| *f == filled[0]), "{filled:?}");
+}
+
+/// Feet were read as metres.
+#[test]
+fn heights_in_feet_become_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut h = heights();
+    h[500] = -32768.0;
+    let (foot, us_foot) = (0.3048, 1200.0 / 3937.0);
+    // VerticalUnits 4099, Vertical 4096; ProjLinearUnits 3076 is of the plane.
+    for (k, (more, metres)) in [
+        (vec![[4099, 9001]], 1.0),
+        (vec![[4099, 9002]], foot),
+        (vec![[4096, 5703], [4099, 9003]], us_foot),
+        (vec![[4096, 6360]], us_foot),
+        (vec![[4096, 8228]], foot),
+        (vec![[4096, 6360], [4099, 9001]], 1.0),
+        (vec![[4096, 5773]], 1.0),
+        (vec![[3076, 9002]], 1.0),
+        (vec![[3076, 9001], [4096, 32767], [4099, 9002]], foot),
+        (vec![[4096, 0], [4099, 0]], 1.0),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let args = from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_keyed(&h, PLACE, &more));
+        let expected = corners(&h, SIDE as usize).map(|h| (f64::from(h) * metres) as f32);
+        let summary = lands(&args, PLACE.bounds(), Some(expected));
+        assert!(summary.min_height_m > 190.0 * metres, "{more:?}: a void is no depth, {summary}");
+    }
+    for (more, why) in [
+        (vec![[4099, 9014]], "EPSG:9014"),
+        (vec![[4096, 5703], [4099, 32767]], "EPSG:32767"),
+        (vec![[4096, 8053]], "EPSG:8053"),
+        (vec![[4096, 32767]], "without a unit"),
+    ] {
+        let args = from_dem(folder.path(), "other.tif", &tiff_int16_keyed(&h, PLACE, &more));
+        let error = refused(&args, &args.dem[0], why);
+        assert!(matches!(error, GenError::Invalid { .. }), "{error:?}");
+    }
 }
 
 #[test]
