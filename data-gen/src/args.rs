@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::Crs;
+
 /// What the tiles hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum ContentKind {
@@ -23,6 +25,10 @@ pub struct GenArgs {
     /// Colour: GeoTIFF, or PNG or JPEG with a world file
     #[arg(long, value_name = "FILE")]
     pub imagery: Option<PathBuf>,
+    /// Reference system of rasters that name none, as those with a world file: 4326, 3857, or a UTM zone's 326zz,
+    /// 327zz or 269zz
+    #[arg(long, value_name = "CODE", value_parser = reference_system)]
+    pub epsg: Option<Crs>,
     /// What the tiles hold
     #[arg(long, value_enum, default_value_t)]
     pub content: ContentKind,
@@ -53,6 +59,7 @@ impl GenArgs {
             out: out.into(),
             dem: Vec::new(),
             imagery: None,
+            epsg: None,
             content: ContentKind::Height,
             float_vertices: false,
             levels: None,
@@ -62,6 +69,11 @@ impl GenArgs {
             overwrite: false,
         }
     }
+}
+
+fn reference_system(code: &str) -> Result<Crs, String> {
+    let known = code.parse().ok().and_then(Crs::from_epsg);
+    known.ok_or_else(|| "not the code of a system that is understood".to_owned())
 }
 
 /// What was made.

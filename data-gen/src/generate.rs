@@ -115,7 +115,7 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
         let source = Procedural { seed: args.seed, cos_latitude: lat.cos() };
         return Ok((Box::new(source), extent, args.levels.unwrap_or(PROCEDURAL_LEVELS)));
     }
-    let rasters = args.dem.iter().map(|path| Raster::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let rasters = args.dem.iter().map(|path| Raster::read_in(path, args.epsg)).collect::<Result<Vec<_>, _>>()?;
     let mut longitudes: Vec<[f64; 2]> = Vec::new();
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // Smallest step between samples, east and north, radians.
@@ -174,7 +174,7 @@ fn bar(length: u64, what: &'static str) -> ProgressBar {
 
 fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let (source, extent, levels) = source(args)?;
-    let imagery = args.imagery.as_deref().map(Imagery::read).transpose()?;
+    let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg)).transpose()?;
     if let (Some(picture), Some(path)) = (&imagery, &args.imagery)
         && !picture.covers(&extent)
     {

@@ -17,6 +17,7 @@ mod grid;
 mod imagery;
 mod mesh;
 mod noise;
+mod placement;
 mod procedural;
 mod projection;
 mod pyramid;

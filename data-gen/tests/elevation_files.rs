@@ -120,7 +120,7 @@ fn heights_in_feet_become_metres() {
     .into_iter()
     .enumerate()
     {
-        let args = from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_keyed(&h, PLACE, &more));
+        let args = from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_keyed(&h, Some(PLACE), &more));
         let expected = corners(&h, SIDE as usize).map(|h| (f64::from(h) * metres) as f32);
         let summary = lands(&args, PLACE.bounds(), Some(expected));
         assert!(summary.min_height_m > 190.0 * metres, "{more:?}: a void is no depth, {summary}");
@@ -131,7 +131,7 @@ fn heights_in_feet_become_metres() {
         (vec![[4096, 8053]], "EPSG:8053"),
         (vec![[4096, 32767]], "without a unit"),
     ] {
-        let args = from_dem(folder.path(), "other.tif", &tiff_int16_keyed(&h, PLACE, &more));
+        let args = from_dem(folder.path(), "other.tif", &tiff_int16_keyed(&h, Some(PLACE), &more));
         let error = refused(&args, &args.dem[0], why);
         assert!(matches!(error, GenError::Invalid { .. }), "{error:?}");
     }

@@ -69,6 +69,8 @@ where
         image.encoder().write_tag(Tag::ModelPixelScaleTag, &scale[..]).unwrap();
         image.encoder().write_tag(Tag::ModelTiepointTag, &tie[..]).unwrap();
         image.encoder().write_tag(Tag::GeoKeyDirectoryTag, &keys[..]).unwrap();
+    } else if !more.is_empty() {
+        image.encoder().write_tag(Tag::GeoKeyDirectoryTag, &geo_keys(more)[..]).unwrap();
     }
     if let Some(nodata) = nodata {
         image.encoder().write_tag(Tag::GdalNodata, nodata).unwrap();
@@ -100,9 +102,9 @@ pub fn tiff_int16(heights: &[f32], place: Option<Place>, nodata: Option<&str>) -
 }
 
 /// With GeoKeys besides those of the place, each an id and its value.
-pub fn tiff_int16_keyed(heights: &[f32], place: Place, more: &[[u16; 2]]) -> Vec<u8> {
+pub fn tiff_int16_keyed(heights: &[f32], place: Option<Place>, more: &[[u16; 2]]) -> Vec<u8> {
     let samples: Vec<i16> = heights.iter().map(|h| *h as i16).collect();
-    encode_keyed::<GrayI16>(&samples, Some(place), None, more)
+    encode_keyed::<GrayI16>(&samples, place, None, more)
 }
 
 pub fn tiff_uint16(heights: &[f32], place: Option<Place>, nodata: Option<&str>) -> Vec<u8> {
