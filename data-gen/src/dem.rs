@@ -49,6 +49,7 @@ impl Raster {
         if !raster.samples.iter().any(|h| h.is_finite()) {
             return Err(GenError::invalid(path, "no sample has a height"));
         }
+        raster.placement = raster.placement.turned(raster.bounds());
         Ok(raster)
     }
 
@@ -170,7 +171,7 @@ fn hgt(path: &Path) -> Result<Raster, GenError> {
         .collect();
     let origin = [west - 0.5 * pixel, south + 1.0 + 0.5 * pixel];
     let transform = GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] };
-    let placement = Placement { transform, crs: Crs::Geographic };
+    let placement = Placement::new(transform, Crs::Geographic);
     Ok(Raster { width: side, height: side, samples, placement })
 }
 

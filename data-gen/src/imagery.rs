@@ -1,5 +1,6 @@
 //! Given imagery: RGB rasters placed on the earth.
 
+use std::f64::consts::TAU;
 use std::path::Path;
 
 use tiff::decoder::DecodingResult;
@@ -8,6 +9,9 @@ use crate::grid::Extent;
 use crate::placement::Placement;
 use crate::projection::Crs;
 use crate::{GenError, geotiff};
+
+/// Longitudes may be told a turn apart, radians: of a world from 0 to 360 degrees.
+const TURNS: [f64; 3] = [0.0, TAU, -TAU];
 
 /// An RGB picture in memory.
 pub(crate) struct Imagery {
@@ -50,18 +54,18 @@ impl Imagery {
             let longitude = extent.west + s * (extent.east - extent.west);
             let latitude = extent.south + t * (extent.north - extent.south);
             let [lon, lat] = self.placement.place(s * self.width as f64, t * self.height as f64);
-            let inside = (extent.west..=extent.east).contains(&lon) && (extent.south..=extent.north).contains(&lat);
+            let is_within = |turn: &f64| (extent.west..=extent.east).contains(&(lon + turn));
+            let inside = TURNS.iter().any(is_within) && (extent.south..=extent.north).contains(&lat);
             inside || self.at(longitude, latitude).is_some()
         })
     }
 
     /// Bilinear sRGB at a place; `None` outside, and where the nearest pixel is transparent.
     pub fn at(&self, longitude: f64, latitude: f64) -> Option<[f64; 3]> {
-        let [c, r] = self.placement.pixel(longitude, latitude)?;
         let (w, h) = (self.width as f64, self.height as f64);
-        if !(0.0..=w).contains(&c) || !(0.0..=h).contains(&r) {
-            return None;
-        }
+        let is_inside = |[c, r]: &[f64; 2]| (0.0..=w).contains(c) && (0.0..=h).contains(r);
+        let [c, r] =
+            TURNS.iter().find_map(|turn| self.placement.pixel(longitude + turn, latitude).filter(is_inside))?;
         let (x, y) = ((c - 0.5).clamp(0.0, w - 1.0), (r - 0.5).clamp(0.0, h - 1.0));
         let (x0, y0) = (x as usize, y as usize);
         let (x1, y1) = ((x0 + 1).min(self.width - 1), (y0 + 1).min(self.height - 1));

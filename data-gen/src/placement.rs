@@ -1,5 +1,6 @@
 //! Where a raster lies: from its pixels to a reference system, and from there to the earth.
 
+use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use crate::projection::Crs;
@@ -35,20 +36,35 @@ impl GeoTransform {
 /// A raster's place on the earth.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Placement {
-    pub transform: GeoTransform,
-    pub crs: Crs,
+    transform: GeoTransform,
+    crs: Crs,
+    /// Added to the longitudes of the system, radians: a whole turn for what lies beyond the date line.
+    turn: f64,
 }
 
 impl Placement {
+    pub fn new(transform: GeoTransform, crs: Crs) -> Self {
+        Self { transform, crs, turn: 0.0 }
+    }
+
+    /// A turn back for what lies beyond 180 degrees as a whole, so that 190 is -170. What reaches across them, and what
+    /// lies more than a turn away, stays.
+    pub fn turned(self, [west, _, east, _]: [f64; 4]) -> Self {
+        let within = |turn: f64| west + turn >= -PI - 1e-6 && east + turn <= PI + 1e-6;
+        let turn = [0.0, -TAU, TAU].into_iter().find(|turn| within(*turn));
+        Self { turn: self.turn + turn.unwrap_or(0.0), ..self }
+    }
+
     /// Longitude and latitude in radians of a column and row, pixel corners integral.
     pub fn place(&self, column: f64, row: f64) -> [f64; 2] {
         let [x, y] = self.transform.at(column, row);
-        self.crs.unproject(x, y)
+        let [longitude, latitude] = self.crs.unproject(x, y);
+        [longitude + self.turn, latitude]
     }
 
     /// Column and row, pixel corners integral, of a longitude and latitude in radians.
     pub fn pixel(&self, longitude: f64, latitude: f64) -> Option<[f64; 2]> {
-        self.transform.pixel(self.crs.project(longitude, latitude))
+        self.transform.pixel(self.crs.project(longitude - self.turn, latitude))
     }
 
     /// By a TIFF's tags, else by the world file beside it; the system is the one it names, else `given`. `None` where
@@ -57,13 +73,13 @@ impl Placement {
         let Some(transform) = tiff.transform.or_else(|| world_file(path)) else { return Ok(None) };
         let named = tiff.keys.crs(given).map_err(|reason| GenError::invalid(path, reason))?;
         let crs = named.map_or_else(|| unnamed(path, &transform, [tiff.width, tiff.height], given), Ok)?;
-        Ok(Some(Self { transform, crs }))
+        Ok(Some(Self::new(transform, crs)))
     }
 
     /// By the world file beside a picture, in the system that is `given`; without one at the default place.
     pub fn of_picture(path: &Path, size: [usize; 2], given: Option<Crs>) -> Result<Self, GenError> {
         match world_file(path) {
-            Some(transform) => Ok(Self { transform, crs: unnamed(path, &transform, size, given)? }),
+            Some(transform) => Ok(Self::new(transform, unnamed(path, &transform, size, given)?)),
             None => Ok(Self::default()),
         }
     }
@@ -72,7 +88,7 @@ impl Placement {
 impl Default for Placement {
     fn default() -> Self {
         let (origin, pixel) = DEFAULT_PLACE;
-        Self { transform: GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] }, crs: Crs::Geographic }
+        Self::new(GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] }, Crs::Geographic)
     }
 }
 

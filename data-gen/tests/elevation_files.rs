@@ -205,6 +205,41 @@ fn pictures_that_are_no_terrain_rgb_are_refused() {
     }
 }
 
+/// What lay beyond 180 degrees as a whole lay nowhere on the earth.
+#[test]
+fn longitudes_beyond_the_date_line_are_those_of_the_other_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let h = heights();
+    let (wide, [_, dy]) = (0.001 * f64::from(SIDE - 1), PLACE.pixel_deg);
+    let low = 46.5 - dy * f64::from(SIDE - 1);
+    for (name, west, expected) in [
+        ("190.tif", 190.0, -170.0),
+        ("-190.tif", -190.0, 170.0),
+        ("180.tif", 180.0, -180.0),
+        ("to-180.tif", 180.0 - wide, 180.0 - wide),
+        ("359.tif", 359.0, -1.0),
+    ] {
+        let place = Place { tie_deg: [west, 46.5], point: true, ..PLACE };
+        let bounds = [expected, low, expected + wide, 46.5].map(f64::to_radians);
+        let args = from_dem(folder.path(), name, &tiff_int16(&h, Some(place), None));
+        lands(&args, bounds, Some(corners(&h, SIDE as usize)));
+        // A picture of the whole world from 0 to 360 degrees is no less there.
+        let imagery = folder.path().join("world.png");
+        image::RgbImage::from_pixel(8, 4, image::Rgb([250, 10, 10])).save(&imagery).unwrap();
+        fs::write(imagery.with_extension("pgw"), "45\n0\n0\n-45\n22.5\n67.5\n").unwrap();
+        run(&GenArgs { imagery: Some(imagery), overwrite: true, ..args }).unwrap();
+    }
+    for (name, west, why) in [
+        ("across.tif", 179.99, "reaches across the date line"),
+        ("across-too.tif", -180.01, "reaches across the date line"),
+        ("far.tif", 3600.0, "nowhere on the earth"),
+    ] {
+        let place = Place { tie_deg: [west, 46.5], ..PLACE };
+        let args = from_dem(folder.path(), name, &tiff_int16(&h, Some(place), None));
+        refused(&args, &args.dem[0], why);
+    }
+}
+
 #[test]
 fn several_files_are_one_set() {
     let folder = tempfile::tempdir().unwrap();
