@@ -80,17 +80,36 @@ impl Raster {
     }
 }
 
-impl ElevationSource for Raster {
-    /// Bilinear between sample centres; where some of the four are unknown, the known ones by their weights.
-    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+/// A place by a raster's sample centres.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Among {
+    /// Column and row, sample centres integral, of the nearest place between the outermost of them.
+    pub nearest_px: [f64; 2],
+    /// From there to the place, columns and rows; 0 along an axis on which it lies between the centres.
+    pub beyond_px: [f64; 2],
+}
+
+impl Among {
+    /// Half a pixel outside belongs to the outermost sample's area; a hair more is rounding.
+    pub fn is_owned(&self) -> bool {
+        self.beyond_px.iter().all(|b| b.abs() <= 0.501)
+    }
+}
+
+impl Raster {
+    /// Where a place in radians lies by the sample centres.
+    pub(crate) fn among(&self, longitude: f64, latitude: f64) -> Option<Among> {
         let [c, r] = self.placement.pixel(longitude, latitude)?;
-        let (x, y) = (c - 0.5, r - 0.5);
-        let (w, h) = (self.width as f64 - 1.0, self.height as f64 - 1.0);
-        // A hair outside is rounding; half a pixel outside belongs to the outermost sample's area.
-        if x < -0.501 || y < -0.501 || x > w + 0.501 || y > h + 0.501 {
-            return None;
-        }
-        let (x, y) = (x.clamp(0.0, w), y.clamp(0.0, h));
+        let at = [c - 0.5, r - 0.5];
+        let last = [self.width as f64 - 1.0, self.height as f64 - 1.0];
+        let nearest_px = [0, 1].map(|k| at[k].clamp(0.0, last[k]));
+        // A hair outside is rounding.
+        let beyond_px = [0, 1].map(|k| at[k] - nearest_px[k]).map(|b: f64| if b.abs() < 1e-3 { 0.0 } else { b });
+        Some(Among { nearest_px, beyond_px })
+    }
+
+    /// Between sample centres; where some of the four are unknown, the known ones by their weights.
+    pub(crate) fn bilinear_m(&self, [x, y]: [f64; 2]) -> Option<f64> {
         let (x0, y0) = (x.floor(), y.floor());
         let (fx, fy) = (x - x0, y - y0);
         let (mut sum, mut weights) = (0.0, 0.0);
@@ -105,6 +124,24 @@ impl ElevationSource for Raster {
             }
         }
         (weights > 1e-6).then(|| sum / weights)
+    }
+
+    /// A column's step east and a row's step north at the centre, radians; `None` for a raster that lies on its side.
+    pub(crate) fn steps(&self) -> Option<[f64; 2]> {
+        let (c, r) = (0.5 * self.width as f64, 0.5 * self.height as f64);
+        let step = |[dc, dr]: [f64; 2]| {
+            let ([a, b], [x, y]) = (self.placement.place(c - dc, r - dr), self.placement.place(c + dc, r + dr));
+            [x - a, y - b]
+        };
+        let (column, row) = (step([0.5, 0.0]), step([0.0, 0.5]));
+        (column[0].abs() > column[1].abs() && row[1].abs() > row[0].abs()).then_some([column[0], row[1]])
+    }
+}
+
+impl ElevationSource for Raster {
+    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        let among = self.among(longitude, latitude).filter(Among::is_owned)?;
+        self.bilinear_m(among.nearest_px)
     }
 }
 

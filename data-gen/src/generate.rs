@@ -14,6 +14,7 @@ use terrane::io::write::{write_glb, write_height_exr};
 use crate::color::{Painter, TEXELS};
 use crate::grid::{Extent, Grid, QUANTUM_M};
 use crate::imagery::Imagery;
+use crate::mosaic::Mosaic;
 use crate::pyramid::{CELLS, Pyramid, TileKey};
 use crate::{ContentKind, ElevationSource, GenArgs, GenError, Procedural, Raster, Summary, mesh};
 
@@ -25,15 +26,6 @@ const PROCEDURAL_LEVELS: u32 = 5;
 const MAX_LEVELS: u32 = 9;
 /// The default set's folder changes with what it holds.
 const DEFAULT_SET: &str = "default-set-2";
-
-/// Several rasters: the first that knows a place wins.
-struct Mosaic(Vec<Raster>);
-
-impl ElevationSource for Mosaic {
-    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
-        self.0.iter().find_map(|r| r.height_m(longitude, latitude))
-    }
-}
 
 /// Makes the small set that `terrane fly` shows by default, once; returns its folder.
 pub fn default_set(folder: &Path) -> Result<PathBuf, GenError> {
@@ -152,7 +144,7 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
     // Less what rounding adds, so that 513 samples are 512 cells.
     let cells = ((e.east - e.west) / step[0]).max((e.north - e.south) / step[1]) - 1e-6;
     let wanted = ((cells / CELLS as f64).log2().ceil().max(0.0) as u32 + 1).clamp(1, MAX_LEVELS);
-    Ok((Box::new(Mosaic(rasters)), e, args.levels.unwrap_or(wanted)))
+    Ok((Box::new(Mosaic::new(rasters)), e, args.levels.unwrap_or(wanted)))
 }
 
 /// The widest stretch between intervals of longitude where none is.

@@ -16,6 +16,7 @@ mod geotiff;
 mod grid;
 mod imagery;
 mod mesh;
+mod mosaic;
 mod noise;
 mod placement;
 mod procedural;

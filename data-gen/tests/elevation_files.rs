@@ -258,6 +258,36 @@ fn several_files_are_one_set() {
     assert!((36..=38).contains(&low), "{low}");
 }
 
+/// Between the outermost samples of neighbours each file's own went on for half a pixel.
+#[test]
+fn files_cut_from_one_are_the_same_set() {
+    let folder = tempfile::tempdir().unwrap();
+    let (n, pixel, h) = (SIDE as usize, 0.001, heights());
+    let part = |name: &str, first: [usize; 2], side: usize| {
+        let samples = (0..side * side).map(|k| h[(first[1] + k / side) * n + first[0] + k % side]).collect();
+        let (west, north) = (7.0 + pixel * first[0] as f64, 46.0 - pixel * first[1] as f64);
+        fs::write(
+            folder.path().join(name).with_extension("wld"),
+            format!("{pixel}\n0\n0\n-{pixel}\n{west}\n{north}\n"),
+        )
+        .unwrap();
+        from_dem(folder.path(), name, &write_height_exr("test", side, samples).unwrap())
+    };
+    let whole = part("whole.exr", [0, 0], n);
+    let mut parts = part("south-east.exr", [n / 2, n / 2], n / 2);
+    for (name, first) in [("a.exr", [0, n / 2]), ("b.exr", [n / 2, 0]), ("c.exr", [0, 0])] {
+        parts.dem.extend(part(name, first, n / 2).dem);
+    }
+    run(&whole).unwrap();
+    assert_eq!(run(&parts).unwrap().filled_samples, 0);
+    for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+        let pairs = tile_heights(&whole.out, 1, x, y).into_iter().zip(tile_heights(&parts.out, 1, x, y));
+        // A quantum apart by rounding.
+        let apart = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart < 0.01, "{apart} m");
+    }
+}
+
 /// The one error of a run, which must name `file` and say `why` in one line; no output may be left.
 fn refused(args: &GenArgs, file: &Path, why: &str) -> GenError {
     let error = run(args).unwrap_err();
