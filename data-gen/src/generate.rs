@@ -15,6 +15,7 @@ use crate::color::{Painter, TEXELS};
 use crate::grid::{Extent, Grid, QUANTUM_M};
 use crate::imagery::Imagery;
 use crate::mosaic::Mosaic;
+use crate::output::Partial;
 use crate::pyramid::{CELLS, Pyramid, TileKey};
 use crate::{ContentKind, ElevationSource, GenArgs, GenError, Procedural, Raster, Summary, mesh};
 
@@ -64,21 +65,9 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         .num_threads(threads)
         .build()
         .map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))?;
-    let name = out.file_name().map_or_else(|| "set".into(), |n| n.to_string_lossy().into_owned());
-    let partial = out.with_file_name(format!(".{name}.partial-{}", std::process::id()));
-    let made = pool.install(|| write_set(args, &partial));
-    let mut summary = match made {
-        Ok(summary) => summary,
-        Err(e) => {
-            // What was written so far is of no use; a failure to remove it changes nothing.
-            let _ = std::fs::remove_dir_all(&partial);
-            return Err(e);
-        }
-    };
-    if out.exists() {
-        std::fs::remove_dir_all(&out).map_err(GenError::file(&out))?;
-    }
-    std::fs::rename(&partial, &out).map_err(GenError::file(&out))?;
+    let partial = Partial::beside(&out)?;
+    let mut summary = pool.install(|| write_set(args, partial.path()))?;
+    partial.put_in_place(&out)?;
     summary.out = out;
     summary.seconds = start.elapsed().as_secs_f64();
     Ok(summary)

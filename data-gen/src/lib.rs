@@ -18,6 +18,7 @@ mod imagery;
 mod mesh;
 mod mosaic;
 mod noise;
+mod output;
 mod placement;
 mod procedural;
 mod projection;

@@ -25,6 +25,36 @@ fn a_failed_run_leaves_what_was_there() {
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
+/// It stayed for ever.
+#[cfg(unix)]
+#[test]
+fn what_an_ended_run_left_is_removed_by_the_next() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("set");
+    // Ended while it reads from a pipe that says nothing.
+    let (pipe, _writer) = std::io::pipe().unwrap();
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_terrane-gen"))
+        .args([out.to_str().unwrap(), "--dem", "/dev/stdin"])
+        .stdin(pipe)
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let has_begun = || {
+        let mut folders = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
+        folders.any(|path| fs::read(path.join(".terrane-gen")).is_ok_and(|text| !text.is_empty()))
+    };
+    while !has_begun() {
+        assert!(child.try_wait().unwrap().is_none());
+        std::thread::yield_now();
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    run(&GenArgs { levels: Some(1), ..small(out.clone()) }).unwrap();
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    assert!(out.join("tileset.json").is_file());
+}
+
 /// Only tile sets are replaced, and none with what the new one is made of.
 #[test]
 fn nothing_but_a_tile_set_is_replaced() {
