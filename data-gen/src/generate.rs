@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use terrane::io::write::{write_glb, write_height_exr};
 
+use crate::args::{MAX_LEVELS, SIZES_M};
 use crate::color::{Painter, TEXELS};
 use crate::grid::{Extent, Grid, QUANTUM_M};
 use crate::imagery::Imagery;
@@ -24,7 +25,6 @@ const JPEG_QUALITY: u8 = 85;
 const PROCEDURAL_PLACE: [f64; 2] = [8.0, 47.0];
 /// Levels of procedural terrain where none are asked for.
 const PROCEDURAL_LEVELS: u32 = 5;
-const MAX_LEVELS: u32 = 9;
 /// The default set's folder changes with what it holds.
 const DEFAULT_SET: &str = "default-set-2";
 
@@ -54,7 +54,8 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if occupied {
         may_be_replaced(&out, args)?;
     }
-    if !(args.size.is_finite() && (100.0..=2_000_000.0).contains(&args.size)) {
+    // The command line refuses these before; a program may ask for them all the same.
+    if !SIZES_M.contains(&args.size) {
         return Err(GenError::Argument(format!("--size {} is not within 100 m and 2,000 km", args.size)));
     }
     if args.levels.is_some_and(|l| l == 0 || l > MAX_LEVELS) {
