@@ -31,22 +31,15 @@ fn a_failed_run_leaves_what_was_there() {
 fn what_an_ended_run_left_is_removed_by_the_next() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
-    // Ended while it reads from a pipe that says nothing.
-    let (pipe, _writer) = std::io::pipe().unwrap();
+    // Ended while it waits for its elevation: a pipe is open when both ends are.
+    let elsewhere = tempfile::tempdir().unwrap();
+    let pipe = elsewhere.path().join("elevation.tif");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_terrane-gen"))
-        .args([out.to_str().unwrap(), "--dem", "/dev/stdin"])
-        .stdin(pipe)
-        .stdout(std::process::Stdio::null())
+        .args([out.as_path(), "--dem".as_ref(), &pipe])
         .spawn()
         .unwrap();
-    let has_begun = || {
-        let mut folders = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path());
-        folders.any(|path| fs::read(path.join(".terrane-gen")).is_ok_and(|text| !text.is_empty()))
-    };
-    while !has_begun() {
-        assert!(child.try_wait().unwrap().is_none());
-        std::thread::yield_now();
-    }
+    let _writer = fs::File::options().write(true).open(&pipe).unwrap();
     child.kill().unwrap();
     child.wait().unwrap();
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
