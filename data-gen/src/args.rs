@@ -1,6 +1,15 @@
 //! The options of `terrane gen`, and what it reports.
 
+use std::io::Write as _;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
+
+use crate::Crs;
+
+/// Most levels of a pyramid.
+pub(crate) const MAX_LEVELS: u32 = 9;
+/// Sides of procedural terrain that can be made, metres.
+pub(crate) const SIZES_M: RangeInclusive<f64> = 100.0..=2_000_000.0;
 
 /// What the tiles hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -23,6 +32,10 @@ pub struct GenArgs {
     /// Colour: GeoTIFF, or PNG or JPEG with a world file
     #[arg(long, value_name = "FILE")]
     pub imagery: Option<PathBuf>,
+    /// Reference system of rasters that name none, as those with a world file: 4326, 3857, or a UTM zone's 326zz,
+    /// 327zz or 269zz
+    #[arg(long, value_name = "CODE", value_parser = reference_system)]
+    pub epsg: Option<Crs>,
     /// What the tiles hold
     #[arg(long, value_enum, default_value_t)]
     pub content: ContentKind,
@@ -30,10 +43,10 @@ pub struct GenArgs {
     #[arg(long)]
     pub float_vertices: bool,
     /// Levels of the pyramid; by default as many as the elevation has detail for
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_LEVELS)))]
     pub levels: Option<u32>,
     /// Side of procedural terrain in metres
-    #[arg(long, default_value_t = 60_000.0)]
+    #[arg(long, default_value_t = 60_000.0, value_parser = size_m)]
     pub size: f64,
     /// Seed of procedural terrain
     #[arg(long, default_value_t = 1)]
@@ -53,6 +66,7 @@ impl GenArgs {
             out: out.into(),
             dem: Vec::new(),
             imagery: None,
+            epsg: None,
             content: ContentKind::Height,
             float_vertices: false,
             levels: None,
@@ -62,6 +76,16 @@ impl GenArgs {
             overwrite: false,
         }
     }
+}
+
+fn size_m(text: &str) -> Result<f64, String> {
+    let size = text.parse().ok().filter(|size| SIZES_M.contains(size));
+    size.ok_or_else(|| "not within 100 m and 2,000 km".to_owned())
+}
+
+fn reference_system(code: &str) -> Result<Crs, String> {
+    let known = code.parse().ok().and_then(Crs::from_epsg);
+    known.ok_or_else(|| "not the code of a system that is understood".to_owned())
 }
 
 /// What was made.
@@ -85,6 +109,17 @@ pub struct Summary {
     pub level_errors_m: Vec<f64>,
     /// Seconds it took.
     pub seconds: f64,
+}
+
+impl Summary {
+    /// Writes its line to standard output. That nobody reads it any more is no error.
+    pub fn print(&self) -> std::io::Result<()> {
+        let mut out = std::io::stdout().lock();
+        match writeln!(out, "{self}").and_then(|()| out.flush()) {
+            Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+            written => written,
+        }
+    }
 }
 
 impl std::fmt::Display for Summary {

@@ -1,42 +1,18 @@
 //! Elevation rasters: GeoTIFF, HGT, terrain-RGB PNG and EXR, placed on the earth.
 
-use std::io::BufReader;
+use std::io::{BufReader, Read as _};
 use std::path::Path;
 
 use tiff::decoder::DecodingResult;
 
+use crate::placement::{GeoTransform, Placement};
 use crate::projection::Crs;
 use crate::{ElevationSource, GenError, geotiff};
 
-/// Where files without any georeference are put: longitude and latitude of the north-west corner, and the pixel, in degrees.
-const DEFAULT_PLACE: ([f64; 2], f64) = ([8.0, 47.0], 1.0 / 3600.0);
 /// Most samples of one raster.
 const MAX_SAMPLES: usize = 1 << 30;
 /// Samples that a byte of an EXR can hold at most: deflate packs 1,032 bytes into one.
 const MOST_COMPRESSED: u64 = 1032;
-
-/// From pixel corners to the reference system: `origin + column * dx + row * dy`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct GeoTransform {
-    pub origin: [f64; 2],
-    pub dx: [f64; 2],
-    pub dy: [f64; 2],
-}
-
-impl GeoTransform {
-    /// Coordinates of a column and row, pixel corners integral.
-    pub fn at(&self, column: f64, row: f64) -> [f64; 2] {
-        [0, 1].map(|k| self.origin[k] + column * self.dx[k] + row * self.dy[k])
-    }
-
-    /// Column and row, pixel corners integral; `None` for a singular transform.
-    pub fn pixel(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
-        let determinant = self.dx[0] * self.dy[1] - self.dy[0] * self.dx[1];
-        let (u, v) = (x - self.origin[0], y - self.origin[1]);
-        let p = [(u * self.dy[1] - v * self.dy[0]) / determinant, (v * self.dx[0] - u * self.dx[1]) / determinant];
-        p.iter().all(|c| c.is_finite()).then_some(p)
-    }
-}
 
 /// One elevation file in memory.
 pub struct Raster {
@@ -44,22 +20,26 @@ pub struct Raster {
     height: usize,
     /// Metres, north row first; NaN where unknown.
     samples: Vec<f32>,
-    transform: GeoTransform,
-    crs: Crs,
+    placement: Placement,
 }
 
 impl Raster {
     /// Reads a file; the format is told by its magic bytes, HGT by its name.
     pub fn read(path: &Path) -> Result<Self, GenError> {
+        Self::read_in(path, None)
+    }
+
+    /// As [`Raster::read`], in the reference system that is given where the file names none of its own.
+    pub fn read_in(path: &Path, given: Option<Crs>) -> Result<Self, GenError> {
         let mut magic = [0u8; 8];
         let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;
-        let got = std::io::Read::read(&mut file, &mut magic).map_err(GenError::file(path))?;
+        let got = file.read(&mut magic).map_err(GenError::file(path))?;
         let is_hgt = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("hgt"));
         let mut raster = match &magic[..got] {
             _ if is_hgt => hgt(path)?,
-            [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff(path)?,
-            [0x89, b'P', b'N', b'G', ..] => terrain_rgb(path)?,
-            [0x76, 0x2f, 0x31, 0x01, ..] => exr(path)?,
+            [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => tiff(path, given)?,
+            [0x89, b'P', b'N', b'G', ..] => terrain_rgb(path, given)?,
+            [0x76, 0x2f, 0x31, 0x01, ..] => exr(path, given)?,
             _ => return Err(GenError::invalid(path, "neither GeoTIFF, HGT, PNG nor EXR")),
         };
         // -32768 is the void of SRTM whether the file says so or not; nothing on earth is beyond 12 km.
@@ -69,6 +49,7 @@ impl Raster {
         if !raster.samples.iter().any(|h| h.is_finite()) {
             return Err(GenError::invalid(path, "no sample has a height"));
         }
+        raster.placement = raster.placement.turned(raster.bounds());
         Ok(raster)
     }
 
@@ -91,8 +72,7 @@ impl Raster {
             let t = f64::from(i) / 16.0;
             let (c, r) = (0.5 + t * (w - 1.0), 0.5 + t * (h - 1.0));
             for (column, row) in [(c, 0.5), (c, h - 0.5), (0.5, r), (w - 0.5, r)] {
-                let [x, y] = self.transform.at(column, row);
-                let [lon, lat] = self.crs.unproject(x, y);
+                let [lon, lat] = self.placement.place(column, row);
                 b = [b[0].min(lon), b[1].min(lat), b[2].max(lon), b[3].max(lat)];
             }
         }
@@ -100,17 +80,36 @@ impl Raster {
     }
 }
 
-impl ElevationSource for Raster {
-    /// Bilinear between sample centres; where some of the four are unknown, the known ones by their weights.
-    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
-        let [c, r] = self.transform.pixel(self.crs.project(longitude, latitude))?;
-        let (x, y) = (c - 0.5, r - 0.5);
-        let (w, h) = (self.width as f64 - 1.0, self.height as f64 - 1.0);
-        // A hair outside is rounding; half a pixel outside belongs to the outermost sample's area.
-        if x < -0.501 || y < -0.501 || x > w + 0.501 || y > h + 0.501 {
-            return None;
-        }
-        let (x, y) = (x.clamp(0.0, w), y.clamp(0.0, h));
+/// A place by a raster's sample centres.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Among {
+    /// Column and row, sample centres integral, of the nearest place between the outermost of them.
+    pub nearest_px: [f64; 2],
+    /// From there to the place, columns and rows; 0 along an axis on which it lies between the centres.
+    pub beyond_px: [f64; 2],
+}
+
+impl Among {
+    /// Half a pixel outside belongs to the outermost sample's area; a hair more is rounding.
+    pub fn is_owned(&self) -> bool {
+        self.beyond_px.iter().all(|b| b.abs() <= 0.501)
+    }
+}
+
+impl Raster {
+    /// Where a place in radians lies by the sample centres.
+    pub(crate) fn among(&self, longitude: f64, latitude: f64) -> Option<Among> {
+        let [c, r] = self.placement.pixel(longitude, latitude)?;
+        let at = [c - 0.5, r - 0.5];
+        let last = [self.width as f64 - 1.0, self.height as f64 - 1.0];
+        let nearest_px = [0, 1].map(|k| at[k].clamp(0.0, last[k]));
+        // A hair outside is rounding.
+        let beyond_px = [0, 1].map(|k| at[k] - nearest_px[k]).map(|b: f64| if b.abs() < 1e-3 { 0.0 } else { b });
+        Some(Among { nearest_px, beyond_px })
+    }
+
+    /// Between sample centres; where some of the four are unknown, the known ones by their weights.
+    pub(crate) fn bilinear_m(&self, [x, y]: [f64; 2]) -> Option<f64> {
         let (x0, y0) = (x.floor(), y.floor());
         let (fx, fy) = (x - x0, y - y0);
         let (mut sum, mut weights) = (0.0, 0.0);
@@ -126,13 +125,32 @@ impl ElevationSource for Raster {
         }
         (weights > 1e-6).then(|| sum / weights)
     }
+
+    /// A column's step east and a row's step north at the centre, radians; `None` for a raster that lies on its side.
+    pub(crate) fn steps(&self) -> Option<[f64; 2]> {
+        let (c, r) = (0.5 * self.width as f64, 0.5 * self.height as f64);
+        let step = |[dc, dr]: [f64; 2]| {
+            let ([a, b], [x, y]) = (self.placement.place(c - dc, r - dr), self.placement.place(c + dc, r + dr));
+            [x - a, y - b]
+        };
+        let (column, row) = (step([0.5, 0.0]), step([0.0, 0.5]));
+        (column[0].abs() > column[1].abs() && row[1].abs() > row[0].abs()).then_some([column[0], row[1]])
+    }
 }
 
-fn tiff(path: &Path) -> Result<Raster, GenError> {
+impl ElevationSource for Raster {
+    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        let among = self.among(longitude, latitude).filter(Among::is_owned)?;
+        self.bilinear_m(among.nearest_px)
+    }
+}
+
+fn tiff(path: &Path, given: Option<Crs>) -> Result<Raster, GenError> {
     let t = geotiff::read(path)?;
     if t.channels != 1 {
         return Err(GenError::invalid(path, format!("TIFF with {} channels is no elevation", t.channels)));
     }
+    let placement = Placement::of_tiff(path, &t, given)?;
     let mut samples: Vec<f32> = match t.samples {
         DecodingResult::U8(v) => v.into_iter().map(f32::from).collect(),
         DecodingResult::U16(v) => v.into_iter().map(f32::from).collect(),
@@ -145,37 +163,15 @@ fn tiff(path: &Path) -> Result<Raster, GenError> {
         _ => return Err(GenError::invalid(path, "TIFF: sample format that is not read")),
     };
     let nodata = t.nodata.map(|n| n as f32);
-    for h in samples.iter_mut().filter(|h| nodata == Some(**h)) {
-        *h = f32::NAN;
+    let metres = t.keys.metres_of_heights().map_err(|reason| GenError::invalid(path, reason))?;
+    for h in &mut samples {
+        // SRTM's void before it is feet, which would make a depth of it that there might be.
+        *h = if nodata == Some(*h) || *h == f32::from(i16::MIN) { f32::NAN } else { (f64::from(*h) * metres) as f32 };
     }
     // A TIFF is expected to know its place; pictures and EXR are not.
-    let (transform, crs) = t
-        .georeference
-        .or_else(|| world_file(path))
+    let placement = placement
         .ok_or_else(|| GenError::invalid(path, "no georeference: neither GeoTIFF tags nor a world file beside it"))?;
-    Ok(Raster { width: t.width, height: t.height, samples, transform, crs })
-}
-
-/// A world file beside the picture, else the default place.
-pub(crate) fn placed(path: &Path) -> (GeoTransform, Crs) {
-    world_file(path).unwrap_or_else(|| {
-        let (origin, pixel) = DEFAULT_PLACE;
-        (GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] }, Crs::Geographic)
-    })
-}
-
-/// The world file beside a picture: .pgw, .wld and the like.
-fn world_file(path: &Path) -> Option<(GeoTransform, Crs)> {
-    for extension in ["pgw", "jgw", "tfw", "wld", "exw"] {
-        let Ok(text) = std::fs::read_to_string(path.with_extension(extension)) else { continue };
-        let n: Vec<f64> = text.split_whitespace().filter_map(|t| t.parse().ok()).collect();
-        if let [a, d, b, e, x, y] = n[..] {
-            let origin = [x - 0.5 * (a + b), y - 0.5 * (d + e)];
-            let crs = if x.abs() <= 180.0 && y.abs() <= 90.0 { Crs::Geographic } else { Crs::WebMercator };
-            return Some((GeoTransform { origin, dx: [a, d], dy: [b, e] }, crs));
-        }
-    }
-    None
+    Ok(Raster { width: t.width, height: t.height, samples, placement })
 }
 
 /// SRTM tiles: big-endian int16, one degree, named by their south-west corner, samples on the edges.
@@ -212,11 +208,20 @@ fn hgt(path: &Path) -> Result<Raster, GenError> {
         .collect();
     let origin = [west - 0.5 * pixel, south + 1.0 + 0.5 * pixel];
     let transform = GeoTransform { origin, dx: [pixel, 0.0], dy: [0.0, -pixel] };
-    Ok(Raster { width: side, height: side, samples, transform, crs: Crs::Geographic })
+    let placement = Placement::new(transform, Crs::Geographic);
+    Ok(Raster { width: side, height: side, samples, placement })
 }
 
-/// Mapbox Terrain-RGB: `h = -10000 + (R * 65536 + G * 256 + B) / 10`.
-fn terrain_rgb(path: &Path) -> Result<Raster, GenError> {
+/// Mapbox Terrain-RGB: `h = -10000 + (R * 65536 + G * 256 + B) / 10`, in 8-bit RGB or RGBA; other PNGs are something
+/// else.
+fn terrain_rgb(path: &Path, given: Option<Crs>) -> Result<Raster, GenError> {
+    if let Some((bits, color)) = png_kind(path)?
+        && !matches!((bits, color), (8, "RGB" | "RGBA"))
+    {
+        let reason =
+            format!("PNG of {bits}-bit {color}: heights are read from terrain-RGB, which is 8-bit RGB or RGBA");
+        return Err(GenError::invalid(path, reason));
+    }
     let file = std::fs::File::open(path).map_err(GenError::file(path))?;
     let reader = image::ImageReader::with_format(BufReader::new(file), image::ImageFormat::Png);
     let image = reader.decode().map_err(|e| GenError::invalid(path, format!("PNG: {e}")))?.into_rgba8();
@@ -228,12 +233,30 @@ fn terrain_rgb(path: &Path) -> Result<Raster, GenError> {
             [r, g, b, _] => (-10_000.0 + 0.1 * (f64::from(r) * 65536.0 + f64::from(g) * 256.0 + f64::from(b))) as f32,
         })
         .collect();
-    let (transform, crs) = placed(path);
-    Ok(Raster { width, height, samples, transform, crs })
+    let placement = Placement::of_picture(path, [width, height], given)?;
+    Ok(Raster { width, height, samples, placement })
+}
+
+/// Bits of a sample (of an index, with a palette) and the colour type, from the IHDR chunk, which is always the first;
+/// `None` where the file ends before them. The decoder tells what it makes of them, not what is there.
+fn png_kind(path: &Path) -> Result<Option<(u8, &'static str)>, GenError> {
+    let mut header = Vec::new();
+    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
+    file.take(26).read_to_end(&mut header).map_err(GenError::file(path))?;
+    let Some(&[bits, color]) = header.get(24..26) else { return Ok(None) };
+    let color = match color {
+        0 => "grey",
+        2 => "RGB",
+        3 => "palette",
+        4 => "grey with alpha",
+        6 => "RGBA",
+        _ => "unknown colour type",
+    };
+    Ok(Some((bits, color)))
 }
 
 /// An EXR's channel Y, or its R, or its only one; metres.
-fn exr(path: &Path) -> Result<Raster, GenError> {
+fn exr(path: &Path, given: Option<Crs>) -> Result<Raster, GenError> {
     use exr::prelude::{ReadChannels as _, ReadLayers as _};
     let bad = |e: String| GenError::invalid(path, format!("EXR: {e}"));
     // The header first: the decoder takes memory for whatever size it says.
@@ -267,6 +290,6 @@ fn exr(path: &Path) -> Result<Raster, GenError> {
     if samples.len() != width * height {
         return Err(bad("subsampled channel".to_owned()));
     }
-    let (transform, crs) = placed(path);
-    Ok(Raster { width, height, samples, transform, crs })
+    let placement = Placement::of_picture(path, [width, height], given)?;
+    Ok(Raster { width, height, samples, placement })
 }

@@ -11,9 +11,12 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use terrane::io::write::{write_glb, write_height_exr};
 
+use crate::args::{MAX_LEVELS, SIZES_M};
 use crate::color::{Painter, TEXELS};
 use crate::grid::{Extent, Grid, QUANTUM_M};
 use crate::imagery::Imagery;
+use crate::mosaic::Mosaic;
+use crate::output::Partial;
 use crate::pyramid::{CELLS, Pyramid, TileKey};
 use crate::{ContentKind, ElevationSource, GenArgs, GenError, Procedural, Raster, Summary, mesh};
 
@@ -22,18 +25,8 @@ const JPEG_QUALITY: u8 = 85;
 const PROCEDURAL_PLACE: [f64; 2] = [8.0, 47.0];
 /// Levels of procedural terrain where none are asked for.
 const PROCEDURAL_LEVELS: u32 = 5;
-const MAX_LEVELS: u32 = 9;
 /// The default set's folder changes with what it holds.
 const DEFAULT_SET: &str = "default-set-2";
-
-/// Several rasters: the first that knows a place wins.
-struct Mosaic(Vec<Raster>);
-
-impl ElevationSource for Mosaic {
-    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
-        self.0.iter().find_map(|r| r.height_m(longitude, latitude))
-    }
-}
 
 /// Makes the small set that `terrane fly` shows by default, once; returns its folder.
 pub fn default_set(folder: &Path) -> Result<PathBuf, GenError> {
@@ -61,7 +54,8 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if occupied {
         may_be_replaced(&out, args)?;
     }
-    if !(args.size.is_finite() && (100.0..=2_000_000.0).contains(&args.size)) {
+    // The command line refuses these before; a program may ask for them all the same.
+    if !SIZES_M.contains(&args.size) {
         return Err(GenError::Argument(format!("--size {} is not within 100 m and 2,000 km", args.size)));
     }
     if args.levels.is_some_and(|l| l == 0 || l > MAX_LEVELS) {
@@ -72,21 +66,9 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         .num_threads(threads)
         .build()
         .map_err(|e| GenError::Argument(format!("--jobs {threads}: {e}")))?;
-    let name = out.file_name().map_or_else(|| "set".into(), |n| n.to_string_lossy().into_owned());
-    let partial = out.with_file_name(format!(".{name}.partial-{}", std::process::id()));
-    let made = pool.install(|| write_set(args, &partial));
-    let mut summary = match made {
-        Ok(summary) => summary,
-        Err(e) => {
-            // What was written so far is of no use; a failure to remove it changes nothing.
-            let _ = std::fs::remove_dir_all(&partial);
-            return Err(e);
-        }
-    };
-    if out.exists() {
-        std::fs::remove_dir_all(&out).map_err(GenError::file(&out))?;
-    }
-    std::fs::rename(&partial, &out).map_err(GenError::file(&out))?;
+    let partial = Partial::beside(&out)?;
+    let mut summary = pool.install(|| write_set(args, partial.path()))?;
+    partial.put_in_place(&out)?;
     summary.out = out;
     summary.seconds = start.elapsed().as_secs_f64();
     Ok(summary)
@@ -115,7 +97,7 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
         let source = Procedural { seed: args.seed, cos_latitude: lat.cos() };
         return Ok((Box::new(source), extent, args.levels.unwrap_or(PROCEDURAL_LEVELS)));
     }
-    let rasters = args.dem.iter().map(|path| Raster::read(path)).collect::<Result<Vec<_>, _>>()?;
+    let rasters = args.dem.iter().map(|path| Raster::read_in(path, args.epsg)).collect::<Result<Vec<_>, _>>()?;
     let mut longitudes: Vec<[f64; 2]> = Vec::new();
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // Smallest step between samples, east and north, radians.
@@ -152,7 +134,7 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
     // Less what rounding adds, so that 513 samples are 512 cells.
     let cells = ((e.east - e.west) / step[0]).max((e.north - e.south) / step[1]) - 1e-6;
     let wanted = ((cells / CELLS as f64).log2().ceil().max(0.0) as u32 + 1).clamp(1, MAX_LEVELS);
-    Ok((Box::new(Mosaic(rasters)), e, args.levels.unwrap_or(wanted)))
+    Ok((Box::new(Mosaic::new(rasters)), e, args.levels.unwrap_or(wanted)))
 }
 
 /// The widest stretch between intervals of longitude where none is.
@@ -174,7 +156,7 @@ fn bar(length: u64, what: &'static str) -> ProgressBar {
 
 fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let (source, extent, levels) = source(args)?;
-    let imagery = args.imagery.as_deref().map(Imagery::read).transpose()?;
+    let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg)).transpose()?;
     if let (Some(picture), Some(path)) = (&imagery, &args.imagery)
         && !picture.covers(&extent)
     {

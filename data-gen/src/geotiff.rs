@@ -8,11 +8,17 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 
 use crate::GenError;
-use crate::dem::GeoTransform;
+use crate::placement::GeoTransform;
 use crate::projection::Crs;
 
 /// Most bytes of one decoded image.
 const MAX_BYTES: usize = 4 << 30;
+
+/// The value of a GeoKey for what EPSG has no code for.
+const USER_DEFINED: u32 = 32767;
+/// Values of GTModelType.
+const PROJECTED: u32 = 1;
+const GEODETIC: u32 = 2;
 
 /// What a TIFF holds: samples, row-major, north row first, channels interleaved.
 pub(crate) struct Tiff {
@@ -22,8 +28,64 @@ pub(crate) struct Tiff {
     pub samples: DecodingResult,
     /// The last channel says what is there of a pixel.
     pub has_alpha: bool,
-    pub georeference: Option<(GeoTransform, Crs)>,
+    pub transform: Option<GeoTransform>,
+    pub keys: GeoKeys,
     pub nodata: Option<f64>,
+}
+
+/// The GeoKeyDirectory.
+pub(crate) struct GeoKeys(Vec<u16>);
+
+impl GeoKeys {
+    /// A key whose value is a number of 16 bits; 0 says that there is none.
+    fn number(&self, id: u16) -> Option<u32> {
+        let mut keys = self.0.chunks_exact(4).skip(1);
+        keys.find(|k| k[0] == id && k[1] == 0).map(|k| u32::from(k[3])).filter(|value| *value != 0)
+    }
+
+    /// The reference system, `given` where only that it is projected is said; `None` where nothing is. The error is the
+    /// reason.
+    pub fn crs(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
+        // GTModelType, ProjectedCRS, GeodeticCRS: the last is only what the projection is of where there is one.
+        let model = self.number(1024);
+        let code = self.number(3072).or_else(|| self.number(2048).filter(|_| model != Some(PROJECTED)));
+        match (code, model) {
+            (Some(code), model) if code != USER_DEFINED => Crs::from_epsg(code)
+                // Any geodetic system in degrees is within a few hundred metres of WGS84 at worst.
+                .or((model == Some(GEODETIC)).then_some(Crs::Geographic))
+                .map(Some)
+                .ok_or_else(|| format!("GeoTIFF: EPSG:{code} is not understood")),
+            (_, Some(GEODETIC)) => Ok(Some(Crs::Geographic)),
+            (None, None) => Ok(None),
+            (_, Some(PROJECTED) | None) if given.is_some() => Ok(given),
+            (_, Some(PROJECTED) | None) => {
+                Err("GeoTIFF: a projection without a code; --epsg CODE names it if it has one".to_owned())
+            }
+            (_, Some(model)) => Err(format!("GeoTIFF: model type {model} is not understood")),
+        }
+    }
+
+    /// Metres in a unit of height; those of the raster's plane are another matter (ProjLinearUnits, 3076). The error is
+    /// the reason.
+    pub fn metres_of_heights(&self) -> Result<f64, String> {
+        const FOOT: f64 = 0.3048;
+        const US_SURVEY_FOOT: f64 = 1200.0 / 3937.0;
+        // VerticalUnits, else what the system in Vertical is in: all of EPSG's that are not listed are in metres.
+        match (self.number(4099), self.number(4096)) {
+            (Some(9001), _) => Ok(1.0),
+            (Some(9002), _) => Ok(FOOT),
+            (Some(9003), _) => Ok(US_SURVEY_FOOT),
+            (Some(unit), _) => Err(format!("GeoTIFF: heights in units of EPSG:{unit}, which is not understood")),
+            (None, Some(6130..=6132 | 8050 | 8228)) => Ok(FOOT),
+            (None, Some(5702 | 6360 | 8052)) => Ok(US_SURVEY_FOOT),
+            // Depths in feet, and those of Ireland of 1936.
+            (None, Some(system @ (5614 | 5754 | 6358 | 6359 | 8051 | 8053 | 8897))) => {
+                Err(format!("GeoTIFF: heights in EPSG:{system}, which is not understood"))
+            }
+            (None, Some(USER_DEFINED)) => Err("GeoTIFF: user-defined heights without a unit".to_owned()),
+            (None, _) => Ok(1.0),
+        }
+    }
 }
 
 pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {
@@ -35,7 +97,8 @@ pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {
     limits.ifd_value_size = 256 << 20;
     let mut decoder = Decoder::new(BufReader::new(file)).map_err(bad)?.with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(bad)?;
-    let georeference = georeference(path, &mut decoder)?;
+    let keys = GeoKeys(decoder.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default());
+    let transform = transform(&mut decoder, &keys);
     let nodata = decoder
         .get_tag_ascii_string(Tag::GdalNodata)
         .ok()
@@ -65,41 +128,26 @@ pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {
     if width == 0 || height == 0 || count % (width * height) != 0 || count == 0 {
         return Err(GenError::invalid(path, format!("TIFF: {count} samples for {width} x {height} pixels")));
     }
-    Ok(Tiff { width, height, channels: count / (width * height), samples, has_alpha, georeference, nodata })
+    Ok(Tiff { width, height, channels: count / (width * height), samples, has_alpha, transform, keys, nodata })
 }
 
-/// The tags ModelPixelScale + ModelTiepoint or ModelTransformation, and the GeoKeys.
-fn georeference<R: std::io::Read + std::io::Seek>(
-    path: &Path,
-    decoder: &mut Decoder<R>,
-) -> Result<Option<(GeoTransform, Crs)>, GenError> {
-    let numbers = |decoder: &mut Decoder<R>, tag| decoder.get_tag_f64_vec(tag).ok();
-    let scale = numbers(decoder, Tag::ModelPixelScaleTag);
-    let tie = numbers(decoder, Tag::ModelTiepointTag);
-    let matrix = numbers(decoder, Tag::ModelTransformationTag);
-    let keys = decoder.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default();
-    let key = |id: u16| keys.chunks_exact(4).skip(1).find(|k| k[0] == id && k[1] == 0).map(|k| u32::from(k[3]));
+/// The tags ModelPixelScale + ModelTiepoint or ModelTransformation.
+fn transform<R: std::io::Read + std::io::Seek>(decoder: &mut Decoder<R>, keys: &GeoKeys) -> Option<GeoTransform> {
+    let mut numbers = |tag| decoder.get_tag_f64_vec(tag).ok();
+    let scale = numbers(Tag::ModelPixelScaleTag);
+    let tie = numbers(Tag::ModelTiepointTag);
+    let matrix = numbers(Tag::ModelTransformationTag);
     let mut transform = match (scale.as_deref(), tie.as_deref(), matrix.as_deref()) {
         (Some([sx, sy, ..]), Some([i, j, _, x, y, ..]), _) => {
             GeoTransform { origin: [x - i * sx, y + j * sy], dx: [*sx, 0.0], dy: [0.0, -sy] }
         }
         (_, _, Some(m)) if m.len() >= 8 => GeoTransform { origin: [m[3], m[7]], dx: [m[0], m[4]], dy: [m[1], m[5]] },
-        _ => return Ok(None),
+        _ => return None,
     };
-    // GTRasterTypeGeoKey: 1 area (the reference is the pixel's corner), 2 point (its centre).
-    if key(1025) == Some(2) {
+    // GTRasterType: 1 area (the reference is the pixel's corner), 2 point (its centre).
+    if keys.number(1025) == Some(2) {
         transform.origin[0] -= 0.5 * (transform.dx[0] + transform.dy[0]);
         transform.origin[1] -= 0.5 * (transform.dx[1] + transform.dy[1]);
     }
-    // ProjectedCSType, else GeographicType, else the model type alone.
-    let code = key(3072).or_else(|| key(2048));
-    let crs = match (code, key(1024)) {
-        (Some(code), model) if code != 32767 => Crs::from_epsg(code)
-            // Any geodetic system in degrees is within a few hundred metres of WGS84 at worst.
-            .or((model == Some(2)).then_some(Crs::Geographic))
-            .ok_or_else(|| GenError::invalid(path, format!("GeoTIFF: EPSG:{code} is not understood")))?,
-        (_, Some(2) | None) => Crs::Geographic,
-        _ => return Err(GenError::invalid(path, "GeoTIFF: user-defined projection")),
-    };
-    Ok(Some((transform, crs)))
+    Some(transform)
 }

@@ -1,13 +1,17 @@
 //! Given imagery: RGB rasters placed on the earth.
 
+use std::f64::consts::TAU;
 use std::path::Path;
 
 use tiff::decoder::DecodingResult;
 
-use crate::dem::{GeoTransform, placed};
 use crate::grid::Extent;
+use crate::placement::Placement;
 use crate::projection::Crs;
 use crate::{GenError, geotiff};
+
+/// Longitudes may be told a turn apart, radians: of a world from 0 to 360 degrees.
+const TURNS: [f64; 3] = [0.0, TAU, -TAU];
 
 /// An RGB picture in memory.
 pub(crate) struct Imagery {
@@ -17,30 +21,30 @@ pub(crate) struct Imagery {
     /// The last channel is 0 where the picture has nothing.
     has_alpha: bool,
     pixels: Vec<u8>,
-    transform: GeoTransform,
-    crs: Crs,
+    placement: Placement,
 }
 
 impl Imagery {
-    pub fn read(path: &Path) -> Result<Self, GenError> {
+    /// Reads a file, in the reference system that is given where it names none of its own.
+    pub fn read(path: &Path, given: Option<Crs>) -> Result<Self, GenError> {
         let is_tiff = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"));
         if is_tiff {
             let t = geotiff::read(path)?;
+            let placement = Placement::of_tiff(path, &t, given)?.unwrap_or_default();
             let DecodingResult::U8(pixels) = t.samples else {
                 return Err(GenError::invalid(path, "imagery must have 8 bits a channel"));
             };
-            let (transform, crs) = t.georeference.unwrap_or_else(|| placed(path));
             let (width, height, channels) = (t.width, t.height, t.channels);
             let has_alpha = t.has_alpha && channels > 1;
-            return Ok(Self { width, height, channels, has_alpha, pixels, transform, crs });
+            return Ok(Self { width, height, channels, has_alpha, pixels, placement });
         }
         let image = image::open(path).map_err(|e| GenError::invalid(path, e.to_string()))?;
-        let (transform, crs) = placed(path);
         let (width, height) = (image.width() as usize, image.height() as usize);
+        let placement = Placement::of_picture(path, [width, height], given)?;
         let has_alpha = image.color().has_alpha();
         let (channels, pixels) =
             if has_alpha { (4, image.into_rgba8().into_raw()) } else { (3, image.into_rgb8().into_raw()) };
-        Ok(Self { width, height, channels, has_alpha, pixels, transform, crs })
+        Ok(Self { width, height, channels, has_alpha, pixels, placement })
     }
 
     /// Whether the picture lies over any of `extent`: places of one are looked for in the other.
@@ -49,20 +53,19 @@ impl Imagery {
         grid.into_iter().any(|[s, t]| {
             let longitude = extent.west + s * (extent.east - extent.west);
             let latitude = extent.south + t * (extent.north - extent.south);
-            let [x, y] = self.transform.at(s * self.width as f64, t * self.height as f64);
-            let [lon, lat] = self.crs.unproject(x, y);
-            let inside = (extent.west..=extent.east).contains(&lon) && (extent.south..=extent.north).contains(&lat);
+            let [lon, lat] = self.placement.place(s * self.width as f64, t * self.height as f64);
+            let is_within = |turn: &f64| (extent.west..=extent.east).contains(&(lon + turn));
+            let inside = TURNS.iter().any(is_within) && (extent.south..=extent.north).contains(&lat);
             inside || self.at(longitude, latitude).is_some()
         })
     }
 
     /// Bilinear sRGB at a place; `None` outside, and where the nearest pixel is transparent.
     pub fn at(&self, longitude: f64, latitude: f64) -> Option<[f64; 3]> {
-        let [c, r] = self.transform.pixel(self.crs.project(longitude, latitude))?;
         let (w, h) = (self.width as f64, self.height as f64);
-        if !(0.0..=w).contains(&c) || !(0.0..=h).contains(&r) {
-            return None;
-        }
+        let is_inside = |[c, r]: &[f64; 2]| (0.0..=w).contains(c) && (0.0..=h).contains(r);
+        let [c, r] =
+            TURNS.iter().find_map(|turn| self.placement.pixel(longitude + turn, latitude).filter(is_inside))?;
         let (x, y) = ((c - 0.5).clamp(0.0, w - 1.0), (r - 0.5).clamp(0.0, h - 1.0));
         let (x0, y0) = (x as usize, y as usize);
         let (x1, y1) = ((x0 + 1).min(self.width - 1), (y0 + 1).min(self.height - 1));
@@ -94,7 +97,7 @@ mod tests {
         let half = |x: u32, _| image::Rgba([10, 20, 30, if x < 2 { 0 } else { 255 }]);
         image::RgbaImage::from_fn(4, 4, half).save(&path).unwrap();
         std::fs::write(path.with_extension("pgw"), "1\n0\n0\n-1\n0.5\n3.5\n").unwrap();
-        let imagery = Imagery::read(&path).unwrap();
+        let imagery = Imagery::read(&path, None).unwrap();
         let at = |longitude: f64| imagery.at(longitude.to_radians(), 2f64.to_radians());
         assert_eq!([at(0.7), at(1.9), at(2.1), at(3.5)].map(|c| c.is_some()), [false, false, true, true]);
         assert_eq!(at(3.5).unwrap(), [10.0, 20.0, 30.0]);

@@ -1,9 +1,12 @@
-//! The quadtree over a grid: level L is every `2^(levels-1-L)`-th sample, so coarse samples are fine samples, bit for bit.
+//! The quadtree over a grid: level L is every `2^(levels-1-L)`-th sample, so coarse samples are fine samples, bit for
+//! bit.
 //!
 //! The error of a tile is measured: the largest height difference between its triangles (diagonal south-west to
-//! north-east) and every sample of the finest level inside it.
+//! north-east) and every sample of the finest level inside it. Triangles are flat and the earth is not: over their
+//! edges it bulges, by metres where samples lie kilometres apart.
 
 use rayon::prelude::*;
+use terrane::math::WGS84;
 
 use crate::grid::{Extent, Grid};
 
@@ -134,6 +137,7 @@ fn measure(grid: &Grid, levels: u32, level: u32, x: usize, y: usize) -> TileFact
     if stride > 1 {
         let step = 1.0 / stride as f64;
         for cj in 0..CELLS {
+            let [bulge_east, bulge_north] = bulges_m(grid, y0 + cj * stride, stride, high.into());
             for ci in 0..CELLS {
                 let (i, j) = (x0 + ci * stride, y0 + cj * stride);
                 let corner = |di: usize, dj: usize| f64::from(at(i + di * stride, j + dj * stride));
@@ -146,7 +150,8 @@ fn measure(grid: &Grid, levels: u32, level: u32, x: usize, y: usize) -> TileFact
                         } else {
                             sw + v * (nw - sw) + u * (ne - nw)
                         };
-                        error = error.max((surface - f64::from(at(i + a, j + b))).abs());
+                        let bulge = bulge_east * u * (1.0 - u) + bulge_north * v * (1.0 - v);
+                        error = error.max((surface - bulge - f64::from(at(i + a, j + b))).abs());
                     }
                 }
             }
@@ -155,10 +160,28 @@ fn measure(grid: &Grid, levels: u32, level: u32, x: usize, y: usize) -> TileFact
     TileFacts { error_m: error, min_height_m: low, max_height_m: high }
 }
 
+/// How far the earth rises over chords through cells of `stride` samples from row `j` on, as the factors of t (1 - t)
+/// from west to east and from south to north. Between the corners of a triangle both add up, at the middle of its
+/// longest side to its length squared by eight radii.
+fn bulges_m(grid: &Grid, j: usize, stride: usize, height_m: f64) -> [f64; 2] {
+    let (e, cells) = (grid.extent, (grid.side - 1) as f64);
+    let (d_lon, d_lat) = ((e.east - e.west) / cells * stride as f64, (e.north - e.south) / cells * stride as f64);
+    let south = e.south + (e.north - e.south) * (j as f64 / cells);
+    // Where the cells are widest.
+    let latitude = 0f64.clamp(south.min(south + d_lat), south.max(south + d_lat));
+    let east_radius = WGS84.prime_vertical_radius_m(latitude);
+    let flatter = 1.0 - WGS84.eccentricity_squared() * latitude.sin().powi(2);
+    let north_radius = east_radius * (1.0 - WGS84.eccentricity_squared()) / flatter;
+    let east = (east_radius + height_m) * (latitude.cos() * d_lon).powi(2);
+    let north = (north_radius + height_m) * d_lat.powi(2);
+    [0.5 * east, 0.5 * north]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::{ElevationSource, Procedural};
+    use terrane::math::Geodetic;
 
     fn pyramid() -> Pyramid {
         let source = Procedural { seed: 7, cos_latitude: 0.68 };
@@ -186,37 +209,69 @@ mod tests {
         }
     }
 
+    /// The farthest that a tile's triangles, flat between places on the earth, are above or below the finest samples.
+    fn farthest_m(p: &Pyramid, key: TileKey) -> f64 {
+        let s = p.stride(key.level);
+        let (first, e) = ([key.x, key.y].map(|t| t as usize * CELLS * s), p.grid.extent);
+        let cells = (p.grid.side - 1) as f64;
+        let at = |i: usize, j: usize| Geodetic {
+            longitude: e.west + (e.east - e.west) * (first[0] + i) as f64 / cells,
+            latitude: e.south + (e.north - e.south) * (first[1] + j) as f64 / cells,
+            height_m: p.grid.heights[(first[1] + j) * p.grid.side + first[0] + i].into(),
+        };
+        let mut worst = 0.0f64;
+        for fj in 0..=CELLS * s {
+            for fi in 0..=CELLS * s {
+                let (i, j) = ((fi / s).min(CELLS - 1) * s, (fj / s).min(CELLS - 1) * s);
+                let other = if fi - i >= fj - j { at(i + s, j) } else { at(i, j + s) };
+                let [a, b, c] = [at(i, j), other, at(i + s, j + s)].map(|g| WGS84.ecef(&g));
+                let (place, normal) = (at(fi, fj), (b - a).cross(c - a));
+                let up = WGS84.ecef_from_enu(&place).matrix3.z_axis;
+                worst = worst.max((normal.dot(a - WGS84.ecef(&place)) / normal.dot(up)).abs());
+            }
+        }
+        worst
+    }
+
     #[test]
     fn errors_are_what_brute_force_finds_and_never_below_a_child() {
         let p = pyramid();
         for key in p.keys().filter(|k| k.level + 1 < p.levels) {
-            let s = p.stride(key.level);
-            let mut worst = 0.0f64;
-            for fj in 0..=64 * s {
-                for fi in 0..=64 * s {
-                    let (ci, cj) = ((fi / s).min(63), (fj / s).min(63));
-                    let (u, v) = ((fi - ci * s) as f64 / s as f64, (fj - cj * s) as f64 / s as f64);
-                    let h = |i: usize, j: usize| f64::from(p.height_m(key, i as i64, j as i64));
-                    let (sw, ne) = (h(ci, cj), h(ci + 1, cj + 1));
-                    // Barycentric, the other way round than the measured one.
-                    let surface = if u >= v {
-                        sw * (1.0 - u) + h(ci + 1, cj) * (u - v) + ne * v
-                    } else {
-                        sw * (1.0 - v) + h(ci, cj + 1) * (v - u) + ne * u
-                    };
-                    let (gi, gj) = (key.x as usize * 64 * s + fi, key.y as usize * 64 * s + fj);
-                    worst = worst.max((surface - f64::from(p.grid.heights[gj * p.grid.side + gi])).abs());
-                }
-            }
-            let mut expected = worst;
+            let mut expected = farthest_m(&p, key);
             for (cx, cy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                 let child = TileKey { level: key.level + 1, x: 2 * key.x + cx, y: 2 * key.y + cy };
                 assert!(p.facts(key).error_m >= p.facts(child).error_m);
                 expected = expected.max(p.facts(child).error_m);
             }
-            assert!((p.facts(key).error_m - expected).abs() < 1e-9, "{key:?}");
+            // Triangles of places on the earth are not quite triangles in longitude and latitude.
+            assert!((p.facts(key).error_m - expected).abs() < 0.005, "{key:?} {} {expected}", p.facts(key).error_m);
         }
         let errors = p.level_errors_m();
         assert!(errors.windows(2).all(|w| w[0] > w[1] && w[0] >= 1.5 * w[1]), "{errors:?}");
+    }
+
+    struct Flat;
+
+    impl ElevationSource for Flat {
+        fn height_m(&self, _: f64, _: f64) -> Option<f64> {
+            Some(1000.0)
+        }
+    }
+
+    /// Sets of several degrees had no error where the land is flat, and bent by metres from level to level.
+    #[test]
+    fn errors_hold_the_bulge_of_the_earth() {
+        for (south, wide) in [(-2.0f64, 5.0f64), (44.0, 6.0), (70.0, 10.0)] {
+            let [west, south, east, north] = [10.0, south, 10.0 + wide, south + 4.0].map(f64::to_radians);
+            let p = Pyramid::new(Grid::sample(&Flat, Extent { west, south, east, north }, 257), 3);
+            for key in p.keys().filter(|k| k.level + 1 < p.levels) {
+                let (error, brute) = (p.facts(key).error_m, farthest_m(&p, key));
+                assert!(error > 0.99 * brute && error < 1.02 * brute + 0.01, "{key:?} {error} {brute}");
+            }
+            let latitude = if south < 0.0 { 0.0 } else { south };
+            let diagonal = ((east - west) / 64.0 * latitude.cos()).hypot((north - south) / 64.0) * 6_371_000.0;
+            let error = p.facts(TileKey { level: 0, x: 0, y: 0 }).error_m;
+            assert!((error / (diagonal * diagonal / (8.0 * 6_371_000.0)) - 1.0).abs() < 0.02, "{error}");
+        }
     }
 }

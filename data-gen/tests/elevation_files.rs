@@ -8,8 +8,8 @@ use std::fs;
 use std::path::Path;
 
 use files::{
-    PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_uint16, tile_heights,
-    tileset,
+    PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_int16_keyed, tiff_uint16,
+    tile_heights, tileset,
 };
 use terrane::io::write::write_height_exr;
 use terrane_data_gen::{GenArgs, GenError, Summary, run};
@@ -97,6 +97,46 @@ fn voids_are_filled_from_around_and_counted() {
     assert!(filled.iter().all(|f| *f == filled[0]), "{filled:?}");
 }
 
+/// Feet were read as metres.
+#[test]
+fn heights_in_feet_become_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut h = heights();
+    h[500] = -32768.0;
+    let (foot, us_foot) = (0.3048, 1200.0 / 3937.0);
+    // VerticalUnits 4099, Vertical 4096; ProjLinearUnits 3076 is of the plane.
+    for (k, (more, metres)) in [
+        (vec![[4099, 9001]], 1.0),
+        (vec![[4099, 9002]], foot),
+        (vec![[4096, 5703], [4099, 9003]], us_foot),
+        (vec![[4096, 6360]], us_foot),
+        (vec![[4096, 8228]], foot),
+        (vec![[4096, 6360], [4099, 9001]], 1.0),
+        (vec![[4096, 5773]], 1.0),
+        (vec![[3076, 9002]], 1.0),
+        (vec![[3076, 9001], [4096, 32767], [4099, 9002]], foot),
+        (vec![[4096, 0], [4099, 0]], 1.0),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let args = from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_keyed(&h, Some(PLACE), &more));
+        let expected = corners(&h, SIDE as usize).map(|h| (f64::from(h) * metres) as f32);
+        let summary = lands(&args, PLACE.bounds(), Some(expected));
+        assert!(summary.min_height_m > 190.0 * metres, "{more:?}: a void is no depth, {summary}");
+    }
+    for (more, why) in [
+        (vec![[4099, 9014]], "EPSG:9014"),
+        (vec![[4096, 5703], [4099, 32767]], "EPSG:32767"),
+        (vec![[4096, 8053]], "EPSG:8053"),
+        (vec![[4096, 32767]], "without a unit"),
+    ] {
+        let args = from_dem(folder.path(), "other.tif", &tiff_int16_keyed(&h, Some(PLACE), &more));
+        let error = refused(&args, &args.dem[0], why);
+        assert!(matches!(error, GenError::Invalid { .. }), "{error:?}");
+    }
+}
+
 #[test]
 fn srtm_hgt_lands_by_its_name() {
     let folder = tempfile::tempdir().unwrap();
@@ -134,6 +174,72 @@ fn pictures_of_heights_land_by_their_world_file() {
     }
 }
 
+/// Any PNG was read as terrain-RGB: a 16-bit grey one became heights around 100 km below the ground.
+#[test]
+fn pictures_that_are_no_terrain_rgb_are_refused() {
+    use image::ExtendedColorType as Color;
+    let folder = tempfile::tempdir().unwrap();
+    let png = |color: Color, bytes: usize| {
+        let mut png = Vec::new();
+        let encoder = image::codecs::png::PngEncoder::new(&mut png);
+        let samples: Vec<u8> = (0..bytes).map(|k| [1, 140][k % 2]).collect();
+        image::ImageEncoder::write_image(encoder, &samples, 8, 8, color).unwrap();
+        png
+    };
+    // 2 x 2 pixels of a palette with two colours.
+    let palette = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x02\0\0\0\x02\x08\x03\0\0\0\x45\x68\xfd\x16".to_vec();
+    for (name, bytes, why) in [
+        ("grey.png", png(Color::L8, 64), "8-bit grey:"),
+        ("grey-alpha.png", png(Color::La8, 128), "8-bit grey with alpha:"),
+        ("grey16.png", png(Color::L16, 128), "16-bit grey:"),
+        ("rgb16.png", png(Color::Rgb16, 384), "16-bit RGB:"),
+        ("rgba16.png", png(Color::Rgba16, 512), "16-bit RGBA:"),
+        ("palette.png", palette, "8-bit palette:"),
+    ] {
+        let args = from_dem(folder.path(), name, &bytes);
+        let error = refused(&args, &args.dem[0], why);
+        assert!(matches!(error, GenError::Invalid { .. }), "{error:?}");
+    }
+    for (name, bytes) in [("rgb.png", png(Color::Rgb8, 192)), ("rgba.png", png(Color::Rgba8, 256))] {
+        run(&from_dem(folder.path(), name, &bytes)).unwrap();
+    }
+}
+
+/// What lay beyond 180 degrees as a whole lay nowhere on the earth.
+#[test]
+fn longitudes_beyond_the_date_line_are_those_of_the_other_side() {
+    let folder = tempfile::tempdir().unwrap();
+    let h = heights();
+    let (wide, [_, dy]) = (0.001 * f64::from(SIDE - 1), PLACE.pixel_deg);
+    let low = 46.5 - dy * f64::from(SIDE - 1);
+    for (name, west, expected) in [
+        ("190.tif", 190.0, -170.0),
+        ("-190.tif", -190.0, 170.0),
+        ("180.tif", 180.0, -180.0),
+        ("to-180.tif", 180.0 - wide, 180.0 - wide),
+        ("359.tif", 359.0, -1.0),
+    ] {
+        let place = Place { tie_deg: [west, 46.5], point: true, ..PLACE };
+        let bounds = [expected, low, expected + wide, 46.5].map(f64::to_radians);
+        let args = from_dem(folder.path(), name, &tiff_int16(&h, Some(place), None));
+        lands(&args, bounds, Some(corners(&h, SIDE as usize)));
+        // A picture of the whole world from 0 to 360 degrees is no less there.
+        let imagery = folder.path().join("world.png");
+        image::RgbImage::from_pixel(8, 4, image::Rgb([250, 10, 10])).save(&imagery).unwrap();
+        fs::write(imagery.with_extension("pgw"), "45\n0\n0\n-45\n22.5\n67.5\n").unwrap();
+        run(&GenArgs { imagery: Some(imagery), overwrite: true, ..args }).unwrap();
+    }
+    for (name, west, why) in [
+        ("across.tif", 179.99, "reaches across the date line"),
+        ("across-too.tif", -180.01, "reaches across the date line"),
+        ("far.tif", 3600.0, "nowhere on the earth"),
+    ] {
+        let place = Place { tie_deg: [west, 46.5], ..PLACE };
+        let args = from_dem(folder.path(), name, &tiff_int16(&h, Some(place), None));
+        refused(&args, &args.dem[0], why);
+    }
+}
+
 #[test]
 fn several_files_are_one_set() {
     let folder = tempfile::tempdir().unwrap();
@@ -150,6 +256,36 @@ fn several_files_are_one_set() {
     let row = &tile[30 * files::TILE_SIDE..31 * files::TILE_SIDE];
     let low = row[1..66].iter().filter(|h| **h == 100.0).count();
     assert!((36..=38).contains(&low), "{low}");
+}
+
+/// Between the outermost samples of neighbours each file's own went on for half a pixel.
+#[test]
+fn files_cut_from_one_are_the_same_set() {
+    let folder = tempfile::tempdir().unwrap();
+    let (n, pixel, h) = (SIDE as usize, 0.001, heights());
+    let part = |name: &str, first: [usize; 2], side: usize| {
+        let samples = (0..side * side).map(|k| h[(first[1] + k / side) * n + first[0] + k % side]).collect();
+        let (west, north) = (7.0 + pixel * first[0] as f64, 46.0 - pixel * first[1] as f64);
+        fs::write(
+            folder.path().join(name).with_extension("wld"),
+            format!("{pixel}\n0\n0\n-{pixel}\n{west}\n{north}\n"),
+        )
+        .unwrap();
+        from_dem(folder.path(), name, &write_height_exr("test", side, samples).unwrap())
+    };
+    let whole = part("whole.exr", [0, 0], n);
+    let mut parts = part("south-east.exr", [n / 2, n / 2], n / 2);
+    for (name, first) in [("a.exr", [0, n / 2]), ("b.exr", [n / 2, 0]), ("c.exr", [0, 0])] {
+        parts.dem.extend(part(name, first, n / 2).dem);
+    }
+    run(&whole).unwrap();
+    assert_eq!(run(&parts).unwrap().filled_samples, 0);
+    for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+        let pairs = tile_heights(&whole.out, 1, x, y).into_iter().zip(tile_heights(&parts.out, 1, x, y));
+        // A quantum apart by rounding.
+        let apart = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(apart < 0.01, "{apart} m");
+    }
 }
 
 /// The one error of a run, which must name `file` and say `why` in one line; no output may be left.

@@ -45,6 +45,19 @@ fn encode<C: ColorType>(samples: &[C::Inner], place: Option<Place>, nodata: Opti
 where
     [C::Inner]: tiff::encoder::TiffValue,
 {
+    encode_keyed::<C>(samples, place, nodata, &[])
+}
+
+/// With GeoKeys besides, each an id and its value.
+fn encode_keyed<C: ColorType>(
+    samples: &[C::Inner],
+    place: Option<Place>,
+    nodata: Option<&str>,
+    more: &[[u16; 2]],
+) -> Vec<u8>
+where
+    [C::Inner]: tiff::encoder::TiffValue,
+{
     let mut bytes = Cursor::new(Vec::new());
     let mut tiff = TiffEncoder::new(&mut bytes).unwrap();
     let mut image = tiff.new_image::<C>(SIDE, SIDE).unwrap();
@@ -52,16 +65,24 @@ where
         let scale = [p.pixel_deg[0], p.pixel_deg[1], 0.0];
         let tie = [p.tie_px[0], p.tie_px[1], 0.0, p.tie_deg[0], p.tie_deg[1], 0.0];
         let raster_type = if p.point { 2 } else { 1 };
-        let keys: [u16; 16] = [1, 1, 0, 3, 1024, 0, 1, 2, 1025, 0, 1, raster_type, 2048, 0, 1, 4326];
+        let keys = geo_keys(&[&[[1024, 2], [1025, raster_type], [2048, 4326]], more].concat());
         image.encoder().write_tag(Tag::ModelPixelScaleTag, &scale[..]).unwrap();
         image.encoder().write_tag(Tag::ModelTiepointTag, &tie[..]).unwrap();
         image.encoder().write_tag(Tag::GeoKeyDirectoryTag, &keys[..]).unwrap();
+    } else if !more.is_empty() {
+        image.encoder().write_tag(Tag::GeoKeyDirectoryTag, &geo_keys(more)[..]).unwrap();
     }
     if let Some(nodata) = nodata {
         image.encoder().write_tag(Tag::GdalNodata, nodata).unwrap();
     }
     image.write_data(samples).unwrap();
     bytes.into_inner()
+}
+
+/// GeoTIFF's GeoKeyDirectory of ids and their values.
+pub fn geo_keys(keys: &[[u16; 2]]) -> Vec<u16> {
+    let entries = keys.iter().flat_map(|[id, value]| [*id, 0, 1, *value]);
+    [1, 1, 0, keys.len() as u16].into_iter().chain(entries).collect()
 }
 
 /// Heights of a slope with a bump: whole metres, 200 to about 900.
@@ -78,6 +99,12 @@ pub fn heights() -> Vec<f32> {
 pub fn tiff_int16(heights: &[f32], place: Option<Place>, nodata: Option<&str>) -> Vec<u8> {
     let samples: Vec<i16> = heights.iter().map(|h| *h as i16).collect();
     encode::<GrayI16>(&samples, place, nodata)
+}
+
+/// With GeoKeys besides those of the place, each an id and its value.
+pub fn tiff_int16_keyed(heights: &[f32], place: Option<Place>, more: &[[u16; 2]]) -> Vec<u8> {
+    let samples: Vec<i16> = heights.iter().map(|h| *h as i16).collect();
+    encode_keyed::<GrayI16>(&samples, place, None, more)
 }
 
 pub fn tiff_uint16(heights: &[f32], place: Option<Place>, nodata: Option<&str>) -> Vec<u8> {

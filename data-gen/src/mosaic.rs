@@ -1,0 +1,202 @@
+//! Several rasters as one elevation: the first that knows a place wins, and between neighbours there is no step.
+
+use crate::{ElevationSource, Raster};
+
+/// Rasters in the order in which they are asked.
+pub(crate) struct Mosaic {
+    rasters: Vec<Raster>,
+    /// A column's step east and a row's step north in radians, of each; `None` for rasters that lie on their side.
+    steps: Vec<Option<[f64; 2]>>,
+}
+
+/// A raster beside a place that lies between rasters.
+#[derive(Clone, Copy)]
+struct Neighbor {
+    /// At the nearest place between its outermost sample centres, metres.
+    height_m: f64,
+    /// From there to the place asked for, east and north, radians.
+    beyond: [f64; 2],
+    /// Of a pixel.
+    step: [f64; 2],
+}
+
+impl Mosaic {
+    pub fn new(rasters: Vec<Raster>) -> Self {
+        let steps = rasters.iter().map(Raster::steps).collect();
+        Self { rasters, steps }
+    }
+
+    /// A place between the outermost sample centres of neighbours: what is nearest in each of the four quarters around
+    /// it counts by its distance along both axes. Between files of one grid that is what a single file of it gives.
+    fn between(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        let owns = |r: &&Raster| r.among(longitude, latitude).is_some_and(|p| p.is_owned());
+        let mut owner = None;
+        for (k, raster) in self.rasters.iter().enumerate().filter(|(_, r)| owns(r)) {
+            let Some(neighbor) = self.neighbor(k, longitude, latitude) else {
+                match raster.height_m(longitude, latitude) {
+                    Some(height_m) => return Some(height_m),
+                    None => continue,
+                }
+            };
+            owner = Some(neighbor);
+            break;
+        }
+        let owner = owner?;
+        // South-west, south-east, north-west, north-east of the place.
+        let mut quarters: [Option<Neighbor>; 4] = [None; 4];
+        for n in (0..self.rasters.len()).filter_map(|k| self.neighbor(k, longitude, latitude)) {
+            // What lies between the centres of files that touch: half a pixel of each, and a hair.
+            let touches = (0..2).all(|axis| {
+                let gap = (n.beyond[axis] - owner.beyond[axis]).abs();
+                n.beyond[axis] == 0.0 || gap <= 0.505 * (n.step[axis].abs() + owner.step[axis].abs())
+            });
+            for (q, quarter) in quarters.iter_mut().enumerate().filter(|_| touches) {
+                // The place lies east of what is west of it.
+                let signs = [if q & 1 == 0 { 1.0 } else { -1.0 }, if q & 2 == 0 { 1.0 } else { -1.0 }];
+                let is_there = (0..2).all(|axis| n.beyond[axis] * signs[axis] >= 0.0);
+                let far = |n: &Neighbor| n.beyond[0].abs() + n.beyond[1].abs();
+                if is_there && quarter.is_none_or(|other| far(&n) < far(&other)) {
+                    *quarter = Some(n);
+                }
+            }
+        }
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for (q, quarter) in quarters.iter().enumerate() {
+            let Some(n) = quarter else { continue };
+            let share = |axis: usize| {
+                // The quarter opposite along the axis, else the one across the corner.
+                let Some(opposite) = quarters[q ^ (1 << axis)].or(quarters[q ^ 3]) else { return 1.0 };
+                let (own, other) = (n.beyond[axis].abs(), opposite.beyond[axis].abs());
+                if own + other > 0.0 { other / (own + other) } else { 0.5 }
+            };
+            let weight = share(0) * share(1);
+            sum += weight * n.height_m;
+            weights += weight;
+        }
+        (weights > 1e-6).then(|| sum / weights)
+    }
+
+    /// A raster beside a place; `None` where it knows nothing or lies on its side.
+    fn neighbor(&self, k: usize, longitude: f64, latitude: f64) -> Option<Neighbor> {
+        let step = self.steps[k]?;
+        let among = self.rasters[k].among(longitude, latitude)?;
+        let height_m = self.rasters[k].bilinear_m(among.nearest_px)?;
+        Some(Neighbor { height_m, beyond: [0, 1].map(|axis| among.beyond_px[axis] * step[axis]), step })
+    }
+}
+
+impl ElevationSource for Mosaic {
+    fn height_m(&self, longitude: f64, latitude: f64) -> Option<f64> {
+        if let [one] = &self.rasters[..] {
+            return one.height_m(longitude, latitude);
+        }
+        let inside = self.rasters.iter().find_map(|raster| {
+            let among = raster.among(longitude, latitude).filter(|p| p.beyond_px == [0.0; 2])?;
+            raster.bilinear_m(among.nearest_px)
+        });
+        inside.or_else(|| self.between(longitude, latitude))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use terrane::io::write::write_height_exr;
+
+    /// Rasters of heights by longitude and latitude in degrees: west and north edge and pixel of each, `side` pixels.
+    fn mosaic(height: impl Fn(f64, f64) -> f64, places: &[([f64; 2], f64, usize)]) -> Mosaic {
+        let folder = tempfile::tempdir().unwrap();
+        let read = |&([west, north], pixel, side): &([f64; 2], f64, usize)| {
+            let center = |k: usize| (k as f64 + 0.5) * pixel;
+            let at = |k: usize| height(west + center(k % side), north - center(k / side)) as f32;
+            let path = folder.path().join("a.exr");
+            std::fs::write(&path, write_height_exr("test", side, (0..side * side).map(at).collect()).unwrap()).unwrap();
+            let world = format!("{pixel}\n0\n0\n-{pixel}\n{}\n{}\n", west + center(0), north - center(0));
+            std::fs::write(path.with_extension("wld"), world).unwrap();
+            Raster::read(&path).unwrap()
+        };
+        Mosaic::new(places.iter().map(read).collect())
+    }
+
+    fn at(source: &Mosaic, longitude: f64, latitude: f64) -> Option<f64> {
+        source.height_m(longitude.to_radians(), latitude.to_radians())
+    }
+
+    fn bumps(x: f64, y: f64) -> f64 {
+        500.0 + 90.0 * (3.0 * x).sin() * (4.0 * y).cos() + 20.0 * x
+    }
+
+    #[test]
+    fn files_of_one_grid_are_one_file() {
+        let whole = mosaic(bumps, &[([8.0, 44.0], 0.25, 16)]);
+        let mut quarters = [[8.0, 44.0], [10.0, 44.0], [8.0, 42.0], [10.0, 42.0]].map(|corner| (corner, 0.25, 8));
+        for _ in 0..4 {
+            quarters.rotate_left(1);
+            let parts = mosaic(bumps, &quarters);
+            for j in 0..=97 {
+                for i in 0..=97 {
+                    let (x, y) = (8.0 + 4.0 * f64::from(i) / 97.0, 40.0 + 4.0 * f64::from(j) / 97.0);
+                    let (a, b) = (at(&whole, x, y).unwrap(), at(&parts, x, y).unwrap());
+                    assert!((a - b).abs() < 1e-3, "{x} {y}: {b}, not {a}");
+                }
+            }
+        }
+    }
+
+    /// The steepest way between places a thousandth of a degree apart.
+    fn steepest(source: &Mosaic, from: [f64; 2], to: [f64; 2]) -> f64 {
+        let steps = ((to[0] - from[0]).hypot(to[1] - from[1]) / 0.001).ceil();
+        let line = (0..=steps as usize).map(|k| {
+            let t = k as f64 / steps;
+            at(source, from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1])).unwrap()
+        });
+        let heights: Vec<f64> = line.collect();
+        heights.windows(2).map(|w| (w[1] - w[0]).abs()).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn coarse_and_fine_files_meet_without_a_step() {
+        // One tall coarse file, two fine ones beside it, and a plane, which stays one.
+        let places = [([8.0, 44.0], 0.25, 16), ([12.0, 44.0], 0.1, 20), ([12.0, 42.0], 0.1, 20)];
+        for order in [[0, 1, 2], [2, 0, 1], [1, 2, 0]] {
+            let places = order.map(|k| places[k]);
+            let plane = mosaic(|x, _| 3.0 * x + 40.0, &places);
+            for k in 0..400 {
+                let (x, y) = (11.5 + 0.0025 * f64::from(k), 41.013 + 0.003 * f64::from(k));
+                assert!((at(&plane, x, y).unwrap() - (3.0 * x + 40.0)).abs() < 1e-4, "{x} {y}, {order:?}");
+            }
+            let rough = mosaic(bumps, &places);
+            for y in [40.3, 41.9, 41.96, 42.0, 42.03, 43.7] {
+                assert!(steepest(&rough, [11.0, y], [13.0, y]) < 1.0, "{y}, {order:?}");
+            }
+            for x in [11.9, 12.0, 12.02, 12.5] {
+                assert!(steepest(&rough, [x, 41.0], [x, 43.0]) < 1.0, "{x}, {order:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn files_that_meet_at_a_corner_or_not_at_all_end_at_their_own_edges() {
+        let corner =
+            mosaic(|x, _| if x < 10.0 { 100.0 } else { 300.0 }, &[([8.0, 44.0], 0.25, 8), ([10.0, 42.0], 0.25, 8)]);
+        assert!(at(&corner, 10.01, 42.5).is_none() && at(&corner, 9.99, 41.5).is_none());
+        assert_eq!(at(&corner, 9.99, 42.5), Some(100.0));
+        assert!(steepest(&corner, [9.5, 42.02], [9.999, 42.02]) < 4.0);
+        assert!(steepest(&corner, [9.5, 42.5], [10.5, 41.5]) < 4.0);
+        let apart =
+            mosaic(|x, _| if x < 10.0 { 100.0 } else { 300.0 }, &[([8.0, 44.0], 0.25, 8), ([10.2, 44.0], 0.25, 8)]);
+        assert_eq!([9.99, 10.1, 10.21].map(|x| at(&apart, x, 43.0)), [Some(100.0), None, Some(300.0)]);
+    }
+
+    #[test]
+    fn the_first_wins_where_files_overlap() {
+        let mut first = mosaic(|_, _| 100.0, &[([8.0, 44.0], 0.25, 8)]);
+        let second = mosaic(|_, _| 300.0, &[([9.0, 44.0], 0.25, 8)]);
+        first.rasters.extend(second.rasters);
+        first.steps.extend(second.steps);
+        assert_eq!(
+            [8.5, 9.5, 9.87, 9.88, 10.5].map(|x| at(&first, x, 43.0).unwrap()),
+            [100.0, 100.0, 100.0, 300.0, 300.0]
+        );
+    }
+}

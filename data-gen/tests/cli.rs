@@ -1,0 +1,57 @@
+//! The program `terrane-gen`: exit codes, and an output that takes nothing.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+fn terrane_gen(out: &Path, args: &[&str], stdout: Stdio) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
+    command.arg(out).args(args).stdout(stdout).stderr(Stdio::piped()).spawn().unwrap().wait_with_output().unwrap()
+}
+
+#[test]
+fn wrong_values_are_wrong_usage() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("set");
+    for args in [
+        ["--size", "5"],
+        ["--size", "nan"],
+        ["--size", "3e9"],
+        ["--levels", "0"],
+        ["--levels", "10"],
+        ["--epsg", "2056"],
+        ["--epsg", "utm"],
+        ["--content", "stones"],
+    ] {
+        let output = terrane_gen(&out, &args, Stdio::piped());
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {text}");
+        assert!(text.contains(args[0]) && text.contains(args[1]), "{args:?}: {text}");
+    }
+    let output = terrane_gen(&out, &["--dem", "none.tif"], Stdio::piped());
+    assert_eq!(output.status.code(), Some(1), "what is asked for well and fails");
+    assert!(!out.exists());
+    let output = terrane_gen(&out, &["--size", "100", "--levels", "1", "--epsg", "32632"], Stdio::piped());
+    assert_eq!(output.status.code(), Some(0));
+    assert!(String::from_utf8(output.stdout).unwrap().starts_with("1 tiles on 1 levels"));
+}
+
+/// Both were a panic.
+#[test]
+fn an_output_that_takes_nothing_is_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let output = terrane_gen(&folder.path().join("a"), &["--levels", "1"], writer.into());
+    assert_eq!((output.status.code(), output.stderr), (Some(0), Vec::new()), "nobody reads it: a quiet end");
+    #[cfg(target_os = "linux")]
+    {
+        let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+        let output = terrane_gen(&folder.path().join("b"), &["--levels", "1"], full.into());
+        let text = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        assert!(text.starts_with("terrane-gen: standard output: ") && text.lines().count() == 1, "{text}");
+        assert!(folder.path().join("b/tileset.json").is_file());
+    }
+}
