@@ -80,7 +80,7 @@ pub struct FlyArgs {
     #[arg(long, value_name = "MODEL", default_value = "AutomaticSelection")]
     pub threading: ThreadingModel,
     /// Load what the camera will lack in so many seconds, after all that it lacks now; 0: nothing [default: 1]
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
     pub look_ahead: Option<f64>,
     /// Do not wait for the screen (window only); pictures may tear
     #[arg(long)]
@@ -110,7 +110,7 @@ pub struct FlyArgs {
     #[arg(long, value_name = "RRGGBB")]
     pub background: Option<Rgb>,
     /// A sea at this height above the ellipsoid, metres
-    #[arg(long, value_name = "M", allow_hyphen_values = true)]
+    #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = finite)]
     pub water: Option<f32>,
     /// Shadows of the sun
     #[arg(long)]
@@ -123,7 +123,7 @@ pub struct FlyArgs {
     #[arg(long, value_name = "MODE")]
     pub stereo: Option<StereoMode>,
     /// Samples a pixel, 1 or 4: smooth edges
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=4))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = samples)]
     pub samples: u32,
     /// Show the stats overlay from the start (window only)
     #[arg(long)]
@@ -266,31 +266,31 @@ pub enum Bench {
     /// Scene to render stages, without a GPU
     Cull {
         /// Shortest time to measure each case, seconds
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
     /// The walk of a tile tree, without a GPU
     Tiles {
         /// Shortest time to measure each case, seconds
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
     /// Lines through a terrain of a million triangles, without a GPU
     Pick {
         /// Shortest time to measure each case, seconds
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
     /// Render stages to the adapter that does nothing: the processor's time per leaf
     Submit {
         /// Shortest time to measure each case, seconds
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
     /// Whole frames of 64 x 64 pixels with the software driver
     Frame {
         /// Shortest time to measure each case, seconds
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
         /// Hand the adapter what lies between pixels too
         #[arg(long)]
@@ -299,13 +299,13 @@ pub enum Bench {
     /// What each threading model makes of update, cull and draw
     Threading {
         /// Shortest time to measure each case, seconds
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
     /// What equal contents share, and what looking for them costs
     Share {
         /// Shortest time to decode each set, seconds
-        #[arg(long, default_value_t = 10.0)]
+        #[arg(long, default_value_t = 10.0, value_parser = secs)]
         secs: f64,
     },
     /// A pager with many pages while nothing changes
@@ -314,16 +314,16 @@ pub enum Bench {
         #[arg(long, default_value_t = 100_000)]
         tiles: usize,
         /// Shortest time to measure each case, seconds
-        #[arg(long, default_value_t = 1.0)]
+        #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
     },
     /// Files to merged pages
     Page {
         /// Frames of the flight
-        #[arg(long, default_value_t = 1200)]
+        #[arg(long, default_value_t = 1200, value_parser = clap::value_parser!(u32).range(1..))]
         frames: u32,
         /// Frames a second; 0 for as many as go
-        #[arg(long, default_value_t = 60.0)]
+        #[arg(long, default_value_t = 60.0, value_parser = pace)]
         pace: f64,
         /// Draw each frame too
         #[arg(long)]
@@ -341,7 +341,7 @@ pub enum Bench {
         #[arg(long, value_name = "M_PER_S")]
         speed: Option<Positive>,
         /// Load what the announced path will want in so many seconds; the peers cannot
-        #[arg(long, value_name = "SECONDS", default_value = "0")]
+        #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = not_negative)]
         look_ahead: f64,
         /// Nothing is announced: look ahead where the eye's motion goes on to
         #[arg(long)]
@@ -423,6 +423,40 @@ impl FromStr for NotNegative {
             _ => Err("expected a number that is not below zero".to_owned()),
         }
     }
+}
+
+/// Longest time that a case may be measured.
+const MOST_SECS: f64 = 3600.0;
+
+/// A number from 0 on.
+pub fn not_negative(text: &str) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|n: &f64| n.is_finite() && *n >= 0.0);
+    number.ok_or_else(|| "no number from 0 on".to_owned())
+}
+
+/// A part of all: 0 to 1.
+pub fn share(text: &str) -> Result<f64, String> {
+    not_negative(text).ok().filter(|n| *n <= 1.0).ok_or_else(|| "no number from 0 to 1".to_owned())
+}
+
+/// Time to measure for.
+fn secs(text: &str) -> Result<f64, String> {
+    let secs = not_negative(text).ok().filter(|n| *n <= MOST_SECS);
+    secs.ok_or_else(|| format!("no number of seconds from 0 to {MOST_SECS}"))
+}
+
+/// Frames a second; 0 for no pace.
+fn pace(text: &str) -> Result<f64, String> {
+    let pace = not_negative(text).ok().filter(|n| *n == 0.0 || (0.01..=100_000.0).contains(n));
+    pace.ok_or_else(|| "neither 0 nor a number from 0.01 to 100000".to_owned())
+}
+
+fn finite(text: &str) -> Result<f32, String> {
+    text.parse().ok().filter(|n: &f32| n.is_finite()).ok_or_else(|| "no number".to_owned())
+}
+
+fn samples(text: &str) -> Result<u32, String> {
+    text.parse().ok().filter(|n| matches!(n, 1 | 4)).ok_or_else(|| "neither 1 nor 4".to_owned())
 }
 
 /// The first camera.

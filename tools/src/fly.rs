@@ -362,7 +362,7 @@ impl Flight {
                 }
             }
             let keep = (frame - 1).is_multiple_of(self.picture_every);
-            if let (Some(folder), Some(writer), true) = (&self.frames_dir, &self.writer, keep) {
+            if let (Some(folder), Some(writer), true) = (&self.frames_dir, &mut self.writer, keep) {
                 writer.write(folder.join(format!("frame-{frame:05}.png")), picture.clone())?;
             }
             self.last_picture = Some(picture);

@@ -16,6 +16,7 @@ mod views;
 use std::ffi::OsString;
 use std::process::ExitCode;
 
+use anyhow::Context as _;
 use clap::Parser as _;
 use terrane::viewer::DisplaySettings;
 
@@ -40,7 +41,8 @@ fn main() -> ExitCode {
         args::Command::Fly(args) => ("fly", fly::run(args, display)),
         args::Command::View(args) => ("view", fly::run(args.into(), display)),
         args::Command::Gen(args) => {
-            ("gen", terrane_data_gen::run(&args).map(|summary| println!("{summary}")).map_err(Into::into))
+            let made = terrane_data_gen::run(&args).map_err(anyhow::Error::from);
+            ("gen", made.and_then(|summary| summary.print().context("standard output")))
         }
         args::Command::Info(args) => ("info", info::run(&args)),
         args::Command::Serve(args) => ("serve", serve::run(args)),

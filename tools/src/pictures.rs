@@ -31,14 +31,22 @@ impl PictureWriter {
         Ok(Self { sender: Some(sender), join: Some(join) })
     }
 
-    /// Hands a picture over; fails when an earlier one could not be written ([`Self::finish`] says why).
-    pub fn write(&self, path: PathBuf, image: RgbaImage) -> Result<()> {
+    /// Hands a picture over; fails when an earlier one could not be written.
+    pub fn write(&mut self, path: PathBuf, image: RgbaImage) -> Result<()> {
         let sender = self.sender.as_ref().ok_or_else(|| anyhow!("the writer is finished"))?;
-        sender.send((path, image)).map_err(|_| anyhow!("an earlier picture could not be written"))
+        match sender.send((path, image)) {
+            Ok(()) => Ok(()),
+            // The thread ended: it says why.
+            Err(_) => self.end().and(Err(anyhow!("the pictures thread stopped"))),
+        }
     }
 
     /// Waits for all pictures and counts them.
     pub fn finish(mut self) -> Result<usize> {
+        self.end()
+    }
+
+    fn end(&mut self) -> Result<usize> {
         self.sender = None;
         match self.join.take().map(JoinHandle::join) {
             Some(Ok(result)) => result,

@@ -16,6 +16,8 @@ use std::time::{Duration, UNIX_EPOCH};
 use anyhow::{Context as _, Result, ensure};
 use clap::Args as ClapArgs;
 
+use crate::args::{not_negative, share};
+
 /// Longest request head.
 const MOST_HEAD_BYTES: u64 = 16 << 10;
 /// A connection without a request ends.
@@ -36,34 +38,34 @@ pub struct ServeArgs {
     #[arg(long, default_value = "127.0.0.1")]
     pub bind: String,
     /// Wait before every answer, milliseconds
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = not_negative)]
     pub latency_ms: f64,
     /// Up to so much more, by chance
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = not_negative)]
     pub jitter_ms: f64,
     /// Bytes a second of each connection; 0 for as many as go
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = not_negative)]
     pub bandwidth: f64,
     /// Share of answers that are status 429, 500 or 503
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub error_rate: f64,
     /// Share of answers whose body ends early
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub truncate_rate: f64,
     /// Share of answers with changed bytes
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub corrupt_rate: f64,
     /// Share of answers that stop half way until the client goes
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub stall_rate: f64,
     /// Share of connections closed instead of an answer
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub reset_rate: f64,
     /// Share of requests that get no answer at all until the client goes
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub silent_rate: f64,
     /// Share of answers that are a web page with status 200 instead
-    #[arg(long, default_value_t = 0.0)]
+    #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub page_rate: f64,
     /// Seconds that failures ask the client to wait (`Retry-After`)
     #[arg(long, default_value_t = 0)]
@@ -190,7 +192,9 @@ impl Listening {
 
 pub fn run(args: ServeArgs) -> Result<()> {
     let listening = Listening::new(args)?;
-    println!("serving {} at http://{}/", listening.server.folder.display(), listening.address);
+    let line = format!("serving {} at http://{}/", listening.server.folder.display(), listening.address);
+    // Nobody has to read it.
+    let _ = writeln!(std::io::stdout(), "{line}");
     listening.run();
     Ok(())
 }

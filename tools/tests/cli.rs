@@ -85,6 +85,16 @@ fn wrong_arguments_exit_2() {
         &["fly", "--view", "1,2"],
         &["fly", "--background", "red"],
         &["fly", "--sse", "0"],
+        &["fly", "--look-ahead", "nan"],
+        &["fly", "--water=-inf"],
+        &["fly", "--samples", "2"],
+        &["gen", "set", "--size", "5"],
+        &["serve", ".", "--error-rate", "2"],
+        &["serve", ".", "--latency-ms=-5"],
+        &["stress", "--minutes", "nan"],
+        &["bench", "page", "--frames", "0"],
+        &["bench", "page", "--pace", "1e-300"],
+        &["bench", "cull", "--secs", "1e300"],
         &["nonsense"],
         &["view"],
     ] {
@@ -108,6 +118,24 @@ fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
     let out = terrane(&["fly", "anything", "--path", "no/such.path", "--offscreen"]);
     assert_eq!(out.status.code(), Some(1));
     assert!(lines(&out.stderr)[0].contains("no/such.path"));
+}
+
+/// It was told that an earlier picture could not be written, and neither which nor why.
+#[test]
+fn a_picture_that_cannot_be_written_is_named() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let (file, set) = (folder.path().join("file"), set.to_str().unwrap());
+    std::fs::write(&file, "in the way").unwrap();
+    let inside = file.join("frames");
+    let inside = inside.to_str().unwrap();
+    let out = terrane(&["fly", set, "--offscreen", "--frames", "40", "--size", "32x32", "--frames-dir", inside]);
+    let stderr = lines(&out.stderr);
+    assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
+    assert!(stderr[0].starts_with("terrane fly: ") && stderr[0].contains(inside), "{stderr:?}");
 }
 
 #[test]

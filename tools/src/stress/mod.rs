@@ -30,6 +30,7 @@ use serde::{Deserialize, Serialize};
 
 use self::flight::Outcome;
 use self::plan::{Plan, Way};
+use crate::args::not_negative;
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct StressArgs {
@@ -42,7 +43,7 @@ pub struct StressArgs {
     #[arg(long, default_value_t = 1)]
     pub first_seed: u64,
     /// Seeds for so many minutes, instead of a number of them
-    #[arg(long)]
+    #[arg(long, value_parser = not_negative)]
     pub minutes: Option<f64>,
     /// This seed alone, in this process: the flight of a seed that failed, once more
     #[arg(long, conflicts_with_all = ["seeds", "first_seed", "minutes"])]
