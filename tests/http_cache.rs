@@ -466,7 +466,7 @@ fn one_tile(first_is_a_page: bool) -> Server {
 }
 
 fn fly(server: &Server, folder: &Path) -> pager_support::Run {
-    let config = PagerConfig { http: config(CacheConfig::new(folder)), max_tries: 1, ..PagerConfig::default() };
+    let config = PagerConfig { http: config(CacheConfig::new(folder)), max_tries: Some(1), ..PagerConfig::default() };
     let mut run = pager_support::Run::new(&format!("{}/", server.url), config);
     run.settle(pager_support::above(10.0));
     run

@@ -127,7 +127,7 @@ fn over_http(answer: impl Fn() -> Reply + Send + Sync + 'static) -> (Run, Server
         _ => answer(),
     });
     let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
-    let config = PagerConfig { http, max_tries: 1, ..PagerConfig::default() };
+    let config = PagerConfig { http, max_tries: Some(1), ..PagerConfig::default() };
     let mut run = Run::new(&format!("{}/tileset.json", server.url.trim_end_matches('/')), config);
     // The root by itself: it need not come where the child is there before it.
     let fine_px = std::mem::replace(&mut run.max_sse_px, 1e9);
@@ -202,7 +202,7 @@ fn contents_that_change_between_requests() {
     for body in 0..3 {
         bodies.store(body, Ordering::Relaxed);
         let http = HttpConfig { cache: Some(CacheConfig::new(cache.path())), max_retries: 0, ..HttpConfig::default() };
-        let mut run = Run::new(&source, PagerConfig { http, max_tries: 1, ..PagerConfig::default() });
+        let mut run = Run::new(&source, PagerConfig { http, max_tries: Some(1), ..PagerConfig::default() });
         run.settle(above(10.0));
         assert_eq!(run.stage.counters.tiles_drawn, 1);
         failed.push(run.pager.stats().failed);
@@ -310,7 +310,7 @@ fn thousands_of_failing_uris_are_one_list_and_no_storm() {
     });
     let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
     let (max_tries, retry_after) = (3, Duration::from_millis(20));
-    let config = PagerConfig { http, max_tries, retry_after, ..PagerConfig::default() };
+    let config = PagerConfig { http, max_tries: Some(max_tries), retry_after, ..PagerConfig::default() };
     let mut run = Run::new(&format!("{}/tileset.json", server.url.trim_end_matches('/')), config);
     let all = 400 * u64::from(max_tries);
     run.until(above(10.0), "not all tries are made", |r| r.pager.stats().failed == all);

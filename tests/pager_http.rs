@@ -178,7 +178,7 @@ fn impatient() -> PagerConfig {
             retry_backoff: Duration::from_millis(5),
             ..HttpConfig::default()
         },
-        max_tries: 1,
+        max_tries: Some(1),
         ..PagerConfig::default()
     }
 }
@@ -282,9 +282,27 @@ fn what_passes_is_tried_again() {
                 if path == "/set/child2.glb" && nth < 2 { Answer::Status(503) } else { Answer::Whole }
             },
         );
-    let mut run = run_of(&server, PagerConfig { max_tries: 3, retry_after: Duration::from_millis(20), ..impatient() });
+    let mut run =
+        run_of(&server, PagerConfig { max_tries: Some(3), retry_after: Duration::from_millis(20), ..impatient() });
     run.until(NEAR, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
     assert_eq!((error_of(&run, "child2.glb").count, server.requests("/set/child2.glb")), (1, 3));
+}
+
+/// After four tries, that is a minute without a network, tiles were missing until the program was started again.
+#[test]
+fn an_outage_of_many_tries_is_got_over() {
+    let server =
+        Server::start(
+            set(),
+            |path, nth| {
+                if path == "/set/child2.glb" && nth < 12 { Answer::Status(503) } else { Answer::Whole }
+            },
+        );
+    let max_tries = PagerConfig::default().max_tries;
+    let mut run = run_of(&server, PagerConfig { max_tries, retry_after: Duration::from_millis(2), ..impatient() });
+    run.until(NEAR, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
+    // Each try is two requests.
+    assert_eq!((error_of(&run, "child2.glb").count, server.requests("/set/child2.glb")), (6, 13));
 }
 
 /// Nobody looks at it for long; whoever comes back finds the tries that were made.
@@ -293,7 +311,7 @@ fn tries_are_not_forgotten_while_nobody_looks() {
     let server =
         Server::start(set(), |path, _| if path == "/set/child2.glb" { Answer::Status(503) } else { Answer::Whole });
     let wait = Duration::from_millis(20);
-    let mut run = run_of(&server, PagerConfig { max_tries: 2, retry_after: wait, ..impatient() });
+    let mut run = run_of(&server, PagerConfig { max_tries: Some(2), retry_after: wait, ..impatient() });
     let rest = |run: &mut Run, eye| {
         let end = Instant::now() + 10 * wait;
         run.until(eye, "", |_| Instant::now() > end);
@@ -318,7 +336,7 @@ fn tries_are_not_forgotten_where_a_request_goes_stale() {
     });
     let wait = Duration::from_millis(20);
     let http = HttpConfig { max_retries: 0, ..patient().http };
-    let mut run = run_of(&server, PagerConfig { max_tries: 2, retry_after: wait, http, ..impatient() });
+    let mut run = run_of(&server, PagerConfig { max_tries: Some(2), retry_after: wait, http, ..impatient() });
     run.until(NEAR, "does not fail", |r| r.pager.stats().failed == 1);
     run.pager.set_paused(true);
     run.until(NEAR, "does not wait again", |r| r.pager.stats().retried == 1);

@@ -48,7 +48,7 @@ fn config() -> PagerConfig {
     PagerConfig {
         http: HttpConfig { first_byte_timeout: long, read_timeout: long, max_retries: 0, ..HttpConfig::default() },
         retry_after: long,
-        max_tries: 2,
+        max_tries: Some(2),
         decode_threads: 1,
         merge_time: Duration::ZERO,
         ..PagerConfig::default()

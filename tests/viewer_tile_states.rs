@@ -60,7 +60,7 @@ fn viewer(url: &str, pager: PagerConfig) -> Option<Viewer> {
 fn patient() -> PagerConfig {
     let long = Duration::from_secs(100);
     let http = HttpConfig { first_byte_timeout: long, read_timeout: long, max_retries: 0, ..HttpConfig::default() };
-    PagerConfig { http, retry_after: long, max_tries: 2, ..PagerConfig::default() }
+    PagerConfig { http, retry_after: long, max_tries: Some(2), ..PagerConfig::default() }
 }
 
 fn glb() -> Vec<u8> {

@@ -10,6 +10,7 @@ use super::expiry::EXPIRY_TENTHS;
 use super::list::{Above, Answer, Arrived, Entry, Job, Progress};
 use super::residents::Resident;
 use super::shares::Held;
+use super::tries::wait_after;
 use crate::gpu::CompileOperation;
 use crate::io::IoError;
 use crate::scene::{DrawKind, NodeId, PagingOptions, Scene};
@@ -47,11 +48,12 @@ impl DatabasePager {
                 self.stats.failed += 1;
                 timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "failed");
                 self.errors.add(&error);
-                entry.tries += 1;
-                let again = error.is_transient() && entry.tries < self.config.max_tries;
-                let wait = self.config.retry_after * 2u32.saturating_pow(entry.tries.min(10) - 1);
-                let wait = wait.max(error.retry_after().unwrap_or_default()).mul_f64(spread(entry.job.ticket));
-                entry.progress = Progress::Failed { retry_at: again.then(|| Instant::now() + wait) };
+                entry.tries = entry.tries.saturating_add(1);
+                let again = error.is_transient() && self.config.max_tries.is_none_or(|most| entry.tries < most);
+                let wait = wait_after(self.config.retry_after, entry.tries, &error).mul_f64(spread(entry.job.ticket));
+                // Beyond what the clock knows it is never.
+                let retry_at = Instant::now().checked_add(wait).filter(|_| again);
+                entry.progress = Progress::Failed { retry_at };
                 scene.set_failed(slot, true);
             }
             Some(Ok(mut page)) => {
@@ -214,7 +216,7 @@ impl DatabasePager {
             wanted_frame: self.frame,
             ahead_frames: 0,
             since: Instant::now(),
-            tries: self.config.max_tries,
+            tries: 1,
             needs: None,
             progress: Progress::Failed { retry_at: None },
             paging: PagingOptions::default(),

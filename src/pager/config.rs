@@ -57,10 +57,10 @@ pub struct PagerConfig {
     pub abort_frames: u32,
     /// Time for merging per frame; one page always goes through.
     pub merge_time: Duration,
-    /// Wait before a failure that may pass is tried again; doubled each time.
+    /// Wait before a failure that may pass is tried again, while somebody looks; doubled each time, up to five minutes.
     pub retry_after: Duration,
-    /// Tries of a URI in all.
-    pub max_tries: u32,
+    /// Tries of a URI in all; `None` for no end of them: a network that was away for long is found when it comes back.
+    pub max_tries: Option<u32>,
     /// How much is accepted from outside.
     pub limits: Limits,
     /// How servers are talked to.
@@ -93,7 +93,7 @@ impl Default for PagerConfig {
             abort_frames: 30,
             merge_time: Duration::from_millis(1),
             retry_after: Duration::from_secs(5),
-            max_tries: 4,
+            max_tries: None,
             limits: Limits::default(),
             #[cfg(feature = "http")]
             http: crate::io::HttpConfig::default(),

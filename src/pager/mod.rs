@@ -27,6 +27,7 @@ mod shares;
 mod states;
 mod stats;
 mod threads;
+mod tries;
 mod update;
 
 pub use config::{CompileContext, PagerConfig, PagerError};

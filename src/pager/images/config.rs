@@ -15,10 +15,10 @@ pub struct ImagePagerConfig {
     pub max_bytes: u64,
     /// An image that was not wanted for so long goes, though there may be room.
     pub expiry: Duration,
-    /// Wait before a failure that may pass is tried again; doubled each time.
+    /// Wait before a failure that may pass is tried again, while somebody looks; doubled each time, up to five minutes.
     pub retry_after: Duration,
-    /// Tries of a URI in all.
-    pub max_tries: u32,
+    /// Tries of a URI in all; `None` for no end of them: a network that was away for long is found when it comes back.
+    pub max_tries: Option<u32>,
     /// How much is accepted from outside.
     pub limits: Limits,
     /// How servers are talked to, and the cache on disk.
@@ -37,7 +37,7 @@ impl Default for ImagePagerConfig {
             max_bytes: 128 << 20,
             expiry: Duration::from_secs(10),
             retry_after: Duration::from_secs(5),
-            max_tries: 4,
+            max_tries: None,
             limits: Limits::default(),
             #[cfg(feature = "http")]
             http: crate::io::HttpConfig::default(),

@@ -9,6 +9,7 @@ use super::sequence::{ImageSequence, SequenceImage};
 use super::threads::{Loaded, Threads};
 use crate::io::IoError;
 use crate::pager::stats::Errors;
+use crate::pager::tries::wait_after;
 use crate::pager::{ErrorRecord, PagerError};
 use crate::scene::Texture;
 use crate::state::TextureObject;
@@ -343,11 +344,11 @@ impl ImagePager {
             Err(error) => {
                 self.stats.failed += 1;
                 self.errors.add(&error);
-                slot.tries += 1;
-                let again = error.is_transient() && slot.tries < self.config.max_tries;
-                let wait = self.config.retry_after * 2u32.saturating_pow(slot.tries.min(10) - 1);
-                let wait = wait.max(error.retry_after().unwrap_or_default());
-                slot.state = State::Failed { retry_at: again.then(|| Instant::now() + wait) };
+                slot.tries = slot.tries.saturating_add(1);
+                let again = error.is_transient() && self.config.max_tries.is_none_or(|most| slot.tries < most);
+                let wait = wait_after(self.config.retry_after, slot.tries, &error);
+                // Beyond what the clock knows it is never.
+                slot.state = State::Failed { retry_at: Instant::now().checked_add(wait).filter(|_| again) };
             }
         }
     }

@@ -263,7 +263,7 @@ fn pager(r: &mut Random, is_tiny: bool, blocking: bool) -> PagerConfig {
         abort_frames: r.whole(2, 30) as u32,
         merge_time: r.one_of(&[Duration::ZERO, Duration::from_millis(1), Duration::from_millis(20)]),
         retry_after: Duration::from_millis(r.whole(5, 40)),
-        max_tries: r.whole(1, 4) as u32,
+        max_tries: Some(r.whole(1, 4) as u32),
         build_kd_trees: r.percent(20),
         blocking,
         ..PagerConfig::default()
