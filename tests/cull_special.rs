@@ -257,6 +257,24 @@ fn billboards_face_the_eye() {
     }
 }
 
+/// The bounds were those of the drawable in the node's frame, whose scales it has along the screen's axes.
+#[test]
+fn billboards_below_uneven_scales_stay_while_they_are_in_sight() {
+    let look = look_at(DVec3::new(-100.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z);
+    let is_seen = |node: Node| !slots(&cull(node, &look)).is_empty();
+    // 20 m to both sides in the picture, which are y of the world.
+    let flat = drawable(Aabb { min: DVec3::new(-1.0, 0.0, -1.0), max: DVec3::new(1.0, 0.0, 1.0) });
+    let at = |y: f64| DAffine3::from_translation(DVec3::new(0.0, y, 0.0));
+    let billboard = |y: f64| {
+        let drawables = vec![(DVec3::ZERO, flat.clone())];
+        let node = Node::new(NodeKind::Billboard(Box::new(Billboard { mode: BillboardMode::PointRotEye, drawables })));
+        Node::transform(at(y) * DAffine3::from_scale(DVec3::new(20.0, 1.0, 1.0)), vec![node])
+    };
+    let edge = (1..1000).map(f64::from).find(|y| !is_seen(Node::transform(at(*y), vec![cube(DVec3::ZERO)]))).unwrap();
+    assert!(is_seen(billboard(edge + 12.0)), "{edge}");
+    assert!(!is_seen(billboard(edge + 60.0)));
+}
+
 #[test]
 fn lights_and_planes_are_in_eye_space_of_their_stage() {
     let light = |number, position, frame| {

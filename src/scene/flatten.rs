@@ -188,9 +188,10 @@ impl Flattener {
             NodeKind::Billboard(billboard) => {
                 let Billboard { mode, drawables } = *billboard;
                 let mut positions = Vec::with_capacity(drawables.len());
+                let linear = self.page.transforms.page_from_node(transform).matrix3;
                 for (position, drawable) in drawables {
-                    let reach = drawable.bounds().corners().map(|c| c.length()).into_iter().fold(0.0, f64::max);
                     // Wherever it turns to.
+                    let reach = mode.reach(&linear, &drawable.bounds());
                     let around = Aabb { min: position - reach, max: position + reach };
                     self.add_drawable_in(drawable, around, transform, path);
                     positions.push(position);

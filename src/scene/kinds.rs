@@ -9,6 +9,7 @@ use super::cull_settings::{CullSettings, Inherit};
 use super::environment::{CameraEnvironment, CameraShadows};
 use super::error::SceneError;
 use super::geometry::Drawable;
+use crate::math::Aabb;
 use crate::state::{Light, TexGen, TextureObject};
 
 /// Whether what a node holds is given in the frame it hangs in or in the eye's.
@@ -56,6 +57,24 @@ impl BillboardMode {
             }
         };
         DAffine3 { matrix3, translation: eye_from_node.transform_point3(position) }
+    }
+
+    /// How far a drawable reaches from its position along the node's axes, wherever it turns to; `linear` is the map of
+    /// the node.
+    pub(crate) fn reach(self, linear: &DMat3, bounds: &Aabb) -> DVec3 {
+        let farthest = |scale: DVec3| bounds.corners().map(|c| (c * scale).length()).into_iter().fold(0.0, f64::max);
+        // Parallel to the screen its own axes keep the node's scales, in whatever direction these are there: a ball about
+        // it is an ellipsoid of the node.
+        if self == Self::PointRotEye {
+            let scale = DVec3::new(linear.x_axis.length(), linear.y_axis.length(), linear.z_axis.length());
+            let inverse = linear.inverse();
+            let rows = DVec3::new(inverse.row(0).length(), inverse.row(1).length(), inverse.row(2).length());
+            let reach = farthest(scale) * rows;
+            if reach.is_finite() {
+                return reach;
+            }
+        }
+        DVec3::splat(farthest(DVec3::ONE))
     }
 }
 
