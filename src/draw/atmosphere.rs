@@ -126,6 +126,8 @@ pub(super) struct Atmosphere {
     /// What computes the tables, in the order run; the last one is run for each eye. Made when there first is an atmosphere.
     passes: Option<[Pass; 4]>,
     draw: u32,
+    /// Draws of a frame: one for each context of the device. What one of them needs it needs again in the next frame.
+    draws_of_frame: u32,
 }
 
 /// The tables for an eye.
@@ -182,12 +184,14 @@ impl Atmosphere {
             sets: vec![Tables::new(device)],
             passes: None,
             draw: 0,
+            draws_of_frame: 1,
         }
     }
 
     /// Forgets what the last draw's eyes needed; true where sets were given back.
-    pub(super) fn start_draw(&mut self) -> bool {
+    pub(super) fn start_draw(&mut self, draws_of_frame: usize) -> bool {
         self.draw = self.draw.wrapping_add(1);
+        self.draws_of_frame = draws_of_frame.clamp(1, KEPT_DRAWS as usize) as u32;
         let had = self.sets.len();
         let draw = self.draw;
         while self.sets.len() > 1 && self.sets.last().is_some_and(|set| draw.wrapping_sub(set.used) > KEPT_DRAWS) {
@@ -203,22 +207,25 @@ impl Atmosphere {
     /// The set for an eye, made in this draw unless it is there.
     pub(super) fn find(&mut self, device: &wgpu::Device, air: &Air) -> FoundAir {
         let draw = self.draw;
-        let is_taken = |set: &Tables| set.used == draw;
         let same = self.sets.iter().position(|set| set.wanted.as_ref() == Some(air));
-        let free = |aerosol: bool| {
-            let fits = |set: &Tables| !aerosol || set.wanted.is_none_or(|w| w.aerosol_per_km == air.aerosol_per_km);
-            self.sets.iter().position(|set| !is_taken(set) && fits(set))
-        };
-        let place = match same.or_else(|| free(true)) {
+        let age = |set: &Tables| draw.wrapping_sub(set.used);
+        let fits = |set: &Tables| set.wanted.is_none_or(|w| w.aerosol_per_km == air.aerosol_per_km);
+        // Of another eye of the frame before, or none's; the first of them, so that the last ones can be given back.
+        let is_free = |set: &Tables| set.wanted.is_none() || age(set) >= self.draws_of_frame;
+        let free = || self.sets.iter().position(|set| is_free(set) && fits(set));
+        let place = match same.or_else(free) {
+            Some(place) => place,
             None if self.sets.len() < MOST_SETS => {
                 self.sets.push(Tables::new(device));
                 self.sets.len() - 1
             }
-            None => match free(false) {
-                Some(place) => place,
-                None => return self.nearest(air),
-            },
-            Some(place) => place,
+            None => {
+                let others = self.sets.iter().enumerate().filter(|(_, set)| age(set) > 0);
+                match others.max_by_key(|(_, set)| (fits(set), age(set))) {
+                    Some((place, _)) => place,
+                    None => return self.nearest(air),
+                }
+            }
         };
         let set = &mut self.sets[place];
         (set.wanted, set.used) = (Some(*air), draw);
@@ -389,4 +396,38 @@ fn passes(device: &wgpu::Device, cache: Option<&wgpu::PipelineCache>) -> [Pass; 
         pass("cs_sky_light", &[2, 3], &[4], SKY_LIGHT_SIZE),
         pass("cs_air", &[2, 3], &[5, 6], AIR_SIZE),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits};
+
+    #[test]
+    fn each_context_of_a_device_has_its_own_tables() {
+        let traits = ContextTraits { adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let places = |draws_of_frame: usize, eyes_km: [f64; 2]| {
+            let mut atmosphere = Atmosphere::new(ctx.device());
+            let mut found = Vec::new();
+            for frame in 0..4 {
+                for height_km in eyes_km {
+                    atmosphere.start_draw(draws_of_frame);
+                    // Eyes move.
+                    let air = Air::at(height_km + 0.01 * f64::from(frame), 0.5, 0.1);
+                    found.push(atmosphere.find(ctx.device(), &air).place);
+                }
+            }
+            found
+        };
+        assert_eq!(places(2, [1.0, 9.0]), [0, 1, 0, 1, 0, 1, 0, 1]);
+        assert_eq!(places(1, [1.0, 9.0]), [0; 8], "one after the other");
+        // More than there can be sets: the longest unused go.
+        let mut atmosphere = Atmosphere::new(ctx.device());
+        for draw in 0..40 {
+            atmosphere.start_draw(20);
+            let found = atmosphere.find(ctx.device(), &Air::at(1.0 + f64::from(draw), 0.5, 0.1));
+            assert!(!found.is_refused && atmosphere.set_count() <= MOST_SETS, "draw {draw}");
+        }
+    }
 }

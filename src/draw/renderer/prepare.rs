@@ -44,7 +44,7 @@ impl Renderer {
             composite.start_frame();
         }
         (self.shadow_leaves, self.airs_refused) = (0, 0);
-        self.binds_shadows |= self.atmosphere.start_draw();
+        self.binds_shadows |= self.atmosphere.start_draw(ctx.face_count());
         self.prepare_shadow_maps(ctx, pictures.clone());
         let mut dropped = 0;
         for Picture { stage, environment } in pictures {

@@ -2,7 +2,21 @@
 
 struct SkyVertex {
     @builtin(position) position: vec4<f32>,
+    // Where a pixel's ray meets the plane one metre in front of the eye; where rays are parallel, the eye's own plane.
     @location(0) ray: vec2<f32>,
+}
+
+// Of a pixel in eye space.
+struct Ray {
+    origin: vec3<f32>,
+    direction: vec3<f32>,
+}
+
+fn ray_of(ray: vec2<f32>) -> Ray {
+    if frame.air.w > 0.0 {
+        return Ray(vec3<f32>(ray, 0.0), vec3<f32>(0.0, 0.0, -1.0));
+    }
+    return Ray(vec3<f32>(0.0), normalize(vec3<f32>(ray, -1.0)));
 }
 
 @vertex
@@ -19,7 +33,7 @@ fn sky_color(ray: vec3<f32>) -> vec3<f32> {
 
 @fragment
 fn fs_sky(in: SkyVertex) -> @location(0) vec4<f32> {
-    let ray = normalize(vec3<f32>(in.ray, -1.0));
+    let ray = ray_of(in.ray).direction;
     let cosine = dot(ray, frame.up.xyz);
     let air = air_along(ray, cosine, 1.0);
     var beyond = vec3<f32>(0.0);

@@ -7,29 +7,37 @@ struct WaterFragment {
 
 @fragment
 fn fs_water(in: SkyVertex) -> WaterFragment {
-    let ray = normalize(vec3<f32>(in.ray, -1.0));
+    let of_pixel = ray_of(in.ray);
+    let origin = of_pixel.origin;
+    let ray = of_pixel.direction;
     let down = -dot(ray, frame.up.xyz);
-    let above = frame.up.w - frame.water.w;
+    let rise = dot(origin, frame.up.xyz);
+    var above = frame.up.w + rise - frame.water.w;
     var distance = above / down;
     var normal = frame.up.xyz;
     if frame.shape.x > 0.0 {
         // The sphere through the water below the eye, in differences from it: t^2 - 2 b t + c = 0.
         let radius = 1.0 / frame.shape.x;
-        let b = down * (radius + frame.up.w);
-        let c = above * (2.0 * radius + frame.up.w + frame.water.w);
+        let b = down * (radius + frame.up.w) - dot(origin, ray);
+        let c = dot(origin, origin) + 2.0 * rise * (radius + frame.up.w)
+            + (frame.up.w - frame.water.w) * (2.0 * radius + frame.up.w + frame.water.w);
         let inside = b * b - c;
         if inside < 0.0 {
             discard;
         }
+        above = c * frame.shape.x;
         distance = c / (b + sqrt(inside));
-        normal = normalize(ray * distance + frame.up.xyz * (radius + frame.up.w));
+        normal = normalize(origin + ray * distance + frame.up.xyz * (radius + frame.up.w));
     }
-    // Not above the horizon, and not from below.
-    if !(down > 0.0 && distance > 0.0 && above > 0.0) {
+    // Not above the horizon, and not from below; parallel rays come from behind the eye.
+    if !(down > 0.0 && (frame.air.w > 0.0 || distance > 0.0 && above > 0.0)) {
         discard;
     }
-    let point = ray * distance;
+    let point = origin + ray * distance;
     let clip = frame.clip_from_eye * vec4<f32>(point, 1.0);
+    if frame.air.w > 0.0 && (clip.z < 0.0 || clip.z > clip.w) {
+        discard;
+    }
 
     let facing = max(-dot(ray, normal), 0.0);
     let fresnel = 0.02 + 0.98 * pow(1.0 - facing, 5.0);

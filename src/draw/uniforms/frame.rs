@@ -28,7 +28,8 @@ pub(in crate::draw) struct FrameUniform {
     /// Curvature of the ground, 1 / radius (0 when flat); exposure, 0 without tone mapping; 1 where there is an
     /// atmosphere; 1 where it is seen in front of things.
     pub(in crate::draw) shape: [f32; 4],
-    /// Eye-space ray of a pixel from its clip position: x and y scale, x and y offset.
+    /// Eye-space ray of a pixel from its clip position: x and y scale, x and y offset, in the plane one metre in front of
+    /// the eye; where rays are parallel, in the eye's own.
     pub(in crate::draw) ray: [f32; 4],
     /// Linear colour of deep water; w: its height in metres.
     pub(in crate::draw) water: [f32; 4],
@@ -140,6 +141,8 @@ impl FrameUniform {
         let fog = environment.fog;
         let density = if fog.enabled && fog.density_per_m.is_finite() { f64::from(fog.density_per_m) } else { 0.0 };
         let p = clip_from_eye;
+        let is_parallel = has_parallel_rays(p);
+        let middle = if is_parallel { -p.w_axis } else { p.z_axis };
         let sse_scale = camera.px_per_radian() / (camera.settings.max_sse_px * camera.settings.lod_scale).max(1e-9);
         let has_atmosphere = environment.sky == Sky::Atmosphere;
         let switch = |on: bool| if on { 1.0 } else { 0.0 };
@@ -159,11 +162,11 @@ impl FrameUniform {
             ray: [
                 (1.0 / p.x_axis.x) as f32,
                 (1.0 / p.y_axis.y) as f32,
-                (p.z_axis.x / p.x_axis.x) as f32,
-                (p.z_axis.y / p.y_axis.y) as f32,
+                (middle.x / p.x_axis.x) as f32,
+                (middle.y / p.y_axis.y) as f32,
             ],
             water: environment.water.map_or([0.0; 4], |w| with_w(w.color, w.height_m)),
-            air: [air.eye_km, air.horizon_cosine, air.limb_cosine, switch(has_parallel_rays(p))],
+            air: [air.eye_km, air.horizon_cosine, air.limb_cosine, switch(is_parallel)],
             sun_top: with_w(air.sun_irradiance(environment.sun_color), 0.0),
             shadow_x: [0.0; 4],
             shadow_y: [0.0; 4],
