@@ -27,6 +27,7 @@ mod read;
 mod source;
 mod tileset;
 mod uri;
+mod verify;
 pub mod write;
 
 #[doc(hidden)]
@@ -60,3 +61,6 @@ pub(crate) use source::Source;
 #[cfg(feature = "http")]
 pub(crate) use uri::server;
 pub use uri::{RootScope, is_http, is_remote, is_store, resolve, root_uri, shown};
+#[cfg(feature = "http")]
+pub use verify::verify_with;
+pub use verify::{Verified, verify};

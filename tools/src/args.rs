@@ -251,6 +251,9 @@ pub struct InfoArgs {
     /// One JSON document instead of text
     #[arg(long)]
     pub json: bool,
+    /// Read and decode every content too; exit code 1 where one fails
+    #[arg(long)]
+    pub verify: bool,
     #[command(flatten)]
     pub net: NetArgs,
 }

@@ -3,18 +3,41 @@
 use std::fmt::Write as _;
 use std::io::Write as _;
 
-use anyhow::{Context as _, Result};
-use terrane::io::{self, Info, Limits};
+use anyhow::{Context as _, Result, ensure};
+use indicatif::{ProgressBar, ProgressStyle};
+use terrane::io::{self, Info, Limits, Verified};
 
 use crate::args::InfoArgs;
 
 pub fn run(args: &InfoArgs) -> Result<()> {
     let info = io::inspect_with(&args.source, &Limits::default(), args.net.http(&args.source)?)?;
-    let text = if args.json { serde_json::to_string_pretty(&info)? + "\n" } else { text(&info) };
-    std::io::stdout().write_all(text.as_bytes()).context("stdout")
+    let verified = if args.verify { Some(verify(args, info.contents)?) } else { None };
+    let text = if args.json {
+        let mut json = serde_json::to_value(&info)?;
+        if let Some(verified) = &verified {
+            json["verified"] = serde_json::to_value(verified)?;
+        }
+        serde_json::to_string_pretty(&json)? + "\n"
+    } else {
+        text(&info, verified.as_ref())
+    };
+    std::io::stdout().write_all(text.as_bytes()).context("stdout")?;
+    let failed = verified.map_or(0, |verified| verified.failed);
+    ensure!(failed == 0, "{}: {failed} could not be read", args.source);
+    Ok(())
 }
 
-fn text(info: &Info) -> String {
+fn verify(args: &InfoArgs, contents: u64) -> Result<Verified> {
+    let bar = ProgressBar::new(contents);
+    bar.set_style(ProgressStyle::with_template("{pos}/{len} contents {wide_bar} {eta}")?);
+    let net = args.net.http(&args.source)?;
+    let verified =
+        io::verify_with(&args.source, &Limits::default(), net, &mut |verified| bar.set_position(verified.contents));
+    bar.finish_and_clear();
+    Ok(verified?)
+}
+
+fn text(info: &Info, verified: Option<&Verified>) -> String {
     let mebibytes = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let mut out = String::new();
     // Writing to a String cannot fail.
@@ -35,7 +58,13 @@ fn text(info: &Info) -> String {
         let (level, size) = (l.level, mebibytes(l.bytes));
         let _ = writeln!(out, "level {level:<2} {:>8} tiles {:>8} contents {size:>9.1} MiB", l.tiles, l.contents);
     }
-    for e in &info.errors {
+    if let Some(Verified { contents, bytes, failed, .. }) = verified {
+        let _ = writeln!(out, "verified {contents} contents, {:.1} MiB, {failed} failures", mebibytes(*bytes));
+    }
+    // What is missing was found twice.
+    let broken = verified.iter().flat_map(|verified| &verified.errors);
+    let broken = broken.filter(|e| !info.errors.iter().any(|known| known.uri == e.uri));
+    for e in info.errors.iter().chain(broken) {
         let _ = writeln!(out, "error    {}: {}", e.uri, e.reason);
     }
     out

@@ -323,3 +323,23 @@ fn info_as_json() {
     assert_eq!(info["errors"].as_array().map(Vec::len), Some(1), "{info}");
     assert!(terrane(&["info", "no/such/set"]).status.code() == Some(1));
 }
+
+#[test]
+fn info_reads_every_content_where_it_is_asked_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let verified = || {
+        let out = terrane(&["info", set.to_str().unwrap(), "--json", "--verify"]);
+        let info: Value = serde_json::from_slice(&out.stdout).unwrap();
+        (out.status.code(), info["contents"].clone(), info["verified"].clone())
+    };
+    let (code, contents, whole) = verified();
+    assert_eq!((code, &whole["contents"], &whole["failed"]), (Some(0), &contents, &Value::from(0)), "{whole}");
+    assert!(whole["bytes"].as_u64().unwrap() > 10_000);
+    std::fs::write(set.join("1/0/0.exr"), "no heights").unwrap();
+    let (code, _, broken) = verified();
+    assert_eq!((code, &broken["contents"], &broken["failed"]), (Some(1), &contents, &Value::from(1)));
+    assert!(broken["errors"][0]["uri"].as_str().unwrap().ends_with("0.exr"), "{broken}");
+    // Without it nobody looks inside.
+    assert!(terrane(&["info", set.to_str().unwrap()]).status.success());
+}

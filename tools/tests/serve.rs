@@ -139,9 +139,10 @@ fn pages_and_silence_and_how_long_answers_hold() {
 
 #[test]
 fn wrong_arguments_are_said() {
-    for (arguments, word) in
-        [(&["serve", "/no/such/folder"][..], "/no/such/folder"), (&["serve", ".", "--error-rate", "2"], "rates")]
-    {
+    for (arguments, word) in [
+        (&["serve", "/no/such/folder"][..], "/no/such/folder"),
+        (&["serve", ".", "--error-rate", "0.6", "--reset-rate", "0.6"], "rates"),
+    ] {
         let out = Command::new(env!("CARGO_BIN_EXE_terrane")).args(arguments).output().unwrap();
         let said = String::from_utf8_lossy(&out.stderr).into_owned();
         assert_eq!((out.status.code(), said.lines().count()), (Some(1), 1), "{said}");

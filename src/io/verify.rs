@@ -1,0 +1,114 @@
+//! Reading all of a tile set as the pager would: for `terrane info --verify`. Blocking; one content after the other.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::{
+    Content, InfoError, IoError, Limits, ReadOptions, Source, companions, decode, decode_node, root_uri, shown,
+};
+use crate::scene::{Node, NodeKind};
+
+/// Failures that are told one by one.
+const TOLD: usize = 1000;
+
+/// What reading everything came to.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Verified {
+    /// Contents that were read and decoded, or failed.
+    pub contents: u64,
+    /// Bytes read: contents, what came with them, and tilesets.
+    pub bytes: u64,
+    /// Contents, tilesets and what came with them that failed.
+    pub failed: u64,
+    /// The first thousand of them.
+    pub errors: Vec<InfoError>,
+}
+
+/// What is still to be read.
+struct Job {
+    uri: Arc<str>,
+    reader_data: Option<Arc<str>>,
+    options: ReadOptions,
+    is_tileset: bool,
+}
+
+/// Reads and decodes every content of a set. `progress` is called after each. Fails only when the root cannot be read.
+pub fn verify(source: &str, limits: &Limits, progress: &mut dyn FnMut(&Verified)) -> Result<Verified, IoError> {
+    verify_from(source, limits, &Source::new(*limits), progress)
+}
+
+/// [`verify`], for a source on a server that is talked to in a certain way.
+#[cfg(feature = "http")]
+pub fn verify_with(
+    source: &str,
+    limits: &Limits,
+    http: super::HttpConfig,
+    progress: &mut dyn FnMut(&Verified),
+) -> Result<Verified, IoError> {
+    verify_from(source, limits, &Source::with_http(*limits, http), progress)
+}
+
+fn verify_from(
+    source: &str,
+    limits: &Limits,
+    from: &Source,
+    progress: &mut dyn FnMut(&Verified),
+) -> Result<Verified, IoError> {
+    let root = root_uri(source)?;
+    let options = ReadOptions::for_root(&root, *limits);
+    let (mut verified, mut jobs) = (Verified::default(), Vec::new());
+    let bytes = from.read(&root)?;
+    verified.bytes += bytes.len() as u64;
+    let content = Content { uri: root.clone(), bytes, reader_data: None, companions: Vec::new() };
+    collect(&decode_node(content, &options)?, &root, &options, &mut jobs);
+    while let Some(job) = jobs.pop() {
+        if let Err(error) = verified.read(from, job, &mut jobs) {
+            verified.failed += 1;
+            if verified.errors.len() < TOLD {
+                verified.errors.push(InfoError { uri: shown(error.uri()).into_owned(), reason: error.reason() });
+            }
+        }
+        progress(&verified);
+    }
+    Ok(verified)
+}
+
+impl Verified {
+    fn read(&mut self, from: &Source, job: Job, jobs: &mut Vec<Job>) -> Result<(), IoError> {
+        let Job { uri, reader_data, options, is_tileset } = job;
+        self.contents += u64::from(!is_tileset);
+        let mut fetch = |uri: &Arc<str>| {
+            let bytes = from.read(uri)?;
+            self.bytes += bytes.len() as u64;
+            Ok(bytes)
+        };
+        let companions = if is_tileset { Vec::new() } else { companions(&uri, reader_data.as_ref()) };
+        let companions = companions.into_iter().map(|of| (of.clone(), fetch(&of))).collect();
+        let content = Content { bytes: fetch(&uri)?, uri: uri.clone(), reader_data, companions };
+        if is_tileset {
+            collect(&decode_node(content, &options)?, &uri, &options, jobs);
+            return Ok(());
+        }
+        decode(content, &options).map(drop)
+    }
+}
+
+/// What a tileset's nodes name.
+fn collect(node: &Node, tileset: &Arc<str>, options: &ReadOptions, jobs: &mut Vec<Job>) {
+    let mut push = |uri: &Arc<str>, reader_data: Option<Arc<str>>, is_tileset: bool| {
+        jobs.push(Job { uri: uri.clone(), reader_data, options: options.below(tileset), is_tileset });
+    };
+    match &node.kind {
+        NodeKind::PagedLod(tile) => {
+            if let Some(uri) = &tile.content {
+                push(uri, tile.reader_data.clone(), false);
+            }
+        }
+        NodeKind::ProxyNode(proxy) => push(&proxy.uri, None, true),
+        _ => {}
+    }
+    for child in &node.children {
+        collect(child, tileset, options, jobs);
+    }
+}
