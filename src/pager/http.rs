@@ -17,6 +17,31 @@ use crate::timeline;
 /// At the end, bodies on their way to the cache have so long.
 const LAST_STORES: Duration = Duration::from_secs(2);
 
+/// A request under way.
+struct Running {
+    handle: AbortHandle,
+    job: Job,
+    servers: Vec<String>,
+}
+
+impl Running {
+    fn asks(&self, of: &str) -> bool {
+        self.servers.iter().any(|server| server == of)
+    }
+}
+
+/// The servers that a content and what comes with it are asked of: the content's first, each once.
+fn servers_of(job: &Job) -> Vec<String> {
+    let mut servers = vec![server(&job.uri).to_owned()];
+    for companion in io::companions(&job.uri, job.reader_data.as_ref()) {
+        let of = server(&companion);
+        if !servers.iter().any(|known| known == of) {
+            servers.push(of.to_owned());
+        }
+    }
+    servers
+}
+
 /// The way to the HTTP thread for what cannot wait for the request list: a root.
 pub(super) struct Door {
     pub runtime: tokio::runtime::Handle,
@@ -49,8 +74,8 @@ pub(super) fn run(
 ) {
     runtime.block_on(async {
         let mut flows = Flows::new(range);
-        let mut tasks: JoinSet<(Loaded, Answered)> = JoinSet::new();
-        let mut running: HashMap<u64, (AbortHandle, Job)> = HashMap::new();
+        let mut tasks: JoinSet<(Loaded, Vec<(String, Answered)>)> = JoinSet::new();
+        let mut running: HashMap<u64, Running> = HashMap::new();
         loop {
             let (jobs, aborts, closed) = take(list, &running, &flows, most_in_flight(range));
             if closed {
@@ -59,38 +84,39 @@ pub(super) fn run(
                 return;
             }
             for ticket in aborts {
-                if let Some((handle, job)) = running.remove(&ticket) {
+                if let Some(Running { handle, job, .. }) = running.remove(&ticket) {
                     handle.abort();
                     if answers.send(Answer { job, page: None, bytes_read: 0, bytes_http: 0 }).is_err() {
                         return;
                     }
                 }
             }
-            for job in jobs {
+            for (job, servers) in jobs {
                 let (client, limits, ticket, copy) = (client.clone(), *limits, job.ticket, job.clone());
                 let source = list.ticket_source;
                 let work = async move {
                     let _span = timeline::request_span("fetch", source | ticket);
                     fetch(&client, job, &limits).await
                 };
-                running.insert(ticket, (tasks.spawn(work), copy));
+                running.insert(ticket, Running { handle: tasks.spawn(work), job: copy, servers });
             }
             tokio::select! {
                 () = list.http_bell.notified() => {}
                 Some(done) = tasks.join_next(), if !tasks.is_empty() => match done {
                     // An aborted one was answered above.
                     Ok((done, answered)) => {
-                        let of = server(&done.job.uri);
-                        let count = running.values().filter(|(_, job)| server(&job.uri) == of).count();
-                        flows.learn(of, count, answered);
+                        for (of, answered) in answered {
+                            let count = running.values().filter(|running| running.asks(&of)).count();
+                            flows.learn(&of, count, answered);
+                        }
                         if running.remove(&done.job.ticket).is_some() && loaded.send(done).is_err() {
                             return;
                         }
                     }
                     Err(e) if e.is_cancelled() => {}
                     Err(e) => {
-                        let ticket = running.iter().find(|(_, (handle, _))| handle.id() == e.id()).map(|(t, _)| *t);
-                        if let Some((_, job)) = ticket.and_then(|t| running.remove(&t)) {
+                        let ticket = running.iter().find(|(_, r)| r.handle.id() == e.id()).map(|(t, _)| *t);
+                        if let Some(Running { job, .. }) = ticket.and_then(|t| running.remove(&t)) {
                             let reason = "the request panicked".to_owned();
                             let bytes = Err(IoError::Network { uri: job.uri.to_string(), reason });
                             let failed = Loaded { job, bytes, companions: Vec::new(), bytes_read: 0, bytes_http: 0 };
@@ -110,41 +136,60 @@ pub(super) fn most_in_flight(range: Range) -> usize {
     SERVERS_AT_ONCE * range.start + range.most.saturating_sub(range.start)
 }
 
-/// Jobs to start, as many as each server may have and `most` together; the tickets to abort, and whether to stop.
+/// Jobs to start with the servers that they ask, as many as each of these may have and `most` together; the tickets to
+/// abort, and whether to stop.
 fn take(
     list: &RequestList,
-    running: &HashMap<u64, (AbortHandle, Job)>,
+    running: &HashMap<u64, Running>,
     flows: &Flows,
     most: usize,
-) -> (Vec<Job>, Vec<u64>, bool) {
-    let mut at_server: HashMap<&str, usize> = HashMap::new();
-    for (_, job) in running.values() {
-        *at_server.entry(server(&job.uri)).or_default() += 1;
+) -> (Vec<(Job, Vec<String>)>, Vec<u64>, bool) {
+    let mut at_server: HashMap<String, usize> = HashMap::new();
+    for server in running.values().flat_map(|running| &running.servers) {
+        *at_server.entry(server.clone()).or_default() += 1;
     }
     let mut waiting = list.lock();
-    let mut jobs: Vec<Job> = Vec::new();
+    let mut jobs = Vec::new();
     // The most urgent are last.
     let mut next = waiting.http.len();
     while next > 0 && running.len() + jobs.len() < most && waiting.may_take(&waiting.http[next - 1]) {
         next -= 1;
-        let of = server(&waiting.http[next].uri);
-        let started = jobs.iter().filter(|j| server(&j.uri) == of).count();
-        if at_server.get(of).copied().unwrap_or(0) + started < flows.limit(of) {
+        let has_place = |of: &str| at_server.get(of).copied().unwrap_or(0) < flows.limit(of);
+        let job = &waiting.http[next];
+        if !has_place(server(&job.uri)) {
+            continue;
+        }
+        let servers = servers_of(job);
+        if servers.iter().all(|of| has_place(of)) {
             let job = waiting.http.remove(next);
             waiting.took(&job);
-            jobs.push(job);
+            for of in &servers {
+                *at_server.entry(of.clone()).or_default() += 1;
+            }
+            jobs.push((job, servers));
         }
     }
     (jobs, std::mem::take(&mut waiting.abort), waiting.closed)
 }
 
-/// The content and its companions at the same time: what a tile needs is known before its bytes.
-async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Answered) {
+/// The content and its companions at the same time: what a tile needs is known before its bytes. What each server's
+/// answers say of it.
+async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Vec<(String, Answered)>) {
     let start = Instant::now();
+    let own = server(&job.uri).to_owned();
+    let mut of_others = Vec::new();
     let companions = async {
         let mut fetched = Vec::new();
         for uri in io::companions(&job.uri, job.reader_data.as_ref()) {
+            let start = Instant::now();
             let body = client.get(&uri, limits).await;
+            let of = server(&uri);
+            // Those of one server answer together.
+            if of != own {
+                let network_bytes = body.as_ref().map_or(0, |body| body.network_bytes);
+                let answered = Answered::of(&body, network_bytes, start.elapsed().as_secs_f64());
+                of_others.push((of.to_owned(), answered));
+            }
             fetched.push((uri, body));
         }
         fetched
@@ -161,6 +206,51 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Answe
     let companions: Vec<io::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
     let bytes_read = read_bytes(&bytes, &companions);
     job.stage.decodes();
-    let answered = Answered::of(&bytes, bytes_http, start.elapsed().as_secs_f64());
+    let answered = (own, Answered::of(&bytes, bytes_http, start.elapsed().as_secs_f64()));
+    let answered = [answered].into_iter().chain(of_others).collect();
     (Loaded { job, bytes, companions, bytes_read, bytes_http }, answered)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::DAffine3;
+
+    use super::super::list::Above;
+    use super::*;
+    use crate::scene::{NodeId, PageId};
+
+    /// Only the content's server was counted: the pictures' one got as many requests as that one may have.
+    #[test]
+    fn what_comes_with_a_content_counts_at_its_own_server() {
+        let list = RequestList::new(1000, 1000);
+        let job = |ticket: u64, imagery: &str| {
+            let data = format!(
+                r#"{{"region":[0,0,1,1],"side":3,"border":1,"level":0,"errors_m":[],"imagery":"{imagery}/{ticket}.jpg"}}"#
+            );
+            Job {
+                ticket,
+                slot: NodeId { page: PageId { slot: 0, generation: 0 }, index: ticket as u32 },
+                uri: format!("http://heights/{ticket}.exr").into(),
+                reader_data: Some(data.into()),
+                above: Above { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY },
+                is_ahead: false,
+                stage: Arc::default(),
+            }
+        };
+        let mut waiting = list.lock();
+        waiting.allowed = 1000;
+        waiting.http.extend((0..20).map(|ticket| job(ticket, "http://heights")));
+        waiting.http.extend((20..40).map(|ticket| job(ticket, "http://pictures")));
+        drop(waiting);
+        let mut flows = Flows::new(Range { start: 4, most: 16 });
+        for _ in 0..100 {
+            flows.learn("http://heights", 16, Answered::After(0.1));
+        }
+        assert_eq!((flows.limit("http://heights"), flows.limit("http://pictures")), (16, 4));
+        let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
+        let at_pictures = jobs.iter().filter(|(_, servers)| servers.len() == 2).count();
+        assert_eq!((jobs.len(), at_pictures), (16, 4), "others have the places meanwhile");
+    }
 }

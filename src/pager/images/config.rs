@@ -7,7 +7,7 @@ use crate::io::Limits;
 /// Sizes and patience of an [`ImagePager`](super::ImagePager).
 #[derive(Clone, Debug)]
 pub struct ImagePagerConfig {
-    /// Threads that read and decode.
+    /// Threads that read and decode. One server has one less at once, so that one that hangs does not stop everything.
     pub threads: usize,
     /// Images from files that may be decoded or under way at once.
     pub max_images: usize,
@@ -32,7 +32,7 @@ pub struct ImagePagerConfig {
 impl Default for ImagePagerConfig {
     fn default() -> Self {
         Self {
-            threads: 2,
+            threads: 3,
             max_images: 256,
             max_bytes: 128 << 20,
             expiry: Duration::from_secs(10),

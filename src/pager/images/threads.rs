@@ -25,14 +25,17 @@ pub(super) struct Waiting {
     pub uris: Vec<Arc<str>>,
     /// Taken since update last looked; written by the threads, drained by update.
     pub taken: Vec<Arc<str>>,
+    /// Asked of servers now; written by the threads.
+    asked: Vec<Arc<str>>,
     /// Set once, by drop.
     closed: bool,
 }
 
 /// The list and its bells.
-#[derive(Default)]
 struct List {
     waiting: Mutex<Waiting>,
+    /// Threads that one server may have: one that hangs leaves files and other servers theirs.
+    most_of_server: usize,
     bell: Condvar,
     /// Rung when the list closes, for a thread that waits for a server.
     #[cfg(feature = "http")]
@@ -40,24 +43,65 @@ struct List {
 }
 
 impl List {
+    fn new(threads: usize) -> Self {
+        Self {
+            waiting: Mutex::default(),
+            most_of_server: threads.saturating_sub(1).max(1),
+            bell: Condvar::new(),
+            #[cfg(feature = "http")]
+            closed: tokio::sync::Notify::new(),
+        }
+    }
+
     fn lock(&self) -> MutexGuard<'_, Waiting> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The most urgent image; waits for one, `None` once closed.
+    /// The most urgent image that may be read now; waits for one, `None` once closed. [`Self::has_read`] is to follow.
     fn take(&self) -> Option<Arc<str>> {
         let mut waiting = self.lock();
         loop {
             if waiting.closed {
                 return None;
             }
-            if let Some(uri) = waiting.uris.pop() {
+            let has_place = |uri: &Arc<str>| {
+                let of = server_of(uri);
+                of.is_none()
+                    || waiting.asked.iter().filter(|asked| server_of(asked) == of).count() < self.most_of_server
+            };
+            if let Some(place) = waiting.uris.iter().rposition(has_place) {
+                let uri = waiting.uris.remove(place);
                 waiting.taken.push(uri.clone());
+                if server_of(&uri).is_some() {
+                    waiting.asked.push(uri.clone());
+                }
                 return Some(uri);
             }
             waiting = self.bell.wait(waiting).unwrap_or_else(PoisonError::into_inner);
         }
     }
+
+    /// The bytes of what was taken are there, or will not come.
+    fn has_read(&self, uri: &Arc<str>) {
+        let mut waiting = self.lock();
+        if let Some(place) = waiting.asked.iter().position(|asked| Arc::ptr_eq(asked, uri)) {
+            waiting.asked.swap_remove(place);
+            drop(waiting);
+            // Others may be waiting for the place.
+            self.bell.notify_all();
+        }
+    }
+}
+
+/// `None` for files.
+#[cfg(feature = "http")]
+fn server_of(uri: &str) -> Option<&str> {
+    io::is_remote(uri).then(|| io::server(uri))
+}
+
+#[cfg(not(feature = "http"))]
+fn server_of(_: &str) -> Option<&str> {
+    None
 }
 
 /// All threads of an image pager; dropping it stops and joins them.
@@ -70,8 +114,8 @@ pub(super) struct Threads {
 
 impl Threads {
     pub fn start(config: &ImagePagerConfig) -> Result<Self, PagerError> {
-        let list = Arc::new(List::default());
         let count = config.threads.max(1);
+        let list = Arc::new(List::new(count));
         // A thread whose result does not fit waits with it: decoded images are bounded by the request list.
         let (sender, loaded) = bounded(count);
         let mut threads = Self { list: list.clone(), loaded: Some(loaded), handles: Vec::new() };
@@ -174,11 +218,34 @@ fn run(list: &List, sender: &Sender<Loaded>, reader: &Reader) {
     while let Some(uri) = list.take() {
         let span = timeline::span_of("image", || uri.clone());
         let Some(bytes) = reader.read(&uri, list) else { return };
+        list.has_read(&uri);
         let bytes_read = bytes.as_ref().map_or(0, |b| b.len() as u64);
         let image = bytes.and_then(|bytes| io::decode_image(&uri, &bytes, &reader.limits));
         drop(span);
         if sender.send(Loaded { uri, image, bytes_read }).is_err() {
             return;
         }
+    }
+}
+
+#[cfg(all(test, feature = "http"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_server_leaves_files_and_other_servers_a_thread() {
+        let list = List::new(3);
+        let uris = ["http://b/1", "/files/1.png", "http://a/4", "http://a/3", "http://a/2", "http://a/1"];
+        list.lock().uris = uris.map(Arc::from).to_vec();
+        let take = || list.take().unwrap();
+        let first = take();
+        let taken = [first.clone(), take(), take(), take()];
+        assert_eq!(taken.map(|uri| uri.to_string()), ["http://a/1", "http://a/2", "/files/1.png", "http://b/1"]);
+        assert_eq!(list.lock().uris.len(), 2);
+        list.has_read(&first);
+        assert_eq!(&*take(), "http://a/3");
+        assert_eq!(list.lock().taken.len(), 5);
+        // With a single thread there is nothing to leave.
+        assert_eq!(List::new(1).most_of_server, 1);
     }
 }
