@@ -17,6 +17,12 @@ use crate::timeline;
 /// At the end, bodies on their way to the cache have so long.
 const LAST_STORES: Duration = Duration::from_secs(2);
 
+/// A request to begin with.
+struct Start {
+    job: Job,
+    servers: Vec<String>,
+}
+
 /// A request under way.
 struct Running {
     handle: AbortHandle,
@@ -91,7 +97,7 @@ pub(super) fn run(
                     }
                 }
             }
-            for (job, servers) in jobs {
+            for Start { job, servers } in jobs {
                 let (client, limits, ticket, copy) = (client.clone(), *limits, job.ticket, job.clone());
                 let source = list.ticket_source;
                 let work = async move {
@@ -143,7 +149,7 @@ fn take(
     running: &HashMap<u64, Running>,
     flows: &Flows,
     most: usize,
-) -> (Vec<(Job, Vec<String>)>, Vec<u64>, bool) {
+) -> (Vec<Start>, Vec<u64>, bool) {
     let mut at_server: HashMap<String, usize> = HashMap::new();
     for server in running.values().flat_map(|running| &running.servers) {
         *at_server.entry(server.clone()).or_default() += 1;
@@ -166,7 +172,7 @@ fn take(
             for of in &servers {
                 *at_server.entry(of.clone()).or_default() += 1;
             }
-            jobs.push((job, servers));
+            jobs.push(Start { job, servers });
         }
     }
     (jobs, std::mem::take(&mut waiting.abort), waiting.closed)
@@ -250,7 +256,7 @@ mod tests {
         }
         assert_eq!((flows.limit("http://heights"), flows.limit("http://pictures")), (16, 4));
         let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
-        let at_pictures = jobs.iter().filter(|(_, servers)| servers.len() == 2).count();
+        let at_pictures = jobs.iter().filter(|start| start.servers.len() == 2).count();
         assert_eq!((jobs.len(), at_pictures), (16, 4), "others have the places meanwhile");
     }
 }
