@@ -6,15 +6,13 @@ mod gpu_support;
 use std::sync::Arc;
 
 use glam::dcamera::rh::proj::directx as proj;
-use glam::{DAffine3, DMat4, DVec3, DVec4};
+use glam::{DAffine3, DVec3};
 use gpu_support::{MAGENTA, Terrain, camera, count, mesh, plain, quad, rig, unit_camera, with_mips};
-use terrane::cull::CullCamera;
-use terrane::draw::{Environment, Fog, Sky, Water};
 use terrane::scene::{
     AlphaMode, Billboard, BillboardMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, Texture,
     Topology,
 };
-use terrane::state::{Attribute, BinDetails, BlendFactor, BlendFunc, SortMode, StateSet, WrapMode};
+use terrane::state::{StateSet, WrapMode};
 
 const RED: [f32; 4] = [1.0, 0.0, 0.0, 1.0];
 const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
@@ -256,105 +254,6 @@ fn height_tiles_of_a_block_are_one_draw() {
     let stats = rig.draw(&scene, &camera, &plain());
     assert_eq!((stats.leaves, stats.draw_calls, stats.state_changes), (16, 1, 4));
     assert_eq!(stats.triangles, 16 * (64 * 64 * 2 + 64 * 4 * 2));
-    rig.release(scene);
-}
-
-#[test]
-fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
-    let Some(mut rig) = rig("the_sky_is_behind_everything_opaque_and_under_what_blends") else { return };
-    let mut glass = quad([0.5, 0.0, 0.0], [0.25, 0.25], [1.0, 0.0, 0.0, 0.5]);
-    glass.material.alpha = AlphaMode::Blend;
-    // Sorted and blended by its state set alone, which leaves it its depth.
-    let sorted = quad([0.5, 0.6, 0.0], [0.25, 0.25], [1.0, 0.0, 0.0, 0.5]);
-    let blends = BlendFunc::new(BlendFactor::SrcAlpha, BlendFactor::OneMinusSrcAlpha);
-    let bin = Some(BinDetails { number: 10, sort: SortMode::BackToFront });
-    let set = StateSet { bin, ..StateSet::default() }.with(Attribute::BlendFunc(blends));
-    let scene = rig.scene(Node::group(vec![
-        Node::geode(vec![sorted]).with_state_set(Arc::new(set)),
-        Node::geode(vec![glass]),
-        Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.25, 0.25], RED)]),
-    ]));
-    let fog = Fog { enabled: false, density_per_m: 0.0 };
-    let sun_direction = DVec3::new(0.3, 0.8, 0.5).normalize();
-    let environment =
-        Environment { up_in_world: DVec3::Y, sun_direction, fog, sky: Sky::Atmosphere, ..Environment::default() };
-    let picture = rig.picture(&scene, &unit_camera(256), &environment);
-    assert_eq!(count(&picture, [255, 0, 0]), 64 * 64);
-    let [sky, through] = [picture.get_pixel(128, 128).0, picture.get_pixel(192, 128).0];
-    assert!(sky[2] > sky[0], "{sky:?}");
-    assert!(through[0] > sky[0] && through[2] < sky[2] && through[2] > 60, "{through:?} over {sky:?}");
-    let [above, through] = [picture.get_pixel(128, 51).0, picture.get_pixel(192, 51).0];
-    assert!(through[0] > above[0] && through[2] < above[2] && through[2] > 60, "{through:?} over {above:?}");
-    let top = picture.get_pixel(128, 4).0;
-    assert!(top[0] < sky[0], "towards the zenith it is a deeper blue: {top:?} {sky:?}");
-    rig.release(scene);
-}
-
-/// They were drawn as if all rays began in the eye.
-#[test]
-fn sky_and_sea_of_parallel_rays() {
-    let Some(mut rig) = rig("sky_and_sea_of_parallel_rays") else { return };
-    let parallel = |eye: DVec3, up: DVec3| {
-        let (half, near, far) = (50.0, 1.0, 1000.0);
-        let mut clip_from_eye = DMat4::from_diagonal(DVec4::new(1.0 / half, 1.0 / half, 1.0 / (far - near), 1.0));
-        clip_from_eye.w_axis.z = far / (far - near);
-        CullCamera { clip_from_eye, ..camera([256, 256], eye, DVec3::ZERO, up) }
-    };
-    let fog = Fog { enabled: false, density_per_m: 0.0 };
-    let sun_direction = DVec3::new(0.3, -0.2, 0.8).normalize();
-    let lit = Environment { up_in_world: DVec3::Z, sun_direction, fog, ..Environment::default() };
-
-    // Flat quads below and above the water, from above and from aside.
-    let scene = rig.scene(Node::geode(vec![
-        quad([-25.0, 0.0, 2.0], [5.0, 5.0], RED),
-        quad([25.0, 0.0, 8.0], [5.0, 5.0], RED),
-        quad([-25.0, 30.0, 4.5], [5.0, 5.0], RED),
-        quad([25.0, -30.0, 5.5], [5.0, 5.0], RED),
-    ]));
-    let sea = Environment { sky: Sky::Background(MAGENTA), water: Some(Water::at(5.0)), exposure: None, ..lit };
-    for (eye, up) in [(DVec3::new(0.0, 0.0, 100.0), DVec3::Y), (DVec3::new(0.0, -100.0, 100.0), DVec3::Z)] {
-        let view = parallel(eye, up);
-        let picture = rig.picture(&scene, &view, &sea);
-        let at = |place: DVec3| {
-            let clip = view.clip_from_eye.project_point3(view.eye_from_world.transform_point3(place));
-            let [x, y] = [128.0 + 128.0 * clip.x, 128.0 - 128.0 * clip.y].map(|v| v as u32);
-            picture.get_pixel(x, y).0
-        };
-        let is_red = |place| at(place)[..3] == [255, 0, 0];
-        assert!(is_red(DVec3::new(25.0, 0.0, 8.0)) && is_red(DVec3::new(25.0, -30.0, 5.5)), "{eye}");
-        assert!(!is_red(DVec3::new(-25.0, 0.0, 2.0)) && !is_red(DVec3::new(-25.0, 30.0, 4.5)), "{eye}");
-        let corners = [(4, 4), (251, 4), (4, 251), (251, 251)].map(|(x, y)| picture.get_pixel(x, y).0);
-        assert!(corners.iter().all(|c| *c == corners[0] && c[..3] != MAGENTA), "{eye}: {corners:?}");
-    }
-    rig.release(scene);
-
-    let sky = Environment { sky: Sky::Atmosphere, ..lit };
-    let scene = rig.scene(Node::group(Vec::new()));
-    let eye = DVec3::new(0.0, -100.0, 0.0);
-    let picture = rig.picture(&scene, &parallel(eye, DVec3::Z), &sky);
-    let middle = rig.picture(&scene, &camera([256, 256], eye, DVec3::ZERO, DVec3::Z), &sky).get_pixel(128, 127).0;
-    let is_near = |p: &image::Rgba<u8>| (0..3).all(|c| p.0[c].abs_diff(middle[c]) <= 3);
-    assert!(picture.pixels().all(is_near), "{middle:?} {:?}", picture.get_pixel(10, 10));
-    rig.release(scene);
-}
-
-#[test]
-fn haze_takes_far_things_to_the_horizons_color() {
-    let Some(mut rig) = rig("haze_takes_far_things_to_the_horizons_color") else { return };
-    let near = quad([-50.0, 0.0, -100.0], [20.0, 20.0], RED);
-    let far = quad([250_000.0, 0.0, -500_000.0], [100_000.0, 100_000.0], RED);
-    let scene = rig.scene(Node::geode(vec![near, far]));
-    let mut camera = unit_camera(256);
-    camera.clip_from_eye = glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.2, 1.0, 0.1);
-    let fog = Fog { enabled: true, density_per_m: 2e-5 };
-    let sun_direction = DVec3::new(0.3, 0.8, 0.5).normalize();
-    let environment =
-        Environment { up_in_world: DVec3::Y, sun_direction, fog, sky: Sky::Atmosphere, ..Environment::default() };
-    let picture = rig.picture(&scene, &camera, &environment);
-    let [near, far, horizon] = [(36, 128), (220, 128), (128, 126)].map(|(x, y)| picture.get_pixel(x, y).0);
-    println!("{near:?} {far:?} {horizon:?}");
-    assert!(near[0] > 180 && near[1] < 60, "{near:?}");
-    assert!(far.iter().zip(horizon).all(|(&far, sky)| far.abs_diff(sky) < 16), "{far:?} {horizon:?}");
     rig.release(scene);
 }
 
