@@ -1,5 +1,5 @@
 //! [`Extras`]: what `extras` of a tileset or a tile say to us, under `terrane`. The rest of them is anybody's: any JSON,
-//! of any size, and nothing of it is kept.
+//! of any size, and nothing of it is kept. On whatever thread decodes.
 
 use std::fmt;
 use std::marker::PhantomData;

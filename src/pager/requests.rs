@@ -135,7 +135,8 @@ impl DatabasePager {
             match entry.progress {
                 Progress::Waiting => match entry.needs.filter(|needs| !self.fits(needs)) {
                     None => jobs.push((entry.priority, entry)),
-                    Some(needs) if lacks.is_none_or(|(most, _)| entry.priority > most) => {
+                    // What is wanted only later makes nothing go.
+                    Some(needs) if !entry.is_ahead() && lacks.is_none_or(|(most, _)| entry.priority > most) => {
                         lacks = Some((entry.priority, needs));
                     }
                     Some(_) => {}

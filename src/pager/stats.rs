@@ -22,7 +22,7 @@ pub struct PagerStats {
     pub merged_ahead: u64,
     /// Pages taken out of the scene.
     pub expired: u64,
-    /// Failed contents taken up again.
+    /// Contents taken up again that failed, or found no room.
     pub retried: u64,
     /// Contents that could not be read or decoded, or that are beyond a whole budget.
     pub failed: u64,

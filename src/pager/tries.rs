@@ -1,4 +1,4 @@
-//! When what failed is tried again.
+//! When what failed is tried again: tiles and images of sequences. Update thread.
 
 use std::time::Duration;
 
