@@ -23,7 +23,7 @@ pub fn run(args: &InfoArgs) -> Result<()> {
     };
     std::io::stdout().write_all(text.as_bytes()).context("stdout")?;
     let failed = verified.map_or(0, |verified| verified.failed);
-    ensure!(failed == 0, "{}: {failed} could not be read", args.source);
+    ensure!(failed == 0, "{}: {failed} could not be read", io::shown(&args.source));
     Ok(())
 }
 
