@@ -349,6 +349,44 @@ fn images_come_over_http_and_a_server_that_hangs_holds_nobody_up() {
     assert!(start.elapsed() < Duration::from_secs(20), "dropping waits for nobody: {:?}", start.elapsed());
 }
 
+/// It held a thread until the server's time was over.
+#[cfg(feature = "http")]
+#[test]
+fn an_image_that_nobody_wants_any_more_is_given_up() {
+    use http_support::{How, Reply, Server};
+    use terrane::io::HttpConfig;
+    let folder = tempfile::tempdir().unwrap();
+    let bodies: Vec<Vec<u8>> = write_images(folder.path(), 3, 8).iter().map(|f| std::fs::read(f).unwrap()).collect();
+    let server = Server::start(move |request| match request.path() {
+        "/1.png" if request.nth == 0 => Reply::ok("").how(How::Silent),
+        path => Reply::ok(bodies[path[1..2].parse::<usize>().unwrap()].clone()),
+    });
+    let sequence = playing((0..3).map(|k| format!("{}/{k}.png", server.url)).collect(), LoopingMode::Looping, 3.0);
+    sequence.set_mode(SequenceMode::PageAndDiscardUsedImages);
+    sequence.set_pre_load_frames(0);
+    sequence.pause();
+    let long = Duration::from_secs(600);
+    let http = HttpConfig { first_byte_timeout: long, total_timeout: long, ..HttpConfig::default() };
+    // The only one.
+    let config = ImagePagerConfig { threads: 1, http, ..ImagePagerConfig::default() };
+    let Some(mut theatre) = Theatre::open(&[&sequence], config, ThreadingModel::default()) else { return };
+    let asked = |nth: usize| server.seen().iter().filter(|r| r.path() == "/1.png").count() == nth;
+    let mut until = |position_s: f64, is_so: &dyn Fn(&mut Theatre) -> bool| {
+        sequence.seek(position_s);
+        let end = Instant::now() + Duration::from_secs(30);
+        while !is_so(&mut theatre) {
+            assert!(Instant::now() < end, "{:?} {:?}", theatre.pager().stats(), theatre.pager().errors());
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    };
+    until(0.5, &|t| t.shown(1.0, 3) == Some(0));
+    until(1.5, &|t| t.shown(1.0, 3) == Some(0) && asked(1));
+    until(2.5, &|t| t.shown(1.0, 3) == Some(2));
+    until(1.5, &|t| t.shown(1.0, 3) == Some(1) && asked(2));
+    let stats = theatre.pager().stats();
+    assert_eq!((stats.cancelled, stats.failed, stats.loaded), (1, 0, 3), "{:?}", theatre.pager().errors());
+}
+
 #[test]
 fn a_context_opened_later_shows_what_the_others_do() {
     let folder = tempfile::tempdir().unwrap();

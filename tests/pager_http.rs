@@ -305,6 +305,21 @@ fn an_outage_of_many_tries_is_got_over() {
     assert_eq!((error_of(&run, "child2.glb").count, server.requests("/set/child2.glb")), (6, 13));
 }
 
+/// A network wants a login first and answers for everybody: what it sent was missing until the program was started again.
+#[test]
+fn a_page_instead_of_a_tile_is_asked_for_again() {
+    let server = Server::start(set(), |path, nth| match nth {
+        0 if path == "/set/child2.glb" => Answer::Page,
+        _ => Answer::Whole,
+    });
+    let mut run =
+        run_of(&server, PagerConfig { max_tries: None, retry_after: Duration::from_millis(2), ..impatient() });
+    run.until(NEAR, "does not recover", |r| r.stage.counters.tiles_drawn == CHILDREN as u32);
+    let error = error_of(&run, "child2.glb");
+    assert!(error.reason.contains("markup") && error.count == 1, "{error:?}");
+    assert_eq!(server.requests("/set/child2.glb"), 2);
+}
+
 /// Nobody looks at it for long; whoever comes back finds the tries that were made.
 #[test]
 fn tries_are_not_forgotten_while_nobody_looks() {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::shown;
+use super::{is_remote, shown};
 
 /// Why something could not be read. Every variant names the URI; as text, the values of a URL's query are left out
 /// ([`shown`]), since tokens travel there.
@@ -80,6 +80,13 @@ pub enum IoError {
         /// What is wrong with them.
         reason: String,
     },
+    /// A page for people in place of a content: servers and the networks before them send one with status 200, until
+    /// somebody has logged in.
+    #[error("{}: markup instead of content (an error page?)", shown(.uri))]
+    Markup {
+        /// Where it came from.
+        uri: String,
+    },
     /// Well formed, but not read by this version.
     #[error("{}: {what} is not supported", shown(.uri))]
     Unsupported {
@@ -115,6 +122,7 @@ impl IoError {
             | Self::Offline { uri }
             | Self::Uri { uri, .. }
             | Self::Invalid { uri, .. }
+            | Self::Markup { uri }
             | Self::Unsupported { uri, .. }
             | Self::TooLarge { uri, .. } => uri,
         }
@@ -131,8 +139,14 @@ impl IoError {
         match self {
             Self::Network { .. } | Self::Timeout { .. } => true,
             Self::Status { status, .. } => *status >= 500 || *status == 429 || *status == 408,
+            Self::Markup { uri } => is_remote(uri),
             _ => false,
         }
+    }
+
+    /// True for bytes that are not what they should be: no cache is to keep them.
+    pub(crate) fn is_no_content(&self) -> bool {
+        matches!(self, Self::Invalid { .. } | Self::Markup { .. })
     }
 
     /// How long to wait at least before asking again, where the server said so.

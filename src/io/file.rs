@@ -1,17 +1,13 @@
 //! Bytes from local files and archives, gzip undone by magic. Blocking; called on the pager's file threads.
 
 use std::io::{ErrorKind, Read};
-use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use lru::LruCache;
 
-use super::archive::{Local, split_path};
+use super::archive::{KEPT_ARCHIVES, KEPT_BYTES, Local, split_path, trim};
 use super::{IoError, Limits};
-
-/// Archives whose directories are kept.
-const KEPT_ARCHIVES: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
 
 /// Reads files, and files inside archives, whose directories it keeps. Shared by the file threads.
 #[derive(Debug)]
@@ -77,7 +73,9 @@ impl FileReader {
             return Ok((archive, name));
         }
         let archive = Arc::new(Local::open(&path, &self.limits)?);
-        self.kept().put(path, archive.clone());
+        let mut kept = self.kept();
+        kept.put(path, archive.clone());
+        trim(&mut kept, KEPT_BYTES, |archive| archive.bytes());
         Ok((archive, name))
     }
 

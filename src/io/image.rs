@@ -6,7 +6,7 @@ use std::sync::{Arc, OnceLock};
 
 use image::{ColorType, DynamicImage, ImageDecoder as _, ImageFormat, ImageReader, Limits as ImageLimits};
 
-use super::{IoError, Limits};
+use super::{IoError, Limits, read::refuse_markup};
 use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
 use crate::state::{CLAMPED, WrapMode};
 
@@ -40,6 +40,7 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], wrap: [WrapMode; 2], limits: &Limi
     } else if bytes.starts_with(&[0xff, 0xd8, 0xff]) {
         ImageFormat::Jpeg
     } else {
+        refuse_markup(uri, bytes)?;
         return Err(IoError::unsupported(uri, "image that is neither PNG nor JPEG"));
     };
     let bad = |e: image::ImageError| IoError::invalid(uri, format!("image: {e}"));

@@ -98,8 +98,7 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
     let limits = &options.limits;
     let sharing = options.sharing.as_deref();
     let bytes = file::gunzip(&uri, bytes, limits)?;
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-    let first = text.iter().find(|b| !b.is_ascii_whitespace()).copied();
+    let (text, first) = first_of_text(&bytes);
     if bytes.starts_with(b"glTF") {
         return gltf::read_glb(&uri, &bytes, None, limits, sharing);
     }
@@ -137,11 +136,23 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
             gltf::read_gltf(&uri, text, limits, sharing)
         };
     }
-    if first == Some(b'<') {
-        return Err(IoError::invalid(&uri, "markup instead of a tile (an error page?)"));
-    }
+    refuse_markup(&uri, &bytes)?;
     if image::is_image(&bytes) {
         return Err(IoError::unsupported(&uri, "an image as the content of a tile"));
     }
     Err(IoError::invalid(&uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
+}
+
+/// Pages for people begin as no content does.
+pub(crate) fn refuse_markup(uri: &str, bytes: &[u8]) -> Result<(), IoError> {
+    match first_of_text(bytes).1 {
+        Some(b'<') => Err(IoError::Markup { uri: uri.to_owned() }),
+        _ => Ok(()),
+    }
+}
+
+/// Text without its byte order mark, and what it begins with besides white space.
+fn first_of_text(bytes: &[u8]) -> (&[u8], Option<u8>) {
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    (text, text.iter().find(|b| !b.is_ascii_whitespace()).copied())
 }

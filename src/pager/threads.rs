@@ -220,7 +220,9 @@ fn decode(mut from: Intake, sender: &Sender<Answer>, options: &ReadOptions, forg
         let span = timeline::span_of("decode", || job.uri.clone());
         let page = bytes.and_then(|bytes| {
             let page = decode_one(&job, bytes, companions, options);
-            if let Err(error @ io::IoError::Invalid { .. }) = &page {
+            if let Err(error) = &page
+                && error.is_no_content()
+            {
                 forget(error.uri());
             }
             page

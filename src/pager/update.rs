@@ -112,7 +112,7 @@ impl DatabasePager {
         // A root is the application's.
         let page = io::decode(content, &ReadOptions { sharing: None, ..self.options.clone() });
         #[cfg(feature = "http")]
-        if let Err(io::IoError::Invalid { .. }) = &page
+        if page.as_ref().is_err_and(io::IoError::is_no_content)
             && let Some(cache) = self.threads.door.as_ref().and_then(|door| door.client.cache())
         {
             // An error page, say: asked for again next time.

@@ -169,6 +169,9 @@ pub struct Images {
     pub loaded: u64,
     /// Reads that failed.
     pub failed: u64,
+    /// Reads that were given up: nobody wanted the image any more.
+    #[serde(default)]
+    pub cancelled: u64,
     /// Paged out.
     pub paged_out: u64,
     /// Began to be shown.
@@ -188,6 +191,7 @@ impl Images {
         Self {
             loaded: s.loaded,
             failed: s.failed,
+            cancelled: s.cancelled,
             paged_out: s.paged_out,
             shown: s.shown,
             late: s.late,

@@ -156,7 +156,7 @@ impl Listening {
         for (name, value) in
             [("--latency-ms", args.latency_ms), ("--jitter-ms", args.jitter_ms), ("--bandwidth", args.bandwidth)]
         {
-            ensure!(value == 0.0 || (1e-3..1e12).contains(&value), "{name} must be zero or above");
+            ensure!(value == 0.0 || (1e-3..1e12).contains(&value), "{name} must be 0, or from 0.001 to 1e12");
         }
         let folder = args.folder.canonicalize().with_context(|| args.folder.display().to_string())?;
         ensure!(folder.is_dir(), "{}: is not a folder", folder.display());

@@ -146,6 +146,11 @@ impl Directory {
         Ok(Self { bytes, headers })
     }
 
+    /// Bytes that it takes.
+    pub fn bytes(&self) -> usize {
+        self.bytes.len() + size_of_val(self.headers.as_slice())
+    }
+
     /// The file of that name; of several, the last.
     pub fn find(&self, wanted: &str) -> Option<Member> {
         let of = |at: &u32| name(&self.bytes, *at as usize).unwrap_or_default();

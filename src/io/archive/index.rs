@@ -73,6 +73,11 @@ impl Index {
         Some(Self { hashes, offsets, ends })
     }
 
+    /// Bytes that it takes.
+    pub fn bytes(&self) -> usize {
+        self.hashes.len() * size_of::<u128>() + (self.offsets.len() + self.ends.len()) * size_of::<u64>()
+    }
+
     /// Where a file may be: its header and content, and perhaps more.
     pub fn find(&self, wanted: &str) -> Option<Span> {
         let hash = key(&Md5::digest(wanted.as_bytes()))?;

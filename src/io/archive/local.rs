@@ -64,6 +64,11 @@ impl LocalArchive {
         Ok(archive)
     }
 
+    /// Of index and directory, as far as they were read.
+    pub fn bytes(&self) -> usize {
+        self.directory.get().map_or(0, Directory::bytes) + self.index.as_ref().map_or(0, Index::bytes)
+    }
+
     /// The file is still the one whose directory was read.
     pub fn is_current(&self) -> bool {
         let now = std::fs::metadata(&self.path);

@@ -43,6 +43,11 @@ impl LocalTiles {
         Ok(Self { path: path.to_path_buf(), header, root, leaves, length, modified: metadata.modified().ok() })
     }
 
+    /// Of the directories that are kept.
+    pub fn bytes(&self) -> usize {
+        self.root.bytes() + self.leaves.sum(|leaf| leaf.bytes())
+    }
+
     /// The file is still the one whose head was read.
     pub fn is_current(&self) -> bool {
         let now = std::fs::metadata(&self.path);

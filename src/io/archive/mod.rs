@@ -12,7 +12,11 @@ mod local_tiles;
 mod member;
 pub(crate) mod pmtiles;
 
+use std::hash::Hash;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+
+use lru::LruCache;
 
 use super::{IoError, Limits};
 
@@ -40,6 +44,22 @@ fn ends_with(name: &str, extension: &str) -> bool {
     end.is_some_and(|end| end.eq_ignore_ascii_case(extension))
 }
 
+/// Archives whose directories a reader keeps.
+pub(crate) const KEPT_ARCHIVES: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
+/// Bytes of these directories together; of the archive that was used last it is kept all the same.
+pub(crate) const KEPT_BYTES: usize = 256 << 20;
+
+/// Lets those go that were not used for longest, until all have no more than so much together, or one is left.
+pub(crate) fn trim<K: Hash + Eq, V>(kept: &mut LruCache<K, V>, most: usize, size: impl Fn(&V) -> usize) {
+    if kept.len() < 2 {
+        return;
+    }
+    let mut all: usize = kept.iter().map(|(_, value)| size(value)).sum();
+    while all > most && kept.len() > 1 {
+        all -= kept.pop_lru().map_or(0, |(_, value)| size(&value));
+    }
+}
+
 /// An archive in a file, of either kind.
 #[derive(Debug)]
 pub(crate) enum Local {
@@ -53,6 +73,14 @@ impl Local {
             return LocalTiles::open(path, limits).map(Self::Tiles);
         }
         LocalArchive::open(path, limits).map(Self::Zip)
+    }
+
+    /// Bytes of what is kept of it.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Self::Zip(archive) => archive.bytes(),
+            Self::Tiles(tiles) => tiles.bytes(),
+        }
     }
 
     pub fn is_current(&self) -> bool {
@@ -133,6 +161,18 @@ mod tests {
         ] {
             assert_eq!(split(url).as_deref(), expected, "{url}");
         }
+    }
+
+    #[test]
+    fn the_archive_used_last_is_kept_whatever_its_size() {
+        let mut kept = LruCache::new(KEPT_ARCHIVES);
+        let mut put = |name, size| {
+            kept.put(name, size);
+            trim(&mut kept, 100, |size| *size);
+            kept.iter().map(|(name, _)| *name).collect::<String>()
+        };
+        assert_eq!((put('a', 60), put('b', 40), put('c', 1)), ("a".into(), "ba".into(), "cb".into()));
+        assert_eq!((put('d', 500), put('e', 1)), ("d".into(), "e".into()));
     }
 
     #[test]

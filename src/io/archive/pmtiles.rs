@@ -7,6 +7,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use lru::LruCache;
 
 use super::directory::{Span, number};
+use super::trim;
 use crate::io::{IoError, Limits, encoding, file};
 
 /// What is read at first: the header, and the root directory, which ends before it.
@@ -202,6 +203,11 @@ impl TileDirectory {
         self.0.len()
     }
 
+    /// Bytes that it takes.
+    pub fn bytes(&self) -> usize {
+        self.0.len() * size_of::<Entry>()
+    }
+
     fn find(&self, id: u64) -> Option<Entry> {
         let after = self.0.partition_point(|entry| entry.id <= id);
         let entry = *self.0.get(after.checked_sub(1)?)?;
@@ -240,13 +246,12 @@ impl<D: Clone> KeptDirectories<D> {
 
     /// Lets those go that were not used for longest, until all have no more entries than are kept.
     pub fn trim(&self, entries: impl Fn(&D) -> usize) {
-        let mut kept = self.kept();
-        let mut all: usize = kept.iter().map(|(_, directory)| entries(directory)).sum();
-        while all > KEPT_ENTRIES
-            && let Some((_, oldest)) = kept.pop_lru()
-        {
-            all -= entries(&oldest);
-        }
+        trim(&mut self.kept(), KEPT_ENTRIES, entries);
+    }
+
+    /// Of all that are kept.
+    pub fn sum(&self, size: impl Fn(&D) -> usize) -> usize {
+        self.kept().iter().map(|(_, directory)| size(directory)).sum()
     }
 }
 

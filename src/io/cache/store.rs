@@ -50,8 +50,8 @@ pub struct DiskCache {
     pub(super) counts: Counts,
     /// When an entry was last said to be in use; taken for moments.
     touched: Mutex<LruCache<Hash, Instant>>,
-    /// URIs to forget whose entries were not there yet: they may be on their way. Taken for moments.
-    refused: Mutex<LruCache<Hash, ()>>,
+    /// When URIs were forgotten: what was asked for before may still be on its way. Taken for moments.
+    refused: Mutex<LruCache<Hash, Instant>>,
     /// Held while room is made.
     pub(super) room: Mutex<Room>,
     /// Which store the buckets of a scheme are in.
@@ -184,8 +184,9 @@ impl DiskCache {
         entry
     }
 
-    /// Keeps a body. What cannot be written is counted, and said once.
-    pub(crate) fn store(&self, uri: &str, mut entry: Entry, body: &[u8]) {
+    /// Keeps a body that was asked for then, unless it was forgotten since. What cannot be written is counted, and said
+    /// once.
+    pub(crate) fn store(&self, uri: &str, mut entry: Entry, body: &[u8], asked: Instant) {
         let size = body.len() as u64;
         // One body is not worth all others.
         if size > self.config.max_bytes / 8 {
@@ -202,7 +203,7 @@ impl DiskCache {
             return;
         }
         let key = self.key_of(uri);
-        if lock(&self.refused).pop(&key).is_some() {
+        if lock(&self.refused).peek(&key).is_some_and(|refused| *refused >= asked) {
             self.remove_entry(&key);
             return;
         }
@@ -233,18 +234,16 @@ impl DiskCache {
     pub fn forget(&self, uri: &str) {
         let key = self.key_of(uri);
         // Before looking for the file: `store` looks here after writing it, so that one of the two sees the other.
-        lock(&self.refused).put(key, ());
-        if self.remove_entry(&key) {
-            lock(&self.refused).pop(&key);
-        }
+        lock(&self.refused).put(key, Instant::now());
+        self.remove_entry(&key);
     }
 
-    fn remove_entry(&self, key: &Hash) -> bool {
+    fn remove_entry(&self, key: &Hash) {
         let path = self.files.key(key);
         if let Some(blob) = self.entry_at(&path).and_then(|e| e.blob_hash()) {
             let _ = fs::remove_file(self.files.blob(&blob));
         }
-        fs::remove_file(path).is_ok()
+        let _ = fs::remove_file(path);
     }
 
     pub(crate) fn count_hit(&self, bytes: u64, asked: bool) {
@@ -307,13 +306,32 @@ mod tests {
     }
 
     #[test]
+    fn what_was_forgotten_is_not_kept_late_and_kept_when_it_comes_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DiskCache::open(&CacheConfig::new(folder.path())).unwrap();
+        let uri = "http://h/a.glb";
+        let store = |asked| cache.store(uri, Entry::default(), b"a body", asked);
+        let asked = Instant::now();
+        store(asked);
+        assert!(cache.has(uri));
+        cache.forget(uri);
+        assert!(!cache.has(uri));
+        // Another answer of that time was on its way here.
+        store(asked);
+        assert!(!cache.has(uri));
+        std::thread::sleep(Duration::from_millis(2));
+        store(Instant::now());
+        assert!(cache.has(uri));
+    }
+
+    #[test]
     fn what_is_known_of_uris_counts_too() {
         let folder = tempfile::tempdir().unwrap();
         let max_bytes = 100_000;
         let cache = DiskCache::open(&CacheConfig { max_bytes, ..CacheConfig::new(folder.path()) }).unwrap();
         let uri = |i: usize| format!("http://h/sea/{i}.glb");
         for i in 0..800 {
-            cache.store(&uri(i), Entry { uri: uri(i), ..Entry::default() }, &[5; 1000]);
+            cache.store(&uri(i), Entry { uri: uri(i), ..Entry::default() }, &[5; 1000], Instant::now());
         }
         let bytes = |part| cache.files.scan(part).unwrap().iter().map(|f| f.size).sum::<u64>();
         assert!(bytes("keys") + bytes("blobs") <= max_bytes, "{} of keys", bytes("keys"));

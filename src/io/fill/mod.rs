@@ -16,6 +16,7 @@ use super::{
     CacheStats, Content, HttpClient, HttpConfig, IoError, Limits, ReadOptions, RootScope, companions, decode_node,
     http, is_remote, root_uri, shown,
 };
+use crate::io::read::refuse_markup;
 use crate::math::{BoundingVolume, Region};
 use crate::scene::{Node, NodeKind};
 
@@ -167,9 +168,11 @@ impl Fill<'_> {
         self.filled.bytes += done.network_bytes;
         let result = done.result.and_then(|bytes| match &done.job.tileset {
             Some(tileset) => self.tileset(&done.job.uri, bytes, tileset),
-            None => Ok(()),
+            None => refuse_markup(&done.job.uri, &bytes),
         });
-        if let (Err(IoError::Invalid { .. }), Some(cache)) = (&result, client.cache()) {
+        if let Some(cache) = client.cache()
+            && result.as_ref().is_err_and(IoError::is_no_content)
+        {
             // An error page, say: asked for again next time.
             cache.forget(&done.job.uri);
         }

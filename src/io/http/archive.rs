@@ -1,9 +1,8 @@
 //! Archives on servers: the directory and each member by range requests.
 
-use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::SystemTime;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime};
 
 use lru::LruCache;
 use reqwest::header::{ACCEPT_ENCODING, CONTENT_RANGE, ETAG, HeaderMap, HeaderValue, RANGE};
@@ -12,12 +11,14 @@ use super::cached::{hit, keep_validators};
 use super::once::Once;
 use super::tiles::RemoteTiles;
 use super::{DECODED_HERE_BYTES, HttpBody, HttpClient, blocking, exchange};
-use crate::io::archive::{self, Directory, End, Index, Member, SLACK_BYTES, Span, TAIL_BYTES, is_pmtiles};
+use crate::io::archive::{
+    self, Directory, End, Index, KEPT_ARCHIVES, KEPT_BYTES, Member, SLACK_BYTES, Span, TAIL_BYTES, is_pmtiles,
+};
 use crate::io::cache::{Entry, Freshness};
 use crate::io::{DiskCache, IoError, Limits, file, shown};
 
-/// Archives whose directories are kept.
-const KEPT: NonZeroUsize = NonZeroUsize::new(64).expect("not zero");
+/// For so long after an answer with an archive's validator all of its files hold that were kept with it.
+const VOUCHES_FOR: Duration = Duration::from_secs(60);
 
 /// Directories by URL. Whoever needs one first reads it, the others wait for that.
 #[derive(Debug)]
@@ -27,7 +28,37 @@ pub(super) struct Archives(Mutex<LruCache<String, Arc<Once<Arc<RemoteArchive>>>>
 pub(super) struct RemoteArchive {
     pub length: u64,
     pub etag: Option<String>,
+    /// When it was last seen to be this one.
+    seen: Mutex<Instant>,
     pub inside: Inside,
+}
+
+impl RemoteArchive {
+    /// The archive that a part came from.
+    pub fn of(part: &Part, inside: Inside) -> Self {
+        Self { length: part.length, etag: part.etag(), seen: Mutex::new(part.asked), inside }
+    }
+
+    fn seen(&self) -> MutexGuard<'_, Instant> {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Says of a file that was kept with a validator that it still holds.
+    fn vouches_for(&self, kept: &Entry, now: Instant) -> bool {
+        let strong = self.etag.as_ref().filter(|tag| !tag.starts_with("W/"));
+        strong.is_some() && kept.etag.as_ref() == strong && now.saturating_duration_since(*self.seen()) < VOUCHES_FOR
+    }
+
+    /// Of what is kept of it in memory.
+    fn bytes(&self) -> usize {
+        match &self.inside {
+            Inside::Zip(zip) => {
+                let directory = zip.directory.get().map_or(0, Directory::bytes);
+                directory + zip.index.as_ref().map_or(0, Index::bytes)
+            }
+            Inside::Tiles(tiles) => tiles.bytes(),
+        }
+    }
 }
 
 /// An archive of either kind.
@@ -48,12 +79,18 @@ pub(super) struct RemoteZip {
 
 impl Archives {
     pub fn new() -> Self {
-        Self(Mutex::new(LruCache::new(KEPT)))
+        Self(Mutex::new(LruCache::new(KEPT_ARCHIVES)))
     }
 
     fn cell(&self, url: &str) -> Arc<Once<Arc<RemoteArchive>>> {
         let mut archives = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         archives.get_or_insert(url.to_owned(), Arc::default).clone()
+    }
+
+    /// Lets those go that were not used for longest, until all have no more bytes than are kept.
+    fn trim(&self) {
+        let mut archives = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        archive::trim(&mut archives, KEPT_BYTES, |cell| cell.get().map_or(0, |archive| archive.bytes()));
     }
 
     /// Lets an archive go that turned out to be another one by now; what was read of that meanwhile stays.
@@ -72,6 +109,8 @@ pub(super) struct Part {
     pub offset: u64,
     /// Bytes of the whole archive.
     pub length: u64,
+    /// Before it was asked for.
+    asked: Instant,
     headers: HeaderMap,
     freshness: Freshness,
 }
@@ -107,11 +146,10 @@ impl HttpClient {
         let network_bytes = AtomicU64::new(0);
         let cell = self.inner.archives.cell(url);
         let archive = cell.get_or_read(async || self.open_archive(url, limits, &network_bytes).await).await?;
-        let strong = archive.etag.as_ref().filter(|tag| !tag.starts_with("W/"));
-        if let (Some(cache), Some((entry, bytes)), Some(tag)) = (cache, kept, strong)
-            && entry.etag.as_ref() == Some(tag)
+        self.inner.archives.trim();
+        if let (Some(cache), Some((entry, bytes))) = (cache, kept)
+            && archive.vouches_for(&entry, Instant::now())
         {
-            // What the archive's directory came with says that the archive, and with it the file, still holds.
             return Ok(HttpBody { network_bytes: network_bytes.into_inner(), ..hit(cache, &entry, bytes, true) });
         }
         let (bytes, part) = match &archive.inside {
@@ -204,8 +242,8 @@ impl HttpClient {
         let mut entry = Entry { uri: shown(uri).into_owned(), ..Entry::default() };
         entry.checked(SystemTime::now(), freshness.fresh_for);
         keep_validators(&mut entry, &part.headers);
-        let (of, bytes) = (uri.to_owned(), bytes.to_vec());
-        self.write_behind(cache, move |cache| cache.store(&of, entry, &bytes)).await;
+        let (of, bytes, asked) = (uri.to_owned(), bytes.to_vec(), part.asked);
+        self.write_behind(cache, move |cache| cache.store(&of, entry, &bytes, asked)).await;
     }
 
     /// Reads the directory or the index: by one request where the archive is small, else by two or three.
@@ -261,8 +299,7 @@ impl HttpClient {
             // Nobody else has it yet.
             directory.get_or_read(async || read_directory(url, bytes, place, limits).await).await?;
         }
-        let inside = Inside::Zip(RemoteZip { place, index, directory });
-        Ok(Arc::new(RemoteArchive { length, etag, inside }))
+        Ok(Arc::new(RemoteArchive::of(&tail, Inside::Zip(RemoteZip { place, index, directory }))))
     }
 
     /// A part of an archive that has to be the one whose beginning or end was read.
@@ -296,6 +333,9 @@ impl HttpClient {
             self.inner.archives.forget(url, archive);
             return Err(error);
         }
+        if archive.etag.is_some() && part.etag() == archive.etag {
+            *archive.seen() = part.asked;
+        }
         Ok(part)
     }
 
@@ -311,6 +351,7 @@ impl HttpClient {
         headers.insert(RANGE, value);
         // A part of something compressed on its way is no use.
         headers.insert(ACCEPT_ENCODING, HeaderValue::from_static("identity"));
+        let asked = Instant::now();
         let answer = self.exchange(url, &headers, limits).await?;
         network_bytes.fetch_add(answer.body.len() as u64, Ordering::Relaxed);
         let (offset, length) = match answer.status {
@@ -327,7 +368,7 @@ impl HttpClient {
             _ => return Err(answer.error(url)),
         };
         let exchange::Answer { body: bytes, headers, freshness, .. } = answer;
-        Ok(Part { bytes, offset, length, headers, freshness })
+        Ok(Part { bytes, offset, length, asked, headers, freshness })
     }
 }
 
@@ -375,6 +416,25 @@ fn same(url: &str, part: &Part, span: Span, length: u64, etag: &Option<String>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_archive_vouches_for_what_came_with_it_for_a_while() {
+        let now = Instant::now();
+        let archive = |etag: &str| {
+            let zip = RemoteZip { place: Span { offset: 0, size: 0 }, index: None, directory: Once::default() };
+            let (etag, seen) = (Some(etag.to_owned()), Mutex::new(now));
+            RemoteArchive { length: 9, etag, seen, inside: Inside::Zip(zip) }
+        };
+        let kept = |etag: &str| Entry { etag: Some(etag.to_owned()), ..Entry::default() };
+        let strong = archive("\"1\"");
+        assert!(strong.vouches_for(&kept("\"1\""), now) && strong.vouches_for(&kept("\"1\""), now + VOUCHES_FOR / 2));
+        // It may be another one by now: its directory was read long ago.
+        assert!(!strong.vouches_for(&kept("\"1\""), now + VOUCHES_FOR));
+        *strong.seen() = now + VOUCHES_FOR;
+        assert!(strong.vouches_for(&kept("\"1\""), now + VOUCHES_FOR));
+        assert!(!strong.vouches_for(&kept("\"2\""), now) && !strong.vouches_for(&Entry::default(), now));
+        assert!(!archive("W/\"1\"").vouches_for(&kept("W/\"1\""), now), "weak ones say little");
+    }
 
     #[test]
     fn ranges() {

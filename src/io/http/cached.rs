@@ -1,7 +1,7 @@
 //! Answers from the cache on disk: taken while they are fresh, asked about when they are not, kept when they are new.
 
 use std::sync::Arc;
-use std::time::SystemTime;
+use std::time::{Instant, SystemTime};
 
 use reqwest::header::{ETAG, HeaderMap, HeaderName, HeaderValue, IF_MODIFIED_SINCE, IF_NONE_MATCH, LAST_MODIFIED};
 
@@ -65,6 +65,7 @@ impl HttpClient {
         headers: &HeaderMap,
         limits: &Limits,
     ) -> Result<(HttpBody, Option<Answer>), IoError> {
+        let asked = Instant::now();
         let answer = self.exchange(uri, headers, limits).await?;
         let was_asked = headers.contains_key(IF_NONE_MATCH) || headers.contains_key(IF_MODIFIED_SINCE);
         if answer.status == 304 && was_asked {
@@ -83,7 +84,7 @@ impl HttpClient {
             entry.checked(SystemTime::now(), freshness.fresh_for);
             keep_validators(&mut entry, &answer.headers);
             let of = uri.to_owned();
-            self.write_behind(cache, move |cache| cache.store(&of, entry, &answer.body)).await;
+            self.write_behind(cache, move |cache| cache.store(&of, entry, &answer.body, asked)).await;
         }
         Ok((HttpBody { bytes, network_bytes }, None))
     }

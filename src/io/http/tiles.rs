@@ -22,6 +22,13 @@ pub(super) struct RemoteTiles {
     leaves: KeptDirectories<Arc<Once<TileDirectory>>>,
 }
 
+impl RemoteTiles {
+    /// Bytes of the directories that are kept.
+    pub fn bytes(&self) -> usize {
+        self.root.bytes() + self.leaves.sum(|leaf| leaf.get().map_or(0, TileDirectory::bytes))
+    }
+}
+
 impl HttpClient {
     pub(super) async fn open_tiles(
         &self,
@@ -43,7 +50,7 @@ impl HttpClient {
         };
         let root = header.directory(url, root, limits)?;
         let tiles = RemoteTiles { header, root, leaves: KeptDirectories::new() };
-        Ok(Arc::new(RemoteArchive { length: head.length, etag: head.etag(), inside: Inside::Tiles(tiles) }))
+        Ok(Arc::new(RemoteArchive::of(&head, Inside::Tiles(tiles))))
     }
 
     /// A tile's bytes, decompressed, and the part that they came in.

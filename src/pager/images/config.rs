@@ -53,6 +53,8 @@ pub struct ImagePagerStats {
     pub loaded: u64,
     /// Reads that failed.
     pub failed: u64,
+    /// Reads that were given up, because nobody wanted the image any more.
+    pub cancelled: u64,
     /// Images paged out.
     pub paged_out: u64,
     /// Images that began to be shown.

@@ -74,6 +74,13 @@ pub struct ImagePager {
     errors: Errors,
 }
 
+impl Slot {
+    /// Nobody wants it in this update, nor will it be kept for later.
+    fn is_expired(&self, updates: u64, expiry: Duration, now: Instant) -> bool {
+        self.wanted != updates && (self.discards || now.saturating_duration_since(self.wanted_at) > expiry)
+    }
+}
+
 fn bytes_of(image: &Texture) -> u64 {
     image.mips.iter().map(|m| m.len() as u64).sum()
 }
@@ -220,10 +227,7 @@ impl ImagePager {
         let is_loaded = |s: &Slot| matches!(s.state, State::Loaded(_));
         let updates = self.updates;
         let expiry = self.config.expiry;
-        let gone = |s: &Slot| {
-            let unwanted = is_loaded(s) && s.wanted != updates;
-            unwanted && (s.discards || now.saturating_duration_since(s.wanted_at) > expiry)
-        };
+        let gone = |s: &Slot| is_loaded(s) && s.is_expired(updates, expiry, now);
         let expired: Vec<Arc<str>> = self.slots.iter().filter(|(_, s)| gone(s)).map(|(uri, _)| uri.clone()).collect();
         for uri in expired {
             self.let_go(&uri);
@@ -307,6 +311,9 @@ impl ImagePager {
         waiting.uris.extend(wanted[first..].iter().map(|(_, uri)| (*uri).clone()));
         let is_empty = waiting.uris.is_empty();
         drop(waiting);
+        let slots = &self.slots;
+        let is_wanted = |slot: &Slot| !slot.is_expired(self.updates, self.config.expiry, now);
+        self.threads.give_up(|uri| !slots.get(uri).is_some_and(is_wanted));
         if !is_empty {
             self.threads.ring();
         }
@@ -317,6 +324,13 @@ impl ImagePager {
         // What was taken and came since the last look is further already, and may be let go before the next.
         self.threads.lock().taken.retain(|taken| *taken != uri);
         self.stats.bytes_read += bytes_read;
+        let Some(image) = image else {
+            self.stats.cancelled += 1;
+            if let Some(slot) = self.slots.get_mut(&uri).filter(|slot| matches!(slot.state, State::Loading)) {
+                slot.state = State::Waiting;
+            }
+            return;
+        };
         let max_bytes = self.config.max_bytes;
         let image = image.and_then(|image| match bytes_of(&image) {
             got if got > max_bytes => {
@@ -429,7 +443,7 @@ mod tests {
         let mut pager = pager_with(&uri, State::Waiting, 0);
         pager.threads.lock().taken.push(uri.clone());
         let image = Texture { width: 1, height: 1, mips: vec![vec![1; 4]], wrap: Default::default() };
-        pager.arrive(Loaded { uri: uri.clone(), image: Ok(image.into()), bytes_read: 4 });
+        pager.arrive(Loaded { uri: uri.clone(), image: Some(Ok(image.into())), bytes_read: 4 });
         pager.let_go(&uri);
         pager.request(Instant::now());
         assert!(matches!(pager.slots[&uri].state, State::Waiting));

@@ -14,7 +14,8 @@ use crate::timeline;
 /// What became of a request.
 pub(super) struct Loaded {
     pub uri: Arc<str>,
-    pub image: Result<Arc<Texture>, IoError>,
+    /// `None` where it was given up.
+    pub image: Option<Result<Arc<Texture>, IoError>>,
     pub bytes_read: u64,
 }
 
@@ -27,6 +28,8 @@ pub(super) struct Waiting {
     pub taken: Vec<Arc<str>>,
     /// Asked of servers now; written by the threads.
     asked: Vec<Arc<str>>,
+    /// Of these, what nobody wants any more; written by update.
+    unwanted: Vec<Arc<str>>,
     /// Set once, by drop.
     closed: bool,
 }
@@ -37,9 +40,9 @@ struct List {
     /// Threads that one server may have: one that hangs leaves files and other servers theirs.
     most_of_server: usize,
     bell: Condvar,
-    /// Rung when the list closes, for a thread that waits for a server.
+    /// Rung when the list closes or something is unwanted, for a thread that waits for a server.
     #[cfg(feature = "http")]
-    closed: tokio::sync::Notify,
+    given_up: tokio::sync::Notify,
 }
 
 impl List {
@@ -49,7 +52,7 @@ impl List {
             most_of_server: threads.saturating_sub(1).max(1),
             bell: Condvar::new(),
             #[cfg(feature = "http")]
-            closed: tokio::sync::Notify::new(),
+            given_up: tokio::sync::Notify::new(),
         }
     }
 
@@ -89,6 +92,25 @@ impl List {
             drop(waiting);
             // Others may be waiting for the place.
             self.bell.notify_all();
+        }
+    }
+}
+
+#[cfg(feature = "http")]
+impl List {
+    /// Waits until nobody wants an image that is under way, or the list closes.
+    async fn is_given_up(&self, uri: &Arc<str>) {
+        loop {
+            let rung = self.given_up.notified();
+            tokio::pin!(rung);
+            rung.as_mut().enable();
+            {
+                let waiting = self.lock();
+                if waiting.closed || waiting.unwanted.contains(uri) {
+                    return;
+                }
+            }
+            rung.await;
         }
     }
 }
@@ -138,6 +160,21 @@ impl Threads {
         self.list.bell.notify_all();
     }
 
+    /// Gives up what is asked of servers and nobody wants any more: it is answered as such.
+    #[cfg(feature = "http")]
+    pub fn give_up(&self, is_unwanted: impl Fn(&Arc<str>) -> bool) {
+        let Waiting { asked, unwanted, .. } = &mut *self.lock();
+        unwanted.clear();
+        unwanted.extend(asked.iter().filter(|uri| is_unwanted(uri)).cloned());
+        if !unwanted.is_empty() {
+            self.list.given_up.notify_waiters();
+        }
+    }
+
+    /// Files are read to their end.
+    #[cfg(not(feature = "http"))]
+    pub fn give_up(&self, _is_unwanted: impl Fn(&Arc<str>) -> bool) {}
+
     pub fn try_loaded(&self) -> Option<Loaded> {
         self.loaded.as_ref()?.try_recv().ok()
     }
@@ -153,7 +190,7 @@ impl Drop for Threads {
         self.list.lock().closed = true;
         self.list.bell.notify_all();
         #[cfg(feature = "http")]
-        self.list.closed.notify_waiters();
+        self.list.given_up.notify_waiters();
         self.loaded = None;
         for handle in self.handles.drain(..) {
             if handle.join().is_err() {
@@ -186,19 +223,13 @@ impl Reader {
         })
     }
 
-    /// `None` when the list closed meanwhile.
-    fn read(&self, uri: &str, _list: &List) -> Option<Result<Vec<u8>, IoError>> {
+    /// `None` when it was given up, or the list closed.
+    fn read(&self, uri: &Arc<str>, _list: &List) -> Option<Result<Vec<u8>, IoError>> {
         if !io::is_remote(uri) {
             return Some(self.files.read(uri));
         }
         #[cfg(feature = "http")]
         return self.runtime.block_on(async {
-            let closed = _list.closed.notified();
-            tokio::pin!(closed);
-            closed.as_mut().enable();
-            if _list.lock().closed {
-                return None;
-            }
             let get = async {
                 let body = self.client.get(uri, &self.limits).await;
                 self.client.flush().await;
@@ -206,7 +237,7 @@ impl Reader {
             };
             tokio::select! {
                 bytes = get => Some(bytes),
-                () = closed => None,
+                () = _list.is_given_up(uri) => None,
             }
         });
         #[cfg(not(feature = "http"))]
@@ -214,13 +245,26 @@ impl Reader {
     }
 }
 
+impl Reader {
+    /// The cache does not keep what turned out to be no image.
+    fn forget_no_content(&self, _image: &Option<Result<Arc<Texture>, IoError>>) {
+        #[cfg(feature = "http")]
+        if let (Some(Err(error)), Some(cache)) = (_image, self.client.cache())
+            && error.is_no_content()
+        {
+            cache.forget(error.uri());
+        }
+    }
+}
+
 fn run(list: &List, sender: &Sender<Loaded>, reader: &Reader) {
     while let Some(uri) = list.take() {
         let span = timeline::span_of("image", || uri.clone());
-        let Some(bytes) = reader.read(&uri, list) else { return };
+        let bytes = reader.read(&uri, list);
         list.has_read(&uri);
-        let bytes_read = bytes.as_ref().map_or(0, |b| b.len() as u64);
-        let image = bytes.and_then(|bytes| io::decode_image(&uri, &bytes, &reader.limits));
+        let bytes_read = bytes.iter().flatten().map(|bytes| bytes.len() as u64).sum();
+        let image = bytes.map(|bytes| bytes.and_then(|bytes| io::decode_image(&uri, &bytes, &reader.limits)));
+        reader.forget_no_content(&image);
         drop(span);
         if sender.send(Loaded { uri, image, bytes_read }).is_err() {
             return;
