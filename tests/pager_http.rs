@@ -413,6 +413,22 @@ fn an_unwanted_request_is_aborted() {
     run.until(NEAR, "not asked for again", |_| server.requests("/set/child0.glb") == 2);
 }
 
+/// Those that were taken since the last list were forgotten: they kept their server's places until it answered.
+#[test]
+fn requests_that_were_just_begun_are_aborted_by_clear() {
+    let server = Server::start(set(), |path, _| if path.contains("child") { Answer::Silent } else { Answer::Whole });
+    let mut run = run_of(&server, PagerConfig { http_in_flight: 3, http_in_flight_max: 3, ..patient() });
+    let children = || server.seen.lock().unwrap().requests.iter().filter(|path| path.contains("child")).count();
+    let mut asked = 0;
+    for round in 1..=20 {
+        run.until(NEAR, "not asked for", |_| children() >= asked + 3);
+        asked = children();
+        let contexts: &mut [&mut dyn terrane::pager::CompileContext] = &mut [&mut run.context];
+        run.pager.clear(&mut run.scene, contexts);
+        run.until(FAR, "not given up", |_| server.given_up().len() == 3 * round);
+    }
+}
+
 #[test]
 fn a_stale_request_never_reaches_the_server() {
     let server = Server::start(set(), |path, _| if path.contains("child") { Answer::Silent } else { Answer::Whole });

@@ -158,11 +158,13 @@ fn take(
     let mut jobs = Vec::new();
     // The most urgent are last.
     let mut next = waiting.http.len();
-    while next > 0 && running.len() + jobs.len() < most && waiting.may_take(&waiting.http[next - 1]) {
+    while next > 0 && running.len() + jobs.len() < most {
         next -= 1;
-        let has_place = |of: &str| at_server.get(of).copied().unwrap_or(0) < flows.limit(of);
+        let count = |of: &str| at_server.get(of).copied().unwrap_or(0);
+        let has_place = |of: &str| count(of) < flows.limit(of);
         let job = &waiting.http[next];
-        if !has_place(server(&job.uri)) {
+        let own = server(&job.uri);
+        if !waiting.may_take(job, count(own)) || !has_place(own) {
             continue;
         }
         let servers = servers_of(job);
@@ -219,36 +221,23 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Vec<(
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
-    use glam::DAffine3;
-
-    use super::super::list::Above;
+    use super::super::list::tests::job;
     use super::*;
-    use crate::scene::{NodeId, PageId};
 
     /// Only the content's server was counted: the pictures' one got as many requests as that one may have.
     #[test]
     fn what_comes_with_a_content_counts_at_its_own_server() {
         let list = RequestList::new(1000, 1000);
-        let job = |ticket: u64, imagery: &str| {
+        let with_imagery = |ticket: u64, imagery: &str| {
             let data = format!(
                 r#"{{"region":[0,0,1,1],"side":3,"border":1,"level":0,"errors_m":[],"imagery":"{imagery}/{ticket}.jpg"}}"#
             );
-            Job {
-                ticket,
-                slot: NodeId { page: PageId { slot: 0, generation: 0 }, index: ticket as u32 },
-                uri: format!("http://heights/{ticket}.exr").into(),
-                reader_data: Some(data.into()),
-                above: Above { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY },
-                is_ahead: false,
-                stage: Arc::default(),
-            }
+            Job { reader_data: Some(data.into()), ..job(ticket, &format!("http://heights/{ticket}.exr")) }
         };
         let mut waiting = list.lock();
         waiting.allowed = 1000;
-        waiting.http.extend((0..20).map(|ticket| job(ticket, "http://heights")));
-        waiting.http.extend((20..40).map(|ticket| job(ticket, "http://pictures")));
+        waiting.http.extend((0..20).map(|ticket| with_imagery(ticket, "http://heights")));
+        waiting.http.extend((20..40).map(|ticket| with_imagery(ticket, "http://pictures")));
         drop(waiting);
         let mut flows = Flows::new(Range { start: 4, most: 16 });
         for _ in 0..100 {
@@ -258,5 +247,20 @@ mod tests {
         let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
         let at_pictures = jobs.iter().filter(|start| start.servers.len() == 2).count();
         assert_eq!((jobs.len(), at_pictures), (16, 4), "others have the places meanwhile");
+    }
+
+    /// All that the budgets allow may be with a server that hangs.
+    #[test]
+    fn each_server_has_a_place_in_any_case() {
+        let list = RequestList::new(1000, 1000);
+        let mut waiting = list.lock();
+        waiting.allowed = 4;
+        // Taken from the end.
+        waiting.http.extend((0..9).map(|ticket| job(ticket, "http://other/a.glb")));
+        waiting.http.extend((9..18).map(|ticket| job(ticket, "http://hangs/a.glb")));
+        drop(waiting);
+        let flows = Flows::new(Range { start: 16, most: 16 });
+        let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
+        assert_eq!(jobs.iter().map(|start| start.job.ticket).collect::<Vec<_>>(), [17, 16, 15, 14, 8]);
     }
 }

@@ -2,7 +2,8 @@
 //!
 //! One mutex, two condition variables' worth of waiting. Update rewrites the waiting jobs each frame in order of
 //! priority; a thread takes the last one. At most `capacity` jobs are outstanding (taken and not yet answered),
-//! and the channels behind the threads hold as many, so no send ever blocks; but file threads wait for decoders.
+//! and the channels behind the threads hold as many, so no send ever blocks; but file threads wait for decoders. Within
+//! that every server, and the disk, may have one, however few the budgets allow: one that hangs takes no other's place.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -11,7 +12,7 @@ use glam::DAffine3;
 
 use super::shares::Held;
 use super::states::Stage;
-use crate::io::{Fetched, IoError};
+use crate::io::{Fetched, IoError, is_remote};
 use crate::scene::{NodeId, Page, PagingOptions};
 
 /// One content to load.
@@ -64,12 +65,16 @@ pub(super) struct Waiting {
     pub file: Vec<Job>,
     /// Written by update, taken from the end by the HTTP thread.
     pub http: Vec<Job>,
-    /// Tickets taken since update last looked; written by the takers, drained by update.
+    /// Tickets taken since update last looked, and not yet answered; written by the takers, drained by update.
     pub taken: Vec<u64>,
     /// Tickets of running HTTP requests to abort; written by update, drained by the HTTP thread.
     pub abort: Vec<u64>,
     /// Taken and not yet answered; raised by takers, lowered by update.
     pub outstanding: usize,
+    /// Of those outstanding, files.
+    files_outstanding: usize,
+    /// Most that may be outstanding in any case.
+    capacity: usize,
     /// Most that may be outstanding; written by update from the budgets.
     pub allowed: usize,
     /// Of those outstanding, wanted only later.
@@ -81,19 +86,24 @@ pub(super) struct Waiting {
 }
 
 impl Waiting {
-    /// A thread may take a job.
-    pub fn may_take(&self, job: &Job) -> bool {
-        self.outstanding < self.allowed && (!job.is_ahead || self.ahead_outstanding < self.ahead_allowed)
+    /// A thread may take a job from a server, or from the disk, that has so many under way.
+    pub fn may_take(&self, job: &Job, beside: usize) -> bool {
+        if job.is_ahead {
+            return self.outstanding < self.allowed && self.ahead_outstanding < self.ahead_allowed;
+        }
+        let is_first = beside == 0 && self.allowed > 0;
+        self.outstanding < if is_first { self.capacity } else { self.allowed }
     }
 
     /// A thread could take something, or will be answered.
     pub fn is_under_way(&self) -> bool {
-        let may_take = |jobs: &[Job]| jobs.last().is_some_and(|job| self.may_take(job));
+        let may_take = |jobs: &[Job]| jobs.last().is_some_and(|job| self.may_take(job, 0));
         self.outstanding > 0 || may_take(&self.file) || may_take(&self.http)
     }
 
     pub fn took(&mut self, job: &Job) {
         self.outstanding += 1;
+        self.files_outstanding += usize::from(!is_remote(&job.uri));
         self.ahead_outstanding += usize::from(job.is_ahead);
         self.taken.push(job.ticket);
         job.stage.reads();
@@ -101,12 +111,15 @@ impl Waiting {
 
     pub fn answered(&mut self, job: &Job) {
         self.outstanding = self.outstanding.saturating_sub(1);
+        self.files_outstanding = self.files_outstanding.saturating_sub(usize::from(!is_remote(&job.uri)));
         self.ahead_outstanding = self.ahead_outstanding.saturating_sub(usize::from(job.is_ahead));
+        self.taken.retain(|ticket| *ticket != job.ticket);
     }
 
     /// A file may be taken.
     fn has_file_for(&self, most: usize) -> bool {
-        self.outstanding < most && self.file.last().is_some_and(|job| self.may_take(job))
+        let files = self.files_outstanding;
+        files < most && self.file.last().is_some_and(|job| self.may_take(job, files))
     }
 }
 
@@ -120,14 +133,14 @@ pub(super) struct RequestList {
     pub capacity: usize,
     /// Tells this pager's tickets from others' on a timeline.
     pub ticket_source: u64,
-    /// Most that may be outstanding while a file is taken: files need no more to keep the threads busy.
+    /// Most files that may be outstanding: they need no more to keep the threads busy.
     for_files: usize,
 }
 
 impl RequestList {
     pub fn new(capacity: usize, for_files: usize) -> Self {
         Self {
-            waiting: Mutex::new(Waiting { allowed: capacity, ..Waiting::default() }),
+            waiting: Mutex::new(Waiting { allowed: capacity, capacity, ..Waiting::default() }),
             file_bell: Condvar::new(),
             #[cfg(feature = "http")]
             http_bell: tokio::sync::Notify::new(),
@@ -240,5 +253,64 @@ impl Entry {
     pub fn rests(&mut self) -> bool {
         self.progress = Progress::Failed { retry_at: Some(Instant::now()) };
         self.tries > 0
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::scene::PageId;
+
+    pub(in crate::pager) fn job(ticket: u64, uri: &str) -> Job {
+        Job {
+            ticket,
+            slot: NodeId { page: PageId { slot: 0, generation: 0 }, index: ticket as u32 },
+            uri: uri.into(),
+            reader_data: None,
+            above: Above { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY },
+            is_ahead: false,
+            stage: Arc::default(),
+        }
+    }
+
+    /// Files were read only while few requests of servers were under way.
+    #[test]
+    fn requests_of_servers_take_no_files_places() {
+        let list = RequestList::new(100, 18);
+        let asked: Vec<Job> = (0..30).map(|ticket| job(ticket, "http://h/a.glb")).collect();
+        let mut waiting = list.lock();
+        asked.iter().for_each(|job| waiting.took(job));
+        waiting.file = (30..50).map(|ticket| job(ticket, "/set/a.glb")).collect();
+        let mut read = Vec::new();
+        while waiting.has_file_for(list.for_files)
+            && let Some(job) = waiting.file.pop()
+        {
+            waiting.took(&job);
+            read.push(job);
+        }
+        assert_eq!(read.len(), 18);
+        waiting.answered(&read[0]);
+        waiting.answered(&asked[0]);
+        assert_eq!((waiting.outstanding, waiting.files_outstanding), (46, 17));
+    }
+
+    /// All that the budgets allow may be with a server that hangs.
+    #[test]
+    fn the_disk_has_a_place_in_any_case() {
+        let list = RequestList::new(6, 18);
+        let mut waiting = list.lock();
+        waiting.allowed = 4;
+        (0..4).for_each(|ticket| waiting.took(&job(ticket, "http://h/a.glb")));
+        waiting.file = (4..6).map(|ticket| job(ticket, "/set/a.glb")).collect();
+        assert!(waiting.has_file_for(list.for_files));
+        let first = waiting.file.pop().unwrap();
+        waiting.took(&first);
+        assert!(!waiting.has_file_for(list.for_files), "but one");
+        waiting.answered(&first);
+        waiting.allowed = 0;
+        assert!(!waiting.has_file_for(list.for_files), "no room at all, or paused");
+        waiting.allowed = 4;
+        (6..8).for_each(|ticket| waiting.took(&job(ticket, "http://h/a.glb")));
+        assert!(!waiting.has_file_for(list.for_files), "the channels hold no more");
     }
 }

@@ -110,14 +110,13 @@ impl DatabasePager {
         let stale_frames = self.config.stale_frames;
         let list = &self.threads.list;
         let mut waiting = list.lock();
-        let taken: HashSet<u64> = waiting.taken.drain(..).collect();
+        let mut taken: HashSet<u64> = waiting.taken.drain(..).collect();
         if !taken.is_empty() {
-            for entry in self.entries.values_mut() {
-                // What was taken and answered since the last look is further already.
-                if matches!(entry.progress, Progress::Waiting) && taken.contains(&entry.job.ticket) {
-                    entry.progress = Progress::Loading;
-                }
+            for entry in self.entries.values_mut().filter(|entry| taken.remove(&entry.job.ticket)) {
+                entry.progress = Progress::Loading;
             }
+            // What is left was forgotten meanwhile.
+            waiting.abort.extend(taken);
         }
         let mut stale = 0;
         self.entries.retain(|_, e| {
