@@ -46,16 +46,19 @@ fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
     rig.release(scene);
 }
 
+/// From an eye to the origin, so wide to each side and from a metre on so far.
+fn parallel(eye: DVec3, up: DVec3, half_m: f64, far_m: f64) -> CullCamera {
+    let depth = far_m - 1.0;
+    let mut clip_from_eye = DMat4::from_diagonal(DVec4::new(1.0 / half_m, 1.0 / half_m, 1.0 / depth, 1.0));
+    clip_from_eye.w_axis.z = far_m / depth;
+    CullCamera { clip_from_eye, ..camera([256, 256], eye, DVec3::ZERO, up) }
+}
+
 /// They were drawn as if all rays began in the eye.
 #[test]
 fn sky_and_sea_of_parallel_rays() {
     let Some(mut rig) = rig("sky_and_sea_of_parallel_rays") else { return };
-    let parallel = |eye: DVec3, up: DVec3| {
-        let (half, near, far) = (50.0, 1.0, 1000.0);
-        let mut clip_from_eye = DMat4::from_diagonal(DVec4::new(1.0 / half, 1.0 / half, 1.0 / (far - near), 1.0));
-        clip_from_eye.w_axis.z = far / (far - near);
-        CullCamera { clip_from_eye, ..camera([256, 256], eye, DVec3::ZERO, up) }
-    };
+    let parallel = |eye: DVec3, up: DVec3| parallel(eye, up, 50.0, 1000.0);
     let fog = Fog { enabled: false, density_per_m: 0.0 };
     let sun_direction = DVec3::new(0.3, -0.2, 0.8).normalize();
     let lit = Environment { up_in_world: DVec3::Z, sun_direction, fog, ..Environment::default() };
@@ -111,5 +114,25 @@ fn haze_takes_far_things_to_the_horizons_color() {
     println!("{near:?} {far:?} {horizon:?}");
     assert!(near[0] > 180 && near[1] < 60, "{near:?}");
     assert!(far.iter().zip(horizon).all(|(&far, sky)| far.abs_diff(sky) < 16), "{far:?} {horizon:?}");
+    rig.release(scene);
+}
+
+/// What lies aside was seen through more of it: a map from above grew pale towards its corners.
+#[test]
+fn parallel_rays_go_through_as_much_air_everywhere() {
+    let Some(mut rig) = rig("parallel_rays_go_through_as_much_air_everywhere") else { return };
+    let plain = Node::geode(vec![quad([0.0, 0.0, 0.0], [200_000.0, 200_000.0], [0.05, 0.05, 0.05, 1.0])]);
+    let scene = rig.scene(plain);
+    let lit = Environment { up_in_world: DVec3::Z, sun_direction: DVec3::Z, ..Environment::default() };
+    let air = Environment { sky: Sky::Atmosphere, fog: Fog { enabled: true, density_per_m: 1e-5 }, ..lit };
+    let haze = Environment { sky: Sky::Background(MAGENTA), fog: Fog { enabled: true, density_per_m: 1e-4 }, ..lit };
+    let above = |height_m: f64| parallel(DVec3::new(0.0, 0.0, height_m), DVec3::Y, 100_000.0, 50_000.0);
+    for environment in [air, haze] {
+        let [picture, lower] = [20_000.0, 100.0].map(|height_m| rig.picture(&scene, &above(height_m), &environment));
+        let colors = [(128, 128), (2, 2), (253, 128)].map(|(x, y)| picture.get_pixel(x, y).0);
+        assert!(colors.iter().all(|c| (0..3).all(|k| c[k].abs_diff(colors[0][k]) <= 2)), "{colors:?}");
+        let clear = lower.get_pixel(128, 128).0;
+        assert!(colors[0][2] > clear[2] + 8, "there is air: {clear:?} {colors:?}");
+    }
     rig.release(scene);
 }

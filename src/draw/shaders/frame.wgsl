@@ -193,11 +193,22 @@ fn tone_mapped(lit_color: vec3<f32>) -> vec3<f32> {
     return mix(color, vec3<f32>(new_peak), share);
 }
 
-// What the air between the eye and a point adds to its colour; w: the share of it that is left.
+// Direction to a point, and the way there: from the eye, or, where rays are parallel, from the eye's own plane.
+fn way_to(point: vec3<f32>) -> vec4<f32> {
+    if frame.air.w > 0.0 {
+        return vec4<f32>(0.0, 0.0, -1.0, max(-point.z, 0.0));
+    }
+    let distance = length(point);
+    return vec4<f32>(point / max(distance, 1e-6), distance);
+}
+
+// What the air between the eye and a point adds to its colour; w: the share of it that is left. Of parallel rays all
+// begin at the eye's height.
 fn aerial(point: vec3<f32>) -> vec4<f32> {
     if HAS_ATMOSPHERE && frame.shape.w > 0.0 {
-        let distance = length(point);
-        let ray = point / max(distance, 1e-6);
+        let way = way_to(point);
+        let ray = way.xyz;
+        let distance = way.w;
         let cosine = dot(ray, frame.up.xyz);
         let range = air_range(frame.air.x, cosine, cosine >= frame.air.y);
         return air_along(ray, cosine, (distance * 1e-3 - range.x) / (range.y - range.x));
@@ -246,5 +257,5 @@ fn haze(point: vec3<f32>) -> f32 {
     if abs(climb) > 1e-2 {
         density = (exp(-eye_height) - exp(-point_height)) / climb;
     }
-    return 1.0 - exp(-frame.ambient_color.w * length(point) * density);
+    return 1.0 - exp(-frame.ambient_color.w * way_to(point).w * density);
 }
