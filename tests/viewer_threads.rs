@@ -12,7 +12,8 @@ use glam::{DAffine3, DVec3};
 use terrane::draw::CameraCallbacks;
 use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::scene::{
-    CameraNode, DataVariance, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, PageId, RenderOrder,
+    CameraNode, CullAction, CullCallback, DataVariance, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, PageId,
+    RenderOrder,
 };
 use terrane::sync::{Operation, OperationThread};
 use terrane::viewer::{
@@ -52,6 +53,17 @@ fn page(callbacks: Option<CameraCallbacks>) -> Page {
         Node::camera(camera, vec![Node::geode(vec![ball(0.5)])]),
     ];
     Page::from_node(Node::group(nodes)).unwrap()
+}
+
+/// A camera's callbacks that panic in one context only, when they are called for the last of so many times.
+fn panic_after(times: u64) -> CameraCallbacks {
+    let countdown = AtomicU64::new(times);
+    CameraCallbacks {
+        final_draw: Some(Box::new(move |_, _| {
+            assert!(countdown.fetch_sub(1, Ordering::SeqCst) != 1, "a callback that panics on purpose");
+        })),
+        ..CameraCallbacks::default()
+    }
 }
 
 struct Random(u64);
@@ -232,15 +244,8 @@ fn a_thread_that_panics_is_an_error_and_nothing_waits_for_it() {
             let mut viewer = Viewer::new(context(), &config(*threading)).unwrap();
             let other = viewer.open_context(context()).unwrap();
             viewer.add_slave(Slave::new(other)).unwrap();
-            // In one context only, some frames after the start.
-            let countdown = AtomicU64::new(9);
-            let callbacks = CameraCallbacks {
-                final_draw: Some(Box::new(move |_, _| {
-                    assert!(countdown.fetch_sub(1, Ordering::SeqCst) != 1, "a callback that panics on purpose");
-                })),
-                ..CameraCallbacks::default()
-            };
-            viewer.add_root(page(Some(callbacks))).unwrap();
+            // Some frames after the start.
+            viewer.add_root(page(Some(panic_after(9)))).unwrap();
             let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
             assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
             assert!(viewer.frame().is_err(), "it stays one");
@@ -294,14 +299,7 @@ fn a_scene_can_be_changed_after_a_thread_has_died() {
                 viewer.add_slave(Slave::new(other)).unwrap();
                 viewer.page_files_in(&folder).unwrap();
                 viewer.on_update(Box::new(|_, _| {}));
-                let countdown = AtomicU64::new(2 + round % 7);
-                let callbacks = CameraCallbacks {
-                    final_draw: Some(Box::new(move |_, _| {
-                        assert!(countdown.fetch_sub(1, Ordering::SeqCst) != 1, "a callback that panics on purpose");
-                    })),
-                    ..CameraCallbacks::default()
-                };
-                let root = viewer.add_root(page(Some(callbacks))).unwrap();
+                let root = viewer.add_root(page(Some(panic_after(2 + round % 7)))).unwrap();
                 let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
                 assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
                 viewer.scene_mut();
@@ -322,6 +320,58 @@ fn a_scene_can_be_changed_after_a_thread_has_died() {
             });
         }
     }
+}
+
+/// With the first context of a dead device all of them were forgotten, but for their cameras: no frame was drawn again.
+#[test]
+fn contexts_of_a_device_that_has_died_are_closed_one_by_one() {
+    for threading in &ThreadingModel::ALL[1..] {
+        watched(move |_| {
+            let mut viewer = Viewer::new(context(), &config(*threading)).unwrap();
+            let main = viewer.contexts().next().unwrap();
+            let second = viewer.open_offscreen_on(main, &config(*threading).traits()).unwrap();
+            viewer.add_slave(Slave::new(second)).unwrap();
+            viewer.add_root(page(Some(panic_after(9)))).unwrap();
+            let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+            assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
+            assert!(viewer.close_context(main).unwrap() && !viewer.close_context(main).unwrap());
+            assert!(viewer.frame().is_err(), "{threading}: the other one is still there");
+            assert!(viewer.close_context(second).unwrap() && !viewer.close_context(second).unwrap());
+            viewer.frame().unwrap();
+            assert_eq!(viewer.contexts().count() + viewer.slaves().count(), 0);
+        });
+    }
+}
+
+/// The stages of those left went to cameras that were gone; with the second death the last one waited for ever.
+#[test]
+fn a_view_goes_on_after_the_cameras_of_others_have_died() {
+    watched(|_| {
+        let mut viewer =
+            CompositeViewer::new(&config(ThreadingModel::CullThreadPerCameraDrawThreadPerContext)).unwrap();
+        let shared = viewer.open_context(context()).unwrap();
+        let views = [5, 15, u64::MAX].map(|times| {
+            let countdown = AtomicU64::new(times);
+            let callback = CullCallback(Arc::new(move |_| {
+                assert!(countdown.fetch_sub(1, Ordering::SeqCst) != 1, "a callback that panics on purpose");
+                CullAction::Traverse
+            }));
+            let node = Node { cull_callback: Some(callback), ..Node::geode(vec![ball(1.0)]) };
+            let scene = viewer.add_scene().unwrap();
+            viewer.add_root(scene, Page::from_node(node).unwrap()).unwrap();
+            viewer.add_view(scene, shared, Some([0, 0, 16, 16])).unwrap()
+        });
+        for dead in &views[..2] {
+            let error = (0..200).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+            assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
+            viewer.remove_view(*dead).unwrap();
+        }
+        for _ in 0..20 {
+            viewer.frame().unwrap();
+        }
+        viewer.finish().unwrap();
+        assert_eq!(viewer.views().count(), 1);
+    });
 }
 
 #[test]

@@ -80,6 +80,8 @@ pub(in crate::viewer) struct CullOutcome {
 
 /// A stage on its way to draw.
 pub(super) struct Culled {
+    /// Number of the camera that it goes back to; `None`: it came with its frame.
+    pub(super) camera: Option<u32>,
     pub(super) stage: RenderStage,
     pub(super) environment: Environment,
     /// Draw completes the end of dynamic draws for it; cull has otherwise.
@@ -173,7 +175,8 @@ impl CullSide {
         let waits = self.end_of_dynamic.is_some() && (is_dynamic || has_dynamic_callbacks(&stage));
         // Each fails only where the other end is gone, which shows there.
         let _ = self.outcomes.send(outcome);
-        let lost = self.culled.send(Culled { stage, environment, completes: waits }).is_err();
+        let lost =
+            self.culled.send(Culled { camera: Some(self.camera), stage, environment, completes: waits }).is_err();
         if !waits || lost {
             self.completed();
         }

@@ -142,16 +142,16 @@ impl DeviceHandle {
         Ok(())
     }
 
-    /// Closes a context with no thread; true where others are left.
+    /// Closes a context with no thread, on a device that has died too; true where others are left.
     pub(super) fn remove_context(&mut self, id: u32) -> bool {
-        if self.contexts.len() > 1
-            && let Some(side) = self.here()
-        {
-            side.remove_context(id);
-            self.contexts.retain(|context| context.id != id);
-            return true;
+        if self.contexts.len() <= 1 {
+            return false;
         }
-        false
+        if let Some(side) = self.here() {
+            side.remove_context(id);
+        }
+        self.contexts.retain(|context| context.id != id);
+        true
     }
 
     /// All of its contexts have drawn a frame.

@@ -151,11 +151,13 @@ impl DrawnContext {
         }
     }
 
-    /// Lets the stages be culled into again.
+    /// Lets the stages be culled into again. One of a camera that is gone has none to go back to.
     fn give_back_stages(&mut self) {
-        for (camera, culled) in self.cameras.iter().zip(self.stages.drain(..)) {
-            // As many fit as there are.
-            let _ = camera.available.try_send(culled.stage);
+        for culled in self.stages.drain(..) {
+            if let Some(camera) = self.cameras.iter().find(|camera| Some(camera.camera) == culled.camera) {
+                // As many fit as there are.
+                let _ = camera.available.try_send(culled.stage);
+            }
         }
     }
 }
@@ -415,7 +417,9 @@ impl DrawSide {
         let context = &mut self.contexts[place];
         let own_stage = job.stage.is_some();
         match job.stage.take() {
-            Some((stage, environment)) => context.stages.push(Culled { stage, environment, completes: false }),
+            Some((stage, environment)) => {
+                context.stages.push(Culled { camera: None, stage, environment, completes: false });
+            }
             None => {
                 // Whoever culls ends with sending a stage, or is gone.
                 let _span = timeline::span("wait for cull");
