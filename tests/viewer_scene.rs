@@ -1,4 +1,5 @@
-//! Scenes that the application makes itself: drawn, moved, resized, removed. Needs a GPU (a software one will do).
+//! Scenes that the application makes itself: drawn, moved, resized, removed, shown again; a tile set in the place of
+//! another. Needs a GPU (a software one will do).
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -12,7 +13,7 @@ use terrane::gpu::AdapterChoice;
 use terrane::math::Aabb;
 use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, Topology};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig, coverage};
-use viewer_support::offscreen;
+use viewer_support::{Settle, offscreen, small_set};
 
 /// A square of 2 m in the x, z plane, facing -y.
 fn square() -> Drawable {
@@ -116,4 +117,60 @@ fn frames_run_without_a_gpu_and_stats_are_kept() {
     assert_eq!(seen.load(std::sync::atomic::Ordering::Relaxed), 20);
     assert!(viewer.stats().iter().all(|s| s.drawn && s.frame_ms >= s.cull_ms));
     assert!(viewer.is_settled() && viewer.converge_s().is_some());
+}
+
+/// It came back without its drawables: nothing was drawn, and nothing said.
+#[test]
+fn a_page_that_was_removed_is_shown_again() {
+    for keep_drawables in [true, false] {
+        let config = ViewerConfig {
+            size_px: [160, 90],
+            adapter: AdapterChoice::Software,
+            keep_drawables,
+            ..ViewerConfig::default()
+        };
+        let Some(mut viewer) = offscreen(&config) else { return };
+        let page = Page::from_node(Node::geode(vec![square(), square()])).unwrap();
+        let size_bytes = page.size_bytes();
+        let root = viewer.add_root(page).unwrap();
+        viewer.environment.sky = Sky::Background(KEY_COLOR);
+        viewer.environment.fog.enabled = false;
+        viewer.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
+        viewer.settle(4);
+        let before = coverage(&viewer.read_back().unwrap(), KEY_COLOR);
+        let page = viewer.remove_root(root).unwrap();
+        assert!(before > 0.05 && page.drawable_count() == 2);
+        assert_eq!(page.size_bytes() == size_bytes, keep_drawables, "{} of {size_bytes} bytes", page.size_bytes());
+        viewer.settle(2);
+        assert_eq!(coverage(&viewer.read_back().unwrap(), KEY_COLOR), 0.0);
+        viewer.add_root(page).unwrap();
+        viewer.settle(4);
+        let again = coverage(&viewer.read_back().unwrap(), KEY_COLOR);
+        assert_eq!(again, if keep_drawables { before } else { 0.0 });
+    }
+}
+
+/// The set that was gone kept its place: the camera stayed there, and all that goes by the set's size had that one's.
+#[test]
+fn a_set_in_the_place_of_another_is_seen_as_the_first_one_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let large = small_set(folder.path());
+    let small = folder.path().join("small").display().to_string();
+    let args = terrane_data_gen::GenArgs { levels: Some(2), size: 500.0, ..terrane_data_gen::GenArgs::new(&small) };
+    terrane_data_gen::run(&args).unwrap();
+    let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);
+    let (Some(mut fresh), Some(mut used)) = (made(), made()) else { return };
+    fresh.load(&small).unwrap();
+    let root = used.load(&large).unwrap();
+    frames(&mut used, 1);
+    assert!(used.remove_root(root).is_some());
+    let root = used.load(&small).unwrap();
+    let size = |viewer: &Viewer| viewer.bounds().unwrap().sphere;
+    assert_eq!((size(&used).center, size(&used).radius_m), (size(&fresh).center, size(&fresh).radius_m));
+    assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
+    assert!(used.is_height_set());
+    // Whoever changes pages of its own keeps its camera.
+    assert!(used.remove_root(root).is_some() && !used.is_height_set());
+    used.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
+    assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
 }

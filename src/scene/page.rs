@@ -204,6 +204,12 @@ impl Page {
         std::mem::take(&mut self.drawables)
     }
 
+    /// Payloads that were taken come back, all of them or none.
+    pub(crate) fn put_drawables(&mut self, drawables: Vec<Drawable>) {
+        self.payload_bytes = drawables.iter().map(Drawable::size_bytes).sum();
+        self.drawables = drawables;
+    }
+
     /// How many drawables the page has, taken or not.
     pub fn drawable_count(&self) -> usize {
         self.drawable_refs.len()

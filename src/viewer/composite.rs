@@ -105,6 +105,7 @@ impl CompositeViewer {
 
     /// As [`Self::load`], with a root that was read before there was a viewer.
     pub fn set_root(&mut self, scene: SceneId, root: LoadedRoot) -> Result<PageId, ViewerError> {
+        self.paged_mut(scene)?.forget_extent();
         self.with_first_sight(scene, |paged, base| paged.set_root(root, &mut base.rendering))
     }
 
@@ -127,7 +128,8 @@ impl CompositeViewer {
         Ok(root)
     }
 
-    /// Takes a root out of a scene; `None` when it is not a root, or while pages hang in it.
+    /// Takes a root out of a scene; `None` when it is not a root, or while pages hang in it. What comes back is as
+    /// [`Viewer::remove_root`](super::Viewer::remove_root) has it.
     pub fn remove_root(&mut self, scene: SceneId, id: PageId) -> Result<Option<Page>, ViewerError> {
         let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
         Ok(paged.remove_root(id, &mut self.base.rendering))

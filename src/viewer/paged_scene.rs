@@ -1,5 +1,6 @@
 //! [`PagedScene`]: a scene with what fills it, pages it and keeps it uploaded; osgViewer's Scene. Main thread.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -35,11 +36,11 @@ pub(super) struct PagedScene {
     /// Extent of the first root.
     pub(super) bounds: Option<SetBounds>,
     pub(super) root_uri: Option<Arc<str>>,
-    root: Option<PageId>,
     /// The root of the tile set that was loaded.
     loaded: Option<PageId>,
-    /// The index is the number under which it was compiled.
-    own: Vec<Own>,
+    /// By the number under which it was compiled, which is never used again.
+    own: BTreeMap<u32, Own>,
+    next_own: u32,
     /// Devices and numbers of what is being uploaded of these.
     own_uploads: Vec<(u32, u32)>,
     keeps_drawables: bool,
@@ -66,9 +67,9 @@ impl PagedScene {
             image_pager: None,
             bounds: None,
             root_uri: None,
-            root: None,
             loaded: None,
-            own: Vec::new(),
+            own: BTreeMap::new(),
+            next_own: 0,
             own_uploads: Vec::new(),
             keeps_drawables,
             update_callbacks: Vec::new(),
@@ -97,6 +98,13 @@ impl PagedScene {
     /// The scene, between two frames.
     pub(super) fn scene_mut(&mut self) -> &mut Scene {
         alone(&mut self.scene)
+    }
+
+    /// Forgets the extent of what is gone, where nothing else is there: the next root has the first sight.
+    pub(super) fn forget_extent(&mut self) {
+        if self.scene.roots().is_empty() {
+            self.bounds = None;
+        }
     }
 
     pub(super) fn set_root(&mut self, root: LoadedRoot, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
@@ -134,14 +142,14 @@ impl PagedScene {
         let kinds = self.scene.draw_kinds(None, &page).into();
         let drawables = page.take_drawables();
         let root = self.scene_mut().add_root(page);
-        self.root.get_or_insert(root);
         if !drawables.is_empty() {
             rendering.devices_mut().for_each(|context| context.foresee(&kinds));
             let kept = if self.keeps_drawables { drawables.clone() } else { Vec::new() };
-            let number = self.own.len() as u32;
+            let number = self.next_own;
+            self.next_own += 1;
             rendering.compile_own(self.owner, number, drawables)?;
             self.own_uploads.extend(rendering.device_ids().map(|device| (device, number)));
-            self.own.push(Own { page: root, drawables: kept });
+            self.own.insert(number, Own { page: root, drawables: kept });
         }
         Ok(root)
     }
@@ -151,10 +159,16 @@ impl PagedScene {
         for (context, slots) in page.take_draw_slots() {
             rendering.release(context, slots);
         }
-        if let Some(own) = self.own.iter_mut().find(|own| own.page == id) {
-            own.drawables = Vec::new();
+        // What is still on its way to a device finds no page, and is released.
+        if let Some(own) = self.own_of(id).and_then(|number| self.own.remove(&number)) {
+            page.put_drawables(own.drawables);
         }
         Some(page)
+    }
+
+    /// The number under which a page's drawables were compiled, where it is the application's.
+    fn own_of(&self, page: PageId) -> Option<u32> {
+        self.own.iter().find(|(_, own)| own.page == page).map(|(number, _)| *number)
     }
 
     pub(super) fn page_files_in(&mut self, folder: &Path, rendering: &mut Rendering) -> Result<(), ViewerError> {
@@ -166,8 +180,8 @@ impl PagedScene {
     }
 
     pub(super) fn is_height_set(&self) -> bool {
-        self.root.is_some_and(|root| {
-            self.scene.slots_of_page(root).any(|id| self.scene.slot(id).is_some_and(|s| s.reader_data.is_some()))
+        self.scene.roots().first().is_some_and(|root| {
+            self.scene.slots_of_page(*root).any(|id| self.scene.slot(id).is_some_and(|s| s.reader_data.is_some()))
         })
     }
 
@@ -280,7 +294,7 @@ impl PagedScene {
 
     /// Gives pages that the application made the slots of their uploaded drawables.
     fn merge_own(&mut self, rendering: &mut Rendering) {
-        if self.own.is_empty() {
+        if self.own_uploads.is_empty() {
             return;
         }
         let scene = alone(&mut self.scene);
@@ -289,7 +303,7 @@ impl PagedScene {
             for error in &compiled.errors {
                 log::error!("a drawable of a root cannot be drawn: {error}");
             }
-            match self.own.get(number as usize).and_then(|own| scene.page_mut(own.page)) {
+            match self.own.get(&number).and_then(|own| scene.page_mut(own.page)) {
                 Some(page) => page.set_draw_slots(context, compiled.slots),
                 // Removed meanwhile.
                 None => rendering.release(context, compiled.slots),
@@ -304,9 +318,9 @@ impl PagedScene {
         for rewritten in std::mem::take(scene.rewritten_mut()) {
             let Some(page) = scene.page(rewritten.page) else { continue };
             let slots = |context: u32| page.draw_slots_of(context);
-            let own = self.own.iter().position(|own| own.page == rewritten.page);
+            let own = self.own.iter().find(|(_, own)| own.page == rewritten.page).map(|(number, _)| *number);
             // The application's own are there or on their way, but for those that were not kept for a later device.
-            let comes = |device| own.is_none_or(|number| self.own_uploads.contains(&(device, number as u32)));
+            let comes = |device| own.is_none_or(|number| self.own_uploads.contains(&(device, number)));
             if rendering.device_ids().any(|device| slots(device).is_empty() && comes(device)) {
                 scene.rewritten_mut().push(rewritten);
                 continue;
@@ -319,7 +333,7 @@ impl PagedScene {
                 }
             }
             // A dynamic one is to be the application's alone, which will write it again.
-            let kept = self.own.iter_mut().find(|own| own.page == rewritten.page);
+            let kept = own.and_then(|number| self.own.get_mut(&number));
             if let Some(drawable) = kept.and_then(|own| own.drawables.get_mut(rewritten.drawable as usize))
                 && rewritten.variance == DataVariance::Static
             {
@@ -332,10 +346,10 @@ impl PagedScene {
     /// Uploads everything to a device that was opened after others: the application's pages at once, paged contents
     /// when they are asked for again.
     pub(super) fn device_opened(&mut self, rendering: &mut Rendering, device: u32) -> Result<(), ViewerError> {
-        for (number, own) in (0..).zip(&self.own) {
+        for (number, own) in &self.own {
             if !own.drawables.is_empty() {
-                rendering.compile_own_in(device, self.owner, number, own.drawables.clone())?;
-                self.own_uploads.push((device, number));
+                rendering.compile_own_in(device, self.owner, *number, own.drawables.clone())?;
+                self.own_uploads.push((device, *number));
             }
         }
         if let Some(images) = &mut self.image_pager {
@@ -383,4 +397,29 @@ impl PagedScene {
 /// Between two frames nobody else has it: whoever culls drops it before it answers, and who died had its task dropped.
 fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
     Arc::get_mut(scene).expect("culls have dropped the scene before a frame ends")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Material, Mesh, Node};
+
+    #[test]
+    fn roots_that_are_gone_are_forgotten() {
+        let mut rendering = Rendering::new(false, false);
+        let mut paged = PagedScene::new(0, PagerConfig::default(), true);
+        let page = || {
+            let mesh = Mesh::sphere(glam::DVec3::ZERO, 1.0, 4);
+            let drawable = Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default());
+            Page::from_node(Node::geode(vec![drawable])).unwrap()
+        };
+        let stays = paged.add_root(page(), &mut rendering).unwrap();
+        let before = paged.own_of(stays);
+        for _ in 0..100 {
+            let root = paged.add_root(page(), &mut rendering).unwrap();
+            assert!(paged.own_of(root) > before && paged.own.len() == 2);
+            assert!(paged.remove_root(root, &mut rendering).is_some());
+        }
+        assert_eq!((paged.own.len(), paged.own_of(stays)), (1, before));
+    }
 }

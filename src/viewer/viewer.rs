@@ -193,6 +193,7 @@ impl Viewer {
 
     /// As [`Self::load`], with a root that was read before there was a viewer.
     pub fn set_root(&mut self, root: LoadedRoot) -> Result<PageId, ViewerError> {
+        self.paged.forget_extent();
         self.with_first_sight(|paged, base| paged.set_root(root, &mut base.rendering))
     }
 
@@ -215,7 +216,8 @@ impl Viewer {
     }
 
     /// Takes a root out of the scene and frees what it has on the GPU; `None` when it is not a root, or while
-    /// pages hang in it.
+    /// pages hang in it. Added again, the page is drawn as before; without [`ViewerConfig::keep_drawables`] it comes
+    /// back without its drawables, and shows nothing any more.
     pub fn remove_root(&mut self, id: PageId) -> Option<Page> {
         self.paged.remove_root(id, &mut self.base.rendering)
     }
