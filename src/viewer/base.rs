@@ -414,6 +414,13 @@ impl ViewerBase {
         }
     }
 
+    /// What a context that was closed would have given does not come.
+    pub(super) fn forget_pictures(&mut self, context: u32) {
+        self.wanted.retain(|of| *of != context);
+        self.asked.retain(|(of, _)| *of != context);
+        self.captures.retain(|(of, ..)| *of != context);
+    }
+
     /// Of a frame that was lost or that its window skipped: what waits for its picture gets the next one's.
     fn no_picture_came(&mut self, context: u32, frame: u32) {
         let next = self.stamp.frame + 1;

@@ -343,7 +343,9 @@ impl CompositeViewer {
 
     /// The new size of a context in pixels.
     pub fn resize_context(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
-        self.base.resize(context, size_px)
+        self.base.resize(context, size_px)?;
+        self.views.iter_mut().for_each(|view| view.redraw_in(context));
+        Ok(())
     }
 
     /// The next frame's picture in a context is read back; see [`Self::take_pictures`].

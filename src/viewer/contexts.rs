@@ -73,6 +73,7 @@ impl ViewerBase {
         if closed == Closed::Nothing {
             return Ok(false);
         }
+        self.forget_pictures(id.0);
         for view in views {
             view.context_closed(id.0);
         }

@@ -28,6 +28,9 @@ use crate::state::StateSet;
 /// How long a notice is shown, seconds.
 const NOTICE_S: f64 = 2.5;
 
+/// What rests has so many seconds in a frame without events, to look around: for the ground below it, say.
+const LOOKS_AROUND_S: f64 = 1.0 / 240.0;
+
 /// What the window is asked to do; done by whoever runs the window, before the next frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WindowCommand {
@@ -47,6 +50,10 @@ pub(super) struct Input {
     handlers: Vec<Option<Box<dyn GuiEventHandler>>>,
     manipulator: Option<Box<dyn CameraManipulator>>,
     ground: Option<Box<dyn GroundHeight>>,
+    /// The manipulator was moving when the last frame ended.
+    was_moving: bool,
+    /// Seconds for which the manipulator moves in this frame at most: what rested moves from the first event on.
+    moves_s: f64,
     events: Vec<GuiEventAdapter>,
     quit_keys: Vec<Key>,
     done: bool,
@@ -73,6 +80,8 @@ impl Input {
             handlers: Vec::new(),
             manipulator: None,
             ground: None,
+            was_moving: false,
+            moves_s: f64::INFINITY,
             events: Vec::new(),
             quit_keys: vec![Key::Escape],
             done: false,
@@ -390,6 +399,12 @@ impl GuiActionAdapter<'_> {
         let time_s = self.view.input.queue.time_s();
         let mut events = std::mem::take(&mut self.view.input.events);
         self.view.input.queue.take_frame(&mut events, time_s);
+        let is_moving = self.view.input.was_moving && self.manipulator().is_some_and(|m| m.is_moving());
+        self.view.input.moves_s = match events.first() {
+            _ if is_moving => f64::INFINITY,
+            Some(first) if !matches!(first.kind, EventKind::Frame) => (time_s - first.time_s).max(0.0),
+            _ => LOOKS_AROUND_S,
+        };
         self.view.input.redraw = false;
         self.view.input.in_phase = true;
         for event in &mut events {
@@ -459,6 +474,7 @@ impl GuiActionAdapter<'_> {
 
     /// The camera where the manipulator has it; in update, after the callbacks, since it may follow what they moved.
     pub(super) fn update_camera(&mut self, dt_s: f64) {
+        let dt_s = dt_s.min(self.view.input.moves_s);
         if let Some(pose) = self.with_manipulator(|manipulator, view| manipulator.advance(dt_s, view)) {
             if pose.is_finite() {
                 self.view.camera.world_from_eye = pose;
@@ -466,6 +482,7 @@ impl GuiActionAdapter<'_> {
                 log::warn!("a manipulator gave a pose that is not finite; the camera stays where it was");
             }
         }
+        self.view.input.was_moving = self.manipulator().is_some_and(|m| m.is_moving());
     }
 
     /// After the events: what lies over the master camera's picture.

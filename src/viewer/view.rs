@@ -221,6 +221,13 @@ impl View {
         self.slaves.retain(|s| s.slave.context.0 != context);
     }
 
+    /// The next frame is to be drawn where one of its cameras is in a context.
+    pub(super) fn redraw_in(&mut self, context: ContextId) {
+        if self.context() == Some(context) || self.slaves.iter().any(|s| s.slave.context == context) {
+            self.request_redraw();
+        }
+    }
+
     /// The first sight of a set: the camera before it, sun and haze to its size.
     pub(super) fn first_sight(&mut self, bounds: &SetBounds) {
         self.camera.world_from_eye = bounds.first_camera(&ViewFrom::default());

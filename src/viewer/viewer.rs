@@ -398,6 +398,7 @@ impl Viewer {
     /// The new size of a context in pixels.
     pub fn resize_context(&mut self, context: ContextId, size_px: [u32; 2]) -> Result<(), ViewerError> {
         self.base.resize(context, size_px)?;
+        self.view.redraw_in(context);
         self.view.prepare(&self.base.rendering, self.paged.bounds.as_ref());
         Ok(())
     }
