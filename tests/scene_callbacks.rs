@@ -154,6 +154,24 @@ fn a_callback_changes_the_scene_it_is_called_for() {
     assert_eq!(scene.world_from_node(inner).unwrap().translation, DVec3::new(5.0, 0.0, 0.0));
 }
 
+/// With a callback of the other kind left in its page, a page was listed for both.
+#[test]
+fn a_page_whose_last_callback_of_a_kind_goes_is_listed_for_the_other_only() {
+    let update = || Some(UpdateCallback::new(|_, _, _| Traverse::Below));
+    let event = || Some(EventCallback::new(|_, _, _| Traverse::Below));
+    let both = Node { update_callback: update(), event_callback: event(), ..Node::group(Vec::new()) };
+    let mut scene = Scene::new();
+    let node = NodeId { page: scene.add_root(Page::from_node(both).unwrap()), index: 0 };
+    assert!(scene.has_update_callbacks() && scene.has_event_callbacks());
+    scene.set_update_callback(node, None).unwrap();
+    assert!(!scene.has_update_callbacks() && scene.has_event_callbacks());
+    scene.set_update_callback(node, update()).unwrap();
+    scene.set_event_callback(node, None).unwrap();
+    assert!(scene.has_update_callbacks() && !scene.has_event_callbacks());
+    scene.set_update_callback(node, None).unwrap();
+    assert!(!scene.has_update_callbacks() && !scene.has_event_callbacks());
+}
+
 #[test]
 fn events_of_any_type_reach_event_callbacks() {
     let log = Log::default();

@@ -173,12 +173,17 @@ impl Scene {
 
     /// True when some node has an update callback.
     pub fn has_update_callbacks(&self) -> bool {
-        !self.callback_pages.update.places.is_empty()
+        self.some_page(&self.callback_pages.update, |page| !page.update_callbacks.is_empty())
     }
 
     /// True when some node has an event callback.
     pub fn has_event_callbacks(&self) -> bool {
-        !self.callback_pages.event.places.is_empty()
+        self.some_page(&self.callback_pages.event, |page| !page.event_callbacks.is_empty())
+    }
+
+    /// Pages whose last callback of a kind has gone may be listed for it still.
+    fn some_page(&self, turns: &Turns, has: impl Fn(&Page) -> bool) -> bool {
+        turns.places.iter().any(|place| self.page(self.page_id_at(*place)).is_some_and(&has))
     }
 
     /// Gives a node another update callback, or none.
