@@ -12,10 +12,12 @@ use manipulator_support::{Act, SIZE_PX, World, all, home, play, play_on, queue};
 use proptest::prelude::*;
 use terrane::scene::{Node, NodeId, Page};
 use terrane::viewer::manipulators::{
-    DriveManipulator, FirstPersonManipulator, FlyManipulator, NodeTrackerManipulator, OrbitManipulator,
-    TerrainManipulator, TrackballManipulator, TrackerMode,
+    DriveManipulator, FirstPersonManipulator, FlyManipulator, KeySwitchManipulator, NodeTrackerManipulator,
+    OrbitManipulator, TerrainManipulator, TrackballManipulator, TrackerMode, usual,
 };
-use terrane::viewer::{Camera, CameraManipulator, EventQueue, MouseButton, TouchPhase, WindowMatrix, world_from_eye};
+use terrane::viewer::{
+    Camera, CameraManipulator, EventQueue, Key, MouseButton, TouchPhase, WindowMatrix, world_from_eye,
+};
 
 use TouchPhase::{Began, Cancelled, Ended, Moved};
 
@@ -381,6 +383,33 @@ fn fingers_come_and_go_without_a_jump() {
         let again = run(&[(0.5, Act::Touch(3, Began, 100.0, 100.0)), (0.5, Act::Touch(3, Moved, 150.0, 100.0))], 0.6);
         assert!(name == "path" || !again.abs_diff_eq(dragged, 1e-7), "{name}: and pinches again");
     }
+}
+
+/// The one that was left never heard that its fingers went.
+#[test]
+fn who_is_chosen_again_has_no_fingers_of_before() {
+    let world = World::plane();
+    let mut poses = Vec::new();
+    for was_left in [false, true] {
+        let mut switch: KeySwitchManipulator = usual(None);
+        let mut input = queue();
+        assert!(switch.choose("trackball", &world.view()));
+        home(&mut switch, &world);
+        let mut run = |acts: &[(f64, Act)]| play_on(&mut input, &mut switch, &world, acts, 1.0, 60);
+        let key = |key| [(0.1, Act::Down(Key::Char(key))), (0.1, Act::Up(Key::Char(key)))];
+        if was_left {
+            run(&STILL.acts(0.1, 0.1, 1));
+            run(&key('2'));
+            run(&[(0.1, Act::Touch(0, Ended, 600.0, 300.0)), (0.2, Act::Touch(1, Ended, 800.0, 300.0))]);
+            run(&key('1'));
+        }
+        let began = run(&[(0.1, Act::Touch(7, Began, 300.0, 300.0))]);
+        poses.push((began, run(&[(0.1, Act::Touch(7, Moved, 420.0, 330.0))])));
+    }
+    let [(before, alone), (again, after)] = poses[..] else { panic!() };
+    assert!(before.abs_diff_eq(again, 1e-6), "nothing has moved so far");
+    assert!(!before.abs_diff_eq(alone, 1e-2), "a finger turns the ball");
+    assert!(alone.abs_diff_eq(after, 1e-6), "{alone} and {after}");
 }
 
 fn touch() -> impl Strategy<Value = Act> {

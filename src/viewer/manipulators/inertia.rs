@@ -269,8 +269,9 @@ impl Pointer {
         Some(Thrown::Drag(self.gesture?, motion))
     }
 
-    /// Comes to rest.
+    /// Comes to rest; a drag goes on from where the pointer is at its next event.
     pub fn stop(&mut self) {
+        self.last = None;
         self.throw.stop();
         self.fingers.stop();
     }

@@ -118,9 +118,10 @@ impl Fingers {
         Some(Pinch { from, to: self.about, stretch: motion.z, twist: motion.w })
     }
 
-    /// Comes to rest; fingers that are down go on to count.
+    /// Comes to rest. Fingers that are down count no more until they come again: whoever is not asked meanwhile does
+    /// not hear that they went.
     pub fn stop(&mut self) {
-        self.throw.stop();
+        *self = Self::default();
     }
 
     /// Something is thrown.
