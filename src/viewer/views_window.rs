@@ -311,6 +311,9 @@ impl Open {
             WindowEvent::CloseRequested | WindowEvent::Focused(_) | WindowEvent::ModifiersChanged(_) => {
                 let ids: Vec<ViewId> = here().map(|(id, _)| id).collect();
                 if let WindowEvent::Focused(false) = event {
+                    // What is down comes up for the views, and its release may go elsewhere.
+                    window.grabbed = None;
+                    window.fingers.clear();
                     window.keys.clear();
                 }
                 for id in ids {
@@ -333,7 +336,9 @@ impl Open {
             }
             WindowEvent::Touch(touch) => {
                 let position_px = DVec2::new(touch.location.x, touch.location.y);
-                let known = window.fingers.iter().find(|(id, _)| *id == touch.id).map(|(_, view)| *view);
+                // One that comes again was lost.
+                let is_same = |id: u64| id == touch.id && touch.phase != TouchPhase::Started;
+                let known = window.fingers.iter().find(|(id, _)| is_same(*id)).map(|(_, view)| *view);
                 let view = known.or_else(|| at(position_px));
                 window.fingers.retain(|(id, _)| *id != touch.id);
                 if matches!(touch.phase, TouchPhase::Started | TouchPhase::Moved) {
