@@ -4,7 +4,7 @@
 
 use glam::{DQuat, DVec3};
 use proptest::prelude::*;
-use terrane::viewer::{AnimationPath, ControlPoint, PathError};
+use terrane::viewer::{AnimationPath, ControlPoint, LoopMode, PathError};
 
 #[test]
 fn osg_example_lines_are_read() {
@@ -36,6 +36,22 @@ fn bad_lines_are_named() {
     assert!(matches!(AnimationPath::parse("\n# nothing\n"), Err(PathError::Empty)));
     let missing = AnimationPath::read(std::path::Path::new("no/such.path")).unwrap_err();
     assert!(missing.to_string().contains("no/such.path"));
+}
+
+/// They sorted to the ends, and the first look at the path panicked.
+#[test]
+fn times_that_are_not_finite_are_an_error() {
+    let point = |time_s| ControlPoint { time_s, position: DVec3::ZERO, rotation: DQuat::IDENTITY };
+    for time_s in [f64::NAN, -f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let error = AnimationPath::new(vec![point(0.0), point(time_s), point(1.0)]).unwrap_err();
+        assert!(error.to_string().contains("not finite"), "{error}");
+    }
+    // Nor is the time between two that are.
+    let mut path = AnimationPath::new(vec![point(-f64::MAX), point(f64::MAX)]).unwrap();
+    for mode in [LoopMode::NoLooping, LoopMode::Loop, LoopMode::Swing] {
+        path.loop_mode = mode;
+        assert!([-f64::MAX, 0.0, f64::MAX].iter().all(|time_s| path.world_from_eye(*time_s).is_finite()), "{mode:?}");
+    }
 }
 
 proptest! {

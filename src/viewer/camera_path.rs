@@ -54,6 +54,12 @@ pub enum PathError {
         /// What is wrong with it.
         reason: String,
     },
+    /// A control point is at no time.
+    #[error("a control point at {time_s} s, which is not finite")]
+    NotFinite {
+        /// Its time.
+        time_s: f64,
+    },
     /// There is no control point at all.
     #[error("no control point")]
     Empty,
@@ -81,8 +87,12 @@ pub struct AnimationPath {
 }
 
 impl AnimationPath {
-    /// A path from control points in any order; points at equal times keep the last one, as OSG's map does.
+    /// A path from control points in any order, at times that are finite; points at equal times keep the last one, as
+    /// OSG's map does.
     pub fn new(mut points: Vec<ControlPoint>) -> Result<Self, PathError> {
+        if let Some(ControlPoint { time_s, .. }) = points.iter().find(|p| !p.time_s.is_finite()) {
+            return Err(PathError::NotFinite { time_s: *time_s });
+        }
         points.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
         points.reverse();
         points.dedup_by(|later, kept| later.time_s == kept.time_s);
