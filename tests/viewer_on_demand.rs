@@ -1,4 +1,5 @@
-//! Drawing on demand: what asks for a frame, what comes to rest, and how what rested moves again. No GPU.
+//! Drawing on demand: what asks for a frame, what comes to rest, and how what rested moves again. Pictures need a GPU (a
+//! software one will do).
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -10,15 +11,18 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec2, DVec3};
+use image::RgbaImage;
+use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
-use terrane::scene::{Page, Scene};
+use terrane::scene::{Node, NodeKind, OcclusionQueryNode, Page, Scene};
 use terrane::viewer::manipulators::{
     AnimationPathManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
 };
 use terrane::viewer::{
-    AnimationPath, CameraManipulator, CompositeViewer, ControlPoint, Key, Slave, Viewer, ViewerConfig,
+    AnimationPath, CameraManipulator, CompositeViewer, ControlPoint, KEY_COLOR, Key, Slave, ThreadingModel, Viewer,
+    ViewerConfig,
 };
-use viewer_support::{Settle, ball, offscreen};
+use viewer_support::{Settle, ball, offscreen, or_skip};
 
 fn config(adapter: AdapterChoice) -> ViewerConfig {
     let validation = adapter != AdapterChoice::Noop;
@@ -177,5 +181,45 @@ fn a_context_of_another_size_asks_for_a_frame() {
             assert_eq!(views.check_need_to_do_frame(), context == first || slaves > 0, "{context:?}");
         }
         views.add_slave(view, Slave::new(second)).unwrap();
+    }
+}
+
+fn picture(viewer: &mut Viewer) -> RgbaImage {
+    viewer.finish().unwrap();
+    viewer.read_back().unwrap()
+}
+
+/// The last frames were those before the adapter had answered: what came into sight stayed hidden.
+#[test]
+fn frames_are_drawn_until_occlusion_queries_have_shown_what_is_in_sight() {
+    for threading in ThreadingModel::ALL {
+        let config = ViewerConfig { threading, ..config(AdapterChoice::Software) };
+        let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
+        let query = OcclusionQueryNode::default();
+        let results = query.results.clone();
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children = vec![ball(DVec3::new(0.0, 20.0, 0.0), 2.0, [0.0, 1.0, 0.0, 1.0])];
+        let wall = ball(DVec3::ZERO, 4.0, [1.0, 0.0, 0.0, 1.0]);
+        viewer.add_root(Page::from_node(Node::group(vec![wall, asked])).unwrap()).unwrap();
+        viewer.environment.sky = Sky::Background(KEY_COLOR);
+        viewer.environment.fog.enabled = false;
+        viewer.camera.look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z);
+        rest(&mut viewer);
+        assert!(results.failures() >= 2, "{threading}: it rests before what is behind is known to be");
+        let behind = picture(&mut viewer);
+        for _ in 0..3 {
+            let mut beside = viewer.camera;
+            beside.look_at(DVec3::new(30.0, 0.0, 0.0), DVec3::new(0.0, 20.0, 0.0), DVec3::Z);
+            for (pose, is_seen) in [(beside.world_from_eye, true), (viewer.camera.world_from_eye, false)] {
+                viewer.set_pose(&pose);
+                viewer.request_redraw();
+                rest(&mut viewer);
+                assert_eq!(results.samples() > 0, is_seen, "{threading}");
+                let at_rest = picture(&mut viewer);
+                (0..10).for_each(|_| viewer.frame().unwrap());
+                assert!(at_rest == picture(&mut viewer), "{threading}: seen {is_seen}");
+                assert_eq!(at_rest == behind, !is_seen, "{threading}");
+            }
+        }
     }
 }

@@ -160,7 +160,7 @@ mod tests {
             (stage.leaf_count(), mirror.leaf_count())
         };
         assert_eq!(met(), (1, 1));
-        (0..2).for_each(|_| results.answered(0, 1));
+        (0..2).for_each(|_| results.answered(0, 1, 1));
         assert_eq!(met(), (0, 1));
     }
 }

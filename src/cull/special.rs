@@ -281,10 +281,8 @@ impl Cull<'_> {
         // From inside (or nearly) the box's faces are not seen, which says nothing about what is in it.
         let is_outside = eye.abs().max_element() > 1.5;
         if !is_outside {
-            results.answered(u64::MAX, query.visibility_threshold);
-            return false;
-        }
-        if results.is_due(self.camera.frame, query.query_frames) {
+            results.answered(u64::MAX, query.visibility_threshold, self.camera.frame);
+        } else if results.is_due(self.camera.frame, query.query_frames) {
             let matrix = self.push_matrix(&eye_from_unit);
             // What near or far cut off is not seen.
             let axis = self.view.depth_axis;
@@ -295,11 +293,14 @@ impl Cull<'_> {
             self.stage.queries.push(OcclusionQuery {
                 results: results.clone(),
                 visibility_threshold: query.visibility_threshold,
+                frame: self.camera.frame,
                 matrix,
                 view: self.view.index,
             });
         }
-        results.failures() >= query.failures_to_hide.max(1)
+        let (is_hidden, answers_age) = results.decide(self.camera.frame, query.failures_to_hide.max(1));
+        self.counters.answers_age = self.counters.answers_age.max(answers_age);
+        is_hidden
     }
 }
 
@@ -329,8 +330,14 @@ mod tests {
         scene.add_root(Page::from_node(Node::group(vec![asked, cube(-1000.0)])).unwrap());
         let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
         visitor.cull(&scene, &CullCamera { frame: 1, ..CullCamera::default() }, &mut stage);
-        (0..2).for_each(|_| results.answered(0, 1));
-        visitor.cull(&scene, &CullCamera { frame: 5, ..CullCamera::default() }, &mut stage);
+        assert_eq!(stage.counters.answers_age, 1, "asked in the first frame");
+        let mut age = |frame: u32, answered: Option<u32>| {
+            answered.into_iter().for_each(|of_frame| results.answered(0, 1, of_frame));
+            visitor.cull(&scene, &CullCamera { frame, ..CullCamera::default() }, &mut stage);
+            stage.counters.answers_age
+        };
+        assert_eq!((age(2, Some(1)), age(3, Some(2))), (2, u32::MAX), "one more would hide it, and it did");
+        assert_eq!((age(4, None), age(5, Some(4))), (2, 1));
         assert_eq!((stage.leaf_count(), stage.queries.len()), (1, 1));
         assert!(stage.near_m < 19.0 && stage.far_m > 1000.0, "{} to {}", stage.near_m, stage.far_m);
     }

@@ -96,6 +96,9 @@ pub struct CullCounters {
     pub shadows_refused: u32,
     /// Tiles and Lods between two levels of detail.
     pub fading: u32,
+    /// Frames since the last occlusion query that was answered was made, of the node for which that is longest; 0
+    /// without such nodes. `u32::MAX` where one has just been hidden or shown.
+    pub answers_age: u32,
 }
 
 impl CullCounters {
@@ -110,6 +113,7 @@ impl CullCounters {
         self.shadow_leaves += other.shadow_leaves;
         self.shadows_refused += other.shadows_refused;
         self.fading += other.fading;
+        self.answers_age = self.answers_age.max(other.answers_age);
     }
 }
 
@@ -214,6 +218,8 @@ pub struct OcclusionQuery {
     pub results: Arc<OcclusionResults>,
     /// Fewer samples count as hidden.
     pub visibility_threshold: u32,
+    /// When it is asked.
+    pub frame: u32,
     /// Maps the cube from -1 to 1 onto the box; index into [`RenderStage::eye_from_drawable`].
     pub matrix: u32,
     /// Projection: 0 is the camera's, others are one more than their index in [`RenderStage::views`].

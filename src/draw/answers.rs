@@ -29,7 +29,8 @@ fn map(buffer: &wgpu::Buffer, state: &Arc<AtomicU8>) {
 
 struct QuerySlot {
     buffer: wgpu::Buffer,
-    asked: Vec<(Arc<OcclusionResults>, u32)>,
+    /// With their thresholds and frames.
+    asked: Vec<(Arc<OcclusionResults>, u32, u32)>,
     state: Arc<AtomicU8>,
 }
 
@@ -79,11 +80,11 @@ impl Queries {
         let room = slot.as_ref().map(|slot| slot.asked.len() < MOST_QUERIES as usize);
         match slot.filter(|_| room == Some(true)) {
             Some(slot) => {
-                slot.asked.push((query.results.clone(), query.visibility_threshold));
+                slot.asked.push((query.results.clone(), query.visibility_threshold, query.frame));
                 Some(slot.asked.len() as u32 - 1)
             }
             None => {
-                query.results.was_not_asked(room == Some(false));
+                query.results.was_not_asked(room == Some(false), query.frame);
                 None
             }
         }
@@ -109,8 +110,8 @@ impl Queries {
             match slot.state.load(Ordering::Acquire) {
                 READY => {
                     if let Ok(view) = slot.buffer.get_mapped_range(..) {
-                        for ((results, threshold), samples) in slot.asked.iter().zip(view.chunks_exact(8)) {
-                            results.answered(bytemuck::pod_read_unaligned(samples), *threshold);
+                        for ((results, threshold, frame), samples) in slot.asked.iter().zip(view.chunks_exact(8)) {
+                            results.answered(bytemuck::pod_read_unaligned(samples), *threshold, *frame);
                         }
                     }
                     slot.buffer.unmap();

@@ -1,7 +1,7 @@
 //! What the rarer node kinds hold: cameras, billboards, lights, clip planes, occluders, queries. Plain values.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, DVec4};
 
@@ -332,6 +332,10 @@ pub struct OcclusionResults {
     samples: AtomicU32,
     /// Frame of the last query; written by cull.
     queried: AtomicU32,
+    /// Frame of the last query that was answered; written after `failures` by whoever writes that.
+    answered: AtomicU32,
+    /// What cull last decided.
+    is_hidden: AtomicBool,
     /// The eye that asks; written by cull.
     eye: AtomicU32,
 }
@@ -375,21 +379,37 @@ impl OcclusionResults {
     }
 
     /// A query that was due could not be made: it is due again, and what was hidden shows, if need be.
-    pub(crate) fn was_not_asked(&self, shows: bool) {
+    pub(crate) fn was_not_asked(&self, shows: bool, frame: u32) {
         self.queried.store(0, Ordering::Relaxed);
         if shows {
             self.failures.store(0, Ordering::Relaxed);
+            self.answered.store(frame, Ordering::Release);
         }
     }
 
-    /// A query's answer, from the draw thread.
-    pub(crate) fn answered(&self, samples: u64, threshold: u32) {
+    /// The answer to a query of a frame, from the draw thread.
+    pub(crate) fn answered(&self, samples: u64, threshold: u32, frame: u32) {
         self.samples.store(u32::try_from(samples).unwrap_or(u32::MAX), Ordering::Relaxed);
         if samples >= u64::from(threshold) {
             self.failures.store(0, Ordering::Relaxed);
         } else {
             self.failures.fetch_add(1, Ordering::Relaxed);
         }
+        self.answered.store(frame, Ordering::Release);
+    }
+
+    /// Whether a frame leaves out what is below, and how many frames ago that was asked; all of them while more answers
+    /// may hide it, and `u32::MAX` where the frame before had it otherwise. Cull.
+    pub(crate) fn decide(&self, frame: u32, failures_to_hide: u32) -> (bool, u32) {
+        let answered = self.answered.load(Ordering::Acquire);
+        let failures = self.failures();
+        let is_hidden = failures >= failures_to_hide;
+        let age = match self.is_hidden.swap(is_hidden, Ordering::Relaxed) {
+            was_hidden if was_hidden != is_hidden => u32::MAX,
+            _ if !is_hidden && failures > 0 => frame,
+            _ => frame.saturating_sub(answered),
+        };
+        (is_hidden, age)
     }
 }
 

@@ -23,6 +23,9 @@ use crate::timeline::{self, Span};
 const ARRIVAL_POLL: Duration = Duration::from_micros(300);
 /// Between frames each of several scenes has so much time at once.
 const WORK_TURN: Duration = Duration::from_millis(2);
+/// Answers of the adapter that have not come so many frames after a change are not awaited: windows that are not seen
+/// draw nothing, and ask nothing.
+const MOST_AWAITED: u32 = 60;
 /// A device that is lost within so many frames of the last loss is not replaced.
 const FRAMES_TO_RENEW: u32 = 60;
 /// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
@@ -52,6 +55,11 @@ pub(super) struct ViewerBase {
     /// Seconds between the last two frames.
     delta_s: f64,
     pub(super) history: StatsHistory,
+    /// Last frame that was drawn for something else than answers to occlusion queries, or in which one had changed
+    /// what is hidden.
+    changed: u32,
+    /// Of the last frame; see [`CullCounters::answers_age`](crate::cull::CullCounters::answers_age).
+    answers_age: u32,
     pub(super) gpu_bytes_peak: u64,
     /// What could not be drawn as it should, each once.
     pub(super) draw_errors: Vec<String>,
@@ -108,6 +116,8 @@ impl ViewerBase {
             lost: None,
             delta_s: 0.0,
             history: StatsHistory::new(config.history_frames),
+            changed: 0,
+            answers_age: 0,
             gpu_bytes_peak: 0,
             draw_errors: Vec::new(),
             wanted: Vec::new(),
@@ -136,9 +146,13 @@ impl ViewerBase {
         self.first_frame.map_or(0.0, |first| first.elapsed().as_secs_f64())
     }
 
-    /// Begins a frame; the event phase comes next.
-    pub(super) fn begin_frame(&mut self, simulation_time_s: f64) -> Result<FrameUnderWay, ViewerError> {
+    /// Begins a frame; the event phase comes next. `changes`: something but answers of the adapter asks for it.
+    pub(super) fn begin_frame(&mut self, simulation_time_s: f64, changes: bool) -> Result<FrameUnderWay, ViewerError> {
         let start = Instant::now();
+        // One that nothing asks for is the application's wish, which knows of a change.
+        if changes || !self.awaits_answers() {
+            self.changed = self.stamp.frame + 1;
+        }
         self.read_back_ms = 0.0;
         let dt_s = self.advance(start, simulation_time_s);
         let number = self.stamp.frame;
@@ -336,6 +350,7 @@ impl ViewerBase {
             self.overlays = overlays;
         }
         rendered?;
+        self.answers_age = 0;
         for scene in scenes.iter_mut() {
             scene.requests.clear();
             scene.wanted_missing = 0;
@@ -352,6 +367,10 @@ impl ViewerBase {
             stats.occluded += counters.occluded;
             stats.wanted_missing += counters.wanted_missing;
             stats.cull_ms += cull_ms;
+            self.answers_age = self.answers_age.max(counters.answers_age);
+        }
+        if self.answers_age == u32::MAX {
+            self.changed = frame;
         }
         scenes.iter_mut().for_each(PagedScene::request);
         Ok(())
@@ -498,6 +517,12 @@ impl ViewerBase {
     /// Some picture was asked for that has not come.
     pub(super) fn awaits_picture(&self) -> bool {
         !(self.captures.is_empty() && self.wanted.is_empty() && self.asked.is_empty())
+    }
+
+    /// Some occlusion query of what was last drawn has no answer that is as new as the last change.
+    pub(super) fn awaits_answers(&self) -> bool {
+        let frames = self.stamp.frame.saturating_sub(self.changed);
+        self.answers_age > frames && frames < MOST_AWAITED
     }
 
     /// A frame that is lost with its device is over too: the next one says so, and replaces the device.

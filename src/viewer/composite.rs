@@ -9,7 +9,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::base::ViewerBase;
 use super::home::{LoadedRoot, SetBounds};
-use super::input::{GuiActionAdapter, needs_frame};
+use super::input::{GuiActionAdapter, changes, needs_frame};
 use super::paged_scene::PagedScene;
 use super::rendering::ThreadingModel;
 use super::stats::StatsHistory;
@@ -309,7 +309,8 @@ impl CompositeViewer {
 
     /// Renders one frame of all views at a simulation time.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
-        let mut frame = self.base.begin_frame(simulation_time_s)?;
+        let changes = self.views.iter().any(|view| changes(&self.base, view, &self.scenes[view.scene]));
+        let mut frame = self.base.begin_frame(simulation_time_s, changes)?;
         self.for_each_view(|mut view| view.event_traversal());
         #[cfg(feature = "window")]
         self.for_each_view(|mut view| view.lay_out_overlay());

@@ -127,6 +127,11 @@ pub(super) fn manipulator_view<'a>(view: &'a View, paged: &'a PagedScene) -> Man
 
 /// False while another frame would show the same picture.
 pub(super) fn needs_frame(base: &ViewerBase, view: &View, paged: &PagedScene) -> bool {
+    base.awaits_answers() || changes(base, view, paged)
+}
+
+/// Something but answers of the adapter may change the next picture.
+pub(super) fn changes(base: &ViewerBase, view: &View, paged: &PagedScene) -> bool {
     let input = &view.input;
     input.redraw
         || !input.queue.is_empty()

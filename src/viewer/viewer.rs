@@ -10,7 +10,7 @@ use image::RgbaImage;
 use super::ViewerError;
 use super::base::ViewerBase;
 use super::home::{LoadedRoot, SetBounds};
-use super::input::{GuiActionAdapter, OnPicture, manipulator_view, needs_frame};
+use super::input::{GuiActionAdapter, OnPicture, changes, manipulator_view, needs_frame};
 use super::manipulators::{CameraManipulator, ManipulatorView};
 use super::paged_scene::PagedScene;
 use super::rendering::ThreadingModel;
@@ -463,8 +463,8 @@ impl Viewer {
     }
 
     /// For drawing on demand: false while another frame would show the same picture. True for events that wait, a
-    /// manipulator that moves, tiles that are still to come, image sequences that play, update callbacks, what lies over the picture, and
-    /// [`View::request_redraw`].
+    /// manipulator that moves, tiles that are still to come, answers to occlusion queries, image sequences that play,
+    /// update callbacks, what lies over the picture, and [`View::request_redraw`].
     pub fn check_need_to_do_frame(&self) -> bool {
         needs_frame(&self.base, &self.view, &self.paged)
     }
@@ -503,7 +503,8 @@ impl Viewer {
     /// Renders one frame at a simulation time.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
         self.base.compile_budget = self.compile_budget;
-        let mut frame = self.base.begin_frame(simulation_time_s)?;
+        let changes = changes(&self.base, &self.view, &self.paged);
+        let mut frame = self.base.begin_frame(simulation_time_s, changes)?;
         let start = frame.start;
         let mut actions = self.actions();
         actions.event_traversal();

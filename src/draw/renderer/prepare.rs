@@ -319,7 +319,7 @@ impl Renderer {
         for query in &stage.queries {
             let Some(rows) = stage.eye_from_drawable.get(query.matrix as usize) else { continue };
             if self.batch.leaves().len() >= self.most_leaves {
-                query.results.was_not_asked(true);
+                query.results.was_not_asked(true, query.frame);
                 continue;
             }
             let Some(index) = queries.ask(query) else { continue };
