@@ -5,7 +5,11 @@ mod scenes;
 
 use glam::{DAffine3, DVec3};
 use scenes::{Grid, content, page, quadtree, state_sets};
-use terrane::scene::{Node, NodeId, NodeKind, PageId, ProxyLoading, ProxyNode, Refine, Scene, SceneError, SlotState};
+use terrane::math::Aabb;
+use terrane::scene::{
+    Billboard, BillboardMode, Drawable, Material, Mesh, Node, NodeId, NodeKind, Page, PageId, ProxyLoading, ProxyNode,
+    Refine, Scene, SceneError, SlotState,
+};
 use terrane::state::StateSet;
 
 fn tree(levels: u32) -> (Scene, PageId, Vec<NodeId>) {
@@ -169,4 +173,34 @@ fn transforms_can_only_be_set_on_transforms() {
     let nan = DAffine3::from_translation(DVec3::NAN);
     assert_eq!(scene.set_transform(at(1), nan), Err(SceneError::NotFinite));
     assert_eq!(scene.set_transform(at(1), DAffine3::from_translation(DVec3::X)), Ok(()));
+}
+
+/// Their boxes were those of the first transform: what grew along the picture's up was culled while it was in sight.
+#[test]
+fn billboards_reach_as_far_as_transforms_set_later_let_them() {
+    let scene_of = |map: DAffine3| {
+        let mesh = Mesh::cuboid(&Aabb { min: DVec3::new(-5.0, 0.0, 0.0), max: DVec3::new(5.0, 0.1, 10.0) });
+        let drawables = vec![(DVec3::X, Drawable::new(mesh.into(), Material::default()))];
+        let mode = BillboardMode::PointRotEye;
+        let billboard = Node::new(NodeKind::Billboard(Box::new(Billboard { mode, drawables })));
+        let outer = Node::transform(DAffine3::IDENTITY, vec![Node::transform(map, vec![billboard])]);
+        let mut scene = Scene::new();
+        let root = scene.add_root(Page::from_node(outer).unwrap());
+        (scene, root)
+    };
+    let long = DAffine3::from_scale(DVec3::new(1.0, 1.0, 10.0));
+    let (first, root) = scene_of(long);
+    let expected = first.node_sphere(NodeId { page: root, index: 0 }).unwrap();
+    assert!(expected.radius_m > 100.0);
+    for index in [0, 1] {
+        let (mut scene, root) = scene_of(DAffine3::IDENTITY);
+        let at = |index| NodeId { page: root, index };
+        assert!(scene.node_sphere(at(0)).unwrap().radius_m < 30.0);
+        scene.set_transform(at(index), long).unwrap();
+        let found = scene.node_sphere(at(0)).unwrap();
+        assert!((found.radius_m / expected.radius_m - 1.0).abs() < 1e-4, "{found:?} and {expected:?}");
+        // What is not one keeps its box.
+        scene.set_transform(at(index), DAffine3::IDENTITY).unwrap();
+        assert!(scene.node_sphere(at(0)).unwrap().radius_m < 30.0);
+    }
 }

@@ -31,7 +31,7 @@ impl Cull<'_> {
             }
         }
         match special {
-            Special::Billboard { mode, positions } => {
+            Special::Billboard { mode, positions, .. } => {
                 self.billboard(context, node, *mode, positions, mask);
                 false
             }

@@ -188,15 +188,13 @@ impl Flattener {
             NodeKind::Billboard(billboard) => {
                 let Billboard { mode, drawables } = *billboard;
                 let mut positions = Vec::with_capacity(drawables.len());
-                let linear = self.page.transforms.page_from_node(transform).matrix3;
+                let mut bounds = Vec::with_capacity(drawables.len());
                 for (position, drawable) in drawables {
-                    // Wherever it turns to.
-                    let reach = mode.reach(&linear, &drawable.bounds());
-                    let around = Aabb { min: position - reach, max: position + reach };
-                    self.add_drawable_in(drawable, around, transform, path);
+                    bounds.push(drawable.bounds());
+                    self.add_drawable(drawable, transform, path);
                     positions.push(position);
                 }
-                payload = self.special(Special::Billboard { mode, positions });
+                payload = self.special(Special::Billboard { mode, positions, bounds });
                 kind::SPECIAL
             }
             NodeKind::LightSource(light) => {
@@ -280,16 +278,10 @@ impl Flattener {
     }
 
     fn add_drawable(&mut self, drawable: Drawable, transform: u32, path: u32) {
-        let bounds = drawable.bounds();
-        self.add_drawable_in(drawable, bounds, transform, path);
-    }
-
-    /// Adds a drawable with a box in the frame of its transform.
-    fn add_drawable_in(&mut self, drawable: Drawable, bounds: Aabb, transform: u32, path: u32) {
         let blends = matches!(drawable.material.alpha, AlphaMode::Blend);
         let state_path = if blends { self.path_to(path, BLEND) } else { path };
         self.page.uses_page_frame |= transform == 0;
-        self.page.local_boxes.push(bounds);
+        self.page.local_boxes.push(drawable.bounds());
         if let Some(cone) = drawable.cluster {
             self.page.clusters.push((self.page.drawable_refs.len() as u32, cone));
         }
@@ -358,6 +350,7 @@ impl Flattener {
         }
         page.tiles.count_readiness();
         page.transforms.shrink();
+        page.fit_billboards(0, count);
         page.origin = middle(&page);
         let four = Boxes4 { center: [Vec4::ZERO; 3], half: [Vec4::ZERO; 3] };
         page.boxes = vec![four; page.drawable_refs.len().div_ceil(4)];

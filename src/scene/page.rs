@@ -63,6 +63,8 @@ pub(crate) enum Special {
     Billboard {
         mode: BillboardMode,
         positions: Vec<DVec3>,
+        /// The drawables' own bounds.
+        bounds: Vec<Aabb>,
     },
     LightSource(LightSource),
     ClipNode(ClipNode),
@@ -335,6 +337,7 @@ impl Page {
         let record = self.nodes[index];
         let end = index + record.skip as usize;
         self.transforms.set(record.first_transform, parent_from_node, self.nodes[end].first_transform);
+        self.fit_billboards(index, end);
         self.fit_boxes(record.first_drawable as usize, self.nodes[end].first_drawable as usize);
         self.fit_spheres(index, end);
         let mut parent = self.parents[index];
@@ -379,6 +382,27 @@ impl Page {
         }
         let in_page = local.transformed(&self.transforms.page_from_node(self.drawable_refs[drawable].transform));
         usable(&in_page).then_some(in_page)
+    }
+
+    /// Computes the boxes, in the frames of their transforms, of billboards in a range of nodes: how far they reach is a
+    /// matter of these transforms.
+    pub(crate) fn fit_billboards(&mut self, first: usize, end: usize) {
+        if self.specials.is_empty() {
+            return;
+        }
+        for node in (first..end).filter(|node| self.nodes[*node].kind == kind::SPECIAL) {
+            let Some(Special::Billboard { mode, positions, bounds }) = self.specials.get(self.payloads[node] as usize)
+            else {
+                continue;
+            };
+            let own = self.nodes[node].first_drawable as usize;
+            for ((drawable, position), bounds) in (own..).zip(positions).zip(bounds) {
+                let page_from_node = self.transforms.page_from_node(self.drawable_refs[drawable].transform);
+                // Wherever it turns to.
+                let reach = mode.reach(&page_from_node.matrix3, bounds);
+                self.local_boxes[drawable] = Aabb { min: *position - reach, max: *position + reach };
+            }
+        }
     }
 
     /// Computes the page-frame boxes of a range of drawables.

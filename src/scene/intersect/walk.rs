@@ -272,7 +272,7 @@ impl<P: Probe> Walk<'_, P> {
         let page = here.page;
         let Some(special) = page.specials.get(page.payloads[node as usize] as usize) else { return false };
         match special {
-            Special::Billboard { mode, positions } => {
+            Special::Billboard { mode, positions, .. } => {
                 let Some(eye) = self.view.rules.eye else { return false };
                 let world_from_node =
                     here.world_from_page * page.transforms.page_from_node(page.enclosing_transform(node));
