@@ -13,6 +13,7 @@ use window_support::{
     BUTTON_PRESS, BUTTON_RELEASE, Display, Driven, ESCAPE, MOTION, SPACE, colours, differing, part, tile_set,
 };
 use x11rb::protocol::xproto::{ConnectionExt as _, InputFocus};
+use x11rb::wrapper::ConnectionExt as _;
 
 #[test]
 fn several_views_open_as_a_file_says_and_each_has_its_events() {
@@ -134,6 +135,40 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
         assert!(output.status.code() == Some(1) && error.contains(says), "{error}");
         assert_eq!(error.lines().count(), 1, "{error}");
     }
+}
+
+/// It held the view that it had gone down over: all that came after went there.
+#[test]
+fn a_button_that_goes_with_the_focus_holds_no_view() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
+    let config = folder.path().join("halves.json");
+    let text = r#"{"windows": [{"title": "Terrane - halves", "position_px": [10, 20], "size_px": [400, 200]}],
+        "views": [{"cameras": [{"viewport": [0, 0, 0.5, 1]}]}, {"cameras": [{"viewport": [0.5, 0, 0.5, 1]}]}]}"#;
+    std::fs::write(&config, text).unwrap();
+    let args = ["view", set.to_str().unwrap(), "--config", config.to_str().unwrap()];
+    let mut w = Driven::start(&display, &args, folder.path());
+    let (left, right) = ([0, 0, 200, 200], [200, 0, 200, 200]);
+    w.until("halves: first", |picture| [left, right].iter().all(|of| colours(&part(picture, *of)) > 100));
+    let before = w.at_rest("halves: at rest");
+    // The window goes while the button is down over the left half, and comes back when it is up.
+    w.send(MOTION, 0, 110, 140);
+    w.send(BUTTON_PRESS, 1, 0, 0);
+    std::thread::sleep(Duration::from_millis(500));
+    w.x.unmap_window(w.window).unwrap();
+    w.x.sync().unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    w.send(BUTTON_RELEASE, 1, 0, 0);
+    w.x.map_window(w.window).unwrap();
+    w.x.set_input_focus(InputFocus::PARENT, w.window, x11rb::CURRENT_TIME).unwrap();
+    w.x.sync().unwrap();
+    w.until("halves: again", |picture| differing(&before, picture) < 0.002);
+    w.drag(1, [310, 120], [150, 110]);
+    let turned = w.at_rest("halves: right turned");
+    assert!(differing(&part(&before, right), &part(&turned, right)) > 0.1, "the one that was dragged");
+    assert!(differing(&part(&before, left), &part(&turned, left)) < 0.002, "the one that had the button");
+    w.key(ESCAPE);
+    assert_eq!(w.ended().code(), Some(0));
 }
 
 #[test]
