@@ -160,7 +160,13 @@ impl PagedScene {
             rendering.release(context, slots);
         }
         // What is still on its way to a device finds no page, and is released.
-        if let Some(own) = self.own_of(id).and_then(|number| self.own.remove(&number)) {
+        if let Some(mut own) = self.own_of(id).and_then(|number| self.own.remove(&number)) {
+            // Meshes that the devices were not told of yet.
+            for rewritten in self.scene_mut().rewritten_mut().extract_if(.., |rewritten| rewritten.page == id) {
+                if let Some(drawable) = own.drawables.get_mut(rewritten.drawable as usize) {
+                    drawable.geometry = Geometry::Mesh(rewritten.mesh);
+                }
+            }
             page.put_drawables(own.drawables);
         }
         Some(page)
@@ -421,5 +427,11 @@ mod tests {
             assert!(paged.remove_root(root, &mut rendering).is_some());
         }
         assert_eq!((paged.own.len(), paged.own_of(stays)), (1, before));
+        // What comes back is as it was last.
+        let mesh = Arc::new(Mesh::sphere(glam::DVec3::ZERO, 2.0, 6));
+        let node = crate::scene::NodeId { page: stays, index: 0 };
+        paged.scene_mut().set_mesh(node, 0, mesh.clone(), DataVariance::Static).unwrap();
+        let back = paged.remove_root(stays, &mut rendering).unwrap().take_drawables();
+        assert!(matches!(&back[..], [Drawable { geometry: Geometry::Mesh(m), .. }] if Arc::ptr_eq(m, &mesh)));
     }
 }
