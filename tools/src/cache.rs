@@ -162,6 +162,7 @@ fn fill(args: &FillArgs) -> Result<()> {
         let more = done.failed - 1;
         bail!("{uri}: {reason}{}", if more > 0 { format!(" and {more} more") } else { String::new() });
     }
+    ensure!(!done.stopped, "stopped before all of it was there");
     Ok(())
 }
 

@@ -67,11 +67,6 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         None if views.as_ref().is_some_and(|views| !views.needs_root()) => String::new(),
         None => default_set::ensure()?,
     };
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    // A second handler in one process (tests) is no reason not to fly.
-    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
-
     settings.samples = settings.samples.max(args.samples);
     if let Some(mode) = args.stereo {
         (settings.stereo, settings.stereo_mode) = (true, mode);
@@ -91,9 +86,10 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     if let Some(views) = views {
         let root = if views.needs_root() { Some(LoadedRoot::read(&source, &config.pager)?) } else { None };
-        return crate::views::run(*args, config, views, root, stop);
+        return crate::views::run(*args, config, views, root, stop_on_interrupt());
     }
     let root = LoadedRoot::read(&source, &config.pager)?;
+    let stop = stop_on_interrupt();
     let mut flight = Flight::new(*args, path, stop)?;
     flight.eyes = config.stereo;
     let mut viewer = if offscreen {
@@ -117,6 +113,15 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
         (false, _) => "in a window",
     };
     flight.finish(&mut viewer, where_drawn)
+}
+
+/// What Ctrl-C sets from now on: there is something to end well. Before, it ends the process.
+fn stop_on_interrupt() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    // A second handler in one process (tests) is no reason not to fly.
+    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
+    stop
 }
 
 /// The windows that were asked for: by the command line, else by the environment where windows open as that says.

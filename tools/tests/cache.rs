@@ -183,6 +183,32 @@ fn a_filled_cache_needs_no_server() {
     assert!(refused(&["cache", "fill", &url, "--cache", &cache, "--offline"]).contains("offline"));
 }
 
+/// Ctrl-C while a server says nothing: there is nothing to wait for.
+#[cfg(unix)]
+#[test]
+fn an_interrupt_waits_for_no_server() {
+    use std::os::unix::process::ExitStatusExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}/set/", listener.local_addr().unwrap());
+    let interrupted = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
+        command.args(args).args(["--cache", folder.path().to_str().unwrap()]);
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        // The request is on its way and gets no answer.
+        let stream = listener.accept().unwrap();
+        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+        let out = child.wait_with_output().unwrap();
+        drop(stream);
+        out
+    };
+    let out = interrupted(&["cache", "fill", &url]);
+    let said = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.code() == Some(1) && said.contains("stopped, the same command goes on"), "{said}");
+    let out = interrupted(&["fly", &url, "--offscreen"]);
+    assert_eq!((out.status.code(), out.status.signal()), (None, Some(2)), "{out:?}");
+}
+
 #[test]
 fn a_folder_that_is_no_cache_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();

@@ -17,6 +17,7 @@ use super::{
     http, is_remote, root_uri, shown,
 };
 use crate::io::read::refuse_markup;
+use crate::io::tileset::TILE_OF_SEVERAL;
 use crate::math::{BoundingVolume, Region};
 use crate::scene::{Node, NodeKind};
 
@@ -99,10 +100,12 @@ struct Fill<'a> {
 
 /// The longest pause of a server that is waited for.
 const PATIENCE: Duration = Duration::from_secs(600);
+/// The longest time between two calls of `progress`.
+const LOOK: Duration = Duration::from_millis(100);
 
 /// Fetches a part of the tile set at a URL into the cache of the configuration. `progress` is called on this thread
-/// after each file; with `Break` it stops once what is under way has come. Fails only for a root that cannot be read,
-/// or without a cache.
+/// after each file, and meanwhile ten times a second; with `Break` it stops at once: what is under way is given up, what
+/// has come is kept. Fails only for a root that cannot be read, or without a cache.
 pub fn fill(
     source: &str,
     config: &HttpConfig,
@@ -130,11 +133,14 @@ pub fn fill(
         seen: HashSet::new(),
     };
     fill.push(root.clone(), Some(tileset));
-    runtime.block_on(async {
+    let end = runtime.block_on(async {
         let end = fill.run(&client, &root, progress).await;
         client.flush().await;
         end
-    })?;
+    });
+    // Looking up a server's name cannot be given up; nobody waits for it.
+    runtime.shutdown_background();
+    end?;
     fill.filled.cache = client.cache().map(|cache| cache.stats()).unwrap_or_default();
     Ok(fill.filled)
 }
@@ -155,11 +161,17 @@ impl Fill<'_> {
                 let (client, limits, refresh) = (client.clone(), self.options.limits, self.options.refresh);
                 tasks.spawn(async move { fetch(&client, job, &limits, refresh).await });
             }
-            let Some(done) = tasks.join_next().await else { return Ok(()) };
-            let Ok(done) = done else { continue };
-            self.take(client, done, root)?;
-            if progress(&self.filled).is_break() {
+            match tokio::time::timeout(LOOK, tasks.join_next()).await {
+                Ok(None) => return Ok(()),
+                Ok(Some(Ok(done))) => self.take(client, done, root)?,
+                // Given up.
+                Ok(Some(Err(_))) => continue,
+                Err(_) => {}
+            }
+            let is_over = self.jobs.is_empty() && tasks.is_empty();
+            if !self.filled.stopped && progress(&self.filled).is_break() && !is_over {
                 self.filled.stopped = true;
+                tasks.abort_all();
             }
         }
     }
@@ -224,6 +236,15 @@ impl Fill<'_> {
 
     fn node(&mut self, node: &Node, tileset: &Tileset) {
         match &node.kind {
+            NodeKind::PagedLod(tile) if node.name == TILE_OF_SEVERAL => {
+                if self.is_wanted(&tile.bounds, tileset) {
+                    // One tile of the tileset.
+                    for child in &node.children {
+                        self.node(child, tileset);
+                    }
+                }
+                return;
+            }
             NodeKind::PagedLod(tile) => {
                 if !self.is_wanted(&tile.bounds, tileset) {
                     return;
