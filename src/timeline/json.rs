@@ -3,6 +3,7 @@
 //! Spans are complete events (`X`), requests asynchronous ones (`b`, `e`) under their ticket, names of threads metadata
 //! (`M`). Times are microseconds.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Result, Write};
@@ -11,6 +12,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use super::buffers::{Event, EventKind, Recorded, unix_ms};
+use crate::io::shown;
 
 /// What a timeline has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -51,7 +53,7 @@ pub(super) fn write(path: &Path, recorded: &Recorded) -> Result<TimelineSummary>
                         "ts": us(event.at_ns), "dur": us(ns),
                     });
                     if let Some(detail) = &event.detail {
-                        value["args"] = json!({"of": without_query(detail)});
+                        value["args"] = json!({"of": without_keys(detail)});
                     }
                     out.event(&value)?;
                 }
@@ -70,7 +72,7 @@ pub(super) fn write(path: &Path, recorded: &Recorded) -> Result<TimelineSummary>
             continue; // taken up before the recording
         };
         summary.requests += 1;
-        let uri = without_query(first.detail.as_deref().unwrap_or_default());
+        let uri = without_keys(first.detail.as_deref().unwrap_or_default());
         let ends = |e: &Event| matches!(e.kind, EventKind::RequestEnds { .. });
         let last = events.iter().rev().find(|(_, _, e)| ends(e));
         let (end_ns, end_thread, outcome) =
@@ -82,7 +84,7 @@ pub(super) fn write(path: &Path, recorded: &Recorded) -> Result<TimelineSummary>
             })
         };
         let end_ns = end_ns.max(*at_ns);
-        out.event(&of("b", short(uri), *at_ns, *thread, json!({"uri": uri})))?;
+        out.event(&of("b", short(&uri), *at_ns, *thread, json!({"uri": uri})))?;
         for (from_ns, thread, event) in &events {
             let EventKind::RequestSpan { ns, .. } = event.kind else { continue };
             // What was aborted may end a little after its request.
@@ -90,7 +92,7 @@ pub(super) fn write(path: &Path, recorded: &Recorded) -> Result<TimelineSummary>
             out.event(&of("b", event.name, from, *thread, json!({})))?;
             out.event(&of("e", event.name, to, *thread, json!({})))?;
         }
-        out.event(&of("e", short(uri), end_ns, end_thread, json!({"outcome": outcome})))?;
+        out.event(&of("e", short(&uri), end_ns, end_thread, json!({"outcome": outcome})))?;
     }
     let other =
         json!({"version": env!("CARGO_PKG_VERSION"), "written_unix_ms": unix_ms(), "events_lost": summary.lost});
@@ -99,10 +101,15 @@ pub(super) fn write(path: &Path, recorded: &Recorded) -> Result<TimelineSummary>
     Ok(summary)
 }
 
-/// A URL without what follows `?`: keys and tokens do not belong in a file that is passed on.
-fn without_query(uri: &str) -> &str {
-    let is_url = uri.starts_with("http://") || uri.starts_with("https://");
-    uri.split_once('?').filter(|_| is_url).map_or(uri, |(before, _)| before)
+/// A URL without name and password and without its query: keys and tokens do not belong in a file that is passed on.
+fn without_keys(uri: &str) -> Cow<'_, str> {
+    match shown(uri) {
+        Cow::Owned(mut url) => {
+            url.truncate(url.find('?').unwrap_or(url.len()));
+            Cow::Owned(url)
+        }
+        whole => whole,
+    }
 }
 
 /// The last two parts of a path.
@@ -134,8 +141,15 @@ mod tests {
 
     #[test]
     fn keys_in_urls_are_not_written() {
-        assert_eq!(without_query("https://tiles.example/a/b.glb?key=secret"), "https://tiles.example/a/b.glb");
-        assert_eq!(without_query("/data/is it?/b.glb"), "/data/is it?/b.glb");
-        assert_eq!(short(without_query("https://tiles.example/a/b.glb?key=x/y/z")), "a/b.glb");
+        for (uri, written) in [
+            ("https://tiles.example/a/b.glb?key=secret", "https://tiles.example/a/b.glb"),
+            ("https://me:pass@tiles.example:80/a@b.glb?secret", "https://tiles.example:80/a@b.glb"),
+            ("HTTP://me@tiles.example", "HTTP://tiles.example"),
+            ("/data/is it?/b.glb", "/data/is it?/b.glb"),
+            ("cull", "cull"),
+        ] {
+            assert_eq!(without_keys(uri), written);
+        }
+        assert_eq!(short(&without_keys("https://tiles.example/a/b.glb?key=x/y/z")), "a/b.glb");
     }
 }
