@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use proptest::prelude::*;
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
-use terrane::io::{Content, DECODER_PANICKED, IoError, Limits, ReadOptions, decode, inspect};
+use terrane::io::{Content, DECODER_PANICKED, IoError, Limits, ReadOptions, decode, inspect, verify};
 use terrane::scene::Page;
 
 const ROOT: &str = "/set/tileset.json";
@@ -239,6 +239,34 @@ fn references_stay_in_the_sets_folder() {
     for escape in ["../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "%2e%2e/x.glb", "http://other/x.glb"] {
         refused(&tileset(SPHERE, "1", escape));
     }
+}
+
+/// Few small files whose tree has a hundred thousand tiles, or any number with more files.
+#[test]
+fn tilesets_that_name_each_other_often_end() {
+    let folder = tempfile::tempdir().unwrap();
+    for file in 0..5 {
+        let name = if file == 0 { "tileset.json".to_owned() } else { format!("{file}.json") };
+        let below = format!(r#"{{"uri":"{}.json"}}"#, file + 1);
+        let contents = if file < 4 { vec![below; 10].join(",") } else { String::new() };
+        let json = format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{{"boundingVolume":{{"sphere":[0,0,0,9]}},
+            "geometricError":1,"contents":[{contents}]}}}}"#
+        );
+        std::fs::write(folder.path().join(name), json).unwrap();
+    }
+    let source = folder.path().to_str().unwrap();
+    let limits = Limits { max_elements: 500, ..Limits::default() };
+    let info = inspect(source, &limits).unwrap();
+    let [error] = &info.errors[..] else { panic!("{info}") };
+    assert!((200..=500).contains(&info.tiles) && error.reason.contains("tiles and tilesets"), "{info}");
+    let verified = verify(source, &limits, &mut |_| {}).unwrap();
+    let [error] = &verified.errors[..] else { panic!("{verified:?}") };
+    assert!(error.reason.contains("tiles and tilesets") && verified.bytes < 200_000, "{verified:?}");
+    // The errors that are told are bounded, those that are counted are not.
+    std::fs::write(folder.path().join("4.json"), "broken").unwrap();
+    let info = inspect(source, &Limits::default()).unwrap();
+    assert_eq!((info.failed, info.errors.len()), (10_000, 1000));
 }
 
 #[test]

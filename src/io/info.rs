@@ -10,6 +10,9 @@ use super::tileset::{self, TileJson};
 use super::{IoError, Limits, ReadOptions, Source, is_remote, resolve, root_uri, shown};
 use crate::scene::Page;
 
+/// Failures that are told one by one.
+pub(super) const TOLD: usize = 1000;
+
 /// Summary of a tile set.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Info {
@@ -29,7 +32,9 @@ pub struct Info {
     pub extensions: BTreeSet<String>,
     /// Around everything.
     pub bounds: BoundsInfo,
-    /// What is missing or wrong.
+    /// How often something is missing or wrong.
+    pub failed: u64,
+    /// The first thousand of that.
     pub errors: Vec<InfoError>,
 }
 
@@ -100,13 +105,25 @@ fn inspect_from(source: &str, limits: &Limits, from: Source) -> Result<Info, IoE
         }
         Err(e) => info.fail(&e),
     }
-    info.walk(&from, &root, &json.root, (0, 0), &options);
-    Ok(info)
+    let limit = limits.max_elements as u64;
+    let mut walk = Walk { info, from: &from, met: 0, limit };
+    if !walk.tile(&root, &json.root, (0, 0), &options) {
+        walk.info.fail(&too_many(&root, limit));
+    }
+    Ok(walk.info)
+}
+
+/// Few files that name each other often enough make a tree that nobody reads to its end.
+pub(super) fn too_many(root: &str, limit: u64) -> IoError {
+    IoError::TooLarge { uri: root.to_owned(), what: "tiles and tilesets together", got: limit + 1, limit }
 }
 
 impl Info {
     fn fail(&mut self, error: &IoError) {
-        self.errors.push(InfoError { uri: shown(error.uri()).into_owned(), reason: error.reason() });
+        self.failed += 1;
+        if self.errors.len() < TOLD {
+            self.errors.push(InfoError { uri: shown(error.uri()).into_owned(), reason: error.reason() });
+        }
     }
 
     fn level(&mut self, level: u32) -> &mut LevelInfo {
@@ -115,80 +132,95 @@ impl Info {
         }
         &mut self.levels[level as usize]
     }
+}
 
-    /// A tile of a level, which lies so deep in its file, and what is below it.
-    fn walk(
-        &mut self,
-        from: &Source,
-        base: &Arc<str>,
-        tile: &TileJson,
-        (level, depth): (u32, u32),
-        options: &ReadOptions,
-    ) {
+/// A walk over all of a tile set.
+struct Walk<'a> {
+    info: Info,
+    from: &'a Source,
+    /// Tiles and tilesets so far, and how many there may be.
+    met: u64,
+    limit: u64,
+}
+
+impl Walk<'_> {
+    /// One more tile or tileset; false where that is one too many.
+    fn meets(&mut self) -> bool {
+        self.met += 1;
+        self.met <= self.limit
+    }
+
+    /// A tile of a level, which lies so deep in its file, and what is below it. False where the walk ends.
+    fn tile(&mut self, base: &Arc<str>, tile: &TileJson, (level, depth): (u32, u32), options: &ReadOptions) -> bool {
         if depth > options.limits.max_depth {
             // As the reader said of the same file.
-            return;
+            return true;
         }
-        self.tiles += 1;
-        self.level(level).tiles += 1;
+        if !self.meets() {
+            return false;
+        }
+        self.info.tiles += 1;
+        self.info.level(level).tiles += 1;
         let imagery = tile.extras.0.as_ref().and_then(|own| own.imagery.as_deref());
         let contents = tile.content.iter().chain(&tile.contents).filter_map(|content| content.uri());
         for (reference, is_content) in contents.map(|uri| (uri, true)).chain(imagery.map(|uri| (uri, false))) {
             let uri = match resolve(base, reference, &options.root) {
                 Ok(uri) => uri,
                 Err(e) => {
-                    self.fail(&e);
+                    self.info.fail(&e);
                     continue;
                 }
             };
             if uri.split(['?', '#']).next().is_some_and(|path| path.ends_with(".json")) {
-                if let Err(e) = self.external(from, base, &uri, level, options) {
-                    self.fail(&e);
+                if !self.meets() {
+                    return false;
+                }
+                match self.external(base, &uri, level, options) {
+                    Ok(goes_on) if !goes_on => return false,
+                    Ok(_) => {}
+                    Err(e) => self.info.fail(&e),
                 }
                 continue;
             }
-            self.contents += u64::from(is_content);
-            self.level(level).contents += u64::from(is_content);
+            self.info.contents += u64::from(is_content);
+            self.info.level(level).contents += u64::from(is_content);
             if is_remote(&uri) {
                 continue;
             }
-            match from.size(&uri) {
+            match self.from.size(&uri) {
                 Ok(bytes) => {
-                    self.bytes += bytes;
-                    self.level(level).bytes += bytes;
+                    self.info.bytes += bytes;
+                    self.info.level(level).bytes += bytes;
                 }
-                Err(e) => self.fail(&e),
+                Err(e) => self.info.fail(&e),
             }
         }
-        for child in &tile.children {
-            self.walk(from, base, child, (level + 1, depth + 1), options);
-        }
+        tile.children.iter().all(|child| self.tile(base, child, (level + 1, depth + 1), options))
     }
 
+    /// A tileset that a tile of a level names, in the file `base`. False where the walk ends.
     fn external(
         &mut self,
-        from: &Source,
         base: &Arc<str>,
         uri: &Arc<str>,
         level: u32,
         options: &ReadOptions,
-    ) -> Result<(), IoError> {
+    ) -> Result<bool, IoError> {
         if uri == base || options.chain.contains(uri) {
             return Err(IoError::unsupported(uri, "the tileset contains itself"));
         }
         if options.chain.len() >= options.limits.max_external_depth {
             return Err(IoError::invalid(uri, "external tilesets are nested too deep"));
         }
-        let bytes = from.read(uri)?;
+        let bytes = self.from.read(uri)?;
         let json = tileset::parse(uri, &bytes)?;
-        self.bytes += bytes.len() as u64;
-        self.extensions.extend(json.extensions_used.iter().cloned());
+        self.info.bytes += bytes.len() as u64;
+        self.info.extensions.extend(json.extensions_used.iter().cloned());
         let below = options.below(base);
         if let Err(e) = tileset::read(uri, &bytes, &below) {
-            self.fail(&e);
+            self.info.fail(&e);
         }
-        self.walk(from, uri, &json.root, (level + 1, 0), &below);
-        Ok(())
+        Ok(self.tile(uri, &json.root, (level + 1, 0), &below))
     }
 }
 
@@ -225,7 +257,7 @@ impl std::fmt::Display for Info {
             let list: Vec<&str> = self.extensions.iter().map(String::as_str).collect();
             writeln!(f, "extensions: {}", list.join(", "))?;
         }
-        write!(f, "errors: {}", self.errors.len())?;
+        write!(f, "errors: {}", self.failed)?;
         for e in &self.errors {
             write!(f, "\n  {}: {}", e.uri, e.reason)?;
         }

@@ -7,10 +7,8 @@ use serde::Serialize;
 use super::{
     Content, InfoError, IoError, Limits, ReadOptions, Source, companions, decode, decode_node, root_uri, shown,
 };
+use crate::io::info::{TOLD, too_many};
 use crate::scene::{Node, NodeKind};
-
-/// Failures that are told one by one.
-const TOLD: usize = 1000;
 
 /// What reading everything came to.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -61,13 +59,16 @@ fn verify_from(
     let bytes = from.read(&root)?;
     verified.bytes += bytes.len() as u64;
     let content = Content { uri: root.clone(), bytes, reader_data: None, companions: Vec::new() };
-    collect(&decode_node(content, &options)?, &root, &options, &mut jobs);
+    let limit = limits.max_elements as u64;
+    let mut met = collect(&decode_node(content, &options)?, &root, &options, &mut jobs);
     while let Some(job) = jobs.pop() {
-        if let Err(error) = verified.read(from, job, &mut jobs) {
-            verified.failed += 1;
-            if verified.errors.len() < TOLD {
-                verified.errors.push(InfoError { uri: shown(error.uri()).into_owned(), reason: error.reason() });
-            }
+        if met > limit {
+            verified.fail(&too_many(&root, limit));
+            break;
+        }
+        match verified.read(from, job, &mut jobs) {
+            Ok(more) => met += more,
+            Err(error) => verified.fail(&error),
         }
         progress(&verified);
     }
@@ -75,7 +76,15 @@ fn verify_from(
 }
 
 impl Verified {
-    fn read(&mut self, from: &Source, job: Job, jobs: &mut Vec<Job>) -> Result<(), IoError> {
+    fn fail(&mut self, error: &IoError) {
+        self.failed += 1;
+        if self.errors.len() < TOLD {
+            self.errors.push(InfoError { uri: shown(error.uri()).into_owned(), reason: error.reason() });
+        }
+    }
+
+    /// Returns how many tiles and tilesets that has brought.
+    fn read(&mut self, from: &Source, job: Job, jobs: &mut Vec<Job>) -> Result<u64, IoError> {
         let Job { uri, reader_data, options, is_tileset } = job;
         self.contents += u64::from(!is_tileset);
         let mut fetch = |uri: &Arc<str>| {
@@ -87,15 +96,14 @@ impl Verified {
         let companions = companions.into_iter().map(|of| (of.clone(), fetch(&of))).collect();
         let content = Content { bytes: fetch(&uri)?, uri: uri.clone(), reader_data, companions };
         if is_tileset {
-            collect(&decode_node(content, &options)?, &uri, &options, jobs);
-            return Ok(());
+            return Ok(collect(&decode_node(content, &options)?, &uri, &options, jobs));
         }
-        decode(content, &options).map(drop)
+        decode(content, &options).map(|_| 0)
     }
 }
 
-/// What a tileset's nodes name.
-fn collect(node: &Node, tileset: &Arc<str>, options: &ReadOptions, jobs: &mut Vec<Job>) {
+/// What a tileset's nodes name. Returns how many nodes there are.
+fn collect(node: &Node, tileset: &Arc<str>, options: &ReadOptions, jobs: &mut Vec<Job>) -> u64 {
     let mut push = |uri: &Arc<str>, reader_data: Option<Arc<str>>, is_tileset: bool| {
         jobs.push(Job { uri: uri.clone(), reader_data, options: options.below(tileset), is_tileset });
     };
@@ -108,7 +116,5 @@ fn collect(node: &Node, tileset: &Arc<str>, options: &ReadOptions, jobs: &mut Ve
         NodeKind::ProxyNode(proxy) => push(&proxy.uri, None, true),
         _ => {}
     }
-    for child in &node.children {
-        collect(child, tileset, options, jobs);
-    }
+    1 + node.children.iter().map(|child| collect(child, tileset, options, jobs)).sum::<u64>()
 }

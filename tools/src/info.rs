@@ -67,5 +67,8 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
     for e in info.errors.iter().chain(broken) {
         let _ = writeln!(out, "error    {}: {}", e.uri, e.reason);
     }
+    if let more @ 1.. = info.failed - info.errors.len() as u64 {
+        let _ = writeln!(out, "and {more} more");
+    }
     out
 }
