@@ -186,6 +186,39 @@ fn failures_are_told_and_tried_again() {
     assert_eq!(again.kept, first.fetched);
 }
 
+/// What was said once of how long it holds went on behind a way that no longer does.
+#[test]
+fn what_still_holds_does_so_no_longer_than_the_way_to_it() {
+    for (status, control, expected) in
+        [(301, "", (1, 1)), (302, "", (1, 0)), (301, "no-cache", (1, 0)), (301, "no-store", (0, 0))]
+    {
+        let server = Server::start(move |r| {
+            match r.path() {
+            "/set/tileset.json" if r.nth == 0 => Reply::new(301, "").with("Location", "/there.json"),
+            "/set/tileset.json" => {
+                Reply::new(status, "").with("Location", "/there.json").with("Cache-Control", control)
+            }
+            _ if r.header("if-none-match") == Some("\"t\"") => Reply::new(304, ""),
+            _ => Reply::ok(
+                r#"{"asset":{"version":"1.1"},"geometricError":9,"root":{"boundingVolume":{"sphere":[0,0,0,1]},"geometricError":9}}"#,
+            )
+            .with("ETag", "\"t\"")
+            .with("Cache-Control", "max-age=3600"),
+        }
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let kept = || {
+            let info = DiskCache::open(&CacheConfig::new(folder.path())).unwrap().info().unwrap();
+            (info.entries, info.fresh)
+        };
+        filled(&server, folder.path(), &FillOptions::default());
+        assert_eq!(kept(), (1, 1));
+        let again = filled(&server, folder.path(), &FillOptions { refresh: true, ..FillOptions::default() });
+        assert_eq!((again.kept, again.bytes), (1, 0), "it still holds");
+        assert_eq!(kept(), expected, "{status} {control}");
+    }
+}
+
 #[test]
 fn what_cannot_be_filled() {
     let (server, folder) = (set(), tempfile::tempdir().unwrap());

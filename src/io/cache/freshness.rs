@@ -14,6 +14,8 @@ pub(crate) struct Freshness {
     pub store: bool,
     /// `None` where the answer says nothing about it.
     pub fresh_for: Option<Duration>,
+    /// No longer than this: the way to the answer holds for so long.
+    pub most: Duration,
 }
 
 impl Freshness {
@@ -51,7 +53,7 @@ impl Freshness {
         let age = texts(AGE).next().and_then(|text| text.trim().parse::<u32>().ok()).unwrap_or(0);
         let age = Duration::from_secs(age.into());
         let fresh_for = if ask { Some(Duration::ZERO) } else { lifetime.map(|l| l.saturating_sub(age).min(LONGEST)) };
-        Self { store, fresh_for }
+        Self { store, fresh_for, most: LONGEST }
     }
 
     /// That of an answer behind a redirect: it holds no longer than the way to it does. A redirect that says nothing of
@@ -60,7 +62,14 @@ impl Freshness {
         let hop = Self::of(headers, now);
         let is_permanent = matches!(status, 301 | 308);
         let way = hop.fresh_for.unwrap_or(if is_permanent { LONGEST } else { Duration::ZERO });
-        Self { store: self.store && hop.store, fresh_for: self.fresh_for.map(|own| own.min(way)) }
+        let fresh_for = self.fresh_for.map(|own| own.min(way));
+        Self { store: self.store && hop.store, fresh_for, most: self.most.min(way) }
+    }
+
+    /// For how long what is kept holds from now on, of which this answer says that it does: as before where it says
+    /// nothing else.
+    pub fn of_kept(self, before_s: u64) -> Duration {
+        self.fresh_for.unwrap_or(Duration::from_secs(before_s)).min(self.most)
     }
 }
 
@@ -76,7 +85,7 @@ mod tests {
         for (name, value) in headers {
             map.append(HeaderName::from_bytes(name.as_bytes()).unwrap(), HeaderValue::from_str(value).unwrap());
         }
-        let Freshness { store, fresh_for } = Freshness::of(&map, now);
+        let Freshness { store, fresh_for, .. } = Freshness::of(&map, now);
         (store, fresh_for.map(|d| d.as_secs()))
     }
 
@@ -110,11 +119,11 @@ mod tests {
     #[test]
     fn redirects_bound_what_is_behind_them() {
         let now = SystemTime::UNIX_EPOCH + Duration::from_secs(1_000_000_000);
-        let year = Freshness { store: true, fresh_for: Some(LONGEST) };
-        let silent = Freshness { store: true, fresh_for: None };
+        let year = Freshness { store: true, fresh_for: Some(LONGEST), most: LONGEST };
+        let silent = Freshness { fresh_for: None, ..year };
         let behind = |own: Freshness, status: u16, control: &'static str| {
             let told = (!control.is_empty()).then(|| (CACHE_CONTROL, HeaderValue::from_static(control)));
-            let Freshness { store, fresh_for } = own.behind(status, &told.into_iter().collect(), now);
+            let Freshness { store, fresh_for, .. } = own.behind(status, &told.into_iter().collect(), now);
             (store, fresh_for.map(|d| d.as_secs()))
         };
         assert_eq!(behind(year, 302, ""), (true, Some(0)));
@@ -123,6 +132,9 @@ mod tests {
         assert_eq!(behind(year, 308, "no-cache"), (true, Some(0)));
         assert_eq!(behind(year, 301, "no-store"), (false, Some(LONGEST.as_secs())));
         assert_eq!(behind(silent, 302, "max-age=60"), (true, None), "asked about each time");
+        let kept_s = |own: Freshness, status: u16| own.behind(status, &HeaderMap::new(), now).of_kept(3600).as_secs();
+        assert_eq!([kept_s(silent, 301), kept_s(silent, 302)], [3600, 0], "what was said before is bounded too");
+        assert_eq!([silent.of_kept(3600), year.of_kept(3600)], [Duration::from_secs(3600), LONGEST]);
     }
 
     proptest::proptest! {

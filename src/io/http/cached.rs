@@ -45,8 +45,14 @@ impl HttpClient {
             // It holds, but it is gone.
             return self.get_new(cache, uri, &accept_any(), limits).await.map(|(body, _)| body);
         };
+        if !not_modified.freshness.store {
+            // It is no longer to be kept.
+            let of = uri.to_owned();
+            self.write_behind(cache, move |cache| cache.forget(&of)).await;
+            return Ok(hit(cache, &entry, bytes, true));
+        }
         let mut renewed = entry.clone();
-        renewed.checked(SystemTime::now(), not_modified.freshness.fresh_for);
+        renewed.checked(SystemTime::now(), Some(not_modified.freshness.of_kept(entry.fresh_for_s)));
         keep_validators(&mut renewed, &not_modified.headers);
         // When it was checked matters only to what is fresh for a while.
         let says_the_same = Entry { checked_s: entry.checked_s, ..renewed.clone() } == entry;
