@@ -186,6 +186,33 @@ fn failures_are_told_and_tried_again() {
     assert_eq!(again.kept, first.fetched);
 }
 
+/// A tileset in two places: each has its levels, and what one of them wants is there. One that contains itself ends.
+#[test]
+fn a_tileset_in_several_places_is_looked_at_in_each() {
+    let tile = |below: &str| format!(r#"{{"boundingVolume":{{"sphere":[0,0,0,1]}},"geometricError":9,{below}}}"#);
+    let content = |uri: &str| format!(r#""content":{{"uri":"{uri}"}}"#);
+    let tileset = |root: String| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{root}}}"#);
+    let second = tile(&content("part.json"));
+    let root = tileset(tile(&format!(r#"{},"children":[{second}]"#, content("part.json"))));
+    let below = [tile(&content("b.glb")), tile(&content("tileset.json"))].join(",");
+    let part = tileset(tile(&format!(r#"{},"children":[{below}]"#, content("a.glb"))));
+    let server = Server::start(move |r| match r.path() {
+        "/set/tileset.json" => Reply::ok(root.clone()),
+        "/set/part.json" => Reply::ok(part.clone()),
+        _ => Reply::ok("a content"),
+    });
+    // The part's root is of level 1 in one place and of level 2 in the other.
+    for (levels, contents) in [(1..=1, &["a.glb"][..]), (2..=2, &["a.glb", "b.glb"]), (3..=3, &["b.glb"])] {
+        let (folder, before) = (tempfile::tempdir().unwrap(), server.count());
+        let done = filled(&server, folder.path(), &FillOptions { levels: levels.clone(), ..FillOptions::default() });
+        let asked = server.seen()[before..].iter().map(|r| r.target.replace("/set/", "")).collect::<Vec<_>>();
+        let expected = contents.iter().chain(&["part.json", "tileset.json"]).map(|s| (*s).to_owned());
+        let (asked_once, expected) = (BTreeSet::from_iter(asked.clone()), BTreeSet::from_iter(expected));
+        assert_eq!((asked_once, asked.len()), (expected.clone(), expected.len()), "{levels:?}");
+        assert_eq!((done.fetched, done.found, done.failed), (expected.len() as u64, done.fetched, 0), "{levels:?}");
+    }
+}
+
 /// What was said once of how long it holds went on behind a way that no longer does.
 #[test]
 fn what_still_holds_does_so_no_longer_than_the_way_to_it() {

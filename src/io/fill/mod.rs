@@ -4,7 +4,7 @@
 
 mod extent;
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
 use std::time::Duration;
@@ -78,7 +78,12 @@ struct Tileset {
 struct Job {
     uri: Arc<str>,
     tileset: Option<Tileset>,
+    /// It was counted: a tileset that is met in another place once more.
+    is_again: bool,
 }
+
+/// A tileset, its level and its transform.
+type Place = (Arc<str>, u32, [u64; 12]);
 
 struct Done {
     job: Job,
@@ -96,6 +101,12 @@ struct Fill<'a> {
     jobs: Vec<Job>,
     /// What was asked for, so that a file with several names in the tree comes once.
     seen: HashSet<Arc<str>>,
+    /// Where tilesets lie. Used only where levels or a region say what is wanted of them.
+    places: HashSet<Place>,
+    /// Tilesets that are on their way, with further places of them.
+    coming: HashMap<Arc<str>, Vec<Tileset>>,
+    /// Nodes met in tilesets that were met before.
+    met_again: u64,
 }
 
 /// The longest pause of a server that is waited for.
@@ -131,8 +142,11 @@ pub fn fill(
         filled: Filled::default(),
         jobs: Vec::new(),
         seen: HashSet::new(),
+        places: HashSet::new(),
+        coming: HashMap::new(),
+        met_again: 0,
     };
-    fill.push(root.clone(), Some(tileset));
+    fill.place(root.clone(), tileset);
     let end = runtime.block_on(async {
         let end = fill.run(&client, &root, progress).await;
         client.flush().await;
@@ -179,7 +193,7 @@ impl Fill<'_> {
     fn take(&mut self, client: &HttpClient, done: Done, root: &Arc<str>) -> Result<(), IoError> {
         self.filled.bytes += done.network_bytes;
         let result = done.result.and_then(|bytes| match &done.job.tileset {
-            Some(tileset) => self.tileset(&done.job.uri, bytes, tileset),
+            Some(tileset) => self.tileset_in_its_places(&done.job, bytes, tileset),
             None => refuse_markup(&done.job.uri, &bytes),
         });
         if let Some(cache) = client.cache()
@@ -189,27 +203,68 @@ impl Fill<'_> {
             cache.forget(&done.job.uri);
         }
         match result {
+            Ok(()) if done.job.is_again => {}
             Ok(()) if done.was_kept => self.filled.kept += 1,
             Ok(()) => self.filled.fetched += 1,
             Err(error) if done.job.uri == *root => return Err(error),
             Err(error) => {
-                self.filled.failed += 1;
-                if self.filled.errors.len() < TOLD {
-                    self.filled.errors.push((shown(error.uri()).into_owned(), error.reason()));
-                }
+                self.filled.found += u64::from(done.job.is_again);
+                self.fail(&error);
             }
         }
         Ok(())
     }
 
-    fn push(&mut self, uri: Arc<str>, tileset: Option<Tileset>) {
-        if self.seen.insert(uri.clone()) {
-            self.filled.found += 1;
-            self.jobs.push(Job { uri, tileset });
+    fn fail(&mut self, error: &IoError) {
+        self.filled.failed += 1;
+        if self.filled.errors.len() < TOLD {
+            self.filled.errors.push((shown(error.uri()).into_owned(), error.reason()));
         }
     }
 
-    fn tileset(&mut self, uri: &Arc<str>, bytes: Vec<u8>, tileset: &Tileset) -> Result<(), IoError> {
+    fn push(&mut self, uri: Arc<str>) {
+        if self.seen.insert(uri.clone()) {
+            self.filled.found += 1;
+            self.jobs.push(Job { uri, tileset: None, is_again: false });
+        }
+    }
+
+    /// A tileset in a place: another part of it may be wanted in each.
+    fn place(&mut self, uri: Arc<str>, tileset: Tileset) {
+        let is_new = self.seen.insert(uri.clone());
+        let takes_all = self.options.region.is_none() && self.options.levels == (0..=u32::MAX);
+        let key = || (uri.clone(), tileset.level, tileset.world.to_cols_array().map(f64::to_bits));
+        // One that contains itself is refused where it is flown over.
+        if takes_all && !is_new || tileset.chain.contains(&uri) || !takes_all && !self.places.insert(key()) {
+            return;
+        }
+        if is_new {
+            self.filled.found += 1;
+            self.coming.insert(uri.clone(), Vec::new());
+        } else if let Some(places) = self.coming.get_mut(&uri) {
+            places.push(tileset);
+            return;
+        }
+        self.jobs.push(Job { uri, tileset: Some(tileset), is_again: !is_new });
+    }
+
+    fn tileset_in_its_places(&mut self, job: &Job, bytes: Vec<u8>, tileset: &Tileset) -> Result<(), IoError> {
+        let further = self.coming.remove(&job.uri).unwrap_or_default();
+        self.met_again += self.tileset(&job.uri, bytes.clone(), tileset)? * u64::from(job.is_again);
+        for place in &further {
+            self.met_again += self.tileset(&job.uri, bytes.clone(), place)?;
+        }
+        Ok(())
+    }
+
+    /// Returns how many nodes it has.
+    fn tileset(&mut self, uri: &Arc<str>, bytes: Vec<u8>, tileset: &Tileset) -> Result<u64, IoError> {
+        let limit = self.options.limits.max_elements as u64;
+        if self.met_again > limit {
+            // Few files that name each other often enough.
+            let what = "tiles of tilesets in several places";
+            return Err(IoError::TooLarge { uri: uri.to_string(), what, got: self.met_again, limit });
+        }
         let options = ReadOptions {
             root: self.scope.clone(),
             limits: self.options.limits,
@@ -230,45 +285,41 @@ impl Fill<'_> {
             return Err(IoError::unsupported(uri, "a region of a set that is not on the earth"));
         }
         let below = Tileset { chain: options.below(uri).chain, ..tileset.clone() };
-        self.node(&node, &below);
-        Ok(())
+        Ok(self.node(&node, &below))
     }
 
-    fn node(&mut self, node: &Node, tileset: &Tileset) {
+    /// Returns how many nodes were looked at.
+    fn node(&mut self, node: &Node, tileset: &Tileset) -> u64 {
         match &node.kind {
             NodeKind::PagedLod(tile) if node.name == TILE_OF_SEVERAL => {
-                if self.is_wanted(&tile.bounds, tileset) {
-                    // One tile of the tileset.
-                    for child in &node.children {
-                        self.node(child, tileset);
-                    }
+                if !self.is_wanted(&tile.bounds, tileset) {
+                    return 1;
                 }
-                return;
+                // One tile of the tileset.
+                return 1 + node.children.iter().map(|child| self.node(child, tileset)).sum::<u64>();
             }
             NodeKind::PagedLod(tile) => {
                 if !self.is_wanted(&tile.bounds, tileset) {
-                    return;
+                    return 1;
                 }
                 if let Some(uri) = tile.content.as_ref().filter(|_| self.options.levels.contains(&tileset.level)) {
                     for companion in companions(uri, tile.reader_data.as_ref()) {
-                        self.push(companion, None);
+                        self.push(companion);
                     }
-                    self.push(uri.clone(), None);
+                    self.push(uri.clone());
                 }
             }
             NodeKind::ProxyNode(proxy) => {
                 if self.is_wanted(&BoundingVolume::Sphere(proxy.bounds), tileset) {
                     let world = tileset.world * proxy.content_transform;
-                    self.push(proxy.uri.clone(), Some(Tileset { world, ..tileset.clone() }));
+                    self.place(proxy.uri.clone(), Tileset { world, ..tileset.clone() });
                 }
-                return;
+                return 1;
             }
             _ => {}
         }
         let below = Tileset { level: tileset.level + 1, ..tileset.clone() };
-        for child in &node.children {
-            self.node(child, &below);
-        }
+        1 + node.children.iter().map(|child| self.node(child, &below)).sum::<u64>()
     }
 
     fn is_wanted(&self, bounds: &BoundingVolume, tileset: &Tileset) -> bool {
