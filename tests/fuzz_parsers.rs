@@ -11,9 +11,9 @@ use std::sync::Arc;
 
 use fuzz_support::Parser;
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
-use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode};
+use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode, inspect};
 use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_pmtiles};
-use terrane::viewer::{AnimationPath, DisplaySettings};
+use terrane::viewer::{AnimationPath, Arrangement, DisplaySettings};
 
 fn limits() -> Limits {
     Limits { max_image_side_px: 256, max_file_bytes: 8 << 20, ..Limits::default() }
@@ -88,6 +88,20 @@ const IMPLICIT: &str = r#"{"asset":{"version":"1.1"},"geometricError":50,"root":
 fn tileset() -> Parser {
     let seeds = [TILESET, HEIGHTS, IMPLICIT].map(|s| s.as_bytes().to_vec());
     Parser::new("tileset", seeds, move |bytes| content(bytes, None, Vec::new()))
+}
+
+/// `inspect` reads the JSON of tiles by itself.
+fn inspection() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("tileset.json");
+    let limits = Limits { max_elements: 10_000, ..limits() };
+    Parser::new("inspection", [TILESET, HEIGHTS, IMPLICIT], move |bytes| {
+        std::fs::write(&file, bytes).unwrap();
+        match inspect(folder.path().to_str().unwrap(), &limits) {
+            Ok(info) => assert!(info.errors.iter().all(|e| !e.uri.is_empty() && !e.reason.is_empty()), "{info}"),
+            Err(error) => is_told(&error),
+        }
+    })
 }
 
 fn subtree() -> Parser {
@@ -241,6 +255,25 @@ fn camera_path() -> Parser {
     })
 }
 
+/// Files of windows, and of windows and views.
+fn arrangements() -> Parser {
+    let seeds = [
+        r#"{"windows":[{"title":"ahead","position_px":[640,0],"size_px":[640,480],"screen":0,"full_screen":false,"decorated":true,"samples":4,"vsync":true},{"position_px":[0,0],"shares_device":true,"cameras":[{"viewport_px":[0,0,640,480],"turn_deg":[-40,0,0],"move_m":[1,2,3]},{"viewport":[0,0,0.5,1],"shift":[1,0],"zoom":[2,2],"eyes":"LEFT"}]}]}"#,
+        r#"{"windows":[{"size_px":[1280,480]},{"shares_device":true}],"scenes":{"before":"sets/1990","after":"https://host/2020/tileset.json"},"views":[{"scene":"before","cameras":[{"viewport":[0,0,0.5,1]}]},{"scene":"after","heading_deg":20,"pitch_deg":-60,"range_m":5000,"background":[0,0,40],"cameras":[{"viewport":[0.5,0,0.5,1],"resize":"HORIZONTAL"},{"window":1,"shift":[1,0]}]}]}"#,
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    Parser::new("arrangements", seeds, move |bytes| {
+        let file = folder.path().join("windows.json");
+        std::fs::write(&file, bytes).unwrap();
+        match Arrangement::read(&file) {
+            Ok(Arrangement::Windows(windows)) => assert!((1..=64).contains(&windows.len())),
+            Ok(Arrangement::Views(views)) => assert!((1..=64).contains(&views.views.len())),
+            Ok(other) => panic!("a file that is {other:?}"),
+            Err(error) => assert!(!error.reason.is_empty(), "{error}"),
+        }
+    })
+}
+
 fn display_settings() -> Parser {
     let seeds = ["ON", "HORIZONTAL_SPLIT", "0.05", "12", "MONITOR", "LEFT_EYE_LEFT_VIEWPORT", "1280 720"];
     let seeds = seeds.map(|s| s.as_bytes().to_vec());
@@ -308,6 +341,7 @@ fn cache_entries() -> Parser {
 
 parsers! {
     tileset,
+    inspection,
     subtree,
     glb,
     gltf_json,
@@ -320,6 +354,7 @@ parsers! {
     archive,
     pmtiles,
     camera_path,
+    arrangements,
     display_settings,
     http_headers,
     encodings,
