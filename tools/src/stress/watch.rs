@@ -1,15 +1,27 @@
 //! What goes wrong outside the frame: panics of any thread, errors in the log, and coming to a stop.
 
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Errors that were logged, and panics. Written by any thread, taken by the main one.
 static SAID: Mutex<Vec<String>> = Mutex::new(Vec::new());
-/// Steps that the main thread took; read by the watch.
-static STEPS: AtomicU64 = AtomicU64::new(0);
-/// What the main thread is at; for the watch.
-static AT: Mutex<String> = Mutex::new(String::new());
+/// Where the main thread is. Written by it, read by the watch.
+static AT: Mutex<At> = Mutex::new(At { since: None, what: String::new() });
+/// Between two looks of the watch.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// What the main thread is at, and since when.
+struct At {
+    since: Option<Instant>,
+    what: String,
+}
+
+impl At {
+    /// It has been there for longer than that.
+    fn hangs(&self, now: Instant, patience: Duration) -> bool {
+        self.since.is_some_and(|since| now.saturating_duration_since(since) > patience)
+    }
+}
 
 /// The exit status where nothing moved any more.
 pub const HUNG: i32 = 3;
@@ -48,17 +60,15 @@ pub fn start(patience: Duration) -> std::io::Result<()> {
         say(format!("thread {} panicked: {info}", std::thread::current().name().unwrap_or("?")));
         before(info);
     }));
+    step(format_args!("start"));
     let watch = move || {
-        let mut last = STEPS.load(Ordering::Relaxed);
         loop {
-            std::thread::sleep(patience);
-            let now = STEPS.load(Ordering::Relaxed);
-            if now == last {
-                let at = AT.lock().map(|at| at.clone()).unwrap_or_default();
-                eprintln!("no step for {} s: {at}", patience.as_secs());
+            std::thread::sleep(LOOK);
+            let at = AT.lock().unwrap_or_else(PoisonError::into_inner);
+            if at.hangs(Instant::now(), patience) {
+                eprintln!("no step for {} s: {}", patience.as_secs(), at.what);
                 std::process::exit(HUNG);
             }
-            last = now;
         }
     };
     std::thread::Builder::new().name("watch".to_owned()).spawn(watch).map(drop)
@@ -66,13 +76,26 @@ pub fn start(patience: Duration) -> std::io::Result<()> {
 
 /// The main thread goes on, with this.
 pub fn step(what: std::fmt::Arguments<'_>) {
-    STEPS.fetch_add(1, Ordering::Relaxed);
     let mut at = AT.lock().unwrap_or_else(PoisonError::into_inner);
-    at.clear();
-    let _ = std::fmt::Write::write_fmt(&mut *at, what);
+    at.since = Some(Instant::now());
+    at.what.clear();
+    let _ = std::fmt::Write::write_fmt(&mut at.what, what);
 }
 
 /// What was said since the last call.
 pub fn take_said() -> Vec<String> {
     std::mem::take(&mut *SAID.lock().unwrap_or_else(PoisonError::into_inner))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_has_so_much_time_and_no_more() {
+        let (start, patience) = (Instant::now(), Duration::from_secs(60));
+        let at = At { since: Some(start), what: String::new() };
+        assert!(!at.hangs(start + patience, patience) && at.hangs(start + Duration::from_secs(61), patience));
+        assert!(!At { since: None, what: String::new() }.hangs(start + 2 * patience, patience));
+    }
 }
