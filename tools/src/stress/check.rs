@@ -37,11 +37,13 @@ impl Failures {
     }
 }
 
-/// Loads that may be under way at once: what the threads and servers get, and what was uploaded but not merged.
-fn most_in_flight(config: &PagerConfig) -> u64 {
+/// Loads that the threads and servers may have at once, as the pager reckons it: what is decoded and not merged is
+/// bounded by the budget of pages alone.
+fn most_loading(config: &PagerConfig) -> u64 {
     let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
-    let of_servers = 4 * start + most.saturating_sub(start);
-    (of_servers + 4 * config.file_threads.max(1) + 2 * config.decode_threads.max(1)) as u64
+    let (of_servers, decoders) = (4 * start + most.saturating_sub(start), config.decode_threads.max(1));
+    let beside = 4 * config.file_threads.max(1) + 2 * decoders;
+    (beside + of_servers.max(12 * decoders)) as u64
 }
 
 /// Counters, budgets and reports of a pager, after an update.
@@ -59,8 +61,10 @@ pub fn pager(failures: &mut Failures, frame: u32, scene: usize, pager: &Database
     let reported: u64 = pager.errors().iter().map(|e| e.count).sum();
     let of_all = s.failed + s.drawables_failed;
     failures.check(reported == of_all, "failures not reported", frame, || format!("{reported} reported, {}", told()));
-    let most = most_in_flight(config) + config.max_tiles as u64;
-    failures.check(s.in_flight + s.resident <= most, "more under way than may be", frame, told);
+    let loading = s.in_flight.saturating_sub(s.compiling);
+    failures.check(loading <= most_loading(config), "more under way than may be", frame, told);
+    let has_room = s.in_flight + s.resident <= config.max_tiles as u64;
+    failures.check(has_room, "more under way than there is room for", frame, told);
     let named = pager.errors().iter().all(|e| !e.reason.is_empty());
     failures.check(named, "a failure without a reason", frame, told);
 }
