@@ -17,6 +17,17 @@ pub struct Args {
     pub command: Command,
 }
 
+impl Args {
+    /// What no single argument says is wrong; exit code 2, as of the others.
+    pub fn check(&self) -> Result<(), String> {
+        match &self.command {
+            Command::Serve(args) => args.check(),
+            Command::Stress(args) => args.check(),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// What [`terrane::viewer::DisplaySettings`] takes out of the command line before the rest is read.
 const DISPLAY_HELP: &str = "Of the display, each with its value, or as TERRANE_DISPLAY_TYPE and so on in the environment: \
     --display-type --stereo --stereo-mode --eye-separation --screen-width --screen-height --screen-distance \
@@ -323,7 +334,7 @@ pub enum Bench {
     /// Files to merged pages
     Page {
         /// Frames of the flight
-        #[arg(long, default_value_t = 1200, value_parser = clap::value_parser!(u32).range(1..))]
+        #[arg(long, default_value_t = 1200, value_parser = clap::value_parser!(u32).range(2..))]
         frames: u32,
         /// Frames a second; 0 for as many as go
         #[arg(long, default_value_t = 60.0, value_parser = pace)]
@@ -442,6 +453,18 @@ pub fn share(text: &str) -> Result<f64, String> {
     not_negative(text).ok().filter(|n| *n <= 1.0).ok_or_else(|| "no number from 0 to 1".to_owned())
 }
 
+/// Milliseconds, or bytes a second: 0, or a number that makes sense.
+pub fn amount(text: &str) -> Result<f64, String> {
+    let number = not_negative(text).ok().filter(|n| *n == 0.0 || (1e-3..=1e12).contains(n));
+    number.ok_or_else(|| "neither 0 nor a number from 0.001 to 1e12".to_owned())
+}
+
+/// Minutes to go on for.
+pub fn minutes(text: &str) -> Result<f64, String> {
+    let number = not_negative(text).ok().filter(|n| *n > 0.0 && *n <= 1e6);
+    number.ok_or_else(|| "no number above 0, up to 1000000".to_owned())
+}
+
 /// Time to measure for.
 fn secs(text: &str) -> Result<f64, String> {
     let secs = not_negative(text).ok().filter(|n| *n <= MOST_SECS);
@@ -496,9 +519,9 @@ impl FromStr for SunFrom {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let angles: Vec<f64> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
-        match angles[..] {
-            [azimuth, height] if azimuth.is_finite() && (-90.0..=90.0).contains(&height) => {
+        let angles: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        match angles.as_deref() {
+            Some(&[azimuth, height]) if azimuth.is_finite() && (-90.0..=90.0).contains(&height) => {
                 Ok(Self { azimuth: azimuth.to_radians(), height: height.to_radians() })
             }
             _ => Err(format!("`{text}` is not AZIMUTH,HEIGHT in degrees, the height -90 to 90")),
@@ -550,6 +573,11 @@ mod tests {
         assert!((view.heading.to_degrees() - 90.0).abs() < 1e-9 && view.range_m == Some(1000.0));
         for bad in ["", "1,2", "0,-95,10", "0,0,0", "0,0,nan"] {
             assert!(bad.parse::<View>().is_err(), "{bad}");
+        }
+        let SunFrom { azimuth, height } = "180, 30".parse().unwrap();
+        assert!((azimuth.to_degrees() - 180.0).abs() < 1e-9 && (height.to_degrees() - 30.0).abs() < 1e-9);
+        for bad in ["", "180", "180,x,30", "180,30,", "180,30,high", "nan,30", "180,91"] {
+            assert!(bad.parse::<SunFrom>().is_err(), "{bad}");
         }
     }
 }

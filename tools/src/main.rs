@@ -17,7 +17,8 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use clap::Parser as _;
+use clap::error::ErrorKind;
+use clap::{CommandFactory as _, Parser as _};
 use terrane::viewer::DisplaySettings;
 
 fn main() -> ExitCode {
@@ -37,6 +38,9 @@ fn main() -> ExitCode {
     }
     // Other wrong arguments end here, with exit code 2 and clap's own words.
     let args = args::Args::parse_from(line);
+    if let Err(what) = args.check() {
+        args::Args::command().error(ErrorKind::ValueValidation, what).exit();
+    }
     let (name, result) = match args.command {
         args::Command::Fly(args) => ("fly", fly::run(args, display)),
         args::Command::View(args) => ("view", fly::run(args.into(), display)),

@@ -13,10 +13,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, UNIX_EPOCH};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Error, Result, ensure};
 use clap::Args as ClapArgs;
 
-use crate::args::{not_negative, share};
+use crate::args::{amount, share};
 
 /// Longest request head.
 const MOST_HEAD_BYTES: u64 = 16 << 10;
@@ -38,13 +38,13 @@ pub struct ServeArgs {
     #[arg(long, default_value = "127.0.0.1")]
     pub bind: String,
     /// Wait before every answer, milliseconds
-    #[arg(long, default_value_t = 0.0, value_parser = not_negative)]
+    #[arg(long, default_value_t = 0.0, value_parser = amount)]
     pub latency_ms: f64,
     /// Up to so much more, by chance
-    #[arg(long, default_value_t = 0.0, value_parser = not_negative)]
+    #[arg(long, default_value_t = 0.0, value_parser = amount)]
     pub jitter_ms: f64,
     /// Bytes a second of each connection; 0 for as many as go
-    #[arg(long, default_value_t = 0.0, value_parser = not_negative)]
+    #[arg(long, default_value_t = 0.0, value_parser = amount)]
     pub bandwidth: f64,
     /// Share of answers that are status 429, 500 or 503
     #[arg(long, default_value_t = 0.0, value_parser = share)]
@@ -92,6 +92,12 @@ enum Fate {
 }
 
 impl ServeArgs {
+    /// What no single argument says is wrong.
+    pub fn check(&self) -> Result<(), String> {
+        let all: f64 = self.rates().iter().map(|(rate, _)| rate).sum();
+        if all <= 1.0 { Ok(()) } else { Err(format!("the rates are {all} together, more than 1")) }
+    }
+
     /// Shares of answers, and what happens to them.
     fn rates(&self) -> [(f64, Fate); 7] {
         [
@@ -150,14 +156,7 @@ struct Listening {
 
 impl Listening {
     fn new(args: ServeArgs) -> Result<Self> {
-        let rates: Vec<f64> = args.rates().into_iter().map(|(rate, _)| rate).collect();
-        ensure!(rates.iter().all(|r| (0.0..=1.0).contains(r)), "rates are shares from 0 to 1");
-        ensure!(rates.iter().sum::<f64>() <= 1.0, "the rates are more than 1 together");
-        for (name, value) in
-            [("--latency-ms", args.latency_ms), ("--jitter-ms", args.jitter_ms), ("--bandwidth", args.bandwidth)]
-        {
-            ensure!(value == 0.0 || (1e-3..1e12).contains(&value), "{name} must be 0, or from 0.001 to 1e12");
-        }
+        args.check().map_err(Error::msg)?;
         let folder = args.folder.canonicalize().with_context(|| args.folder.display().to_string())?;
         ensure!(folder.is_dir(), "{}: is not a folder", folder.display());
         let address = format!("{}:{}", args.bind, args.port);

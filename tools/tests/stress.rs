@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::process::{Command, Output};
+use std::io::{BufRead as _, BufReader};
+use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 
@@ -51,6 +52,28 @@ fn a_seed_is_the_same_flight_each_time() {
     assert_ne!(first["plan"], other["plan"]);
 }
 
+/// A server of somebody else loses what it likes; and what it is asked with is in no report.
+#[test]
+fn what_another_server_loses_is_no_failure() {
+    let (folder, set) = set();
+    std::fs::write(format!("{set}/1/0/0.exr"), "no heights").unwrap();
+    let mut server = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["serve", &set, "--port", "0"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(server.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let address = line.trim().rsplit("http://").next().unwrap();
+    let (url, file) = (format!("http://me:hidden@{address}?key=hidden"), folder.path().join("report.json"));
+    let out = stress(&[&url, "--seed", "3", "--frames", "30", "--drawn", "0", "--report", file.to_str().unwrap()]);
+    let (said, report) = (String::from_utf8_lossy(&out.stdout).into_owned(), std::fs::read_to_string(file).unwrap());
+    server.kill().unwrap();
+    server.wait().unwrap();
+    assert!(out.status.success() && !said.contains(" 0 failed"), "{said}");
+    assert!(report.contains(address) && !report.contains("hidden"), "{report}");
+}
+
 #[test]
 fn what_goes_wrong_is_said() {
     // A set whose contents are broken on disk: each is a failure that no fault explains.
@@ -72,7 +95,15 @@ fn what_goes_wrong_is_said() {
     let said = String::from_utf8_lossy(&out.stdout).into_owned();
     assert_eq!(out.status.code(), Some(1), "{said}");
     assert!(said.contains("FAILED disk") && said.contains("a good file that failed"), "{said}");
-    assert!(said.contains(&format!("again: terrane stress {set} --seed ")), "{said}");
+    // What failed fails again, with all that was asked for.
+    let line = said.lines().find_map(|line| line.trim().strip_prefix("again: terrane stress ")).unwrap();
+    let again: Vec<&str> = line.split(' ').collect();
+    let (out, plan) = (stress(&again), said.split("    plan ").nth(1).unwrap());
+    let once_more = String::from_utf8_lossy(&out.stdout);
+    assert!(out.status.code() == Some(1) && once_more.contains("a good file that failed"), "{line}: {once_more}");
+    let out = stress(&[&again[..], &["--as-json"]].concat());
+    let report: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(report["plan"].as_str(), plan.lines().next(), "{line}");
 
     let out = stress(&["/no/such/set", "--seed", "1"]);
     let said = String::from_utf8_lossy(&out.stderr).into_owned() + &String::from_utf8_lossy(&out.stdout);

@@ -3,6 +3,7 @@
 use std::str::FromStr;
 
 use super::plan::Faults;
+use crate::args::{amount, share};
 
 /// As `error=0.1,latency-ms=20`, or `none`.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,12 +16,9 @@ impl FromStr for FaultSpec {
         let mut faults = Faults::default();
         for part in text.split(',').filter(|part| !part.is_empty() && *part != "none") {
             let (name, value) = part.split_once('=').ok_or("expected name=value")?;
-            let value: f64 = value.parse().map_err(|_| format!("{name}: expected a number"))?;
             let is_share = !matches!(name, "latency-ms" | "jitter-ms" | "bandwidth");
-            let most = if is_share { 1.0 } else { 1e9 };
-            if !(0.0..=most).contains(&value) {
-                return Err(format!("{name} must be from 0 to {most}"));
-            }
+            let value = if is_share { share(value) } else { amount(value) };
+            let value = value.map_err(|what| format!("{name}: {what}"))?;
             let place = match name {
                 "latency-ms" => &mut faults.latency_ms,
                 "jitter-ms" => &mut faults.jitter_ms,
@@ -36,7 +34,8 @@ impl FromStr for FaultSpec {
             };
             *place = value;
         }
-        Ok(Self(faults))
+        let all = faults.shares();
+        if all <= 1.0 { Ok(Self(faults)) } else { Err(format!("the shares are {all} together, more than 1")) }
     }
 }
 
@@ -55,10 +54,19 @@ mod tests {
     #[test]
     fn specs() {
         let spec: FaultSpec = "error=0.25,latency-ms=20".parse().unwrap();
-        assert_eq!((spec.0.error, spec.0.latency_ms, spec.0.loses()), (0.25, 20.0, true));
+        assert_eq!((spec.0.error, spec.0.latency_ms, spec.0.shares()), (0.25, 20.0, 0.25));
         assert_eq!(spec.to_string().parse(), Ok(spec));
         assert_eq!("none".parse(), Ok(FaultSpec(Faults::default())));
-        for bad in ["error", "error=x", "error=2", "error=-1", "rain=0.1", "latency-ms=nan"] {
+        for bad in [
+            "error",
+            "error=x",
+            "error=2",
+            "error=-1",
+            "rain=0.1",
+            "latency-ms=nan",
+            "latency-ms=1e-4",
+            "error=0.9,reset=0.9",
+        ] {
             assert!(bad.parse::<FaultSpec>().is_err(), "{bad}");
         }
     }

@@ -20,6 +20,7 @@ mod runner;
 mod set;
 mod watch;
 
+use std::borrow::Cow;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -27,10 +28,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args as ClapArgs;
 use serde::{Deserialize, Serialize};
+use terrane::io::{is_remote, shown};
 
 use self::flight::Outcome;
 use self::plan::{Plan, Way};
-use crate::args::not_negative;
+use crate::args::minutes;
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct StressArgs {
@@ -43,25 +45,26 @@ pub struct StressArgs {
     #[arg(long, default_value_t = 1)]
     pub first_seed: u64,
     /// Seeds for so many minutes, instead of a number of them
-    #[arg(long, value_parser = not_negative)]
+    #[arg(long, value_parser = minutes)]
     pub minutes: Option<f64>,
     /// This seed alone, in this process: the flight of a seed that failed, once more
     #[arg(long, conflicts_with_all = ["seeds", "first_seed", "minutes"])]
     pub seed: Option<u64>,
     /// Seeds at once [default: as many as there are cores]
-    #[arg(long)]
-    pub jobs: Option<usize>,
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
+    pub jobs: Option<u16>,
     /// Frames of each flight [default: 40 to 120, by seed]
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..1_000_000))]
     pub frames: Option<u32>,
     /// Seeds of a hundred that are drawn by an adapter and looked at; the rest is drawn by a backend that does nothing
-    #[arg(long, value_name = "PERCENT", default_value_t = 20)]
+    #[arg(long, value_name = "PERCENT", default_value_t = 20, value_parser = clap::value_parser!(u64).range(..=100))]
     pub drawn: u64,
-    /// Faults of the server for all seeds, as error=0.1,latency-ms=20, or none [default: by seed]
+    /// Faults of the server for all seeds, as error=0.1,latency-ms=20, or none [default: by seed]; a SOURCE on a server
+    /// has those of that server alone
     #[arg(long, value_name = "SPEC")]
     pub faults: Option<faults::FaultSpec>,
     /// A frame that takes so many seconds hangs
-    #[arg(long, value_name = "SECONDS", default_value_t = 60)]
+    #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
     pub patience: u64,
     /// Write what each seed came to, as JSON
     #[arg(long, value_name = "FILE")]
@@ -69,6 +72,27 @@ pub struct StressArgs {
     /// One line of JSON instead of text
     #[arg(long, hide = true)]
     pub as_json: bool,
+}
+
+impl StressArgs {
+    /// What no single argument says is wrong.
+    pub fn check(&self) -> Result<(), String> {
+        match &self.source {
+            Some(source) if self.faults.is_some() && is_remote(source) => {
+                Err("--faults are those of a server of our own; SOURCE has its own".to_owned())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// What a seed does.
+    fn plan(&self, seed: u64) -> Plan {
+        let mut plan = Plan::new(seed, self.frames, self.drawn);
+        if let Some(spec) = &self.faults {
+            plan.faults = spec.0.clone();
+        }
+        plan
+    }
 }
 
 /// What a seed came to.
@@ -113,7 +137,7 @@ impl SeedReport {
 struct Report<'a> {
     tool: &'static str,
     version: &'static str,
-    source: &'a str,
+    source: Cow<'a, str>,
     seeds: &'a [SeedReport],
     failed: usize,
     frames: u64,
@@ -121,8 +145,6 @@ struct Report<'a> {
 }
 
 pub fn run(args: StressArgs) -> Result<()> {
-    ensure!(args.drawn <= 100, "--drawn is a share of a hundred");
-    ensure!(args.frames.is_none_or(|f| (1..1_000_000).contains(&f)), "--frames must be at least 1");
     match args.seed {
         Some(seed) => one(&args, seed),
         None => many(&args),
@@ -132,11 +154,8 @@ pub fn run(args: StressArgs) -> Result<()> {
 /// Flies a seed in this process.
 fn one(args: &StressArgs, seed: u64) -> Result<()> {
     let start = Instant::now();
-    watch::start(Duration::from_secs(args.patience.max(1)))?;
-    let mut plan = Plan::new(seed, args.frames, args.drawn);
-    if let Some(spec) = &args.faults {
-        plan.faults = spec.0.clone();
-    }
+    watch::start(Duration::from_secs(args.patience))?;
+    let plan = args.plan(seed);
     let made = if args.source.is_none() { Some(set::Sets::make()?) } else { None };
     let source = match (&args.source, &made) {
         (Some(source), _) => source.clone(),
@@ -149,7 +168,7 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
         Err(error) => Outcome { failures: vec![format!("{error:#}")], ..Outcome::default() },
     };
     outcome.failures.extend(watch::take_said());
-    let way = if terrane::io::is_remote(&source) { Way::Http } else { plan.way };
+    let way = if is_remote(&source) { Way::Http } else { plan.way };
     let report = SeedReport {
         seed,
         way: format!("{way:?}").to_lowercase(),
@@ -170,12 +189,11 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
 
 /// Flies seeds in processes of their own.
 fn many(args: &StressArgs) -> Result<()> {
-    ensure!(args.minutes.is_none_or(|m| m > 0.0 && m < 1e6), "--minutes must be above 0");
     let start = Instant::now();
     let made = if args.source.is_none() { Some(set::Sets::make()?) } else { None };
     let mut reports: Vec<SeedReport> = Vec::new();
     runner::run(args, made.as_ref(), |report| {
-        tell(&report, args.source.as_deref().or(Some("")))?;
+        tell(&report, Some(&again(args, report.seed)))?;
         reports.push(report);
         Ok(())
     })?;
@@ -195,16 +213,27 @@ fn many(args: &StressArgs) -> Result<()> {
     Ok(())
 }
 
+/// The line that flies a seed again, as a shell takes it. Keys in a URL are not in it.
+fn again(args: &StressArgs, seed: u64) -> String {
+    let source = args.source.as_deref().map(|source| shown(source).into_owned());
+    let words = runner::of_seed(args, source, seed);
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
+    let quoted = words.into_iter().map(|word| match word.is_empty() || !word.chars().all(is_plain) {
+        true => format!("'{}'", word.replace('\'', r"'\''")),
+        false => word,
+    });
+    format!("terrane {}", quoted.collect::<Vec<_>>().join(" "))
+}
+
 /// A seed's line, what failed, and how it is flown again.
-fn tell(report: &SeedReport, source: Option<&str>) -> Result<()> {
+fn tell(report: &SeedReport, again: Option<&str>) -> Result<()> {
     let mut out = std::io::stdout().lock();
     writeln!(out, "{}", report.line()).context("stdout")?;
     for failure in &report.outcome.failures {
         writeln!(out, "    {failure}").context("stdout")?;
     }
-    if let (Some(source), false) = (source, report.outcome.failures.is_empty()) {
-        let space = if source.is_empty() { "" } else { " " };
-        writeln!(out, "    again: terrane stress{space}{source} --seed {}", report.seed).context("stdout")?;
+    if let (Some(again), false) = (again, report.outcome.failures.is_empty()) {
+        writeln!(out, "    again: {again}\n    plan {}", report.plan).context("stdout")?;
     }
     Ok(())
 }
@@ -214,7 +243,7 @@ fn write_report(args: &StressArgs, source: &str, seeds: &[SeedReport], start: In
     let report = Report {
         tool: "terrane stress",
         version: env!("CARGO_PKG_VERSION"),
-        source,
+        source: shown(source),
         seeds,
         failed: seeds.iter().filter(|r| !r.outcome.failures.is_empty()).count(),
         frames: seeds.iter().map(|r| u64::from(r.outcome.frames)).sum(),

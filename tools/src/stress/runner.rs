@@ -17,7 +17,7 @@ const LAST_LINES: usize = 12;
 pub fn run(args: &StressArgs, made: Option<&Sets>, mut done: impl FnMut(SeedReport) -> Result<()>) -> Result<()> {
     let program = std::env::current_exe().context("the program's own file")?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let jobs = args.jobs.unwrap_or(cores).max(1);
+    let jobs = args.jobs.map_or(cores, usize::from);
     let end = args.minutes.map(|minutes| Instant::now() + Duration::from_secs_f64(60.0 * minutes));
     let (next, stop) = (AtomicU64::new(0), AtomicBool::new(false));
     let (sender, reports) = crossbeam_channel::bounded::<Result<SeedReport>>(jobs);
@@ -36,9 +36,10 @@ pub fn run(args: &StressArgs, made: Option<&Sets>, mut done: impl FnMut(SeedRepo
                     }
                     let seed = args.first_seed.wrapping_add(place);
                     let mut command = Command::new(program);
-                    command.args(of_seed(args, made, seed)).stdin(Stdio::null());
+                    let source = args.source.clone().or_else(|| made.map(|sets| sets.of(seed)));
+                    command.args(of_seed(args, source, seed)).arg("--as-json").stdin(Stdio::null());
                     let output = command.output().context("a seed's process");
-                    if sender.send(output.map(|output| report(seed, &output))).is_err() {
+                    if sender.send(output.map(|output| report(args, seed, &output))).is_err() {
                         return;
                     }
                 }
@@ -58,10 +59,10 @@ pub fn run(args: &StressArgs, made: Option<&Sets>, mut done: impl FnMut(SeedRepo
     })
 }
 
-/// The arguments of a seed's process.
-fn of_seed(args: &StressArgs, made: Option<&Sets>, seed: u64) -> Vec<String> {
+/// The arguments that fly a seed over a source in a process of its own.
+pub fn of_seed(args: &StressArgs, source: Option<String>, seed: u64) -> Vec<String> {
     let mut line = vec!["stress".to_owned()];
-    line.extend(args.source.clone().or_else(|| made.map(|sets| sets.of(seed))));
+    line.extend(source);
     let mut add = |name: &str, value: String| line.extend([name.to_owned(), value]);
     add("--seed", seed.to_string());
     add("--drawn", args.drawn.to_string());
@@ -72,12 +73,11 @@ fn of_seed(args: &StressArgs, made: Option<&Sets>, seed: u64) -> Vec<String> {
     if let Some(spec) = &args.faults {
         add("--faults", spec.to_string());
     }
-    line.push("--as-json".to_owned());
     line
 }
 
 /// What a process said, or how it died.
-fn report(seed: u64, output: &Output) -> SeedReport {
+fn report(args: &StressArgs, seed: u64, output: &Output) -> SeedReport {
     let said = String::from_utf8_lossy(&output.stdout);
     let read = said.lines().last().and_then(|line| serde_json::from_str::<SeedReport>(line).ok());
     let is_well = output.status.success();
@@ -92,7 +92,7 @@ fn report(seed: u64, output: &Output) -> SeedReport {
     SeedReport {
         seed,
         way: "?".to_owned(),
-        plan: String::new(),
+        plan: format!("{:016x}", args.plan(seed).digest()),
         drawing: "?".to_owned(),
         outcome: Outcome { failures, ..Outcome::default() },
         seconds: 0.0,
