@@ -11,7 +11,7 @@ use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use anyhow::{Context as _, Error, Result, ensure};
 use clap::Args as ClapArgs;
@@ -24,8 +24,10 @@ const MOST_HEAD_BYTES: u64 = 16 << 10;
 const IDLE: Duration = Duration::from_secs(60);
 /// Instead of a tile.
 const PAGE: &[u8] = b"<!doctype html><title>Sorry</title><p>The page that you are looking for is not here.</p>\n";
-/// Bytes between two looks at the clock.
+/// Most bytes between two looks at the clock.
 const PIECE: usize = 16 << 10;
+/// Pieces a second at least, where the bandwidth is bounded.
+const PIECES_PER_S: f64 = 50.0;
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct ServeArgs {
@@ -383,10 +385,13 @@ impl Server {
         mut left: u64,
         corrupt_at: Option<u64>,
     ) -> std::io::Result<()> {
-        let mut piece = vec![0; PIECE];
+        let bandwidth = self.args.bandwidth;
+        let most = if bandwidth > 0.0 { ((bandwidth / PIECES_PER_S) as usize).clamp(1, PIECE) } else { PIECE };
+        let mut piece = vec![0; most];
+        let start = Instant::now();
         let mut at = 0u64;
         while left > 0 {
-            let wanted = (left as usize).min(PIECE);
+            let wanted = left.min(most as u64) as usize;
             let got = file.read(&mut piece[..wanted])?;
             if got == 0 {
                 return Err(ErrorKind::UnexpectedEof.into());
@@ -394,11 +399,13 @@ impl Server {
             if let Some(place) = corrupt_at.and_then(|c| c.checked_sub(at)).filter(|p| *p < got as u64) {
                 piece[place as usize] ^= 0xff;
             }
-            stream.write_all(&piece[..got])?;
-            if self.args.bandwidth > 0.0 {
-                std::thread::sleep(Duration::from_secs_f64(got as f64 / self.args.bandwidth));
-            }
             at += got as u64;
+            if bandwidth > 0.0 {
+                // Its last byte is there no sooner.
+                let due = Duration::from_secs_f64(at as f64 / bandwidth);
+                std::thread::sleep(due.saturating_sub(start.elapsed()));
+            }
+            stream.write_all(&piece[..got])?;
             left -= got as u64;
         }
         Ok(())

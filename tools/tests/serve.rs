@@ -6,7 +6,7 @@ use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -48,6 +48,29 @@ impl Drop for Server {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+/// The last byte comes no sooner than the bandwidth lets it, of a small file too.
+#[test]
+fn a_small_file_takes_its_time() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tile"), vec![7; 16_000]).unwrap();
+    let server = Server::start(folder.path(), &["--bandwidth", "16000"]);
+    let mut stream = TcpStream::connect(&server.address).unwrap();
+    for _ in 0..2 {
+        let start = Instant::now();
+        write!(stream, "GET /tile HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        while !answer.ends_with(b"\r\n\r\n") {
+            let mut byte = [0];
+            stream.read_exact(&mut byte).unwrap();
+            answer.push(byte[0]);
+        }
+        let mut body = [0; 16_000];
+        stream.read_exact(&mut body).unwrap();
+        assert!(start.elapsed() > Duration::from_millis(900), "{:?}", start.elapsed());
+        assert_eq!(body, [7; 16_000]);
     }
 }
 
