@@ -68,7 +68,7 @@ fn text(info: &Info, verified: Option<&Verified>) -> String {
         let _ = writeln!(out, "error    {}: {}", e.uri, e.reason);
     }
     if let more @ 1.. = info.failed - info.errors.len() as u64 {
-        let _ = writeln!(out, "and {more} more");
+        let _ = writeln!(out, "         and {more} more");
     }
     out
 }
