@@ -14,6 +14,7 @@ use glam::{DAffine3, DVec2, DVec3};
 use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::pager::PagerConfig;
 use terrane::scene::{Node, NodeKind, OcclusionQueryNode, Page, Scene};
 use terrane::viewer::manipulators::{
     AnimationPathManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
@@ -192,8 +193,12 @@ fn picture(viewer: &mut Viewer) -> RgbaImage {
 /// The last frames were those before the adapter had answered: what came into sight stayed hidden.
 #[test]
 fn frames_are_drawn_until_occlusion_queries_have_shown_what_is_in_sight() {
-    for threading in ThreadingModel::ALL {
-        let config = ViewerConfig { threading, ..config(AdapterChoice::Software) };
+    // A blocking frame looks at what it would want first, and did so with the eye that asks.
+    for (threading, blocking) in
+        ThreadingModel::ALL.map(|t| (t, false)).into_iter().chain([(ThreadingModel::ALL[0], true)])
+    {
+        let pager = PagerConfig { blocking, ..PagerConfig::default() };
+        let config = ViewerConfig { threading, pager, ..config(AdapterChoice::Software) };
         let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
         let query = OcclusionQueryNode::default();
         let results = query.results.clone();

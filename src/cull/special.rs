@@ -264,8 +264,9 @@ impl Cull<'_> {
     fn occlusion_query(&mut self, context: &PageContext, node: u32, query: &OcclusionQueryNode) -> bool {
         let page = context.page;
         let sphere = page.spheres[node as usize];
-        // Answers are those of the picture itself: nobody draws what is looked at ahead of its time.
-        if sphere.w >= UNBOUNDED || sphere.w < 0.0 || self.in_scene_camera || self.camera.ahead_frames > 0 {
+        // Answers are those of the picture itself: nobody draws what is only looked at.
+        let only_looks = self.only_looks || self.camera.ahead_frames > 0;
+        if sphere.w >= UNBOUNDED || sphere.w < 0.0 || self.in_scene_camera || only_looks {
             return false;
         }
         // What one eye does not see another may.

@@ -138,6 +138,8 @@ pub struct CullVisitor {
     visits_all: bool,
     /// Only the pages that hang at the scene's root are visited.
     walks_only: bool,
+    /// What it finds is not drawn in the frame it is of.
+    only_looks: bool,
     /// x, y, width and height of the picture in its target; `None`: all of it.
     pub viewport_px: Option<[u32; 4]>,
     /// Of the eye that is culled for, where it has a picture of its own.
@@ -194,6 +196,8 @@ pub(super) struct Cull<'a> {
     pub counters: CullCounters,
     /// Subtrees are taken as ranges where they are wholly inside, unless small features or occluders are looked for.
     pub takes_ranges: bool,
+    /// What is found is not drawn.
+    pub only_looks: bool,
     /// Pages of the queue that are visited.
     pub most_pages: usize,
     /// Cameras that show the scene are not drawn.
@@ -211,6 +215,12 @@ impl CullVisitor {
     #[doc(hidden)]
     pub fn visiting_all() -> Self {
         Self { visits_all: true, ..Self::default() }
+    }
+
+    /// A visitor for looking at what a frame would want: it asks no occlusion queries, nobody would answer them, and
+    /// draws what they might hide.
+    pub(crate) fn looking() -> Self {
+        Self { only_looks: true, ..Self::default() }
     }
 
     /// A visitor that leaves out what tiles draw, so that the walk of a tile tree can be timed by itself.
@@ -342,6 +352,7 @@ impl CullVisitor {
             tile_view: None,
             counters: CullCounters::default(),
             takes_ranges: !self.visits_all && self.occluders.is_empty(),
+            only_looks: self.only_looks,
             most_pages: if self.walks_only { scene.roots().len() } else { usize::MAX },
             in_scene_camera: self.in_scene_camera,
         };

@@ -107,7 +107,7 @@ impl ViewerBase {
             compile_budget: config.compile_budget,
             #[cfg(feature = "window")]
             overlays: Vec::new(),
-            probe: CullVisitor::default(),
+            probe: CullVisitor::looking(),
             probe_stage: RenderStage::new(),
             first_frame: None,
             last_frame: None,
