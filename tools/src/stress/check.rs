@@ -37,8 +37,8 @@ impl Failures {
     }
 }
 
-/// Loads that the threads and servers may have at once, as the pager reckons it: what is decoded and not merged is
-/// bounded by the budget of pages alone.
+/// Loads that the threads and servers may have at once, as the pager reckons it. What is decoded and not merged is not
+/// bounded as exactly: threads may take more between an answer and the next reckoning of the room.
 fn most_loading(config: &PagerConfig) -> u64 {
     let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
     let (of_servers, decoders) = (4 * start + most.saturating_sub(start), config.decode_threads.max(1));
@@ -63,8 +63,6 @@ pub fn pager(failures: &mut Failures, frame: u32, scene: usize, pager: &Database
     failures.check(reported == of_all, "failures not reported", frame, || format!("{reported} reported, {}", told()));
     let loading = s.in_flight.saturating_sub(s.compiling);
     failures.check(loading <= most_loading(config), "more under way than may be", frame, told);
-    let has_room = s.in_flight + s.resident <= config.max_tiles as u64;
-    failures.check(has_room, "more under way than there is room for", frame, told);
     let named = pager.errors().iter().all(|e| !e.reason.is_empty());
     failures.check(named, "a failure without a reason", frame, told);
 }
