@@ -29,6 +29,7 @@ pub(super) struct Waiting {
     /// Asked of servers now; written by the threads.
     asked: Vec<Arc<str>>,
     /// Of these, what nobody wants any more; written by update.
+    #[cfg(feature = "http")]
     unwanted: Vec<Arc<str>>,
     /// Set once, by drop.
     closed: bool,
