@@ -83,14 +83,14 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     // Manipulators stay above the ground.
     config.pager.build_kd_trees = args.interactive;
     config.pager.http = args.net.http(&source)?;
+    let interrupt = Interrupt::new();
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     if let Some(views) = views {
         let root = if views.needs_root() { Some(LoadedRoot::read(&source, &config.pager)?) } else { None };
-        return crate::views::run(*args, config, views, root, stop_on_interrupt());
+        return crate::views::run(*args, config, views, root, interrupt.asks_for_the_end());
     }
     let root = LoadedRoot::read(&source, &config.pager)?;
-    let stop = stop_on_interrupt();
-    let mut flight = Flight::new(*args, path, stop)?;
+    let mut flight = Flight::new(*args, path, interrupt.asks_for_the_end())?;
     flight.eyes = config.stereo;
     let mut viewer = if offscreen {
         let mut viewer = Viewer::new_offscreen(&config)?;
@@ -115,13 +115,32 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     flight.finish(&mut viewer, where_drawn)
 }
 
-/// What Ctrl-C sets from now on: there is something to end well. Before, it ends the process.
-fn stop_on_interrupt() -> Arc<AtomicBool> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    // A second handler in one process (tests) is no reason not to fly.
-    let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
-    stop
+/// The exit code of what Ctrl-C has ended, as shells have it.
+const INTERRUPTED: i32 = 130;
+
+/// What Ctrl-C does: it ends the process, and asks for the end once there is something to end well.
+struct Interrupt {
+    asks: Arc<AtomicBool>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Interrupt {
+    fn new() -> Self {
+        let (asks, stop) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+        let interrupt = Self { asks: asks.clone(), stop: stop.clone() };
+        // A second handler in one process (tests) is no reason not to fly.
+        let _ = ctrlc::set_handler(move || match asks.load(Ordering::Relaxed) {
+            true => stop.store(true, Ordering::Relaxed),
+            false => std::process::exit(INTERRUPTED),
+        });
+        interrupt
+    }
+
+    /// Only asks from now on, by what it sets.
+    fn asks_for_the_end(self) -> Arc<AtomicBool> {
+        self.asks.store(true, Ordering::Relaxed);
+        self.stop
+    }
 }
 
 /// The windows that were asked for: by the command line, else by the environment where windows open as that says.

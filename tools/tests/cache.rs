@@ -187,7 +187,6 @@ fn a_filled_cache_needs_no_server() {
 #[cfg(unix)]
 #[test]
 fn an_interrupt_waits_for_no_server() {
-    use std::os::unix::process::ExitStatusExt as _;
     let folder = tempfile::tempdir().unwrap();
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/set/", listener.local_addr().unwrap());
@@ -206,7 +205,7 @@ fn an_interrupt_waits_for_no_server() {
     let said = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
     assert!(out.status.code() == Some(1) && said.contains("stopped, the same command goes on"), "{said}");
     let out = interrupted(&["fly", &url, "--offscreen"]);
-    assert_eq!((out.status.code(), out.status.signal()), (None, Some(2)), "{out:?}");
+    assert_eq!(out.status.code(), Some(130), "{out:?}");
 }
 
 #[test]
