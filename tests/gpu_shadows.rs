@@ -527,3 +527,24 @@ fn all_threading_models_draw_the_same_shadows() {
         assert_eq!(of_model, requested);
     }
 }
+
+/// What is far is drawn on its way to the level above, and so is what casts: the finer surface stood above the ground and
+/// left it in blotches.
+#[test]
+fn what_casts_morphs_as_what_is_seen() {
+    let Some(mut rig) = rig("what_casts_morphs_as_what_is_seen") else { return };
+    let terrain =
+        Terrain { west: 0.2, south: 0.75, width: 0.004, relief_m: 2500.0, root_error_m: 200.0, textured: false };
+    let up = terrain.up(0.5, 0.5);
+    let north = up.cross(DVec3::Z.cross(up).normalize());
+    let camera = camera(SIZE, terrain.world(0.5, 0.5, 14_000.0), terrain.world(0.5, 0.5, 0.0), north);
+    // Beyond the range of their level, where they are the level above.
+    let scene = rig.scene(Node::group([(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| terrain.tile(1, x, y)).to_vec()));
+    let on = Environment { up_in_world: up, ..sunny(up) };
+    let off = Environment { shadows: None, ..on };
+    let (noon, bare) = (rig.picture(&scene, &camera, &on), rig.picture(&scene, &camera, &off));
+    let darker = |by| noon.pixels().zip(bare.pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > by).count();
+    let (a_little, much) = (darker(8), darker(40));
+    assert!(a_little < 256 * 192 / 100 && much == 0, "under a sun overhead: {a_little} pixels, {much} much");
+    rig.release(scene);
+}

@@ -188,8 +188,9 @@ impl StateTextures {
 
     /// The place of a sampler; made when first met.
     pub(crate) fn ensure_sampler(&mut self, device: &wgpu::Device, sampler: &Sampler) -> u32 {
-        let place = self.samplers.iter().position(|(s, _)| s == sampler).unwrap_or_else(|| {
-            self.samplers.push((*sampler, make_sampler(device, sampler)));
+        let sampler = without_bias(sampler);
+        let place = self.samplers.iter().position(|(s, _)| *s == sampler).unwrap_or_else(|| {
+            self.samplers.push((sampler, make_sampler(device, &sampler)));
             self.samplers.len() - 1
         });
         place as u32
@@ -197,7 +198,8 @@ impl StateTextures {
 
     /// A sampler that was made.
     pub(crate) fn known_sampler(&self, sampler: &Sampler) -> Option<&wgpu::Sampler> {
-        self.samplers.iter().find(|(s, _)| s == sampler).map(|(_, s)| s)
+        let sampler = without_bias(sampler);
+        self.samplers.iter().find(|(s, _)| *s == sampler).map(|(_, s)| s)
     }
 
     pub(crate) fn sampler(&self, place: u32) -> Option<&wgpu::Sampler> {
@@ -274,6 +276,11 @@ pub(super) fn address_mode(mode: WrapMode) -> wgpu::AddressMode {
         WrapMode::Repeat => wgpu::AddressMode::Repeat,
         WrapMode::Mirror => wgpu::AddressMode::MirrorRepeat,
     }
+}
+
+/// The bias is no part of an adapter's sampler.
+fn without_bias(sampler: &Sampler) -> Sampler {
+    Sampler { mip_bias: 0.0, ..*sampler }
 }
 
 fn make_sampler(device: &wgpu::Device, sampler: &Sampler) -> wgpu::Sampler {

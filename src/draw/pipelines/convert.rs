@@ -38,7 +38,7 @@ pub(super) fn reversed(function: CompareFunction) -> wgpu::CompareFunction {
 
 /// Away from the eye is less, reversed.
 pub(super) fn bias(offset: PolygonOffset) -> wgpu::DepthBiasState {
-    wgpu::DepthBiasState { constant: -(offset.units as i32), slope_scale: -offset.factor, clamp: 0.0 }
+    wgpu::DepthBiasState { constant: (-offset.units) as i32, slope_scale: -offset.factor, clamp: 0.0 }
 }
 
 pub(super) fn factor(factor: BlendFactor) -> wgpu::BlendFactor {

@@ -14,7 +14,7 @@ use crate::draw::shadow_maps::{FORMAT, Wanted};
 use crate::draw::state::{Dynamics, State, Statics};
 use crate::draw::uniforms::frame::FrameUniform;
 use crate::gpu::GraphicsContext;
-use crate::scene::{CameraEnvironment, CameraShadows, Environment, SunShadows};
+use crate::scene::{CameraEnvironment, CameraShadows, Environment, SunShadows, has_parallel_rays};
 use crate::state::{CLIP_PLANES, Mode, ResolvedState, TEXTURE_UNITS};
 
 /// What the cascades of a stage come to.
@@ -83,7 +83,10 @@ impl Renderer {
         let before = self.batch.leaves().len();
         for (runs, cascade) in plan.runs.iter_mut().zip(&shadows.cascades) {
             // The picture's own eye and levels of detail, seen along the sun's rays.
-            let frame = self.groups.push(&FrameUniform::new(camera, &cascade.clip_from_eye, environment, air));
+            let mut uniform = FrameUniform::new(camera, &cascade.clip_from_eye, environment, air);
+            // Heights morph as they do in the picture: the sun's own rays are parallel.
+            uniform.air[3] = if has_parallel_rays(&camera.clip_from_eye) { 1.0 } else { 0.0 };
+            let frame = self.groups.push(&uniform);
             let base = Statics { dynamics: of_map(size_px), frame: [frame, positioned], air: 0, group: None };
             let plain = self.statics.len() as u32;
             self.statics.push(base);
