@@ -5,11 +5,11 @@ mod gpu_support;
 
 use std::sync::{Arc, Mutex};
 
-use gpu_support::{MAGENTA, Rig, count, plain, quad, rig, unit_camera};
+use gpu_support::{MAGENTA, Rig, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::draw::{BinCallback, BinDrawing, RenderInfo};
-use terrane::scene::Node;
-use terrane::state::{BinDetails, DrawHook, SortMode, StateSet};
+use terrane::scene::{Geometry, Node};
+use terrane::state::{Attribute, BinDetails, BlendFunc, DrawHook, SortMode, StateSet};
 
 const SIZE: u32 = 64;
 const ALL: usize = (SIZE * SIZE) as usize;
@@ -158,4 +158,31 @@ fn bins_that_blend_are_called_after_what_is_opaque() {
     let without = draw(rig, nodes(Some(hook(&said, "none", |_, _| {}))));
     assert_eq!((count(&without, [255, 0, 0]), count(&without, MAGENTA)), (ALL / 2, ALL / 2));
     assert_eq!(said.lock().unwrap().len(), 4);
+}
+
+/// Where what is drawn first shows, leaves of one state are drawn as traversed, however they are drawn: small meshes many
+/// in a call, others each by itself.
+#[test]
+fn a_state_whose_order_counts_keeps_it() {
+    let Some(mut rig) = rig("a_state_whose_order_counts_keeps_it") else { return };
+    let rig = &mut *rig;
+    let picture_of = |rig: &mut Rig, enlarged: [bool; 3]| {
+        let colors = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.5]];
+        let nodes = colors.iter().zip(enlarged).enumerate().map(|(i, (color, is_enlarged))| {
+            let mut drawable = quad([0.0, 0.0, 0.1 * i as f32], [1.2; 2], *color);
+            if let (Geometry::Mesh(mesh), true) = (&mut drawable.geometry, is_enlarged) {
+                let mesh = Arc::make_mut(mesh);
+                mesh.indices = mesh.indices.iter().copied().chain(std::iter::repeat_n(0, 60)).collect();
+            }
+            Node::geode(vec![drawable])
+        });
+        let blended = StateSet::default().with(Attribute::BlendFunc(BlendFunc::ALPHA));
+        draw(rig, vec![Node::group(nodes.collect()).with_state_set(Arc::new(blended))])
+    };
+    let small = picture_of(rig, [false; 3]);
+    // Blue over green over red over magenta: a quarter, a quarter and five eighths, in sRGB.
+    assert_eq!(pixel(&small, 32, 32), [136, 136, 207]);
+    for enlarged in [[true, false, true], [false, true, false], [true; 3]] {
+        assert!(picture_of(rig, enlarged) == small, "{enlarged:?}");
+    }
 }

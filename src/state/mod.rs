@@ -128,7 +128,8 @@ pub struct BinDetails {
 /// Order of the leaves in a bin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum SortMode {
-    /// Leaves of one state together, states in the order first met.
+    /// Leaves of one state together, states in the order first met. Those of which the nearer hides the farther, whichever
+    /// is drawn first, may change places, so that fewer calls draw them; others are as traversed inside a state.
     #[default]
     ByState,
     /// As `ByState`, nearest first inside a state and states by their nearest leaf.

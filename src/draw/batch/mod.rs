@@ -241,11 +241,12 @@ impl Batch {
             let mut rest = &bin.leaves[..];
             while !rest.is_empty() {
                 let room = most_leaves.saturating_sub(self.leaf_count);
-                let (group, after) = rest.split_at(regroupable(bin.sort, &self.states, rest));
+                let (count, in_any_order) = alike(bin.sort, &self.states, rest);
+                let (group, after) = rest.split_at(count);
                 rest = after;
                 dropped += group.len().saturating_sub(room);
                 let group = &group[..group.len().min(room)];
-                if bin.sort == SortMode::ByState {
+                if in_any_order {
                     self.regroup(ctx, pipelines, stage, group);
                 } else {
                     self.in_order(ctx, pipelines, stage, group);
@@ -533,23 +534,20 @@ fn uniform(entry: &DrawableEntry, rows: &[[f32; 4]; 3], state: &StateEntry, stri
     }
 }
 
-/// How many of the next leaves may change places with each other. In a bin sorted by state, leaves of which the
-/// nearer hides the farther may, whatever their state; others may inside one state. Other bins keep cull's order.
-fn regroupable(sort: SortMode, states: &[StateEntry], leaves: &[RenderLeaf]) -> usize {
-    let Some(first) = leaves.first().filter(|_| sort == SortMode::ByState) else { return leaves.len() };
+/// How many of the next leaves are drawn alike: in any order, in a bin sorted by state, as leaves of which the nearer hides
+/// the farther may be, or else in cull's.
+fn alike(sort: SortMode, states: &[StateEntry], leaves: &[RenderLeaf]) -> (usize, bool) {
     let is_free = |state: u32| states.get(state as usize).is_none_or(|s| s.key.order_is_free);
+    let Some(first) = leaves.first().filter(|_| sort == SortMode::ByState) else { return (leaves.len(), false) };
     let first_is_free = is_free(first.state);
-    if states.len() == 1 || states.iter().all(|s| s.key.order_is_free) {
-        return leaves.len();
+    if states.iter().all(|s| s.key.order_is_free == first_is_free) {
+        return (leaves.len(), first_is_free);
     }
-    let mut fits = first.state;
-    for (place, leaf) in leaves.iter().enumerate() {
-        if leaf.state != fits {
-            if !first_is_free || !is_free(leaf.state) {
-                return place;
-            }
-            fits = leaf.state;
-        }
-    }
-    leaves.len()
+    let mut last = first.state;
+    let other = leaves.iter().position(|leaf| {
+        let is_other = leaf.state != last && is_free(leaf.state) != first_is_free;
+        last = leaf.state;
+        is_other
+    });
+    (other.unwrap_or(leaves.len()), first_is_free)
 }

@@ -1,0 +1,290 @@
+//! Scenes by chance are drawn in ways that must make the same picture. Needs a GPU (a software one will do).
+//!
+//! `RANDOM_SCENES=FIRST..END` draws those seeds instead of the usual ones; a failure names its seed.
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on shall panic")]
+
+mod gpu_support;
+mod random_support;
+
+use std::sync::Arc;
+
+use glam::{DAffine3, DVec3};
+use gpu_support::{Rig, camera, count, plain, rig};
+use image::{Rgba, RgbaImage};
+use random_support::{Maker, Random, eye};
+use terrane::cull::{CullCamera, CullingMode};
+use terrane::scene::{
+    Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Environment, Fog, Geometry, Node, NodeKind, Page,
+    PictureSink, RenderOrder, SunShadows, Topology, Water,
+};
+use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObject};
+
+const SIDE: u32 = 96;
+
+fn seeds(usual: std::ops::Range<u64>) -> std::ops::Range<u64> {
+    let Ok(asked) = std::env::var("RANDOM_SCENES") else { return usual };
+    let (first, end) = asked.split_once("..").expect("RANDOM_SCENES=FIRST..END");
+    first.parse().unwrap()..end.parse().unwrap()
+}
+
+fn picture(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
+    let scene = rig.scene(node.clone());
+    let picture = rig.picture(&scene, camera, environment);
+    rig.release(scene);
+    picture
+}
+
+/// What was not the same.
+#[derive(Default)]
+struct Differences(Vec<String>);
+
+impl Differences {
+    /// Notes where more than `few` pixels are others.
+    fn compare(&mut self, what: &str, seed: u64, [a, b]: [&RgbaImage; 2], few: usize) {
+        let is_other = |(a, b): &(&Rgba<u8>, &Rgba<u8>)| a.0.iter().zip(&b.0).take(3).any(|(a, b)| a.abs_diff(*b) > 3);
+        let others = a.pixels().zip(b.pixels()).filter(is_other).count();
+        if others > few {
+            let folder = std::path::PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+            let names = ["a", "b"].map(|name| folder.join(format!("random_{seed}_{}_{name}.png", self.0.len())));
+            a.save(&names[0]).unwrap();
+            b.save(&names[1]).unwrap();
+            self.0.push(format!("seed {seed}, {what}: {others} pixels; {} and b", names[0].display()));
+        }
+    }
+
+    fn assert_none(&self) {
+        assert!(self.0.is_empty(), "{}", self.0.join("\n"));
+    }
+}
+
+/// The same graph with nodes between that change nothing.
+fn padded(node: &Node, random: &mut Random) -> Node {
+    let mut copy = Node { children: node.children.iter().map(|child| padded(child, random)).collect(), ..node.clone() };
+    match random.below(9) {
+        0 => Node::group(vec![copy]),
+        1 => Node::transform(DAffine3::IDENTITY, vec![copy]),
+        2 => Node { children: vec![copy], ..Node::new(NodeKind::Switch(vec![true])) },
+        3 => {
+            let kind = NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, f64::INFINITY]] };
+            Node { children: vec![copy], ..Node::new(kind) }
+        }
+        4 => {
+            copy.cull_callback = Some(CullCallback(Arc::new(|_| CullAction::Traverse)));
+            copy
+        }
+        5 => Node::group(vec![Node::group(Vec::new()), copy, Node::geode(Vec::new())]),
+        6 => {
+            copy.culling_active = false;
+            copy
+        }
+        _ => copy,
+    }
+}
+
+/// The same graph, with state sets at their nodes' children instead.
+fn pushed_down(node: &Node) -> Node {
+    let mut copy = Node { children: node.children.iter().map(pushed_down).collect(), ..node.clone() };
+    let is_plain = matches!(copy.kind, NodeKind::Group | NodeKind::Transform(_) | NodeKind::Lod { .. });
+    if is_plain && let Some(set) = copy.state_set.take() {
+        let under = |child: Node| Node::group(vec![child]).with_state_set(set.clone());
+        copy.children = copy.children.into_iter().map(under).collect();
+    }
+    copy
+}
+
+/// The same graph with small meshes made large, by triangles without extent.
+fn enlarged(node: &Node) -> Node {
+    let mut copy = Node { children: node.children.iter().map(enlarged).collect(), ..node.clone() };
+    let drawables: Vec<_> = match &mut copy.kind {
+        NodeKind::Geode(drawables) => drawables.iter_mut().collect(),
+        NodeKind::Billboard(billboard) => billboard.drawables.iter_mut().map(|(_, drawable)| drawable).collect(),
+        _ => Vec::new(),
+    };
+    for drawable in drawables {
+        if let Geometry::Mesh(mesh) = &mut drawable.geometry
+            && mesh.topology == Topology::Triangles
+            && mesh.indices.len() < 60
+        {
+            let mesh = Arc::make_mut(mesh);
+            mesh.indices = mesh.indices.iter().copied().chain(std::iter::repeat_n(0, 60)).collect();
+        }
+    }
+    copy
+}
+
+/// Graphs under every kind of state; the order of drawing counts.
+#[test]
+fn what_is_drawn_is_a_matter_of_the_scene_alone() {
+    let Some(mut rig) = rig("what_is_drawn_is_a_matter_of_the_scene_alone") else { return };
+    let rig = &mut *rig;
+    let (mut shown, mut scenes) = (0, 0);
+    let mut last: Option<(Node, CullCamera, RgbaImage)> = None;
+    let mut differences = Differences::default();
+    for seed in seeds(0..6) {
+        let mut maker = Maker::new(seed, false);
+        let node = maker.scene();
+        let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
+        let whole = picture(rig, &node, &camera, &plain());
+        scenes += 1;
+        shown += usize::from(count(&whole, gpu_support::MAGENTA) < 9000);
+        let mut same = |what: &str, node: &Node, camera: &CullCamera, few: usize| {
+            let other = picture(rig, node, camera, &plain());
+            differences.compare(what, seed, [&whole, &other], few);
+        };
+        same("drawn twice", &node, &camera, 0);
+        for culling in [CullingMode::CLUSTER, CullingMode::CLUSTER | CullingMode::SAMPLES | CullingMode::VIEW_FRUSTUM] {
+            let mut other = camera;
+            other.settings.culling = culling;
+            same(&format!("{culling:?}"), &node, &other, 0);
+        }
+        for _ in 0..2 {
+            same("with nodes between", &padded(&node, &mut maker.random), &camera, 0);
+        }
+        same("state sets at the children", &pushed_down(&node), &camera, 0);
+        same("large meshes", &enlarged(&node), &camera, 30);
+        let projection = Node { children: vec![node.clone()], ..Node::new(NodeKind::Projection(camera.clip_from_eye)) };
+        same("below a Projection", &projection, &camera, 0);
+        let nested = CameraNode::new(RenderOrder::Nested);
+        same("below a nested camera", &Node::camera(nested, vec![node.clone()]), &camera, 0);
+        let absolute = NodeKind::AbsoluteTransform(camera.eye_from_world);
+        let absolute = Node { children: vec![node.clone()], ..Node::new(absolute) };
+        same("below an AbsoluteTransform", &absolute, &camera, 4);
+        let other = to_texture(rig, &node, &camera);
+        differences.compare("drawn into a texture", seed, [&whole, &other], 4);
+        let other = several_roots(rig, &node, &camera, &plain());
+        differences.compare("several roots", seed, [&whole, &other], 4);
+        if let Some((node, camera, whole)) = last.replace((node, camera, whole)) {
+            let again = picture(rig, &node, &camera, &plain());
+            differences.compare("after another scene", seed, [&whole, &again], 0);
+        }
+    }
+    differences.assert_none();
+    assert!(2 * shown > scenes, "{shown} of {scenes} scenes show something");
+}
+
+/// Under a sky, with shadows and a sea below.
+#[test]
+fn light_and_air_are_a_matter_of_the_scene_alone() {
+    let Some(mut rig) = rig("light_and_air_are_a_matter_of_the_scene_alone") else { return };
+    let rig = &mut *rig;
+    let mut differences = Differences::default();
+    for seed in seeds(2000..2004) {
+        let mut maker = Maker::new(seed, false);
+        let node = maker.scene();
+        let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
+        let environment = Environment {
+            sun_direction: eye(&mut maker.random).normalize(),
+            shadows: maker.random.percent(80).then(SunShadows::default),
+            water: maker.random.percent(50).then(|| Water::at(-6.0)),
+            fog: Fog { enabled: maker.random.percent(50), density_per_m: 1e-3 },
+            ..Environment::default()
+        };
+        let whole = picture(rig, &node, &camera, &environment);
+        let mut same = |what: &str, node: &Node, camera: &CullCamera, few: usize| {
+            let other = picture(rig, node, camera, &environment);
+            differences.compare(what, seed, [&whole, &other], few);
+        };
+        same("drawn twice", &node, &camera, 0);
+        let mut other = camera;
+        other.settings.culling = CullingMode(other.settings.culling.0 & !CullingMode::SAMPLES.0);
+        same("every leaf", &node, &other, 0);
+        for _ in 0..2 {
+            same("with nodes between", &padded(&node, &mut maker.random), &camera, 0);
+        }
+        same("state sets at the children", &pushed_down(&node), &camera, 0);
+        same("large meshes", &enlarged(&node), &camera, 30);
+        let other = several_roots(rig, &node, &camera, &environment);
+        differences.compare("several roots", seed, [&whole, &other], 4);
+    }
+    differences.assert_none();
+}
+
+/// Read back from the texture of a camera above the whole scene.
+fn to_texture(rig: &mut Rig, node: &Node, camera: &CullCamera) -> RgbaImage {
+    let sink = Arc::new(PictureSink::default());
+    let texture = TextureObject::target("whole", [SIDE, SIDE], TextureFormat::Rgba8Srgb);
+    let target = CameraTarget {
+        colors: vec![Attachment::new(texture)],
+        samples: 1,
+        read_back: Some(sink.clone()),
+        ..CameraTarget::default()
+    };
+    let mut above = CameraNode::new(RenderOrder::PreRender(-5));
+    (above.target, above.clear_color) = (Some(Arc::new(target)), Some([1.0, 0.0, 1.0, 1.0]));
+    let scene = rig.scene(Node::camera(above, vec![node.clone()]));
+    let picture = (1..200).find_map(|frame| {
+        rig.draw(&scene, &CullCamera { frame, ..*camera }, &plain());
+        sink.take()
+    });
+    rig.release(scene);
+    RgbaImage::from_raw(SIDE, SIDE, picture.unwrap().rgba).unwrap()
+}
+
+/// The children of the root as pages of their own, each with the root's state set.
+fn several_roots(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
+    let mut scene = rig.scene(Node::group(Vec::new()));
+    for child in &node.children {
+        let root = Node { children: vec![child.clone()], ..node.clone() };
+        let mut page = Page::from_node(root).unwrap();
+        let compiled = rig.compile(page.take_drawables());
+        page.set_draw_slots(0, compiled.slots);
+        scene.add_root(page);
+    }
+    let picture = rig.picture(&scene, camera, environment);
+    rig.release(scene);
+    picture
+}
+
+/// Graphs where the nearest is seen, whatever was drawn before it.
+#[test]
+fn what_is_opaque_may_be_drawn_in_any_order() {
+    let Some(mut rig) = rig("what_is_opaque_may_be_drawn_in_any_order") else { return };
+    let rig = &mut *rig;
+    let mut differences = Differences::default();
+    for seed in seeds(1000..1006) {
+        let mut maker = Maker::new(seed, true);
+        let node = maker.scene();
+        let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
+        let whole = picture(rig, &node, &camera, &plain());
+        let mut same = |what: &str, node: &Node, camera: &CullCamera, few: usize| {
+            let other = picture(rig, node, camera, &plain());
+            differences.compare(what, seed, [&whole, &other], few);
+        };
+        same("children the other way round", &reversed(&node), &camera, 8);
+        same("state sets of their own", &with_sets(&node, &|set| set.clone()), &camera, 8);
+        for sort in [SortMode::BackToFront, SortMode::FrontToBack, SortMode::TraversalOrder] {
+            let sorted =
+                with_sets(&node, &|set| StateSet { bin: set.bin.map(|bin| BinDetails { sort, ..bin }), ..set.clone() });
+            same(&format!("{sort:?}"), &sorted, &camera, 8);
+        }
+        let mut fitted = camera;
+        fitted.settings.compute_near_far = terrane::scene::ComputeNearFar::BoundingVolumes;
+        same("near and far fitted", &node, &fitted, 12);
+    }
+    differences.assert_none();
+}
+
+fn reversed(node: &Node) -> Node {
+    let mut copy = node.clone();
+    match &mut copy.kind {
+        NodeKind::Switch(shown) => {
+            shown.resize(copy.children.len(), false);
+            shown.reverse();
+        }
+        NodeKind::Lod { ranges_m, .. } => {
+            ranges_m.truncate(copy.children.len());
+            ranges_m.reverse();
+        }
+        _ => {}
+    }
+    copy.children = copy.children.iter().rev().map(reversed).collect();
+    copy
+}
+
+fn with_sets(node: &Node, change: &dyn Fn(&StateSet) -> StateSet) -> Node {
+    Node {
+        children: node.children.iter().map(|child| with_sets(child, change)).collect(),
+        state_set: node.state_set.as_ref().map(|set| Arc::new(change(set))),
+        ..node.clone()
+    }
+}
