@@ -15,7 +15,7 @@ use random_support::{Maker, Random, eye};
 use terrane::cull::{CullCamera, CullingMode};
 use terrane::scene::{
     Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Environment, Fog, Geometry, Node, NodeKind, Page,
-    PictureSink, RenderOrder, SunShadows, Topology, Water,
+    PictureSink, RenderOrder, Scene, SunShadows, Topology, Water,
 };
 use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObject};
 
@@ -287,4 +287,87 @@ fn with_sets(node: &Node, change: &dyn Fn(&StateSet) -> StateSet) -> Node {
         state_set: node.state_set.as_ref().map(|set| Arc::new(change(set))),
         ..node.clone()
     }
+}
+
+/// What is changed in the scene looks like what is made so.
+#[test]
+fn changed_scenes_are_those_made_so() {
+    let Some(mut rig) = rig("changed_scenes_are_those_made_so") else { return };
+    let rig = &mut *rig;
+    let mut differences = Differences::default();
+    for seed in seeds(3000..3006) {
+        let mut maker = Maker::new(seed, false);
+        let mut node = maker.scene();
+        named(&mut node, &mut 0);
+        let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
+        let mut scene = rig.scene(node.clone());
+        for frame in 2..8 {
+            for _ in 0..1 + maker.random.below(12) {
+                change(&mut scene, &mut node, &mut maker);
+            }
+            let changed = rig.picture(&scene, &CullCamera { frame, ..camera }, &plain());
+            let made = picture(rig, &node, &camera, &plain());
+            differences.compare(&format!("changed {}", frame - 1), seed, [&changed, &made], 0);
+        }
+        rig.release(scene);
+    }
+    differences.assert_none();
+}
+
+/// Gives every node a name of its own.
+fn named(node: &mut Node, number: &mut u32) {
+    node.name = number.to_string();
+    *number += 1;
+    node.children.iter_mut().for_each(|child| named(child, number));
+}
+
+/// The node of a number in depth-first order.
+fn nth<'a>(node: &'a mut Node, left: &mut u64) -> Option<&'a mut Node> {
+    if *left == 0 {
+        return Some(node);
+    }
+    *left -= 1;
+    node.children.iter_mut().find_map(|child| nth(child, left))
+}
+
+fn count_nodes(node: &Node) -> u64 {
+    1 + node.children.iter().map(count_nodes).sum::<u64>()
+}
+
+/// Changes a node of the scene and that of the graph it was made of, in one of the ways that scenes offer.
+fn change(scene: &mut Scene, root: &mut Node, maker: &mut Maker) {
+    let mut left = maker.random.below(count_nodes(root));
+    let Some(node) = nth(root, &mut left) else { return };
+    let page = scene.roots()[0];
+    let id = scene.nodes_named(page, &node.name).next().unwrap();
+    let has_children = !node.children.is_empty();
+    match &mut node.kind {
+        NodeKind::Transform(map) | NodeKind::AbsoluteTransform(map) => {
+            *map = maker.random.place(8.0);
+            scene.set_transform(id, *map).unwrap();
+        }
+        NodeKind::Switch(shown) if has_children => {
+            let child = maker.random.below(node.children.len() as u64) as usize;
+            shown[child] = !shown[child];
+            scene.set_switch(id, child, shown[child]).unwrap();
+        }
+        NodeKind::Camera(camera) => {
+            camera.view = maker.random.place(6.0);
+            camera.viewport_px = maker.random.percent(50).then_some([10, 20, 60, 50]);
+            scene.set_camera(id, (**camera).clone()).unwrap();
+        }
+        _ => {
+            let Some(old) = node.state_set.clone() else { return };
+            let new = Arc::new(maker.state_set());
+            assert!(scene.replace_state_set(page, &old, new.clone()));
+            replace_set(root, &old, &new);
+        }
+    }
+}
+
+fn replace_set(node: &mut Node, old: &Arc<StateSet>, new: &Arc<StateSet>) {
+    if node.state_set.as_ref().is_some_and(|set| Arc::ptr_eq(set, old)) {
+        node.state_set = Some(new.clone());
+    }
+    node.children.iter_mut().for_each(|child| replace_set(child, old, new));
 }

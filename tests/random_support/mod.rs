@@ -63,7 +63,7 @@ impl Random {
     }
 
     /// Now and then mirrored, or uneven.
-    fn place(&mut self, reach: f64) -> DAffine3 {
+    pub fn place(&mut self, reach: f64) -> DAffine3 {
         let scale = match self.below(4) {
             0 => DVec3::new(self.between(0.4, 1.6), -self.between(0.4, 1.6), self.between(0.4, 1.6)),
             1 => DVec3::new(self.between(0.4, 1.6), self.between(0.4, 1.6), self.between(0.4, 1.6)),
@@ -262,7 +262,7 @@ impl Maker {
         }
     }
 
-    fn state_set(&mut self) -> StateSet {
+    pub fn state_set(&mut self) -> StateSet {
         let mut set = StateSet::default();
         let random = &mut self.random;
         if random.percent(40) {
@@ -372,7 +372,7 @@ fn projection(fovy: f64) -> DMat4 {
 }
 
 fn checkers() -> Arc<TextureObject> {
-    let texels = (0..64).flat_map(|i| if (i + i / 8) % 2 == 0 { [255, 220, 90, 255] } else { [30, 60, 160, 255] });
+    let texels = (0..64).flat_map(|i| if (i + i / 8) & 1 == 0 { [255, 220, 90, 255] } else { [30, 60, 160, 255] });
     TextureObject::image("checkers", [8, 8], texels.collect())
 }
 
@@ -395,7 +395,8 @@ fn shape(random: &mut Random, is_opaque: bool) -> Drawable {
         _ => (AlphaMode::Opaque, 1.0),
     };
     let texture = random.percent(40).then(|| {
-        let texel = |i: u32| [(i * 37 % 256) as u8, (i * 91 % 256) as u8, 200, if i % 3 == 0 { 90 } else { 255 }];
+        let texel =
+            |i: u32| [(i * 37 % 256) as u8, (i * 91 % 256) as u8, 200, if i.is_multiple_of(3) { 90 } else { 255 }];
         Arc::new(with_mips(8, 8, (0..64).flat_map(texel).collect()))
     });
     let material = Material {
