@@ -33,7 +33,7 @@ pub struct GenArgs {
     #[arg(long, value_name = "FILE")]
     pub imagery: Option<PathBuf>,
     /// Reference system of rasters that name none, as those with a world file: 4326, 3857, or a UTM zone's 326zz,
-    /// 327zz or 269zz
+    /// 327zz, 258zz or 269zz
     #[arg(long, value_name = "CODE", value_parser = reference_system)]
     pub epsg: Option<Crs>,
     /// What the tiles hold

@@ -53,6 +53,11 @@ impl Raster {
         Ok(raster)
     }
 
+    /// The same place, its longitudes a turn further east.
+    pub(crate) fn turn_east(&mut self) {
+        self.placement = self.placement.turned_east();
+    }
+
     /// Width and height in samples.
     pub fn size(&self) -> [usize; 2] {
         [self.width, self.height]
@@ -259,11 +264,12 @@ fn png_kind(path: &Path) -> Result<Option<(u8, &'static str)>, GenError> {
 fn exr(path: &Path, given: Option<Crs>) -> Result<Raster, GenError> {
     use exr::prelude::{ReadChannels as _, ReadLayers as _};
     let bad = |e: String| GenError::invalid(path, format!("EXR: {e}"));
-    // The header first: the decoder takes memory for whatever size it says.
-    let meta = exr::meta::MetaData::read_from_file(path, false).map_err(|e| bad(e.to_string()))?;
+    let file = std::fs::File::open(path).map_err(GenError::file(path))?;
+    let chunks = exr::block::read(BufReader::new(file), false).map_err(|e| bad(e.to_string()))?;
+    // The headers first: the decoder takes memory for whatever size they say.
     let file_bytes = std::fs::metadata(path).map_err(GenError::file(path))?.len();
     let believed = file_bytes.saturating_mul(MOST_COMPRESSED).max(1 << 20).min(MAX_SAMPLES as u64);
-    for header in &meta.headers {
+    for header in chunks.headers() {
         let (width, height) = (header.layer_size.width(), header.layer_size.height());
         let channels = header.channels.list.len();
         if width.saturating_mul(height).saturating_mul(channels) as u64 > believed {
@@ -276,7 +282,7 @@ fn exr(path: &Path, given: Option<Crs>) -> Result<Raster, GenError> {
         .all_channels()
         .first_valid_layer()
         .all_attributes()
-        .from_file(path)
+        .from_chunks(chunks)
         .map_err(|e| bad(e.to_string()))?;
     let (width, height) = (image.layer_data.size.width(), image.layer_data.size.height());
     if width == 0 || height == 0 || width.saturating_mul(height) > MAX_SAMPLES {

@@ -1,5 +1,6 @@
 //! From arguments to a folder of tiles.
 
+use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -17,6 +18,7 @@ use crate::grid::{Extent, Grid, QUANTUM_M};
 use crate::imagery::Imagery;
 use crate::mosaic::Mosaic;
 use crate::output::Partial;
+use crate::placement::ROUNDING;
 use crate::pyramid::{CELLS, Pyramid, TileKey};
 use crate::{ContentKind, ElevationSource, GenArgs, GenError, Procedural, Raster, Summary, mesh};
 
@@ -98,13 +100,12 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
         return Ok((Box::new(source), extent, args.levels.unwrap_or(PROCEDURAL_LEVELS)));
     }
     let rasters = args.dem.iter().map(|path| Raster::read_in(path, args.epsg)).collect::<Result<Vec<_>, _>>()?;
-    let mut longitudes: Vec<[f64; 2]> = Vec::new();
+    let rasters = on_from_the_date_line(rasters);
     let mut e = Extent { west: f64::MAX, south: f64::MAX, east: f64::MIN, north: f64::MIN };
     // Smallest step between samples, east and north, radians.
     let mut step = [f64::INFINITY; 2];
     for r in &rasters {
         let [west, south, east, north] = r.bounds();
-        longitudes.push([west, east]);
         e = Extent {
             west: e.west.min(west),
             south: e.south.min(south),
@@ -115,18 +116,14 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
         let own = [(east - west) / (w.max(2) - 1) as f64, (north - south) / (h.max(2) - 1) as f64];
         step = [step[0].min(own[0]), step[1].min(own[1])];
     }
-    let pi = std::f64::consts::PI;
-    let has_latitudes = e.south >= -0.5 * pi - 1e-6 && e.north <= 0.5 * pi + 1e-6;
-    let has_longitudes = e.west >= -pi - 1e-6 && e.east <= pi + 1e-6;
-    const ACROSS: &str = "the elevation reaches across the date line";
-    let problem = match (has_latitudes, has_longitudes) {
-        (true, false) if e.west.abs() < pi || e.east.abs() < pi => Some(ACROSS),
-        // Files on both sides of it, and nothing between them the other way round.
-        (true, true) if e.west < step[0] - pi && e.east > pi - step[0] && widest_gap(&mut longitudes) > pi => {
-            Some(ACROSS)
-        }
-        (true, true) if e.east - e.west >= 1e-9 && e.north - e.south >= 1e-9 => None,
-        _ => Some("the elevation lies nowhere on the earth"),
+    const NOWHERE: &str = "the elevation lies nowhere on the earth";
+    let is_there = e.south >= -0.5 * PI - ROUNDING && e.north <= 0.5 * PI + ROUNDING && e.west >= -PI - ROUNDING;
+    let (wide, high) = (e.east - e.west, e.north - e.south);
+    let problem = match e.east {
+        _ if !(is_there && wide >= 1e-9 && high >= 1e-9) => Some(NOWHERE),
+        east if east <= PI + ROUNDING || (e.west < PI && wide < PI) => None,
+        _ if e.west < PI => Some("the elevation reaches across the date line and half around the earth"),
+        _ => Some(NOWHERE),
     };
     if let Some(problem) = problem {
         return Err(GenError::invalid(args.dem.first().cloned().unwrap_or_default(), problem));
@@ -135,6 +132,17 @@ fn source(args: &GenArgs) -> Result<(Box<dyn ElevationSource>, Extent, u32), Gen
     let cells = ((e.east - e.west) / step[0]).max((e.north - e.south) / step[1]) - 1e-6;
     let wanted = ((cells / CELLS as f64).log2().ceil().max(0.0) as u32 + 1).clamp(1, MAX_LEVELS);
     Ok((Box::new(Mosaic::new(rasters)), e, args.levels.unwrap_or(wanted)))
+}
+
+/// Where files lie on both sides of the date line, or one across it, and not all around the earth the other way: the
+/// western longitudes go on from 180 degrees, so that all are one piece.
+fn on_from_the_date_line(mut rasters: Vec<Raster>) -> Vec<Raster> {
+    let mut longitudes: Vec<[f64; 2]> = rasters.iter().map(Raster::bounds).map(|[w, _, e, _]| [w, e]).collect();
+    let is_across = |[west, east]: &[f64; 2]| *west < -PI - ROUNDING || *east > PI + ROUNDING;
+    if longitudes.iter().any(is_across) || widest_gap(&mut longitudes) > PI {
+        rasters.iter_mut().filter(|r| r.bounds()[0] < 0.0).for_each(Raster::turn_east);
+    }
+    rasters
 }
 
 /// The widest stretch between intervals of longitude where none is.
@@ -273,7 +281,9 @@ fn tile_json(
     let high_m = f64::from(f.max_height_m);
     // Half a step of quantized vertices besides.
     let slack_m = 0.1 + (6_378_137.0 * cell * CELLS as f64 + high_m - low_m) / 131_070.0;
-    let region = [e.west, e.south, e.east, e.north, low_m - slack_m, high_m + slack_m];
+    // Of what lies across the date line, 3D Tiles has the west east of the east.
+    let [west, east] = [e.west, e.east].map(|l| if l > PI + ROUNDING { l - TAU } else { l });
+    let region = [west, e.south, east, e.north, low_m - slack_m, high_m + slack_m];
     let name = format!("{}/{}/{}", key.level, key.x, key.y);
     let leaf = key.level + 1 == pyramid.levels;
     let mut tile = json!({

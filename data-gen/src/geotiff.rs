@@ -20,6 +20,13 @@ const USER_DEFINED: u32 = 32767;
 const PROJECTED: u32 = 1;
 const GEODETIC: u32 = 2;
 
+/// EPSG's vertical systems that are positive downwards (dataset 11.022).
+const DEPTHS: &[u32] = &[
+    5336, 5612, 5614, 5706, 5715, 5734, 5739, 5789, 5831, 5861, 5862, 5863, 5864, 5865, 5866, 5867, 5873, 6357, 6358,
+    6359, 7976, 8051, 8053, 8358, 8378, 8897, 9287, 9288, 9672, 10150, 10151, 10349, 10364, 10370, 10371, 10372, 10373,
+    10374, 10375, 10376, 10377, 10378, 10379, 10547, 10548, 10549, 10550, 10551, 10552, 10649, 10650, 10678,
+];
+
 /// What a TIFF holds: samples, row-major, north row first, channels interleaved.
 pub(crate) struct Tiff {
     pub width: usize,
@@ -46,13 +53,33 @@ impl GeoKeys {
     /// The reference system, `given` where only that it is projected is said; `None` where nothing is. The error is the
     /// reason.
     pub fn crs(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
+        let crs = self.system(given)?;
+        // Units and meridian that are said beside a system are its own, or it is another one.
+        let usual: &[(u16, &str, &[u32])] = match crs {
+            // GeogAngularUnits: degrees; GeogPrimeMeridian: Greenwich.
+            Some(Crs::Geographic) => {
+                &[(2054, "angles in units of", &[9102, 9122]), (2051, "longitudes from the meridian", &[8901])]
+            }
+            // ProjLinearUnits: metres.
+            Some(Crs::WebMercator | Crs::Utm { .. }) => &[(3076, "coordinates in units of", &[9001])],
+            None => &[],
+        };
+        for (key, what, values) in usual {
+            if let Some(value) = self.number(*key).filter(|value| !values.contains(value)) {
+                return Err(format!("GeoTIFF: {what} EPSG:{value}, which is not understood"));
+            }
+        }
+        Ok(crs)
+    }
+
+    fn system(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
         // GTModelType, ProjectedCRS, GeodeticCRS: the last is only what the projection is of where there is one.
         let model = self.number(1024);
         let code = self.number(3072).or_else(|| self.number(2048).filter(|_| model != Some(PROJECTED)));
         match (code, model) {
             (Some(code), model) if code != USER_DEFINED => Crs::from_epsg(code)
-                // Any geodetic system in degrees is within a few hundred metres of WGS84 at worst.
-                .or((model == Some(GEODETIC)).then_some(Crs::Geographic))
+                // Any geodetic system in degrees from Greenwich is within a few hundred metres of WGS84 at worst.
+                .or((model == Some(GEODETIC) && !has_other_meridian(code)).then_some(Crs::Geographic))
                 .map(Some)
                 .ok_or_else(|| format!("GeoTIFF: EPSG:{code} is not understood")),
             (_, Some(GEODETIC)) => Ok(Some(Crs::Geographic)),
@@ -72,20 +99,26 @@ impl GeoKeys {
         const US_SURVEY_FOOT: f64 = 1200.0 / 3937.0;
         // VerticalUnits, else what the system in Vertical is in: all of EPSG's that are not listed are in metres.
         match (self.number(4099), self.number(4096)) {
+            (_, Some(system)) if DEPTHS.contains(&system) => {
+                Err(format!("GeoTIFF: depths in EPSG:{system}, where heights are understood"))
+            }
             (Some(9001), _) => Ok(1.0),
             (Some(9002), _) => Ok(FOOT),
             (Some(9003), _) => Ok(US_SURVEY_FOOT),
             (Some(unit), _) => Err(format!("GeoTIFF: heights in units of EPSG:{unit}, which is not understood")),
             (None, Some(6130..=6132 | 8050 | 8228)) => Ok(FOOT),
             (None, Some(5702 | 6360 | 8052)) => Ok(US_SURVEY_FOOT),
-            // Depths in feet, and those of Ireland of 1936.
-            (None, Some(system @ (5614 | 5754 | 6358 | 6359 | 8051 | 8053 | 8897))) => {
-                Err(format!("GeoTIFF: heights in EPSG:{system}, which is not understood"))
-            }
+            // Feet of Ireland of 1936.
+            (None, Some(5754)) => Err("GeoTIFF: heights in EPSG:5754, which is not understood".to_owned()),
             (None, Some(USER_DEFINED)) => Err("GeoTIFF: user-defined heights without a unit".to_owned()),
             (None, _) => Ok(1.0),
         }
     }
+}
+
+/// EPSG's geographic systems whose longitudes do not count from Greenwich; some of them in grads.
+fn has_other_meridian(code: u32) -> bool {
+    matches!(code, 4801..=4821 | 4901..=4904 | 5229 | 8042 | 8043)
 }
 
 pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {

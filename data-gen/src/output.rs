@@ -54,15 +54,18 @@ impl Partial {
     }
 
     /// Moves what was made to OUT, in place of what is there. Where that fails it stays, and the error says where.
-    pub fn put_in_place(mut self, out: &Path) -> Result<(), GenError> {
+    pub fn put_in_place(self, out: &Path) -> Result<(), GenError> {
+        self.put_after(out, || fs::remove_dir_all(out))
+    }
+
+    /// As [`Self::put_in_place`], `remove` takes away what is in OUT.
+    fn put_after(mut self, out: &Path, remove: impl FnOnce() -> io::Result<()>) -> Result<(), GenError> {
+        self.is_done = true;
+        let removed = if out.exists() && !is_empty_folder(out) { remove() } else { Ok(()) };
+        // Not before: that may take long, and what ends the run leaves a folder that a later one knows for its own.
         self.mark = None;
         let at = self.path.join(MARK);
         fs::remove_file(&at).map_err(GenError::file(&at))?;
-        self.is_done = true;
-        let removed = match out.exists() && !is_empty_folder(out) {
-            true => fs::remove_dir_all(out),
-            false => Ok(()),
-        };
         // Of a mount point what was in it is gone, itself it stays.
         let removed = removed.or_else(|e| if is_empty_folder(out) { Ok(()) } else { Err(e) });
         removed.and_then(|()| move_folder(&self.path, out, |from, to| fs::rename(from, to))).map_err(|e| {
@@ -205,6 +208,29 @@ mod tests {
             assert_eq!((names(&out), names(out.parent().unwrap())), (vec!["tileset.json".into()], vec!["set".into()]));
             assert_eq!(fs::read_to_string(out.join("tileset.json")).unwrap(), text);
         }
+    }
+
+    /// A run that was ended while it removed the old set left its own for good.
+    #[test]
+    fn the_mark_stays_until_the_old_set_is_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("set");
+        let partial = Partial::beside(&out).unwrap();
+        let mark = partial.path().join(MARK);
+        fs::create_dir(&out).unwrap();
+        fs::write(out.join("old"), "old").unwrap();
+        let removed = || {
+            assert!(mark.is_file());
+            fs::remove_dir_all(&out)
+        };
+        partial.put_after(&out, removed).unwrap();
+        assert!(is_empty_folder(&out));
+        // What cannot be put in its place is whole, and nobody's to remove.
+        fs::write(out.join("old"), "old").unwrap();
+        let partial = Partial::beside(&out).unwrap();
+        let path = partial.path().to_owned();
+        let error = partial.put_after(&out, || Err(ErrorKind::PermissionDenied.into())).unwrap_err().to_string();
+        assert!(error.contains(&*path.to_string_lossy()) && is_empty_folder(&path), "{error}");
     }
 
     /// A mount point cannot be renamed over, nor anything be renamed into another file system.

@@ -10,6 +10,9 @@ use crate::{GenError, geotiff};
 /// degrees.
 const DEFAULT_PLACE: ([f64; 2], f64) = ([8.0, 47.0], 1.0 / 3600.0);
 
+/// Beyond 180 degrees by so little, radians, is at 180 degrees: files say their pixels in so many digits.
+pub(crate) const ROUNDING: f64 = 1e-6;
+
 /// From pixel corners to the reference system: `origin + column * dx + row * dy`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct GeoTransform {
@@ -50,9 +53,14 @@ impl Placement {
     /// A turn back for what lies beyond 180 degrees as a whole, so that 190 is -170. What reaches across them, and what
     /// lies more than a turn away, stays.
     pub fn turned(self, [west, _, east, _]: [f64; 4]) -> Self {
-        let within = |turn: f64| west + turn >= -PI - 1e-6 && east + turn <= PI + 1e-6;
+        let within = |turn: f64| west + turn >= -PI - ROUNDING && east + turn <= PI + ROUNDING;
         let turn = [0.0, -TAU, TAU].into_iter().find(|turn| within(*turn));
         Self { turn: self.turn + turn.unwrap_or(0.0), ..self }
+    }
+
+    /// A turn further east.
+    pub fn turned_east(self) -> Self {
+        Self { turn: self.turn + TAU, ..self }
     }
 
     /// Longitude and latitude in radians of a column and row, pixel corners integral.

@@ -8,11 +8,11 @@ use terrane::math::WGS84;
 /// A reference system that is understood.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Crs {
-    /// Degrees, EPSG:4326 (and NAD83's 4269, which differs by less than two metres).
+    /// Degrees, EPSG:4326 (and NAD83's 4269 and ETRS89's 4258, which differ by less than two metres).
     Geographic,
     /// EPSG:3857.
     WebMercator,
-    /// EPSG:326zz, 327zz, 269zz.
+    /// EPSG:326zz, 327zz, and 269zz (NAD83) and 258zz (ETRS89), as near.
     Utm {
         /// 1 to 60.
         zone: u32,
@@ -25,10 +25,11 @@ impl Crs {
     /// By EPSG code.
     pub fn from_epsg(code: u32) -> Option<Self> {
         match code {
-            4326 | 4269 | 4979 => Some(Self::Geographic),
+            4326 | 4258 | 4269 | 4979 => Some(Self::Geographic),
             3857 | 900_913 | 3785 => Some(Self::WebMercator),
             32601..=32660 => Some(Self::Utm { zone: code - 32600, north: true }),
             32701..=32760 => Some(Self::Utm { zone: code - 32700, north: false }),
+            25828..=25838 => Some(Self::Utm { zone: code - 25800, north: true }),
             26901..=26923 => Some(Self::Utm { zone: code - 26900, north: true }),
             _ => None,
         }

@@ -4,6 +4,7 @@
 
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 fn terrane_gen(out: &Path, args: &[&str], stdout: Stdio) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
@@ -35,6 +36,27 @@ fn wrong_values_are_wrong_usage() {
     let output = terrane_gen(&out, &["--size", "100", "--levels", "1", "--epsg", "32632"], Stdio::piped());
     assert_eq!(output.status.code(), Some(0));
     assert!(String::from_utf8(output.stdout).unwrap().starts_with("1 tiles on 1 levels"));
+}
+
+/// The run that was ended cannot; the next for the same folder does.
+#[test]
+fn what_a_killed_run_leaves_is_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("set");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));
+    let mut run = command.arg(&out).args(["--levels", "9"]).spawn().unwrap();
+    let names = || -> Vec<_> { folder.path().read_dir().unwrap().map(|e| e.unwrap().path()).collect() };
+    let start = Instant::now();
+    // The mark has its text as soon as the run's own folder is there.
+    while !names().iter().any(|path| path.join(".terrane-gen").metadata().is_ok_and(|mark| mark.len() > 0)) {
+        assert!(start.elapsed() < Duration::from_secs(120) && run.try_wait().unwrap().is_none(), "it does not begin");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    run.kill().unwrap();
+    run.wait().unwrap();
+    assert_eq!(names().len(), 1, "what it has made");
+    let output = terrane_gen(&out, &["--levels", "1"], Stdio::piped());
+    assert_eq!((output.status.code(), names()), (Some(0), vec![out]));
 }
 
 /// Both were a panic.

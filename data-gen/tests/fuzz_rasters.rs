@@ -88,10 +88,17 @@ fn an_exr_that_says_it_is_huge_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.exr");
     let mut exr = write_height_exr("t", 16, vec![1.0; 256]).unwrap();
+    let after = |exr: &[u8], name: &[u8]| exr.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
     for name in [&b"dataWindow\0box2i\0"[..], b"displayWindow\0box2i\0"] {
-        let at = exr.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
+        let at = after(&exr, name);
         exr[at + 8..at + 16].copy_from_slice(&[0xff, 0xff, 1, 0, 0xff, 0xff, 1, 0]);
     }
+    std::fs::write(&path, &exr).unwrap();
+    let error = Raster::read(&path).err().unwrap().to_string();
+    assert!(error.contains("a.exr: EXR: "), "{error}");
+    // Also where its blocks of 16 rows are as many.
+    let at = after(&exr, b"chunkCount\0int\0");
+    exr[at..at + 4].copy_from_slice(&8192u32.to_le_bytes());
     std::fs::write(&path, exr).unwrap();
     let error = Raster::read(&path).err().unwrap().to_string();
     assert!(error.contains("131072 x 131072"), "{error}");

@@ -89,6 +89,67 @@ fn geo_keys_name_the_system_of_a_world_file() {
     refused(&keyed("geocentric.tif", &[[1024, 3], [2048, 4978]]), "EPSG:4978 is not understood");
 }
 
+/// ETRS89's zones were refused; the units of the plane were not looked at.
+#[test]
+fn zones_of_each_datum_are_understood_in_metres_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let keyed = |keys: &[[u16; 2]]| {
+        let args = from_dem(folder.path(), "zone.tif", &tiff_int16_keyed(&heights(), None, keys));
+        world(&args.dem[0], PLANE);
+        GenArgs { overwrite: true, ..args }
+    };
+    let north = [(32601..=32660, 32600), (26901..=26923, 26900), (25828..=25838, 25800)];
+    for (codes, first) in north {
+        for code in codes.clone() {
+            assert_eq!(Crs::from_epsg(code), Some(Crs::Utm { zone: code - first, north: true }), "{code}");
+        }
+        assert_eq!([codes.start() - 1, codes.end() + 1].map(Crs::from_epsg), [None; 2], "{first}");
+    }
+    for code in 32701..=32760 {
+        assert_eq!(Crs::from_epsg(code), Some(Crs::Utm { zone: code - 32700, north: false }));
+    }
+    for (code, zone) in [(32632, 32), (25832, 32), (25828, 28), (25838, 38), (26901, 1), (26923, 23)] {
+        lies(&keyed(&[[1024, 1], [3072, code]]), bounds(zone));
+        lies(&keyed(&[[1024, 1], [3072, code], [3076, 9001]]), bounds(zone));
+    }
+    fs::remove_dir_all(folder.path().join("zone.tif.set")).unwrap();
+    for unit in [9002, 9003, 9036, 32767] {
+        let why = format!("coordinates in units of EPSG:{unit}, which");
+        refused(&keyed(&[[1024, 1], [3072, 25832], [3076, unit]]), &why);
+        refused(&keyed(&[[3072, 3857], [3076, unit]]), &why);
+        let own = keyed(&[[1024, 1], [3072, 32767], [3076, unit]]);
+        refused(&GenArgs { epsg: Some(UTM_32), ..own }, &why);
+    }
+}
+
+/// They were taken for degrees from Greenwich.
+#[test]
+fn geographic_systems_are_understood_in_degrees_from_greenwich_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let keyed = |keys: &[[u16; 2]]| {
+        let args = from_dem(folder.path(), "degrees.tif", &tiff_int16_keyed(&heights(), None, keys));
+        world(&args.dem[0], ([7.0, 46.0], 0.001));
+        GenArgs { overwrite: true, ..args }
+    };
+    for (keys, why) in [
+        (&[[1024, 2], [2048, 4807]][..], "EPSG:4807 is not understood"),
+        (&[[1024, 2], [2048, 4326], [2054, 9101]], "angles in units of EPSG:9101"),
+        (&[[1024, 2], [2048, 32767], [2054, 9105]], "angles in units of EPSG:9105"),
+        (&[[1024, 2], [2048, 32767], [2051, 8903]], "longitudes from the meridian EPSG:8903"),
+    ] {
+        refused(&keyed(keys), why);
+    }
+    let last = 0.001 * f64::from(SIDE - 1);
+    let expected = [7.0, 46.0 - last, 7.0 + last, 46.0].map(f64::to_radians);
+    for keys in [
+        &[[1024, 2], [2048, 4258]][..],
+        &[[1024, 2], [2048, 4267], [2054, 9102], [2051, 8901], [3076, 9002]],
+        &[[1024, 2], [2048, 32767], [2054, 9122]],
+    ] {
+        lies(&keyed(keys), expected);
+    }
+}
+
 #[test]
 fn pictures_in_a_plane_need_its_name_too() {
     let folder = tempfile::tempdir().unwrap();

@@ -204,18 +204,7 @@ fn bad_files_are_one_clear_error_and_leave_nothing() {
         assert!(text.contains(name) && text.len() > name.len() + 4 && text.lines().count() == 1, "{text}");
         assert!(!out.exists(), "{name} leaves nothing");
     }
-    write_tiff_at::<colortype::GrayI16>(([179.95, 46.5], 0.001), &file("across.tif"), |h| h as i16);
-    write_tiff_at::<colortype::GrayI16>(([-180.0, 46.5], 0.001), &file("west.tif"), |h| h as i16);
-    write_tiff_at::<colortype::GrayI16>(([180.0 - 0.001 * SIDE as f64, 46.5], 0.001), &file("east.tif"), |h| h as i16);
     for (args, what) in [
-        (
-            GenArgs { dem: vec![file("east.tif"), file("west.tif")], ..small(file("a")) },
-            "east.tif: the elevation reaches across the date",
-        ),
-        (
-            GenArgs { dem: vec![file("across.tif")], ..small(file("a")) },
-            "across.tif: the elevation reaches across the date",
-        ),
         (GenArgs { levels: Some(0), ..small(file("a")) }, "--levels"),
         (GenArgs { levels: Some(99), ..small(file("a")) }, "--levels"),
         (GenArgs { size: f64::NAN, ..small(file("a")) }, "--size"),
