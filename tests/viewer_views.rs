@@ -10,9 +10,9 @@ use std::path::Path;
 use glam::DVec3;
 use image::RgbaImage;
 use terrane::draw::Sky;
-use terrane::gpu::AdapterChoice;
-use terrane::scene::{Node, Page};
-use terrane::viewer::{ArrangedViews, Arrangement, CompositeViewer, ViewerConfig, ViewerError, ViewsSetup};
+use terrane::gpu::{AdapterChoice, GraphicsContext};
+use terrane::scene::{Inherit, Node, Page};
+use terrane::viewer::{ArrangedViews, Arrangement, CompositeViewer, Slave, ViewerConfig, ViewerError, ViewsSetup};
 use viewer_support::{Settle, ball, or_skip, small_set};
 
 fn setup(folder: &Path, text: &str) -> ViewsSetup {
@@ -108,6 +108,29 @@ fn a_scene_shows_one_tile_set() {
     viewer.load(second, &set).unwrap();
     assert!(viewer.remove_root(first, root).unwrap().is_some());
     viewer.load(first, &set).unwrap();
+}
+
+/// Together they hide a view that draws nothing.
+#[test]
+fn tiles_are_counted_for_each_view() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let mut config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
+    config.pager.blocking = true;
+    let mut viewer = CompositeViewer::new(&config).unwrap();
+    let context = viewer.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
+    let scene = viewer.add_scene().unwrap();
+    viewer.load(scene, &set).unwrap();
+    let [seeing, blind] = [(); 2].map(|()| viewer.add_view(scene, context, None).unwrap());
+    viewer.view_mut(blind).unwrap().camera.settings.cull_mask = 0;
+    let slave = Slave { inherit: Inherit::NONE, ..Slave::new(context) };
+    viewer.add_slave(blind, slave).unwrap();
+    viewer.settle(3);
+    let [seen, unseen] = [seeing, blind].map(|id| viewer.view_mut(id).unwrap().tiles_drawn());
+    let together = viewer.stats().last().unwrap().tiles_drawn;
+    assert!(seen > 0 && unseen == 0 && together > seen, "{seen} and {unseen} of {together}, the slave's too");
+    viewer.close_context(context).unwrap();
+    assert_eq!(viewer.view_mut(seeing).unwrap().tiles_drawn(), 0);
 }
 
 #[test]

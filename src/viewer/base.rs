@@ -315,7 +315,7 @@ impl ViewerBase {
     /// Hands jobs and tasks to the contexts and cameras, and takes what the culls found.
     fn render(
         &mut self,
-        views: &[View],
+        views: &mut [View],
         scenes: &mut [PagedScene],
         stats: &mut FrameStats,
         is_dynamic: bool,
@@ -357,7 +357,8 @@ impl ViewerBase {
             scene.fading = 0;
         }
         for (camera, CullOutcome { requests, counters, cull_ms, .. }) in self.rendering.outcomes() {
-            let Some(view) = view_of(camera) else { continue };
+            let Some(view) = views.iter_mut().find(|view| view.has_camera(camera)) else { continue };
+            view.was_culled(camera, counters.tiles_drawn);
             let scene = &mut scenes[view.scene];
             scene.requests.extend_from_slice(requests);
             scene.wanted_missing += counters.wanted_missing;

@@ -125,6 +125,8 @@ pub struct View {
     size_px: [u32; 2],
     samples: u32,
     stereo: Option<Stereo>,
+    /// By the master camera's last cull.
+    tiles_drawn: u32,
     /// Of the master camera.
     eyes: Eyes,
     /// What its eyes' pictures are drawn into; made anew when their size changes.
@@ -145,6 +147,7 @@ impl View {
             size_px,
             samples,
             stereo: None,
+            tiles_drawn: 0,
             eyes: Eyes::Both,
             targets: None,
             input: Input::new(size_px),
@@ -160,6 +163,18 @@ impl View {
     /// Where the master camera is drawn; `None` once its context was closed.
     pub fn context(&self) -> Option<ContextId> {
         self.master.map(|place| ContextId(place.context))
+    }
+
+    /// Tiles whose content the master camera's picture of the last frame has, those of cameras in it too; 0 without one.
+    pub fn tiles_drawn(&self) -> u32 {
+        if self.master.is_some() { self.tiles_drawn } else { 0 }
+    }
+
+    /// One of its cameras was culled and draws so many tiles.
+    pub(super) fn was_culled(&mut self, camera: u32, tiles_drawn: u32) {
+        if self.master.is_some_and(|place| place.camera == camera) {
+            self.tiles_drawn = tiles_drawn;
+        }
     }
 
     /// Part of the context that the master camera has.

@@ -21,6 +21,9 @@ impl Args {
     /// What no single argument says is wrong; exit code 2, as of the others.
     pub fn check(&self) -> Result<(), String> {
         match &self.command {
+            Command::Fly(args) if args.frames == Some(0) && !args.settle => {
+                Err("--frames 0 draws nothing; --settle draws the picture of the first camera".to_owned())
+            }
             Command::Serve(args) => args.check(),
             Command::Stress(args) => args.check(),
             _ => Ok(()),

@@ -87,10 +87,11 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     // Before a window opens or an adapter is asked for: a root that cannot be read ends here.
     if let Some(views) = views {
         let root = if views.needs_root() { Some(LoadedRoot::read(&source, &config.pager)?) } else { None };
-        return crate::views::run(*args, config, views, root, interrupt.asks_for_the_end());
+        return crate::views::run(*args, config, views, root, interrupt);
     }
     let root = LoadedRoot::read(&source, &config.pager)?;
-    let mut flight = Flight::new(*args, path, interrupt.asks_for_the_end())?;
+    interrupt.asks_for_the_end();
+    let mut flight = Flight::new(*args, path, interrupt.stop)?;
     flight.eyes = config.stereo;
     let mut viewer = if offscreen {
         let mut viewer = Viewer::new_offscreen(&config)?;
@@ -119,9 +120,10 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
 const INTERRUPTED: i32 = 130;
 
 /// What Ctrl-C does: it ends the process, and asks for the end once there is something to end well.
-struct Interrupt {
+pub struct Interrupt {
     asks: Arc<AtomicBool>,
-    stop: Arc<AtomicBool>,
+    /// Set once the end is asked for.
+    pub stop: Arc<AtomicBool>,
 }
 
 impl Interrupt {
@@ -136,10 +138,9 @@ impl Interrupt {
         interrupt
     }
 
-    /// Only asks from now on, by what it sets.
-    fn asks_for_the_end(self) -> Arc<AtomicBool> {
+    /// Only asks from now on.
+    pub fn asks_for_the_end(&self) {
         self.asks.store(true, Ordering::Relaxed);
-        self.stop
     }
 }
 

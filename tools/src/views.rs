@@ -1,8 +1,7 @@
 //! `terrane view` with a file of several views: windows to move in.
 
 use std::io::Write as _;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use terrane::cull::SunShadows;
@@ -10,7 +9,7 @@ use terrane::draw::Water;
 use terrane::viewer::{ArrangedViews, LoadedRoot, Samples, ViewerConfig, ViewsOptions, ViewsSetup, run_views};
 
 use crate::args::FlyArgs;
-use crate::fly::{FOREIGN_SSE_PX, HEIGHT_SSE_PX, application};
+use crate::fly::{FOREIGN_SSE_PX, HEIGHT_SSE_PX, Interrupt, application};
 
 /// `root` is that of the views that name no scene.
 pub fn run(
@@ -18,7 +17,7 @@ pub fn run(
     config: ViewerConfig,
     setup: ViewsSetup,
     root: Option<LoadedRoot>,
-    stop: Arc<AtomicBool>,
+    interrupt: Interrupt,
 ) -> Result<()> {
     for (name, is_given) in [
         ("--path", args.path.is_some()),
@@ -32,13 +31,18 @@ pub fn run(
     }
     writeln!(std::io::stdout(), "H shows the keys of a view, Esc ends").context("stdout")?;
     let (views, windows) = (setup.views.len(), setup.windows.len());
+    let stop = interrupt.stop.clone();
     let options = ViewsOptions {
         overlay: args.stats,
         root,
         on_demand: args.on_demand,
         max_frame_rate: args.max_fps.map(|rate| rate.0),
         before_frame: Box::new(move |_| Ok(!stop.load(Ordering::Relaxed))),
-        on_open: Box::new(move |arranged| open(arranged, &args).map_err(application)),
+        on_open: Box::new(move |arranged| {
+            // Until here the scenes' roots are read.
+            interrupt.asks_for_the_end();
+            open(arranged, &args).map_err(application)
+        }),
         ..ViewsOptions::default()
     };
     let viewer = run_views(config, setup, options)?.ok_or_else(|| anyhow!("the windows closed before they opened"))?;

@@ -193,6 +193,8 @@ fn an_interrupt_waits_for_no_server() {
     let interrupted = |args: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
         command.args(args).args(["--cache", folder.path().to_str().unwrap()]);
+        // A window opens, if the display is there, once everything is read.
+        command.env("DISPLAY", ":999");
         let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         // The request is on its way and gets no answer.
         let stream = listener.accept().unwrap();
@@ -205,6 +207,11 @@ fn an_interrupt_waits_for_no_server() {
     let said = String::from_utf8_lossy(&out.stdout).into_owned() + &String::from_utf8_lossy(&out.stderr);
     assert!(out.status.code() == Some(1) && said.contains("stopped, the same command goes on"), "{said}");
     let out = interrupted(&["fly", &url, "--offscreen"]);
+    assert_eq!(out.status.code(), Some(130), "{out:?}");
+    // Nor where the windows' views have sets of their own.
+    let config = folder.path().join("views.json");
+    std::fs::write(&config, format!(r#"{{"scenes": {{"far": "{url}"}}, "views": [{{"scene": "far"}}]}}"#)).unwrap();
+    let out = interrupted(&["view", "--config", config.to_str().unwrap()]);
     assert_eq!(out.status.code(), Some(130), "{out:?}");
 }
 

@@ -88,6 +88,7 @@ fn wrong_arguments_exit_2() {
         &["fly", "--look-ahead", "nan"],
         &["fly", "--water=-inf"],
         &["fly", "--samples", "2"],
+        &["fly", "anything", "--frames", "0", "--screenshot", "x.png"],
         &["gen", "set", "--size", "5"],
         &["serve", ".", "--error-rate", "2"],
         &["serve", ".", "--latency-ms=-5"],
@@ -112,6 +113,38 @@ fn wrong_arguments_exit_2() {
     }
     assert_eq!(terrane(&["--help"]).status.code(), Some(0));
     assert_eq!(terrane(&["--version"]).status.code(), Some(0));
+}
+
+/// It drew a picture of nothing.
+#[test]
+fn a_flight_of_no_frames_says_what_draws_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let shot = folder.path().join("shot.png");
+    let out = terrane(&["fly", "anything", "--offscreen", "--frames", "0", "--screenshot", shot.to_str().unwrap()]);
+    let says = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.code() == Some(2) && says.contains("--frames 0 draws nothing; --settle"), "{says}");
+    assert!(!shot.exists());
+}
+
+/// Some were missing.
+#[cfg(unix)]
+#[test]
+fn the_script_names_every_command() {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/run");
+    let help = lines(&terrane(&["--help"]).stdout);
+    let commands = help.iter().skip_while(|line| *line != "Commands:").skip(1);
+    let commands: Vec<&str> = commands.map_while(|line| line.split_whitespace().next()).collect();
+    assert!(commands.len() > 8, "{commands:?}");
+    for args in [&[][..], &["nonsense", "--levels"]] {
+        let out = Command::new("sh").arg(script).args(args).output().unwrap();
+        let usage = lines(&out.stderr);
+        assert_eq!((out.status.code(), out.stdout.len()), (Some(2), 0), "{usage:?}");
+        assert_eq!(usage[0].contains("nonsense"), !args.is_empty(), "{usage:?}");
+        for command in ["test"].iter().chain(&commands) {
+            let has_line = usage.iter().any(|line| line.split_whitespace().next() == Some(command));
+            assert!(has_line, "{command} is missing: {usage:?}");
+        }
+    }
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use image::RgbaImage;
 use terrane::pager::{DatabasePager, PagerConfig, PagerStats};
 use terrane::scene::{PageId, Scene, SlotState};
-use terrane::viewer::{Camera, HoleCheck, KEY_COLOR};
+use terrane::viewer::{Camera, CompositeViewer, HoleCheck, KEY_COLOR, SetBounds, ViewerError};
 
 /// Failures that are kept of a seed; the first says most.
 const MOST_FAILURES: usize = 20;
@@ -91,6 +91,27 @@ pub fn has_ground(scene: &Scene) -> bool {
     })
 }
 
+/// The middle of a camera's picture must show ground, once there is any.
+pub fn sees_ground(bounds: &SetBounds, camera: &Camera) -> bool {
+    HoleCheck::new(bounds).is_some_and(|check| check.must_hit(camera.eye(), camera.direction()))
+}
+
+/// Each view draws something where the middle of its own picture must show ground. All scenes show the set of `bounds`.
+pub fn ground(
+    failures: &mut Failures,
+    frame: u32,
+    viewer: &CompositeViewer,
+    bounds: &SetBounds,
+) -> Result<(), ViewerError> {
+    for (place, (id, view)) in viewer.views().enumerate() {
+        let must_show = has_ground(viewer.scene(viewer.scene_of(id)?)?) && sees_ground(bounds, &view.camera);
+        failures.check(!must_show || view.tiles_drawn() > 0, "nothing where ground is", frame, || {
+            format!("view {place}, all together: {:?}", viewer.stats().last().copied().unwrap_or_default())
+        });
+    }
+    Ok(())
+}
+
 /// Numbers that change while a pager gets anywhere.
 pub fn progress(s: &PagerStats) -> [u64; 6] {
     [s.loaded, s.merged, s.failed, s.expired, s.declined, s.bytes_read]
@@ -140,6 +161,54 @@ impl Pictures {
                 }
             }
             return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Duration, Instant};
+
+    use terrane::gpu::{AdapterChoice, GraphicsContext};
+    use terrane::viewer::ViewerConfig;
+
+    use super::*;
+
+    /// A view that draws all there is hid another that draws nothing.
+    #[test]
+    fn each_view_is_looked_at_by_itself() {
+        let folder = tempfile::tempdir().unwrap();
+        let set = folder.path().join("set");
+        let args = terrane_data_gen::GenArgs { levels: Some(2), ..terrane_data_gen::GenArgs::new(&set) };
+        terrane_data_gen::run(&args).unwrap();
+        let config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
+        let mut viewer = CompositeViewer::new(&config).unwrap();
+        let context = viewer.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
+        let scene = viewer.add_scene().unwrap();
+        viewer.load(scene, set.to_str().unwrap()).unwrap();
+        let bounds = *viewer.bounds(scene).unwrap().unwrap();
+        let views = [(); 2].map(|()| viewer.add_view(scene, context, None).unwrap());
+        let start = Instant::now();
+        while !has_ground(viewer.scene(scene).unwrap()) {
+            assert!(start.elapsed() < Duration::from_secs(60), "no ground comes");
+            viewer.frame().unwrap();
+            viewer.work_until(Instant::now() + Duration::from_millis(5));
+        }
+        let mut looked = |blind: Option<usize>| {
+            for (place, view) in views.iter().enumerate() {
+                let settings = &mut viewer.view_mut(*view).unwrap().camera.settings;
+                settings.cull_mask = if blind == Some(place) { 0 } else { u32::MAX };
+            }
+            viewer.frame().unwrap();
+            let mut failures = Failures::default();
+            ground(&mut failures, 7, &viewer, &bounds).unwrap();
+            failures.into_list()
+        };
+        assert_eq!(looked(None), Vec::<String>::new());
+        for blind in [0, 1] {
+            let failures = looked(Some(blind));
+            let says = format!("frame 7: nothing where ground is: view {blind}");
+            assert!(failures.len() == 1 && failures[0].starts_with(&says), "{failures:?}");
         }
     }
 }

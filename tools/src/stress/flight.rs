@@ -293,20 +293,16 @@ impl<'a> Flight<'a> {
         let (frame, camera) = (viewer.frame_stamp().frame, viewer.view_mut(first_view)?.camera);
         let pictures = viewer.take_pictures(first_context);
         // As cull has seen it: nothing is merged or expired between cull and here.
-        let first_scene = self.scenes[0];
-        let has_ground = check::has_ground(self.viewer()?.scene(first_scene)?);
-        // Something is drawn wherever the middle of the first view must show ground.
-        let must_show = has_ground
-            && HoleCheck::new(&self.bounds).is_some_and(|check| check.must_hit(camera.eye(), camera.direction()));
+        let viewer = self.viewer.as_ref().context("the viewer is gone")?;
         if wants_picture {
+            let has_ground = check::has_ground(viewer.scene(self.scenes[0])?);
+            let must_show = has_ground && check::sees_ground(&self.bounds, &camera);
             self.pictures.asked.push_back(Asked { frame, camera, has_ground, must_show });
         }
         for (frame, picture) in pictures {
             self.pictures.look(&mut self.failures, frame, &picture);
         }
-        let stats = self.viewer()?.stats().last().copied().unwrap_or_default();
-        let drawn = stats.tiles_drawn;
-        self.failures.check(!must_show || drawn > 0, "nothing where ground is", number, || format!("{stats:?}"));
+        check::ground(&mut self.failures, number, viewer, &self.bounds)?;
         self.outcome.frames += 1;
         Ok(())
     }
