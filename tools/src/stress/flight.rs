@@ -18,7 +18,7 @@ use terrane::viewer::{
 
 use super::check::{self, Asked, Failures, Pictures};
 use super::plan::{Drawing, Event, Faults, MOST_CONTEXTS, MOST_VIEWS, Plan, Pose, Way};
-use super::watch;
+use super::{fresh, watch};
 use crate::serve::{Background, ServeArgs};
 
 /// Frames within which everything comes to rest once faults have ceased.
@@ -28,7 +28,7 @@ const MOST_SETTLING: u32 = 3000;
 const LEAST_CLEARING: u32 = 4;
 const MOST_CLEARING: u32 = 100;
 /// The time of a frame while it settles: what requests wait for is given in time, not in frames.
-const SETTLING_FRAME: Duration = Duration::from_millis(5);
+pub const SETTLING_FRAME: Duration = Duration::from_millis(5);
 /// A pager with budgets that are too small is at rest once nothing has changed for so many frames.
 const AT_REST: u32 = 60;
 /// The end of a viewer, its threads and requests included.
@@ -49,6 +49,8 @@ pub struct Outcome {
     pub cancelled: u64,
     pub expired: u64,
     pub adapter: String,
+    /// The last picture was compared with that of a new viewer.
+    pub compared: bool,
 }
 
 /// Flies a seed over a set.
@@ -81,6 +83,8 @@ struct Flight<'a> {
     server: Option<Background>,
     /// The set is on a server of somebody else: what does not come from there is no fault of ours.
     is_elsewhere: bool,
+    /// The set, where no server of ours is in between.
+    files: &'a str,
     _scratch: Scratch,
     pager: PagerConfig,
     config: ViewerConfig,
@@ -128,21 +132,21 @@ fn served(source: &str) -> Result<(PathBuf, String)> {
 }
 
 impl<'a> Flight<'a> {
-    fn new(plan: &'a Plan, source: &str) -> Result<Self> {
+    fn new(plan: &'a Plan, files: &'a str) -> Result<Self> {
         watch::step(format_args!("start"));
         let scratch = Scratch::new(plan.seed)?;
         let mut pager = plan.pager.clone();
         if plan.has_cache && plan.way == Way::Http {
             pager.http.cache = Some(CacheConfig::new(scratch.0.join("cache")));
         }
-        let is_elsewhere = is_remote(source);
+        let is_elsewhere = is_remote(files);
         let (server, source) = if plan.way == Way::Http && !is_elsewhere {
-            let (folder, name) = served(source)?;
+            let (folder, name) = served(files)?;
             let server = Background::start(faulty(&folder, &plan.faults, plan.seed))?;
             let url = format!("{}{name}", server.url());
             (Some(server), url)
         } else {
-            (None, source.to_owned())
+            (None, files.to_owned())
         };
         let config = ViewerConfig {
             size_px: plan.size_px,
@@ -161,6 +165,7 @@ impl<'a> Flight<'a> {
             viewer: None,
             server,
             is_elsewhere,
+            files,
             _scratch: scratch,
             pager,
             config,
@@ -258,6 +263,7 @@ impl<'a> Flight<'a> {
             self.check()?;
         }
         self.settle()?;
+        self.compare()?;
         self.clear()?;
         self.close()?;
         Ok(std::mem::take(&mut self.outcome))
@@ -447,6 +453,46 @@ impl<'a> Flight<'a> {
         let missing = viewer.stats().last().map_or(0, |s| s.wanted_missing);
         let stats: Vec<_> = self.scenes.iter().filter_map(|s| Some(*viewer.pager(*s).ok()??.stats())).collect();
         self.failures.add("does not come to rest", self.frame, || format!("{missing} missing, {stats:?}"));
+        Ok(())
+    }
+
+    /// Where nothing was lost the first view shows what it would if the flight had not been.
+    fn compare(&mut self) -> Result<()> {
+        watch::step(format_args!("compare"));
+        let viewer = self.viewer.as_ref().context("the viewer is gone")?;
+        let mut pagers = self.scenes.iter().filter_map(|scene| viewer.pager(*scene).ok()?);
+        let is_whole = viewer.is_settled() && pagers.all(|p| p.stats().failed + p.stats().drawables_failed == 0);
+        let may_be_bent = self.server.is_some() && self.plan.faults.corrupt > 0.0;
+        if !(is_whole && self.is_drawn()) || self.plan.is_tiny || self.is_elsewhere || may_be_bent {
+            return Ok(());
+        }
+        for (view, slave, _) in std::mem::take(&mut self.slaves) {
+            self.viewer()?.remove_slave(view, slave)?;
+        }
+        for (view, _) in self.views.split_off(1) {
+            self.viewer()?.remove_view(view)?;
+        }
+        self.settle()?;
+        for _ in 0..fresh::LAST_FRAMES {
+            self.frame += 1;
+            self.one_frame()?;
+        }
+        let (first_view, first_context) = self.views[0];
+        let viewer = self.viewer()?;
+        viewer.finish()?;
+        let flown = viewer.read_back(first_context)?;
+        let view = viewer.view_mut(first_view)?;
+        let (camera, environment) = (view.camera, view.environment);
+        let fresh = fresh::picture(&self.config, self.files, flown.dimensions().into(), &camera, &environment)?;
+        self.outcome.compared = true;
+        if let Some(difference) = fresh::difference(&flown, &fresh) {
+            let folder = std::env::temp_dir();
+            let names = ["flown", "fresh"].map(|name| folder.join(format!("terrane-{}-{name}.png", self.plan.seed)));
+            flown.save(&names[0])?;
+            fresh.save(&names[1])?;
+            let says = || format!("{difference}; {} and {}", names[0].display(), names[1].display());
+            self.failures.add("not what a new viewer shows", self.frame, says);
+        }
         Ok(())
     }
 

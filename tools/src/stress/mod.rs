@@ -3,6 +3,7 @@
 //! ```text
 //! seed -> plan (settings, faults, poses, events) -> flight -> checks in each frame
 //!                                                          -> faults cease: it comes to rest
+//!                                                          -> its picture is that of a new viewer
 //!                                                          -> cleared: nothing is left
 //!                                                          -> closed: in time
 //! ```
@@ -14,6 +15,7 @@
 mod check;
 mod faults;
 mod flight;
+mod fresh;
 mod plan;
 mod random;
 mod runner;
