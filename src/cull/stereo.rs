@@ -113,12 +113,12 @@ impl Stereo {
         }
     }
 
-    /// The left and the right eye of a camera. Each looks in the camera's direction; its projection is sheared so
+    /// The left and the right eye of a camera, or the other way round where they change places. Each looks in the camera's direction; its projection is sheared so
     /// that both pictures agree at the fusion distance (as OSG's `computeLeftEyeProjection`).
     pub fn eyes(&self, camera: &CullCamera) -> [CullCamera; 2] {
         let scale = self.fusion_distance_m / self.screen_distance_m;
         let scale = if scale.is_finite() && scale > 0.0 { scale } else { 1.0 };
-        let half = 0.5 * self.eye_separation_m * if self.swaps_eyes { -1.0 } else { 1.0 };
+        let half = 0.5 * self.eye_separation_m;
         let half = if half.is_finite() { half } else { 0.0 };
         let eye_px = self.eye_size_px(camera.viewport_px);
         let eye = |side: f64, mask: u32| {
@@ -144,7 +144,8 @@ impl Stereo {
             eye
         };
         let settings = camera.settings;
-        [eye(1.0, settings.cull_mask_left), eye(-1.0, settings.cull_mask_right)]
+        let [left, right] = [eye(1.0, settings.cull_mask_left), eye(-1.0, settings.cull_mask_right)];
+        if self.swaps_eyes { [right, left] } else { [left, right] }
     }
 }
 
@@ -170,8 +171,18 @@ mod tests {
             (left_screen.clip_from_eye, right_screen.clip_from_eye),
             (camera.clip_from_eye, camera.clip_from_eye)
         );
-        let [swapped, _] = Stereo { swaps_eyes: true, ..stereo }.eyes(&camera);
-        assert!((x(&swapped, 10.0) - x(&right, 10.0)).abs() < 1e-12);
+        assert_eq!(Stereo { swaps_eyes: true, ..stereo }.eyes(&camera), [right, left]);
+    }
+
+    /// Each eye took the other's place and kept its own mask.
+    #[test]
+    fn eyes_that_change_places_see_what_they_saw() {
+        let mut camera = CullCamera::default();
+        (camera.settings.cull_mask_left, camera.settings.cull_mask_right) = (1, 2);
+        let stereo = Stereo::new(StereoMode::HorizontalSplit);
+        let [left, right] = stereo.eyes(&camera);
+        assert_eq!([left.settings.cull_mask, right.settings.cull_mask], [1, 2]);
+        assert_eq!(Stereo { swaps_eyes: true, ..stereo }.eyes(&camera), [right, left]);
     }
 
     #[test]

@@ -66,7 +66,7 @@ pub(super) struct Targets {
     can_stencil: bool,
     /// Some state uses the stencil in this frame.
     has_stencil: bool,
-    /// Stages that follow the outermost one in its own target.
+    /// Stages go on with the depth that another one left in the context's target.
     has_followers: bool,
     /// Pictures were drawn into the context's target in this frame.
     is_begun: bool,
@@ -97,8 +97,8 @@ impl Targets {
         let has_stencil = |stage| any(stage, &|s| s.state_sets.iter().any(|state| state.stencil().is_some()));
         let needs_stencil = stages.clone().any(has_stencil);
         self.has_stencil = needs_stencil && self.can_stencil;
-        let follows = |after| any(after, &|s| s.target.camera.is_none());
-        self.has_followers = stages.any(|stage| stage.post_render.iter().any(follows));
+        // The outermost clears the depth that those before it leave.
+        self.has_followers = stages.any(|s| of_context(&s.post_render) > 0 || of_context(&s.pre_render) > 1);
         (needs_stencil && !self.can_stencil)
             .then(|| "the adapter has no stencil beside float depth; stencil tests pass everywhere".into())
     }
@@ -186,8 +186,12 @@ impl Targets {
             }
             Ok(())
         };
-        for attachment in camera.colors.iter().chain(&camera.depth) {
+        for (place, attachment) in camera.colors.iter().chain(&camera.depth).enumerate() {
             check(attachment)?;
+            let part = |a: &Attachment| (Arc::as_ptr(&a.texture), a.level, a.layer);
+            if camera.colors.iter().take(place).any(|other| part(other) == part(attachment)) {
+                return Err(format!("texture {:?} is attached twice", attachment.texture.name));
+            }
         }
         let size_px = size_px.ok_or("a camera without attachments")?;
         let mut view = |attachment: &Attachment| -> Result<wgpu::TextureView, String> {
@@ -255,6 +259,12 @@ impl Targets {
             is_begun: false,
         })
     }
+}
+
+/// Of some stages and those around them, how many draw into the context's target.
+fn of_context(stages: &[RenderStage]) -> usize {
+    let and_around = |s: &RenderStage| of_context(&s.pre_render) + of_context(&s.post_render);
+    stages.iter().map(|s| usize::from(s.target.camera.is_none()) + and_around(s)).sum()
 }
 
 /// True when something holds for a stage or one around it.

@@ -79,3 +79,16 @@ pub(super) fn zeroed(format: wgpu::TextureFormat) -> wgpu::StencilState {
     let face = wgpu::StencilFaceState { compare, fail_op: zero, depth_fail_op: zero, pass_op: zero };
     wgpu::StencilState { front: face, back: face, read_mask: 0xff, write_mask: 0xff }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_of_any_size_are_a_bias() {
+        let constant = |units: f32| bias(PolygonOffset { factor: 1.0, units }).constant;
+        assert_eq!([4.0, -4.0, 0.0, f32::NAN].map(constant), [-4, 4, 0, 0]);
+        assert_eq!([f32::MAX, f32::INFINITY, 3e9].map(constant), [i32::MIN; 3]);
+        assert_eq!([f32::MIN, f32::NEG_INFINITY, -3e9].map(constant), [i32::MAX; 3]);
+    }
+}

@@ -67,9 +67,8 @@ pub(in crate::draw) struct Pipelines {
     index_of: HashMap<PipelineKey, u32>,
     parts: Parts,
     targets: Vec<TargetFormats>,
-    /// By target.
-    /// Of each target, in the order of [`Bare`].
-    bare: Vec<[Option<wgpu::RenderPipeline>; BARE]>,
+    /// Of each target, in the order of [`Bare`]; `Some(None)` where one could not be made.
+    bare: Vec<[Option<Option<wgpu::RenderPipeline>>; BARE]>,
     /// Modules by the address of their source.
     modules: Vec<(&'static str, wgpu::ShaderModule)>,
     features: wgpu::Features,
@@ -176,7 +175,7 @@ impl Pipelines {
     }
 
     pub(in crate::draw) fn bare(&self, what: Bare, target: u8) -> Option<&wgpu::RenderPipeline> {
-        self.bare.get(usize::from(target))?[what as usize].as_ref()
+        self.bare.get(usize::from(target))?[what as usize].as_ref()?.as_ref()
     }
 
     fn module(&mut self, ctx: &GraphicsContext, label: &str, source: &'static str) -> wgpu::ShaderModule {
@@ -191,10 +190,10 @@ impl Pipelines {
         module
     }
 
-    /// Makes a pipeline without a state for a target unless it is there.
+    /// Makes a pipeline without a state for a target unless it is there, or could not be made.
     pub(in crate::draw) fn ensure_bare(&mut self, ctx: &GraphicsContext, what: Bare, target: u8) {
         let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
-        if self.bare(what, target).is_some() {
+        if self.bare[usize::from(target)][what as usize].is_some() {
             return;
         }
         let (label, source, entries) = match what {
@@ -225,7 +224,7 @@ impl Pipelines {
                 }
             }
         }
-        self.bare[usize::from(target)][what as usize] = self.create(ctx, &variant);
+        self.bare[usize::from(target)][what as usize] = Some(self.create(ctx, &variant));
         self.created += 1;
     }
 

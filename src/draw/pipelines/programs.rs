@@ -1,7 +1,7 @@
 //! Programs of the application: parsed and checked here, so that what is wrong is one error and not a lost device;
 //! their uniforms filled by name. Draw thread.
 
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 
 use crate::draw::pipelines::key::MOST_PROGRAMS;
 use crate::draw::pipelines::{HEIGHT_PROGRAM_PRELUDE, PROGRAM_PRELUDE};
@@ -49,7 +49,8 @@ pub(in crate::draw) struct Compiled {
 }
 
 struct Entry {
-    program: Arc<Program>,
+    /// Of each device that draws with it.
+    program: Weak<Program>,
     compiled: Option<Compiled>,
 }
 
@@ -78,7 +79,9 @@ impl Programs {
         device: &wgpu::Device,
         program: &Arc<Program>,
     ) -> Result<Option<u16>, String> {
-        let is_it = |entry: &Option<Entry>| entry.as_ref().is_some_and(|e| Arc::ptr_eq(&e.program, program));
+        let is_it = |entry: &Option<Entry>| {
+            entry.as_ref().is_some_and(|e| std::ptr::eq(e.program.as_ptr(), Arc::as_ptr(program)))
+        };
         if let Some(place) = self.entries.iter().position(is_it) {
             let place = place as u16;
             return Ok(self.get(place).is_some().then_some(place));
@@ -94,7 +97,7 @@ impl Programs {
             Ok(compiled) => (Some(compiled), Ok(Some(place as u16))),
             Err(reason) => (None, Err(format!("program {:?}: {reason}", program.name))),
         };
-        let entry = Some(Entry { program: program.clone(), compiled });
+        let entry = Some(Entry { program: Arc::downgrade(program), compiled });
         match free {
             Some(place) => self.entries[place] = entry,
             None => self.entries.push(entry),
@@ -102,11 +105,11 @@ impl Programs {
         result
     }
 
-    /// Lets those go that nobody else has; their places.
+    /// Lets those go that nobody has; their places.
     pub(in crate::draw) fn prune(&mut self) -> Vec<u16> {
         let mut gone = Vec::new();
         for (place, slot) in (0u16..).zip(&mut self.entries) {
-            if slot.take_if(|entry| Arc::strong_count(&entry.program) == 1).is_some() {
+            if slot.take_if(|entry| entry.program.strong_count() == 0).is_some() {
                 gone.push(place);
             }
         }
@@ -117,10 +120,12 @@ impl Programs {
     pub(in crate::draw) fn ensure_heights(&mut self, device: &wgpu::Device, place: u16) -> Result<(), String> {
         let Some(Some(entry)) = self.entries.get_mut(usize::from(place)) else { return Ok(()) };
         let Some(compiled) = entry.compiled.as_mut().filter(|c| c.heights.is_none()) else { return Ok(()) };
-        let source = heights_source(&entry.program.wgsl)
-            .map_err(|reason| format!("program {:?} on height tiles: {reason}", entry.program.name))?;
+        // What is drawn has it.
+        let Some(program) = entry.program.upgrade() else { return Ok(()) };
+        let source = heights_source(&program.wgsl)
+            .map_err(|reason| format!("program {:?} on height tiles: {reason}", program.name))?;
         compiled.heights = Some(device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(&entry.program.name),
+            label: Some(&program.name),
             source: wgpu::ShaderSource::Wgsl(source.into()),
         }));
         Ok(())
