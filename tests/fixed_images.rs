@@ -8,7 +8,10 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3, DVec4};
 use gpu_support::{MAGENTA, Rig, Terrain, camera, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
-use terrane::scene::{ClipNode, Drawable, LightSource, Node, NodeKind, ReferenceFrame, TexGenNode};
+use terrane::scene::{
+    ClipNode, Drawable, Environment, Geometry, LightSource, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame,
+    TexGenNode, Topology,
+};
 use terrane::state::{
     AlphaFunc, Attribute, CompareFunction, FilterMode, Fog, FogMode, Light, LightModel, Mode, Sampler, StateSet,
     StateValue, SurfaceMaterial, TexGen, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode,
@@ -267,6 +270,43 @@ fn units_multiply_planes_rows_cubes_volumes_and_layers() {
         let set = unlit().with(Attribute::Texture(2, nearest(two)));
         assert_eq!(middle(rig, vec![node(white(), set)]), BLUE, "{dimension:?}");
     }
+    // Of each of these there is one; another unit showed it again.
+    let red = object(TextureDimension::Cube, [1, 1, 6], [255, 0, 0, 255].repeat(6));
+    let blue = object(TextureDimension::Cube, [1, 1, 6], [0, 0, 255, 255].repeat(6));
+    let set = unlit().with(Attribute::Texture(1, nearest(red))).with(Attribute::Texture(2, nearest(blue)));
+    let scene = rig.scene(node(square([1.0, 1.0, 0.0, 1.0]), set));
+    for frame in 0..2 {
+        let picture = rig.picture(&scene, &unit_camera(64), &plain());
+        assert_eq!(pixel(&picture, 32, 32), RED);
+        let errors = rig.renderer.take_errors();
+        assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
+        assert!(errors.iter().all(|e| e.contains("\"Cube\" is a second Cube")), "{errors:?}");
+    }
+    rig.release(scene);
+}
+
+/// They faced up, whatever their normals.
+#[test]
+fn points_have_their_normals() {
+    let Some(mut rig) = rig("points_have_their_normals") else { return };
+    let rig = &mut *rig;
+    let at = |x: f32, normal: [i8; 4]| MeshVertex { position: [x, 0.0, 0.0], normal, uv: [0.0; 2], color: [255; 4] };
+    let facing = [at(-0.5, [127, 0, 0, 0]), at(0.0, [0; 4]), at(0.5, [-127, 0, 0, 0])];
+    let mesh = Mesh::new(facing.to_vec(), vec![0, 1, 2], Topology::Points);
+    let points = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())]);
+    let material = SurfaceMaterial::default();
+    let fixed = StateSet::default().with(Attribute::SurfaceMaterial(material));
+    let environment = Environment { sun_direction: DVec3::new(1.0, 0.0, 0.4).normalize(), ..plain() };
+    let mut seen = |node: Node| {
+        let scene = rig.scene(node);
+        let picture = rig.picture(&scene, &unit_camera(64), &environment);
+        rig.release(scene);
+        let dots: Vec<_> = picture.pixels().map(|p| [p.0[0], p.0[1], p.0[2]]).filter(|rgb| *rgb != MAGENTA).collect();
+        <[[u8; 3]; 3]>::try_from(dots).unwrap()
+    };
+    let lit = seen(points.clone());
+    assert!(lit[0] > lit[1] && lit[1] > lit[2], "{lit:?}");
+    assert_eq!(seen(points.with_state_set(Arc::new(fixed))), lit);
 }
 
 #[test]

@@ -97,6 +97,31 @@ fn sky_and_sea_of_parallel_rays() {
     rig.release(scene);
 }
 
+/// It mirrored the sky that another picture had left.
+#[test]
+fn the_sea_over_a_background_mirrors_no_other_sky() {
+    let Some(mut rig) = rig("the_sea_over_a_background_mirrors_no_other_sky") else { return };
+    let view = camera([64, 64], DVec3::new(0.0, -100.0, 20.0), DVec3::ZERO, DVec3::Z);
+    let scene = rig.scene(Node::group(Vec::new()));
+    let day = |sun: DVec3| Environment { sun_direction: sun.normalize(), ..Environment::default() };
+    let noon = day(DVec3::new(0.0, 1.0, 0.6));
+    let sea = Environment { sky: Sky::Background(MAGENTA), water: Some(Water::at(0.0)), ..noon };
+    let mut pictures = Vec::new();
+    for other in [day(DVec3::Z), day(DVec3::new(0.0, 1.0, 0.02))] {
+        rig.picture(&scene, &view, &other);
+        pictures.push(rig.picture(&scene, &view, &sea));
+    }
+    assert!(pictures[0] == pictures[1]);
+    // Of the horizon's colour far away, darker nearby, and bright where the sun lies in it.
+    let at = |x: u32, y: u32| pictures[0].get_pixel(x, y).0;
+    let brightest = (30..64).map(|y| at(32, y)[0]).max().unwrap();
+    assert!(at(2, 28)[2] > at(2, 60)[2] && brightest > at(2, 60)[0] + 50, "{:?} {:?}", at(2, 28), at(2, 60));
+    let dusk = Environment { sun_direction: DVec3::new(0.0, 1.0, -0.5).normalize(), ..sea };
+    let dark = rig.picture(&scene, &view, &dusk).get_pixel(2, 28).0;
+    assert!(dark[1] < at(2, 28)[1] / 2, "{dark:?}");
+    rig.release(scene);
+}
+
 #[test]
 fn haze_takes_far_things_to_the_horizons_color() {
     let Some(mut rig) = rig("haze_takes_far_things_to_the_horizons_color") else { return };

@@ -379,3 +379,26 @@ impl White {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+
+    /// There was one for each bias, and with one that is no number another in each frame.
+    #[test]
+    fn a_bias_makes_no_sampler() {
+        let traits = ContextTraits { adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() };
+        let context = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut textures = StateTextures::new(context.device());
+        let sampler = |mip_bias: f32| Sampler { mip_bias, ..Sampler::default() };
+        let before = textures.samplers.len();
+        for bias in [0.0, 0.5, 1.0, f32::NAN, f32::NAN] {
+            textures.ensure_sampler(context.device(), &sampler(bias));
+            assert!(textures.known_sampler(&sampler(bias)).is_some());
+        }
+        assert!(textures.samplers.len() <= before + 1);
+        let nearest = Sampler { mag_filter: FilterMode::Nearest, ..sampler(f32::NAN) };
+        assert_eq!(textures.ensure_sampler(context.device(), &nearest), textures.samplers.len() as u32 - 1);
+    }
+}

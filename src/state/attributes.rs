@@ -78,7 +78,7 @@ pub enum Mode {
     /// A clip plane by its number, 0 to 5; off.
     ClipPlane(u8),
     /// A texture unit, 0 to 3; off. Unit 0 switched off with override takes the textures of drawables' own materials
-    /// along.
+    /// along. Without a program there is one cube, one volume and one array for all units: others are an error, and white.
     Texture(u8),
     /// [`TexGen`] of a texture unit; off.
     TexGen(u8),

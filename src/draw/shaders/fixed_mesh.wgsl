@@ -55,9 +55,15 @@ fn fs_fixed_mesh_fading(in: FixedMeshFragment, @builtin(front_facing) is_front: 
     return color;
 }
 
+// Lines and points have no facets: without a normal they face up.
+fn fixed_thin_color(in: FixedMeshFragment) -> vec4<f32> {
+    let normal = surface_normal(in.normal_v.xyz, true, frame.up.xyz);
+    return fixed_color(mesh_surface(in, normal, towards_sun(normal, frame.up.xyz)));
+}
+
 @fragment
 fn fs_fixed_thin(in: FixedMeshFragment) -> @location(0) vec4<f32> {
-    return fixed_color(mesh_surface(in, frame.up.xyz, frame.up.xyz));
+    return fixed_thin_color(in);
 }
 
 @fragment
@@ -71,7 +77,7 @@ fn fs_fixed_mesh_caster(in: FixedMeshFragment, @builtin(front_facing) is_front: 
 
 @fragment
 fn fs_fixed_thin_fading(in: FixedMeshFragment) -> @location(0) vec4<f32> {
-    let color = fixed_color(mesh_surface(in, frame.up.xyz, frame.up.xyz));
+    let color = fixed_thin_color(in);
     if is_faded_out(in.position.xy, in.leaf.y) {
         discard;
     }

@@ -114,6 +114,19 @@ pub(in crate::draw) struct FixedUniform {
 
 const _: () = assert!(TEXTURE_UNITS == 4);
 
+/// Of rows and pictures, of which each unit may have one. Of each other kind there is one.
+pub(in crate::draw) const PLANE: u32 = 1;
+
+/// As in [`FixedUniform::units`].
+pub(in crate::draw) fn unit_kind(dimension: TextureDimension) -> u32 {
+    match dimension {
+        TextureDimension::D1 | TextureDimension::D2 => PLANE,
+        TextureDimension::Cube => 2,
+        TextureDimension::D3 => 3,
+        TextureDimension::D2Array => 4,
+    }
+}
+
 impl FixedUniform {
     /// Of a state in a view of a stage.
     pub(in crate::draw) fn new(state: &ResolvedState, stage: &RenderStage, view: u32) -> Self {
@@ -155,12 +168,11 @@ impl FixedUniform {
         };
         for unit in 0..TEXTURE_UNITS {
             let Some(binding) = state.texture(unit) else { continue };
-            uniform.units[unit] = match binding.texture.dimension {
-                TextureDimension::D1 | TextureDimension::D2 => 1,
-                TextureDimension::Cube => 2,
-                TextureDimension::D3 => 3,
-                TextureDimension::D2Array => 4,
-            };
+            let kind = unit_kind(binding.texture.dimension);
+            if kind != PLANE && uniform.units.contains(&kind) {
+                continue;
+            }
+            uniform.units[unit] = kind;
             uniform.bias[unit] = binding.sampler.mip_bias;
             let Some(texgen) = state.texgen(unit) else { continue };
             let of_node = stage.texgens.iter().rev().find(|of| usize::from(of.unit) == unit);
