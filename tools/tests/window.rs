@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use image::RgbImage;
 use window_support::{
-    BUTTON_PRESS, BUTTON_RELEASE, Display, Driven, ESCAPE, KEY_PRESS, KEY_RELEASE, MOTION, SPACE, colours, differing,
-    part, tile_set,
+    BUTTON_PRESS, BUTTON_RELEASE, Display, Driven, ESCAPE, KEY_PRESS, KEY_RELEASE, MOTION, SPACE, UP, colours,
+    differing, part, tile_set,
 };
 
 #[test]
@@ -110,7 +110,7 @@ fn a_user_moves_looks_around_and_closes_the_window() {
     w.letter('2');
     std::thread::sleep(Duration::from_millis(500));
     w.until("the same from the fly manipulator", |picture| differing(&part(&home, rest), &part(picture, rest)) < 0.01);
-    let up = w.key_code(0xff52);
+    let up = w.key_code(UP);
     w.send(KEY_PRESS, up, 0, 0);
     w.until("flown", |picture| differing(&home, picture) > 0.02);
     w.send(KEY_RELEASE, up, 0, 0);

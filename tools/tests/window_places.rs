@@ -9,7 +9,9 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use image::RgbImage;
-use window_support::{Display, Driven, ESCAPE, SPACE, colours, differing, part, tile_set};
+use window_support::{
+    BUTTON_PRESS, BUTTON_RELEASE, Display, Driven, ESCAPE, MOTION, SPACE, colours, differing, part, tile_set,
+};
 use x11rb::connection::Connection as _;
 use x11rb::protocol::xproto::{ConfigureWindowAux, ConnectionExt as _, CreateWindowAux, InputFocus, WindowClass};
 use x11rb::wrapper::ConnectionExt as _;
@@ -96,6 +98,44 @@ fn windows_open_as_a_file_says() {
     w.x.set_input_focus(InputFocus::PARENT, first, x11rb::CURRENT_TIME).unwrap();
     w.key(ESCAPE);
     assert!(w.ended().success());
+}
+
+/// In a part of a window the pointer's place is that in the part: a double click goes where it goes in a window of its size.
+#[test]
+fn the_pointer_counts_from_the_picture_it_is_in() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
+    let config = folder.path().join("part.json");
+    let clicked = |text: &str, [x, y]: [u32; 2]| {
+        std::fs::write(&config, text).unwrap();
+        let args = ["view", set.to_str().unwrap(), "--config", config.to_str().unwrap()];
+        let mut w = Driven::start(&display, &args, folder.path());
+        let picture_px = [x, y, 200, 200];
+        w.until("pointer: first", |picture| colours(&part(picture, picture_px)) > 100);
+        std::thread::sleep(Duration::from_secs(3));
+        let before = part(&w.at_rest("pointer: at rest"), picture_px);
+        // A double click goes towards what is under the pointer.
+        let [left, upper] = [10 + x + 60, 20 + y + 150].map(|px| px as i16);
+        w.send(MOTION, 0, left, upper);
+        for _ in 0..2 {
+            w.send(BUTTON_PRESS, 1, 0, 0);
+            w.send(BUTTON_RELEASE, 1, 0, 0);
+        }
+        w.until("pointer: moved", |picture| differing(&before, &part(picture, picture_px)) > 0.1);
+        let after = part(&w.at_rest("pointer: after"), picture_px);
+        w.key(ESCAPE);
+        assert!(w.ended().success());
+        after
+    };
+    let window = |size: &str, camera: &str| {
+        format!(
+            r#"{{"windows": [{{"title": "Terrane - part", "position_px": [10, 20], "size_px": {size}, "cameras": [{camera}]}}]}}"#
+        )
+    };
+    let whole = clicked(&window("[200, 200]", "{}"), [0, 0]);
+    let part = clicked(&window("[400, 300]", r#"{"viewport_px": [150, 60, 200, 200]}"#), [150, 60]);
+    let apart = differing(&whole, &part);
+    assert!(apart < 0.01, "{apart}");
 }
 
 #[test]

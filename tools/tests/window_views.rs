@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 
 use image::RgbImage;
 use window_support::{
-    BUTTON_PRESS, BUTTON_RELEASE, Display, Driven, ESCAPE, MOTION, SPACE, colours, differing, part, tile_set,
+    BUTTON_PRESS, BUTTON_RELEASE, Display, Driven, ESCAPE, KEY_PRESS, KEY_RELEASE, MOTION, SPACE, UP, colours,
+    differing, part, tile_set,
 };
 use x11rb::protocol::xproto::{ConnectionExt as _, InputFocus};
 use x11rb::wrapper::ConnectionExt as _;
@@ -167,6 +168,36 @@ fn a_button_that_goes_with_the_focus_holds_no_view() {
     let turned = w.at_rest("halves: right turned");
     assert!(differing(&part(&before, right), &part(&turned, right)) > 0.1, "the one that was dragged");
     assert!(differing(&part(&before, left), &part(&turned, left)) < 0.002, "the one that had the button");
+    w.key(ESCAPE);
+    assert_eq!(w.ended().code(), Some(0));
+}
+
+/// Else one view flies on for ever, and another ends what it has not begun.
+#[test]
+fn a_key_comes_up_for_the_view_that_it_went_down_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
+    let config = folder.path().join("keys.json");
+    let text = r#"{"windows": [{"title": "Terrane - keys", "position_px": [10, 20], "size_px": [400, 200]}],
+        "views": [{"cameras": [{"viewport": [0, 0, 0.5, 1]}]}, {"cameras": [{"viewport": [0.5, 0, 0.5, 1]}]}]}"#;
+    std::fs::write(&config, text).unwrap();
+    let args = ["view", set.to_str().unwrap(), "--config", config.to_str().unwrap()];
+    let mut w = Driven::start(&display, &args, folder.path());
+    let (left, right) = ([0, 0, 200, 200], [200, 0, 200, 200]);
+    w.until("keys: first", |picture| [left, right].iter().all(|of| colours(&part(picture, *of)) > 100));
+    // The left view flies by the arrows, the right one does too.
+    for x in [310, 110] {
+        w.send(MOTION, 0, x, 140);
+        w.letter('2');
+    }
+    let before = w.at_rest("keys: at rest");
+    let up = w.key_code(UP);
+    w.send(KEY_PRESS, up, 0, 0);
+    w.until("keys: flies", |picture| differing(&part(&before, left), &part(picture, left)) > 0.02);
+    w.send(MOTION, 0, 310, 140);
+    w.send(KEY_RELEASE, up, 0, 0);
+    let after = w.at_rest("keys: at rest again");
+    assert!(differing(&part(&before, right), &part(&after, right)) < 0.002, "the one where it came up");
     w.key(ESCAPE);
     assert_eq!(w.ended().code(), Some(0));
 }

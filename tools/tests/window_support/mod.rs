@@ -264,3 +264,4 @@ pub fn tile_set(folder: &Path) -> Option<PathBuf> {
 
 pub const ESCAPE: u32 = 0xff1b;
 pub const SPACE: u32 = 0x20;
+pub const UP: u32 = 0xff52;
