@@ -8,6 +8,8 @@ use crate::Crs;
 
 /// Most levels of a pyramid.
 pub(crate) const MAX_LEVELS: u32 = 9;
+/// Threads that may be asked for.
+pub(crate) const JOBS: RangeInclusive<usize> = 1..=256;
 /// Sides of procedural terrain that can be made, metres.
 pub(crate) const SIZES_M: RangeInclusive<f64> = 100.0..=2_000_000.0;
 
@@ -52,7 +54,7 @@ pub struct GenArgs {
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// Threads; all cores by default
-    #[arg(long)]
+    #[arg(long, value_parser = jobs)]
     pub jobs: Option<usize>,
     /// Replace the tile set that OUT holds
     #[arg(long)]
@@ -81,6 +83,11 @@ impl GenArgs {
 fn size_m(text: &str) -> Result<f64, String> {
     let size = text.parse().ok().filter(|size| SIZES_M.contains(size));
     size.ok_or_else(|| "not within 100 m and 2,000 km".to_owned())
+}
+
+fn jobs(text: &str) -> Result<usize, String> {
+    let jobs = text.parse().ok().filter(|jobs| JOBS.contains(jobs));
+    jobs.ok_or_else(|| format!("no number from {} to {}", JOBS.start(), JOBS.end()))
 }
 
 fn reference_system(code: &str) -> Result<Crs, String> {

@@ -31,6 +31,7 @@ impl Raster {
 
     /// As [`Raster::read`], in the reference system that is given where the file names none of its own.
     pub fn read_in(path: &Path, given: Option<Crs>) -> Result<Self, GenError> {
+        GenError::if_not_regular(path)?;
         let mut magic = [0u8; 8];
         let mut file = std::fs::File::open(path).map_err(GenError::file(path))?;
         let got = file.read(&mut magic).map_err(GenError::file(path))?;

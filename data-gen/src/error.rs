@@ -1,6 +1,6 @@
 //! What can go wrong; each names the file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why a tile set could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -36,6 +36,14 @@ impl GenError {
     pub(crate) fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         move |reason| Self::File { path, reason }
+    }
+
+    /// A pipe or a device may never end, or never begin.
+    pub(crate) fn if_not_regular(path: &Path) -> Result<(), Self> {
+        match std::fs::metadata(path).map_err(Self::file(path))?.is_file() {
+            true => Ok(()),
+            false => Err(Self::invalid(path, "is not a regular file")),
+        }
     }
 
     pub(crate) fn invalid(path: impl Into<PathBuf>, reason: impl Into<String>) -> Self {

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use serde_json::{Value, json};
 use terrane::io::write::{write_glb, write_height_exr};
 
-use crate::args::{MAX_LEVELS, SIZES_M};
+use crate::args::{JOBS, MAX_LEVELS, SIZES_M};
 use crate::color::{Painter, TEXELS};
 use crate::grid::{Extent, Grid, QUANTUM_M};
 use crate::imagery::Imagery;
@@ -49,6 +49,9 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => false,
         Err(e) => return Err(GenError::File { path: out, reason: e }),
     };
+    if out.is_symlink() && !out.exists() {
+        return Err(GenError::invalid(out, "a link to what is not there"));
+    }
     if occupied && !args.overwrite {
         return Err(GenError::Exists(out));
     }
@@ -63,6 +66,10 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if args.levels.is_some_and(|l| l == 0 || l > MAX_LEVELS) {
         return Err(GenError::Argument(format!("--levels must be 1 to {MAX_LEVELS}")));
     }
+    if args.jobs.is_some_and(|jobs| !JOBS.contains(&jobs)) {
+        return Err(GenError::Argument(format!("--jobs must be {} to {}", JOBS.start(), JOBS.end())));
+    }
+    // 0: as many as there are cores.
     let threads = args.jobs.unwrap_or(0);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)

@@ -27,6 +27,7 @@ pub(crate) struct Imagery {
 impl Imagery {
     /// Reads a file, in the reference system that is given where it names none of its own.
     pub fn read(path: &Path, given: Option<Crs>) -> Result<Self, GenError> {
+        GenError::if_not_regular(path)?;
         let is_tiff = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("tif") || e.eq_ignore_ascii_case("tiff"));
         if is_tiff {
             let t = geotiff::read(path)?;
@@ -38,7 +39,10 @@ impl Imagery {
             let has_alpha = t.has_alpha && channels > 1;
             return Ok(Self { width, height, channels, has_alpha, pixels, placement });
         }
-        let image = image::open(path).map_err(|e| GenError::invalid(path, e.to_string()))?;
+        // By what is in it, whatever its name ends in.
+        let reader = image::ImageReader::open(path).and_then(|r| r.with_guessed_format());
+        let image = reader.map_err(GenError::file(path))?.decode();
+        let image = image.map_err(|e| GenError::invalid(path, e.to_string()))?;
         let (width, height) = (image.width() as usize, image.height() as usize);
         let placement = Placement::of_picture(path, [width, height], given)?;
         let has_alpha = image.color().has_alpha();
@@ -89,6 +93,18 @@ impl Imagery {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pictures_are_known_by_what_is_in_them() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["picture", "picture.jpg"] {
+            let path = folder.path().join(name);
+            image::RgbImage::from_pixel(4, 4, image::Rgb([10, 20, 30]))
+                .save_with_format(&path, image::ImageFormat::Png)
+                .unwrap();
+            assert_eq!(Imagery::read(&path, None).unwrap().pixels[..3], [10, 20, 30], "{name}");
+        }
+    }
 
     #[test]
     fn what_is_transparent_is_not_there() {

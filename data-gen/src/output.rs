@@ -53,21 +53,20 @@ impl Partial {
         &self.path
     }
 
-    /// Moves what was made to OUT, in place of what is there. Where that fails it stays, and the error says where.
+    /// Moves what was made to OUT, in place of what is in it; a folder that is there stays, with whoever is in it. Where
+    /// that fails what was made stays, and the error says where.
     pub fn put_in_place(self, out: &Path) -> Result<(), GenError> {
-        self.put_after(out, || fs::remove_dir_all(out))
+        self.put_after(out, || empty(out))
     }
 
     /// As [`Self::put_in_place`], `remove` takes away what is in OUT.
     fn put_after(mut self, out: &Path, remove: impl FnOnce() -> io::Result<()>) -> Result<(), GenError> {
         self.is_done = true;
-        let removed = if out.exists() && !is_empty_folder(out) { remove() } else { Ok(()) };
+        let removed = if out.exists() { remove() } else { Ok(()) };
         // Not before: that may take long, and what ends the run leaves a folder that a later one knows for its own.
         self.mark = None;
         let at = self.path.join(MARK);
         fs::remove_file(&at).map_err(GenError::file(&at))?;
-        // Of a mount point what was in it is gone, itself it stays.
-        let removed = removed.or_else(|e| if is_empty_folder(out) { Ok(()) } else { Err(e) });
         removed.and_then(|()| move_folder(&self.path, out, |from, to| fs::rename(from, to))).map_err(|e| {
             let reason = io::Error::new(e.kind(), format!("{e}; the new set is in {}", self.path.display()));
             GenError::File { path: out.to_path_buf(), reason }
@@ -87,6 +86,15 @@ impl Drop for Partial {
 
 fn is_empty_folder(path: &Path) -> bool {
     fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none())
+}
+
+/// Removes what is in a folder.
+fn empty(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let (entry, path) = entry.map(|e| (e.file_type(), e.path()))?;
+        if entry?.is_dir() { fs::remove_dir_all(path)? } else { fs::remove_file(path)? }
+    }
+    Ok(())
 }
 
 /// Removes folders with a mark that nobody holds. One that cannot be removed is no reason not to begin.
@@ -111,9 +119,8 @@ fn is_left_behind(folder: &Path) -> bool {
 /// Moves a folder to where an empty one may be, which need not be movable itself: then what is in `from` goes into it,
 /// `tileset.json` last, so that there is no set before it is whole. What of it is there when that fails is removed.
 fn move_folder(from: &Path, to: &Path, rename: impl Fn(&Path, &Path) -> io::Result<()>) -> io::Result<()> {
-    let Err(error) = rename(from, to) else { return Ok(()) };
     if !is_empty_folder(to) {
-        return Err(error);
+        return rename(from, to);
     }
     let mut names = fs::read_dir(from)?.map(|entry| entry.map(|e| e.file_name())).collect::<io::Result<Vec<_>>>()?;
     names.sort_by_key(|name| name == "tileset.json");
@@ -221,7 +228,7 @@ mod tests {
         fs::write(out.join("old"), "old").unwrap();
         let removed = || {
             assert!(mark.is_file());
-            fs::remove_dir_all(&out)
+            empty(&out)
         };
         partial.put_after(&out, removed).unwrap();
         assert!(is_empty_folder(&out));
@@ -231,6 +238,28 @@ mod tests {
         let path = partial.path().to_owned();
         let error = partial.put_after(&out, || Err(ErrorKind::PermissionDenied.into())).unwrap_err().to_string();
         assert!(error.contains(&*path.to_string_lossy()) && is_empty_folder(&path), "{error}");
+    }
+
+    /// Who made a set in the folder he was in was in none any more.
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_is_there_stays() {
+        use std::os::unix::fs::MetadataExt as _;
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("set");
+        fs::create_dir(&out).unwrap();
+        let number = fs::metadata(&out).unwrap().ino();
+        for text in ["1", "2"] {
+            let partial = Partial::beside(&out).unwrap();
+            fs::create_dir(partial.path().join(text)).unwrap();
+            fs::write(partial.path().join("tileset.json"), text).unwrap();
+            partial.put_in_place(&out).unwrap();
+            assert_eq!(
+                (fs::metadata(&out).unwrap().ino(), names(&out)),
+                (number, vec![text.into(), "tileset.json".into()])
+            );
+            assert_eq!(names(folder.path()), ["set"]);
+        }
     }
 
     /// A mount point cannot be renamed over, nor anything be renamed into another file system.

@@ -24,6 +24,8 @@ fn wrong_values_are_wrong_usage() {
         ["--epsg", "2056"],
         ["--epsg", "utm"],
         ["--content", "stones"],
+        ["--jobs", "0"],
+        ["--jobs", "70000"],
     ] {
         let output = terrane_gen(&out, &args, Stdio::piped());
         let text = String::from_utf8(output.stderr).unwrap();

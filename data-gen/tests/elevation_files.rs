@@ -350,6 +350,24 @@ fn broken_elevation_is_one_error_that_names_the_file() {
     assert!(matches!(error, GenError::File { .. }), "{error:?}");
 }
 
+/// A pipe that nobody writes to was waited for.
+#[cfg(unix)]
+#[test]
+fn what_is_no_file_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = from_dem(folder.path(), "good.tif", &tiff_int16(&heights(), Some(PLACE), None));
+    let pipe = folder.path().join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    for path in [folder.path(), Path::new("/dev/null"), &pipe] {
+        refused(&GenArgs { dem: vec![path.to_owned()], ..good.clone() }, path, "is not a regular file");
+        refused(&GenArgs { imagery: Some(path.to_owned()), ..good.clone() }, path, "is not a regular file");
+    }
+    // It was told when all had been made.
+    let link = folder.path().join("link");
+    std::os::unix::fs::symlink("nowhere", &link).unwrap();
+    refused(&GenArgs { out: link.clone(), ..good }, &link, "a link to what is not there");
+}
+
 #[test]
 fn a_file_cut_anywhere_is_refused() {
     let folder = tempfile::tempdir().unwrap();
