@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use terrane::cull::StereoMode;
+use terrane::io::is_remote;
 use terrane::viewer::{ThreadingModel, ViewFrom};
 
 use crate::net::NetArgs;
@@ -23,6 +24,9 @@ impl Args {
         match &self.command {
             Command::Fly(args) if args.frames == Some(0) && !args.settle => {
                 Err("--frames 0 draws nothing; --settle draws the picture of the first camera".to_owned())
+            }
+            Command::Bench(BenchArgs { bench: Bench::Page { url: Some(url), .. } }) if !is_remote(url) => {
+                Err(format!("--url {url}: neither an http(s) URL nor an s3://, gs:// or az:// URI"))
             }
             Command::Serve(args) => args.check(),
             Command::Stress(args) => args.check(),
@@ -328,8 +332,8 @@ pub enum Bench {
     /// A pager with many pages while nothing changes
     Resident {
         /// Pages that are merged
-        #[arg(long, default_value_t = 100_000)]
-        tiles: usize,
+        #[arg(long, default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+        tiles: u32,
         /// Shortest time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
@@ -346,8 +350,8 @@ pub enum Bench {
         #[arg(long)]
         draw: bool,
         /// Most tiles that are kept
-        #[arg(long, default_value_t = 600)]
-        tiles: usize,
+        #[arg(long, default_value_t = 600, value_parser = clap::value_parser!(u32).range(1..))]
+        tiles: u32,
         /// What the tiles hold
         #[arg(long, value_enum, default_value_t = PageContent::Mesh)]
         content: PageContent,

@@ -16,7 +16,7 @@ use terrane::io::shown;
 use terrane::timeline::Recording;
 use terrane::viewer::{
     AnimationPath, Arrangement, Camera, DisplaySettingError, DisplaySettings, HoleCheck, KEY_COLOR, LoadedRoot,
-    ParentWindow, Report, Settled, SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions,
+    ParentWindow, PathError, Report, Settled, SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions,
     has_display, run_window,
 };
 
@@ -54,8 +54,18 @@ fn fly(args: Box<FlyArgs>, mut settings: DisplaySettings) -> Result<()> {
     if args.interactive && !display {
         bail!("there is no display to open a window on; `terrane fly` renders without one");
     }
-    let path = args.path.as_deref().map(AnimationPath::read).transpose();
-    let path = path.with_context(|| args.path.as_deref().map_or(String::new(), |p| p.display().to_string()))?;
+    // Told before the flight, not after it.
+    let files = [&args.report, &args.selection, &args.screenshot];
+    if let Some(folder) = files.into_iter().flatten().find(|file| file.is_dir()) {
+        bail!("{}: is a folder", folder.display());
+    }
+    let path = args.path.as_deref().map(|file| {
+        AnimationPath::read(file).map_err(|error| match error {
+            PathError::Io { .. } => anyhow!("{error}"),
+            error => anyhow!("{}: {error}", file.display()),
+        })
+    });
+    let path = path.transpose()?;
     let offscreen = args.offscreen || !display;
     let mut arrangement = arrangement(&args, offscreen)?;
     let views = match &mut arrangement {

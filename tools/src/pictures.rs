@@ -71,5 +71,8 @@ pub fn write(path: &std::path::Path, image: &RgbaImage) -> Result<()> {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     let rgb = image::DynamicImage::ImageRgba8(image.clone()).into_rgb8();
-    rgb.save_with_format(path, image::ImageFormat::Png).with_context(|| path.display().to_string())
+    // Not straight to a file: what a buffer could not write when it goes is told to nobody.
+    let mut png = std::io::Cursor::new(Vec::new());
+    rgb.write_to(&mut png, image::ImageFormat::Png).with_context(|| path.display().to_string())?;
+    std::fs::write(path, png.into_inner()).with_context(|| path.display().to_string())
 }

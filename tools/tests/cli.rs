@@ -102,6 +102,12 @@ fn wrong_arguments_exit_2() {
         &["stress", "--faults", "error=0.9,reset=0.9"],
         &["stress", "http://localhost/set/", "--faults", "error=0.1"],
         &["fly", "--sun", "180,x,30"],
+        &["stress", "--seeds", "0"],
+        &["gen", "set", "--jobs", "0"],
+        &["bench", "resident", "--tiles", "0"],
+        &["bench", "resident", "--tiles", "18446744073709551615"],
+        &["bench", "page", "--tiles", "0"],
+        &["bench", "page", "--url", "localhost:8080"],
         &["bench", "page", "--frames", "0"],
         &["bench", "page", "--frames", "1"],
         &["bench", "page", "--pace", "1e-300"],
@@ -160,7 +166,13 @@ fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
     }
     let out = terrane(&["fly", "anything", "--path", "no/such.path", "--offscreen"]);
     assert_eq!(out.status.code(), Some(1));
-    assert!(lines(&out.stderr)[0].contains("no/such.path"));
+    let says = lines(&out.stderr).join(" ");
+    assert!(says.matches("no/such.path").count() == 1 && says.matches("os error").count() == 1, "{says}");
+    for option in ["--report", "--selection", "--screenshot"] {
+        let out = terrane(&["fly", "anything", "--offscreen", option, folder.path().to_str().unwrap()]);
+        let says = lines(&out.stderr).join(" ");
+        assert!(out.status.code() == Some(1) && says.contains("is a folder"), "{says}");
+    }
 }
 
 /// It was told that an earlier picture could not be written, and neither which nor why.
@@ -179,6 +191,14 @@ fn a_picture_that_cannot_be_written_is_named() {
     let stderr = lines(&out.stderr);
     assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
     assert!(stderr[0].starts_with("terrane fly: ") && stderr[0].contains(inside), "{stderr:?}");
+    // The last bytes were lost without a word.
+    #[cfg(target_os = "linux")]
+    {
+        let out = terrane(&["fly", set, "--offscreen", "--settle", "--size", "32x32", "--screenshot", "/dev/full"]);
+        let stderr = lines(&out.stderr);
+        assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
+        assert!(stderr[0].starts_with("terrane fly: /dev/full: "), "{stderr:?}");
+    }
 }
 
 #[test]

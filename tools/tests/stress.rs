@@ -105,6 +105,11 @@ fn what_goes_wrong_is_said() {
     let report: Value = serde_json::from_slice(&out.stdout).unwrap();
     assert_eq!(report["plan"].as_str(), plan.lines().next(), "{line}");
 
+    // A report that cannot be written is no reason to fly first.
+    let out = stress(&[&set, "--seeds", "2", "--frames", "5", "--report", &set]);
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.code() == Some(1) && out.stdout.is_empty() && said.contains(&set), "{said}");
+
     let out = stress(&["/no/such/set", "--seed", "1"]);
     let said = String::from_utf8_lossy(&out.stderr).into_owned() + &String::from_utf8_lossy(&out.stdout);
     assert!(out.status.code() == Some(1) && said.contains("/no/such"), "{said}");

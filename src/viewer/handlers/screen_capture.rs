@@ -59,6 +59,13 @@ impl Drop for Asked {
     }
 }
 
+/// Not straight to the file: what a buffer could not write when it goes is told to nobody.
+fn write_png(picture: &image::RgbaImage, file: &Path) -> image::ImageResult<()> {
+    let mut png = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut png, image::ImageFormat::Png)?;
+    std::fs::write(file, png.into_inner()).map_err(Into::into)
+}
+
 impl ScreenCaptureHandler {
     /// Writes into a folder.
     pub fn new(folder: &Path) -> Self {
@@ -79,7 +86,7 @@ impl ScreenCaptureHandler {
             let write = move || {
                 // A view's folder may not be there yet; where it cannot be made, saving says so.
                 let _ = file.parent().map(std::fs::create_dir_all);
-                let text = match picture.save(&file) {
+                let text = match write_png(&picture, &file) {
                     Ok(()) => format!("wrote {}", file.display()),
                     Err(error) => format!("{}: {error}", file.display()),
                 };

@@ -35,13 +35,13 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         Bench::Frame { secs, every_leaf } => frame::run(*secs, *every_leaf),
         Bench::Threading { secs } => threading::run(*secs),
         Bench::Share { secs } => share::run(*secs),
-        Bench::Resident { tiles, secs } => resident::run(*tiles, *secs),
+        Bench::Resident { tiles, secs } => resident::run(*tiles as usize, *secs),
         Bench::Page { frames, pace, draw, tiles, content, world, speed, look_ahead, by_motion, url, net } => {
             page::run(page::Options {
                 frames: *frames,
                 pace_hz: *pace,
                 draw: *draw,
-                tiles: *tiles,
+                tiles: *tiles as usize,
                 content: *content,
                 world: *world,
                 speed_m_s: speed.map(|speed| speed.0),

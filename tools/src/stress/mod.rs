@@ -41,7 +41,7 @@ pub struct StressArgs {
     /// Folder, tileset.json, archive, http(s) URL or s3://, gs://, az:// URI; without it small sets are made in a temporary folder
     pub source: Option<String>,
     /// How many seeds
-    #[arg(long, default_value_t = 200)]
+    #[arg(long, default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
     /// The first of them
     #[arg(long, default_value_t = 1)]
@@ -147,6 +147,10 @@ struct Report<'a> {
 }
 
 pub fn run(args: StressArgs) -> Result<()> {
+    // Told before the flights, not after them.
+    if let Some(file) = &args.report {
+        std::fs::File::create(file).with_context(|| file.display().to_string())?;
+    }
     match args.seed {
         Some(seed) => one(&args, seed),
         None => many(&args),

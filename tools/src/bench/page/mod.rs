@@ -8,7 +8,7 @@ mod tiles;
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use clap::ValueEnum as _;
 use glam::{DAffine3, DVec3};
 use serde_json::{Value, json};
@@ -191,7 +191,15 @@ pub fn run(options: Options) -> Result<()> {
         rss_start_mb: status_mb("VmRSS"),
     };
     for phase in ["converge_start", "fly", "converge_end", "rest"] {
-        say(bench.phase(phase)?);
+        let line = bench.phase(phase)?;
+        if bench.pager.stats().loaded == 0 {
+            let first = bench.pager.errors().into_iter().next();
+            bail!(
+                "no tile came; {}",
+                first.map_or("nothing failed".to_owned(), |e| format!("{}: {}", e.uri, e.reason))
+            );
+        }
+        say(line);
     }
     Ok(())
 }
