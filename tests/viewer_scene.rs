@@ -170,7 +170,8 @@ fn a_set_in_the_place_of_another_is_seen_as_the_first_one_was() {
     assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
     assert!(used.is_height_set());
     // Whoever changes pages of its own keeps its camera.
-    assert!(used.remove_root(root).is_some() && !used.is_height_set());
+    assert!(used.root_uri().is_some_and(|uri| uri.starts_with(&small)));
+    assert!(used.remove_root(root).is_some() && !used.is_height_set() && used.root_uri().is_none());
     used.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
     assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
 }

@@ -35,9 +35,8 @@ pub(super) struct PagedScene {
     pub(super) image_pager: Option<ImagePager>,
     /// Extent of the first root.
     pub(super) bounds: Option<SetBounds>,
-    pub(super) root_uri: Option<Arc<str>>,
-    /// The root of the tile set that was loaded.
-    loaded: Option<PageId>,
+    /// The root of the tile set that was loaded, and where it came from.
+    loaded: Option<(PageId, Arc<str>)>,
     /// By the number under which it was compiled, which is never used again.
     own: BTreeMap<u32, Own>,
     next_own: u32,
@@ -66,7 +65,6 @@ impl PagedScene {
             pager_config,
             image_pager: None,
             bounds: None,
-            root_uri: None,
             loaded: None,
             own: BTreeMap::new(),
             next_own: 0,
@@ -107,18 +105,21 @@ impl PagedScene {
         }
     }
 
+    /// Where the tile set came from that was loaded and is there.
+    pub(super) fn root_uri(&self) -> Option<&str> {
+        let (root, uri) = self.loaded.as_ref()?;
+        self.scene.roots().contains(root).then_some(uri)
+    }
+
     pub(super) fn set_root(&mut self, root: LoadedRoot, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
-        if let (Some(loaded), Some(uri)) = (self.loaded, &self.root_uri)
-            && self.scene.roots().contains(&loaded)
-        {
+        if let Some(uri) = self.root_uri() {
             return Err(ViewerError::HasTileset { uri: crate::io::shown(uri).into_owned() });
         }
         let LoadedRoot { pager, page, uri, region } = root;
         self.set_pager(pager, rendering);
-        self.root_uri = Some(uri);
         let first = self.bounds.is_none();
         let root = self.add_root(page, rendering)?;
-        self.loaded = Some(root);
+        self.loaded = Some((root, uri));
         if let (true, Some(bounds), Some(region)) = (first, &mut self.bounds, region) {
             *bounds = SetBounds::new(bounds.sphere, Some(region));
         }

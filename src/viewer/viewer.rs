@@ -278,9 +278,9 @@ impl Viewer {
         self.paged.bounds.as_ref()
     }
 
-    /// URI of the loaded root tile set.
+    /// URI of the loaded root tile set; `None` once it was removed.
     pub fn root_uri(&self) -> Option<&str> {
-        self.paged.root_uri.as_deref()
+        self.paged.root_uri()
     }
 
     /// True when the root tile set holds heights on a shared grid, whose error is in the height alone.
