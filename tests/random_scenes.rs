@@ -11,21 +11,15 @@ use std::sync::Arc;
 use glam::{DAffine3, DVec3};
 use gpu_support::{Rig, camera, count, plain, rig};
 use image::{Rgba, RgbaImage};
-use random_support::{Maker, Random, eye};
+use random_support::{Maker, Random, change, eye, named, seeds};
 use terrane::cull::{CullCamera, CullingMode};
 use terrane::scene::{
     Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Environment, Fog, Geometry, Node, NodeKind, Page,
-    PictureSink, RenderOrder, Scene, SunShadows, Topology, Water,
+    PictureSink, RenderOrder, SunShadows, Topology, Water,
 };
 use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObject};
 
 const SIDE: u32 = 96;
-
-fn seeds(usual: std::ops::Range<u64>) -> std::ops::Range<u64> {
-    let Ok(asked) = std::env::var("RANDOM_SCENES") else { return usual };
-    let (first, end) = asked.split_once("..").expect("RANDOM_SCENES=FIRST..END");
-    first.parse().unwrap()..end.parse().unwrap()
-}
 
 fn picture(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
     let scene = rig.scene(node.clone());
@@ -303,7 +297,7 @@ fn changed_scenes_are_those_made_so() {
         let mut scene = rig.scene(node.clone());
         for frame in 2..8 {
             for _ in 0..1 + maker.random.below(12) {
-                change(&mut scene, &mut node, &mut maker);
+                change(&mut scene, &mut node, &mut maker, false);
             }
             let changed = rig.picture(&scene, &CullCamera { frame, ..camera }, &plain());
             let made = picture(rig, &node, &camera, &plain());
@@ -312,62 +306,4 @@ fn changed_scenes_are_those_made_so() {
         rig.release(scene);
     }
     differences.assert_none();
-}
-
-/// Gives every node a name of its own.
-fn named(node: &mut Node, number: &mut u32) {
-    node.name = number.to_string();
-    *number += 1;
-    node.children.iter_mut().for_each(|child| named(child, number));
-}
-
-/// The node of a number in depth-first order.
-fn nth<'a>(node: &'a mut Node, left: &mut u64) -> Option<&'a mut Node> {
-    if *left == 0 {
-        return Some(node);
-    }
-    *left -= 1;
-    node.children.iter_mut().find_map(|child| nth(child, left))
-}
-
-fn count_nodes(node: &Node) -> u64 {
-    1 + node.children.iter().map(count_nodes).sum::<u64>()
-}
-
-/// Changes a node of the scene and that of the graph it was made of, in one of the ways that scenes offer.
-fn change(scene: &mut Scene, root: &mut Node, maker: &mut Maker) {
-    let mut left = maker.random.below(count_nodes(root));
-    let Some(node) = nth(root, &mut left) else { return };
-    let page = scene.roots()[0];
-    let id = scene.nodes_named(page, &node.name).next().unwrap();
-    let has_children = !node.children.is_empty();
-    match &mut node.kind {
-        NodeKind::Transform(map) | NodeKind::AbsoluteTransform(map) => {
-            *map = maker.random.place(8.0);
-            scene.set_transform(id, *map).unwrap();
-        }
-        NodeKind::Switch(shown) if has_children => {
-            let child = maker.random.below(node.children.len() as u64) as usize;
-            shown[child] = !shown[child];
-            scene.set_switch(id, child, shown[child]).unwrap();
-        }
-        NodeKind::Camera(camera) => {
-            camera.view = maker.random.place(6.0);
-            camera.viewport_px = maker.random.percent(50).then_some([10, 20, 60, 50]);
-            scene.set_camera(id, (**camera).clone()).unwrap();
-        }
-        _ => {
-            let Some(old) = node.state_set.clone() else { return };
-            let new = Arc::new(maker.state_set());
-            assert!(scene.replace_state_set(page, &old, new.clone()));
-            replace_set(root, &old, &new);
-        }
-    }
-}
-
-fn replace_set(node: &mut Node, old: &Arc<StateSet>, new: &Arc<StateSet>) {
-    if node.state_set.as_ref().is_some_and(|set| Arc::ptr_eq(set, old)) {
-        node.state_set = Some(new.clone());
-    }
-    node.children.iter_mut().for_each(|child| replace_set(child, old, new));
 }

@@ -1,5 +1,6 @@
 //! Scenes by chance: graphs of all kinds of nodes under all kinds of state, the same for the same seed.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on shall panic")]
+#![allow(dead_code, reason = "each test program uses a part of it")]
 
 use std::sync::Arc;
 
@@ -7,15 +8,23 @@ use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4, EulerRot};
 use terrane::math::Aabb;
 use terrane::scene::{
     AlphaMode, Billboard, BillboardMode, CameraNode, ClipNode, Drawable, Geometry, LightSource, Material, Mesh,
-    MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, TexGenNode, Topology,
+    MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, Scene, TexGenNode, Topology,
 };
 use terrane::state::{
     AlphaFunc, Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace,
-    Depth, Fog, FogMode, FrontFace, Light, LightModel, Mode, PolygonOffset, Scissor, SortMode, StateSet, StateValue,
-    Stencil, StencilFace, StencilOperation, SurfaceMaterial, TexGen, TextureBinding, TextureFormat, TextureObject,
+    DataVariance, Depth, Fog, FogMode, FrontFace, Light, LightModel, Mode, PolygonOffset, Scissor, SortMode, StateSet,
+    StateValue, Stencil, StencilFace, StencilOperation, SurfaceMaterial, TexGen, TextureBinding, TextureFormat,
+    TextureObject,
 };
 
 use super::gpu_support::{Terrain, with_mips};
+
+/// Those that RANDOM_SCENES=FIRST..END asks for, or the usual ones.
+pub fn seeds(usual: std::ops::Range<u64>) -> std::ops::Range<u64> {
+    let Ok(asked) = std::env::var("RANDOM_SCENES") else { return usual };
+    let (first, end) = asked.split_once("..").expect("RANDOM_SCENES=FIRST..END");
+    first.parse().unwrap()..end.parse().unwrap()
+}
 
 /// SplitMix64.
 pub struct Random(u64);
@@ -426,4 +435,74 @@ fn triangles(random: &mut Random, count: u32, place: DVec3, size: f64) -> Mesh {
         })
         .collect();
     Mesh::new(vertices, (0..3 * count).collect(), Topology::Triangles)
+}
+
+/// Gives every node a name of its own.
+pub fn named(node: &mut Node, number: &mut u32) {
+    node.name = number.to_string();
+    *number += 1;
+    node.children.iter_mut().for_each(|child| named(child, number));
+}
+
+/// The node of a number in depth-first order.
+fn nth<'a>(node: &'a mut Node, left: &mut u64) -> Option<&'a mut Node> {
+    if *left == 0 {
+        return Some(node);
+    }
+    *left -= 1;
+    node.children.iter_mut().find_map(|child| nth(child, left))
+}
+
+fn count_nodes(node: &Node) -> u64 {
+    1 + node.children.iter().map(count_nodes).sum::<u64>()
+}
+
+/// Changes a node of the scene and that of the graph it was made of, in one of the ways that scenes offer; meshes only
+/// where a viewer sends them to its devices.
+pub fn change(scene: &mut Scene, root: &mut Node, maker: &mut Maker, with_meshes: bool) {
+    let mut left = maker.random.below(count_nodes(root));
+    let Some(node) = nth(root, &mut left) else { return };
+    let page = scene.roots()[0];
+    let id = scene.nodes_named(page, &node.name).next().unwrap();
+    let has_children = !node.children.is_empty();
+    match &mut node.kind {
+        NodeKind::Transform(map) | NodeKind::AbsoluteTransform(map) => {
+            *map = maker.random.place(8.0);
+            scene.set_transform(id, *map).unwrap();
+        }
+        NodeKind::Switch(shown) if has_children => {
+            let child = maker.random.below(node.children.len() as u64) as usize;
+            shown[child] = !shown[child];
+            scene.set_switch(id, child, shown[child]).unwrap();
+        }
+        NodeKind::Camera(camera) => {
+            camera.view = maker.random.place(6.0);
+            camera.viewport_px = maker.random.percent(50).then_some([10, 20, 60, 50]);
+            scene.set_camera(id, (**camera).clone()).unwrap();
+        }
+        NodeKind::Geode(drawables) if with_meshes && maker.random.percent(60) => {
+            let place = maker.random.below(drawables.len() as u64) as usize;
+            let drawable = &mut drawables[place];
+            let Geometry::Mesh(mesh) = &mut drawable.geometry else { return };
+            let count = 1 + maker.random.below(30) as u32;
+            let at = maker.random.point(3.0);
+            *mesh = Arc::new(Mesh { topology: mesh.topology, ..triangles(&mut maker.random, count, at, 2.0) });
+            drawable.cluster = None;
+            let variance = maker.random.one_of(&[DataVariance::Static, DataVariance::Dynamic]);
+            scene.set_mesh(id, place, mesh.clone(), variance).unwrap();
+        }
+        _ => {
+            let Some(old) = node.state_set.clone() else { return };
+            let new = Arc::new(maker.state_set());
+            assert!(scene.replace_state_set(page, &old, new.clone()));
+            replace_set(root, &old, &new);
+        }
+    }
+}
+
+fn replace_set(node: &mut Node, old: &Arc<StateSet>, new: &Arc<StateSet>) {
+    if node.state_set.as_ref().is_some_and(|set| Arc::ptr_eq(set, old)) {
+        node.state_set = Some(new.clone());
+    }
+    node.children.iter_mut().for_each(|child| replace_set(child, old, new));
 }
