@@ -157,6 +157,7 @@ fn tiff(path: &Path, given: Option<Crs>) -> Result<Raster, GenError> {
         return Err(GenError::invalid(path, format!("TIFF with {} channels is no elevation", t.channels)));
     }
     let placement = Placement::of_tiff(path, &t, given)?;
+    let [factor, offset] = t.metres().map_err(|reason| GenError::invalid(path, reason))?;
     let mut samples: Vec<f32> = match t.samples {
         DecodingResult::U8(v) => v.into_iter().map(f32::from).collect(),
         DecodingResult::U16(v) => v.into_iter().map(f32::from).collect(),
@@ -169,10 +170,10 @@ fn tiff(path: &Path, given: Option<Crs>) -> Result<Raster, GenError> {
         _ => return Err(GenError::invalid(path, "TIFF: sample format that is not read")),
     };
     let nodata = t.nodata.map(|n| n as f32);
-    let metres = t.keys.metres_of_heights().map_err(|reason| GenError::invalid(path, reason))?;
     for h in &mut samples {
         // SRTM's void before it is feet, which would make a depth of it that there might be.
-        *h = if nodata == Some(*h) || *h == f32::from(i16::MIN) { f32::NAN } else { (f64::from(*h) * metres) as f32 };
+        let is_void = nodata == Some(*h) || *h == f32::from(i16::MIN);
+        *h = if is_void { f32::NAN } else { (f64::from(*h) * factor + offset) as f32 };
     }
     // A TIFF is expected to know its place; pictures and EXR are not.
     let placement = placement

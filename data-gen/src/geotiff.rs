@@ -20,6 +20,10 @@ const USER_DEFINED: u32 = 32767;
 const PROJECTED: u32 = 1;
 const GEODETIC: u32 = 2;
 
+/// Metres.
+const FOOT: f64 = 0.3048;
+const US_SURVEY_FOOT: f64 = 1200.0 / 3937.0;
+
 /// EPSG's vertical systems that are positive downwards (dataset 11.022).
 const DEPTHS: &[u32] = &[
     5336, 5612, 5614, 5706, 5715, 5734, 5739, 5789, 5831, 5861, 5862, 5863, 5864, 5865, 5866, 5867, 5873, 6357, 6358,
@@ -38,16 +42,56 @@ pub(crate) struct Tiff {
     pub transform: Option<GeoTransform>,
     pub keys: GeoKeys,
     pub nodata: Option<f64>,
+    /// GDAL's word of the samples (tag 42112), XML.
+    gdal: String,
 }
 
-/// The GeoKeyDirectory.
-pub(crate) struct GeoKeys(Vec<u16>);
+impl Tiff {
+    /// Heights in metres are a sample times the first plus the second. The error is the reason.
+    pub fn metres(&self) -> Result<[f64; 2], String> {
+        let number = |role: &str, usual: f64| match gdal_item(&self.gdal, role) {
+            None => Ok(usual),
+            Some(text) => text.parse().ok().filter(|n: &f64| n.is_finite()).ok_or_else(|| format!("{role} `{text}`")),
+        };
+        let unit = match (self.keys.metres_of_heights()?, gdal_item(&self.gdal, "unittype")) {
+            (Some(metres), _) => Ok(metres),
+            (None, None | Some("" | "m" | "metre" | "metres" | "meter" | "meters")) => Ok(1.0),
+            (None, Some("ft" | "foot" | "feet")) => Ok(FOOT),
+            (None, Some("US survey foot" | "US survey feet" | "ftUS" | "us-ft" | "sfoot")) => Ok(US_SURVEY_FOOT),
+            (None, Some(other)) => Err(format!("heights in units of `{other}`")),
+        };
+        let (scale, offset) = (number("scale", 1.0), number("offset", 0.0));
+        let not_understood = |what: String| format!("GDAL's metadata: {what}, which is not understood");
+        let [scale, offset, unit] = [scale, offset, unit].map(|n| n.map_err(not_understood));
+        let unit = unit?;
+        Ok([scale? * unit, offset? * unit])
+    }
+}
+
+/// What GDAL's metadata say of the first band in a role.
+fn gdal_item<'a>(xml: &'a str, role: &str) -> Option<&'a str> {
+    let items = xml.split("<Item ").skip(1).filter_map(|item| item.split('<').next()?.split_once('>'));
+    let mut found = items.filter(|(said, _)| {
+        said.contains(&format!("role=\"{role}\"")) && (said.contains("sample=\"0\"") || !said.contains("sample="))
+    });
+    found.next().map(|(_, value)| value.trim())
+}
+
+/// The GeoKeyDirectory, and GeoDoubleParams.
+pub(crate) struct GeoKeys(Vec<u16>, Vec<f64>);
 
 impl GeoKeys {
     /// A key whose value is a number of 16 bits; 0 says that there is none.
     fn number(&self, id: u16) -> Option<u32> {
         let mut keys = self.0.chunks_exact(4).skip(1);
         keys.find(|k| k[0] == id && k[1] == 0).map(|k| u32::from(k[3])).filter(|value| *value != 0)
+    }
+
+    /// A key whose value is among the GeoDoubleParams.
+    fn double(&self, id: u16) -> Option<f64> {
+        let mut keys = self.0.chunks_exact(4).skip(1);
+        let key = keys.find(|k| k[0] == id && k[1] == 34736)?;
+        self.1.get(usize::from(key[3])).copied()
     }
 
     /// The reference system, `given` where only that it is projected is said; `None` where nothing is. The error is the
@@ -69,7 +113,13 @@ impl GeoKeys {
                 return Err(format!("GeoTIFF: {what} EPSG:{value}, which is not understood"));
             }
         }
-        Ok(crs)
+        // GeogSemiMajorAxis, where GeogLinearUnits says nothing else than metres.
+        match self.double(2057).filter(|axis_m| !(6.3e6..6.5e6).contains(axis_m)) {
+            Some(axis_m) if matches!(self.number(2052), None | Some(9001)) => {
+                Err(format!("GeoTIFF: an ellipsoid of {axis_m} m is not the earth's"))
+            }
+            _ => Ok(crs),
+        }
     }
 
     fn system(&self, given: Option<Crs>) -> Result<Option<Crs>, String> {
@@ -92,26 +142,25 @@ impl GeoKeys {
         }
     }
 
-    /// Metres in a unit of height; those of the raster's plane are another matter (ProjLinearUnits, 3076). The error is
-    /// the reason.
-    pub fn metres_of_heights(&self) -> Result<f64, String> {
-        const FOOT: f64 = 0.3048;
-        const US_SURVEY_FOOT: f64 = 1200.0 / 3937.0;
+    /// Metres in a unit of height, `None` where nothing is said of them; those of the raster's plane are another matter
+    /// (ProjLinearUnits, 3076). The error is the reason.
+    fn metres_of_heights(&self) -> Result<Option<f64>, String> {
         // VerticalUnits, else what the system in Vertical is in: all of EPSG's that are not listed are in metres.
         match (self.number(4099), self.number(4096)) {
             (_, Some(system)) if DEPTHS.contains(&system) => {
                 Err(format!("GeoTIFF: depths in EPSG:{system}, where heights are understood"))
             }
-            (Some(9001), _) => Ok(1.0),
-            (Some(9002), _) => Ok(FOOT),
-            (Some(9003), _) => Ok(US_SURVEY_FOOT),
+            (Some(9001), _) => Ok(Some(1.0)),
+            (Some(9002), _) => Ok(Some(FOOT)),
+            (Some(9003), _) => Ok(Some(US_SURVEY_FOOT)),
             (Some(unit), _) => Err(format!("GeoTIFF: heights in units of EPSG:{unit}, which is not understood")),
-            (None, Some(6130..=6132 | 8050 | 8228)) => Ok(FOOT),
-            (None, Some(5702 | 6360 | 8052)) => Ok(US_SURVEY_FOOT),
+            (None, Some(6130..=6132 | 8050 | 8228)) => Ok(Some(FOOT)),
+            (None, Some(5702 | 6360 | 8052)) => Ok(Some(US_SURVEY_FOOT)),
             // Feet of Ireland of 1936.
             (None, Some(5754)) => Err("GeoTIFF: heights in EPSG:5754, which is not understood".to_owned()),
             (None, Some(USER_DEFINED)) => Err("GeoTIFF: user-defined heights without a unit".to_owned()),
-            (None, _) => Ok(1.0),
+            (None, Some(_)) => Ok(Some(1.0)),
+            (None, None) => Ok(None),
         }
     }
 }
@@ -130,7 +179,9 @@ pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {
     limits.ifd_value_size = 256 << 20;
     let mut decoder = Decoder::new(BufReader::new(file)).map_err(bad)?.with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(bad)?;
-    let keys = GeoKeys(decoder.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default());
+    let directory = decoder.get_tag_u16_vec(Tag::GeoKeyDirectoryTag).unwrap_or_default();
+    let keys = GeoKeys(directory, decoder.get_tag_f64_vec(Tag::GeoDoubleParamsTag).unwrap_or_default());
+    let gdal = decoder.get_tag_ascii_string(Tag::Unknown(42112)).unwrap_or_default();
     let transform = transform(&mut decoder, &keys);
     let nodata = decoder
         .get_tag_ascii_string(Tag::GdalNodata)
@@ -161,7 +212,8 @@ pub(crate) fn read(path: &Path) -> Result<Tiff, GenError> {
     if width == 0 || height == 0 || count % (width * height) != 0 || count == 0 {
         return Err(GenError::invalid(path, format!("TIFF: {count} samples for {width} x {height} pixels")));
     }
-    Ok(Tiff { width, height, channels: count / (width * height), samples, has_alpha, transform, keys, nodata })
+    let channels = count / (width * height);
+    Ok(Tiff { width, height, channels, samples, has_alpha, transform, keys, nodata, gdal })
 }
 
 /// The tags ModelPixelScale + ModelTiepoint or ModelTransformation.

@@ -8,8 +8,8 @@ use std::fs;
 use std::path::Path;
 
 use files::{
-    PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_int16_keyed, tiff_uint16,
-    tile_heights, tileset,
+    PLACE, Place, SIDE, from_dem, heights, region, set_tag, tiff_float32, tiff_int16, tiff_int16_keyed,
+    tiff_int16_told, tiff_uint16, tile_heights, tileset,
 };
 use terrane::io::write::write_height_exr;
 use terrane_data_gen::{GenArgs, GenError, Summary, run};
@@ -147,6 +147,54 @@ fn depths_are_refused() {
             refused(&args, &args.dem[0], &format!("depths in EPSG:{system}, where heights"));
         }
     }
+}
+
+/// Samples were heights in metres whatever GDAL's metadata said of them.
+#[test]
+fn scaled_samples_become_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut h = heights();
+    h[500] = -9999.0;
+    let item = |role: &str, value: &str| format!(r#"<Item name="X" sample="0" role="{role}">{value}</Item>"#);
+    let of_other = r#"<Item name="SCALE" sample="1" role="scale">7</Item><Item name="DATE">2020</Item>"#;
+    let foot = 0.3048;
+    for (k, (items, keys, [factor, offset])) in [
+        (vec![item("scale", "0.1"), item("offset", "-20.5")], vec![], [0.1, -20.5]),
+        (vec![of_other.to_owned(), item("scale", "2"), item("unittype", "m")], vec![], [2.0, 0.0]),
+        (vec![item("offset", "100"), item("unittype", "ft")], vec![], [foot, 100.0 * foot]),
+        (vec![item("unittype", "US survey foot")], vec![], [1200.0 / 3937.0, 0.0]),
+        // The keys have the last word of the unit.
+        (vec![item("unittype", "ft")], vec![[4099, 9001]], [1.0, 0.0]),
+        (vec![item("scale", "0.5")], vec![[4096, 5703], [4099, 9002]], [0.5 * foot, 0.0]),
+        (vec![of_other.to_owned()], vec![], [1.0, 0.0]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let metadata = format!("<GDALMetadata>{}</GDALMetadata>", items.concat());
+        let args = from_dem(folder.path(), &format!("{k}.tif"), &tiff_int16_told(&h, &metadata, "-9999", &keys));
+        let expected = corners(&h, SIDE as usize).map(|h| (f64::from(h) * factor + offset) as f32);
+        let summary = lands(&args, PLACE.bounds(), Some(expected));
+        assert!(summary.min_height_m > 190.0 * factor + offset, "{metadata}: a void is no depth, {summary}");
+    }
+    for (role, value) in [("scale", "big"), ("offset", "inf"), ("unittype", "degC")] {
+        let tiff = tiff_int16_told(&h, &item(role, value), "-9999", &[]);
+        let args = from_dem(folder.path(), "other.tif", &tiff);
+        refused(&args, &args.dem[0], &format!("`{value}`, which is not understood"));
+    }
+}
+
+/// Other bodies were taken for the earth.
+#[test]
+fn what_is_not_on_the_earth_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let on = |name: &str, axis: u16| {
+        let keys = [[2056, 32767], [2057, axis]];
+        from_dem(folder.path(), name, &tiff_int16_keyed(&heights(), Some(PLACE), &keys))
+    };
+    lands(&on("earth.tif", 0), PLACE.bounds(), None);
+    let moon = on("moon.tif", 1);
+    refused(&moon, &moon.dem[0], "an ellipsoid of 1737400 m is not the earth's");
 }
 
 #[test]

@@ -45,14 +45,14 @@ fn encode<C: ColorType>(samples: &[C::Inner], place: Option<Place>, nodata: Opti
 where
     [C::Inner]: tiff::encoder::TiffValue,
 {
-    encode_keyed::<C>(samples, place, nodata, &[])
+    encode_keyed::<C>(samples, place, &[(42113, nodata.unwrap_or_default())], &[])
 }
 
-/// With GeoKeys besides, each an id and its value.
+/// With texts by their tags, and GeoKeys besides, each an id and its value.
 fn encode_keyed<C: ColorType>(
     samples: &[C::Inner],
     place: Option<Place>,
-    nodata: Option<&str>,
+    texts: &[(u16, &str)],
     more: &[[u16; 2]],
 ) -> Vec<u8>
 where
@@ -72,16 +72,20 @@ where
     } else if !more.is_empty() {
         image.encoder().write_tag(Tag::GeoKeyDirectoryTag, &geo_keys(more)[..]).unwrap();
     }
-    if let Some(nodata) = nodata {
-        image.encoder().write_tag(Tag::GdalNodata, nodata).unwrap();
+    for (tag, text) in texts.iter().filter(|(_, text)| !text.is_empty()) {
+        image.encoder().write_tag(Tag::from_u16_exhaustive(*tag), *text).unwrap();
     }
+    image.encoder().write_tag(Tag::GeoDoubleParamsTag, &DOUBLES[..]).unwrap();
     image.write_data(samples).unwrap();
     bytes.into_inner()
 }
 
-/// GeoTIFF's GeoKeyDirectory of ids and their values.
+/// Semi-major axes in metres: of the earth after Clarke, of the moon.
+pub const DOUBLES: [f64; 2] = [6_378_206.4, 1_737_400.0];
+
+/// GeoTIFF's GeoKeyDirectory of ids and their values; a semi-major axis is one of [`DOUBLES`].
 pub fn geo_keys(keys: &[[u16; 2]]) -> Vec<u16> {
-    let entries = keys.iter().flat_map(|[id, value]| [*id, 0, 1, *value]);
+    let entries = keys.iter().flat_map(|[id, value]| [*id, if *id == 2057 { 34736 } else { 0 }, 1, *value]);
     [1, 1, 0, keys.len() as u16].into_iter().chain(entries).collect()
 }
 
@@ -104,7 +108,13 @@ pub fn tiff_int16(heights: &[f32], place: Option<Place>, nodata: Option<&str>) -
 /// With GeoKeys besides those of the place, each an id and its value.
 pub fn tiff_int16_keyed(heights: &[f32], place: Option<Place>, more: &[[u16; 2]]) -> Vec<u8> {
     let samples: Vec<i16> = heights.iter().map(|h| *h as i16).collect();
-    encode_keyed::<GrayI16>(&samples, place, None, more)
+    encode_keyed::<GrayI16>(&samples, place, &[], more)
+}
+
+/// With GDAL's metadata of the samples and a value for what is not there.
+pub fn tiff_int16_told(heights: &[f32], metadata: &str, nodata: &str, more: &[[u16; 2]]) -> Vec<u8> {
+    let samples: Vec<i16> = heights.iter().map(|h| *h as i16).collect();
+    encode_keyed::<GrayI16>(&samples, Some(PLACE), &[(42112, metadata), (42113, nodata)], more)
 }
 
 pub fn tiff_uint16(heights: &[f32], place: Option<Place>, nodata: Option<&str>) -> Vec<u8> {
