@@ -113,6 +113,10 @@ impl GeoKeys {
                 return Err(format!("GeoTIFF: {what} EPSG:{value}, which is not understood"));
             }
         }
+        // GeogPrimeMeridianLongitude.
+        if let Some(east) = self.double(2061).filter(|east| crs == Some(Crs::Geographic) && *east != 0.0) {
+            return Err(format!("GeoTIFF: longitudes from a meridian at {east}, which is not understood"));
+        }
         // GeogSemiMajorAxis, where GeogLinearUnits says nothing else than metres.
         match self.double(2057).filter(|axis_m| !(6.3e6..6.5e6).contains(axis_m)) {
             Some(axis_m) if matches!(self.number(2052), None | Some(9001)) => {

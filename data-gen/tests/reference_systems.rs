@@ -136,6 +136,7 @@ fn geographic_systems_are_understood_in_degrees_from_greenwich_alone() {
         (&[[1024, 2], [2048, 4326], [2054, 9101]], "angles in units of EPSG:9101"),
         (&[[1024, 2], [2048, 32767], [2054, 9105]], "angles in units of EPSG:9105"),
         (&[[1024, 2], [2048, 32767], [2051, 8903]], "longitudes from the meridian EPSG:8903"),
+        (&[[1024, 2], [2048, 32767], [2061, 2]], "longitudes from a meridian at 2.337,"),
     ] {
         refused(&keyed(keys), why);
     }
@@ -144,7 +145,7 @@ fn geographic_systems_are_understood_in_degrees_from_greenwich_alone() {
     for keys in [
         &[[1024, 2], [2048, 4258]][..],
         &[[1024, 2], [2048, 4267], [2054, 9102], [2051, 8901], [3076, 9002]],
-        &[[1024, 2], [2048, 32767], [2054, 9122]],
+        &[[1024, 2], [2048, 32767], [2054, 9122], [2061, 3]],
     ] {
         lies(&keyed(keys), expected);
     }

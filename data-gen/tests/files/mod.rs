@@ -80,12 +80,13 @@ where
     bytes.into_inner()
 }
 
-/// Semi-major axes in metres: of the earth after Clarke, of the moon.
-pub const DOUBLES: [f64; 2] = [6_378_206.4, 1_737_400.0];
+/// Semi-major axes in metres, of the earth after Clarke and of the moon; Paris, Greenwich.
+pub const DOUBLES: [f64; 4] = [6_378_206.4, 1_737_400.0, 2.337, 0.0];
 
-/// GeoTIFF's GeoKeyDirectory of ids and their values; a semi-major axis is one of [`DOUBLES`].
+/// GeoTIFF's GeoKeyDirectory of ids and their values; a semi-major axis and a meridian's longitude are [`DOUBLES`].
 pub fn geo_keys(keys: &[[u16; 2]]) -> Vec<u16> {
-    let entries = keys.iter().flat_map(|[id, value]| [*id, if *id == 2057 { 34736 } else { 0 }, 1, *value]);
+    let entries =
+        keys.iter().flat_map(|[id, value]| [*id, if matches!(id, 2057 | 2061) { 34736 } else { 0 }, 1, *value]);
     [1, 1, 0, keys.len() as u16].into_iter().chain(entries).collect()
 }
 
