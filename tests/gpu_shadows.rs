@@ -6,6 +6,7 @@ mod shadow_support;
 
 use std::sync::Arc;
 
+use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DQuat, DVec3};
 use gpu_support::{Rig, Terrain, camera, rig};
 use image::RgbaImage;
@@ -78,6 +79,28 @@ fn flat_ground_without_casters_has_no_shadows() {
         }
         rig.release(scene);
     }
+}
+
+/// Depths with shadows began at the eye: what parallel rays show behind it had none.
+#[test]
+fn parallel_rays_have_shadows_behind_the_eye_too() {
+    let Some(mut rig) = rig("parallel_rays_have_shadows_behind_the_eye_too") else { return };
+    let scene = rig.scene(Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]));
+    // From 60 m above the ground to 20 m below it, wherever the eye is.
+    let pictures = [100.0, 5.0, -10.0, -30.0].map(|eye_m: f64| {
+        let clip_from_eye = proj::orthographic(-40.0, 40.0, -30.0, 30.0, eye_m + 20.0, eye_m - 60.0);
+        let below = DVec3::new(0.0, 0.0, eye_m - 1.0);
+        let camera = CullCamera { clip_from_eye, ..camera(SIZE, DVec3::Z * eye_m, below, DVec3::Y) };
+        rig.picture(&scene, &camera, &sunny(DVec3::new(1.0, 0.5, 1.0)))
+    });
+    let is_dark = |p: &&image::Rgba<u8>| p.0[0].abs_diff(srgb(0.2)) <= 2;
+    let dark = pictures[0].pixels().filter(is_dark).count();
+    assert!(dark > 1_000, "{dark} pixels are in the shadow");
+    for (place, picture) in pictures.iter().enumerate() {
+        let differs = picture.pixels().zip(pictures[0].pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > 20).count();
+        assert!(differs < 100, "picture {place}: {differs} pixels");
+    }
+    rig.release(scene);
 }
 
 /// Whatever way the texels of a map lie on a surface, it casts no stripes on itself.

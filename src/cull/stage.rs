@@ -310,7 +310,7 @@ pub struct RenderStage {
     /// What casts shadows into its picture.
     pub shadows: StageShadows,
     /// Nearest depth of any leaf's bound, or of what is seen of its primitives where the camera's settings ask for it;
-    /// at least 0; 0 without leaves.
+    /// at least 0, but of parallel rays that begin behind the eye; 0 without leaves.
     pub near_m: f64,
     /// Farthest depth, alike; 0 without leaves.
     pub far_m: f64,
@@ -386,9 +386,10 @@ impl RenderStage {
 
     /// Takes up near and far of what is drawn with its projection.
     pub(super) fn widen(&mut self, other: &Self) {
-        if other.far_m > 0.0 {
-            let near_m = if self.far_m > 0.0 { self.near_m.min(other.near_m) } else { other.near_m };
-            (self.near_m, self.far_m) = (near_m, self.far_m.max(other.far_m));
+        let of = |stage: &Self| Some([stage.near_m, stage.far_m]).filter(|depths| *depths != [0.0; 2]);
+        if let Some([near_m, far_m]) = of(other) {
+            let own = of(self).unwrap_or([near_m, far_m]);
+            (self.near_m, self.far_m) = (own[0].min(near_m), own[1].max(far_m));
         }
     }
 

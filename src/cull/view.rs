@@ -106,8 +106,7 @@ impl View {
     /// Near and far of what was met, in metres; 0 where that is nothing.
     pub fn depths_m(&self) -> [f64; 2] {
         let DepthRange { near, far } = self.range;
-        let least = if self.casts { f32::NEG_INFINITY } else { 0.0 };
-        if near <= far { [near, far].map(|depth| f64::from(depth.max(least))) } else { [0.0; 2] }
+        if near <= far { [near, far].map(|depth| f64::from(depth.max(self.least_depth))) } else { [0.0; 2] }
     }
 
     /// The projection clamped to what was met, if the settings ask for it.

@@ -77,7 +77,12 @@ impl Fit {
         if !(world_from_eye.is_finite() && camera.clip_from_eye.is_finite()) {
             return None;
         }
-        let (span, fade_m) = span(settings, near_m, far_m)?;
+        let rays = Rays::new(&camera.clip_from_eye)?;
+        // Parallel rays may begin behind the eye: depths are split from there on.
+        let behind_m = -near_m.max(rays.near_m).min(0.0);
+        let behind_m = if behind_m > 0.0 { power_of_two(behind_m).ceil().exp2() } else { 0.0 };
+        let reaching = SunShadows { distance_m: settings.distance_m + behind_m, ..*settings };
+        let (span, fade_m) = span(&reaching, near_m + behind_m, far_m + behind_m)?;
         let lowest = LOWEST_SUN - (span[1] / EARTH_RADIUS_M).min(1.0);
         if to_sun.dot(light.up) < lowest {
             return None;
@@ -85,7 +90,6 @@ impl Fit {
         let (x, y) = to_sun.any_orthonormal_pair();
         let light_from_world = DMat3::from_cols(x, y, to_sun).transpose();
         let light_from_eye = light_from_world * rotation(&world_from_eye)?;
-        let rays = Rays::new(&camera.clip_from_eye)?;
         let count = settings.cascades as usize;
         let mut cascades = [CascadeFit::default(); MOST_CASCADES];
         let split = |i: usize| split_m(settings.split_lambda, span, i, count);
@@ -94,7 +98,7 @@ impl Fit {
                 0 => 0.0,
                 _ => split(i) - BLEND_SHARE * (split(i) - if i > 1 { split(i - 1) } else { 0.0 }),
             };
-            let depths_m = [start, split(i + 1)];
+            let depths_m = [start, split(i + 1)].map(|depth| depth - behind_m);
             let (center, radius_m) = rays.sphere(depths_m)?;
             let texels = f64::from(settings.resolution_px);
             let texel_m = 2.0 * radius_m / (texels - 2.0 * MARGIN_TEXELS);
@@ -110,7 +114,7 @@ impl Fit {
         }
         let is_finite =
             cascades[..count].iter().all(|c| c.center.is_finite() && c.texel_m > 0.0 && c.half_m.is_finite());
-        is_finite.then_some(Self { light_from_eye, count, cascades, fade_m })
+        is_finite.then_some(Self { light_from_eye, count, cascades, fade_m: fade_m.map(|depth| depth - behind_m) })
     }
 }
 
@@ -120,13 +124,17 @@ fn rotation(map: &DAffine3) -> Option<DMat3> {
     Some(DMat3::from_cols(x?, y?, z?))
 }
 
+/// Which power of two a length is, not a whole one mostly; finite for any.
+fn power_of_two(value: f64) -> f64 {
+    value.clamp(1e-9, 1e15).log2()
+}
+
 /// Depths that have shadows, and between which they fade out. In powers of two where they follow the scene, so that
 /// they stay the same from frame to frame.
 fn span(settings: &SunShadows, near_m: f64, far_m: f64) -> Option<([f64; 2], [f64; 2])> {
     if !(far_m > 0.0 && near_m <= far_m) {
         return None;
     }
-    let power_of_two = |value: f64| value.clamp(1e-9, 1e15).log2();
     let near_m = near_m.max(0.0);
     let reach = settings.distance_m.max(REACH_PER_NEAR * power_of_two(near_m).floor().exp2());
     let end = power_of_two(far_m).ceil().exp2();
@@ -161,7 +169,11 @@ fn snapped(
 }
 
 /// The lines of sight of the picture's corners: where they cross depth 0, and how they go on per metre of depth.
-struct Rays([(DVec2, DVec2); 4]);
+struct Rays {
+    corners: [(DVec2, DVec2); 4],
+    /// Depth where they begin.
+    near_m: f64,
+}
 
 impl Rays {
     fn new(clip_from_eye: &DMat4) -> Option<Self> {
@@ -170,8 +182,8 @@ impl Rays {
             let p = eye_from_clip * DVec4::new(x, y, depth, 1.0);
             p.truncate() / p.w
         };
-        let mut rays = [(DVec2::ZERO, DVec2::ZERO); 4];
-        for (ray, (x, y)) in rays.iter_mut().zip([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) {
+        let mut corners = [(DVec2::ZERO, DVec2::ZERO); 4];
+        for (ray, (x, y)) in corners.iter_mut().zip([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) {
             let (near, far) = (point(x, y, 1.0), point(x, y, 0.5));
             let step = (far - near).truncate() / (near.z - far.z);
             *ray = (near.truncate() + step * near.z, step);
@@ -179,11 +191,11 @@ impl Rays {
                 return None;
             }
         }
-        Some(Self(rays))
+        Some(Self { corners, near_m: -point(0.0, 0.0, 1.0).z })
     }
 
     fn at(&self, depth_m: f64) -> [DVec3; 4] {
-        self.0.map(|(start, step)| (start + step * depth_m).extend(-depth_m))
+        self.corners.map(|(start, step)| (start + step * depth_m).extend(-depth_m))
     }
 
     /// The box along the sun's rays around what is seen between two depths, with some room: smaller than the map.
@@ -262,10 +274,11 @@ mod tests {
             cascades in 1..=4u32, lambda in 0.0..=1.0f64, near_log in -2.0..4.0f64, far_log in 0.0..6.0f64,
             points in prop::collection::vec((-1.0..1.0f64, -1.0..1.0f64, 0.0..1.0f64), 30),
         ) {
-            let near_m = near_log.exp2();
+            let is_behind = is_flat && shear > 0.0;
+            let near_m = if is_behind { -near_log.exp2() } else { near_log.exp2() };
             let far_m = near_m + 10f64.powf(far_log);
             let clip_from_eye = if is_flat {
-                proj::orthographic(-300.0, 500.0, -200.0, 200.0, 1e7, 0.1)
+                proj::orthographic(-300.0, 500.0, -200.0, 200.0, 1e7, if is_behind { -1e5 } else { 0.1 })
             } else {
                 let mut sheared = DMat4::IDENTITY;
                 sheared.z_axis.x = shear;
@@ -279,6 +292,7 @@ mod tests {
             let all = &fit.cascades[..fit.count];
             let last = all[fit.count - 1].depths_m[1];
             prop_assert!(last >= far_m.min(shadows.distance_m), "{last} of {far_m}");
+            prop_assert!(all[0].depths_m[0] <= near_m, "{:?} from {near_m}", all[0].depths_m);
             prop_assert!(all.windows(2).all(|c| c[1].depths_m[0] < c[0].depths_m[1] && c[0].depths_m[1] < c[1].depths_m[1]));
             let rays = Rays::new(&camera.clip_from_eye).unwrap();
             for cascade in all {

@@ -39,7 +39,8 @@ impl ShadowLight {
 /// A cascade: what casts shadows into a part of the depths.
 #[derive(Debug, Default)]
 pub struct ShadowCascade {
-    /// Least and greatest depth in front of the eye that it covers, metres; it begins before the one before it ends.
+    /// Least and greatest depth in front of the eye (below 0: behind it) that it covers, metres; it begins before the
+    /// one before it ends.
     pub depths_m: [f64; 2],
     /// Width of a texel, metres.
     pub texel_m: f64,
