@@ -10,7 +10,9 @@ use std::sync::Arc;
 use camera_support::{no_errors, picture};
 use gpu_support::{Rig, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
-use terrane::scene::{Attachment, CameraNode, CameraTarget, Node, PictureSink, ReferenceFrame, RenderOrder};
+use terrane::scene::{
+    Attachment, CameraNode, CameraTarget, ClearNode, Node, NodeKind, PictureSink, ReferenceFrame, RenderOrder,
+};
 use terrane::state::{
     Attribute, CompareFunction, Mode, StateSet, StateValue, Stencil, StencilFace, StencilOperation, TextureBinding,
     TextureFormat, TextureObject,
@@ -62,6 +64,19 @@ fn depth_is_cleared_in_its_part() {
         let at = |x| pixel(&picture, x, 32);
         assert_eq!([at(20), at(28), at(36), at(44)], [beside, BLUE, RED, RED], "{clear_color:?}");
     }
+}
+
+/// The first one's depth was thrown away where nothing comes after the picture.
+#[test]
+fn cameras_before_the_picture_share_its_depth() {
+    let Some(mut rig) = rig("cameras_before_the_picture_share_its_depth") else { return };
+    let before = |order| CameraNode { order: RenderOrder::PreRender(order), ..over(0) };
+    let first = CameraNode { clear_color: Some([0.0, 0.0, 1.0, 1.0]), clear_depth: true, ..before(0) };
+    let behind = Node::geode(vec![quad([0.0, 0.0, -0.5], [0.9, 0.9], [0.0, 1.0, 0.0, 1.0])]);
+    let keeps = Node::new(NodeKind::ClearNode(ClearNode { color: None }));
+    let nodes = vec![keeps, Node::camera(first, vec![square(0.0, RED)]), Node::camera(before(1), vec![behind])];
+    let picture = draw(&mut rig, nodes);
+    assert_eq!([1, 8, 32].map(|x| pixel(&picture, x, 32)), [BLUE, GREEN, RED]);
 }
 
 #[test]

@@ -9,8 +9,8 @@ use glam::{DAffine3, DVec3, DVec4};
 use gpu_support::{MAGENTA, Rig, Terrain, camera, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::scene::{
-    ClipNode, Drawable, Environment, Geometry, LightSource, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame,
-    TexGenNode, Topology,
+    ClipNode, Drawable, Geometry, LightSource, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, TexGenNode,
+    Topology,
 };
 use terrane::state::{
     AlphaFunc, Attribute, CompareFunction, FilterMode, Fog, FogMode, Light, LightModel, Mode, Sampler, StateSet,
@@ -270,43 +270,6 @@ fn units_multiply_planes_rows_cubes_volumes_and_layers() {
         let set = unlit().with(Attribute::Texture(2, nearest(two)));
         assert_eq!(middle(rig, vec![node(white(), set)]), BLUE, "{dimension:?}");
     }
-    // Of each of these there is one; another unit showed it again.
-    let red = object(TextureDimension::Cube, [1, 1, 6], [255, 0, 0, 255].repeat(6));
-    let blue = object(TextureDimension::Cube, [1, 1, 6], [0, 0, 255, 255].repeat(6));
-    let set = unlit().with(Attribute::Texture(1, nearest(red))).with(Attribute::Texture(2, nearest(blue)));
-    let scene = rig.scene(node(square([1.0, 1.0, 0.0, 1.0]), set));
-    for frame in 0..2 {
-        let picture = rig.picture(&scene, &unit_camera(64), &plain());
-        assert_eq!(pixel(&picture, 32, 32), RED);
-        let errors = rig.renderer.take_errors();
-        assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
-        assert!(errors.iter().all(|e| e.contains("\"Cube\" is a second Cube")), "{errors:?}");
-    }
-    rig.release(scene);
-}
-
-/// They faced up, whatever their normals.
-#[test]
-fn points_have_their_normals() {
-    let Some(mut rig) = rig("points_have_their_normals") else { return };
-    let rig = &mut *rig;
-    let at = |x: f32, normal: [i8; 4]| MeshVertex { position: [x, 0.0, 0.0], normal, uv: [0.0; 2], color: [255; 4] };
-    let facing = [at(-0.5, [127, 0, 0, 0]), at(0.0, [0; 4]), at(0.5, [-127, 0, 0, 0])];
-    let mesh = Mesh::new(facing.to_vec(), vec![0, 1, 2], Topology::Points);
-    let points = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())]);
-    let material = SurfaceMaterial::default();
-    let fixed = StateSet::default().with(Attribute::SurfaceMaterial(material));
-    let environment = Environment { sun_direction: DVec3::new(1.0, 0.0, 0.4).normalize(), ..plain() };
-    let mut seen = |node: Node| {
-        let scene = rig.scene(node);
-        let picture = rig.picture(&scene, &unit_camera(64), &environment);
-        rig.release(scene);
-        let dots: Vec<_> = picture.pixels().map(|p| [p.0[0], p.0[1], p.0[2]]).filter(|rgb| *rgb != MAGENTA).collect();
-        <[[u8; 3]; 3]>::try_from(dots).unwrap()
-    };
-    let lit = seen(points.clone());
-    assert!(lit[0] > lit[1] && lit[1] > lit[2], "{lit:?}");
-    assert_eq!(seen(points.with_state_set(Arc::new(fixed))), lit);
 }
 
 #[test]
@@ -421,6 +384,70 @@ fn wrong_textures_are_white_and_one_error() {
         assert!(errors.iter().all(|e| e.contains("broken") && e.contains("\"short\"") && e.contains("12 bytes")));
     }
     rig.release(scene);
+}
+
+/// The second one showed the first.
+#[test]
+fn of_cubes_volumes_and_layers_there_is_one_each() {
+    let Some(mut rig) = rig("of_cubes_volumes_and_layers_there_is_one_each") else { return };
+    let rig = &mut *rig;
+    let kinds = [(TextureDimension::Cube, 6), (TextureDimension::D3, 2), (TextureDimension::D2Array, 2)];
+    for (dimension, layers) in kinds {
+        let object = |name: &str, texel: [u8; 4]| {
+            nearest(Arc::new(TextureObject {
+                name: format!("{name} {dimension:?}"),
+                dimension,
+                size: [1, 1, layers],
+                format: TextureFormat::Rgba8,
+                levels: 1,
+                texels: vec![texel.repeat(layers as usize)],
+            }))
+        };
+        let (yellow, cyan) = (object("yellow", [255, 255, 0, 255]), object("cyan", [0, 255, 255, 255]));
+        let both = unlit().with(Attribute::Texture(0, yellow.clone())).with(Attribute::Texture(2, cyan));
+        let scene = rig.scene(node(square(WHITE), StateSet { name: "both".into(), ..both }));
+        for frame in 0..3 {
+            let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+            assert_eq!(pixel(&picture, 32, 32), [255, 255, 0], "{dimension:?}");
+            let errors = rig.renderer.take_errors();
+            assert_eq!(errors.len(), usize::from(frame == 0), "{errors:?}");
+            let says = format!("\"cyan {dimension:?}\"");
+            assert!(
+                errors.iter().all(|e| e.contains("both") && e.contains(&says) && e.contains("unit 2")),
+                "{errors:?}"
+            );
+        }
+        rig.release(scene);
+        // The same one twice is no fault.
+        let twice = unlit().with(Attribute::Texture(0, yellow.clone())).with(Attribute::Texture(2, yellow));
+        assert_eq!(middle(rig, vec![node(square(WHITE), twice)]), [255, 255, 0], "{dimension:?}");
+    }
+}
+
+/// They had the normal of level ground.
+#[test]
+fn lines_are_lit_by_their_normals() {
+    let Some(mut rig) = rig("lines_are_lit_by_their_normals") else { return };
+    let rig = &mut *rig;
+    let lines = |normal: [i8; 4]| {
+        let end = |i: i16| MeshVertex {
+            position: [if i % 2 == 0 { -0.5 } else { 0.5 }, f32::from(i / 2) / 16.0 - 0.5, 0.0],
+            uv: [0.0; 2],
+            normal,
+            color: [255; 4],
+        };
+        let lines = gpu_support::mesh((0..32).map(end).collect(), (0..32).collect());
+        let mesh = Mesh { topology: Topology::Lines, ..lines };
+        Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
+    };
+    let mut white = |normal, from: [f64; 3]| {
+        let sun = light(Light { position: [from[0], from[1], from[2], 0.0], ..Light::default() });
+        let picture = draw(rig, vec![sun, node(lines(normal), only_light_1())]);
+        [count(&picture, [255; 3]), count(&picture, [0; 3])].map(|pixels| pixels > 300)
+    };
+    assert_eq!(white([127, 0, 0, 0], [1.0, 0.0, 0.0]), [true, false], "towards the light");
+    assert_eq!(white([-127, 0, 0, 0], [1.0, 0.0, 0.0]), [false, true], "away from it");
+    assert_eq!(white([0; 4], [0.0, 0.0, 1.0]), [true, false], "without a normal they face up");
 }
 
 #[test]

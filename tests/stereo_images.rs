@@ -69,6 +69,15 @@ fn each_mode_puts_the_eyes_where_it_should() {
     }
 }
 
+/// What an eye alone sees was left where the other eye's picture had come.
+#[test]
+fn eyes_that_change_places_take_their_masks_along() {
+    let Some(mut rig) = rig("eyes_that_change_places_take_their_masks_along") else { return };
+    let stereo = Stereo { swaps_eyes: true, ..Stereo::new(StereoMode::HorizontalSplit) };
+    let picture = picture(&mut rig, &stereo);
+    assert_eq!([pixel(&picture, 2, 2), pixel(&picture, SIDE - 2, 2)], [CYAN, YELLOW]);
+}
+
 #[test]
 fn what_is_drawn_over_a_picture_is_in_both_eyes() {
     let Some(mut rig) = rig("what_is_drawn_over_a_picture_is_in_both_eyes") else { return };

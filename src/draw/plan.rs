@@ -66,7 +66,7 @@ pub(super) struct Targets {
     can_stencil: bool,
     /// Some state uses the stencil in this frame.
     has_stencil: bool,
-    /// Stages go on with the depth that another one left in the context's target.
+    /// Stages follow others than pictures in the context's target: its depth is kept.
     has_followers: bool,
     /// Pictures were drawn into the context's target in this frame.
     is_begun: bool,
@@ -89,16 +89,21 @@ impl Targets {
     /// Looks what the stages of the frame's pictures need; says what the adapter lacks.
     pub(super) fn start_frame<'a>(
         &mut self,
+        ctx: &GraphicsContext,
         mut stages: impl Iterator<Item = &'a RenderStage> + Clone,
     ) -> Option<String> {
-        self.transients.start_frame();
+        self.transients.start_frame(ctx.face_count());
         self.owners.clear();
         self.is_begun = false;
         let has_stencil = |stage| any(stage, &|s| s.state_sets.iter().any(|state| state.stencil().is_some()));
         let needs_stencil = stages.clone().any(has_stencil);
         self.has_stencil = needs_stencil && self.can_stencil;
-        // The outermost clears the depth that those before it leave.
-        self.has_followers = stages.any(|s| of_context(&s.post_render) > 0 || of_context(&s.pre_render) > 1);
+        // A picture clears the depth of those before it.
+        self.has_followers = stages.any(|stage| {
+            let [before, after] =
+                [&stage.pre_render, &stage.post_render].map(|s| s.iter().map(in_context).sum::<usize>());
+            before > 1 || after > 0
+        });
         (needs_stencil && !self.can_stencil)
             .then(|| "the adapter has no stencil beside float depth; stencil tests pass everywhere".into())
     }
@@ -186,12 +191,8 @@ impl Targets {
             }
             Ok(())
         };
-        for (place, attachment) in camera.colors.iter().chain(&camera.depth).enumerate() {
+        for attachment in camera.colors.iter().chain(&camera.depth) {
             check(attachment)?;
-            let part = |a: &Attachment| (Arc::as_ptr(&a.texture), a.level, a.layer);
-            if camera.colors.iter().take(place).any(|other| part(other) == part(attachment)) {
-                return Err(format!("texture {:?} is attached twice", attachment.texture.name));
-            }
         }
         let size_px = size_px.ok_or("a camera without attachments")?;
         let mut view = |attachment: &Attachment| -> Result<wgpu::TextureView, String> {
@@ -212,12 +213,17 @@ impl Targets {
         let mut colors = [const { None }; MOST_COLORS];
         let mut resolves = [const { None }; MOST_COLORS];
         for (location, attachment) in camera.colors.iter().enumerate() {
-            let format = attachment.texture.format;
+            let Attachment { texture, level, layer } = attachment;
+            let is_it = |a: &Attachment| Arc::ptr_eq(&a.texture, texture) && (a.level, a.layer) == (*level, *layer);
+            if camera.colors[..location].iter().any(is_it) {
+                return Err(format!("texture {:?} is attached twice: level {level} of layer {layer}", texture.name));
+            }
+            let format = texture.format;
             if format == TextureFormat::Depth32 {
-                return Err(format!("texture {:?} holds depth and is attached as colour", attachment.texture.name));
+                return Err(format!("texture {:?} holds depth and is attached as colour", texture.name));
             }
             if format == TextureFormat::R32Float && samples > 1 {
-                let name = &attachment.texture.name;
+                let name = &texture.name;
                 return Err(format!("texture {name:?} holds numbers of 32 bits, of which samples cannot be resolved"));
             }
             let format = texture_format(format);
@@ -261,15 +267,15 @@ impl Targets {
     }
 }
 
-/// Of some stages and those around them, how many draw into the context's target.
-fn of_context(stages: &[RenderStage]) -> usize {
-    let and_around = |s: &RenderStage| of_context(&s.pre_render) + of_context(&s.post_render);
-    stages.iter().map(|s| usize::from(s.target.camera.is_none()) + and_around(s)).sum()
-}
-
 /// True when something holds for a stage or one around it.
 fn any(stage: &RenderStage, holds: &impl Fn(&RenderStage) -> bool) -> bool {
     holds(stage) || stage.pre_render.iter().chain(&stage.post_render).any(|s| any(s, holds))
+}
+
+/// How many of a stage and those around it draw into the context's target.
+fn in_context(stage: &RenderStage) -> usize {
+    let around = stage.pre_render.iter().chain(&stage.post_render);
+    usize::from(stage.target.camera.is_none()) + around.map(in_context).sum::<usize>()
 }
 
 impl PassTarget {

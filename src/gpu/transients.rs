@@ -1,12 +1,8 @@
-//! Depth buffers and multisampled colour that live for a pass: kept by size and format, freed when long unused, or when
-//! they are many: a window whose edge is dragged has another size in each frame. Draw thread only.
+//! Depth buffers and multisampled colour that live for a pass: kept by size and format, freed when long unused, and
+//! sooner where targets of another size come each frame. Draw thread only.
 
 /// Frames after which an unused one is freed.
 const KEPT_FRAMES: u32 = 120;
-/// Unused ones may have so many times the bytes that the last frame used, for cameras that are not drawn in each frame.
-const UNUSED_TIMES: u64 = 3;
-/// And so many in any case.
-const UNUSED_BYTES: u64 = 32 << 20;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Kind {
@@ -17,9 +13,9 @@ struct Kind {
 
 impl Kind {
     fn bytes(&self) -> u64 {
-        // Depth with stencil has no size of its own.
-        let pixel = self.format.block_copy_size(None).unwrap_or(8);
-        self.size_px.iter().map(|side| u64::from(*side)).product::<u64>() * u64::from(pixel * self.samples)
+        // Of depth with stencil, wgpu does not say.
+        let texel = self.format.block_copy_size(None).unwrap_or(8);
+        u64::from(self.size_px[0]) * u64::from(self.size_px[1]) * u64::from(self.samples * texel)
     }
 }
 
@@ -36,23 +32,32 @@ struct Transient {
 pub(crate) struct Transients {
     all: Vec<Transient>,
     frame: u32,
+    /// The most bytes that one of the last frames used, and which.
+    most: (u64, u32),
 }
 
 impl Transients {
-    /// Frees what was not used for long, and of too many the longest unused.
-    pub(crate) fn start_frame(&mut self) {
+    /// Frees what was not used for long; and, the longest unused first, what is more than one of the last frames
+    /// needed, for each of so many targets that take turns.
+    pub(crate) fn start_frame(&mut self, targets: usize) {
         let last = self.frame;
-        self.frame = last.wrapping_add(1);
-        let unused_for = |t: &Transient| last.wrapping_sub(t.used);
-        self.all.retain(|t| unused_for(t) < KEPT_FRAMES);
-        self.all.sort_by_key(unused_for);
-        let used: u64 = self.all.iter().filter(|t| t.used == last).map(|t| t.kind.bytes()).sum();
-        let mut room = used + UNUSED_BYTES.max(UNUSED_TIMES * used);
-        self.all.retain(|t| {
-            let left = room.checked_sub(t.kind.bytes());
-            room = left.unwrap_or(0);
-            left.is_some()
-        });
+        let bytes_of = |all: &[Transient], is_used: bool| -> u64 {
+            all.iter().filter(|t| (t.used == last) == is_used).map(|t| t.kind.bytes()).sum()
+        };
+        let used = bytes_of(&self.all, true);
+        if used >= self.most.0 || last.wrapping_sub(self.most.1) > KEPT_FRAMES {
+            self.most = (used, last);
+        }
+        let frame = last.wrapping_add(1);
+        self.frame = frame;
+        self.all.retain(|t| frame.wrapping_sub(t.used) <= KEPT_FRAMES);
+        let room = self.most.0.saturating_mul(targets as u64);
+        let mut unused = bytes_of(&self.all, false);
+        while unused > room {
+            let ages = self.all.iter().map(|t| frame.wrapping_sub(t.used));
+            let Some((oldest, _)) = ages.enumerate().max_by_key(|(_, age)| *age) else { break };
+            unused -= self.all.remove(oldest).kind.bytes();
+        }
     }
 
     /// A buffer for a target: passes with the same `owner` get the same one.
@@ -90,59 +95,57 @@ impl Transients {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
-
-    const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT, GraphicsContext};
 
     fn context() -> GraphicsContext {
-        let traits = ContextTraits { adapter: AdapterChoice::Noop, validation: false, ..ContextTraits::default() };
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
         GraphicsContext::new_offscreen(&traits).unwrap()
     }
 
-    impl Transients {
-        fn bytes(&self) -> u64 {
-            self.all.iter().map(|t| t.kind.bytes()).sum()
-        }
+    fn bytes(transients: &Transients) -> u64 {
+        transients.all.iter().map(|t| t.kind.bytes()).sum()
     }
 
-    /// 120 sizes were kept.
+    /// As while a window's edge is dragged: each size was kept for as long as all others.
     #[test]
-    fn a_dragged_edge_leaves_few_behind() {
-        let (context, mut transients) = (context(), Transients::default());
-        let mut most = 0;
-        for frame in 0..200 {
-            transients.start_frame();
-            let size_px = [1000 + frame, 1000];
-            transients.view(context.device(), size_px, DEPTH, 4, 0);
-            transients.view(context.device(), size_px, wgpu::TextureFormat::Rgba8UnormSrgb, 4, 0);
-            most = most.max(transients.bytes());
+    fn sizes_that_never_come_again_do_not_pile_up() {
+        let ctx = context();
+        let mut transients = Transients::default();
+        for wider in [true, false] {
+            for step in 0..200 {
+                let width = 100 + if wider { step } else { 200 - step };
+                transients.start_frame(1);
+                for (owner, format) in [DEPTH_FORMAT, wgpu::TextureFormat::Rgba8Unorm].into_iter().enumerate() {
+                    transients.view(ctx.device(), [width, 100], format, 4, owner as u32);
+                }
+                let largest = 2 * 300 * 100 * 4 * 4;
+                assert!(bytes(&transients) <= 3 * largest, "{} bytes at width {width}", bytes(&transients));
+            }
         }
-        // Those in use, three times as much beside them, and those of the frame before.
-        assert!(most <= 5 * 2 * 16 * 1200 * 1000, "{most}");
-        // Small ones are kept, for their time.
-        let mut small = Transients::default();
-        for frame in 0..200 {
-            small.start_frame();
-            small.view(context.device(), [10 + frame, 10], DEPTH, 1, 0);
+        // Once they stand still, what is left of the others goes with time.
+        for _ in 0..2 * KEPT_FRAMES {
+            transients.start_frame(1);
+            transients.view(ctx.device(), [100, 100], DEPTH_FORMAT, 1, 0);
         }
-        assert_eq!(small.all.len(), KEPT_FRAMES as usize + 1);
+        assert_eq!(transients.all.len(), 1);
     }
 
     #[test]
-    fn what_is_used_in_turns_is_made_once() {
-        let (context, mut transients) = (context(), Transients::default());
-        let sizes = [[1000, 800], [900, 700], [800, 900]];
-        for frame in 0..30 {
-            transients.start_frame();
-            transients.view(context.device(), sizes[frame % 3], DEPTH, 4, 0);
-            assert_eq!(transients.all.len(), sizes.len().min(frame + 1));
+    fn sizes_that_take_turns_are_kept() {
+        let ctx = context();
+        // Of one target, and of three.
+        for (targets, widths) in [(1, &[100, 90][..]), (3, &[300, 200, 100])] {
+            let mut transients = Transients::default();
+            let mut draw = |width: u32| {
+                transients.start_frame(targets);
+                transients.view(ctx.device(), [width, 100], DEPTH_FORMAT, 1, 0)
+            };
+            let first: Vec<_> = widths.iter().map(|width| draw(*width)).collect();
+            for _ in 0..100 {
+                for (width, view) in widths.iter().zip(&first) {
+                    assert!(draw(*width) == *view, "{width} of {widths:?} was made anew");
+                }
+            }
         }
-        // Passes that must not share one have one each.
-        transients.start_frame();
-        let before = transients.all.len();
-        for owner in [1, 2, 1] {
-            transients.view(context.device(), sizes[0], DEPTH, 4, owner);
-        }
-        assert_eq!(transients.all.len(), before + 1);
     }
 }

@@ -78,7 +78,8 @@ pub enum Mode {
     /// A clip plane by its number, 0 to 5; off.
     ClipPlane(u8),
     /// A texture unit, 0 to 3; off. Unit 0 switched off with override takes the textures of drawables' own materials
-    /// along. Without a program there is one cube, one volume and one array for all units: others are an error, and white.
+    /// along. Of cubes, volumes and arrays the fixed function takes one each: units after the first with another are
+    /// white, and that is said.
     Texture(u8),
     /// [`TexGen`] of a texture unit; off.
     TexGen(u8),

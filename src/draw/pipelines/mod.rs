@@ -1,5 +1,6 @@
 //! Pipelines, made when first needed: a software adapter takes a third of a second for each at its first draw.
 
+mod bare;
 pub(in crate::draw) mod convert;
 pub(in crate::draw) mod key;
 pub(in crate::draw) mod programs;
@@ -10,35 +11,18 @@ use std::collections::HashMap;
 
 use crate::draw::pipelines::key::{AirKind, Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
 use crate::draw::pipelines::programs::{HEIGHT_ENTRY, Programs};
+use bare::BARE;
+pub(in crate::draw) use bare::Bare;
 pub use sources::DRAWABLE_PRELUDE;
 use sources::*;
 pub(in crate::draw) use sources::{HEIGHT_PROGRAM_PRELUDE, PROGRAM_PRELUDE};
 use variant::Variant;
 
-use convert::{bias, factor, operation, reversed, stencil_face, zeroed};
+use convert::{bias, factor, operation, reversed, stencil_face};
 
 use crate::gpu::{GraphicsContext, VertexFormat};
 pub(in crate::draw) use crate::gpu::{MOST_COLORS, TargetFormats};
 use crate::state::{PolygonMode, ResolvedState, TEXTURE_UNITS};
-
-/// What is drawn without a state of the scene's, one pipeline a target.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::draw) enum Bare {
-    /// Behind what is opaque.
-    Sky,
-    /// The sea.
-    Water,
-    /// Boxes of occlusion queries.
-    Query,
-    /// The background of a part of a target, with its depth.
-    Fill,
-    /// The same without depth.
-    FillColor,
-    /// The depth of a part of a target alone.
-    FillDepth,
-    /// The sea with the sun's shadows on it.
-    ShadowedWater,
-}
 
 /// Attributes of vertices of each format, and of the one white that packed and quantized ones share.
 const OF_FULL: [wgpu::VertexAttribute; 4] =
@@ -47,9 +31,6 @@ const OF_PACKED: [wgpu::VertexAttribute; 3] = wgpu::vertex_attr_array![0 => Floa
 const OF_QUANTIZED: [wgpu::VertexAttribute; 3] =
     wgpu::vertex_attr_array![0 => Unorm16x4, 1 => Unorm16x2, 2 => Snorm8x4];
 const OF_WHITE: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![3 => Unorm8x4];
-
-/// How many there are.
-const BARE: usize = 7;
 
 /// Pipelines of a renderer, by key.
 pub(in crate::draw) struct Pipelines {
@@ -67,7 +48,7 @@ pub(in crate::draw) struct Pipelines {
     index_of: HashMap<PipelineKey, u32>,
     parts: Parts,
     targets: Vec<TargetFormats>,
-    /// Of each target, in the order of [`Bare`]; `Some(None)` where one could not be made.
+    /// Of each target, in the order of [`Bare`]; of what was tried, `None` where it cannot be made.
     bare: Vec<[Option<Option<wgpu::RenderPipeline>>; BARE]>,
     /// Modules by the address of their source.
     modules: Vec<(&'static str, wgpu::ShaderModule)>,
@@ -174,10 +155,6 @@ impl Pipelines {
         self.targets.get(usize::from(target))
     }
 
-    pub(in crate::draw) fn bare(&self, what: Bare, target: u8) -> Option<&wgpu::RenderPipeline> {
-        self.bare.get(usize::from(target))?[what as usize].as_ref()?.as_ref()
-    }
-
     fn module(&mut self, ctx: &GraphicsContext, label: &str, source: &'static str) -> wgpu::ShaderModule {
         if let Some((_, module)) = self.modules.iter().find(|(s, _)| std::ptr::eq(*s, source)) {
             return module.clone();
@@ -188,44 +165,6 @@ impl Pipelines {
         });
         self.modules.push((source, module.clone()));
         module
-    }
-
-    /// Makes a pipeline without a state for a target unless it is there, or could not be made.
-    pub(in crate::draw) fn ensure_bare(&mut self, ctx: &GraphicsContext, what: Bare, target: u8) {
-        let Some(key) = self.targets.get(usize::from(target)).copied() else { return };
-        if self.bare[usize::from(target)][what as usize].is_some() {
-            return;
-        }
-        let (label, source, entries) = match what {
-            Bare::Sky => ("sky", SKY_WGSL, ["vs_sky", "fs_sky"]),
-            Bare::Water => ("water", WATER_WGSL, ["vs_sky", "fs_water"]),
-            Bare::ShadowedWater => ("shadowed water", SHADOWED_WATER_WGSL, ["vs_sky", "fs_water"]),
-            Bare::Query => ("query", QUERY_WGSL, ["vs_query", "fs_query"]),
-            Bare::Fill | Bare::FillColor | Bare::FillDepth => ("fill", FILL_WGSL, ["vs_fill", "fs_fill"]),
-        };
-        let module = self.module(ctx, label, source);
-        let mut variant = Self::variant(label, &module, entries, key);
-        match what {
-            Bare::Water | Bare::ShadowedWater => {
-                (variant.depth_write, variant.blend) = (true, Some(wgpu::BlendState::ALPHA_BLENDING));
-            }
-            Bare::Query => variant.write_mask = wgpu::ColorWrites::empty(),
-            Bare::Sky => {}
-            Bare::Fill | Bare::FillColor | Bare::FillDepth => {
-                variant.depth_compare = wgpu::CompareFunction::Always;
-                variant.outputs = u32::MAX;
-                variant.write_mask.set(wgpu::ColorWrites::ALPHA, key.keeps_alpha);
-                if what == Bare::FillDepth {
-                    variant.write_mask = wgpu::ColorWrites::empty();
-                }
-                if what != Bare::FillColor {
-                    variant.depth_write = true;
-                    variant.stencil = zeroed(key.depth);
-                }
-            }
-        }
-        self.bare[usize::from(target)][what as usize] = Some(self.create(ctx, &variant));
-        self.created += 1;
     }
 
     /// The index of a key's pipeline; makes it unless it is there.
@@ -254,7 +193,7 @@ impl Pipelines {
         self.pipelines.len() as u32 - 1
     }
 
-    /// Lets programs go that nobody but this has, and what was made with them; whether there were any. Before a frame:
+    /// Lets programs go that nobody has any more, and what was made with them; whether there were any. Before a frame:
     /// what is drawn holds its programs.
     pub(in crate::draw) fn prune(&mut self) -> bool {
         let gone = self.programs.prune();

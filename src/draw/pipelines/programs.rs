@@ -49,7 +49,7 @@ pub(in crate::draw) struct Compiled {
 }
 
 struct Entry {
-    /// Of each device that draws with it.
+    /// Also keeps the address from being used again. Not held: renderers of other devices have it too.
     program: Weak<Program>,
     compiled: Option<Compiled>,
 }
@@ -79,9 +79,7 @@ impl Programs {
         device: &wgpu::Device,
         program: &Arc<Program>,
     ) -> Result<Option<u16>, String> {
-        let is_it = |entry: &Option<Entry>| {
-            entry.as_ref().is_some_and(|e| std::ptr::eq(e.program.as_ptr(), Arc::as_ptr(program)))
-        };
+        let is_it = |entry: &Option<Entry>| entry.as_ref().is_some_and(|e| e.program.as_ptr() == Arc::as_ptr(program));
         if let Some(place) = self.entries.iter().position(is_it) {
             let place = place as u16;
             return Ok(self.get(place).is_some().then_some(place));
@@ -105,7 +103,7 @@ impl Programs {
         result
     }
 
-    /// Lets those go that nobody has; their places.
+    /// Lets those go that nobody has any more; their places.
     pub(in crate::draw) fn prune(&mut self) -> Vec<u16> {
         let mut gone = Vec::new();
         for (place, slot) in (0u16..).zip(&mut self.entries) {
@@ -120,7 +118,7 @@ impl Programs {
     pub(in crate::draw) fn ensure_heights(&mut self, device: &wgpu::Device, place: u16) -> Result<(), String> {
         let Some(Some(entry)) = self.entries.get_mut(usize::from(place)) else { return Ok(()) };
         let Some(compiled) = entry.compiled.as_mut().filter(|c| c.heights.is_none()) else { return Ok(()) };
-        // What is drawn has it.
+        // Whoever draws with it holds it.
         let Some(program) = entry.program.upgrade() else { return Ok(()) };
         let source = heights_source(&program.wgsl)
             .map_err(|reason| format!("program {:?} on height tiles: {reason}", program.name))?;

@@ -37,7 +37,7 @@ impl Renderer {
         if let Some(queries) = &mut self.queries {
             queries.start_frame();
         }
-        if let Some(problem) = self.targets.start_frame(pictures.clone().map(|p| p.stage)) {
+        if let Some(problem) = self.targets.start_frame(ctx, pictures.clone().map(|p| p.stage)) {
             self.complain(problem);
         }
         if let Some(composite) = &mut self.composite {

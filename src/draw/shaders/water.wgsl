@@ -5,20 +5,12 @@ struct WaterFragment {
     @builtin(frag_depth) depth: f32,
 }
 
-// What is mirrored from a direction, and the sun over pi on the level. Over a background there is no air, and its tables
-// are those of another picture.
-fn mirrored_sky(ray: vec3<f32>) -> vec3<f32> {
+// What comes from a direction of eye space: the sky's light; without air, that of the horizon.
+fn mirrored_light(ray: vec3<f32>) -> vec3<f32> {
     if frame.shape.z <= 0.0 {
         return frame.horizon_color.rgb;
     }
     return sky_color(ray);
-}
-
-fn mirrored_sun(normal: vec3<f32>) -> vec3<f32> {
-    if frame.shape.z <= 0.0 {
-        return frame.sun_color.rgb * sun_daylight(dot(normal, frame.sun_direction.xyz));
-    }
-    return sun_at(normal, frame.water.w) / 3.14159265;
 }
 
 @fragment
@@ -63,7 +55,8 @@ fn fs_water(in: SkyVertex) -> WaterFragment {
     let glitter = 6.0 * pow(max(dot(normal, half_way), 0.0), 400.0) * step(0.0, dot(normal, frame.sun_direction.xyz));
     let lit = sun_shadow(point, normal);
     let deep = frame.water.rgb * (light_of_sun(normal, normal, frame.water.w) * lit + light_of_sky(normal, normal));
-    let reflected = mirrored_sky(mirrored) + mirrored_sun(normal) * (lit * glitter);
+    let sun = light_of_sun(frame.sun_direction.xyz, normal, frame.water.w);
+    let reflected = mirrored_light(mirrored) + sun * (lit * glitter);
     let color = mix(deep, reflected, fresnel);
     let opacity = mix(0.88, 1.0, fresnel);
     return WaterFragment(

@@ -1,11 +1,14 @@
 //! The fixed function: lights, material, fog, clip planes, alpha test and texture units as uniforms of
 //! shaders/fixed.wgsl. Mirrors of its structs; a test compares them with naga's layout.
 
+use std::sync::Arc;
+
 use glam::DAffine3;
 
 use crate::cull::{RenderStage, moved, plane_moved};
 use crate::state::{
-    CLIP_PLANES, CompareFunction, FogMode, LIGHTS, Mode, ResolvedState, TEXTURE_UNITS, TexGen, TextureDimension,
+    CLIP_PLANES, CompareFunction, FogMode, LIGHTS, Mode, ResolvedState, Sampler, TEXTURE_UNITS, TexGen, TextureBinding,
+    TextureDimension,
 };
 
 /// A light; `StageLight` in frame.wgsl.
@@ -114,17 +117,18 @@ pub(in crate::draw) struct FixedUniform {
 
 const _: () = assert!(TEXTURE_UNITS == 4);
 
-/// Of rows and pictures, of which each unit may have one. Of each other kind there is one.
-pub(in crate::draw) const PLANE: u32 = 1;
-
-/// As in [`FixedUniform::units`].
-pub(in crate::draw) fn unit_kind(dimension: TextureDimension) -> u32 {
-    match dimension {
-        TextureDimension::D1 | TextureDimension::D2 => PLANE,
-        TextureDimension::Cube => 2,
-        TextureDimension::D3 => 3,
-        TextureDimension::D2Array => 4,
+/// The unit before one that has another cube, volume or array: of each there is one binding.
+pub(in crate::draw) fn taken_by(state: &ResolvedState, unit: usize) -> Option<usize> {
+    let binding = state.texture(unit)?;
+    if matches!(binding.texture.dimension, TextureDimension::D1 | TextureDimension::D2) {
+        return None;
     }
+    let is_alike = |b: &TextureBinding| b.texture.dimension == binding.texture.dimension;
+    let first = (0..unit).find(|before| state.texture(*before).is_some_and(is_alike))?;
+    // Each unit has a bias of its own.
+    let sampler = |b: &TextureBinding| Sampler { mip_bias: 0.0, ..b.sampler };
+    let is_other = |b: &TextureBinding| !Arc::ptr_eq(&b.texture, &binding.texture) || sampler(b) != sampler(binding);
+    state.texture(first).is_some_and(is_other).then_some(first)
 }
 
 impl FixedUniform {
@@ -167,12 +171,13 @@ impl FixedUniform {
             planes: [[0.0; 4]; 2 * TEXTURE_UNITS],
         };
         for unit in 0..TEXTURE_UNITS {
-            let Some(binding) = state.texture(unit) else { continue };
-            let kind = unit_kind(binding.texture.dimension);
-            if kind != PLANE && uniform.units.contains(&kind) {
-                continue;
-            }
-            uniform.units[unit] = kind;
+            let Some(binding) = state.texture(unit).filter(|_| taken_by(state, unit).is_none()) else { continue };
+            uniform.units[unit] = match binding.texture.dimension {
+                TextureDimension::D1 | TextureDimension::D2 => 1,
+                TextureDimension::Cube => 2,
+                TextureDimension::D3 => 3,
+                TextureDimension::D2Array => 4,
+            };
             uniform.bias[unit] = binding.sampler.mip_bias;
             let Some(texgen) = state.texgen(unit) else { continue };
             let of_node = stage.texgens.iter().rev().find(|of| usize::from(of.unit) == unit);

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::fixed::{FixedUniform, PLANE, unit_kind};
+use super::fixed::{FixedUniform, taken_by};
 use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::Shading;
 use crate::gpu::{GraphicsContext, StateTextures, White, view_dimension};
@@ -126,19 +126,9 @@ impl Groups {
             _ => None,
         };
         let mut units = [(0, 0); TEXTURE_UNITS];
-        let mut kinds = [PLANE; TEXTURE_UNITS];
         for (unit, slot) in units.iter_mut().enumerate() {
             let Some(binding) = state.texture(unit) else { continue };
             let texture = &binding.texture;
-            if program.is_none() {
-                let kind = unit_kind(texture.dimension);
-                if kind != PLANE && kinds.contains(&kind) {
-                    let (name, dimension) = (&texture.name, texture.dimension);
-                    wrong(format!("texture {name:?} is a second {dimension:?}, of which the fixed function has one"));
-                    continue;
-                }
-                kinds[unit] = kind;
-            }
             let layout = program.and_then(|program| program.units[unit]);
             let sampler = layout.map_or(Some(binding.sampler), |u| u.sampler(&binding.sampler));
             let fits = match (program, layout) {
@@ -152,6 +142,13 @@ impl Groups {
             };
             if attached(binding) {
                 wrong(format!("texture {:?} is read while it is drawn into", texture.name));
+                continue;
+            }
+            if let Some(first) = taken_by(state, unit).filter(|_| program.is_none()) {
+                let (name, dimension) = (&texture.name, texture.dimension);
+                wrong(format!(
+                    "texture {name:?}: unit {first} has the one {dimension:?} there can be, unit {unit} is white"
+                ));
                 continue;
             }
             let Some(sampler) = sampler.filter(|_| fits) else {
