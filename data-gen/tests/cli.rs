@@ -40,7 +40,7 @@ fn wrong_values_are_wrong_usage() {
     assert!(String::from_utf8(output.stdout).unwrap().starts_with("1 tiles on 1 levels"));
 }
 
-/// The run that was ended cannot; the next for the same folder does.
+/// It stayed for ever.
 #[test]
 fn what_a_killed_run_leaves_is_removed() {
     let folder = tempfile::tempdir().unwrap();

@@ -25,29 +25,6 @@ fn a_failed_run_leaves_what_was_there() {
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
-/// It stayed for ever.
-#[cfg(unix)]
-#[test]
-fn what_an_ended_run_left_is_removed_by_the_next() {
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("set");
-    // Ended while it waits for its elevation: a pipe is open when both ends are.
-    let elsewhere = tempfile::tempdir().unwrap();
-    let pipe = elsewhere.path().join("elevation.tif");
-    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
-    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_terrane-gen"))
-        .args([out.as_path(), "--dem".as_ref(), &pipe])
-        .spawn()
-        .unwrap();
-    let _writer = fs::File::options().write(true).open(&pipe).unwrap();
-    child.kill().unwrap();
-    child.wait().unwrap();
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    run(&GenArgs { levels: Some(1), ..small(out.clone()) }).unwrap();
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
-    assert!(out.join("tileset.json").is_file());
-}
-
 /// Only tile sets are replaced, and none with what the new one is made of.
 #[test]
 fn nothing_but_a_tile_set_is_replaced() {
