@@ -186,6 +186,10 @@ fn wrong_magic_error_pages_and_foreign_formats_are_named() {
     for (magic, name) in [("i3dm", "i3dm"), ("cmpt", "cmpt"), ("subt", "implicit")] {
         assert!(refused(magic.as_bytes()).contains(name));
     }
+    // Textures have no image of their own then.
+    let basis = r#"{"asset":{"version":"2.0"},"extensionsUsed":["KHR_texture_basisu"],"extensionsRequired":["KHR_texture_basisu"],
+        "images":[{"uri":"data:image/ktx2;base64,"}],"textures":[{"extensions":{"KHR_texture_basisu":{"source":0}}}]}"#;
+    assert!(refused(basis.as_bytes()).contains("required glTF extension KHR_texture_basisu"));
 }
 
 /// What the gltf crate's own validation takes for granted.

@@ -87,12 +87,17 @@ fn read(
     limits: &Limits,
     sharing: Option<&SharedStateManager>,
 ) -> Result<Node, IoError> {
-    let mut root: gltf::json::Root =
-        gltf::json::Root::from_slice(json).map_err(|e| IoError::invalid(uri, format!("glTF JSON: {e}")))?;
-    for name in &root.extensions_required {
-        if !KNOWN_EXTENSIONS.contains(&name.as_str()) {
-            return Err(IoError::unsupported(uri, format!("required glTF extension {name}")));
-        }
+    let refused = |required: &[String]| {
+        let unknown = required.iter().find(|name| !KNOWN_EXTENSIONS.contains(&name.as_str()));
+        unknown.map(|name| IoError::unsupported(uri, format!("required glTF extension {name}")))
+    };
+    let mut root = gltf::json::Root::from_slice(json).map_err(|e| {
+        // What is missing may stand in an extension: textures have no source of their own there.
+        let required = super::gltf_json::extensions_required(json);
+        refused(&required).unwrap_or_else(|| IoError::invalid(uri, format!("glTF JSON: {e}")))
+    })?;
+    if let Some(error) = refused(&root.extensions_required) {
+        return Err(error);
     }
     root.extensions_required.clear();
     // The crate takes for granted what the next two loops check.

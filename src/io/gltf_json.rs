@@ -32,6 +32,16 @@ struct CesiumRtc {
     center: [f64; 3],
 }
 
+/// The names of extensions that a document cannot be read without; none where it is no JSON.
+pub(super) fn extensions_required(json: &[u8]) -> Vec<String> {
+    #[derive(Deserialize)]
+    struct Required {
+        #[serde(rename = "extensionsRequired", default)]
+        names: Vec<String>,
+    }
+    serde_json::from_slice(json).map_or(Vec::new(), |required: Required| required.names)
+}
+
 impl Document {
     /// Reads it where the crate's own document is not enough.
     pub fn read(json: &[u8], root: &gltf::json::Root) -> Result<Self, serde_json::Error> {

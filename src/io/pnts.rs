@@ -10,7 +10,7 @@ use serde::de::IgnoredAny;
 use super::feature_table::{self, Global, Place};
 use super::{IoError, Limits};
 use crate::math::Aabb;
-use crate::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topology};
+use crate::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topology};
 
 const HEADER_BYTES: usize = 28;
 
@@ -106,7 +106,11 @@ pub(crate) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoE
     }
     let indices: Arc<[u32]> = (0..count as u32).collect();
     let mesh = Mesh { vertices, indices, topology: Topology::Points, bounds };
-    let material = Material { unlit: normals.is_none(), ..Material::default() };
+    let alpha = match mesh.vertices.iter().all(|vertex| vertex.color[3] == u8::MAX) {
+        true => AlphaMode::Opaque,
+        false => AlphaMode::Blend,
+    };
+    let material = Material { unlit: normals.is_none(), alpha, ..Material::default() };
     let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
     Ok(Node::transform(DAffine3::from_translation(origin), vec![geode]))
 }
@@ -212,6 +216,9 @@ mod tests {
         let [x, y, z] = mesh.vertices[0].position;
         assert!(x == 0.0 && y == 10.0 && (z - 5.0).abs() < 1e-3);
         assert_eq!((mesh.vertices[0].color, material.unlit), ([255, 255, 0, 255], true));
+        assert_eq!(material.alpha, AlphaMode::Opaque);
+        let (_, _, glass) = cloud(&pnts(&json.replace("255,255,0,255", "255,255,0,128"), &binary));
+        assert_eq!(glass.alpha, AlphaMode::Blend);
     }
 
     #[test]

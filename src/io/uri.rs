@@ -130,12 +130,11 @@ pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc
             if base.scheme() == "https" && url.scheme() != "https" {
                 return Err(bad(reference, "an open connection is not allowed in a tile set on an encrypted one"));
             }
-            // Session tokens travel in the root's query; a child without one inherits it, at the same server only.
             if is_3tz(url.path()) {
                 url.set_path(&format!("{}/tileset.json", url.path()));
             }
-            if url.query().is_none() && url.origin() == base.origin() {
-                url.set_query(base.query());
+            if let Some(from_base) = base.query().filter(|query| !query.is_empty() && url.origin() == base.origin()) {
+                url.set_query(Some(&with_inherited(url.query().unwrap_or(""), from_base)));
             }
             Ok(url.as_str().into())
         }
@@ -186,6 +185,16 @@ pub fn resolve(base_uri: &str, reference: &str, scope: &RootScope) -> Result<Arc
             path.to_str().map(Arc::from).ok_or_else(|| bad(reference, "the path is not UTF-8"))
         }
     }
+}
+
+/// A query, and what it does not say itself from that of the file that names it: keys of the root and tokens of sessions
+/// travel so through a tile set (as CesiumJS and its servers have it).
+fn with_inherited(own: &str, from_base: &str) -> String {
+    let name = |pair: &str| pair.split('=').next().unwrap_or_default().to_owned();
+    let said: Vec<String> = own.split('&').map(name).collect();
+    let inherited = from_base.split('&').filter(|pair| !said.contains(&name(pair)));
+    let pairs: Vec<&str> = own.split('&').chain(inherited).filter(|pair| !pair.is_empty()).collect();
+    pairs.join("&")
 }
 
 /// Bucket and nothing else before the key, and no query: keys go by the environment.
@@ -309,5 +318,18 @@ mod tests {
         assert_eq!(&*get("https://a/t.json?key=1", "https://a:444/x.glb").unwrap(), "https://a:444/x.glb");
         assert_eq!(&*get("https://a/t.json?key=1", "https://b/x.glb").unwrap(), "https://b/x.glb");
         assert!(get("https://a/t.json?key=1", "http://a/x.glb").is_err(), "never in clear");
+        for (base, reference, query) in [
+            ("?key=1", "x.json?session=a%20b", "?session=a%20b&key=1"),
+            ("?session=s&key=1", "x.glb", "?session=s&key=1"),
+            ("?session=s&key=1", "x.glb?session=t", "?session=t&key=1"),
+            ("?key=1&key=2&v", "x.glb?v=3&", "?v=3&key=1&key=2"),
+            ("?", "x.glb?a", "?a"),
+            ("", "x.glb?a=1&a=2", "?a=1&a=2"),
+            ("", "x.glb", ""),
+        ] {
+            let path = reference.split('?').next().unwrap();
+            let whole = get(&format!("https://a/t.json{base}"), reference).unwrap();
+            assert_eq!(&*whole, format!("https://a/{path}{query}"), "{base} {reference}");
+        }
     }
 }

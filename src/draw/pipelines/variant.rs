@@ -135,9 +135,7 @@ impl Pipelines {
         match pollster::block_on(scope.pop()) {
             None => Some(pipeline),
             Some(error) => {
-                let error = format!("pipeline {}: {error}", variant.label);
-                log::error!("{error}");
-                self.errors.push(error);
+                self.errors.push(format!("pipeline {}: {error}", variant.label));
                 None
             }
         }
