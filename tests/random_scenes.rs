@@ -10,46 +10,17 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use gpu_support::{Rig, camera, count, plain, rig};
-use image::{Rgba, RgbaImage};
-use random_support::{Maker, Random, change, eye, named, seeds};
+use image::RgbaImage;
+use random_support::{Differences, Maker, Random, change, eye, named, picture, seeds};
 use terrane::cull::{CullCamera, CullingMode};
+use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
     Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Environment, Fog, Geometry, Node, NodeKind, Page,
-    PictureSink, RenderOrder, SunShadows, Topology, Water,
+    PagedLod, PagingOptions, PictureSink, RangeMode, Refine, RenderOrder, SunShadows, Topology, Water,
 };
 use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObject};
 
 const SIDE: u32 = 96;
-
-fn picture(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
-    let scene = rig.scene(node.clone());
-    let picture = rig.picture(&scene, camera, environment);
-    rig.release(scene);
-    picture
-}
-
-/// What was not the same.
-#[derive(Default)]
-struct Differences(Vec<String>);
-
-impl Differences {
-    /// Notes where more than `few` pixels are others.
-    fn compare(&mut self, what: &str, seed: u64, [a, b]: [&RgbaImage; 2], few: usize) {
-        let is_other = |(a, b): &(&Rgba<u8>, &Rgba<u8>)| a.0.iter().zip(&b.0).take(3).any(|(a, b)| a.abs_diff(*b) > 3);
-        let others = a.pixels().zip(b.pixels()).filter(is_other).count();
-        if others > few {
-            let folder = std::path::PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
-            let names = ["a", "b"].map(|name| folder.join(format!("random_{seed}_{}_{name}.png", self.0.len())));
-            a.save(&names[0]).unwrap();
-            b.save(&names[1]).unwrap();
-            self.0.push(format!("seed {seed}, {what}: {others} pixels; {} and b", names[0].display()));
-        }
-    }
-
-    fn assert_none(&self) {
-        assert!(self.0.is_empty(), "{}", self.0.join("\n"));
-    }
-}
 
 /// The same graph with nodes between that change nothing.
 fn padded(node: &Node, random: &mut Random) -> Node {
@@ -229,6 +200,56 @@ fn several_roots(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &
     picture
 }
 
+/// The same graph with some nodes in pages of their own, which hang in tiles.
+fn below_tiles(rig: &mut Rig, node: &Node, camera: &CullCamera, random: &mut Random) -> RgbaImage {
+    let mut cut = Vec::new();
+    let mut scene = rig.scene(with_tiles(node, random, &mut cut));
+    let mut pages = vec![scene.roots()[0]];
+    // What is cut out comes after what it was cut from.
+    for (number, content) in cut.into_iter().enumerate().rev() {
+        let name = tile_name(number);
+        let slot = pages.iter().find_map(|page| scene.nodes_named(*page, &name).next()).unwrap();
+        let mut page = Page::from_node(content).unwrap();
+        let compiled = rig.compile(page.take_drawables());
+        page.set_draw_slots(0, compiled.slots);
+        pages.push(scene.attach(slot, page).unwrap());
+    }
+    let picture = rig.picture(&scene, camera, &plain());
+    for page in pages.into_iter().skip(1).rev() {
+        for (_, slots) in scene.detach(page).unwrap().take_draw_slots() {
+            rig.ctx.release(&slots);
+        }
+    }
+    rig.release(scene);
+    picture
+}
+
+fn tile_name(number: usize) -> String {
+    format!("tile {number}")
+}
+
+/// The graph with tiles in the place of some nodes, and those nodes, each after what was cut out of it.
+fn with_tiles(node: &Node, random: &mut Random, cut: &mut Vec<Node>) -> Node {
+    let children = node.children.iter().map(|child| with_tiles(child, random, cut)).collect();
+    let copy = Node { children, ..node.clone() };
+    if !random.percent(20) {
+        return copy;
+    }
+    let place = random.place(5.0);
+    cut.push(Node::transform(place.inverse(), vec![copy]));
+    let lod = PagedLod {
+        bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 500.0)),
+        range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+        refine: Refine::Replace,
+        content: Some("tile".into()),
+        content_transform: place,
+        reader_data: None,
+        request_volume: None,
+        paging: PagingOptions::default(),
+    };
+    Node::new(NodeKind::PagedLod(Box::new(lod))).named(&tile_name(cut.len() - 1))
+}
+
 /// Graphs where the nearest is seen, whatever was drawn before it.
 #[test]
 fn what_is_opaque_may_be_drawn_in_any_order() {
@@ -254,6 +275,8 @@ fn what_is_opaque_may_be_drawn_in_any_order() {
         let mut fitted = camera;
         fitted.settings.compute_near_far = terrane::scene::ComputeNearFar::BoundingVolumes;
         same("near and far fitted", &node, &fitted, 12);
+        let other = below_tiles(rig, &node, &camera, &mut maker.random);
+        differences.compare("in pages below tiles", seed, [&whole, &other], 12);
     }
     differences.assert_none();
 }

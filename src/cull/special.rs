@@ -11,8 +11,8 @@ use super::view::View;
 use super::visitor::{Cull, DepthRange, PageContext};
 use super::{CullCamera, StageShadows};
 use crate::scene::{
-    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, DrawSlot, NONE, OcclusionQueryNode, ReferenceFrame,
-    RenderOrder, Special, UNBOUNDED,
+    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, DrawSlot, INACTIVE, NONE, OcclusionQueryNode,
+    ReferenceFrame, RenderOrder, Special, UNBOUNDED,
 };
 
 /// Cameras inside cameras are followed so deep.
@@ -266,7 +266,9 @@ impl Cull<'_> {
         let sphere = page.spheres[node as usize];
         // Answers are those of the picture itself: nobody draws what is only looked at.
         let only_looks = self.only_looks || self.camera.ahead_frames > 0;
-        if sphere.w >= UNBOUNDED || sphere.w < 0.0 || self.in_scene_camera || only_looks {
+        // Lights shine from where no box is seen, and cameras show what is not in it.
+        let is_bounded = sphere.w < UNBOUNDED && sphere.w >= 0.0 && page.nodes[node as usize].flags & INACTIVE == 0;
+        if !is_bounded || self.in_scene_camera || only_looks {
             return false;
         }
         // What one eye does not see another may.
@@ -314,7 +316,34 @@ mod tests {
     use super::*;
     use crate::cull::{CullVisitor, RenderStage};
     use crate::math::Aabb;
-    use crate::scene::{Drawable, Material, Mesh, Node, NodeKind, Page, Scene};
+    use crate::scene::{Drawable, LightSource, Material, Mesh, Node, NodeKind, Page, Scene};
+    use crate::state::Light;
+
+    #[test]
+    fn what_no_bound_culls_no_query_hides() {
+        let mesh = Mesh::cuboid(&Aabb { min: DVec3::new(-1.0, -1.0, -21.0), max: DVec3::new(1.0, 1.0, -19.0) });
+        let geode = Node::geode(vec![Drawable::new(mesh.into(), Material::default())]);
+        let queries = |below: Node| {
+            let query = OcclusionQueryNode { query_frames: 1, ..OcclusionQueryNode::default() };
+            let results = query.results.clone();
+            let asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query))).with_child(below);
+            let mut scene = Scene::new();
+            scene.add_root(Page::from_node(asked).unwrap());
+            let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+            for frame in 1..6 {
+                visitor.cull(&scene, &CullCamera { frame, ..CullCamera::default() }, &mut stage);
+                results.answered(0, 1, frame);
+            }
+            (stage.queries.len(), stage.leaf_count(), stage.lights.len())
+        };
+        assert_eq!(queries(geode.clone()), (1, 0, 0));
+        let light = Node::new(NodeKind::LightSource(Box::new(LightSource {
+            light: Light::default(),
+            frame: ReferenceFrame::Relative,
+        })));
+        assert_eq!(queries(Node::group(vec![geode.clone(), light])), (0, 1, 1));
+        assert_eq!(queries(Node { culling_active: false, ..geode }), (0, 1, 0));
+    }
 
     #[test]
     fn a_hidden_node_is_asked_for_where_near_and_far_do_not_cut_it_off() {

@@ -304,7 +304,8 @@ pub struct ConvexPlanarOccluder {
 
 /// Asks the adapter how many samples of its box are seen, and skips its children while none are. One eye asks, the first
 /// that met the node and still does: what it does not see another may, so that others draw what is below. Cameras in the
-/// graph that show the scene neither ask nor heed what is answered.
+/// graph that show the scene neither ask nor heed what is answered. A node below which something is culled by no bound (a
+/// light, a camera, what is in the eye's frame) asks nothing and hides nothing.
 #[derive(Clone, Debug)]
 pub struct OcclusionQueryNode {
     /// Hidden when fewer samples pass.

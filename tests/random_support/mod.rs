@@ -5,10 +5,12 @@
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat4, DQuat, DVec3, DVec4, EulerRot};
+use image::{Rgba, RgbaImage};
+use terrane::cull::CullCamera;
 use terrane::math::Aabb;
 use terrane::scene::{
-    AlphaMode, Billboard, BillboardMode, CameraNode, ClipNode, Drawable, Geometry, LightSource, Material, Mesh,
-    MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, Scene, TexGenNode, Topology,
+    AlphaMode, Billboard, BillboardMode, CameraNode, ClipNode, Drawable, Environment, Geometry, LightSource, Material,
+    Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, Scene, TexGenNode, Topology,
 };
 use terrane::state::{
     AlphaFunc, Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace,
@@ -17,7 +19,7 @@ use terrane::state::{
     TextureObject,
 };
 
-use super::gpu_support::{Terrain, with_mips};
+use super::gpu_support::{Rig, Terrain, with_mips};
 
 /// Those that RANDOM_SCENES=FIRST..END asks for, or the usual ones.
 pub fn seeds(usual: std::ops::Range<u64>) -> std::ops::Range<u64> {
@@ -505,4 +507,35 @@ fn replace_set(node: &mut Node, old: &Arc<StateSet>, new: &Arc<StateSet>) {
         node.state_set = Some(new.clone());
     }
     node.children.iter_mut().for_each(|child| replace_set(child, old, new));
+}
+
+/// Of a graph by itself.
+pub fn picture(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
+    let scene = rig.scene(node.clone());
+    let picture = rig.picture(&scene, camera, environment);
+    rig.release(scene);
+    picture
+}
+
+/// What was not the same.
+#[derive(Default)]
+pub struct Differences(Vec<String>);
+
+impl Differences {
+    /// Notes where more than `few` pixels are others.
+    pub fn compare(&mut self, what: &str, seed: u64, [a, b]: [&RgbaImage; 2], few: usize) {
+        let is_other = |(a, b): &(&Rgba<u8>, &Rgba<u8>)| a.0.iter().zip(&b.0).take(3).any(|(a, b)| a.abs_diff(*b) > 3);
+        let others = a.pixels().zip(b.pixels()).filter(is_other).count();
+        if others > few {
+            let folder = std::path::PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+            let names = ["a", "b"].map(|name| folder.join(format!("random_{seed}_{}_{name}.png", self.0.len())));
+            a.save(&names[0]).unwrap();
+            b.save(&names[1]).unwrap();
+            self.0.push(format!("seed {seed}, {what}: {others} pixels; {} and b", names[0].display()));
+        }
+    }
+
+    pub fn assert_none(&self) {
+        assert!(self.0.is_empty(), "{}", self.0.join("\n"));
+    }
 }
