@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex};
 use gpu_support::{MAGENTA, Rig, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::draw::{BinCallback, BinDrawing, RenderInfo};
-use terrane::scene::{Geometry, Node};
-use terrane::state::{Attribute, BinDetails, BlendFunc, DrawHook, SortMode, StateSet};
+use terrane::scene::{Drawable, Geometry, Node};
+use terrane::state::{Attribute, BinDetails, BlendFunc, ColorMask, DrawHook, SortMode, StateSet};
 
 const SIZE: u32 = 64;
 const ALL: usize = (SIZE * SIZE) as usize;
@@ -160,6 +160,15 @@ fn bins_that_blend_are_called_after_what_is_opaque() {
     assert_eq!(said.lock().unwrap().len(), 4);
 }
 
+/// Of many indices or few, which other calls draw.
+fn sized(mut drawable: Drawable, is_large: bool) -> Drawable {
+    if let (Geometry::Mesh(mesh), true) = (&mut drawable.geometry, is_large) {
+        let mesh = Arc::make_mut(mesh);
+        mesh.indices = mesh.indices.iter().copied().chain(std::iter::repeat_n(0, 60)).collect();
+    }
+    drawable
+}
+
 /// Where what is drawn first shows, leaves of one state are drawn as traversed, however they are drawn: small meshes many
 /// in a call, others each by itself.
 #[test]
@@ -169,12 +178,7 @@ fn a_state_whose_order_counts_keeps_it() {
     let picture_of = |rig: &mut Rig, enlarged: [bool; 3]| {
         let colors = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 0.5]];
         let nodes = colors.iter().zip(enlarged).enumerate().map(|(i, (color, is_enlarged))| {
-            let mut drawable = quad([0.0, 0.0, 0.1 * i as f32], [1.2; 2], *color);
-            if let (Geometry::Mesh(mesh), true) = (&mut drawable.geometry, is_enlarged) {
-                let mesh = Arc::make_mut(mesh);
-                mesh.indices = mesh.indices.iter().copied().chain(std::iter::repeat_n(0, 60)).collect();
-            }
-            Node::geode(vec![drawable])
+            Node::geode(vec![sized(quad([0.0, 0.0, 0.1 * i as f32], [1.2; 2], *color), is_enlarged)])
         });
         let blended = StateSet::default().with(Attribute::BlendFunc(BlendFunc::ALPHA));
         draw(rig, vec![Node::group(nodes.collect()).with_state_set(Arc::new(blended))])
@@ -184,5 +188,23 @@ fn a_state_whose_order_counts_keeps_it() {
     assert_eq!(pixel(&small, 32, 32), [136, 136, 207]);
     for enlarged in [[true, false, true], [false, true, false], [true; 3]] {
         assert!(picture_of(rig, enlarged) == small, "{enlarged:?}");
+    }
+}
+
+/// Colours that a nearer leaf leaves are those of what was drawn before it, however near that is.
+#[test]
+fn what_writes_some_colors_comes_after_what_was_met_before() {
+    let Some(mut rig) = rig("what_writes_some_colors_comes_after_what_was_met_before") else { return };
+    let rig = &mut *rig;
+    for [far, near] in [[false, false], [true, false], [false, true], [true, true]] {
+        let quad = |z: f32, color: [f32; 4], is_large: bool| {
+            Node::geode(vec![sized(quad([0.0, 0.0, z], [1.2; 2], color), is_large)])
+        };
+        let mask = StateSet::default().with(Attribute::ColorMask(ColorMask([true, true, false])));
+        let [black, yellow] = [quad(0.0, [0.0, 0.0, 0.0, 1.0], far), quad(0.1, [1.0, 1.0, 0.0, 1.0], near)];
+        let masked = yellow.with_state_set(Arc::new(mask));
+        assert_eq!(pixel(&draw(rig, vec![black.clone(), masked.clone()]), 32, 32), [255, 255, 0], "{far} {near}");
+        // The other way round blue is what was there before: that of the background.
+        assert_eq!(pixel(&draw(rig, vec![masked, black]), 32, 32), [255; 3], "{far} {near}");
     }
 }

@@ -15,8 +15,9 @@ use random_support::{Differences, Maker, Random, change, eye, named, picture, se
 use terrane::cull::{CullCamera, CullingMode};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
-    Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Environment, Fog, Geometry, Node, NodeKind, Page,
-    PagedLod, PagingOptions, PictureSink, RangeMode, Refine, RenderOrder, SunShadows, Topology, Water,
+    Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Drawable, Environment, Fog, Geometry, HeightTile,
+    Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, PictureSink, RangeMode, Refine, RenderOrder, SunShadows,
+    Texture, Topology, Water,
 };
 use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObject};
 
@@ -57,24 +58,37 @@ fn pushed_down(node: &Node) -> Node {
     copy
 }
 
-/// The same graph with small meshes made large, by triangles without extent.
-fn enlarged(node: &Node) -> Node {
-    let mut copy = Node { children: node.children.iter().map(enlarged).collect(), ..node.clone() };
-    let drawables: Vec<_> = match &mut copy.kind {
-        NodeKind::Geode(drawables) => drawables.iter_mut().collect(),
-        NodeKind::Billboard(billboard) => billboard.drawables.iter_mut().map(|(_, drawable)| drawable).collect(),
-        _ => Vec::new(),
-    };
-    for drawable in drawables {
-        if let Geometry::Mesh(mesh) = &mut drawable.geometry
-            && mesh.topology == Topology::Triangles
-            && mesh.indices.len() < 60
-        {
-            let mesh = Arc::make_mut(mesh);
-            mesh.indices = mesh.indices.iter().copied().chain(std::iter::repeat_n(0, 60)).collect();
-        }
+/// The same graph with other drawables.
+fn with_drawables(node: &Node, change: &dyn Fn(&mut Drawable)) -> Node {
+    let children = node.children.iter().map(|child| with_drawables(child, change)).collect();
+    let mut copy = Node { children, ..node.clone() };
+    match &mut copy.kind {
+        NodeKind::Geode(drawables) => drawables.iter_mut().for_each(change),
+        NodeKind::Billboard(billboard) => billboard.drawables.iter_mut().for_each(|(_, drawable)| change(drawable)),
+        _ => {}
     }
     copy
+}
+
+/// Makes small meshes large, by triangles without extent.
+fn enlarge(drawable: &mut Drawable) {
+    if let Geometry::Mesh(mesh) = &mut drawable.geometry
+        && mesh.topology == Topology::Triangles
+        && mesh.indices.len() < 60
+    {
+        let mesh = Arc::make_mut(mesh);
+        mesh.indices = mesh.indices.iter().copied().chain(std::iter::repeat_n(0, 60)).collect();
+    }
+}
+
+/// Leaves nothing that is shared with others.
+fn own(drawable: &mut Drawable) {
+    match &mut drawable.geometry {
+        Geometry::Mesh(mesh) => *mesh = Arc::new(Mesh { indices: mesh.indices.to_vec().into(), ..Mesh::clone(mesh) }),
+        Geometry::Height(tile) => *tile = Arc::new(HeightTile::clone(tile)),
+        _ => {}
+    }
+    drawable.material.texture = drawable.material.texture.take().map(|image| Arc::new(Texture::clone(&image)));
 }
 
 /// Graphs under every kind of state; the order of drawing counts.
@@ -106,7 +120,8 @@ fn what_is_drawn_is_a_matter_of_the_scene_alone() {
             same("with nodes between", &padded(&node, &mut maker.random), &camera, 0);
         }
         same("state sets at the children", &pushed_down(&node), &camera, 0);
-        same("large meshes", &enlarged(&node), &camera, 30);
+        same("large meshes", &with_drawables(&node, &enlarge), &camera, 30);
+        same("nothing shared", &with_drawables(&node, &own), &camera, 0);
         let projection = Node { children: vec![node.clone()], ..Node::new(NodeKind::Projection(camera.clip_from_eye)) };
         same("below a Projection", &projection, &camera, 0);
         let nested = CameraNode::new(RenderOrder::Nested);
@@ -157,7 +172,8 @@ fn light_and_air_are_a_matter_of_the_scene_alone() {
             same("with nodes between", &padded(&node, &mut maker.random), &camera, 0);
         }
         same("state sets at the children", &pushed_down(&node), &camera, 0);
-        same("large meshes", &enlarged(&node), &camera, 30);
+        same("large meshes", &with_drawables(&node, &enlarge), &camera, 30);
+        same("nothing shared", &with_drawables(&node, &own), &camera, 0);
         let other = several_roots(rig, &node, &camera, &environment);
         differences.compare("several roots", seed, [&whole, &other], 4);
     }

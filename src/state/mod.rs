@@ -138,7 +138,7 @@ pub enum SortMode {
     FrontToBack,
     /// Farthest first.
     BackToFront,
-    /// As traversed.
+    /// As traversed: depth first, and what hangs in the tiles of a page after the page.
     TraversalOrder,
     /// By a key that the application computes; equal keys as traversed.
     ByKey(SortKey),

@@ -143,7 +143,8 @@ impl StateKey {
             common |= CLOCKWISE;
         }
         let nearer_wins = matches!(compare, CompareFunction::Less | CompareFunction::LessOrEqual);
-        let order_is_free = write && nearer_wins && !blends && parts.stencil == 0;
+        let is_whole = mask == [true; 3] && !blends;
+        let order_is_free = write && nearer_wins && is_whole && parts.stencil == 0;
         let can_pull = !matches!(shading, Shading::Program(_));
         let can_fade = !matches!(shading, Shading::Program(_) | Shading::Fallback);
         let culled = [culled(false), culled(true)];
