@@ -32,6 +32,19 @@ const OF_QUANTIZED: [wgpu::VertexAttribute; 3] =
     wgpu::vertex_attr_array![0 => Unorm16x4, 1 => Unorm16x2, 2 => Snorm8x4];
 const OF_WHITE: [wgpu::VertexAttribute; 1] = wgpu::vertex_attr_array![3 => Unorm8x4];
 
+/// More pipelines than this are not kept where some are not drawn with.
+const MOST_KEPT: usize = 1024;
+/// What was drawn with in so many frames stays, however many there are.
+const UNUSED_FRAMES: u32 = 300;
+/// So many are let go in a frame.
+const DROPPED_A_FRAME: usize = 4;
+
+/// A pipeline, and the frame in which it was last drawn with.
+struct Made {
+    pipeline: wgpu::RenderPipeline,
+    used: u32,
+}
+
 /// Pipelines of a renderer, by key.
 pub(in crate::draw) struct Pipelines {
     pub(in crate::draw) frame_layout: wgpu::BindGroupLayout,
@@ -42,8 +55,10 @@ pub(in crate::draw) struct Pipelines {
     pub(in crate::draw) pull_layout: wgpu::BindGroupLayout,
     pub(in crate::draw) programs: Programs,
     /// `None` where one was let go.
-    pipelines: Vec<Option<wgpu::RenderPipeline>>,
+    pipelines: Vec<Option<Made>>,
     free: Vec<u32>,
+    /// Counts on with each [`Self::start_frame`].
+    frame: u32,
     /// Only looked up, never walked while anything is drawn.
     index_of: HashMap<PipelineKey, u32>,
     parts: Parts,
@@ -110,6 +125,7 @@ impl Pipelines {
             programs: Programs::default(),
             pipelines: Vec::new(),
             free: Vec::new(),
+            frame: 0,
             index_of: HashMap::new(),
             parts: Parts::default(),
             targets: Vec::new(),
@@ -128,7 +144,7 @@ impl Pipelines {
 
     /// A pipeline by the index that [`Self::ensure`] gave.
     pub(in crate::draw) fn pipeline(&self, index: u32) -> Option<&wgpu::RenderPipeline> {
-        self.pipelines.get(index as usize)?.as_ref()
+        self.pipelines.get(index as usize)?.as_ref().map(|made| &made.pipeline)
     }
 
     /// The pipeline part of a state.
@@ -170,6 +186,9 @@ impl Pipelines {
     /// The index of a key's pipeline; makes it unless it is there.
     pub(in crate::draw) fn ensure(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> u32 {
         if let Some(index) = self.index_of.get(&key) {
+            if let Some(Some(made)) = self.pipelines.get_mut(*index as usize) {
+                made.used = self.frame;
+            }
             return *index;
         }
         let made = self.make(ctx, key);
@@ -185,17 +204,20 @@ impl Pipelines {
     }
 
     fn keep(&mut self, pipeline: wgpu::RenderPipeline) -> u32 {
+        let made = Some(Made { pipeline, used: self.frame });
         if let Some(index) = self.free.pop() {
-            self.pipelines[index as usize] = Some(pipeline);
+            self.pipelines[index as usize] = made;
             return index;
         }
-        self.pipelines.push(Some(pipeline));
+        self.pipelines.push(made);
         self.pipelines.len() as u32 - 1
     }
 
-    /// Lets programs go that nobody has any more, and what was made with them; whether there were any. Before a frame:
-    /// what is drawn holds its programs.
-    pub(in crate::draw) fn prune(&mut self) -> bool {
+    /// Before a frame, as what is drawn holds its programs: lets what nobody needs any more go. Whether programs were among
+    /// it.
+    pub(in crate::draw) fn start_frame(&mut self) -> bool {
+        self.frame = self.frame.wrapping_add(1);
+        self.drop_unused(MOST_KEPT, UNUSED_FRAMES);
         let gone = self.programs.prune();
         if gone.is_empty() {
             return false;
@@ -204,14 +226,29 @@ impl Pipelines {
         let removed: Vec<u32> = self.index_of.extract_if(|key, _| is_gone(key)).map(|(_, index)| index).collect();
         for index in removed {
             // What could not be made has another key's, or none.
-            if let Some(pipeline) = self.pipelines.get_mut(index as usize)
+            if let Some(made) = self.pipelines.get_mut(index as usize)
                 && !self.index_of.values().any(|of_other| *of_other == index)
-                && pipeline.take().is_some()
+                && made.take().is_some()
             {
                 self.free.push(index);
             }
         }
         true
+    }
+
+    /// Of more than `most`, a few of those that were not drawn with for longest, if that is more than so many frames.
+    fn drop_unused(&mut self, most: usize, frames: u32) {
+        for _ in 0..DROPPED_A_FRAME {
+            if self.pipelines.len() - self.free.len() <= most {
+                return;
+            }
+            let age = |made: &Option<Made>| Some(self.frame.wrapping_sub(made.as_ref()?.used));
+            let oldest = (0u32..).zip(&self.pipelines).filter_map(|(index, made)| Some((age(made)?, index))).max();
+            let Some((_, index)) = oldest.filter(|(age, _)| *age > frames) else { return };
+            self.index_of.retain(|_, of| *of != index);
+            self.pipelines[index as usize] = None;
+            self.free.push(index);
+        }
     }
 
     fn make(&mut self, ctx: &GraphicsContext, key: PipelineKey) -> Option<wgpu::RenderPipeline> {
@@ -417,6 +454,8 @@ mod tests {
     use super::*;
     use crate::draw::uniforms::fixed::{FixedUniform, StageLight, StageUniform};
     use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
+    use crate::gpu::{AdapterChoice, ContextTraits};
+    use crate::state::{Attribute, PolygonOffset, StateSet};
 
     fn parse(name: &str, source: &str) -> naga::Module {
         let module =
@@ -440,6 +479,48 @@ mod tests {
 
     macro_rules! offsets {
         ($ty:ty: $($field:ident),*) => { vec![$((stringify!($field).to_string(), std::mem::offset_of!($ty, $field) as u32)),*] };
+    }
+
+    #[test]
+    fn of_many_those_not_drawn_with_go() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut pipelines = Pipelines::new(&ctx);
+        let mut colors = [None; MOST_COLORS];
+        colors[0] = Some(wgpu::TextureFormat::Rgba8Unorm);
+        let formats = TargetFormats { colors, depth: crate::gpu::DEPTH_FORMAT, samples: 1, keeps_alpha: false };
+        let target = pipelines.target(&formats).unwrap();
+        let keys: Vec<PipelineKey> = (0..20)
+            .map(|i| {
+                let offset = PolygonOffset { factor: 1.0, units: i as f32 };
+                let set = StateSet::default().with(Attribute::PolygonOffset(offset));
+                let state = ResolvedState::default().below(&set);
+                PipelineKey::height(&pipelines.state_key(&state, Shading::Plain, target), false)
+            })
+            .collect();
+        let there = |pipelines: &Pipelines| pipelines.pipelines.iter().flatten().count();
+        for frame in 0..30 {
+            pipelines.frame += 1;
+            pipelines.drop_unused(10, 5);
+            // All in the first frame, half of them in all.
+            keys[if frame == 0 { 0 } else { 10 }..].iter().for_each(|key| _ = pipelines.ensure(&ctx, *key));
+            assert_eq!(
+                there(&pipelines),
+                [20, 16, 12, 10][usize::min(3, (frame as usize).saturating_sub(5))],
+                "{frame}"
+            );
+        }
+        assert_eq!((pipelines.index_of.len(), pipelines.created()), (10, 20));
+        // One that is wanted again takes a free place.
+        let index = pipelines.ensure(&ctx, keys[3]);
+        assert!(index < 20 && pipelines.pipeline(index).is_some() && there(&pipelines) == 11);
+        // More than are kept stay while they are drawn with.
+        for _ in 0..30 {
+            pipelines.frame += 1;
+            keys.iter().for_each(|key| _ = pipelines.ensure(&ctx, *key));
+            pipelines.drop_unused(10, 5);
+        }
+        assert_eq!((there(&pipelines), pipelines.created()), (20, 30));
     }
 
     #[test]

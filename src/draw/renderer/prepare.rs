@@ -23,7 +23,7 @@ use crate::state::{PolygonMode, ResolvedState, Scissor, TEXTURE_UNITS, TextureOb
 impl Renderer {
     pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>> + Clone) {
         self.batch.start_frame();
-        self.groups.start_frame(self.pipelines.prune());
+        self.groups.start_frame(self.pipelines.start_frame());
         self.statics.clear();
         if ctx.is_first_face() {
             self.drawn_into.clear();
