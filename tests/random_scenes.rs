@@ -16,8 +16,8 @@ use terrane::cull::{CullCamera, CullingMode};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
     Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Drawable, Environment, Fog, Geometry, HeightTile,
-    Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, PictureSink, RangeMode, Refine, RenderOrder, SunShadows,
-    Texture, Topology, Water,
+    Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, PictureSink, RangeMode, ReferenceFrame, Refine, RenderOrder,
+    SunShadows, Texture, Topology, Water,
 };
 use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObject};
 
@@ -129,6 +129,13 @@ fn what_is_drawn_is_a_matter_of_the_scene_alone() {
         let absolute = NodeKind::AbsoluteTransform(camera.eye_from_world);
         let absolute = Node { children: vec![node.clone()], ..Node::new(absolute) };
         same("below an AbsoluteTransform", &absolute, &camera, 4);
+        // A place on the earth, where an f32 has steps of half a metre.
+        let far = DAffine3::from_translation(DVec3::new(4.1e6, -1.2e6, 4.7e6));
+        let seen = CullCamera { eye_from_world: camera.eye_from_world * far.inverse(), ..camera };
+        // What is below an absolute camera is in the world, wherever the camera hangs.
+        if !has_absolute_camera(&node) {
+            same("far from the origin", &Node::transform(far, vec![node.clone()]), &seen, 30);
+        }
         let other = to_texture(rig, &node, &camera);
         differences.compare("drawn into a texture", seed, [&whole, &other], 4);
         let other = several_roots(rig, &node, &camera, &plain());
@@ -178,6 +185,11 @@ fn light_and_air_are_a_matter_of_the_scene_alone() {
         differences.compare("several roots", seed, [&whole, &other], 4);
     }
     differences.assert_none();
+}
+
+fn has_absolute_camera(node: &Node) -> bool {
+    let is_one = |camera: &CameraNode| camera.frame == ReferenceFrame::Absolute;
+    matches!(&node.kind, NodeKind::Camera(camera) if is_one(camera)) || node.children.iter().any(has_absolute_camera)
 }
 
 /// Read back from the texture of a camera above the whole scene.

@@ -37,7 +37,7 @@ const MOST_KEPT: usize = 1024;
 /// What was drawn with in so many frames stays, however many there are.
 const UNUSED_FRAMES: u32 = 300;
 /// So many are let go in a frame.
-const DROPPED_A_FRAME: usize = 4;
+const DROPPED_A_FRAME: usize = 32;
 
 /// A pipeline, and the frame in which it was last drawn with.
 struct Made {
@@ -236,16 +236,17 @@ impl Pipelines {
         true
     }
 
-    /// Of more than `most`, a few of those that were not drawn with for longest, if that is more than so many frames.
+    /// Of more than `most`, a few of those that were not drawn with for so many frames.
     fn drop_unused(&mut self, most: usize, frames: u32) {
-        for _ in 0..DROPPED_A_FRAME {
-            if self.pipelines.len() - self.free.len() <= most {
-                return;
-            }
-            let age = |made: &Option<Made>| Some(self.frame.wrapping_sub(made.as_ref()?.used));
-            let oldest = (0u32..).zip(&self.pipelines).filter_map(|(index, made)| Some((age(made)?, index))).max();
-            let Some((_, index)) = oldest.filter(|(age, _)| *age > frames) else { return };
-            self.index_of.retain(|_, of| *of != index);
+        let over = (self.pipelines.len() - self.free.len()).saturating_sub(most);
+        if over == 0 {
+            return;
+        }
+        let is_unused = |made: &Made| self.frame.wrapping_sub(made.used) > frames;
+        let unused = (0u32..).zip(&self.pipelines).filter(|(_, made)| made.as_ref().is_some_and(is_unused));
+        let dropped: Vec<u32> = unused.map(|(index, _)| index).take(over.min(DROPPED_A_FRAME)).collect();
+        self.index_of.retain(|_, index| !dropped.contains(index));
+        for index in dropped {
             self.pipelines[index as usize] = None;
             self.free.push(index);
         }
@@ -504,11 +505,7 @@ mod tests {
             pipelines.drop_unused(10, 5);
             // All in the first frame, half of them in all.
             keys[if frame == 0 { 0 } else { 10 }..].iter().for_each(|key| _ = pipelines.ensure(&ctx, *key));
-            assert_eq!(
-                there(&pipelines),
-                [20, 16, 12, 10][usize::min(3, (frame as usize).saturating_sub(5))],
-                "{frame}"
-            );
+            assert_eq!(there(&pipelines), if frame < 6 { 20 } else { 10 }, "{frame}");
         }
         assert_eq!((pipelines.index_of.len(), pipelines.created()), (10, 20));
         // One that is wanted again takes a free place.
