@@ -347,9 +347,9 @@ impl PipelineKey {
 /// So many different parts of a kind have room in a key's 6 bits.
 const MOST_PARTS: usize = 63;
 
-/// Parts of states that are met, each kept once; 0 is none.
+/// Parts of states that are met, each kept once, with the frame in which it was last met; 0 is none.
 #[derive(Debug)]
-pub(in crate::draw) struct Interned<T>(Vec<T>);
+pub(in crate::draw) struct Interned<T>(Vec<(T, u32)>);
 
 impl<T> Default for Interned<T> {
     fn default() -> Self {
@@ -358,24 +358,33 @@ impl<T> Default for Interned<T> {
 }
 
 impl<T: Copy + PartialEq> Interned<T> {
-    /// The index of a value. Beyond 63 different ones, which is said, the last is used for all further.
-    pub fn index_of(&mut self, value: Option<T>, what: &str, errors: &mut Vec<String>) -> u8 {
-        let Some(value) = value else { return 0 };
-        let place = self.0.iter().position(|v| *v == value).unwrap_or_else(|| {
-            if self.0.len() < MOST_PARTS {
-                self.0.push(value);
-            } else {
-                errors.push(format!(
-                    "more than {MOST_PARTS} different {what}; further ones are drawn as the last of them"
-                ));
-            }
-            self.0.len() - 1
-        });
-        place as u8 + 1
+    /// The index of a value in a frame, and whether another value had it, that was met neither in this frame nor in the
+    /// last. Beyond 63 different ones, which is said, the last is used for all further.
+    pub fn index_of(&mut self, value: Option<T>, frame: u32, what: &str, errors: &mut Vec<String>) -> (u8, bool) {
+        let Some(value) = value else { return (0, false) };
+        let index = |place: usize| place as u8 + 1;
+        if let Some(place) = self.0.iter().position(|(of, _)| *of == value) {
+            self.0[place].1 = frame;
+            return (index(place), false);
+        }
+        if self.0.len() < MOST_PARTS {
+            self.0.push((value, frame));
+            return (index(self.0.len() - 1), false);
+        }
+        let age = |used: u32| frame.wrapping_sub(used);
+        let oldest = self.0.iter_mut().enumerate().max_by_key(|(_, (_, used))| age(*used));
+        if let Some((place, entry)) = oldest.filter(|(_, (_, used))| age(*used) > 1) {
+            *entry = (value, frame);
+            return (index(place), true);
+        }
+        errors.push(format!(
+            "more than {MOST_PARTS} different {what} at once; further ones are drawn as the last of them"
+        ));
+        (index(self.0.len() - 1), false)
     }
 
     pub fn get(&self, index: u8) -> Option<T> {
-        usize::from(index).checked_sub(1).and_then(|i| self.0.get(i)).copied()
+        usize::from(index).checked_sub(1).and_then(|i| self.0.get(i)).map(|(value, _)| *value)
     }
 }
 
@@ -389,24 +398,37 @@ pub(in crate::draw) struct Parts {
 }
 
 /// Indices of a state's parts in [`Parts`].
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::draw) struct PartIndices {
     offset: u8,
     stencil: u8,
     blend: u8,
 }
 
+impl PartIndices {
+    /// One of them is a part of the key.
+    pub fn meets(self, key: PipelineKey) -> bool {
+        let pairs = [(self.offset, key.offset()), (self.stencil, key.stencil()), (self.blend, key.blend())];
+        pairs.iter().any(|(own, of)| *own != 0 && own == of)
+    }
+}
+
 impl Parts {
-    /// Those of a state; what there is no room for goes to `errors`.
-    pub fn of(&mut self, state: &ResolvedState, errors: &mut Vec<String>) -> PartIndices {
+    /// Those of a state in a frame, and those of them that meant other values before. What there is no room for goes to
+    /// `errors`.
+    pub fn of(&mut self, state: &ResolvedState, frame: u32, errors: &mut Vec<String>) -> (PartIndices, PartIndices) {
         let usable = |o: &PolygonOffset| o.factor.is_finite() && o.units.is_finite() && *o != PolygonOffset::default();
         let blend = state.blends().then(|| (state.blend_func(), state.blend_equation()));
         let stencil = state.stencil().map(|s| Stencil { reference: 0, ..s });
-        PartIndices {
-            offset: self.offsets.index_of(state.polygon_offset().filter(usable), "polygon offsets", errors),
-            stencil: self.stencils.index_of(stencil, "stencils", errors),
-            blend: self.blends.index_of(blend, "blend functions and equations", errors),
-        }
+        let offset = state.polygon_offset().filter(usable);
+        let offset = self.offsets.index_of(offset, frame, "polygon offsets", errors);
+        let stencil = self.stencils.index_of(stencil, frame, "stencils", errors);
+        let blend = self.blends.index_of(blend, frame, "blend functions and equations", errors);
+        let changed = |(index, is_changed): (u8, bool)| if is_changed { index } else { 0 };
+        (
+            PartIndices { offset: offset.0, stencil: stencil.0, blend: blend.0 },
+            PartIndices { offset: changed(offset), stencil: changed(stencil), blend: changed(blend) },
+        )
     }
 }
 
@@ -486,13 +508,27 @@ mod tests {
             ResolvedState::default().below(&set)
         };
         let indices = [ResolvedState::default(), offset(1.0, 2.0), offset(1.0, 2.0), offset(f32::NAN, 0.0)];
-        assert_eq!(indices.map(|state| parts.of(&state, &mut errors).offset), [0, 1, 1, 0]);
-        assert_eq!(parts.offsets.get(1), Some(PolygonOffset { factor: 1.0, units: 2.0 }));
-        assert_eq!((parts.offsets.get(0), parts.offsets.get(9)), (None, None));
-        for i in 0..300 {
-            parts.of(&offset(0.0, i as f32 + 1.0), &mut errors);
+        let mut index_in = |frame: u32, state: &ResolvedState| {
+            let (of, changed) = parts.of(state, frame, &mut errors);
+            assert!(changed == PartIndices::default() || changed.offset == of.offset);
+            (of.offset, changed.offset != 0, errors.len())
+        };
+        assert_eq!(indices.map(|state| index_in(0, &state).0), [0, 1, 1, 0]);
+        // As many as there are places at once, and no more.
+        for i in 1..100u8 {
+            let full = usize::from(i.saturating_sub(62));
+            assert_eq!(index_in(1, &offset(0.0, f32::from(i))), (u8::min(i + 1, 63), false, full));
         }
-        assert_eq!((parts.offsets.0.len(), errors.len()), (63, 300 - 62));
+        let errors_so_far = 100 - 63;
+        assert_eq!(index_in(2, &offset(0.0, 5.0)), (6, false, errors_so_far));
+        // That of the first frame is the oldest; in the frame after, all but one are old.
+        assert_eq!(index_in(2, &offset(7.0, 1.0)), (1, true, errors_so_far));
+        assert_eq!(index_in(2, &offset(7.0, 2.0)), (63, false, errors_so_far + 1));
+        for i in 0..60 {
+            assert_eq!(index_in(3 + i, &offset(8.0, 1.0 + i as f32)).2, errors_so_far + 1);
+        }
+        assert_eq!(parts.offsets.get(1).map(|o| o.factor), Some(7.0));
+        assert_eq!((parts.offsets.get(0), parts.offsets.get(64)), (None, None));
         assert!(errors[0].contains("polygon offsets"));
         let blend = |func| {
             let set = StateSet::default().with(Attribute::BlendFunc(func)).with_mode(Mode::Blend, StateValue::ON);
@@ -500,7 +536,7 @@ mod tests {
         };
         let apart = BlendFunc::ALPHA.with_alpha(BlendFactor::One, BlendFactor::Zero);
         let states = [BlendFunc::ALPHA, apart, BlendFunc::ALPHA].map(blend);
-        assert_eq!(states.map(|state| parts.of(&state, &mut errors).blend), [1, 2, 1]);
+        assert_eq!(states.map(|state| parts.of(&state, 0, &mut errors).0.blend), [1, 2, 1]);
         assert_eq!(parts.blends.get(2), Some((apart, BlendEquation::Add)));
     }
 }

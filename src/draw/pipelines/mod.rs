@@ -9,7 +9,9 @@ mod variant;
 
 use std::collections::HashMap;
 
-use crate::draw::pipelines::key::{AirKind, Alpha, Kind, MOST_TARGETS, Parts, PipelineKey, Shading, StateKey};
+use crate::draw::pipelines::key::{
+    AirKind, Alpha, Kind, MOST_TARGETS, PartIndices, Parts, PipelineKey, Shading, StateKey,
+};
 use crate::draw::pipelines::programs::{HEIGHT_ENTRY, Programs};
 use bare::BARE;
 pub(in crate::draw) use bare::Bare;
@@ -149,7 +151,10 @@ impl Pipelines {
 
     /// The pipeline part of a state.
     pub(in crate::draw) fn state_key(&mut self, state: &ResolvedState, shading: Shading, target: u8) -> StateKey {
-        let parts = self.parts.of(state, &mut self.errors);
+        let (parts, changed) = self.parts.of(state, self.frame, &mut self.errors);
+        if changed != PartIndices::default() {
+            self.forget(|key| changed.meets(*key));
+        }
         StateKey::new(state, parts, shading, target)
     }
 
@@ -222,7 +227,12 @@ impl Pipelines {
         if gone.is_empty() {
             return false;
         }
-        let is_gone = |key: &PipelineKey| matches!(key.shading(), Shading::Program(place) if gone.contains(&place));
+        self.forget(|key| matches!(key.shading(), Shading::Program(place) if gone.contains(&place)));
+        true
+    }
+
+    /// Lets the pipelines of some keys go.
+    fn forget(&mut self, is_gone: impl Fn(&PipelineKey) -> bool) {
         let removed: Vec<u32> = self.index_of.extract_if(|key, _| is_gone(key)).map(|(_, index)| index).collect();
         for index in removed {
             // What could not be made has another key's, or none.
@@ -233,7 +243,6 @@ impl Pipelines {
                 self.free.push(index);
             }
         }
-        true
     }
 
     /// Of more than `most`, a few of those that were not drawn with for so many frames.
@@ -518,6 +527,29 @@ mod tests {
             pipelines.drop_unused(10, 5);
         }
         assert_eq!((there(&pipelines), pipelines.created()), (20, 30));
+    }
+
+    /// An offset that moves in every frame.
+    #[test]
+    fn parts_that_nothing_is_drawn_with_make_room() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut pipelines = Pipelines::new(&ctx);
+        let mut colors = [None; MOST_COLORS];
+        colors[0] = Some(wgpu::TextureFormat::Rgba8Unorm);
+        let formats = TargetFormats { colors, depth: crate::gpu::DEPTH_FORMAT, samples: 1, keeps_alpha: false };
+        let target = pipelines.target(&formats).unwrap();
+        for frame in 0..200 {
+            pipelines.start_frame();
+            for units in [-1.0, 1.0 + frame as f32] {
+                let set = StateSet::default().with(Attribute::PolygonOffset(PolygonOffset { factor: 1.0, units }));
+                let state = ResolvedState::default().below(&set);
+                let key = pipelines.state_key(&state, Shading::Plain, target);
+                pipelines.ensure(&ctx, PipelineKey::height(&key, false));
+            }
+        }
+        assert_eq!((pipelines.created(), pipelines.pipelines.iter().flatten().count()), (201, 63));
+        assert!(pipelines.errors.is_empty(), "{:?}", pipelines.errors);
     }
 
     #[test]
