@@ -162,7 +162,7 @@ fn along_a_known_path_nothing_goes_that_is_wanted_sooner_than_what_comes() {
     assert!(missing > 40, "the flight is too slow: {missing}");
     for ahead_frames in [4.0, 10.0, 30.0] {
         let (missing_ahead, loaded_ahead) = flight(set, max_tiles, 40, ahead_frames);
-        assert!(4 * missing_ahead < missing, "{ahead_frames} frames ahead: {missing_ahead} missing, else {missing}");
+        assert!(3 * missing_ahead < missing, "{ahead_frames} frames ahead: {missing_ahead} missing, else {missing}");
         assert!(10 * loaded_ahead < 12 * loaded, "{ahead_frames} frames ahead: {loaded_ahead} loaded, {loaded} needed");
     }
 }

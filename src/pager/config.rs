@@ -38,8 +38,8 @@ pub struct PagerConfig {
     pub http_in_flight_max: usize,
     /// Threads that decode, behind the frame's in priority; the default is one for each core.
     pub decode_threads: usize,
-    /// Contents under way at once that are wanted only later (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead));
-    /// 0 loads none.
+    /// Contents under way at once that are wanted only later (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead)),
+    /// and of a server as many more as it has most of its places free; 0 loads none.
     pub ahead_in_flight: usize,
     /// CPU bytes of merged pages and of tile trees.
     pub max_bytes_cpu: u64,

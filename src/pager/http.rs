@@ -164,7 +164,7 @@ fn take(
         let has_place = |of: &str| count(of) < flows.limit(of);
         let job = &waiting.http[next];
         let own = server(&job.uri);
-        if !waiting.may_take(job, count(own)) || !has_place(own) {
+        if !waiting.may_take(job, count(own), flows.limit(own)) || !has_place(own) {
             continue;
         }
         let servers = servers_of(job);
@@ -262,5 +262,23 @@ mod tests {
         let flows = Flows::new(Range { start: 16, most: 16 });
         let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
         assert_eq!(jobs.iter().map(|start| start.job.ticket).collect::<Vec<_>>(), [17, 16, 15, 14, 8]);
+    }
+
+    /// Over a slow network they came too late, eight at a time.
+    #[test]
+    fn a_server_with_free_places_takes_more_of_what_is_wanted_later() {
+        let started = |busy: u64, room: usize| {
+            let list = RequestList::new(1000, 1000);
+            let mut waiting = list.lock();
+            (waiting.allowed, waiting.ahead_room, waiting.ahead_allowed) = (1000, room, 2);
+            waiting.http.extend((0..40).map(|ticket| Job { is_ahead: true, ..job(ticket, "http://far/a.glb") }));
+            waiting.http.extend((40..40 + busy).map(|ticket| job(ticket, "http://far/a.glb")));
+            drop(waiting);
+            let flows = Flows::new(Range { start: 32, most: 32 });
+            take(&list, &HashMap::new(), &flows, 1000).0.iter().filter(|start| start.job.is_ahead).count()
+        };
+        assert_eq!(started(0, 1000), 8, "a quarter of its places");
+        assert_eq!((started(3, 1000), started(20, 1000)), (5, 2), "a few beside others");
+        assert_eq!((started(0, 5), started(0, 0)), (5, 0), "as far as there is room");
     }
 }

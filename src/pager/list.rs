@@ -15,6 +15,9 @@ use super::states::Stage;
 use crate::io::{Fetched, IoError, is_remote};
 use crate::scene::{NodeId, Page, PagingOptions};
 
+/// A server of whose places this part is taken has room for what is wanted only later.
+const QUIET: usize = 4;
+
 /// One content to load.
 #[derive(Clone, Debug)]
 pub(super) struct Job {
@@ -79,17 +82,22 @@ pub(super) struct Waiting {
     pub allowed: usize,
     /// Of those outstanding, wanted only later.
     pub ahead_outstanding: usize,
-    /// Most of them.
+    /// Most of them that the budgets have room for.
+    pub ahead_room: usize,
+    /// Most of them beside others.
     pub ahead_allowed: usize,
     /// Set once, by drop.
     pub closed: bool,
 }
 
 impl Waiting {
-    /// A thread may take a job from a server, or from the disk, that has so many under way.
-    pub fn may_take(&self, job: &Job, beside: usize) -> bool {
+    /// A thread may take a job from a server, or from the disk, that has so many of its `places` taken. What is wanted only
+    /// later takes those that a server has most of its places free of: over a slow network few at once come too late.
+    pub fn may_take(&self, job: &Job, beside: usize, places: usize) -> bool {
         if job.is_ahead {
-            return self.outstanding < self.allowed && self.ahead_outstanding < self.ahead_allowed;
+            let is_quiet = beside < places / QUIET;
+            let most = if is_quiet { self.ahead_room } else { self.ahead_allowed.min(self.ahead_room) };
+            return self.outstanding < self.allowed && self.ahead_outstanding < most;
         }
         let is_first = beside == 0 && self.allowed > 0;
         self.outstanding < if is_first { self.capacity } else { self.allowed }
@@ -97,7 +105,7 @@ impl Waiting {
 
     /// A thread could take something, or will be answered.
     pub fn is_under_way(&self) -> bool {
-        let may_take = |jobs: &[Job]| jobs.last().is_some_and(|job| self.may_take(job, 0));
+        let may_take = |jobs: &[Job]| jobs.last().is_some_and(|job| self.may_take(job, 0, 0));
         self.outstanding > 0 || may_take(&self.file) || may_take(&self.http)
     }
 
@@ -119,7 +127,7 @@ impl Waiting {
     /// A file may be taken.
     fn has_file_for(&self, most: usize) -> bool {
         let files = self.files_outstanding;
-        files < most && self.file.last().is_some_and(|job| self.may_take(job, files))
+        files < most && self.file.last().is_some_and(|job| self.may_take(job, files, 0))
     }
 }
 

@@ -36,10 +36,14 @@ pub(super) struct AheadShort {
 }
 
 impl DatabasePager {
-    /// Takes up new requests and renews those that are known.
-    pub(super) fn accept(&mut self, scene: &Scene, requests: &[PageRequest]) {
+    /// Takes up new requests and renews those that are known. Whether there are new ones, or one is wanted now that was
+    /// wanted later.
+    pub(super) fn accept(&mut self, scene: &Scene, requests: &[PageRequest]) -> bool {
+        let known = self.next_ticket;
+        let mut is_sooner = false;
         for request in requests {
             if let Some(entry) = self.entries.get_mut(&request.slot) {
+                is_sooner |= request.ahead_frames == 0 && entry.is_ahead();
                 let priority = entry.paging.priority(request.priority);
                 self.is_listed &= entry.priority == priority;
                 if entry.wanted_frame == self.frame {
@@ -86,6 +90,7 @@ impl DatabasePager {
             self.entries.insert(request.slot, entry);
             self.is_listed = false;
         }
+        is_sooner || self.next_ticket != known
     }
 
     /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while
@@ -174,7 +179,7 @@ impl DatabasePager {
             let to = if io::is_remote(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
             to.push(Job { is_ahead: entry.is_ahead(), ..entry.job.clone() });
         }
-        waiting.ahead_allowed = self.ahead_allowed(&waiting);
+        self.allow_ahead(&mut waiting);
         drop(waiting);
         self.ahead_short = ahead_short;
         self.lacks = lacks.filter(|_| !self.is_paused).map(|(_, needs)| needs);
@@ -215,14 +220,15 @@ impl DatabasePager {
         (self.compiling.len() + self.ready.len()) as u64
     }
 
-    /// How many of those wanted only later may be outstanding: less those that have arrived, and as far as there is room
-    /// beside the others.
-    fn ahead_allowed(&self, waiting: &Waiting) -> usize {
+    /// How many of those wanted only later may be outstanding: as far as there is room beside the others, and not many
+    /// beside them, less those that have arrived.
+    fn allow_ahead(&self, waiting: &mut Waiting) {
         let arrived = self.compiling.values().chain(&self.ready);
-        let ahead = arrived.filter(|slot| self.entries.get(slot).is_some_and(Entry::is_ahead)).count();
+        let arrived = arrived.filter(|slot| self.entries.get(slot).is_some_and(Entry::is_ahead)).count();
         let others = waiting.outstanding.saturating_sub(waiting.ahead_outstanding);
         let room = (self.room_within(EXPIRY_TENTHS) as usize).saturating_sub(others);
-        self.config.ahead_in_flight.saturating_sub(ahead).min(room)
+        waiting.ahead_room = if self.config.ahead_in_flight > 0 { room } else { 0 };
+        waiting.ahead_allowed = self.config.ahead_in_flight.saturating_sub(arrived);
     }
 
     /// Lets the threads go on when there is more room than the list last said.
@@ -230,7 +236,7 @@ impl DatabasePager {
         let allowed = self.allowed_in_flight(self.threads.list.capacity);
         let mut waiting = self.threads.list.lock();
         waiting.allowed = allowed;
-        waiting.ahead_allowed = self.ahead_allowed(&waiting);
+        self.allow_ahead(&mut waiting);
         self.threads.list.ring(waiting);
     }
 }

@@ -168,9 +168,7 @@ impl DatabasePager {
     /// [`Self::work_until`] (or update): telling one may take the frame longer than its cull. Optional, after a cull; the
     /// next [`Self::update_scene_graph`] may get the same requests again.
     pub fn request(&mut self, scene: &Scene, requests: &[PageRequest]) {
-        let known = self.next_ticket;
-        self.accept(scene, requests);
-        if self.next_ticket != known {
+        if self.accept(scene, requests) {
             self.rewrite_list();
             self.is_listed = true;
         }

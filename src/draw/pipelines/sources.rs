@@ -61,3 +61,129 @@ pub(super) fn fading(fragment: &'static str) -> &'static str {
         other => other,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::draw::uniforms::fixed::{FixedUniform, StageLight, StageUniform};
+    use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
+    use crate::gpu::VertexFormat;
+
+    fn parse(name: &str, source: &str) -> naga::Module {
+        let module =
+            naga::front::wgsl::parse_str(source).unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(source)));
+        naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty())
+            .validate(&module)
+            .unwrap_or_else(|e| panic!("{name}: {e:?}"));
+        module
+    }
+
+    fn members(module: &naga::Module, name: &str) -> (u32, Vec<(String, u32)>) {
+        let found = module.types.iter().find_map(|(_, ty)| match &ty.inner {
+            naga::TypeInner::Struct { members, span } if ty.name.as_deref() == Some(name) => {
+                let members = members.iter().map(|m| (m.name.clone().unwrap_or_default(), m.offset)).collect();
+                Some((*span, members))
+            }
+            _ => None,
+        });
+        found.unwrap_or_else(|| panic!("no struct {name}"))
+    }
+
+    macro_rules! offsets {
+        ($ty:ty: $($field:ident),*) => { vec![$((stringify!($field).to_string(), std::mem::offset_of!($ty, $field) as u32)),*] };
+    }
+
+    #[test]
+    fn shaders_are_valid_and_their_structs_are_mirrored() {
+        let all = [
+            ("height", HEIGHT_WGSL),
+            ("mesh", MESH_WGSL),
+            ("fixed height", FIXED_HEIGHT_WGSL),
+            ("fixed mesh", FIXED_MESH_WGSL),
+            ("fixed height with textures", TEXTURED_HEIGHT_WGSL),
+            ("fixed mesh with textures", TEXTURED_MESH_WGSL),
+            ("sky", SKY_WGSL),
+            ("water", WATER_WGSL),
+            ("query", QUERY_WGSL),
+            ("fill", FILL_WGSL),
+            ("program", PROGRAM_PRELUDE),
+            ("program of height tiles", HEIGHT_PROGRAM_PRELUDE),
+            ("drawable", DRAWABLE_PRELUDE),
+            ("shadowed height", SHADOWED_HEIGHT_WGSL),
+            ("shadowed mesh", SHADOWED_MESH_WGSL),
+            ("fixed height with shadows", SHADOWED_FIXED_HEIGHT_WGSL),
+            ("fixed mesh with shadows", SHADOWED_FIXED_MESH_WGSL),
+            ("fixed height with textures and shadows", SHADOWED_TEXTURED_HEIGHT_WGSL),
+            ("fixed mesh with textures and shadows", SHADOWED_TEXTURED_MESH_WGSL),
+            ("shadowed water", SHADOWED_WATER_WGSL),
+        ];
+        parse("atmosphere", crate::draw::atmosphere::ATMOSPHERE_WGSL);
+        for (name, source) in all {
+            let module = parse(name, source);
+            let (span, fields) = members(&module, "Frame");
+            assert_eq!(span as usize, size_of::<FrameUniform>(), "{name}");
+            assert_eq!(
+                fields,
+                offsets!(FrameUniform: clip_from_eye, sun_direction, sun_color, ambient_color, up, horizon_color,
+                    shape, ray, water, air, sun_top, shadow_x, shadow_y, shadow, cascade_scales, cascade_offsets)
+            );
+            let (span, fields) = members(&module, "Leaf");
+            assert_eq!(span as usize, size_of::<LeafUniform>(), "{name}");
+            let rows = std::mem::offset_of!(LeafUniform, eye_from_drawable) as u32;
+            assert_eq!(fields[..3].iter().map(|f| f.1).collect::<Vec<_>>(), [rows, rows + 16, rows + 32]);
+            assert_eq!(fields[3..], offsets!(LeafUniform: color, layer, flags, alpha_cutoff, side));
+            let (span, fields) = members(&module, "Stage");
+            assert_eq!(span as usize, size_of::<StageUniform>(), "{name}");
+            assert_eq!(fields, offsets!(StageUniform: lights, clip_planes));
+            let (span, fields) = members(&module, "StageLight");
+            assert_eq!(span as usize, size_of::<StageLight>(), "{name}");
+            assert_eq!(fields, offsets!(StageLight: position, direction, ambient, diffuse, specular, attenuation));
+            if name.starts_with("fixed") {
+                let (span, fields) = members(&module, "Fixed");
+                assert_eq!(span as usize, size_of::<FixedUniform>(), "{name}");
+                assert_eq!(
+                    fields,
+                    offsets!(FixedUniform: ambient, diffuse, specular, emission, fog_color, fog, model_ambient, flags,
+                        units, texgens, bias, planes)
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn constants_are_mirrored() {
+        let header = crate::gpu::TABLE_HEADER_VECTORS;
+        assert!(HEIGHT_WGSL.contains(&format!("const HEADER: u32 = {header}u;")));
+        assert!(HEIGHT_WGSL.contains(&format!("n <= {}u", crate::gpu::MORPH_LEVELS)));
+        use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED};
+        assert!(MESH_WGSL.contains(&format!("const BAND_SHIFT: u32 = {BAND_SHIFT}u;")));
+        for source in [HEIGHT_WGSL, MESH_WGSL, FIXED_HEIGHT_WGSL, FIXED_MESH_WGSL, SHADOWED_HEIGHT_WGSL] {
+            let entries = parse("fading", source).entry_points;
+            let fragments = entries.iter().filter(|e| e.stage == naga::ShaderStage::Fragment);
+            for name in fragments
+                .map(|e| e.name.as_str())
+                .filter(|n| !n.ends_with("_fading") && !n.contains("_caster") && *n != "fs_fallback")
+            {
+                let name = match name {
+                    "fs_height" => fading("fs_height"),
+                    "fs_height_shadowed" => fading("fs_height_shadowed"),
+                    "fs_mesh" => fading("fs_mesh"),
+                    "fs_mesh_masked" => fading("fs_mesh_masked"),
+                    "fs_mesh_blended" => fading("fs_mesh_blended"),
+                    "fs_mesh_masked_blended" => fading("fs_mesh_masked_blended"),
+                    "fs_thin" => fading("fs_thin"),
+                    "fs_fixed_height" => fading("fs_fixed_height"),
+                    "fs_fixed_mesh" => fading("fs_fixed_mesh"),
+                    "fs_fixed_thin" => fading("fs_fixed_thin"),
+                    other => panic!("{other} does not fade"),
+                };
+                assert!(entries.iter().any(|e| e.name == name), "{name}");
+            }
+        }
+        assert!(MESH_WGSL.contains(&format!("const FLAG_UNLIT: u32 = {FLAG_UNLIT}u;")));
+        assert!(MESH_WGSL.contains(&format!("const FLAG_UNTEXTURED: u32 = {FLAG_UNTEXTURED}u;")));
+        let shift = crate::draw::uniforms::frame::INDEX_COUNT_SHIFT;
+        assert!(MESH_WGSL.contains(&format!("const INDEX_COUNT_SHIFT: u32 = {shift}u;")));
+        assert_eq!(VertexFormat::Full.stride(), 7 * 4);
+    }
+}
