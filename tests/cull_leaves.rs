@@ -11,7 +11,7 @@ use proptest::prelude::*;
 use scenes::{Grid, drawable, look_at, page, state_sets};
 use terrane::cull::{CullCamera, CullVisitor, CullingMode, RenderStage};
 use terrane::math::Aabb;
-use terrane::scene::{AlphaMode, Node, NodeId, NodeKind, Page, Scene, SceneError};
+use terrane::scene::{AlphaMode, CullAction, CullCallback, Node, NodeId, NodeKind, Page, Scene, SceneError};
 use terrane::state::{BinDetails, SortKey, SortMode, StateSet};
 
 fn cull(scene: &Scene, camera: &CullCamera) -> RenderStage {
@@ -529,15 +529,28 @@ fn state_is_by_identity_under_its_parent() {
     assert_eq!(stage.state_sets.len(), 3, "those that have leaves");
 }
 
+/// What is hidden from some cameras, has callbacks or switches its children was spared.
 #[test]
 fn small_features_are_dropped_where_asked() {
     let small = Aabb { min: -DVec3::splat(0.001), max: DVec3::splat(0.001) };
-    let mut scene = Scene::new();
-    scene.add_root(page(Node::group(vec![Node::geode(vec![drawable(small)])]), 0));
-    let mut camera = look_at(DVec3::new(0.0, -100.0, 0.0), DVec3::ZERO, DVec3::Z);
-    assert_eq!(cull(&scene, &camera).counters.leaves, 1);
-    camera.settings.culling = CullingMode::DEFAULT | CullingMode::SMALL_FEATURE;
-    assert_eq!(cull(&scene, &camera).counters.leaves, 0);
+    let geode = || Node::geode(vec![drawable(small)]);
+    let asked = CullCallback(Arc::new(|_| CullAction::Traverse));
+    let kinds: [(&str, Node); 6] = [
+        ("geode", geode()),
+        ("of a layer", Node { mask: 1, ..geode() }),
+        ("group of one of a layer", Node::group(vec![Node { mask: 1, ..geode() }])),
+        ("with a callback", Node { cull_callback: Some(asked), ..geode() }),
+        ("switch", Node { children: vec![geode()], ..Node::new(NodeKind::Switch(vec![true])) }),
+        ("not to be culled", Node { culling_active: false, ..geode() }),
+    ];
+    for (name, node) in kinds {
+        let mut scene = Scene::new();
+        scene.add_root(page(Node::group(vec![node]), 0));
+        let mut camera = look_at(DVec3::new(0.0, -100.0, 0.0), DVec3::ZERO, DVec3::Z);
+        assert_eq!(cull(&scene, &camera).counters.leaves, 1, "{name}");
+        camera.settings.culling = CullingMode::DEFAULT | CullingMode::SMALL_FEATURE;
+        assert_eq!(cull(&scene, &camera).counters.leaves, u32::from(name == "not to be culled"), "{name}");
+    }
 }
 
 #[test]

@@ -411,7 +411,6 @@ fn callbacks_decide_and_inactive_nodes_are_not_culled() {
     assert_eq!(slots(&cull_scene(&root, &CullCamera { frame: 7, ..camera() })), [0]);
     assert_eq!(asked.load(Ordering::Relaxed), 6);
 
-    // A geode whose drawable is larger than its bound says would be lost otherwise: here simply outside.
     let outside = DVec3::new(100.0, 0.0, 0.0);
     let seen = |active| {
         let node = Node { culling_active: active, ..Node::group(vec![]) };
@@ -419,6 +418,38 @@ fn callbacks_decide_and_inactive_nodes_are_not_culled() {
         counters.nodes_visited
     };
     assert!(seen(false) > seen(true));
+}
+
+/// Drawables that are larger than their bounds say, as a program may make them: here simply outside, behind the eye, far
+/// too small and behind an occluder.
+#[test]
+fn what_an_inactive_node_draws_is_not_culled() {
+    let aside = DVec3::new(100.0, 0.0, 0.0);
+    let behind_eye = DVec3::new(0.0, -100.0, 0.0);
+    let bounds = |center: DVec3, half: f64| Aabb { min: center - half, max: center + half };
+    let kinds = |active: bool| {
+        let of = |node: Node| Node { culling_active: active, ..node };
+        let billboard = Billboard {
+            mode: BillboardMode::PointRotEye,
+            drawables: vec![(aside, drawable(bounds(DVec3::ZERO, 0.5)))],
+        };
+        let corner = |x, z| DVec3::new(x, 3.0, z);
+        let corners = vec![corner(-5.0, -5.0), corner(5.0, -5.0), corner(5.0, 5.0), corner(-5.0, 5.0)];
+        let wall = ConvexPlanarOccluder { corners, holes: vec![] };
+        Node::group(vec![
+            of(Node::geode(vec![drawable(bounds(aside, 0.5)), drawable(bounds(behind_eye, 0.5))])),
+            of(Node::geode(vec![drawable(bounds(DVec3::ZERO, 1e-5))])),
+            Node::group(vec![of(cube(DVec3::new(0.0, 8.0, 0.0)))]),
+            of(Node::new(NodeKind::Billboard(Box::new(billboard)))),
+            Node::new(NodeKind::OccluderNode(Box::new(wall))),
+        ])
+    };
+    let mut camera = camera();
+    camera.settings.culling = CullingMode::ENABLE_ALL;
+    assert!(slots(&cull(kinds(true), &camera)).is_empty());
+    assert_eq!(slots(&cull(kinds(false), &camera)), [0, 1, 2, 3, 4]);
+    camera.settings.cull_mask = 0;
+    assert!(slots(&cull(kinds(false), &camera)).is_empty());
 }
 
 #[test]
@@ -449,6 +480,35 @@ fn near_and_far_follow_what_is_kept() {
     let stage = cull(Node::group(vec![broken, cube(DVec3::ZERO)]), &camera);
     assert_eq!(stage.bins[0].leaves.len(), 2);
     assert!(stage.camera.clip_from_eye.is_finite() && depth(&stage.camera.clip_from_eye, 10.0) > 0.0);
+}
+
+/// It was culled by the near plane as given, and came in where it crossed that.
+#[test]
+fn what_is_nearer_than_near_was_moves_near() {
+    let mut camera = camera();
+    camera.clip_from_eye = proj::perspective(1.0, 1.0, 1e5, 2.0);
+    let things = || {
+        let at = |y| {
+            Node::geode(vec![drawable(
+                Aabb { min: DVec3::splat(-0.2), max: DVec3::splat(0.2) }
+                    .transformed(&DAffine3::from_translation(DVec3::Y * y)),
+            )])
+        };
+        // A metre before the eye, ten, and a metre behind it.
+        Node::group(vec![at(-9.0), at(0.0), at(-11.0)])
+    };
+    assert_eq!(slots(&cull(things(), &camera)), [1]);
+    camera.settings.compute_near_far = ComputeNearFar::BoundingVolumes;
+    camera.settings.near_far_ratio = 0.0;
+    for orthographic in [false, true] {
+        if orthographic {
+            camera.clip_from_eye = proj::orthographic(-5.0, 5.0, -5.0, 5.0, 1e5, 2.0);
+        }
+        let stage = cull(things(), &camera);
+        assert_eq!(slots(&stage), [0, 1], "{orthographic}");
+        let clip = stage.camera.clip_from_eye * DVec4::new(0.0, 0.0, -0.8, 1.0);
+        assert!(clip.z <= clip.w * (1.0 + 1e-6), "{orthographic}: {clip}");
+    }
 }
 
 /// Things that are compared by depth are so in one projection.

@@ -483,6 +483,25 @@ fn the_middle_of_the_picture_comes_first() {
     assert!(priorities[3] > 0.25 * priorities[0] && priorities[3] < 0.5 * priorities[0], "{priorities:?}");
 }
 
+/// A tile whose middle lay behind the eye came as late as one that is not seen.
+#[test]
+fn what_is_around_the_eye_comes_as_what_is_before_it() {
+    let error = RangeMode::ScreenSpaceError { geometric_error_m: 10.0 };
+    let priority = |center: DVec3, scale: f64| {
+        let mut scene = Scene::new();
+        let tile = tile_at(center / scale, 300.0 / scale, error, "0");
+        let id = scene.add_root(page(Node::transform(DAffine3::from_scale(DVec3::splat(scale)), vec![tile]), 0));
+        let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+        visitor.cull(&scene, &look_at(DVec3::ZERO, DVec3::Y, DVec3::Z), &mut stage);
+        let slot = scene.slots_of_page(id).next().unwrap();
+        stage.requests.iter().find(|r| r.slot == slot).unwrap().priority
+    };
+    for scale in [1.0, 0.01, 100.0] {
+        let [behind, before] = [-200.0, 200.0].map(|y| priority(DVec3::new(0.0, y, -100.0), scale));
+        assert!(behind > 0.9 * before, "{scale}: {behind} {before}");
+    }
+}
+
 /// At planetary coordinates the distance to a tile is still good to a millimetre.
 #[test]
 fn ranges_are_exact_far_from_the_origin() {

@@ -45,6 +45,21 @@ fn below_comes_first_then_above() {
     assert_eq!(query.terrain_height_m(DVec3::ZERO).map(f64::round), Some(3.0));
 }
 
+/// Both had been changed as often.
+#[test]
+fn another_scene_is_another_ground() {
+    let query = HeightQuery::new(Vertical::Flat);
+    let ground = |z: f64| {
+        let mut scene = Scene::new();
+        scene.add_root(square(z));
+        scene
+    };
+    let (low, high) = (ground(1.0), ground(2.0));
+    assert!(query.publish(&low) && !query.publish(&low));
+    assert!(!query.snapshot().is_of(&high) && query.publish(&high));
+    assert_eq!(query.terrain_height_m(DVec3::new(0.1, 0.1, 9.0)).map(f64::round), Some(2.0));
+}
+
 #[test]
 fn masks_say_what_is_ground() {
     let mut node = Node::geode(Vec::new());

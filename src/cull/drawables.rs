@@ -62,6 +62,26 @@ impl Cull<'_> {
         Some(reach)
     }
 
+    /// The depth of a drawable that no test may cull. Widens near and far.
+    pub(super) fn depth_of_unculled(&mut self, context: &PageContext, drawable: u32) -> f32 {
+        let (center, half) = box_of(context, drawable);
+        let row = context.depth;
+        let depth = row.x * center[0] + row.y * center[1] + row.z * center[2] + row.w;
+        // What is behind the eye says nothing of near and far.
+        let _ = self.widen_range(row, depth, half);
+        depth
+    }
+
+    /// Emits the drawables of a node that is not to be culled, nor what it draws.
+    #[cold]
+    pub(super) fn take_unculled(&mut self, context: &PageContext, node: u32, matrix: u32) {
+        let nodes = &context.page.nodes[node as usize..];
+        for drawable in nodes[0].first_drawable..nodes[1].first_drawable {
+            let depth = self.depth_of_unculled(context, drawable);
+            self.emit(context, drawable, depth, matrix);
+        }
+    }
+
     /// Tests and emits the drawable of a page that is one drawable, under a state.
     pub(super) fn take_lone(&mut self, lone: &LoneDrawable, eye_from_page: &DAffine3, state: u32, mask: u8) {
         if mask != 0 {
@@ -133,6 +153,11 @@ impl Cull<'_> {
             self.test_drawable(context, drawable, mask)
         };
         let Some((depth, _)) = seen else { return };
+        self.emit(context, drawable, depth, matrix);
+    }
+
+    #[inline(always)]
+    pub(super) fn emit(&mut self, context: &PageContext, drawable: u32, depth: f32, matrix: u32) {
         let state = self.state_of(context.page, context.page.drawable_refs[drawable as usize].state_path);
         let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
         self.leaves.push(RenderLeaf { slot, state, matrix, depth });

@@ -7,7 +7,7 @@ use glam::Vec4;
 use super::fade::{Fade, LodShares, WHOLE};
 use super::occluders::cull_info;
 use super::visitor::{Cull, PageContext, Purpose};
-use crate::scene::{CALLBACK, CullAction, INACTIVE, PLAIN, Page, UNBOUNDED, kind};
+use crate::scene::{CALLBACK, CullAction, INACTIVE, LARGE, PLAIN, Page, UNBOUNDED, UNCULLED, kind};
 
 /// What holds again behind a subtree.
 #[derive(Clone, Copy, Debug)]
@@ -79,6 +79,11 @@ impl Cull<'_> {
                     node = next;
                     continue;
                 }
+                if flags & UNCULLED != 0 && record.kind == kind::GEODE {
+                    self.take_unculled(context, node, above.matrix);
+                    node += 1;
+                    continue;
+                }
                 tested = if flags & INACTIVE != 0 { 0 } else { mask };
             }
             if tested != 0 {
@@ -95,7 +100,7 @@ impl Cull<'_> {
             }
             if looks_closer {
                 // Not where tiles are below: their errors decide.
-                if small_feature > 0.0 && flags & PLAIN != 0 && self.is_small(context, sphere) {
+                if small_feature > 0.0 && flags & LARGE == 0 && self.is_small(context, sphere) {
                     node = next;
                     continue;
                 }

@@ -56,6 +56,11 @@ impl EyePlanes {
         Self { planes, mask }
     }
 
+    /// Puts the near plane where the eye is.
+    pub fn begin_at_eye(&mut self) {
+        self.planes[4] = DVec4::new(0.0, 0.0, -1.0, 0.0);
+    }
+
     /// True when points in eye space are all outside the same plane.
     pub fn are_outside(&self, points: &[DVec3]) -> bool {
         let is_outside = |plane: &DVec4| points.iter().all(|p| plane.truncate().dot(*p) + plane.w < 0.0);

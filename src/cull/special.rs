@@ -4,15 +4,15 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::cameras::{CameraPlace, DeferredCamera, NestedCamera};
 use super::stage::{
-    ClipPlane, OcclusionQuery, PositionedLight, PositionedTexGen, RenderLeaf, StageTarget, StageView, moved,
-    plane_moved, texgen_moved,
+    ClipPlane, OcclusionQuery, PositionedLight, PositionedTexGen, StageTarget, StageView, moved, plane_moved,
+    texgen_moved,
 };
 use super::view::View;
 use super::visitor::{Cull, DepthRange, PageContext};
 use super::{CullCamera, StageShadows};
 use crate::scene::{
-    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, DrawSlot, INACTIVE, NONE, OcclusionQueryNode,
-    ReferenceFrame, RenderOrder, Special, UNBOUNDED,
+    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, INACTIVE, NONE, OcclusionQueryNode, ReferenceFrame,
+    RenderOrder, Special, UNBOUNDED, UNCULLED,
 };
 
 /// Cameras inside cameras are followed so deep.
@@ -248,15 +248,19 @@ impl Cull<'_> {
     fn billboard(&mut self, context: &PageContext, node: u32, mode: BillboardMode, positions: &[DVec3], mask: u8) {
         let page = context.page;
         let first = page.nodes[node as usize].first_drawable;
+        let is_unculled = page.nodes[node as usize].flags & UNCULLED != 0;
         let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
         let Some(node_from_eye) = finite(eye_from_node.inverse()) else { return };
         for (drawable, position) in (first..).zip(positions) {
-            let Some((depth, _)) = self.test_behind_occluders(context, drawable, mask) else { continue };
+            let depth = if is_unculled {
+                self.depth_of_unculled(context, drawable)
+            } else {
+                let Some((depth, _)) = self.test_behind_occluders(context, drawable, mask) else { continue };
+                depth
+            };
             let map = mode.eye_from_drawable(&eye_from_node, node_from_eye.translation, *position);
             let matrix = self.push_matrix(&map);
-            let state = self.state_of(page, page.drawable_refs[drawable as usize].state_path);
-            let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
-            self.leaves.push(RenderLeaf { slot, state, matrix, depth });
+            self.emit(context, drawable, depth, matrix);
         }
     }
 

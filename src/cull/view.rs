@@ -98,6 +98,10 @@ impl View {
             self.horizon = None;
         }
         let is_fitted = self.settings.compute_near_far != ComputeNearFar::Off;
+        if is_fitted {
+            // Near follows what is met, also what is nearer than it was.
+            self.planes.begin_at_eye();
+        }
         self.least_depth = if is_parallel && !is_fitted { f32::NEG_INFINITY } else { 0.0 };
         let small = culling.contains(CullingMode::SMALL_FEATURE) && !is_parallel;
         self.small_feature = if small { (0.5 * small_feature_px / px) as f32 } else { 0.0 };

@@ -47,7 +47,7 @@ impl BoundingSphere {
         Self { center: self.center + offset * ((radius_m - self.radius_m) / distance), radius_m }
     }
 
-    /// The sphere under an affine map, grown by the largest axis scale.
+    /// The sphere under an affine map, grown by the largest stretch; a little more where the map shears.
     pub fn transformed(&self, to_from: &DAffine3) -> Self {
         if self.is_empty() {
             return *self;
@@ -56,9 +56,14 @@ impl BoundingSphere {
     }
 }
 
-/// The largest factor by which a linear map stretches an axis.
+/// At least the largest factor by which a linear map stretches anything, and just that where its columns are at right
+/// angles to each other: the root of the largest row sum of the columns' products, which bounds their eigenvalues
+/// (Gershgorin). The longest column is less where a turn is stretched.
 pub(crate) fn max_scale(m: &DMat3) -> f64 {
-    m.x_axis.length().max(m.y_axis.length()).max(m.z_axis.length())
+    let [x, y, z] = [m.x_axis, m.y_axis, m.z_axis];
+    let [xy, xz, yz] = [x.dot(y).abs(), x.dot(z).abs(), y.dot(z).abs()];
+    let rows = [x.length_squared() + xy + xz, y.length_squared() + xy + yz, z.length_squared() + xz + yz];
+    rows[0].max(rows[1]).max(rows[2]).sqrt()
 }
 
 /// An axis-aligned box; empty when `min > max`.
@@ -74,9 +79,10 @@ impl Aabb {
     /// The box that holds nothing.
     pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
-    /// The box around some points.
+    /// The box around some points, as far as they are numbers.
     pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {
-        points.into_iter().fold(Self::EMPTY, |b, p| Self { min: b.min.min(p), max: b.max.max(p) })
+        // Of a comparison with what is no number the second comes out.
+        points.into_iter().fold(Self::EMPTY, |b, p| Self { min: p.min(b.min), max: p.max(b.max) })
     }
 
     /// True when the box holds nothing.
@@ -143,9 +149,12 @@ pub struct OrientedBox {
 }
 
 impl OrientedBox {
-    /// The sphere around the box.
+    /// The sphere around the box, without end where an axis is no number.
     pub fn bounding_sphere(&self) -> BoundingSphere {
         let m = &self.half_axes;
+        if m.is_nan() {
+            return BoundingSphere::new(self.center, f64::INFINITY);
+        }
         // The farthest corner; the axes need not be orthogonal.
         let mut radius_m = 0.0f64;
         for (sy, sz) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
@@ -300,6 +309,8 @@ impl BoundingVolume {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::{PI, TAU};
+
     use super::*;
 
     #[test]
@@ -311,6 +322,38 @@ mod tests {
             assert!(u.center.distance(s.center) + s.radius_m <= u.radius_m + 1e-12);
         }
         assert_eq!(a.union(&BoundingSphere::EMPTY), a);
+    }
+
+    /// The longest column of a turn that is stretched is shorter than the stretch.
+    #[test]
+    fn a_sphere_under_any_map_holds_what_it_held() {
+        let turned = DMat3::from_diagonal(DVec3::new(10.0, 1.0, 1.0)) * DMat3::from_rotation_z(0.25 * PI);
+        let sheared = DMat3::from_cols(DVec3::X, DVec3::new(3.0, 1.0, 0.0), DVec3::new(-2.0, 0.5, 4.0));
+        let map = |m| DAffine3 { matrix3: m, translation: DVec3::new(5.0, 6.0, 7.0) };
+        for m in [turned, sheared, turned * sheared, DMat3::from_rotation_x(0.3), DMat3::ZERO] {
+            let sphere = BoundingSphere::new(DVec3::new(1.0, 2.0, 3.0), 100.0);
+            let under = sphere.transformed(&map(m));
+            for (i, j) in (0..40).flat_map(|i| (0..20).map(move |j| (i, j))) {
+                let (turn, rise) = (TAU * f64::from(i) / 40.0, PI * (f64::from(j) / 19.0 - 0.5));
+                let way = DVec3::new(turn.cos() * rise.cos(), turn.sin() * rise.cos(), rise.sin());
+                let reach = map(m).transform_point3(sphere.center + 100.0 * way).distance(under.center);
+                assert!(reach <= under.radius_m * (1.0 + 1e-12), "{m}: {reach} {}", under.radius_m);
+            }
+        }
+        let tight = BoundingSphere::new(DVec3::ZERO, 1.0).transformed(&map(turned)).radius_m;
+        assert!((tight - 10.0).abs() < 1e-9, "{tight}");
+        let turn = BoundingSphere::new(DVec3::ZERO, 1.0).transformed(&map(DMat3::from_rotation_x(0.3))).radius_m;
+        assert!((turn - 1.0).abs() < 1e-12, "{turn}");
+    }
+
+    #[test]
+    fn what_is_no_number_forgets_no_point() {
+        let points = [-5.0, f64::NAN, 7.0, 8.0].map(|x| DVec3::new(x, 1.0, 2.0));
+        let around = Aabb::from_points(points);
+        assert_eq!((around.min, around.max), (DVec3::new(-5.0, 1.0, 2.0), DVec3::new(8.0, 1.0, 2.0)));
+        assert!(Aabb::from_points([DVec3::NAN]).is_empty());
+        let odd = OrientedBox { center: DVec3::ZERO, half_axes: DMat3::from_diagonal(DVec3::new(1.0, f64::NAN, 1.0)) };
+        assert_eq!(odd.bounding_sphere().radius_m, f64::INFINITY);
     }
 
     #[test]

@@ -10,8 +10,8 @@ use super::geometry::{AlphaMode, Drawable};
 use super::kinds::Billboard;
 use super::node::{Node, NodeKind};
 use super::page::{
-    BLEND, Boxes4, CALLBACK, DrawableRef, INACTIVE, LodRecord, NONE, NodeRecord, PLAIN, Page, Special, StatePath, VIEW,
-    kind,
+    BLEND, Boxes4, CALLBACK, DrawableRef, INACTIVE, LARGE, LodRecord, NONE, NodeRecord, PLAIN, Page, Special,
+    StatePath, UNCULLED, VIEW, kind,
 };
 use super::tiles::{TileRoot, Tiles};
 use super::transforms::Transforms;
@@ -141,7 +141,7 @@ impl Flattener {
             self.page.names.push((name.into_boxed_str(), index));
         }
         let mut payload = NONE;
-        let mut flags = if culling_active { 0 } else { INACTIVE };
+        let mut flags = if culling_active { 0 } else { INACTIVE | UNCULLED };
         if let Some(callback) = cull_callback {
             flags |= CALLBACK;
             self.page.callbacks.push((index, callback));
@@ -327,8 +327,11 @@ impl Flattener {
                 && page.masks[node] == u32::MAX
                 && record.flags == 0
                 && !has_cluster;
-            if record.flags & INACTIVE != 0 && page.parents[node] != NONE {
-                page.nodes[page.parents[node] as usize].flags |= INACTIVE;
+            let is_large = record.kind == kind::TILE || record.flags & (INACTIVE | LARGE) != 0;
+            let of_parent = record.flags & INACTIVE | if is_large { LARGE } else { 0 };
+            page.nodes[node].flags |= of_parent;
+            if page.parents[node] != NONE {
+                page.nodes[page.parents[node] as usize].flags |= of_parent;
             }
             if plain[node] {
                 page.nodes[node].flags |= PLAIN;

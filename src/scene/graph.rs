@@ -1,6 +1,7 @@
 //! The scene: a table of pages.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DAffine3;
 
@@ -39,6 +40,17 @@ impl Entry {
     }
 }
 
+/// Counts the changes of a scene, from a number on that no other scene comes to.
+#[derive(Debug)]
+struct Revision(u64);
+
+impl Default for Revision {
+    fn default() -> Self {
+        static SCENES: AtomicU64 = AtomicU64::new(0);
+        Self(SCENES.fetch_add(1 << 40, Ordering::Relaxed))
+    }
+}
+
 /// Owns pages. Update holds `&mut Scene`, cull `&Scene`.
 #[derive(Debug, Default)]
 pub struct Scene {
@@ -47,7 +59,7 @@ pub struct Scene {
     roots: Vec<PageId>,
     page_count: usize,
     /// Changed whenever pages come, go or may be changed.
-    revision: u64,
+    revision: Revision,
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
     pub(super) callback_pages: CallbackPages,
@@ -153,7 +165,7 @@ impl Scene {
 
     /// A page to change its draw slots.
     pub fn page_mut(&mut self, id: PageId) -> Option<&mut Page> {
-        self.revision += 1;
+        self.revision.0 += 1;
         self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page_mut()
     }
 
@@ -176,9 +188,9 @@ impl Scene {
         spheres.fold(BoundingSphere::EMPTY, |all, s| all.union(&s))
     }
 
-    /// Another number whenever pages came, went or may have been changed.
+    /// Another number whenever pages came, went or may have been changed; never that of another scene.
     pub fn revision(&self) -> u64 {
-        self.revision
+        self.revision.0
     }
 
     /// How many pages there are.
@@ -245,14 +257,10 @@ impl Scene {
     /// Puts another state set in the place of one of a page's, wherever in the page it hangs: how state changes
     /// while it may still be drawn. False when the page has no such set.
     pub fn replace_state_set(&mut self, page: PageId, old: &Arc<StateSet>, new: Arc<StateSet>) -> bool {
-        let sets = self.page_mut(page).map(|p| &mut p.state_sets);
-        match sets.and_then(|sets| sets.iter_mut().find(|set| Arc::ptr_eq(set, old))) {
-            Some(set) => {
-                *set = new;
-                true
-            }
-            None => false,
-        }
+        let sets = self.page_mut(page).into_iter().flat_map(|page| &mut page.state_sets);
+        // One that took another's place may stand there twice.
+        let places = sets.filter(|set| Arc::ptr_eq(set, old));
+        places.map(|set| *set = new.clone()).count() > 0
     }
 
     fn free_slot(&self, slot: NodeId) -> Result<usize, SceneError> {
@@ -271,7 +279,7 @@ impl Scene {
     fn insert(&mut self, page: Page, slot: Option<NodeId>, base_depth: u32) -> PageId {
         let place = self.free.last().copied().unwrap_or(self.entries.len() as u32);
         self.callback_pages.note(place, &page);
-        self.revision += 1;
+        self.revision.0 += 1;
         self.page_count += 1;
         let occluders_at = self.occluder_pages.len() as u32;
         if !page.occluders.is_empty() {
@@ -304,7 +312,7 @@ impl Scene {
         entry.generation = entry.generation.wrapping_add(1);
         self.free.push(id.slot);
         self.page_count -= 1;
-        self.revision += 1;
+        self.revision.0 += 1;
         if !page.occluders.is_empty() {
             let at = entry.occluders_at;
             self.occluder_pages.swap_remove(at as usize);
@@ -335,7 +343,7 @@ impl Scene {
     }
 
     pub(super) fn page_at_mut(&mut self, place: u32) -> Option<&mut Page> {
-        self.revision += 1;
+        self.revision.0 += 1;
         self.entries.get_mut(place as usize)?.page_mut()
     }
 

@@ -68,6 +68,6 @@ pub(crate) use draw_kinds::SMALL_MESH_INDICES;
 pub(crate) use lod_ranges::{LodRanges, MORPH_START, has_parallel_rays};
 pub(crate) use lone::LoneDrawable;
 pub(crate) use occluders::OccluderPage;
-pub(crate) use page::{BLEND, CALLBACK, INACTIVE, NONE, PLAIN, Special, UNBOUNDED, VIEW, kind};
+pub(crate) use page::{BLEND, CALLBACK, INACTIVE, LARGE, NONE, PLAIN, Special, UNBOUNDED, UNCULLED, VIEW, kind};
 pub(crate) use shared::{SharedContent, SharedParts};
 pub(crate) use tiles::{TileBounds, TileRecord, TileRoot, Tiles, flag};

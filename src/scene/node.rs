@@ -22,11 +22,12 @@ pub struct Node {
     pub kind: NodeKind,
     /// State for the node and below; shared by identity.
     pub state_set: Option<Arc<StateSet>>,
-    /// Drawn only where `mask & camera.cull_mask != 0`.
+    /// Drawn only where `mask & camera.cull_mask != 0`. Of tiles and proxies below each other the topmost one's.
     pub mask: u32,
-    /// False: never culled by its bound, nor is what is above it; OSG's `setCullingActive`.
+    /// False: never culled by its bound, nor is what is above it, nor what it draws itself as a Geode or Billboard (tiles
+    /// and proxies are, each by its own bound); OSG's `setCullingActive`.
     pub culling_active: bool,
-    /// Asked each time cull is about to visit it.
+    /// Asked each time cull is about to visit it. Of tiles and proxies below each other the topmost one's.
     pub cull_callback: Option<CullCallback>,
     /// Called once a frame in update.
     pub update_callback: Option<UpdateCallback>,

@@ -53,6 +53,10 @@ pub(crate) mod kind {
 pub(crate) const CALLBACK: u8 = 2;
 /// Set where the bound culls nothing: the node's own wish, or that of one below it.
 pub(crate) const INACTIVE: u8 = 4;
+/// Set where that is the node's own wish: what it draws itself is not culled either.
+pub(crate) const UNCULLED: u8 = 8;
+/// Set where tiles are below, or what no bound culls: however small it looks, it is visited.
+pub(crate) const LARGE: u8 = 16;
 
 /// Of a path: the leaves below have the view of the camera or projection node that is being scanned.
 pub(crate) const VIEW: u32 = u32::MAX - 1;

@@ -403,8 +403,8 @@ impl Cull<'_> {
         self.queue.push(Waiting { first: tile, end: tile + 1, hanger, state, fade, mask });
     }
 
-    /// What a tile's place in the picture makes of its priority: all in the middle, a half where its bounds begin 45
-    /// degrees from it.
+    /// What a tile's place in the picture makes of its priority: all in the middle and around the eye, a half where its
+    /// bounds begin 45 degrees from it.
     fn share_of_place(&self, walk: &Walk, tile: u32) -> f32 {
         let bounds = &walk.tiles.bounds[tile as usize];
         let eye_from_frame = &self.hangers[walk.view.hanger as usize].eye_from_frame;
@@ -412,7 +412,11 @@ impl Cull<'_> {
         let distance = center.length();
         // Of the angle to the centre, and of half the angle that the bounds take in.
         let (sin, cos) = (center.truncate().length() / distance, -center.z / distance);
-        let half_sin = (bounds.radius_m / distance).min(1.0);
+        let radius = bounds.radius_m * eye_from_frame.matrix3.x_axis.length() as f32;
+        let half_sin = radius / distance;
+        if half_sin >= 1.0 {
+            return 1.0;
+        }
         let half_cos = (1.0 - half_sin * half_sin).sqrt();
         if sin * half_cos > cos * half_sin {
             (cos * half_cos + sin * half_sin).max(0.0).powi(2).max(KEPT_SHARE)

@@ -200,6 +200,19 @@ mod tests {
         assert_eq!(kept(b).as_ref(), Some(&shared));
         assert_ne!(kept(a).as_ref(), Some(&shared));
 
+        // One that is in two places, as it took both of them.
+        let [first, second, both, last] = [1, 2, 3, 4].map(|k| Arc::new(set(k, Static)));
+        let twice = Node::group(
+            [&first, &second].map(|set| Node { state_set: Some(set.clone()), ..Node::group(vec![]) }).into(),
+        );
+        let twice = scene.add_root(Page::from_node(twice).unwrap());
+        for (old, new) in [(&first, &both), (&second, &both), (&both, &last)] {
+            assert!(scene.replace_state_set(twice, old, new.clone()));
+        }
+        let sets = &scene.page(twice).unwrap().state_sets;
+        assert!(sets.len() == 2 && sets.iter().all(|set| Arc::ptr_eq(set, &last)));
+        assert!(!scene.replace_state_set(twice, &both, first.clone()));
+
         // Sets that change are not shared, their textures are.
         let (c, d) = (page(&manager, set(7, Dynamic)), page(&manager, set(7, Dynamic)));
         assert!(!Arc::ptr_eq(&c.state_sets[0], &d.state_sets[0]) && Arc::ptr_eq(texture(&c), texture(&d)));
