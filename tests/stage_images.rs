@@ -14,7 +14,7 @@ use terrane::cull::CullCamera;
 use terrane::draw::{CameraCallbacks, Renderer};
 use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
 use terrane::scene::{
-    Attachment, CameraNode, CameraTarget, ClearNode, Drawable, Node, NodeKind, PictureSink, ReferenceFrame,
+    AlphaMode, Attachment, CameraNode, CameraTarget, ClearNode, Drawable, Node, NodeKind, PictureSink, ReferenceFrame,
     RenderOrder, Scene,
 };
 use terrane::state::{
@@ -568,15 +568,20 @@ fn a_context_has_several_samples() {
     };
     let small = Node::geode(vec![quad([0.0; 3], [0.25; 2], [0.0, 1.0, 0.0, 1.0])]);
     // Alpha 0.5 covers half of the samples: half of the background shows.
-    let half = StateSet::default().with_mode(Mode::AlphaToCoverage, StateValue::ON);
+    let half = Arc::new(StateSet::default().with_mode(Mode::AlphaToCoverage, StateValue::ON));
     let covered =
-        Node::geode(vec![quad([0.0, -0.8, 0.0], [0.1; 2], [0.0, 1.0, 0.0, 0.5])]).with_state_set(Arc::new(half));
-    let picture = draw(&mut rig, vec![slanted, Node::camera(hud, vec![small]), covered]);
+        Node::geode(vec![quad([0.0, -0.8, 0.0], [0.1; 2], [0.0, 1.0, 0.0, 0.5])]).with_state_set(half.clone());
+    let mut masked = quad([0.8, 0.0, 0.0], [0.1; 2], [0.0, 1.0, 0.0, 0.5]);
+    masked.material.alpha = AlphaMode::Mask(0.25);
+    let masked = Node::geode(vec![masked]).with_state_set(half.clone());
+    let picture = draw(&mut rig, vec![slanted, Node::camera(hud, vec![small]), covered, masked]);
     let is_mixed = |p: &&image::Rgba<u8>| p.0[1] != 0 && p.0[1] != 255;
     assert!(picture.pixels().filter(is_mixed).count() > 60, "smooth edges");
     assert_eq!(pixel(&picture, 32, 32), GREEN, "over the resolved picture");
-    let [r, g, b] = pixel(&picture, 32, 57);
-    assert!((170..210).contains(&g) && r == b && (170..210).contains(&r), "{r} {g} {b}");
+    for [x, y] in [[32, 57], [57, 32]] {
+        let [r, g, b] = pixel(&picture, x, y);
+        assert!((170..210).contains(&g) && r == b && (170..210).contains(&r), "{r} {g} {b}");
+    }
     let errors = rig.renderer.take_errors();
     assert!(errors.is_empty(), "{errors:?}");
 }

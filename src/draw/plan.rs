@@ -70,8 +70,9 @@ pub(super) struct Targets {
     has_followers: bool,
     /// Pictures were drawn into the context's target in this frame.
     is_begun: bool,
-    /// Addresses of the targets met in this frame: each has a depth buffer of its own.
-    owners: Vec<usize>,
+    /// Addresses of the targets met in this frame, each of which has a depth buffer of its own, and of attachments with
+    /// level and layer, each of which has one for its samples.
+    owners: Vec<(usize, u32, u32)>,
 }
 
 impl Targets {
@@ -163,6 +164,15 @@ impl Targets {
         })
     }
 
+    /// The number of a camera's target or of an attachment's level and layer, by address, in this frame.
+    fn owner(&mut self, of: (usize, u32, u32)) -> u32 {
+        let place = self.owners.iter().position(|owner| *owner == of).unwrap_or_else(|| {
+            self.owners.push(of);
+            self.owners.len() - 1
+        });
+        place as u32 + 1
+    }
+
     fn of_camera(
         &mut self,
         ctx: &GraphicsContext,
@@ -173,12 +183,7 @@ impl Targets {
     ) -> Result<PassTarget, String> {
         let device = ctx.device();
         let samples = if camera.samples > 1 { 4 } else { 1 };
-        let address = Arc::as_ptr(camera) as usize;
-        let owner = self.owners.iter().position(|o| *o == address).unwrap_or_else(|| {
-            self.owners.push(address);
-            self.owners.len() - 1
-        }) as u32
-            + 1;
+        let owner = self.owner((Arc::as_ptr(camera) as usize, 0, 0));
         if camera.colors.len() > MOST_COLORS {
             return Err(format!("a camera has {} colour attachments; {MOST_COLORS} are possible", camera.colors.len()));
         }
@@ -230,8 +235,9 @@ impl Targets {
             key.colors[location] = Some(format);
             let into = view(attachment)?;
             if samples > 1 {
-                let place = owner * MOST_COLORS as u32 + location as u32;
-                colors[location] = Some(self.transients.view(device, size_px, format, samples, place));
+                // Of what is drawn into, whichever camera does: it goes there as a whole.
+                let owner = self.owner((Arc::as_ptr(texture) as usize, *level, *layer));
+                colors[location] = Some(self.transients.view(device, size_px, format, samples, owner));
                 resolves[location] = Some(into);
             } else {
                 colors[location] = Some(into);

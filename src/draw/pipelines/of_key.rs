@@ -27,8 +27,8 @@ impl Pipelines {
         let (fixed_layout, textured_layout) = (self.fixed_layout.clone(), self.textured_layout.clone());
         let pull_layout = key.is_pulled().then(|| self.pull_layout.clone());
         let (is_caster, has_shadows) = (key.is_caster(), key.has_shadows());
-        // Only casters that drop parts of what they cast have a fragment shader.
-        let mut discards = is_caster;
+        // Where there are no colours, only what drops parts of what it draws has a fragment shader.
+        let mut discards = true;
         let (module, vertex, fragment, state_layout, constants, outputs);
         match key.shading() {
             Shading::Program(place) => {
@@ -96,12 +96,13 @@ impl Pipelines {
                     (false, false) => (self.module(ctx, "mesh", MESH_WGSL), vertex_of_mesh),
                     (false, true) => (self.module(ctx, "shadowed mesh", SHADOWED_MESH_WGSL), vertex_of_mesh),
                 };
+                discards = matches!(key.alpha(), Alpha::Masked | Alpha::MaskedBlended) || key.is_fading();
                 fragment = match (key.kind(), key.alpha()) {
                     (Kind::Height, _) if has_shadows => "fs_height_shadowed",
                     (Kind::Height, _) => "fs_height",
                     _ if is_thin => "fs_thin",
-                    (_, Alpha::Masked) => "fs_mesh_masked",
-                    (_, Alpha::MaskedBlended) => "fs_mesh_masked_blended",
+                    (_, Alpha::Masked) if !has_alpha => "fs_mesh_masked",
+                    (_, Alpha::Masked | Alpha::MaskedBlended) => "fs_mesh_masked_blended",
                     (_, Alpha::Opaque) if !has_alpha => "fs_mesh",
                     _ => "fs_mesh_blended",
                 };

@@ -44,7 +44,7 @@ pub(in crate::draw) struct Compiled {
     pub(in crate::draw) constants: Vec<(String, f64)>,
     /// Bits of the locations that the fragment shader writes.
     pub(in crate::draw) outputs: u32,
-    /// The fragment shader may drop fragments.
+    /// The fragment shader may drop fragments, or give them another depth.
     pub(in crate::draw) discards: bool,
 }
 
@@ -218,8 +218,8 @@ fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String>
         label: Some(&program.name),
         source: wgpu::ShaderSource::Wgsl(source.into()),
     });
-    // A keyword: in comments it only costs a little.
-    let discards = program.wgsl.contains("discard");
+    // In comments they only cost a little.
+    let discards = ["discard", "frag_depth"].iter().any(|word| program.wgsl.contains(word));
     Ok(Compiled { module, heights: None, layout, members, uniform_bytes, units, constants, outputs, discards })
 }
 

@@ -1,0 +1,135 @@
+//! What cameras in the graph draw into: depth alone, and one texture by several cameras. Needs a GPU (a software one will
+//! do).
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod camera_support;
+mod gpu_support;
+
+use std::sync::Arc;
+
+use camera_support::{no_errors, picture};
+use gpu_support::{Rig, pixel, plain, quad, rig, unit_camera};
+use image::RgbaImage;
+use terrane::scene::{AlphaMode, Attachment, CameraNode, CameraTarget, Drawable, Node, RenderOrder};
+use terrane::state::{
+    AlphaFunc, Attribute, CompareFunction, Fog, FogMode, Mode, Program, Sampler, StateSet, StateValue, TextureBinding,
+    TextureFormat, TextureObject,
+};
+
+const SIDE: u32 = 64;
+const RED: [u8; 3] = [255, 0, 0];
+const GREEN: [u8; 3] = [0, 255, 0];
+const BLACK: [u8; 3] = [0, 0, 0];
+
+const VERTEX: &str = "struct V { @builtin(position) position: vec4<f32>, @location(0) uv: vec2<f32> }
+    @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> V {
+        return V(frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0), vertex.uv);
+    }";
+
+fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
+    let picture = picture(rig, Node::group(nodes), &unit_camera(SIDE), &plain());
+    no_errors(rig);
+    picture
+}
+
+fn to(target: CameraTarget, order: i32) -> CameraNode {
+    let own = unit_camera(SIDE);
+    let any = TextureObject::target("any", [SIDE; 2], TextureFormat::Rgba8Srgb);
+    let node = CameraNode::to_texture(any, own.eye_from_world, own.clip_from_eye);
+    CameraNode { target: Some(Arc::new(target)), order: RenderOrder::PreRender(order), ..node }
+}
+
+/// A square that is green where a depth texture has something.
+fn shown(depth: &Arc<TextureObject>) -> Node {
+    let source = format!(
+        "@group(2) @binding(3) var shadow: texture_depth_2d;
+        @group(2) @binding(4) var shadow_sampler: sampler_comparison;
+        {VERTEX}
+        @fragment fn fs_main(in: V) -> @location(0) vec4<f32> {{
+            return vec4<f32>(0.0, textureSampleCompareLevel(shadow, shadow_sampler, in.uv, 0.005), 0.0, 1.0);
+        }}"
+    );
+    let sampler = Sampler { compare: Some(CompareFunction::Less), ..Sampler::default() };
+    let set = StateSet::default()
+        .with(Attribute::Program(Program::new("compare", &source)))
+        .with(Attribute::Texture(1, TextureBinding { texture: depth.clone(), sampler }));
+    Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])]).with_state_set(Arc::new(set))
+}
+
+/// Where there were no colours, nothing dropped anything.
+#[test]
+fn cameras_without_colors_drop_what_others_drop() {
+    let Some(mut rig) = rig("cameras_without_colors_drop_what_others_drop") else { return };
+    let rig = &mut *rig;
+    let square = |alpha: AlphaMode| -> Drawable {
+        let mut square = quad([0.0; 3], [0.5; 2], [1.0, 1.0, 1.0, 0.2]);
+        square.material.alpha = alpha;
+        square
+    };
+    let program = |name: &str, body: &str| {
+        let outputs = "struct Out { @location(0) color: vec4<f32>, @builtin(frag_depth) depth: f32 }";
+        let source = format!("{VERTEX} {outputs} @fragment fn fs_main(in: V) -> {body}");
+        StateSet::default().with(Attribute::Program(Program::new(name, &source)))
+    };
+    let test = Attribute::AlphaFunc(AlphaFunc { function: CompareFunction::Greater, reference: 0.5 });
+    let tested = StateSet::default().with(test).with_mode(Mode::AlphaTest, StateValue::ON);
+    let fog = Attribute::Fog(Fog { mode: FogMode::Exp { density_per_m: 1e-6 }, color: [0.0; 3] });
+    let fogged = StateSet::default().with(fog).with_mode(Mode::Fog, StateValue::ON);
+    let plain = || Arc::new(StateSet::default());
+    let cases = [
+        ("opaque", square(AlphaMode::Opaque), plain(), GREEN),
+        ("masked", square(AlphaMode::Mask(0.5)), plain(), BLACK),
+        ("masked, kept", square(AlphaMode::Mask(0.1)), plain(), GREEN),
+        ("masked in fog", square(AlphaMode::Mask(0.5)), Arc::new(fogged), BLACK),
+        ("alpha test", square(AlphaMode::Blend), Arc::new(tested), BLACK),
+        (
+            "discard",
+            square(AlphaMode::Opaque),
+            Arc::new(program("drops", "@location(0) vec4<f32> { discard; return vec4<f32>(1.0); }")),
+            BLACK,
+        ),
+        (
+            "depth of its own",
+            square(AlphaMode::Opaque),
+            Arc::new(program("deep", "Out { return Out(vec4<f32>(1.0), 0.001); }")),
+            BLACK,
+        ),
+    ];
+    for (name, square, set, expected) in cases {
+        let depth = TextureObject::target("depth", [SIDE; 2], TextureFormat::Depth32);
+        let alone = CameraTarget { depth: Some(Attachment::new(depth.clone())), ..CameraTarget::default() };
+        let camera = Node::camera(to(alone, 0), vec![Node::geode(vec![square]).with_state_set(set)]);
+        let picture = draw(rig, vec![camera, shown(&depth)]);
+        assert_eq!((pixel(&picture, 32, 32), pixel(&picture, 10, 10)), (expected, BLACK), "{name}");
+    }
+}
+
+/// Each had samples of its own, and put them all into the texture.
+#[test]
+fn cameras_with_several_samples_share_a_texture() {
+    let Some(mut rig) = rig("cameras_with_several_samples_share_a_texture") else { return };
+    let rig = &mut *rig;
+    for samples in [1, 4] {
+        let texture = TextureObject::target("halves", [SIDE; 2], TextureFormat::Rgba8Srgb);
+        let part = |order: i32, x: u32, color: [f32; 4]| {
+            let colors = vec![Attachment::new(texture.clone())];
+            let target = CameraTarget { colors, samples, ..CameraTarget::default() };
+            let viewport_px = Some([x, 0, SIDE / 2, SIDE]);
+            Node::camera(CameraNode { viewport_px, clear_color: Some(color), ..to(target, order) }, vec![])
+        };
+        // One that clears nothing.
+        let colors = vec![Attachment::new(texture.clone())];
+        let over =
+            CameraNode { clear_color: None, ..to(CameraTarget { colors, samples, ..CameraTarget::default() }, 2) };
+        let over = Node::camera(over, vec![Node::geode(vec![quad([0.0; 3], [0.1; 2], [1.0; 4])])]);
+        let set = StateSet::default()
+            .with_mode(Mode::Lighting, StateValue::OFF)
+            .with(Attribute::Texture(0, TextureBinding::new(texture.clone())));
+        let screen = Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+        let halves = [part(0, 0, [1.0, 0.0, 0.0, 1.0]), part(1, SIDE / 2, [0.0, 1.0, 0.0, 1.0])];
+        let [left, right] = halves;
+        let picture = draw(rig, vec![left, right, over, screen]);
+        let at = [16, 48, 32].map(|x| pixel(&picture, x, 32));
+        assert_eq!(at, [RED, GREEN, [255; 3]], "{samples} samples");
+    }
+}
