@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use gpu_support::{Rig, Terrain, count, mesh, new_rig, plain, quad, unit_camera, with_mips};
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
-use terrane::scene::{DrawSlot, Drawable, Geometry, Material, MeshVertex, Node, Texture};
+use terrane::scene::{DrawSlot, Drawable, Geometry, Material, MeshVertex, Node, Page, Scene, Texture};
 
 fn fresh(test: &str) -> Option<Rig> {
     let rig = new_rig([64, 64]);
@@ -53,12 +53,12 @@ fn a_huge_texture_is_split_over_calls_and_arrives_whole() {
     assert_eq!((compiled.ticket, compiled.slots.len(), compiled.errors.len()), (7, 1, 0));
     assert!(compiled.bytes >= bytes);
 
-    let mut page = terrane::scene::Page::from_node(Node::geode(vec![textured(&texture)])).unwrap();
+    let mut page = Page::from_node(Node::geode(vec![textured(&texture)])).unwrap();
     page.take_drawables();
     let mut drawable_is_unlit = textured(&texture);
     drawable_is_unlit.material.unlit = true;
     page.set_draw_slots(0, compiled.slots);
-    let mut scene = terrane::scene::Scene::new();
+    let mut scene = Scene::new();
     scene.add_root(page);
     let picture = rig.picture(&scene, &unit_camera(64), &plain());
     let (red, blue) = (count(&picture, [255, 0, 0]), count(&picture, [0, 0, 255]));
@@ -131,12 +131,48 @@ fn equal_images_meshes_and_indices_are_uploaded_once() {
     rig.ctx.release(&[DrawSlot::NONE, DrawSlot(99_999)]);
 }
 
+/// Of a mesh that was half uploaded the rest was as its place had been.
+#[test]
+fn a_mesh_on_its_way_is_whole_where_another_drawable_takes_it() {
+    let Some(mut rig) = fresh("a_mesh_on_its_way_is_whole_where_another_drawable_takes_it") else { return };
+    // So many squares that they fill the picture.
+    let side = 100;
+    let corner = |i: usize| MeshVertex {
+        position: [i % (side + 1), i / (side + 1), side / 2].map(|x| x as f32 / side as f32 * 2.0 - 1.0),
+        normal: [0, 0, 127, 0],
+        color: [255; 4],
+        ..MeshVertex::default()
+    };
+    let vertices: Vec<MeshVertex> = (0..(side + 1) * (side + 1)).map(corner).collect();
+    let square = |i: usize| {
+        let a = (i / side * (side + 1) + i % side) as u32;
+        let above = a + side as u32 + 1;
+        [a, a + 1, above + 1, a, above + 1, above]
+    };
+    let large = Arc::new(mesh(vertices, (0..side * side).flat_map(square).collect()));
+    let mut shown = quad([0.0; 3], [0.1; 2], [1.0; 4]);
+    shown.material.base_color = [0.0, 1.0, 0.0, 1.0];
+    let mut page = Page::from_node(Node::geode(vec![shown.clone()])).unwrap();
+    let compiled = rig.compile(page.take_drawables());
+    let slot = compiled.slots[0];
+    page.set_draw_slots(0, compiled.slots);
+    let mut scene = Scene::new();
+    scene.add_root(page);
+    let on_its_way = Drawable::new(Geometry::Mesh(large.clone()), shown.material);
+    rig.ctx.compile(CompileOperation { ticket: 1, drawables: vec![on_its_way] });
+    rig.ctx.run_compiles(&CompileBudget { time: Duration::from_secs(1), bytes: 16 << 10 });
+    assert_eq!(rig.ctx.pending_compiles(), 1);
+    rig.ctx.rewrite(slot, &large).unwrap();
+    let picture = rig.picture(&scene, &unit_camera(64), &plain());
+    assert!(count(&picture, [0, 255, 0]) > 64 * 64 - 64, "{}", count(&picture, [0, 255, 0]));
+}
+
 #[test]
 fn released_places_are_used_again() {
     let Some(mut rig) = fresh("released_places_are_used_again") else { return };
     let terrain = Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1000.0, root_error_m: 100.0, textured: true };
     let drawables = |x: u32| {
-        let mut page = terrane::scene::Page::from_node(Node::group(vec![
+        let mut page = Page::from_node(Node::group(vec![
             terrain.tile(3, x, 0),
             Node::geode(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]),
         ]))

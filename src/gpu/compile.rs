@@ -411,8 +411,13 @@ impl CompileQueue {
         }
     }
 
-    /// Takes all that the thread has under way: what shares its places may be drawn after that.
-    pub(super) fn drain_thread(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
+    /// Ends all uploads that are under way, the thread's too: what shares their places may be drawn after that.
+    pub(super) fn end_uploads(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
+        for mut upload in self.uploads.drain(..) {
+            while let Some((units, _)) = upload.left() {
+                upload.write(&mut QueueSink(queue), &mut self.scratch, units);
+            }
+        }
         let Some(mut thread) = self.thread.take() else { return };
         while thread.bytes_in_flight() > 0 && !thread.has_died {
             if let Some(batch) = thread.batch(POLL) {

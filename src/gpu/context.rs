@@ -408,7 +408,7 @@ impl GraphicsContext {
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
         if is_shared.map_err(|reason| GpuError::Rewrite { reason })? {
             // The mesh may be on its way.
-            self.compiles.drain_thread(&self.device, &self.queue);
+            self.compiles.end_uploads(&self.device, &self.queue);
         }
         Ok(())
     }

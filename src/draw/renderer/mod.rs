@@ -269,7 +269,11 @@ impl Renderer {
     }
 
     pub(crate) fn complain(&mut self, error: String) {
-        if !error.is_empty() && self.said.len() < 16 * MOST_ERRORS && self.said.insert(error.clone()) {
+        if self.said.len() >= 16 * MOST_ERRORS {
+            // What is wrong from now on is worth saying, if some of it again.
+            self.said.clear();
+        }
+        if !error.is_empty() && self.said.insert(error.clone()) {
             log::error!("{error}");
             if self.errors.len() < MOST_ERRORS {
                 self.errors.push(error);

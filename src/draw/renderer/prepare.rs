@@ -57,7 +57,10 @@ impl Renderer {
             self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
         }
         if dropped > 0 {
-            self.complain(format!("{dropped} leaves are more than the adapter's largest buffer holds, and not drawn"));
+            // Without their number, which is another one in each frame.
+            self.complain(
+                "there are more leaves than the adapter's largest buffer holds; some are not drawn".to_owned(),
+            );
         }
         for error in std::mem::take(&mut self.pipelines.errors) {
             self.complain(error);

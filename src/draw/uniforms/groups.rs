@@ -26,6 +26,7 @@ struct Group {
     key: GroupKey,
     /// Made in [`Groups::finish`].
     bind_group: Option<wgpu::BindGroup>,
+    is_pending: bool,
 }
 
 /// Uniforms and bind groups of a renderer.
@@ -73,7 +74,9 @@ impl Groups {
     /// `programs_left` is whether places of programs will be others' from now on.
     pub(in crate::draw) fn start_frame(&mut self, programs_left: bool) {
         self.bytes.clear();
-        self.pending.clear();
+        for (group, _) in self.pending.drain(..) {
+            self.groups[group as usize].is_pending = false;
+        }
         if self.textures.prune() | programs_left {
             self.forget_groups();
         }
@@ -175,10 +178,10 @@ impl Groups {
         let next = self.groups.len() as u32;
         let group = *self.group_of.entry(key).or_insert(next);
         if group == next {
-            self.groups.push(Group { key, bind_group: None });
+            self.groups.push(Group { key, bind_group: None, is_pending: false });
         }
         // Again each frame: all groups are made anew when the buffer grows.
-        if !self.pending.iter().any(|(g, _)| *g == group) {
+        if !std::mem::replace(&mut self.groups[group as usize].is_pending, true) {
             self.pending.push((group, state.clone()));
         }
         group
@@ -199,6 +202,7 @@ impl Groups {
         ctx.queue().write_buffer(&self.buffer, 0, &self.bytes);
         let pending = std::mem::take(&mut self.pending);
         for (group, state) in &pending {
+            self.groups[*group as usize].is_pending = false;
             if self.groups[*group as usize].bind_group.is_none() {
                 let made = self.make(ctx, pipelines, &self.groups[*group as usize].key, state);
                 self.groups[*group as usize].bind_group = made;
