@@ -122,8 +122,12 @@ impl CompositeViewer {
         let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
         let first = paged.bounds.is_none();
         let root = add(paged, &mut self.base)?;
-        if let (true, Some(bounds)) = (first, &paged.bounds) {
-            self.views.iter_mut().filter(|view| view.scene == scene.0).for_each(|view| view.first_sight(bounds));
+        if first {
+            self.for_each_view(|mut view| {
+                if view.view.scene == scene.0 {
+                    view.first_sight();
+                }
+            });
         }
         Ok(root)
     }

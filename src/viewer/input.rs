@@ -390,6 +390,15 @@ impl GuiActionAdapter<'_> {
         }
     }
 
+    /// The first sight of what the scene shows; a manipulator goes on from there.
+    pub(super) fn first_sight(&mut self) {
+        if let Some(bounds) = self.paged.bounds {
+            self.view.first_sight(&bounds);
+            let pose = self.view.camera.world_from_eye;
+            self.with_manipulator(|manipulator, view| manipulator.set_pose(&pose, view));
+        }
+    }
+
     /// Reads back the picture of the frame that comes next (in the event phase: of this frame), for `then`. Nothing
     /// where the master camera has no context.
     pub fn capture(&mut self, then: OnPicture) {

@@ -209,8 +209,8 @@ impl Viewer {
     ) -> Result<PageId, ViewerError> {
         let first = self.paged.bounds.is_none();
         let root = add(&mut self.paged, &mut self.base)?;
-        if let (true, Some(bounds)) = (first, &self.paged.bounds) {
-            self.view.first_sight(bounds);
+        if first {
+            self.actions().first_sight();
         }
         Ok(root)
     }
