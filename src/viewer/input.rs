@@ -326,7 +326,7 @@ impl GuiActionAdapter<'_> {
         self.paged.pager.as_ref()
     }
 
-    /// Extent of the first root.
+    /// Extent of the tile set that was loaded; without one, of the first root.
     pub fn bounds(&self) -> Option<&SetBounds> {
         self.paged.bounds.as_ref()
     }

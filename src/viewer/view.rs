@@ -313,7 +313,7 @@ impl View {
         frame: u32,
         requests: Vec<PageRequest>,
     ) -> Option<CullTask> {
-        let horizon = paged.bounds.as_ref().and_then(SetBounds::body);
+        let horizon = paged.horizon();
         let master = |device| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, device) };
         let lens = Lens { camera: self.camera, size_px: self.size_px, offset: DMat4::IDENTITY };
         let (camera, lens, sight, viewport_px) = match self.master.filter(|place| place.camera == camera) {
