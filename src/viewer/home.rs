@@ -113,7 +113,7 @@ impl SetBounds {
 
     /// As [`Self::body`], below ground that may be another set's; metres above the ellipsoid.
     pub(super) fn body_below(&self, lowest_m: f64) -> Option<Ellipsoid> {
-        let shrunk = |radius_m: f64| radius_m + lowest_m;
+        let shrunk = |radius_m: f64| radius_m + lowest_m.max(LOWEST_GROUND_M);
         self.frame
             .georeferenced
             .then(|| Ellipsoid { semi_major_m: shrunk(WGS84.semi_major_m), semi_minor_m: shrunk(WGS84.semi_minor_m) })
@@ -122,7 +122,7 @@ impl SetBounds {
     /// Metres above the ellipsoid that the set's ground has at least; never above 0.
     pub(super) fn lowest_ground_m(&self) -> f64 {
         match self.volume {
-            Some(BoundingVolume::Region(region)) => region.min_height_m.min(0.0).max(LOWEST_GROUND_M),
+            Some(BoundingVolume::Region(region)) => region.min_height_m.min(0.0),
             _ => LOWEST_GROUND_M,
         }
     }
