@@ -14,7 +14,8 @@ use glam::{DAffine3, DVec2, DVec3};
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::scene::{Drawable, Material, Mesh, Node, NodeId, Page, PageId, Traverse, UpdateCallback};
-use terrane::viewer::handlers::{self, StatsPage};
+use terrane::state::{Mode, StateSet, StateValue};
+use terrane::viewer::handlers::{self, StateSetManipulator, StatsPage};
 use terrane::viewer::manipulators::{OrbitManipulator, usual};
 use terrane::viewer::{
     AnimationPath, CompositeViewer, EventKind, EventMask, GuiActionAdapter, GuiEventAdapter, GuiEventHandler,
@@ -291,6 +292,39 @@ fn the_usual_handlers_answer_their_keys_and_say_so() {
     viewer.event_queue().mouse_button_press(MouseButton::Right, 0.0);
     press(&mut viewer, Key::Char('w'));
     assert!(viewer.state_set().is_none());
+}
+
+/// It was gone with the first key.
+#[test]
+fn what_keys_switch_lies_over_the_applications_state_set_and_gives_it_back() {
+    let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
+    add_square(&mut viewer);
+    viewer.add_event_handler(StateSetManipulator::default());
+    let off = StateValue::OFF | StateValue::OVERRIDE;
+    let own = |name: &str| {
+        let set = StateSet { name: name.to_owned(), color: Some([1.0, 0.0, 0.0, 1.0]), ..StateSet::default() };
+        Arc::new(set.with_mode(Mode::Blend, StateValue::ON).with_mode(Mode::Lighting, StateValue::ON))
+    };
+    let [first, second] = ["first", "second"].map(own);
+    viewer.set_state_set(Some(first.clone()));
+    press(&mut viewer, Key::Char('l'));
+    let expected = (*first).clone().with_mode(Mode::Lighting, off);
+    assert_eq!(**viewer.state_set().unwrap(), expected);
+    press(&mut viewer, Key::Char('b'));
+    assert_eq!(**viewer.state_set().unwrap(), expected.with_mode(Mode::CullFace, off));
+    // Another one, while something is switched: it is that which counts from the next key on.
+    viewer.set_state_set(Some(second.clone()));
+    press(&mut viewer, Key::Char('l'));
+    assert_eq!(**viewer.state_set().unwrap(), (*second).clone().with_mode(Mode::CullFace, off));
+    press(&mut viewer, Key::Char('b'));
+    assert!(viewer.state_set().is_some_and(|set| Arc::ptr_eq(set, &second)));
+    for own in [Some(first), None] {
+        viewer.set_state_set(own.clone());
+        for key in ['l', 'l', 'w', 'w', 'w'] {
+            press(&mut viewer, Key::Char(key));
+        }
+        assert_eq!(viewer.state_set().map(Arc::as_ptr), own.as_ref().map(Arc::as_ptr));
+    }
 }
 
 #[test]

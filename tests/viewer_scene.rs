@@ -5,14 +5,16 @@
 
 mod viewer_support;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
-use terrane::draw::Sky;
-use terrane::gpu::AdapterChoice;
+use terrane::draw::{Environment, Fog, Sky, Water};
+use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::math::Aabb;
-use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, Topology};
-use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig, coverage};
+use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, SunShadows, Topology};
+use terrane::viewer::manipulators::OrbitManipulator;
+use terrane::viewer::{CompositeViewer, KEY_COLOR, ThreadingModel, View, Viewer, ViewerConfig, coverage};
 use viewer_support::{Settle, offscreen, small_set};
 
 /// A square of 2 m in the x, z plane, facing -y.
@@ -150,14 +152,18 @@ fn a_page_that_was_removed_is_shown_again() {
     }
 }
 
+fn small_and_large(folder: &Path) -> [String; 2] {
+    let small = folder.join("small").display().to_string();
+    let args = terrane_data_gen::GenArgs { levels: Some(2), size: 500.0, ..terrane_data_gen::GenArgs::new(&small) };
+    terrane_data_gen::run(&args).unwrap();
+    [small, small_set(folder)]
+}
+
 /// The set that was gone kept its place: the camera stayed there, and all that goes by the set's size had that one's.
 #[test]
 fn a_set_in_the_place_of_another_is_seen_as_the_first_one_was() {
     let folder = tempfile::tempdir().unwrap();
-    let large = small_set(folder.path());
-    let small = folder.path().join("small").display().to_string();
-    let args = terrane_data_gen::GenArgs { levels: Some(2), size: 500.0, ..terrane_data_gen::GenArgs::new(&small) };
-    terrane_data_gen::run(&args).unwrap();
+    let [small, large] = small_and_large(folder.path());
     let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);
     let (Some(mut fresh), Some(mut used)) = (made(), made()) else { return };
     fresh.load(&small).unwrap();
@@ -174,4 +180,113 @@ fn a_set_in_the_place_of_another_is_seen_as_the_first_one_was() {
     assert!(used.remove_root(root).is_some() && !used.is_height_set() && used.root_uri().is_none());
     used.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
     assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
+}
+
+fn assert_same_pose(found: &DAffine3, expected: &DAffine3) {
+    let apart_m = found.translation.distance(expected.translation);
+    let turned = (found.matrix3 - expected.matrix3).abs().to_cols_array().into_iter().fold(0.0, f64::max);
+    assert!(apart_m < 0.01 && turned < 1e-6, "{found:?} is not {expected:?}");
+}
+
+/// The manipulator had the camera back where it was, in the same frame.
+#[test]
+fn a_manipulator_goes_on_from_the_first_sight_of_a_set() {
+    let folder = tempfile::tempdir().unwrap();
+    let sets = small_and_large(folder.path());
+    let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);
+    let Some(mut used) = made() else { return };
+    let config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
+    let mut composite = CompositeViewer::new(&config).unwrap();
+    let context = composite.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
+    let [scene, other] = [(); 2].map(|()| composite.add_scene().unwrap());
+    let [first, second, elsewhere] =
+        [scene, scene, other].map(|scene| composite.add_view(scene, context, None).unwrap());
+    used.set_manipulator(Some(Box::new(OrbitManipulator::default())));
+    for view in [first, second, elsewhere] {
+        composite.actions(view).unwrap().set_manipulator(Some(Box::new(OrbitManipulator::default())));
+    }
+    composite.frame().unwrap();
+    let before = composite.view_mut(elsewhere).unwrap().camera.world_from_eye;
+    for set in sets {
+        let mut fresh = made().unwrap();
+        fresh.load(&set).unwrap();
+        let expected = fresh.camera.world_from_eye;
+        let root = used.load(&set).unwrap();
+        frames(&mut used, 1);
+        assert_same_pose(&used.camera.world_from_eye, &expected);
+        assert!(used.remove_root(root).is_some());
+        let root = composite.load(scene, &set).unwrap();
+        composite.frame().unwrap();
+        for view in [first, second] {
+            assert_same_pose(&composite.view_mut(view).unwrap().camera.world_from_eye, &expected);
+        }
+        assert_same_pose(&composite.view_mut(elsewhere).unwrap().camera.world_from_eye, &before);
+        assert!(composite.remove_root(scene, root).unwrap().is_some());
+    }
+}
+
+/// What was there first had given camera, light and air its own size.
+#[test]
+fn a_set_is_seen_as_ever_beside_what_the_application_has() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
+    let mut composite = CompositeViewer::new(&config).unwrap();
+    let context = composite.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
+    let scene = composite.add_scene().unwrap();
+    let view = composite.add_view(scene, context, None).unwrap();
+    let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);
+    let (Some(mut fresh), Some(mut used)) = (made(), made()) else { return };
+    fresh.load(&set).unwrap();
+    let page = || Page::from_node(Node::geode(vec![square()])).unwrap();
+    used.add_root(page()).unwrap();
+    composite.add_root(scene, page()).unwrap();
+    assert_ne!(used.camera.world_from_eye, fresh.camera.world_from_eye);
+    let root = used.load(&set).unwrap();
+    composite.load(scene, &set).unwrap();
+    assert_eq!(used.bounds(), fresh.bounds());
+    assert_eq!(composite.bounds(scene).unwrap(), fresh.bounds());
+    for seen in [&used, composite.view_mut(view).unwrap()] as [&View; 2] {
+        assert_eq!(seen.camera.world_from_eye, fresh.camera.world_from_eye);
+        assert_eq!(seen.environment, fresh.environment);
+    }
+    assert!(used.is_height_set() && composite.is_height_set(scene).unwrap());
+    // What comes beside it changes nothing.
+    used.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
+    let (camera, environment) = (used.camera, used.environment);
+    used.add_root(page()).unwrap();
+    assert_eq!((used.bounds(), used.camera.world_from_eye), (fresh.bounds(), camera.world_from_eye));
+    assert_eq!(used.environment, environment);
+    // Nor does one that is refused, and another in its place is seen anew.
+    assert!(used.load(&set).is_err());
+    assert_eq!(used.camera.world_from_eye, camera.world_from_eye);
+    assert!(used.remove_root(root).is_some());
+    used.load(&set).unwrap();
+    assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
+}
+
+/// The first root put light and air back to what they are at first.
+#[test]
+fn the_first_sight_of_a_set_keeps_what_does_not_go_by_its_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);
+    let (Some(mut fresh), Some(mut own)) = (made(), made()) else { return };
+    fresh.load(&set).unwrap();
+    let asked = Environment {
+        sun_color: [1.0, 0.5, 0.25],
+        ambient_color: [0.1; 3],
+        fog: Fog { enabled: false, density_per_m: 1.0 },
+        sky: Sky::Background(KEY_COLOR),
+        water: Some(Water::at(3.0)),
+        shadows: Some(SunShadows::default()),
+        exposure: None,
+        ..Environment::default()
+    };
+    own.environment = asked;
+    own.load(&set).unwrap();
+    let Environment { sun_direction, up_in_world, fog: Fog { density_per_m, .. }, .. } = fresh.environment;
+    let fog = Fog { density_per_m, ..asked.fog };
+    assert_eq!(own.environment, Environment { sun_direction, up_in_world, fog, ..asked });
+    assert!(density_per_m < 1e-3 && sun_direction != asked.sun_direction);
 }

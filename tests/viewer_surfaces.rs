@@ -18,7 +18,7 @@ use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, SurfaceAnswer};
 use terrane::scene::{Node, Page};
-use terrane::viewer::{ContextId, ThreadingModel, Viewer, ViewerConfig};
+use terrane::viewer::{ContextId, ThreadingModel, Viewer, ViewerConfig, ViewerError};
 use viewer_support::{Settle, ball};
 use winit::application::ApplicationHandler;
 use winit::dpi::PhysicalSize;
@@ -125,6 +125,18 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     viewer.frame().unwrap();
     viewer.finish().unwrap();
     assert!(viewer.take_pictures_of(context).is_empty());
+    // Nor has one that is drawn once more, and it says so.
+    for answer in [Occluded, Timeout] {
+        viewer.pretend_surface(context, &[answer]).unwrap();
+        let error = viewer.picture().unwrap_err();
+        assert!(matches!(error, ViewerError::HiddenWindow), "{model:?} {answer:?}: {error}");
+        viewer.pretend_surface(context, &[answer]).unwrap();
+        let error = viewer.settled().err().unwrap();
+        assert!(matches!(error, ViewerError::HiddenWindow), "{model:?} {answer:?}: {error}");
+        assert!(viewer.picture().unwrap() == before, "{model:?} {answer:?}: it is seen again");
+        // Which shows the image that was drawn into.
+        assert!(picture(&mut viewer, context) == before, "{model:?} {answer:?}");
+    }
 
     for (answers, skipped) in [
         (&[Timeout][..], 1),

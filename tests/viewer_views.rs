@@ -9,10 +9,11 @@ use std::path::Path;
 
 use glam::DVec3;
 use image::RgbaImage;
-use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::scene::{Inherit, Node, Page};
-use terrane::viewer::{ArrangedViews, Arrangement, CompositeViewer, Slave, ViewerConfig, ViewerError, ViewsSetup};
+use terrane::viewer::{
+    ArrangedViews, Arrangement, CompositeViewer, Slave, ViewFrom, ViewerConfig, ViewerError, ViewsSetup,
+};
 use viewer_support::{Settle, ball, or_skip, small_set};
 
 fn setup(folder: &Path, text: &str) -> ViewsSetup {
@@ -56,7 +57,8 @@ fn views_have_their_parts_scenes_and_slaves() {
             "views": [
               {"scene": "hills", "pitch_deg": -80, "background": [250, 0, 0],
                "cameras": [{"viewport_px": [0, 0, 100, 100]}, {"window": 1}]},
-              {"background": [0, 0, 250], "cameras": [{"viewport_px": [100, 0, 100, 100]}]},
+              {"pitch_deg": -80, "range_m": 7, "background": [0, 0, 250],
+               "cameras": [{"viewport_px": [100, 0, 100, 100]}]},
               {"background": [0, 250, 0], "cameras": [{"viewport_px": [200, 0, 100, 100]}]}]}"#,
     );
     let Some(ArrangedViews { mut viewer, contexts, views, own_scene }) = arranged(&setup) else { return };
@@ -67,12 +69,15 @@ fn views_have_their_parts_scenes_and_slaves() {
     // The application's scene: both views show it, each from its own eye.
     let white = ball(DVec3::ZERO, 1.0, [1.0; 4]);
     viewer.add_root(own, Page::from_node(Node::group(vec![white])).unwrap()).unwrap();
-    for (view, (distance, color)) in views[1..].iter().zip([(3.0, [0, 0, 250]), (12.0, [0, 250, 0])]) {
-        let view = viewer.view_mut(*view).unwrap();
-        view.camera.look_at(DVec3::new(0.0, -distance, 0.0), DVec3::ZERO, DVec3::Z);
-        // The first root has set the sky anew.
-        view.environment.sky = Sky::Background(color);
-        view.environment.fog.enabled = false;
+    // As the file says, though there was nothing to see yet when it was read.
+    let bounds = *viewer.bounds(own).unwrap().unwrap();
+    let as_said = ViewFrom { pitch: (-80f64).to_radians(), range_m: Some(7.0), ..ViewFrom::default() };
+    for (view, from) in views[1..].iter().zip([as_said, ViewFrom::default()]) {
+        let pose = viewer.view_mut(*view).unwrap().camera.world_from_eye;
+        assert_eq!(pose, bounds.first_camera(&from));
+    }
+    for (view, distance) in views[1..].iter().zip([3.0, 12.0]) {
+        viewer.view_mut(*view).unwrap().camera.look_at(DVec3::new(0.0, -distance, 0.0), DVec3::ZERO, DVec3::Z);
     }
     viewer.settle(3);
     let [first, second] = [0, 1].map(|place| viewer.read_back(contexts[place]).unwrap());
@@ -150,12 +155,9 @@ fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() 
     let white = ball(DVec3::ZERO, 1.0, [1.0; 4]);
     viewer.add_root(own_scene.unwrap(), Page::from_node(Node::group(vec![white])).unwrap()).unwrap();
     let backgrounds = [[250, 0, 0], [0, 250, 0], [0, 0, 250], [250, 250, 0]];
-    for (view, color) in views.iter().zip(backgrounds) {
+    for (view, distance) in views.iter().zip([5.0, 5.0, 5.0, -100.0]) {
         let view = viewer.view_mut(*view).unwrap();
-        let distance = if color == backgrounds[3] { -100.0 } else { 5.0 };
         view.camera.look_at(DVec3::new(0.0, -distance, 0.0), DVec3::new(0.0, -distance + 1.0, 0.0), DVec3::Z);
-        view.environment.sky = Sky::Background(color);
-        view.environment.fog.enabled = false;
     }
     // Width and height of the ball, pixels, in parts of a picture that hold nothing else.
     let mut balls = |size_px: [u32; 2]| {

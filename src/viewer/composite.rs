@@ -98,34 +98,36 @@ impl CompositeViewer {
         self.scenes.get_mut(id.0).ok_or(ViewerError::NoScene(id))
     }
 
-    /// Loads a root tile set into a scene that shows none. The first root of a scene places the cameras of its views.
+    /// Loads a root tile set into a scene that shows none, and places the cameras of its views at the first view of it.
     pub fn load(&mut self, scene: SceneId, source: &str) -> Result<PageId, ViewerError> {
         self.set_root(scene, LoadedRoot::read(source, &self.config.pager)?)
     }
 
     /// As [`Self::load`], with a root that was read before there was a viewer.
     pub fn set_root(&mut self, scene: SceneId, root: LoadedRoot) -> Result<PageId, ViewerError> {
-        self.paged_mut(scene)?.forget_extent();
-        self.with_first_sight(scene, |paged, base| paged.set_root(root, &mut base.rendering))
-    }
-
-    /// Adds a page made by the application as a root of a scene.
-    pub fn add_root(&mut self, scene: SceneId, page: Page) -> Result<PageId, ViewerError> {
-        self.with_first_sight(scene, |paged, base| paged.add_root(page, &mut base.rendering))
-    }
-
-    fn with_first_sight(
-        &mut self,
-        scene: SceneId,
-        add: impl FnOnce(&mut PagedScene, &mut ViewerBase) -> Result<PageId, ViewerError>,
-    ) -> Result<PageId, ViewerError> {
         let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
-        let first = paged.bounds.is_none();
-        let root = add(paged, &mut self.base)?;
-        if let (true, Some(bounds)) = (first, &paged.bounds) {
-            self.views.iter_mut().filter(|view| view.scene == scene.0).for_each(|view| view.first_sight(bounds));
+        let root = paged.set_root(root, &mut self.base.rendering)?;
+        self.first_sight(scene);
+        Ok(root)
+    }
+
+    /// Adds a page made by the application as a root of a scene. The first root places the cameras of its views.
+    pub fn add_root(&mut self, scene: SceneId, page: Page) -> Result<PageId, ViewerError> {
+        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
+        let is_first = paged.bounds.is_none();
+        let root = paged.add_root(page, &mut self.base.rendering)?;
+        if is_first {
+            self.first_sight(scene);
         }
         Ok(root)
+    }
+
+    fn first_sight(&mut self, scene: SceneId) {
+        self.for_each_view(|mut view| {
+            if view.view.scene == scene.0 {
+                view.first_sight();
+            }
+        });
     }
 
     /// Takes a root out of a scene; `None` when it is not a root, or while pages hang in it. What comes back is as
@@ -184,12 +186,12 @@ impl CompositeViewer {
         Ok(self.paged(scene)?.image_pager.as_ref())
     }
 
-    /// True when the tiles of a scene's first root are height tiles.
+    /// True when the tiles of a scene's tile set are height tiles, or where none was loaded those of its first root.
     pub fn is_height_set(&self, scene: SceneId) -> Result<bool, ViewerError> {
         Ok(self.paged(scene)?.is_height_set())
     }
 
-    /// Extent of a scene's first root.
+    /// Extent of the tile set that was loaded into a scene; without one, of its first root.
     pub fn bounds(&self, scene: SceneId) -> Result<Option<&SetBounds>, ViewerError> {
         Ok(self.paged(scene)?.bounds.as_ref())
     }

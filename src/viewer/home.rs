@@ -83,7 +83,7 @@ impl Default for ViewFrom {
 }
 
 /// The deepest trench.
-const LOWEST_GROUND_M: f64 = -12_000.0;
+pub(super) const LOWEST_GROUND_M: f64 = -12_000.0;
 
 impl SetBounds {
     /// Bounds from a sphere alone.
@@ -108,14 +108,23 @@ impl SetBounds {
     /// The earth below the set's lowest ground, which hides what lies behind the horizon; `None` for a set that is not
     /// on the earth.
     pub fn body(&self) -> Option<Ellipsoid> {
-        let lowest_m = match self.volume {
-            Some(BoundingVolume::Region(region)) => region.min_height_m.min(0.0),
-            _ => LOWEST_GROUND_M,
-        };
+        self.body_below(self.lowest_ground_m())
+    }
+
+    /// As [`Self::body`], below ground that may be another set's; metres above the ellipsoid.
+    pub(super) fn body_below(&self, lowest_m: f64) -> Option<Ellipsoid> {
         let shrunk = |radius_m: f64| radius_m + lowest_m.max(LOWEST_GROUND_M);
         self.frame
             .georeferenced
             .then(|| Ellipsoid { semi_major_m: shrunk(WGS84.semi_major_m), semi_minor_m: shrunk(WGS84.semi_minor_m) })
+    }
+
+    /// Metres above the ellipsoid that the set's ground has at least; never above 0.
+    pub(super) fn lowest_ground_m(&self) -> f64 {
+        match self.volume {
+            Some(BoundingVolume::Region(region)) => region.min_height_m.min(0.0),
+            _ => LOWEST_GROUND_M,
+        }
     }
 
     /// Metres above the highest thing the set can hold; negative below.

@@ -326,7 +326,7 @@ impl GuiActionAdapter<'_> {
         self.paged.pager.as_ref()
     }
 
-    /// Extent of the first root.
+    /// Extent of the tile set that was loaded; without one, of the first root.
     pub fn bounds(&self) -> Option<&SetBounds> {
         self.paged.bounds.as_ref()
     }
@@ -387,6 +387,15 @@ impl GuiActionAdapter<'_> {
         if world_from_eye.is_finite() {
             self.view.camera.world_from_eye = *world_from_eye;
             self.with_manipulator(|manipulator, view| manipulator.set_pose(world_from_eye, view));
+        }
+    }
+
+    /// The first sight of what the scene shows; a manipulator goes on from there.
+    pub(super) fn first_sight(&mut self) {
+        if let Some(bounds) = self.paged.bounds {
+            self.view.first_sight(&bounds);
+            let pose = self.view.camera.world_from_eye;
+            self.with_manipulator(|manipulator, view| manipulator.set_pose(&pose, view));
         }
     }
 

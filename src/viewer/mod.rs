@@ -135,6 +135,9 @@ pub enum ViewerError {
     /// A thread that draws or culls ended before it was told to.
     #[error("the draw thread has stopped")]
     DrawThreadStopped,
+    /// The window system gave no image to draw a picture of a window into.
+    #[error("there is no picture of the window: it is hidden, or its window system is late")]
+    HiddenWindow,
     /// A callback of the application failed.
     #[error(transparent)]
     Application(Box<dyn std::error::Error + Send + Sync>),

@@ -1,16 +1,17 @@
 //! [`PagedScene`]: a scene with what fills it, pages it and keeps it uploaded; osgViewer's Scene. Main thread.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
 use super::ViewerError;
-use super::home::{LoadedRoot, SetBounds, root_volume};
+use super::home::{LOWEST_GROUND_M, LoadedRoot, SetBounds, root_volume};
 use super::rendering::{Rendering, millis};
 use super::viewer::{FrameStamp, UpdateCallback};
 use crate::cull::PageRequest;
 use crate::io::ReadOptions;
+use crate::math::Ellipsoid;
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DataVariance, DrawSlot, Drawable, Geometry, Page, PageId, Scene, UpdateInfo};
 
@@ -24,6 +25,15 @@ struct Own {
     drawables: Vec<Drawable>,
 }
 
+/// The tile set that was loaded.
+struct Loaded {
+    root: PageId,
+    /// Where it came from.
+    uri: Arc<str>,
+    /// Metres above the ellipsoid that its ground has at least.
+    lowest_ground_m: f64,
+}
+
 pub(super) struct PagedScene {
     /// Tells its uploads from those of other scenes.
     owner: u16,
@@ -33,15 +43,18 @@ pub(super) struct PagedScene {
     pub(super) pager_config: PagerConfig,
     /// Made when the first sequence comes.
     pub(super) image_pager: Option<ImagePager>,
-    /// Extent of the first root.
+    /// Extent of the tile set that was loaded last; without one, of the first root.
     pub(super) bounds: Option<SetBounds>,
-    /// The root of the tile set that was loaded, and where it came from.
-    loaded: Option<(PageId, Arc<str>)>,
+    loaded: Option<Loaded>,
+    /// The application's roots that have tiles: nothing says how low their ground is.
+    with_tiles: HashSet<PageId>,
     /// By the number under which it was compiled, which is never used again.
     own: BTreeMap<u32, Own>,
+    /// The numbers under which pages were compiled.
+    own_numbers: HashMap<PageId, u32>,
     next_own: u32,
     /// Devices and numbers of what is being uploaded of these.
-    own_uploads: Vec<(u32, u32)>,
+    own_uploads: HashSet<(u32, u32)>,
     keeps_drawables: bool,
     pub(super) update_callbacks: Vec<UpdateCallback>,
     /// Of all cameras in the last frame.
@@ -66,9 +79,11 @@ impl PagedScene {
             image_pager: None,
             bounds: None,
             loaded: None,
+            with_tiles: HashSet::new(),
             own: BTreeMap::new(),
+            own_numbers: HashMap::new(),
             next_own: 0,
-            own_uploads: Vec::new(),
+            own_uploads: HashSet::new(),
             keeps_drawables,
             update_callbacks: Vec::new(),
             requests: Vec::new(),
@@ -98,17 +113,23 @@ impl PagedScene {
         alone(&mut self.scene)
     }
 
-    /// Forgets the extent of what is gone, where nothing else is there: the next root has the first sight.
-    pub(super) fn forget_extent(&mut self) {
-        if self.scene.roots().is_empty() {
-            self.bounds = None;
-        }
+    /// The tile set that was loaded and is there.
+    fn loaded(&self) -> Option<&Loaded> {
+        self.loaded.as_ref().filter(|loaded| self.scene.roots().contains(&loaded.root))
     }
 
-    /// Where the tile set came from that was loaded and is there.
+    /// Where it came from.
     pub(super) fn root_uri(&self) -> Option<&str> {
-        let (root, uri) = self.loaded.as_ref()?;
-        self.scene.roots().contains(root).then_some(uri)
+        self.loaded().map(|loaded| &*loaded.uri)
+    }
+
+    /// The earth below all ground that is there, which hides what lies behind the horizon.
+    pub(super) fn horizon(&self) -> Option<Ellipsoid> {
+        let lowest_m = match &self.loaded {
+            Some(loaded) if self.with_tiles.is_empty() => loaded.lowest_ground_m,
+            _ => LOWEST_GROUND_M,
+        };
+        self.bounds.as_ref()?.body_below(lowest_m)
     }
 
     pub(super) fn set_root(&mut self, root: LoadedRoot, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
@@ -117,12 +138,11 @@ impl PagedScene {
         }
         let LoadedRoot { pager, page, uri, region } = root;
         self.set_pager(pager, rendering);
-        let first = self.bounds.is_none();
-        let root = self.add_root(page, rendering)?;
-        self.loaded = Some((root, uri));
-        if let (true, Some(bounds), Some(region)) = (first, &mut self.bounds, region) {
-            *bounds = SetBounds::new(bounds.sphere, Some(region));
-        }
+        let bounds = SetBounds::new(page.bounding_sphere(), region.or_else(|| root_volume(&page)));
+        let root = self.hang(page, rendering)?;
+        self.loaded = Some(Loaded { root, uri, lowest_ground_m: bounds.lowest_ground_m() });
+        // Whatever the application has beside it.
+        self.bounds = Some(bounds);
         Ok(root)
     }
 
@@ -135,8 +155,18 @@ impl PagedScene {
         self.pager = Some(pager);
     }
 
-    pub(super) fn add_root(&mut self, mut page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
+    pub(super) fn add_root(&mut self, page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
         self.bounds.get_or_insert_with(|| SetBounds::new(page.bounding_sphere(), root_volume(&page)));
+        let has_tiles = !page.tiles.records.is_empty();
+        let root = self.hang(page, rendering)?;
+        if has_tiles {
+            self.with_tiles.insert(root);
+        }
+        Ok(root)
+    }
+
+    /// Hangs a root in the scene and sends what it has to be drawn.
+    fn hang(&mut self, mut page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
         if self.pager_config.build_kd_trees {
             page.build_kd_trees();
         }
@@ -151,17 +181,20 @@ impl PagedScene {
             rendering.compile_own(self.owner, number, drawables)?;
             self.own_uploads.extend(rendering.device_ids().map(|device| (device, number)));
             self.own.insert(number, Own { page: root, drawables: kept });
+            self.own_numbers.insert(root, number);
         }
         Ok(root)
     }
 
     pub(super) fn remove_root(&mut self, id: PageId, rendering: &mut Rendering) -> Option<Page> {
         let mut page = self.scene_mut().remove_root(id)?;
+        self.with_tiles.remove(&id);
+        self.loaded = self.loaded.take().filter(|loaded| loaded.root != id);
         for (context, slots) in page.take_draw_slots() {
             rendering.release(context, slots);
         }
         // What is still on its way to a device finds no page, and is released.
-        if let Some(mut own) = self.own_of(id).and_then(|number| self.own.remove(&number)) {
+        if let Some(mut own) = self.own_numbers.remove(&id).and_then(|number| self.own.remove(&number)) {
             // Meshes that the devices were not told of yet.
             for rewritten in self.scene_mut().rewritten_mut().extract_if(.., |rewritten| rewritten.page == id) {
                 if let Some(drawable) = own.drawables.get_mut(rewritten.drawable as usize) {
@@ -173,11 +206,6 @@ impl PagedScene {
         Some(page)
     }
 
-    /// The number under which a page's drawables were compiled, where it is the application's.
-    fn own_of(&self, page: PageId) -> Option<u32> {
-        self.own.iter().find(|(_, own)| own.page == page).map(|(number, _)| *number)
-    }
-
     pub(super) fn page_files_in(&mut self, folder: &Path, rendering: &mut Rendering) -> Result<(), ViewerError> {
         // The scope of a root is the folder it lies in.
         let root = folder.join("tileset.json").display().to_string();
@@ -187,8 +215,9 @@ impl PagedScene {
     }
 
     pub(super) fn is_height_set(&self) -> bool {
-        self.scene.roots().first().is_some_and(|root| {
-            self.scene.slots_of_page(*root).any(|id| self.scene.slot(id).is_some_and(|s| s.reader_data.is_some()))
+        let root = self.loaded().map(|loaded| loaded.root).or_else(|| self.scene.roots().first().copied());
+        root.is_some_and(|root| {
+            self.scene.slots_of_page(root).any(|id| self.scene.slot(id).is_some_and(|s| s.reader_data.is_some()))
         })
     }
 
@@ -306,7 +335,7 @@ impl PagedScene {
         }
         let scene = alone(&mut self.scene);
         for (context, number, compiled) in rendering.take_compiled_own(self.owner) {
-            self.own_uploads.retain(|upload| *upload != (context, number));
+            self.own_uploads.remove(&(context, number));
             for error in &compiled.errors {
                 log::error!("a drawable of a root cannot be drawn: {error}");
             }
@@ -325,7 +354,7 @@ impl PagedScene {
         for rewritten in std::mem::take(scene.rewritten_mut()) {
             let Some(page) = scene.page(rewritten.page) else { continue };
             let slots = |context: u32| page.draw_slots_of(context);
-            let own = self.own.iter().find(|(_, own)| own.page == rewritten.page).map(|(number, _)| *number);
+            let own = self.own_numbers.get(&rewritten.page).copied();
             // The application's own are there or on their way, but for those that were not kept for a later device.
             let comes = |device| own.is_none_or(|number| self.own_uploads.contains(&(device, number)));
             if rendering.device_ids().any(|device| slots(device).is_empty() && comes(device)) {
@@ -356,7 +385,7 @@ impl PagedScene {
         for (number, own) in &self.own {
             if !own.drawables.is_empty() {
                 rendering.compile_own_in(device, self.owner, *number, own.drawables.clone())?;
-                self.own_uploads.push((device, *number));
+                self.own_uploads.insert((device, *number));
             }
         }
         if let Some(images) = &mut self.image_pager {
@@ -409,7 +438,8 @@ fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Material, Mesh, Node};
+    use crate::math::{BoundingSphere, BoundingVolume, Region, WGS84};
+    use crate::scene::{Material, Mesh, Node, NodeKind, ProxyLoading, ProxyNode};
 
     #[test]
     fn roots_that_are_gone_are_forgotten() {
@@ -421,18 +451,59 @@ mod tests {
             Page::from_node(Node::geode(vec![drawable])).unwrap()
         };
         let stays = paged.add_root(page(), &mut rendering).unwrap();
-        let before = paged.own_of(stays);
+        let number = |paged: &PagedScene, page| paged.own_numbers.get(&page).copied();
+        let before = number(&paged, stays);
         for _ in 0..100 {
             let root = paged.add_root(page(), &mut rendering).unwrap();
-            assert!(paged.own_of(root) > before && paged.own.len() == 2);
+            assert!(number(&paged, root) > before && paged.own.len() == 2 && paged.own_numbers.len() == 2);
             assert!(paged.remove_root(root, &mut rendering).is_some());
         }
-        assert_eq!((paged.own.len(), paged.own_of(stays)), (1, before));
+        assert_eq!((paged.own.len(), paged.own_numbers.len(), number(&paged, stays)), (1, 1, before));
         // What comes back is as it was last.
         let mesh = Arc::new(Mesh::sphere(glam::DVec3::ZERO, 2.0, 6));
         let node = crate::scene::NodeId { page: stays, index: 0 };
         paged.scene_mut().set_mesh(node, 0, mesh.clone(), DataVariance::Static).unwrap();
         let back = paged.remove_root(stays, &mut rendering).unwrap().take_drawables();
         assert!(matches!(&back[..], [Drawable { geometry: Geometry::Mesh(m), .. }] if Arc::ptr_eq(m, &mesh)));
+    }
+
+    /// What was loaded second could lie below the first's ground, and was hidden though nothing stood before it.
+    #[test]
+    fn the_horizon_is_that_of_the_lowest_ground_that_is_there() {
+        let mut rendering = Rendering::new(false, false);
+        let mut paged = PagedScene::new(0, PagerConfig::default(), true);
+        let bounds = BoundingSphere::new(WGS84.semi_major_m * glam::DVec3::X, 1000.0);
+        let proxy = || {
+            let (uri, loading) = (Arc::from("set/tile.glb"), ProxyLoading::Never);
+            let proxy = ProxyNode { uri, bounds, content_transform: glam::DAffine3::IDENTITY, loading };
+            Page::from_node(Node::new(NodeKind::ProxyNode(Box::new(proxy)))).unwrap()
+        };
+        let set = |min_height_m: f64| {
+            let config = PagerConfig::default();
+            let options = ReadOptions::for_root("set/tileset.json", config.limits);
+            let region = Region { west: 0.0, south: 0.0, east: 0.1, north: 0.1, min_height_m, max_height_m: 3000.0 };
+            LoadedRoot {
+                pager: DatabasePager::new(config, options).unwrap(),
+                page: proxy(),
+                uri: Arc::from("set/tileset.json"),
+                region: Some(BoundingVolume::Region(region)),
+            }
+        };
+        let lowest_m = |paged: &PagedScene| paged.horizon().map(|body| body.semi_major_m - WGS84.semi_major_m);
+        let text = || Page::from_node(Node::group(Vec::new())).unwrap();
+        // A page that is not on the earth.
+        paged.add_root(text(), &mut rendering).unwrap();
+        assert_eq!(lowest_m(&paged), None);
+        let land = paged.set_root(set(-400.0), &mut rendering).unwrap();
+        assert_eq!(lowest_m(&paged), Some(-400.0));
+        paged.add_root(text(), &mut rendering).unwrap();
+        assert_eq!(lowest_m(&paged), Some(-400.0), "what has no tiles hides nothing");
+        let of_unknown_depth = paged.add_root(proxy(), &mut rendering).unwrap();
+        assert_eq!(lowest_m(&paged), Some(LOWEST_GROUND_M));
+        assert!(paged.remove_root(of_unknown_depth, &mut rendering).is_some());
+        assert_eq!(lowest_m(&paged), Some(-400.0));
+        assert!(paged.remove_root(land, &mut rendering).is_some());
+        paged.set_root(set(-4000.0), &mut rendering).unwrap();
+        assert_eq!(lowest_m(&paged), Some(-4000.0));
     }
 }

@@ -40,7 +40,8 @@ impl Viewer {
         let drawn = done.stats?;
         stats.triangles = drawn.triangles;
         stats.points = drawn.points;
-        let image = done.image.ok_or(ViewerError::DrawThreadStopped)??;
+        // A window that skipped it has none.
+        let image = done.image.ok_or(ViewerError::HiddenWindow)??;
         Ok((stats, image))
     }
 
@@ -54,12 +55,12 @@ impl Viewer {
         }
     }
 
-    /// The present view's picture, drawn once more.
+    /// The present view's picture, drawn once more. [`ViewerError::HiddenWindow`] where a window shows nothing now.
     pub fn picture(&mut self) -> Result<RgbaImage, ViewerError> {
         Ok(self.draw_again(false)?.1)
     }
 
-    /// What the present view draws, for the report; draws it once more.
+    /// What the present view draws, for the report; draws it once more, as [`Self::picture`] does.
     pub fn settled(&mut self) -> Result<Settled, ViewerError> {
         let (stats, image) = self.draw_again(true)?;
         Ok(Settled {

@@ -111,11 +111,13 @@ struct SlaveCamera {
 pub struct View {
     /// The eye; change it between frames, or set a manipulator.
     pub camera: Camera,
-    /// Sun, sky and fog.
+    /// Sun, sky and fog. The first sight of a set gives the sun's direction, up and the density of the haze.
     pub environment: Environment,
     /// The path that the camera will take, in simulation time, where the application knows: what will be wanted along
     /// it is loaded ahead (see [`ViewerConfig::look_ahead_s`](super::ViewerConfig::look_ahead_s)).
     pub announced: Option<AnimationPath>,
+    /// Where it looks from at first.
+    pub(super) from: ViewFrom,
     /// Place of the scene in the viewer's.
     pub(super) scene: usize,
     pub(super) look_ahead: LookAhead,
@@ -140,6 +142,7 @@ impl View {
             camera: Camera { settings, ..Camera::default() },
             environment: Environment::default(),
             announced: None,
+            from: ViewFrom::default(),
             scene,
             look_ahead: LookAhead::default(),
             master: None,
@@ -243,11 +246,15 @@ impl View {
         }
     }
 
-    /// The first sight of a set: the camera before it, sun and haze to its size.
+    /// The first sight of a set: the camera before it, sun and haze to its place and size. What else there is of light
+    /// and air is the application's.
     pub(super) fn first_sight(&mut self, bounds: &SetBounds) {
-        self.camera.world_from_eye = bounds.first_camera(&ViewFrom::default());
+        self.camera.world_from_eye = bounds.first_camera(&self.from);
         self.camera.min_near_m = (1e-5 * bounds.sphere.radius_m).clamp(1e-4, 1.0);
-        self.environment = environment_for(bounds);
+        let Environment { sun_direction, up_in_world, fog, .. } = environment_for(bounds);
+        self.environment.sun_direction = sun_direction;
+        self.environment.up_in_world = up_in_world;
+        self.environment.fog.density_per_m = fog.density_per_m;
     }
 
     /// What follows from contexts and camera, before it is culled.
@@ -313,7 +320,7 @@ impl View {
         frame: u32,
         requests: Vec<PageRequest>,
     ) -> Option<CullTask> {
-        let horizon = paged.bounds.as_ref().and_then(SetBounds::body);
+        let horizon = paged.horizon();
         let master = |device| CullCamera { horizon, ..self.camera.cull_camera(self.size_px, frame, device) };
         let lens = Lens { camera: self.camera, size_px: self.size_px, offset: DMat4::IDENTITY };
         let (camera, lens, sight, viewport_px) = match self.master.filter(|place| place.camera == camera) {

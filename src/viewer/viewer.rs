@@ -193,24 +193,18 @@ impl Viewer {
 
     /// As [`Self::load`], with a root that was read before there was a viewer.
     pub fn set_root(&mut self, root: LoadedRoot) -> Result<PageId, ViewerError> {
-        self.paged.forget_extent();
-        self.with_first_sight(|paged, base| paged.set_root(root, &mut base.rendering))
+        let root = self.paged.set_root(root, &mut self.base.rendering)?;
+        self.actions().first_sight();
+        Ok(root)
     }
 
     /// Adds a page made by the application as a root; paged contents in it are read by the pager of
     /// [`Self::set_pager`]. The first root places the camera.
     pub fn add_root(&mut self, page: Page) -> Result<PageId, ViewerError> {
-        self.with_first_sight(|paged, base| paged.add_root(page, &mut base.rendering))
-    }
-
-    fn with_first_sight(
-        &mut self,
-        add: impl FnOnce(&mut PagedScene, &mut ViewerBase) -> Result<PageId, ViewerError>,
-    ) -> Result<PageId, ViewerError> {
-        let first = self.paged.bounds.is_none();
-        let root = add(&mut self.paged, &mut self.base)?;
-        if let (true, Some(bounds)) = (first, &self.paged.bounds) {
-            self.view.first_sight(bounds);
+        let is_first = self.paged.bounds.is_none();
+        let root = self.paged.add_root(page, &mut self.base.rendering)?;
+        if is_first {
+            self.actions().first_sight();
         }
         Ok(root)
     }
@@ -273,7 +267,7 @@ impl Viewer {
         self.paged.image_pager.as_ref()
     }
 
-    /// Extent of the first root.
+    /// Extent of the tile set that was loaded; without one, of the first root.
     pub fn bounds(&self) -> Option<&SetBounds> {
         self.paged.bounds.as_ref()
     }

@@ -156,8 +156,10 @@ fn add_view(
     if let Some(policy) = master.camera.resize {
         view.camera.set_resize_policy(policy, view.size_px());
     }
-    if let (Some(bounds), Some(from)) = (bounds, &setup.from) {
-        view.camera.world_from_eye = bounds.first_camera(from);
+    // Also where the scene is filled later.
+    view.from = setup.from.unwrap_or_default();
+    if let Some(bounds) = &bounds {
+        view.first_sight(bounds);
     }
     if let Some(color) = setup.background {
         view.environment.sky = Sky::Background(color);

@@ -434,15 +434,9 @@ impl Flight {
     fn finish(mut self, viewer: &mut Viewer, where_drawn: &str) -> Result<()> {
         viewer.finish()?;
         self.after_frame(viewer)?;
-        if !self.screenshot_done
-            && let Some(file) = &self.args.screenshot
-        {
-            let picture = match self.last_picture.take() {
-                Some(picture) => picture,
-                None => viewer.picture()?,
-            };
-            pictures::write(file, &picture)?;
-        }
+        // What it complains of is reported, and without one (the window may be hidden) there still is a report.
+        let screenshot = self.args.screenshot.as_ref().filter(|_| !self.screenshot_done);
+        let screenshot = screenshot.map(|file| (file, self.last_picture.take().map_or_else(|| viewer.picture(), Ok)));
         if self.settled.is_none() {
             self.write_selection(viewer)?;
         }
@@ -453,6 +447,9 @@ impl Flight {
         let pictures = self.writer.take().map(PictureWriter::finish).transpose()?.unwrap_or(0);
         if let Some(file) = &self.report_file {
             write_text(file, &report.to_json())?;
+        }
+        if let Some((file, picture)) = screenshot {
+            pictures::write(file, &picture?)?;
         }
         let notes = summary::Notes {
             where_drawn,

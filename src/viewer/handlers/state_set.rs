@@ -21,19 +21,38 @@ const KEYS: Bindings<Action> = Bindings(&[
     (&[Key::Char('b')], Action::BackFaces, "culling of back faces"),
 ]);
 
-/// Overrides state from above all roots; OSG's `StateSetManipulator`.
-#[derive(Clone, Copy, Debug, Default)]
+/// Overrides state from above all roots, beside what the application has there; OSG's `StateSetManipulator`.
+#[derive(Clone, Debug, Default)]
 pub struct StateSetManipulator {
     polygons: PolygonMode,
     is_unlit: bool,
     is_untextured: bool,
     shows_back_faces: bool,
+    /// The application's own, while something is switched.
+    own: Option<Arc<StateSet>>,
+    /// What was put in its place.
+    shown: Option<Arc<StateSet>>,
 }
 
 impl StateSetManipulator {
-    /// The state set; none where everything is as the scene says.
-    fn state_set(&self) -> Option<Arc<StateSet>> {
-        let mut set = StateSet { name: "toggles".to_owned(), ..StateSet::default() };
+    fn is_at_rest(&self) -> bool {
+        self.polygons == PolygonMode::Fill && !self.is_unlit && !self.is_untextured && !self.shows_back_faces
+    }
+
+    /// The application's state set with what is switched over it; its own one where everything is as it says.
+    fn state_set(&mut self, present: Option<&Arc<StateSet>>) -> Option<Arc<StateSet>> {
+        // The application may have set another meanwhile.
+        if !self.shown.as_ref().zip(present).is_some_and(|(shown, present)| Arc::ptr_eq(shown, present)) {
+            self.own = present.cloned();
+        }
+        self.shown = None;
+        if self.is_at_rest() {
+            return self.own.take();
+        }
+        let mut set = match &self.own {
+            Some(own) => (**own).clone(),
+            None => StateSet { name: "toggles".to_owned(), ..StateSet::default() },
+        };
         let off = StateValue::OFF | StateValue::OVERRIDE;
         if self.polygons != PolygonMode::Fill {
             set.set_attribute(Attribute::PolygonMode(self.polygons), StateValue::ON | StateValue::OVERRIDE);
@@ -49,7 +68,8 @@ impl StateSetManipulator {
         if self.shows_back_faces {
             set.set_mode(Mode::CullFace, off);
         }
-        (!set.modes.is_empty() || !set.attributes.is_empty()).then(|| Arc::new(set))
+        self.shown = Some(Arc::new(set));
+        self.shown.clone()
     }
 }
 
@@ -84,7 +104,8 @@ impl GuiEventHandler for StateSetManipulator {
                 format!("culling of back faces {}", on_off(self.shows_back_faces))
             }
         };
-        viewer.set_state_set(self.state_set());
+        let state_set = self.state_set(viewer.state_set());
+        viewer.set_state_set(state_set);
         viewer.notify(text);
         true
     }
