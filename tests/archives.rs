@@ -249,10 +249,11 @@ fn a_generated_set_is_the_same_in_an_archive() {
 
 #[cfg(feature = "http")]
 mod over_http {
+    use std::sync::atomic::{AtomicBool, Ordering};
     use std::sync::{Arc, Mutex};
     use std::time::Duration;
 
-    use super::http_support::{Reply, Server};
+    use super::http_support::{How, Reply, Server};
     use super::*;
     use terrane::io::{CacheConfig, HttpClient, HttpConfig};
 
@@ -388,6 +389,33 @@ mod over_http {
         *bytes.lock().unwrap() = b"no archive any more".to_vec();
         assert!(get(&reader, &url("a")).is_err());
         assert!(matches!(get(&reader, &url("a")), Err(IoError::Invalid { .. })));
+    }
+
+    /// A page in the place of the archive passes, whether it comes instead of a member, of the directory or in pieces: the
+    /// members were lost for good.
+    #[test]
+    fn a_page_for_people_in_the_place_of_an_archive_passes() {
+        for how in [How::Whole, How::Chunked] {
+            let bytes = zipped(&contents(), options());
+            let is_down = Arc::new(AtomicBool::new(false));
+            let down = is_down.clone();
+            let server = Server::start(move |r| {
+                if down.load(Ordering::Relaxed) {
+                    return Reply::ok("<!DOCTYPE html><p>Please sign in.").how(how);
+                }
+                Reply::ok(bytes.clone()).ranged(r)
+            });
+            let url = |name: &str| format!("{}/set.3tz/{name}", server.url);
+            let reader = client(None);
+            assert_eq!(get(&reader, &url("tileset.json")).as_ref(), Ok(&contents()["tileset.json"]));
+            is_down.store(true, Ordering::Relaxed);
+            for nth in 0..3 {
+                let error = get(&reader, &url("tileset.json")).unwrap_err();
+                assert!(error.is_transient(), "{how:?} {nth}: {error}");
+            }
+            is_down.store(false, Ordering::Relaxed);
+            assert_eq!(get(&reader, &url("tileset.json")).as_ref(), Ok(&contents()["tileset.json"]), "{how:?}");
+        }
     }
 
     #[test]

@@ -260,6 +260,20 @@ fn verify_and_clear() {
         "the body of one, the entry of the other: {verified:?}"
     );
     assert_eq!(cache.verify().unwrap().broken, 0);
+    // Folders in the place of files, which cannot be read: the rest is looked at all the same.
+    let in_place_of = |path: &std::path::Path| {
+        std::fs::remove_file(path).unwrap();
+        std::fs::create_dir_all(path.join("inside")).unwrap();
+    };
+    let [keys, blobs] = ["keys", "blobs"].map(|part| files(&folder.path().join(part)));
+    let blobs: Vec<_> = blobs.into_iter().filter(|path| !path.ends_with("notes.txt")).collect();
+    let others = blobs.len() as u64 - 1;
+    in_place_of(&blobs[0]);
+    let verified = cache.verify().unwrap();
+    assert_eq!(verified, CacheVerified { whole: 2 * others, broken: 1, orphans: 1 });
+    let left: Vec<_> = files(&folder.path().join("keys"));
+    assert_eq!(left.len(), keys.len() - 1);
+    in_place_of(&left[0]);
     assert!(cache.clear().unwrap() > 0);
     assert_eq!(cache.info().unwrap(), terrane::io::CacheInfo::default());
     assert!(folder.path().join("blobs/notes.txt").exists(), "nothing else is removed");

@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 use std::fs;
 use std::io;
+use std::path::Path;
 use std::time::SystemTime;
 
 use serde::Serialize;
@@ -52,33 +53,29 @@ impl DiskCache {
 
     /// Removes everything, and says how many bytes that were. The folder stays a cache.
     pub fn clear(&self) -> Result<u64, IoError> {
-        let mut bytes = 0;
+        let (mut bytes, mut left) = (0, Left::default());
         for found in self.scan("keys")?.into_iter().chain(self.scan("blobs")?) {
-            match fs::remove_file(&found.path) {
-                Ok(()) => bytes += found.size,
-                Err(e) if e.kind() == io::ErrorKind::NotFound => {}
-                Err(e) => return Err(self.failed(&e)),
-            }
+            bytes += if left.removes(&found.path) { found.size } else { 0 };
         }
-        Ok(bytes)
+        left.end(bytes)
     }
 
     /// Reads everything and removes what is not as it was written. Other processes may go on meanwhile: what they write
     /// at this moment may be removed with its entry and is asked for again.
     pub fn verify(&self) -> Result<CacheVerified, IoError> {
-        let mut found = CacheVerified::default();
+        let (mut found, mut left) = (CacheVerified::default(), Left::default());
         let mut whole = HashSet::new();
         for blob in self.scan("blobs")? {
             match read_at_most(&blob.path, blob.size) {
                 Ok(bytes) if files::hash(&bytes) == blob.hash => {
                     whole.insert(blob.hash);
                 }
-                Ok(_) => {
-                    found.broken += 1;
-                    self.remove(&blob.path)?;
-                }
                 Err(e) if e.kind() == io::ErrorKind::NotFound => {}
-                Err(e) => return Err(self.failed(&e)),
+                // What cannot be read is of no use either.
+                Ok(_) | Err(_) => {
+                    found.broken += 1;
+                    left.removes(&blob.path);
+                }
             }
         }
         let mut named = HashSet::new();
@@ -90,31 +87,24 @@ impl DiskCache {
                 }
                 Some(_) => {
                     found.orphans += 1;
-                    self.remove(&key.path)?;
+                    left.removes(&key.path);
                 }
                 None => {
                     found.broken += 1;
-                    self.remove(&key.path)?;
+                    left.removes(&key.path);
                 }
             }
         }
         for blob in whole.difference(&named) {
             found.orphans += 1;
-            self.remove(&self.files.blob(blob))?;
+            left.removes(&self.files.blob(blob));
         }
         found.whole += named.len() as u64;
-        Ok(found)
+        left.end(found)
     }
 
     fn scan(&self, part: &str) -> Result<Vec<files::Found>, IoError> {
         self.files.scan(part).map_err(|e| self.failed(&e))
-    }
-
-    fn remove(&self, path: &std::path::Path) -> Result<(), IoError> {
-        match fs::remove_file(path) {
-            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(self.failed(&e)),
-            _ => Ok(()),
-        }
     }
 
     fn failed(&self, error: &io::Error) -> IoError {
@@ -122,6 +112,41 @@ impl DiskCache {
     }
 }
 
-fn read_entry(path: &std::path::Path) -> Option<Entry> {
+/// Files that could not be removed.
+#[derive(Default)]
+struct Left {
+    count: u64,
+    first: Option<IoError>,
+}
+
+impl Left {
+    /// Removes a file, or a folder that has its name. Whether it was there and is gone.
+    fn removes(&mut self, path: &Path) -> bool {
+        let removed = match fs::remove_file(path) {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => return false,
+            Err(_) if path.is_dir() => fs::remove_dir_all(path),
+            removed => removed,
+        };
+        if let Err(e) = &removed {
+            self.count += 1;
+            self.first.get_or_insert_with(|| IoError::File { uri: path.display().to_string(), reason: e.to_string() });
+        }
+        removed.is_ok()
+    }
+
+    /// What was found, where nothing is left that should be gone.
+    fn end<T>(self, found: T) -> Result<T, IoError> {
+        match self.first {
+            None => Ok(found),
+            Some(IoError::File { uri, reason }) if self.count > 1 => {
+                let others = self.count - 1;
+                Err(IoError::File { uri, reason: format!("{reason} (and {others} others of the cache)") })
+            }
+            Some(error) => Err(error),
+        }
+    }
+}
+
+fn read_entry(path: &Path) -> Option<Entry> {
     Entry::from_bytes(&read_at_most(path, entry::MOST_BYTES).ok()?)
 }

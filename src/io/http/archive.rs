@@ -15,6 +15,7 @@ use crate::io::archive::{
     self, Directory, End, Index, KEPT_ARCHIVES, KEPT_BYTES, Member, SLACK_BYTES, Span, TAIL_BYTES, is_pmtiles,
 };
 use crate::io::cache::{Entry, Freshness};
+use crate::io::read::refuse_markup;
 use crate::io::{DiskCache, IoError, Limits, file, shown};
 
 /// For so long after an answer with an archive's validator all of its files hold that were kept with it.
@@ -315,8 +316,8 @@ impl HttpClient {
         let limits =
             Limits { max_file_bytes: limits.max_file_bytes.saturating_add((1 << 18) + SLACK_BYTES), ..*limits };
         let mut part = match self.part(url, &range(span), &limits, network_bytes).await {
-            // Shorter than it was.
-            Err(IoError::Status { status: 416, .. }) => {
+            // Shorter than it was, or something else in its place: parts of it could be had.
+            Err(IoError::Status { status: 416, .. } | IoError::Unsupported { .. }) => {
                 self.inner.archives.forget(url, archive);
                 return Err(changed(url));
             }
@@ -364,7 +365,11 @@ impl HttpClient {
                 let (first, _, length) = told.ok_or_else(broken)?;
                 (first, length)
             }
-            _ if answer.is_whole() => (0, answer.body.len() as u64),
+            _ if answer.is_whole() => {
+                // A page for people in its place passes.
+                refuse_markup(url, &answer.body)?;
+                (0, answer.body.len() as u64)
+            }
             _ => return Err(answer.error(url)),
         };
         let exchange::Answer { body: bytes, headers, freshness, .. } = answer;

@@ -147,13 +147,15 @@ impl Exchange<'_> {
         }
         let mut limit = self.limits.max_file_bytes;
         let length = response.content_length();
-        if status != 206 && self.headers.contains_key(RANGE) {
-            if length.is_none_or(|l| l > MOST_INSTEAD_OF_RANGE_BYTES) {
-                return Err(IoError::unsupported(uri, "an archive on a server without range requests"));
-            }
+        // Where no length is told, it may be a short page for people.
+        let is_instead = status != 206 && self.headers.contains_key(RANGE);
+        if is_instead {
             limit = limit.min(MOST_INSTEAD_OF_RANGE_BYTES);
         }
-        let too_large = |got: u64| IoError::TooLarge { uri: uri.to_owned(), what: "answer", got, limit };
+        let too_large = |got: u64| match is_instead {
+            true => IoError::unsupported(uri, "an archive on a server without range requests"),
+            false => IoError::TooLarge { uri: uri.to_owned(), what: "answer", got, limit },
+        };
         if let Some(length) = length.filter(|l| *l > limit) {
             return Err(too_large(length));
         }
