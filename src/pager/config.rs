@@ -25,6 +25,10 @@ pub trait CompileContext {
     fn take_compiled(&mut self) -> Vec<Compiled>;
     /// Gives slots back, after the last frame that may draw them was queued.
     fn release(&mut self, slots: Vec<DrawSlot>);
+    /// False once whoever compiles has ended before its time: what was queued is never compiled, and is not waited for.
+    fn is_alive(&self) -> bool {
+        true
+    }
 }
 
 /// Sizes and patience of a [`super::DatabasePager`].

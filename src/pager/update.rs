@@ -152,7 +152,7 @@ impl DatabasePager {
         }
         self.is_listed = false;
         self.threads.list.ring_if_due();
-        while self.config.blocking && self.is_busy() {
+        while self.config.blocking && self.is_busy() && contexts.iter().all(|context| context.is_alive()) {
             let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
             if let Some(answer) = answer {
                 self.answer(scene, answer, contexts);
