@@ -96,17 +96,20 @@ impl DatabasePager {
     /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while
     /// nobody does.
     pub(super) fn retry(&mut self, scene: &mut Scene) {
-        let (now, met) = (Instant::now(), self.frame.saturating_sub(MET_FRAMES)..=self.frame);
-        let is_due = |entry: &Entry| {
-            matches!(entry.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
-                && scene.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
+        let due: Vec<Entry> = {
+            let is_due = is_due(scene, self.frame);
+            self.entries.extract_if(|_, entry| is_due(entry)).map(|(_, entry)| entry).collect()
         };
-        let due: Vec<Entry> = self.entries.extract_if(|_, entry| is_due(entry)).map(|(_, entry)| entry).collect();
         for mut entry in due {
             scene.set_failed(entry.job.slot, false);
             entry.wanted_frame = self.frame;
             self.ask_again(entry);
         }
+    }
+
+    /// The wait of a failure is over that somebody meets: the next update asks for it again.
+    pub(crate) fn has_due(&self, scene: &Scene) -> bool {
+        self.entries.values().any(is_due(scene, self.frame))
     }
 
     /// Drops what is stale, aborts what nobody wants, and writes the waiting jobs in order of priority.
@@ -238,5 +241,14 @@ impl DatabasePager {
         waiting.allowed = allowed;
         self.allow_ahead(&mut waiting);
         self.threads.list.ring(waiting);
+    }
+}
+
+/// What failed, has waited long enough, and was met in the last frames.
+fn is_due(scene: &Scene, frame: u32) -> impl Fn(&Entry) -> bool {
+    let (now, met) = (Instant::now(), frame.saturating_sub(MET_FRAMES)..=frame);
+    move |entry| {
+        matches!(entry.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
+            && scene.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
     }
 }

@@ -124,9 +124,16 @@ impl ImagePager {
         self.errors.list()
     }
 
-    /// True while another frame would show another image: something plays, or an image of the moment is to come.
+    /// True while another frame would show another image: something plays, or an image of the moment is to come, or failed
+    /// and is to be tried again now.
     pub fn needs_frame(&self) -> bool {
+        let now = Instant::now();
+        let is_due = |s: &Slot| {
+            let is_present = s.wanted == self.updates && s.due_s <= 0.0;
+            is_present && matches!(s.state, State::Failed { retry_at: Some(at) } if at <= now)
+        };
         self.tracks.iter().any(|t| t.sequence.is_used() && (t.is_late || t.is_playing))
+            || self.slots.values().any(is_due)
     }
 
     /// Shows everything again: for contexts that have not got it.
