@@ -70,7 +70,8 @@ pub struct PagerConfig {
     /// How servers are talked to.
     #[cfg(feature = "http")]
     pub http: crate::io::HttpConfig,
-    /// Each update waits until everything that was asked for is merged or has failed: equal flights give equal tiles.
+    /// Each update waits until everything that was asked for and finds room is merged or has failed: equal flights give
+    /// equal tiles.
     pub blocking: bool,
     /// The decode workers build k-d trees, for intersections with what is paged; see
     /// [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees).

@@ -26,6 +26,9 @@ const AHEAD_LISTED: usize = 32;
 /// What was met in the last so many frames is seen.
 const MET_FRAMES: u32 = 2;
 
+/// Failures that are remembered: frames look through them. With more, those are forgotten that nobody meets.
+const MOST_FAILURES: usize = 4096;
+
 /// What is wanted later and found no free room.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AheadShort {
@@ -105,6 +108,27 @@ impl DatabasePager {
             entry.wanted_frame = self.frame;
             self.ask_again(entry);
         }
+        if self.entries.len() > MOST_FAILURES {
+            self.forget_failures(scene);
+        }
+    }
+
+    /// Where there are too many, forgets those that were not met for as long as a page must not be wanted to go: they are
+    /// asked for once more by who comes back.
+    fn forget_failures(&mut self, scene: &mut Scene) {
+        let has_failed = |entry: &Entry| matches!(entry.progress, Progress::Failed { .. });
+        if self.entries.values().filter(|entry| has_failed(entry)).count() <= MOST_FAILURES {
+            return;
+        }
+        let old = self.frame.saturating_sub(self.config.expiry_frames.max(MET_FRAMES));
+        self.entries.retain(|slot, entry| {
+            let is_met = scene.slot(*slot).is_some_and(|slot| slot.last_used_frame >= old);
+            let is_kept = !has_failed(entry) || is_met;
+            if !is_kept {
+                scene.set_failed(*slot, false);
+            }
+            is_kept
+        });
     }
 
     /// The wait of a failure is over that somebody meets: the next update asks for it again.
