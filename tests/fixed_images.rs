@@ -254,6 +254,7 @@ fn units_multiply_planes_rows_cubes_volumes_and_layers() {
             format: TextureFormat::Rgba8,
             levels: 1,
             texels: vec![texels],
+            is_changing: false,
         })
     };
     let row = object(TextureDimension::D1, [2, 1, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
@@ -364,6 +365,7 @@ fn coordinates_come_from_planes_and_mirrors() {
         format: TextureFormat::Rgba8,
         levels: 1,
         texels: vec![(0..6).flat_map(face).collect()],
+        is_changing: false,
     });
     let set = unlit().with(Attribute::Texture(0, nearest(cube))).with(Attribute::TexGen(0, TexGen::ReflectionMap));
     assert_eq!(middle(rig, vec![node(square(WHITE), set)]), GREEN);
@@ -401,6 +403,7 @@ fn of_cubes_volumes_and_layers_there_is_one_each() {
                 format: TextureFormat::Rgba8,
                 levels: 1,
                 texels: vec![texel.repeat(layers as usize)],
+                is_changing: false,
             }))
         };
         let (yellow, cyan) = (object("yellow", [255, 255, 0, 255]), object("cyan", [0, 255, 255, 255]));

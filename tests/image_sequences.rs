@@ -237,6 +237,33 @@ fn images_that_do_not_fit_beside_each_other_end_the_frame() {
     assert!(stats.bytes_peak <= 64 * 64 * 4 * 3 / 2 && stats.failed == 0, "{stats:?}");
 }
 
+/// The one that had come let the other go, which was asked for again, and so on for ever.
+#[test]
+fn images_of_unequal_sizes_that_do_not_fit_beside_each_other_end_the_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let (done, ended) = std::sync::mpsc::channel();
+    // All levels of both together are 79,488 bytes.
+    let max_bytes = 79_000;
+    let sequences = [("0000.png", 64), ("0001.png", 104)].map(|(name, side)| {
+        let file = folder.path().join(name);
+        image::RgbImage::from_pixel(side, side, image::Rgb(shade(side as usize))).save(&file).unwrap();
+        playing(vec![file.display().to_string()], LoopingMode::Looping, 1.0)
+    });
+    std::thread::spawn(move || {
+        let all: Vec<_> = sequences.iter().collect();
+        let config = ImagePagerConfig { max_bytes, ..blocking() };
+        let seen = Theatre::open(&all, config, ThreadingModel::SingleThreaded).map(|mut theatre| {
+            let shown = theatre.look(1.0);
+            (shown, *theatre.pager().stats())
+        });
+        let _ = done.send(seen);
+    });
+    let Some((shown, stats)) = ended.recv_timeout(Duration::from_secs(60)).expect("a frame ends") else { return };
+    assert!(shade(64).iter().zip(shown[0]).all(|(a, b)| a.abs_diff(b) <= 2), "{shown:?}");
+    assert_eq!((stats.loaded, stats.paged_out, stats.images, stats.failed), (2, 1, 1, 0), "{stats:?}");
+    assert!(stats.bytes_peak <= max_bytes, "{stats:?}");
+}
+
 #[test]
 fn sequences_go_in_step_share_files_and_stop_loading_when_nobody_looks() {
     let folder = tempfile::tempdir().unwrap();

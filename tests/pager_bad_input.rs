@@ -325,6 +325,29 @@ fn thousands_of_failing_uris_are_one_list_and_no_storm() {
     assert!(LINES.load(Ordering::Relaxed) < 20, "{} lines in the log", LINES.load(Ordering::Relaxed));
 }
 
+/// Each frame looked through all that ever failed.
+#[test]
+fn failures_that_nobody_meets_are_forgotten_where_there_are_thousands() {
+    let folder = tempfile::tempdir().unwrap();
+    for (children, remembered) in [(4_000, 4_000), (5_000, 0)] {
+        let names: Vec<String> = (0..children).map(|k| format!("missing {k}.glb")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        std::fs::write(folder.path().join("tileset.json"), tileset(&names)).unwrap();
+        std::fs::write(folder.path().join("root.glb"), glb()).unwrap();
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+        let (near, far) = (above(5.0), above(1e7));
+        run.settle(near);
+        assert_eq!((run.pager.stats().failed, run.pager.request_states().len()), (children, children as usize));
+        (0..100).for_each(|_| run.frame(near));
+        assert_eq!(run.pager.request_states().len(), children as usize, "in sight they are not asked for again");
+        (0..100).for_each(|_| run.frame(far));
+        assert_eq!(run.pager.request_states().len(), remembered);
+        run.settle(near);
+        let again = children - remembered as u64;
+        assert_eq!(run.pager.stats().failed, children + again, "once more by who comes back");
+    }
+}
+
 #[test]
 fn errors_of_all_kinds_say_what_and_why() {
     let uri = || "http://h/t.glb".to_owned();

@@ -317,7 +317,7 @@ fn depth_textures_are_read_with_samplers_that_fit_or_stood_in_for() {
             if is_depth { (TextureFormat::Depth32, vec![]) } else { (TextureFormat::Rgba8, vec![vec![255; 4]]) };
         let name = names.get().to_string();
         let (dimension, size) = (TextureDimension::D2, [1, 1, 1]);
-        let texture = Arc::new(TextureObject { name, dimension, size, format, levels: 1, texels });
+        let texture = Arc::new(TextureObject { name, dimension, size, format, levels: 1, texels, is_changing: false });
         let sampler = Sampler { compare, ..Sampler::default() };
         Some(Attribute::Texture(0, TextureBinding { texture, sampler }))
     };

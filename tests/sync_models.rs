@@ -164,6 +164,33 @@ fn operations_run_in_order_and_kept_ones_again() {
     });
 }
 
+/// Where one removed another, the first ran twice.
+#[test]
+fn what_is_there_runs_once_though_operations_come_and_go() {
+    check(|| {
+        let queue = Arc::new(OperationQueue::<Vec<u32>>::new());
+        let of_first = queue.clone();
+        queue.add_fn("a", true, move |ran| {
+            ran.push(1);
+            of_first.remove("b");
+            of_first.add_fn("d", false, |ran| ran.push(4));
+        });
+        queue.add_fn("b", true, |ran| ran.push(2));
+        queue.add_fn("c", true, |ran| ran.push(3));
+        let of_other = queue.clone();
+        let other = thread::spawn(move || of_other.add_fn("e", false, |ran| ran.push(5)));
+        let mut ran = Vec::new();
+        queue.run_operations(&mut ran);
+        other.join().unwrap();
+        let of_other = ran.iter().filter(|n| **n == 5).count();
+        ran.retain(|n| *n != 5);
+        // The two that stay, what the first added, and what the other thread added too late.
+        assert_eq!((&ran[..], queue.len()), (&[1, 3][..], 4 - of_other));
+        // The closures hold the queue.
+        queue.remove_all();
+    });
+}
+
 /// A barrier as an operation, as the viewer's are.
 struct Meet(Arc<Barrier>);
 

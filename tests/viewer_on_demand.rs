@@ -3,8 +3,11 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+#[cfg(feature = "http")]
+mod http_support;
 mod viewer_support;
 
+use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,8 +17,13 @@ use glam::{DAffine3, DVec2, DVec3};
 use image::RgbaImage;
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+#[cfg(feature = "http")]
+use terrane::io::HttpConfig;
+use terrane::io::write::{GlbMesh, write_glb};
+#[cfg(feature = "http")]
+use terrane::pager::ImageSequence;
 use terrane::pager::PagerConfig;
-use terrane::scene::{Node, NodeKind, OcclusionQueryNode, Page, Scene};
+use terrane::scene::{CullAction, CullCallback, Node, NodeKind, OcclusionQueryNode, Page, Scene};
 use terrane::viewer::manipulators::{
     AnimationPathManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
 };
@@ -227,4 +235,140 @@ fn frames_are_drawn_until_occlusion_queries_have_shown_what_is_in_sight() {
             }
         }
     }
+}
+
+/// Twenty tiles beside each other, with an eye that has all in sight.
+fn write_row(folder: &Path) {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let tile = |k: i32| {
+        std::fs::write(folder.join(format!("{k}.glb")), &glb).unwrap();
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[{},0,0,2]}},"geometricError":0,"content":{{"uri":"{k}.glb"}}}}"#,
+            4 * k - 40
+        )
+    };
+    let tiles: Vec<String> = (0..20).map(tile).collect();
+    let root = format!(
+        r#"{{"boundingVolume":{{"sphere":[0,0,0,60]}},"geometricError":1000,"refine":"ADD","children":[{}]}}"#,
+        tiles.join(",")
+    );
+    let set = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{root}}}"#);
+    std::fs::write(folder.join("tileset.json"), set).unwrap();
+}
+
+fn row_viewer(source: &str, pager: PagerConfig) -> Viewer {
+    let mut viewer = offscreen(&ViewerConfig { pager, ..config(AdapterChoice::Noop) }).unwrap();
+    viewer.load(source).unwrap();
+    viewer.camera.look_at(DVec3::new(0.0, -100.0, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer
+}
+
+fn tiles(viewer: &Viewer) -> (u64, u64) {
+    let stats = viewer.pager().unwrap().stats();
+    (stats.resident, stats.waiting + stats.in_flight)
+}
+
+/// Frames were drawn for ever for what waited.
+#[test]
+fn what_finds_no_room_asks_for_no_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    write_row(folder.path());
+    let pager = PagerConfig { max_tiles: 4, ..PagerConfig::default() };
+    let mut viewer = row_viewer(folder.path().to_str().unwrap(), pager);
+    rest(&mut viewer);
+    assert_eq!(tiles(&viewer), (4, 16));
+    assert!(!viewer.is_settled(), "some of the tiles are not there");
+    // What comes into sight takes the places of what goes.
+    viewer.camera.look_at(DVec3::new(-38.0, -5.0, 0.0), DVec3::new(-38.0, 0.0, 0.0), DVec3::Z);
+    viewer.request_redraw();
+    rest(&mut viewer);
+    assert!(viewer.is_settled(), "{:?}", viewer.pager().unwrap().stats());
+    let drawn = viewer.stats().last().unwrap().tiles_drawn;
+    assert!((2..=4).contains(&drawn), "{drawn}");
+}
+
+/// They waited for what was not to come.
+#[test]
+fn a_pager_that_stands_asks_for_no_frame_until_it_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    write_row(folder.path());
+    let stand: [fn(&mut Viewer, bool); 2] = [
+        |viewer, stands| viewer.pager_mut().unwrap().set_paused(stands),
+        |viewer, stands| viewer.pager_mut().unwrap().set_takes_requests(!stands),
+    ];
+    for (stand, waiting) in stand.into_iter().zip([20, 0]) {
+        let mut viewer = row_viewer(folder.path().to_str().unwrap(), PagerConfig::default());
+        stand(&mut viewer, true);
+        rest(&mut viewer);
+        assert_eq!(tiles(&viewer), (0, waiting));
+        assert!(!viewer.is_settled());
+        stand(&mut viewer, false);
+        assert!(viewer.check_need_to_do_frame());
+        rest(&mut viewer);
+        assert_eq!(tiles(&viewer), (20, 0));
+        assert!(viewer.is_settled());
+    }
+}
+
+/// It went through all the rounds of the deepest tree in each frame.
+#[test]
+fn the_blocking_mode_looks_a_few_times_for_what_finds_no_room() {
+    let folder = tempfile::tempdir().unwrap();
+    write_row(folder.path());
+    let pager = PagerConfig { max_tiles: 4, blocking: true, ..PagerConfig::default() };
+    let mut viewer = row_viewer(folder.path().to_str().unwrap(), pager);
+    let looks = Arc::new(AtomicU64::new(0));
+    let mut counted = Node::group(Vec::new());
+    let of_node = looks.clone();
+    counted.cull_callback = Some(CullCallback(Arc::new(move |_| {
+        of_node.fetch_add(1, Ordering::Relaxed);
+        CullAction::Traverse
+    })));
+    viewer.add_root(Page::from_node(counted).unwrap()).unwrap();
+    for frame in 0..10 {
+        let before = looks.load(Ordering::Relaxed);
+        viewer.frame().unwrap();
+        let looks = looks.load(Ordering::Relaxed) - before;
+        assert!((1..=10).contains(&looks), "{looks} in frame {frame}");
+        assert_eq!(tiles(&viewer).0, 4);
+    }
+    rest(&mut viewer);
+}
+
+/// A loop that rests drew no frame for it.
+#[cfg(feature = "http")]
+#[test]
+fn what_failed_asks_for_a_frame_once_its_wait_is_over() {
+    use http_support::{Reply, Server};
+    let folder = tempfile::tempdir().unwrap();
+    write_row(folder.path());
+    image::RgbImage::from_pixel(8, 8, image::Rgb([200, 100, 50])).save(folder.path().join("picture.png")).unwrap();
+    let files = folder.path().to_owned();
+    let server = Server::start(move |request| match request.path() {
+        path if path != "/tileset.json" && request.nth == 0 => Reply::new(503, ""),
+        path => Reply::ok(std::fs::read(files.join(&path[1..])).unwrap()),
+    });
+    let retry_after = Duration::from_millis(300);
+    let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
+    let pager = PagerConfig { retry_after, http, ..PagerConfig::default() };
+    let mut viewer = row_viewer(&server.url, pager);
+    let sequence = ImageSequence::from_files("test", [format!("{}/picture.png", server.url)]);
+    viewer.add_image_sequence(&sequence).unwrap();
+    let _used = sequence.texture();
+    let (start, mut has_rested) = (Instant::now(), false);
+    while tiles(&viewer).0 < 20 || viewer.image_pager().unwrap().stats().loaded < 1 {
+        assert!(start.elapsed() < Duration::from_secs(60), "{:?}", viewer.pager().unwrap().stats());
+        if viewer.check_need_to_do_frame() {
+            viewer.frame().unwrap();
+        } else {
+            has_rested = true;
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    assert!(has_rested && start.elapsed() >= retry_after);
 }

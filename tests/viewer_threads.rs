@@ -3,14 +3,18 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod viewer_support;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
-use terrane::draw::CameraCallbacks;
-use terrane::gpu::{AdapterChoice, GraphicsContext};
+use terrane::draw::{CameraCallbacks, CompiledDrawable, CustomDrawable, custom_geometry};
+use terrane::gpu::{AdapterChoice, CompileInfo, CustomError, GraphicsContext};
+use terrane::math::Aabb;
+use terrane::pager::PagerConfig;
 use terrane::scene::{
     CameraNode, CullAction, CullCallback, DataVariance, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, PageId,
     RenderOrder,
@@ -319,6 +323,39 @@ fn a_scene_can_be_changed_after_a_thread_has_died() {
                 viewer.scene_mut();
             });
         }
+    }
+}
+
+/// Its update waited for the uploads of its tiles for ever.
+#[test]
+fn the_blocking_mode_waits_for_no_thread_that_dies_in_an_upload() {
+    struct Panics;
+    impl CustomDrawable for Panics {
+        fn name(&self) -> &str {
+            "panics"
+        }
+
+        fn bounds(&self) -> Aabb {
+            Aabb { min: DVec3::NEG_ONE, max: DVec3::ONE }
+        }
+
+        fn compile(&self, _: &CompileInfo<'_>) -> Result<Box<dyn CompiledDrawable>, CustomError> {
+            panic!("a drawable that panics on purpose");
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = viewer_support::small_set(folder.path());
+    for threading in &ThreadingModel::ALL[1..] {
+        let set = set.clone();
+        watched(move |_| {
+            let pager = PagerConfig { blocking: true, ..PagerConfig::default() };
+            let mut viewer = Viewer::new(context(), &ViewerConfig { pager, ..config(*threading) }).unwrap();
+            viewer.load(&set).unwrap();
+            let drawable = Drawable::new(custom_geometry(Panics), Material::default());
+            viewer.add_root(Page::from_node(Node::geode(vec![drawable])).unwrap()).unwrap();
+            let error = viewer.frame().expect_err("the panic is seen");
+            assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
+        });
     }
 }
 

@@ -25,6 +25,10 @@ pub trait CompileContext {
     fn take_compiled(&mut self) -> Vec<Compiled>;
     /// Gives slots back, after the last frame that may draw them was queued.
     fn release(&mut self, slots: Vec<DrawSlot>);
+    /// False once whoever compiles has ended before its time: what was queued is never compiled, and is not waited for.
+    fn is_alive(&self) -> bool {
+        true
+    }
 }
 
 /// Sizes and patience of a [`super::DatabasePager`].
@@ -66,7 +70,8 @@ pub struct PagerConfig {
     /// How servers are talked to.
     #[cfg(feature = "http")]
     pub http: crate::io::HttpConfig,
-    /// Each update waits until everything that was asked for is merged or has failed: equal flights give equal tiles.
+    /// Each update waits until everything that was asked for and finds room is merged or has failed: equal flights give
+    /// equal tiles.
     pub blocking: bool,
     /// The decode workers build k-d trees, for intersections with what is paged; see
     /// [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees).

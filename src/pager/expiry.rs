@@ -51,6 +51,11 @@ impl DatabasePager {
         true
     }
 
+    /// Frames until all pages have been looked at for what may go, where there is want of room.
+    pub(crate) fn frames_to_look(&self) -> u32 {
+        self.residents.len().div_ceil(*EXPIRY_LOOKS.end()) as u32
+    }
+
     /// True while so many tenths of each budget are free.
     pub(super) fn has_free(&self, tenths: u64) -> bool {
         let is_free = |used: u64, max: u64| used <= max / 10 * (10 - tenths);

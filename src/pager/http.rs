@@ -143,7 +143,8 @@ pub(super) fn most_in_flight(range: Range) -> usize {
 }
 
 /// Jobs to start with the servers that they ask, as many as each of these may have and `most` together; the tickets to
-/// abort, and whether to stop.
+/// abort, and whether to stop. Update waits for the lock meanwhile: what waits for a server that has all it may is passed
+/// over.
 fn take(
     list: &RequestList,
     running: &HashMap<u64, Running>,
@@ -156,6 +157,8 @@ fn take(
     }
     let mut waiting = list.lock();
     let mut jobs = Vec::new();
+    // Servers of which nothing more can be taken.
+    let mut full: Vec<String> = Vec::new();
     // The most urgent are last.
     let mut next = waiting.http.len();
     while next > 0 && running.len() + jobs.len() < most {
@@ -164,11 +167,19 @@ fn take(
         let has_place = |of: &str| count(of) < flows.limit(of);
         let job = &waiting.http[next];
         let own = server(&job.uri);
-        if !waiting.may_take(job, count(own), flows.limit(own)) || !has_place(own) {
+        if full.iter().any(|of| of == own) {
             continue;
         }
-        let servers = servers_of(job);
+        if !waiting.may_take(job, count(own), flows.limit(own)) || !has_place(own) {
+            // Places and room only grow fewer; too many that are wanted later say nothing of what is wanted now.
+            if !job.is_ahead || !has_place(own) {
+                full.push(own.to_owned());
+            }
+            continue;
+        }
+        let servers = job.stage.servers.get_or_init(|| servers_of(job));
         if servers.iter().all(|of| has_place(of)) {
+            let servers = servers.clone();
             let job = waiting.http.remove(next);
             waiting.took(&job);
             for of in &servers {
@@ -247,6 +258,26 @@ mod tests {
         let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
         let at_pictures = jobs.iter().filter(|start| start.servers.len() == 2).count();
         assert_eq!((jobs.len(), at_pictures), (16, 4), "others have the places meanwhile");
+    }
+
+    /// Each of them was looked up again and again.
+    #[test]
+    fn what_waits_for_a_full_server_hides_nothing_of_others() {
+        let list = RequestList::new(1000, 1000);
+        let mut waiting = list.lock();
+        waiting.allowed = 1000;
+        waiting.http.push(Job { is_ahead: true, ..job(0, "http://full/a.glb") });
+        waiting.http.push(job(1, "http://other/a.glb"));
+        waiting.http.extend((2..10_002).map(|ticket| job(ticket, "http://full/a.glb")));
+        (waiting.ahead_room, waiting.ahead_allowed) = (1000, 1000);
+        drop(waiting);
+        let flows = Flows::new(Range { start: 4, most: 4 });
+        let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
+        let taken: Vec<u64> = jobs.iter().map(|start| start.job.ticket).collect();
+        assert_eq!(taken, [10_001, 10_000, 9_999, 9_998, 1]);
+        let waiting = list.lock();
+        let looked_at = waiting.http.iter().filter(|job| job.stage.servers.get().is_some()).count();
+        assert_eq!((waiting.http.len(), looked_at), (9_997, 0));
     }
 
     /// All that the budgets allow may be with a server that hangs.

@@ -26,6 +26,9 @@ const AHEAD_LISTED: usize = 32;
 /// What was met in the last so many frames is seen.
 const MET_FRAMES: u32 = 2;
 
+/// Failures that are remembered: frames look through them. With more, those are forgotten that nobody meets.
+const MOST_FAILURES: usize = 4096;
+
 /// What is wanted later and found no free room.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AheadShort {
@@ -96,17 +99,41 @@ impl DatabasePager {
     /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while
     /// nobody does.
     pub(super) fn retry(&mut self, scene: &mut Scene) {
-        let (now, met) = (Instant::now(), self.frame.saturating_sub(MET_FRAMES)..=self.frame);
-        let is_due = |entry: &Entry| {
-            matches!(entry.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
-                && scene.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
+        let due: Vec<Entry> = {
+            let is_due = is_due(scene, self.frame);
+            self.entries.extract_if(|_, entry| is_due(entry)).map(|(_, entry)| entry).collect()
         };
-        let due: Vec<Entry> = self.entries.extract_if(|_, entry| is_due(entry)).map(|(_, entry)| entry).collect();
         for mut entry in due {
             scene.set_failed(entry.job.slot, false);
             entry.wanted_frame = self.frame;
             self.ask_again(entry);
         }
+        if self.entries.len() > MOST_FAILURES {
+            self.forget_failures(scene);
+        }
+    }
+
+    /// Where there are too many, forgets those that were not met for as long as a page must not be wanted to go: they are
+    /// asked for once more by who comes back.
+    fn forget_failures(&mut self, scene: &mut Scene) {
+        let has_failed = |entry: &Entry| matches!(entry.progress, Progress::Failed { .. });
+        if self.entries.values().filter(|entry| has_failed(entry)).count() <= MOST_FAILURES {
+            return;
+        }
+        let old = self.frame.saturating_sub(self.config.expiry_frames.max(MET_FRAMES));
+        self.entries.retain(|slot, entry| {
+            let is_met = scene.slot(*slot).is_some_and(|slot| slot.last_used_frame >= old);
+            let is_kept = !has_failed(entry) || is_met;
+            if !is_kept {
+                scene.set_failed(*slot, false);
+            }
+            is_kept
+        });
+    }
+
+    /// The wait of a failure is over that somebody meets: the next update asks for it again.
+    pub(crate) fn has_due(&self, scene: &Scene) -> bool {
+        self.entries.values().any(is_due(scene, self.frame))
     }
 
     /// Drops what is stale, aborts what nobody wants, and writes the waiting jobs in order of priority.
@@ -238,5 +265,14 @@ impl DatabasePager {
         waiting.allowed = allowed;
         self.allow_ahead(&mut waiting);
         self.threads.list.ring(waiting);
+    }
+}
+
+/// What failed, has waited long enough, and was met in the last frames.
+fn is_due(scene: &Scene, frame: u32) -> impl Fn(&Entry) -> bool {
+    let (now, met) = (Instant::now(), frame.saturating_sub(MET_FRAMES)..=frame);
+    move |entry| {
+        matches!(entry.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
+            && scene.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
     }
 }

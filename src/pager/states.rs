@@ -31,7 +31,12 @@ pub enum RequestState {
 
 /// Where the threads are with a job; written by the one that has it, read by the main thread.
 #[derive(Debug, Default)]
-pub(super) struct Stage(AtomicU8);
+pub(super) struct Stage {
+    at: AtomicU8,
+    /// The servers that it asks; the HTTP thread's alone, which finds them once.
+    #[cfg(feature = "http")]
+    pub servers: std::sync::OnceLock<Vec<String>>,
+}
 
 impl Stage {
     const WAITING: u8 = 0;
@@ -40,7 +45,7 @@ impl Stage {
 
     // Only shown, so that no other memory depends on the order.
     fn set(&self, stage: u8) {
-        self.0.store(stage, Ordering::Relaxed);
+        self.at.store(stage, Ordering::Relaxed);
     }
 
     pub fn waits(&self) {
@@ -60,7 +65,7 @@ impl Entry {
     pub fn state(&self) -> RequestState {
         match &self.progress {
             // A thread may have taken it since the list was last looked at.
-            Progress::Waiting | Progress::Loading => match self.job.stage.0.load(Ordering::Relaxed) {
+            Progress::Waiting | Progress::Loading => match self.job.stage.at.load(Ordering::Relaxed) {
                 Stage::WAITING => RequestState::Waiting,
                 Stage::READING if io::is_remote(&self.job.uri) => RequestState::ReadingHttp,
                 Stage::READING => RequestState::ReadingFile,

@@ -58,6 +58,8 @@ pub struct DatabasePager {
     pub(super) ahead_short: Option<AheadShort>,
     pub(super) is_paused: bool,
     pub(super) takes_requests: bool,
+    /// It was told to go on since the last update.
+    pub(super) goes_on: bool,
     /// [`Self::request`] has written the list, and nothing has changed what it is to be.
     pub(super) is_listed: bool,
 }
@@ -95,6 +97,7 @@ impl DatabasePager {
             ahead_short: None,
             is_paused: false,
             takes_requests: true,
+            goes_on: false,
             is_listed: false,
         })
     }
@@ -143,6 +146,7 @@ impl DatabasePager {
         contexts: &mut [&mut dyn CompileContext],
     ) {
         self.frame = frame;
+        self.goes_on = false;
         self.accept(scene, requests);
         self.merge_arrived(scene, contexts);
         self.retry(scene);
@@ -152,7 +156,7 @@ impl DatabasePager {
         }
         self.is_listed = false;
         self.threads.list.ring_if_due();
-        while self.config.blocking && self.is_busy() {
+        while self.config.blocking && self.is_busy() && contexts.iter().all(|context| context.is_alive()) {
             let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
             if let Some(answer) = answer {
                 self.answer(scene, answer, contexts);
@@ -222,12 +226,14 @@ impl DatabasePager {
     /// Lets the threads begin nothing while paused; what is under way goes on to its merge, and requests wait. From the
     /// next update on.
     pub fn set_paused(&mut self, is_paused: bool) {
+        self.goes_on |= self.is_paused && !is_paused;
         self.is_paused = is_paused;
         self.is_listed = false;
     }
 
     /// Whether requests for contents that were not asked for before are taken up; those that were go on.
     pub fn set_takes_requests(&mut self, takes_requests: bool) {
+        self.goes_on |= takes_requests && !self.takes_requests;
         self.takes_requests = takes_requests;
     }
 
@@ -265,13 +271,21 @@ impl DatabasePager {
         self.errors.list()
     }
 
-    /// Something will change without another request: for the blocking mode.
+    /// Something will change without another request: for the blocking mode. What waits while there is no room for it, or
+    /// while the pager is paused, does not count.
     fn is_busy(&self) -> bool {
+        let lets_begin = !self.full && !self.is_paused;
         self.entries.values().filter(|e| !e.is_ahead()).any(|e| match e.progress {
-            Progress::Waiting => !self.full && e.needs.is_none_or(|needs| self.fits(&needs)),
+            Progress::Waiting => lets_begin && e.needs.is_none_or(|needs| self.fits(&needs)),
             Progress::Loading | Progress::Arrived(_) => true,
             Progress::Failed { .. } => false,
         })
+    }
+
+    /// Another update would do something for those who ask for these: also take up one, or go on.
+    pub(crate) fn has_work(&self, requests: &[PageRequest]) -> bool {
+        let is_new = |request: &PageRequest| self.takes_requests && !self.entries.contains_key(&request.slot);
+        self.goes_on || self.is_busy() || requests.iter().any(is_new)
     }
 
     pub(super) fn count(&mut self) {

@@ -64,6 +64,9 @@ pub struct TextureObject {
     pub levels: u32,
     /// Texels by level, all layers of a level together; empty for a target.
     pub texels: Vec<Vec<u8>>,
+    /// What it shows changes, as an [`ImageSequence`](crate::pager::ImageSequence)'s does: which one it is matters, and
+    /// none of the same contents takes its place.
+    pub is_changing: bool,
 }
 
 impl TextureObject {
@@ -76,6 +79,7 @@ impl TextureObject {
             format: TextureFormat::Rgba8Srgb,
             levels: 1,
             texels: vec![rgba],
+            is_changing: false,
         })
     }
 
@@ -88,6 +92,7 @@ impl TextureObject {
             format,
             levels: 1,
             texels: Vec::new(),
+            is_changing: false,
         })
     }
 

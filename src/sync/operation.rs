@@ -48,10 +48,29 @@ impl<T, F: FnMut(&mut T) + Send> Operation<T> for Closure<F> {
 }
 
 struct Waiting<T> {
-    operations: VecDeque<Arc<dyn Operation<T>>>,
+    /// With their numbers, which rise.
+    operations: VecDeque<(u64, Arc<dyn Operation<T>>)>,
+    /// Number of the next that is put at the end.
+    next: u64,
     /// What was taken last and has not returned.
     current: Option<Arc<dyn Operation<T>>>,
     closed: bool,
+}
+
+impl<T> Waiting<T> {
+    fn push(&mut self, operation: Arc<dyn Operation<T>>) {
+        self.operations.push_back((self.next, operation));
+        self.next += 1;
+    }
+
+    /// Takes the first, which comes again at the end where it is kept.
+    fn take(&mut self) -> Option<Arc<dyn Operation<T>>> {
+        let (_, operation) = self.operations.pop_front()?;
+        if operation.keep() {
+            self.push(operation.clone());
+        }
+        Some(operation)
+    }
 }
 
 /// Operations in the order to be done; those that are kept come again and again.
@@ -63,7 +82,7 @@ pub struct OperationQueue<T> {
 
 impl<T> Default for OperationQueue<T> {
     fn default() -> Self {
-        let waiting = Waiting { operations: VecDeque::new(), current: None, closed: false };
+        let waiting = Waiting { operations: VecDeque::new(), next: 0, current: None, closed: false };
         Self { waiting: Mutex::new(waiting), changed: Condvar::new() }
     }
 }
@@ -81,13 +100,13 @@ impl<T> OperationQueue<T> {
 
     /// Adds an operation at the end.
     pub fn add(&self, operation: Arc<dyn Operation<T>>) {
-        self.waiting().operations.push_back(operation);
+        self.waiting().push(operation);
         self.changed.notify_one();
     }
 
     /// Takes out all operations of a name; one that is running ends its turn.
     pub fn remove(&self, name: &str) {
-        self.waiting().operations.retain(|o| o.name() != name);
+        self.waiting().operations.retain(|(_, o)| o.name() != name);
     }
 
     /// Takes out all operations.
@@ -114,10 +133,7 @@ impl<T> OperationQueue<T> {
             if waiting.closed {
                 return None;
             }
-            if let Some(operation) = waiting.operations.pop_front() {
-                if operation.keep() {
-                    waiting.operations.push_back(operation.clone());
-                }
+            if let Some(operation) = waiting.take() {
                 waiting.current = Some(operation.clone());
                 return Some(operation);
             }
@@ -125,16 +141,17 @@ impl<T> OperationQueue<T> {
         }
     }
 
-    /// Runs what is there now, each once; waits for nothing.
+    /// Runs what is there now, each once, but for what is removed before its turn; waits for nothing.
     pub fn run_operations(&self, object: &mut T) {
-        for _ in 0..self.len() {
+        let end = self.waiting().next;
+        loop {
             let mut waiting = self.waiting();
-            let Some(operation) = waiting.operations.pop_front() else { return };
-            if operation.keep() {
-                waiting.operations.push_back(operation.clone());
+            if waiting.operations.front().is_none_or(|(number, _)| *number >= end) {
+                return;
             }
+            let operation = waiting.take();
             drop(waiting);
-            operation.run(object);
+            operation.iter().for_each(|operation| operation.run(object));
         }
     }
 
@@ -150,7 +167,7 @@ impl<T> OperationQueue<T> {
     pub fn close(&self) {
         let mut waiting = self.waiting();
         waiting.closed = true;
-        let mut all: Vec<_> = waiting.operations.drain(..).collect();
+        let mut all: Vec<_> = waiting.operations.drain(..).map(|(_, operation)| operation).collect();
         all.extend(waiting.current.take());
         drop(waiting);
         self.changed.notify_all();
@@ -170,6 +187,6 @@ impl<T: 'static> OperationQueue<T> {
 impl<T> std::fmt::Debug for OperationQueue<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let waiting = self.waiting();
-        f.debug_list().entries(waiting.operations.iter().map(|o| o.name())).finish()
+        f.debug_list().entries(waiting.operations.iter().map(|(_, o)| o.name())).finish()
     }
 }

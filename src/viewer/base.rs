@@ -284,16 +284,17 @@ impl ViewerBase {
         dt_s
     }
 
-    /// Loads until nothing of what the views of a scene want is missing; milliseconds of paging.
+    /// Loads until nothing of what the views of a scene want is missing, or nothing more comes; milliseconds of paging.
     fn settle(&mut self, views: &[View], scene: &mut PagedScene, place: usize) -> f64 {
-        let mut merge_ms = 0.0;
+        let (mut merge_ms, mut quiet) = (0.0, 0);
         self.look(views, scene, place);
         for _ in 0..MAX_BLOCKING_ROUNDS {
-            if scene.is_settled() {
+            if scene.is_settled() || scene.is_stuck(quiet) {
                 break;
             }
             merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
             self.look(views, scene, place);
+            quiet = if scene.has_work() { 0 } else { quiet + 1 };
         }
         merge_ms
     }

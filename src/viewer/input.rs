@@ -141,7 +141,8 @@ pub(super) fn changes(base: &ViewerBase, view: &View, paged: &PagedScene) -> boo
         || base.awaits_picture()
         || !paged.update_callbacks.is_empty()
         || paged.scene().has_update_callbacks()
-        || !paged.is_at_rest()
+        || !paged.is_unchanging()
+        || paged.has_due()
         || paged.image_pager.as_ref().is_some_and(|images| images.needs_frame())
 }
 

@@ -1,6 +1,7 @@
 //! [`PagedScene`]: a scene with what fills it, pages it and keeps it uploaded; osgViewer's Scene. Main thread.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -15,7 +16,8 @@ use crate::math::Ellipsoid;
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DataVariance, DrawSlot, Drawable, Geometry, Page, PageId, Scene, UpdateInfo};
 
-/// With nothing under way for this many frames, requests that remain are ones the pager declines.
+/// With nothing under way for this many frames, besides those in which the pager looks at all pages for room, requests that
+/// remain are ones that it declines.
 const QUIET_FRAMES: u32 = 4;
 
 /// A page that the application made and whose drawables were sent to be uploaded.
@@ -65,8 +67,12 @@ pub(super) struct PagedScene {
     pub(super) wanted_missing: u32,
     /// Tiles and Lods that the last frame's pictures showed between two levels of detail.
     pub(super) fading: u32,
-    /// Frames in a row in which the pager had nothing to do.
+    /// The pager had nothing to do after its last turn.
+    is_idle: bool,
+    /// Frames in a row in which the same was asked for, and the pager could do nothing for it.
     quiet_frames: u32,
+    /// A hash of what the last frame's pictures lacked.
+    asked: u64,
 }
 
 impl PagedScene {
@@ -90,7 +96,9 @@ impl PagedScene {
             requests_ahead: Vec::new(),
             wanted_missing: 0,
             fading: 0,
+            is_idle: false,
             quiet_frames: 0,
+            asked: 0,
         }
     }
 
@@ -223,15 +231,34 @@ impl PagedScene {
 
     /// The last frame showed everything it wanted, the application's pages too, and the pager has nothing to do.
     pub(super) fn is_settled(&self) -> bool {
-        self.wanted_missing == 0
-            && self.own_uploads.is_empty()
-            && self.quiet_frames > 0
-            && (self.requests.is_empty() || self.quiet_frames >= QUIET_FRAMES)
+        self.wanted_missing == 0 && self.own_uploads.is_empty() && self.is_idle
     }
 
-    /// The last frame's pictures are those that the next ones will be.
+    /// The last frame's pictures show everything, and are those that the next ones will be.
     pub(super) fn is_at_rest(&self) -> bool {
         self.fading == 0 && self.is_settled()
+    }
+
+    /// The next frames' pictures will be the last one's: everything is there, or what is not does not come, as where it
+    /// finds no room or the pager is paused.
+    pub(super) fn is_unchanging(&self) -> bool {
+        self.is_at_rest() || (self.fading == 0 && self.own_uploads.is_empty() && self.is_stuck(self.quiet_frames))
+    }
+
+    /// After so many frames, or rounds of the blocking mode, in which the pager could do nothing.
+    pub(super) fn is_stuck(&self, quiet: u32) -> bool {
+        let to_look = self.pager.as_ref().map_or(0, DatabasePager::frames_to_look);
+        quiet >= QUIET_FRAMES + to_look && !self.has_work()
+    }
+
+    /// The pager's next turn would do something for what the last frame's pictures lacked.
+    pub(super) fn has_work(&self) -> bool {
+        self.pager.as_ref().is_some_and(|pager| pager.has_work(&self.requests))
+    }
+
+    /// Something that failed is to be tried again.
+    pub(super) fn has_due(&self) -> bool {
+        self.pager.as_ref().is_some_and(|pager| pager.has_due(&self.scene))
     }
 
     /// The application's turn with the scene.
@@ -260,9 +287,9 @@ impl PagedScene {
             let requests = &self.requests;
             rendering.compile_for(self.owner, |contexts| pager.update_scene_graph(scene, frame, requests, contexts));
             self.requests.truncate(wanted);
-            self.quiet_frames = if pager.is_idle() { self.quiet_frames.saturating_add(1) } else { 0 };
+            self.is_idle = pager.is_idle();
         } else {
-            self.quiet_frames = QUIET_FRAMES;
+            self.is_idle = true;
         }
         millis(start.elapsed())
     }
@@ -306,6 +333,11 @@ impl PagedScene {
         if let (Some(pager), false) = (&mut self.pager, self.pager_config.blocking) {
             pager.request(&self.scene, &self.requests);
         }
+        let mut hash = DefaultHasher::new();
+        self.requests.iter().for_each(|request| (request.slot, request.priority.to_bits()).hash(&mut hash));
+        let before = std::mem::replace(&mut self.asked, hash.finish());
+        let is_quiet = self.asked == before && !self.has_work();
+        self.quiet_frames = if is_quiet { self.quiet_frames.saturating_add(1) } else { 0 };
     }
 
     /// True where something may arrive and be merged while the main thread waits.
@@ -414,7 +446,7 @@ impl PagedScene {
     /// Takes every paged page out, and forgets what was asked for.
     pub(super) fn clear_pages(&mut self, rendering: &mut Rendering) {
         self.requests.clear();
-        self.quiet_frames = 0;
+        (self.is_idle, self.quiet_frames) = (false, 0);
         if let Some(pager) = &mut self.pager {
             let scene = alone(&mut self.scene);
             rendering.compile_for(self.owner, |contexts| pager.clear(scene, contexts));
@@ -422,7 +454,7 @@ impl PagedScene {
     }
 
     fn page_anew(&mut self, rendering: &mut Rendering) {
-        self.quiet_frames = 0;
+        (self.is_idle, self.quiet_frames) = (false, 0);
         if let Some(pager) = &mut self.pager {
             let scene = alone(&mut self.scene);
             rendering.compile_for(self.owner, |contexts| pager.page_anew(scene, contexts));

@@ -458,7 +458,9 @@ impl Viewer {
 
     /// For drawing on demand: false while another frame would show the same picture. True for events that wait, a
     /// manipulator that moves, tiles that are still to come, answers to occlusion queries, image sequences that play,
-    /// update callbacks, what lies over the picture, and [`View::request_redraw`].
+    /// update callbacks, what lies over the picture, and [`View::request_redraw`]. Tiles that find no room in the budgets
+    /// or wait while the pager is paused ask for no frame. What failed does once its wait is over: a loop that rests looks
+    /// again now and then.
     pub fn check_need_to_do_frame(&self) -> bool {
         needs_frame(&self.base, &self.view, &self.paged)
     }

@@ -105,7 +105,8 @@ pub(super) struct Moment {
 impl ImageSequence {
     /// A sequence of images in the order shown, one second long, which loops once it is played.
     pub fn new(name: &str, images: Vec<SequenceImage>) -> Self {
-        let texture = TextureObject::image(name, [1, 1], vec![255; 4]);
+        let white = TextureObject::image(name, [1, 1], vec![255; 4]);
+        let texture = Arc::new(TextureObject { is_changing: true, ..Arc::unwrap_or_clone(white) });
         let control = Control {
             images,
             mode: SequenceMode::default(),

@@ -47,6 +47,8 @@ enum State {
 struct Slot {
     state: State,
     tries: u32,
+    /// Of the image when it was last there; `None` before.
+    size_bytes: Option<u64>,
     /// Number of the update that last wanted it.
     wanted: u64,
     wanted_at: Instant,
@@ -122,9 +124,16 @@ impl ImagePager {
         self.errors.list()
     }
 
-    /// True while another frame would show another image: something plays, or an image of the moment is to come.
+    /// True while another frame would show another image: something plays, or an image of the moment is to come, or failed
+    /// and is to be tried again now.
     pub fn needs_frame(&self) -> bool {
+        let now = Instant::now();
+        let is_due = |s: &Slot| {
+            let is_present = s.wanted == self.updates && s.due_s <= 0.0;
+            is_present && matches!(s.state, State::Failed { retry_at: Some(at) } if at <= now)
+        };
         self.tracks.iter().any(|t| t.sequence.is_used() && (t.is_late || t.is_playing))
+            || self.slots.values().any(is_due)
     }
 
     /// Shows everything again: for contexts that have not got it.
@@ -178,6 +187,7 @@ impl ImagePager {
                     let slot = self.slots.entry(uri.clone()).or_insert_with(|| Slot {
                         state: State::Waiting,
                         tries: 0,
+                        size_bytes: None,
                         wanted: 0,
                         wanted_at: now,
                         due_s: f64::INFINITY,
@@ -210,10 +220,7 @@ impl ImagePager {
         let mut bytes = 0;
         for (_, uri) in wanted.iter().take(self.config.max_images.max(1)) {
             let Some(slot) = self.slots.get_mut(uri) else { continue };
-            let size = match &slot.state {
-                State::Loaded(image) => bytes_of(image),
-                _ => self.mean_bytes,
-            };
+            let size = slot.size_bytes.unwrap_or(self.mean_bytes);
             bytes += size;
             if bytes > self.config.max_bytes && bytes > size {
                 break;
@@ -232,16 +239,15 @@ impl ImagePager {
         for uri in expired {
             self.let_go(&uri);
         }
-        let to_come = self.slots.values().filter(|s| s.admitted && matches!(s.state, State::Waiting)).count();
         let mut spare: Vec<(u64, f64, Arc<str>)> = Vec::new();
-        if self.is_beyond(to_come) {
+        if self.is_beyond() {
             let spared = self.slots.iter().filter(|(_, s)| is_loaded(s) && !s.admitted);
             spare.extend(spared.map(|(uri, s)| (s.wanted, s.due_s, uri.clone())));
             // Wanted longest ago first; of those wanted now, the latest due.
             spare.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then_with(|| a.2.cmp(&b.2)));
         }
         for (_, _, uri) in spare {
-            if !self.is_beyond(to_come) {
+            if !self.is_beyond() {
                 break;
             }
             self.let_go(&uri);
@@ -262,12 +268,12 @@ impl ImagePager {
         }
     }
 
-    /// The budgets have no room for what is there, under way, and so many images more.
-    fn is_beyond(&self, more: usize) -> bool {
-        let loading = self.slots.values().filter(|s| matches!(s.state, State::Loading)).count();
-        let to_come = (loading + more) as u64;
-        self.images + loading + more > self.config.max_images.max(1)
-            || self.bytes + to_come * self.mean_bytes > self.config.max_bytes
+    /// The budgets have no room for what is there, under way, or admitted.
+    fn is_beyond(&self) -> bool {
+        let comes = |s: &&Slot| matches!(s.state, State::Loading) || s.admitted && matches!(s.state, State::Waiting);
+        let sizes = self.slots.values().filter(comes).map(|s| s.size_bytes.unwrap_or(self.mean_bytes));
+        let (images, bytes) = sizes.fold((0, 0), |(images, bytes), size| (images + 1, bytes + size));
+        self.images + images > self.config.max_images.max(1) || self.bytes + bytes > self.config.max_bytes
     }
 
     fn let_go(&mut self, uri: &Arc<str>) {
@@ -342,7 +348,7 @@ impl ImagePager {
         match image {
             Ok(image) => {
                 let bytes = bytes_of(&image);
-                slot.tries = 0;
+                (slot.tries, slot.size_bytes) = (0, Some(bytes));
                 if matches!(slot.state, State::Loaded(_)) {
                     return;
                 }
@@ -351,7 +357,7 @@ impl ImagePager {
                 self.bytes += bytes;
                 self.images += 1;
                 self.mean_bytes = if self.mean_bytes == 0 { bytes } else { (7 * self.mean_bytes + bytes) / 8 };
-                self.make_room(&uri);
+                self.make_room();
                 self.stats.images_peak = self.stats.images_peak.max(self.images as u64);
                 self.stats.bytes_peak = self.stats.bytes_peak.max(self.bytes);
             }
@@ -367,13 +373,15 @@ impl ImagePager {
         }
     }
 
-    /// An image may be larger than those before it: others go, those last that are shown soonest.
-    fn make_room(&mut self, arrived: &Arc<str>) {
+    /// An image that has come may be larger than was thought: the least urgent go, that one too where it is among them.
+    /// In the order of [`Self::admit`]: what goes is not admitted beside what stays, and does not come again.
+    fn make_room(&mut self) {
         while self.bytes > self.config.max_bytes || self.images > self.config.max_images.max(1) {
-            let others = self.slots.iter().filter(|(uri, s)| *uri != arrived && matches!(s.state, State::Loaded(_)));
-            let least = others.max_by(|(a, s), (b, t)| {
+            let loaded = self.slots.iter().filter(|(_, s)| matches!(s.state, State::Loaded(_)));
+            let least = loaded.max_by(|(a, s), (b, t)| {
                 let unwanted = |s: &Slot| s.wanted < self.updates;
-                (unwanted(s), s.due_s).partial_cmp(&(unwanted(t), t.due_s)).unwrap_or(a.cmp(b))
+                let by_time = unwanted(s).cmp(&unwanted(t)).then(s.due_s.total_cmp(&t.due_s));
+                by_time.then_with(|| a.cmp(b))
             });
             let Some(least) = least.map(|(uri, _)| uri.clone()) else { break };
             self.let_go(&least);
@@ -432,7 +440,9 @@ mod tests {
     fn pager_with(uri: &Arc<str>, state: State, tries: u32) -> ImagePager {
         let mut pager = ImagePager::new(ImagePagerConfig::default()).unwrap();
         let now = Instant::now();
-        let slot = Slot { state, tries, wanted: 0, wanted_at: now, due_s: 0.0, discards: false, admitted: false };
+        let (size_bytes, due_s) = (None, 0.0);
+        let slot =
+            Slot { state, tries, size_bytes, wanted: 0, wanted_at: now, due_s, discards: false, admitted: false };
         pager.slots.insert(uri.clone(), slot);
         pager
     }
@@ -447,6 +457,35 @@ mod tests {
         pager.let_go(&uri);
         pager.request(Instant::now());
         assert!(matches!(pager.slots[&uri].state, State::Waiting));
+    }
+
+    /// They took turns for ever: either was admitted beside the other by the mean size, and let it go when it came.
+    #[test]
+    fn images_of_unequal_sizes_take_no_turns() {
+        let folder = tempfile::tempdir().unwrap();
+        let sides = [("small.png", 64), ("wide.png", 104)];
+        let files = sides.map(|(name, side)| {
+            let file = folder.path().join(name);
+            image::RgbImage::new(side, side).save(&file).unwrap();
+            file.display().to_string()
+        });
+        // All levels of both together are 79,488 bytes.
+        let config = ImagePagerConfig { max_bytes: 79_000, ..ImagePagerConfig::default() };
+        let mut pager = ImagePager::new(config).unwrap();
+        let sequence = ImageSequence::from_files("test", files);
+        let _used = sequence.texture();
+        pager.add(&sequence);
+        let until = Instant::now() + Duration::from_secs(60);
+        let mut updates_after = 0;
+        while updates_after < 100 {
+            assert!(Instant::now() < until, "{:?}", pager.stats);
+            pager.update(0.0);
+            updates_after += u32::from(pager.stats.loaded >= 2);
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let stats = pager.stats;
+        assert_eq!((stats.loaded, stats.images, stats.shown), (2, 1, 1), "{stats:?}");
+        assert_eq!(pager.bytes, 21_844, "the one of the moment");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::sync::{Arc, Weak};
 
 use super::key::ContentKey;
-use crate::state::{Attribute, StateSet, StateValue, TextureObject};
+use crate::state::{Attribute, StateSet, StateValue, TextureBinding, TextureObject};
 
 /// Sets of one hash that are compared; more are left alone, so that nobody can make looking long.
 const MOST_ALIKE: usize = 32;
@@ -66,9 +66,9 @@ pub(super) fn hash(set: &StateSet) -> u64 {
 /// The keys of a set's textures that may be shared, with their places among its attributes. Reads every texel.
 pub(super) fn texture_keys(set: &StateSet) -> Vec<(usize, ContentKey)> {
     let key = |(place, (attribute, _)): (usize, &(Attribute, StateValue))| match attribute {
-        // Targets are drawn into: which one it is matters.
-        Attribute::Texture(_, binding) if !binding.texture.texels.is_empty() => {
-            Some((place, texture_key(&binding.texture)))
+        // Targets are drawn into, sequences show other images: which one it is matters.
+        Attribute::Texture(_, TextureBinding { texture, .. }) if !texture.texels.is_empty() && !texture.is_changing => {
+            Some((place, texture_key(texture)))
         }
         _ => None,
     };
@@ -158,8 +158,9 @@ pub(super) fn with_textures(set: &StateSet, textures: Vec<(usize, Arc<TextureObj
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pager::ImageSequence;
     use crate::scene::{Node, Page, Scene, ShareModes, SharedStateManager};
-    use crate::state::{DataVariance, Mode, TextureBinding, UniformValue};
+    use crate::state::{DataVariance, Mode, UniformValue};
 
     fn set(texel: u8, data_variance: DataVariance) -> StateSet {
         let texture = TextureObject::image("brick", [1, 1], vec![texel; 4]);
@@ -241,6 +242,18 @@ mod tests {
         drop(kept);
         manager.prune_all();
         assert_eq!(manager.stats().entries, 0);
+    }
+
+    /// Those of one name showed the images of one of them.
+    #[test]
+    fn textures_of_image_sequences_are_never_shared() {
+        let manager = SharedStateManager::new(ShareModes::ALL);
+        let [a, b] = [(); 2].map(|()| {
+            let shows = TextureBinding::new(ImageSequence::from_files("fire", ["0.png"]).texture());
+            page(&manager, StateSet::default().with(Attribute::Texture(0, shows)))
+        });
+        assert!(!Arc::ptr_eq(texture(&a), texture(&b)) && !Arc::ptr_eq(&a.state_sets[0], &b.state_sets[0]));
+        assert_eq!(manager.stats().texture_hits, 0);
     }
 
     #[test]

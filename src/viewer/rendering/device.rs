@@ -60,6 +60,8 @@ pub(in crate::viewer) struct DeviceHandle {
     /// In the order opened.
     contexts: Vec<ContextOnDevice>,
     side: Side,
+    /// It has failed to take a command, or to answer.
+    is_dead: bool,
     commands: Sender<DrawCommand>,
     replies: Receiver<Reply>,
     /// Read by the context's thread where it waits for a frame.
@@ -99,6 +101,7 @@ impl DeviceHandle {
             id,
             contexts,
             side: Side::Here(Box::new(DrawSide::new(context, id, ends))),
+            is_dead: false,
             commands,
             replies,
             stopping,
@@ -340,7 +343,7 @@ impl DeviceHandle {
             && self.in_flight == 0
             && self.send(DrawCommand::FinishCompiles).is_ok()
         {
-            let _ = self.replies.recv();
+            self.is_dead |= self.replies.recv().is_err();
         }
         let before = self.arrived.len();
         self.arrived.extend(self.compiled.try_iter());
@@ -430,14 +433,16 @@ impl DeviceHandle {
     }
 
     fn send(&mut self, command: DrawCommand) -> Result<(), ViewerError> {
-        match &mut self.side {
+        let sent = match &mut self.side {
             Side::Here(side) => {
                 side.execute(command);
                 Ok(())
             }
             Side::Thread(_) => self.commands.send(command).map_err(|_| ViewerError::DrawThreadStopped),
             Side::Lost => Err(ViewerError::DrawThreadStopped),
-        }
+        };
+        self.is_dead |= sent.is_err();
+        sent
     }
 }
 
@@ -475,5 +480,9 @@ impl CompileContext for DeviceOfScene<'_> {
 
     fn release(&mut self, slots: Vec<DrawSlot>) {
         self.handle.release(slots);
+    }
+
+    fn is_alive(&self) -> bool {
+        !self.handle.is_dead
     }
 }
