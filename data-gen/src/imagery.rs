@@ -64,7 +64,7 @@ impl Imagery {
         })
     }
 
-    /// Bilinear sRGB at a place; `None` outside, and where the nearest pixel is transparent.
+    /// Bilinear sRGB at a place, of the pixels around it that are not transparent; `None` outside, and where the nearest is.
     pub fn at(&self, longitude: f64, latitude: f64) -> Option<[f64; 3]> {
         let (w, h) = (self.width as f64, self.height as f64);
         let is_inside = |[c, r]: &[f64; 2]| (0.0..=w).contains(c) && (0.0..=h).contains(r);
@@ -75,18 +75,22 @@ impl Imagery {
         let (x1, y1) = ((x0 + 1).min(self.width - 1), (y0 + 1).min(self.height - 1));
         let (fx, fy) = (x - x0 as f64, y - y0 as f64);
         let nearest = (if fy < 0.5 { y0 } else { y1 }) * self.width + if fx < 0.5 { x0 } else { x1 };
-        if self.has_alpha && self.pixels.get((nearest + 1) * self.channels - 1) == Some(&0) {
+        let is_there = |pixel: usize| !self.has_alpha || self.pixels.get((pixel + 1) * self.channels - 1) != Some(&0);
+        if !is_there(nearest) {
             return None;
         }
+        let around = [(x0, y0, 1.0 - fx, 1.0 - fy), (x1, y0, fx, 1.0 - fy), (x0, y1, 1.0 - fx, fy), (x1, y1, fx, fy)];
+        let weights = around.map(|(x, y, wx, wy)| if is_there(y * self.width + x) { wx * wy } else { 0.0 });
+        let sum: f64 = weights.iter().sum();
         let at = |x: usize, y: usize, k: usize| {
             let k = if self.channels < 3 { 0 } else { k };
             f64::from(self.pixels.get((y * self.width + x) * self.channels + k).copied().unwrap_or(0))
         };
-        Some([0, 1, 2].map(|k| {
-            let low = at(x0, y0, k) * (1.0 - fx) + at(x1, y0, k) * fx;
-            let high = at(x0, y1, k) * (1.0 - fx) + at(x1, y1, k) * fx;
-            low * (1.0 - fy) + high * fy
-        }))
+        Some(
+            [0, 1, 2].map(|k| {
+                around.iter().zip(weights).map(|((x, y, ..), weight)| at(*x, *y, k) * weight).sum::<f64>() / sum
+            }),
+        )
     }
 }
 
@@ -110,12 +114,16 @@ mod tests {
     fn what_is_transparent_is_not_there() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("half.png");
-        let half = |x: u32, _| image::Rgba([10, 20, 30, if x < 2 { 0 } else { 255 }]);
+        // What is transparent is black: it darkened what is beside it.
+        let half = |x: u32, _| image::Rgba(if x < 2 { [0; 4] } else { [10, 20, 30, 255] });
         image::RgbaImage::from_fn(4, 4, half).save(&path).unwrap();
         std::fs::write(path.with_extension("pgw"), "1\n0\n0\n-1\n0.5\n3.5\n").unwrap();
         let imagery = Imagery::read(&path, None).unwrap();
         let at = |longitude: f64| imagery.at(longitude.to_radians(), 2f64.to_radians());
         assert_eq!([at(0.7), at(1.9), at(2.1), at(3.5)].map(|c| c.is_some()), [false, false, true, true]);
-        assert_eq!(at(3.5).unwrap(), [10.0, 20.0, 30.0]);
+        for place in [2.1, 2.4, 2.5, 3.5] {
+            let color = at(place).unwrap();
+            assert!(color.iter().zip([10.0, 20.0, 30.0]).all(|(c, e)| (c - e).abs() < 1e-9), "{place}: {color:?}");
+        }
     }
 }

@@ -543,6 +543,14 @@ mod tests {
         let stats = renderer.draw(&mut ctx, &stage, &environment).unwrap();
         assert_eq!(stats.leaves, 150);
         let errors = renderer.take_errors();
-        assert!(matches!(&errors[..], [e] if e.starts_with("450 leaves")), "{errors:?}");
+        assert!(matches!(&errors[..], [e] if e.contains("more leaves than")), "{errors:?}");
+        // Once, though there are others each time; and what is wrong after very much else is heard.
+        renderer.most_leaves = 149;
+        renderer.draw(&mut ctx, &stage, &environment).unwrap();
+        assert!(renderer.take_errors().is_empty());
+        (0..2000).for_each(|i| renderer.complain(format!("another {i}")));
+        renderer.take_errors();
+        renderer.complain("at last".to_owned());
+        assert_eq!(renderer.take_errors(), ["at last"]);
     }
 }

@@ -147,7 +147,10 @@ impl Threads {
             let reader = Reader::new(config, &name)?;
             let (list, sender) = (list.clone(), sender.clone());
             let builder = std::thread::Builder::new().name(name.clone());
-            let handle = builder.spawn(move || run(&list, &sender, &reader));
+            let handle = builder.spawn(move || {
+                run(&list, &sender, &reader);
+                reader.end();
+            });
             threads.handles.push(handle.map_err(|source| PagerError::Thread { name, source })?);
         }
         Ok(threads)
@@ -222,6 +225,12 @@ impl Reader {
             #[cfg(feature = "http")]
             client: io::HttpClient::new(&config.http).map_err(PagerError::Http)?,
         })
+    }
+
+    /// Looking up a server's name cannot be given up; nobody waits for it.
+    fn end(self) {
+        #[cfg(feature = "http")]
+        self.runtime.shutdown_background();
     }
 
     /// `None` when it was given up, or the list closed.
