@@ -300,7 +300,7 @@ fn file_times_of_any_clock_are_borne() {
     let server = Server::start(|r| Reply::ok(r.path().repeat(2000)).with("Cache-Control", "max-age=1000"));
     let folder = tempfile::tempdir().unwrap();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    let small = CacheConfig { max_bytes: 200_000, ..CacheConfig::new(folder.path()) };
+    let small = CacheConfig { max_bytes: Some(200_000), ..CacheConfig::new(folder.path()) };
     let http = HttpConfig { cache: Some(small), ..HttpConfig::default() };
     let year = Duration::from_secs(365 * 24 * 3600);
     for (turn, time) in

@@ -13,7 +13,8 @@ use std::time::{Duration, Instant};
 
 use http_support::{Reply, Server};
 use terrane::io::{
-    CacheConfig, CacheStats, CacheVerified, Credential, DiskCache, HttpClient, HttpConfig, IoError, Limits, ReadOptions,
+    CacheConfig, CacheInfo, CacheStats, CacheVerified, Credential, DiskCache, HttpClient, HttpConfig, IoError, Limits,
+    ReadOptions,
 };
 use terrane::pager::{DatabasePager, PagerConfig};
 
@@ -275,7 +276,8 @@ fn verify_and_clear() {
     assert_eq!(left.len(), keys.len() - 1);
     in_place_of(&left[0]);
     assert!(cache.clear().unwrap() > 0);
-    assert_eq!(cache.info().unwrap(), terrane::io::CacheInfo::default());
+    let max_bytes = cache.max_bytes();
+    assert_eq!(cache.info().unwrap(), CacheInfo { max_bytes, ..CacheInfo::default() });
     assert!(folder.path().join("blobs/notes.txt").exists(), "nothing else is removed");
 }
 
@@ -287,7 +289,7 @@ fn what_was_used_longest_ago_goes_first() {
         Reply::ok(body).with("Cache-Control", "max-age=1000")
     });
     let folder = tempfile::tempdir().unwrap();
-    let small = || CacheConfig { max_bytes: 160_000, ..CacheConfig::new(folder.path()) };
+    let small = || CacheConfig { max_bytes: Some(160_000), ..CacheConfig::new(folder.path()) };
     let client = Client::new(small());
     let url = |i: usize| format!("{}/{i}", server.url);
     for i in 0..10 {
@@ -313,7 +315,38 @@ fn what_was_used_longest_ago_goes_first() {
     let large = Server::start(|_| Reply::ok(vec![1; 30_000]).with("Cache-Control", "max-age=1000"));
     client.get(&large.url);
     assert_eq!(client.get(&large.url).len(), 30_000);
-    assert_eq!(large.count(), 2);
+    assert_eq!((large.count(), client.stats().too_large), (2, 2));
+}
+
+/// What had been fetched for hours went when the next program said no size.
+#[test]
+fn the_size_is_remembered() {
+    let folder = tempfile::tempdir().unwrap();
+    let size =
+        |max_bytes| DiskCache::open(&CacheConfig { max_bytes, ..CacheConfig::new(folder.path()) }).unwrap().max_bytes();
+    let usual = 2 << 30;
+    assert_eq!(size(None), usual);
+    assert_eq!([Some(9_000_000_000), None, Some(5000), None].map(size), [9_000_000_000, 9_000_000_000, 5000, 5000]);
+    std::fs::write(folder.path().join("limit"), "much").unwrap();
+    assert_eq!([None, Some(77), None].map(size), [usual, 77, 77]);
+    assert_eq!(cache_at(folder.path()).info().unwrap().max_bytes, 77);
+    // A folder with nothing but that is a cache that was not finished.
+    std::fs::remove_file(folder.path().join("terrane-cache")).unwrap();
+    assert_eq!(size(None), 77);
+}
+
+/// What was "not modified" said nothing of its server, which got eight requests at a time for ever.
+#[test]
+fn a_server_that_said_that_it_holds_was_asked() {
+    let (server, folder) = (server(), tempfile::tempdir().unwrap());
+    let client = Client::at(folder.path());
+    let asked = |path: &str| {
+        let url = format!("{}/{path}/a", server.url);
+        client.get(&url);
+        let body = client.1.block_on(client.0.get(&url, &Limits::default())).unwrap();
+        (body.asked, body.network_bytes > 0)
+    };
+    assert_eq!(["never", "tagged", "fresh"].map(asked), [(true, true), (true, false), (false, false)]);
 }
 
 #[test]
@@ -324,7 +357,7 @@ fn uses_are_remembered() {
         Reply::ok(body).with("Cache-Control", "max-age=1000")
     });
     let folder = tempfile::tempdir().unwrap();
-    let small = || CacheConfig { max_bytes: 130_000, ..CacheConfig::new(folder.path()) };
+    let small = || CacheConfig { max_bytes: Some(130_000), ..CacheConfig::new(folder.path()) };
     let url = |i: usize| format!("{}/{i}", server.url);
     let client = Client::new(small());
     for i in 0..10 {
@@ -385,7 +418,7 @@ fn no_secret_is_on_disk() {
 fn another_process() {
     let Some(folder) = std::env::var_os("CACHE_FOLDER") else { return };
     let url = std::env::var("CACHE_URL").unwrap();
-    let client = Client::new(CacheConfig { max_bytes: 400_000, ..CacheConfig::new(folder) });
+    let client = Client::new(CacheConfig { max_bytes: Some(400_000), ..CacheConfig::new(folder) });
     for i in 0..std::env::var("CACHE_TURNS").unwrap().parse::<usize>().unwrap() {
         let path = format!("/{}", i * 7 % 60);
         let body = client.get(&format!("{url}{path}"));
@@ -447,7 +480,7 @@ fn a_killed_process_leaves_nothing_broken() {
             child.wait().unwrap();
         }
     }
-    let client = Client::new(CacheConfig { max_bytes: 400_000, ..CacheConfig::new(folder.path()) });
+    let client = Client::new(CacheConfig { max_bytes: Some(400_000), ..CacheConfig::new(folder.path()) });
     for i in 0..60 {
         let path = format!("/{i}");
         assert_eq!(client.get(&format!("{}{path}", server.url)), content(&path));

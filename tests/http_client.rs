@@ -158,6 +158,21 @@ fn each_timeout_names_its_phase() {
     assert_eq!(phase(&whole, "/stall"), "the whole answer");
 }
 
+/// What is large was cut at the same moment in every try, and never came over a slow line.
+#[test]
+fn what_goes_on_coming_may_take_longer() {
+    let server = Server::start(|_| Reply::ok([7; 40]).how(How::Slowly));
+    let get = |min_bytes_per_s| {
+        let config = HttpConfig { total_timeout: 100 * MS, min_bytes_per_s, max_retries: 0, ..quick() };
+        get_with(&config, &server.url)
+    };
+    for rate in [0, 4] {
+        assert_eq!(get(rate).unwrap().bytes.len(), 40, "{rate}");
+    }
+    let slower = get(100_000);
+    assert!(matches!(slower, Err(IoError::Timeout { phase: "the whole answer", .. })), "{slower:?}");
+}
+
 #[test]
 fn a_server_that_asks_for_time_gets_it() {
     let times = std::sync::Mutex::new(Vec::new());

@@ -7,8 +7,8 @@ mod http_support;
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
-use std::path::Path;
-use std::time::{Duration, Instant};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime};
 
 use http_support::{Reply, Server};
 use terrane::io::{CacheConfig, DiskCache, FillOptions, Filled, HttpConfig, IoError, fill};
@@ -80,6 +80,27 @@ fn all_of_a_set_and_again() {
     assert_eq!(server.count() as u64, 2 * (CONTENTS + TILESETS));
     let verified = DiskCache::open(&CacheConfig::new(folder.path())).unwrap().verify().unwrap();
     assert_eq!((verified.broken, verified.orphans), (0, 0));
+}
+
+/// It counted as unused since it came, and went before what nobody asked for.
+#[test]
+fn what_is_kept_is_used() {
+    let (server, folder) = (set(), tempfile::tempdir().unwrap());
+    filled(&server, folder.path(), &FillOptions::default());
+    let long_ago = SystemTime::now() - Duration::from_secs(24 * 3600);
+    let mut files = Vec::new();
+    for part in ["keys", "blobs"] {
+        for sub in std::fs::read_dir(folder.path().join(part)).unwrap() {
+            files.extend(std::fs::read_dir(sub.unwrap().path()).unwrap().map(|file| file.unwrap().path()));
+        }
+    }
+    for file in &files {
+        std::fs::File::options().write(true).open(file).unwrap().set_modified(long_ago).unwrap();
+    }
+    filled(&server, folder.path(), &FillOptions::default());
+    let is_used = |file: &PathBuf| std::fs::metadata(file).unwrap().modified().unwrap() > long_ago;
+    assert_eq!(files.len() as u64, 2 * (CONTENTS + TILESETS));
+    assert!(files.iter().all(is_used));
 }
 
 #[test]

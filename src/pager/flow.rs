@@ -29,7 +29,7 @@ pub(super) struct Range {
 /// What an answer says about its server.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Answered {
-    /// Bytes came over the network, in so many seconds.
+    /// After so many seconds, with bytes or without ("not modified").
     After(f64),
     /// It was overloaded or did not answer.
     Failed,
@@ -38,9 +38,9 @@ pub(super) enum Answered {
 }
 
 impl Answered {
-    pub fn of<T>(result: &Result<T, IoError>, network_bytes: u64, seconds: f64) -> Self {
+    pub fn of<T>(result: &Result<T, IoError>, asked: bool, seconds: f64) -> Self {
         match result {
-            Ok(_) if network_bytes > 0 => Self::After(seconds),
+            Ok(_) if asked => Self::After(seconds),
             Err(error) if error.is_transient() => Self::Failed,
             _ => Self::Else,
         }

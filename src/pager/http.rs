@@ -205,19 +205,19 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Vec<(
             let of = server(&uri);
             // Those of one server answer together.
             if of != own {
-                let network_bytes = body.as_ref().map_or(0, |body| body.network_bytes);
-                let answered = Answered::of(&body, network_bytes, start.elapsed().as_secs_f64());
-                of_others.push((of.to_owned(), answered));
+                let asked = body.as_ref().is_ok_and(|body| body.asked);
+                of_others.push((of.to_owned(), Answered::of(&body, asked, start.elapsed().as_secs_f64())));
             }
             fetched.push((uri, body));
         }
         fetched
     };
     let (body, companions) = tokio::join!(client.get(&job.uri, limits), companions);
-    let mut bytes_http = 0;
+    let (mut bytes_http, mut asked) = (0, false);
     let mut bytes_of = |body: Result<HttpBody, IoError>| {
         body.map(|body| {
             bytes_http += body.network_bytes;
+            asked |= body.asked;
             body.bytes
         })
     };
@@ -225,7 +225,7 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Vec<(
     let companions: Vec<io::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
     let bytes_read = read_bytes(&bytes, &companions);
     job.stage.decodes();
-    let answered = (own, Answered::of(&bytes, bytes_http, start.elapsed().as_secs_f64()));
+    let answered = (own, Answered::of(&bytes, asked, start.elapsed().as_secs_f64()));
     let answered = [answered].into_iter().chain(of_others).collect();
     (Loaded { job, bytes, companions, bytes_read, bytes_http }, answered)
 }

@@ -84,8 +84,6 @@ impl Threads {
             threads.door = Some(Door { runtime: runtime.handle().clone(), client: client.clone() });
             threads.spawn(name, move || {
                 super::http::run(&runtime, &client, &list, &sender, &answers, &limits, range);
-                // Looking up a server's name cannot be given up; nobody waits for it.
-                runtime.shutdown_background();
             })?;
         }
         for i in 0..decoders {

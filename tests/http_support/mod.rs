@@ -36,6 +36,8 @@ impl Request {
 pub enum How {
     Whole,
     Chunked,
+    /// A byte each 20 ms.
+    Slowly,
     /// Half of what is announced, then the end of the connection.
     Cut,
     /// Half of what is announced, then nothing.
@@ -190,6 +192,12 @@ fn serve(
                     wait_for_the_end(&mut stream);
                 }
                 return stream.shutdown(Shutdown::Both);
+            }
+            How::Slowly => {
+                for byte in reply.body.chunks(1) {
+                    std::thread::sleep(Duration::from_millis(20));
+                    stream.write_all(byte)?;
+                }
             }
             _ if bodiless => {}
             _ => stream.write_all(&reply.body)?,

@@ -151,11 +151,17 @@ fn fill(args: &FillArgs) -> Result<()> {
     if done.stopped {
         text.push_str("; stopped, the same command goes on from here");
     }
-    if done.cache.evicted > 0 {
-        text.push_str("; the cache is too small for all of it (--cache-size)");
-    } else if done.cache.stored < done.fetched {
-        let lost = done.fetched - done.cache.stored;
-        text.push_str(&format!("; {lost} could not be kept, as the server forbids it or the disk is full"));
+    let cache = &done.cache;
+    let lost = done.fetched.saturating_sub(cache.stored + cache.too_large);
+    for (count, what) in [
+        (cache.evicted, "{} bodies that were used longest ago made room (--cache-size)"),
+        (cache.too_large, "{} are too large to be kept, each more than an eighth of --cache-size"),
+        (lost, "{} could not be kept, as the server forbids it or the disk is full"),
+    ] {
+        if count > 0 {
+            text.push_str("; ");
+            text.push_str(&what.replace("{}", &count.to_string()));
+        }
     }
     writeln!(std::io::stdout(), "{text}").context("stdout")?;
     if let Some((uri, reason)) = done.errors.first() {
@@ -180,8 +186,9 @@ pub fn run(args: &CacheArgs) -> Result<()> {
                 serde_json::to_string_pretty(&info)?
             } else {
                 let folder = cache.folder().display();
-                let CacheInfo { entries, fresh, bodies, bytes } = info;
-                format!("{folder}: {entries} entries ({fresh} fresh), {bodies} bodies, {:.1} MiB", mebibytes(bytes))
+                let CacheInfo { entries, fresh, bodies, bytes, max_bytes } = info;
+                let (used, most) = (mebibytes(bytes), mebibytes(max_bytes));
+                format!("{folder}: {entries} entries ({fresh} fresh), {bodies} bodies, {used:.1} of {most:.0} MiB")
             }
         }
         CacheCommand::Clear(folder) => {

@@ -14,7 +14,7 @@ pub struct NetArgs {
     /// Keep what comes from servers in this folder
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
-    /// Size of that folder, as 500MB or 2GiB [default: 2GiB]
+    /// Size of that folder, as 500MB or 2GiB; it remembers [default: 2GiB]
     #[arg(long, value_name = "SIZE")]
     pub cache_size: Option<ByteSize>,
     /// Ask no server: only what is in the cache [default folder: as `terrane cache`]
@@ -55,9 +55,7 @@ impl NetArgs {
             return Ok(None);
         }
         let mut config = CacheConfig::new(folder(self.cache.clone())?);
-        if let Some(ByteSize(bytes)) = self.cache_size {
-            config.max_bytes = bytes;
-        }
+        config.max_bytes = self.cache_size.map(|ByteSize(bytes)| bytes);
         config.offline = self.offline;
         Ok(Some(config))
     }

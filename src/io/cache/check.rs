@@ -22,6 +22,8 @@ pub struct CacheInfo {
     pub bodies: u64,
     /// Bytes of all files.
     pub bytes: u64,
+    /// Bytes that they may have.
+    pub max_bytes: u64,
     /// Entries that may be used without asking their server.
     pub fresh: u64,
 }
@@ -47,6 +49,7 @@ impl DiskCache {
             entries: keys.len() as u64,
             bodies: blobs.len() as u64,
             bytes: keys.iter().chain(&blobs).map(|f| f.size).sum(),
+            max_bytes: self.max_bytes(),
             fresh: entries.filter(|e| e.is_fresh(now)).count() as u64,
         })
     }

@@ -18,6 +18,8 @@ pub(super) type Hash = [u8; 32];
 pub(super) const MARKER: &str = "terrane-cache";
 /// Held by the process that makes room.
 pub(super) const LOCK: &str = "lock";
+/// The limit that it was last given, in bytes.
+const LIMIT: &str = "limit";
 const MARKER_TEXT: &[u8] = b"terrane cache 1\n";
 /// Left-overs of processes that were killed are removed after so long.
 const TEMPORARY_AGE: Duration = Duration::from_secs(3600);
@@ -88,7 +90,7 @@ impl Files {
             other => other?,
         }
         // Another process may be making the same folder at this moment.
-        let parts = ["tmp", "keys", "blobs", LOCK, MARKER];
+        let parts = ["tmp", "keys", "blobs", LOCK, LIMIT, MARKER];
         for found in fs::read_dir(folder)? {
             if !found?.file_name().to_str().is_some_and(|name| parts.contains(&name)) {
                 return Err(io::Error::other("is not empty and no cache"));
@@ -100,6 +102,17 @@ impl Files {
             other => other?,
         }
         Ok(files)
+    }
+
+    /// The limit that is given now, or else the last one, where it was ever given one.
+    pub fn limit(&self, given: Option<u64>) -> Option<u64> {
+        let file = self.folder.join(LIMIT);
+        let last = || fs::read_to_string(&file).ok()?.trim().parse().ok();
+        if given.is_some() && given != last() {
+            // A folder that may only be read, or is full, is a cache too.
+            let _ = self.write(&file, format!("{}\n", given.unwrap_or_default()).as_bytes());
+        }
+        given.or_else(last)
     }
 
     pub fn key(&self, hash: &Hash) -> PathBuf {

@@ -5,6 +5,7 @@
 //! DIR/keys/ab/…       by the hash of a URI (and of where its store is): validators, how long it is fresh, the hash of its body
 //! DIR/blobs/ab/…      by the hash of the content, as it came over the network; its file time is its last use
 //! DIR/tmp/…           being written
+//! DIR/limit           how many bytes it may have
 //! DIR/lock            held while old entries are removed
 //! ```
 //! Every file is written beside its place and renamed into it, and checked by its hash when it is read: a killed

@@ -13,6 +13,9 @@ pub struct CacheStats {
     pub misses: u64,
     /// Bodies kept.
     pub stored: u64,
+    /// Bodies that were not kept, each larger than an eighth of what the cache may have.
+    #[serde(default)]
+    pub too_large: u64,
     /// Bodies removed for others.
     pub evicted: u64,
     /// Entries that were not as they had been written, and were removed.

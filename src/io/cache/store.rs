@@ -21,6 +21,9 @@ const TOUCH_EVERY: Duration = Duration::from_secs(60);
 /// Uses remembered.
 const TOUCHES: NonZeroUsize = NonZeroUsize::new(1 << 14).expect("not zero");
 
+/// Bytes of a cache that was given no limit.
+const DEFAULT_BYTES: u64 = 2 << 30;
+
 /// URIs remembered that are not to be kept.
 const REFUSED: NonZeroUsize = NonZeroUsize::new(1 << 10).expect("not zero");
 
@@ -30,15 +33,16 @@ pub struct CacheConfig {
     /// Empty, not there, or a cache already.
     pub folder: PathBuf,
     /// Bytes of all files together. Each further process that writes at the same time may go beyond by a sixteenth.
-    pub max_bytes: u64,
+    /// The folder remembers it for those who say none; 2 GiB where nobody ever said.
+    pub max_bytes: Option<u64>,
     /// Ask no server: what is here counts, however old, and what is not is an error.
     pub offline: bool,
 }
 
 impl CacheConfig {
-    /// A cache of 2 GiB in a folder.
+    /// A cache in a folder, as large as it was.
     pub fn new(folder: impl Into<PathBuf>) -> Self {
-        Self { folder: folder.into(), max_bytes: 2 << 30, offline: false }
+        Self { folder: folder.into(), max_bytes: None, offline: false }
     }
 }
 
@@ -47,6 +51,7 @@ impl CacheConfig {
 pub struct DiskCache {
     pub(super) files: Files,
     config: CacheConfig,
+    max_bytes: u64,
     pub(super) counts: Counts,
     /// When an entry was last said to be in use; taken for moments.
     touched: Mutex<LruCache<Hash, Instant>>,
@@ -65,6 +70,7 @@ pub(super) struct Counts {
     pub revalidated: AtomicU64,
     pub misses: AtomicU64,
     pub stored: AtomicU64,
+    pub too_large: AtomicU64,
     pub evicted: AtomicU64,
     pub corrupt: AtomicU64,
     pub write_errors: AtomicU64,
@@ -85,13 +91,16 @@ impl DiskCache {
     /// Opens a cache or begins one. A folder that holds other things is refused.
     pub fn open(config: &CacheConfig) -> Result<Self, IoError> {
         let failed = |e: io::Error| IoError::File { uri: config.folder.display().to_string(), reason: e.to_string() };
+        let files = Files::open(&config.folder).map_err(failed)?;
+        let max_bytes = files.limit(config.max_bytes).unwrap_or(DEFAULT_BYTES);
         Ok(Self {
-            files: Files::open(&config.folder).map_err(failed)?,
+            files,
             config: config.clone(),
+            max_bytes,
             counts: Counts::default(),
             touched: Mutex::new(LruCache::new(TOUCHES)),
             refused: Mutex::new(LruCache::new(REFUSED)),
-            room: Mutex::new(Room::new(config.max_bytes)),
+            room: Mutex::new(Room::new(max_bytes)),
             places: Vec::new(),
         })
     }
@@ -118,6 +127,11 @@ impl DiskCache {
         &self.config.folder
     }
 
+    /// Bytes that it may have.
+    pub fn max_bytes(&self) -> u64 {
+        self.max_bytes
+    }
+
     /// No server is asked.
     pub fn is_offline(&self) -> bool {
         self.config.offline
@@ -132,6 +146,7 @@ impl DiskCache {
             revalidated: of(&c.revalidated),
             misses: of(&c.misses),
             stored: of(&c.stored),
+            too_large: of(&c.too_large),
             evicted: of(&c.evicted),
             corrupt: of(&c.corrupt),
             write_errors: of(&c.write_errors),
@@ -167,11 +182,19 @@ impl DiskCache {
         None
     }
 
-    /// The entry and a body of its size are there; the body is not read.
+    /// The entry and a body of its size are there, which counts as a use; the body is not read.
     pub(crate) fn has(&self, uri: &str) -> bool {
-        let entry = self.entry_at(&self.files.key(&self.key_of(uri)));
-        let blob = entry.as_ref().and_then(|e| Some((self.files.blob(&e.blob_hash()?), e.size)));
-        blob.is_some_and(|(blob, size)| fs::metadata(blob).is_ok_and(|m| m.len() == size))
+        let key_hash = self.key_of(uri);
+        let key = self.files.key(&key_hash);
+        let entry = self.entry_at(&key);
+        let Some((blob, size)) = entry.and_then(|e| Some((self.files.blob(&e.blob_hash()?), e.size))) else {
+            return false;
+        };
+        let is_there = fs::metadata(&blob).is_ok_and(|m| m.len() == size);
+        if is_there {
+            self.touch(key_hash, &[&key, &blob]);
+        }
+        is_there
     }
 
     fn entry_at(&self, key: &Path) -> Option<Entry> {
@@ -189,7 +212,8 @@ impl DiskCache {
     pub(crate) fn store(&self, uri: &str, mut entry: Entry, body: &[u8], asked: Instant) {
         let size = body.len() as u64;
         // One body is not worth all others.
-        if size > self.config.max_bytes / 8 {
+        if size > self.max_bytes / 8 {
+            add(&self.counts.too_large, 1);
             return;
         }
         let hash = files::hash(body);
@@ -328,7 +352,8 @@ mod tests {
     fn what_is_known_of_uris_counts_too() {
         let folder = tempfile::tempdir().unwrap();
         let max_bytes = 100_000;
-        let cache = DiskCache::open(&CacheConfig { max_bytes, ..CacheConfig::new(folder.path()) }).unwrap();
+        let cache =
+            DiskCache::open(&CacheConfig { max_bytes: Some(max_bytes), ..CacheConfig::new(folder.path()) }).unwrap();
         let uri = |i: usize| format!("http://h/sea/{i}.glb");
         for i in 0..800 {
             cache.store(&uri(i), Entry { uri: uri(i), ..Entry::default() }, &[5; 1000], Instant::now());

@@ -19,15 +19,18 @@ pub(super) struct Room {
     seen_bytes: Option<u64>,
     /// Written since by this process.
     written_bytes: u64,
+    /// A thread is looking; the others go on meanwhile.
+    is_swept: bool,
 }
 
 impl Room {
     pub fn new(max_bytes: u64) -> Self {
-        Self { max_bytes, seen_bytes: None, written_bytes: 0 }
+        Self { max_bytes, seen_bytes: None, written_bytes: 0, is_swept: false }
     }
 
     fn is_due(&self) -> bool {
         match self.seen_bytes {
+            _ if self.is_swept => false,
             None => true,
             Some(seen) => self.written_bytes > self.max_bytes / 16 || seen + self.written_bytes > self.max_bytes,
         }
@@ -42,17 +45,20 @@ impl DiskCache {
         if !room.is_due() {
             return;
         }
-        match self.sweep(room.max_bytes, newest) {
-            Ok(Some(left)) => {
-                room.seen_bytes = Some(left);
-                room.written_bytes = 0;
-            }
+        // What others write from now on counts for the next time, whether this look meets it or not.
+        (room.is_swept, room.written_bytes) = (true, 0);
+        let max_bytes = room.max_bytes;
+        drop(room);
+        let left = self.sweep(max_bytes, newest);
+        let mut room = lock(&self.room);
+        room.is_swept = false;
+        match left {
+            Ok(Some(left)) => room.seen_bytes = Some(left),
             // Another process is at it.
-            Ok(None) => room.written_bytes = 0,
+            Ok(None) => {}
             Err(e) => {
                 // Not again before as much has been written as after a look.
                 room.seen_bytes.get_or_insert(0);
-                room.written_bytes = 0;
                 self.say(&e);
             }
         }
@@ -102,6 +108,22 @@ mod tests {
     use super::super::files::hash;
     use super::super::store::CacheConfig;
     use super::*;
+
+    /// They stood behind the one that looked, and with them all that was read from the cache.
+    #[test]
+    fn while_one_thread_looks_the_others_go_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let max_bytes = Some(1000);
+        let cache = DiskCache::open(&CacheConfig { max_bytes, ..CacheConfig::new(folder.path()) }).unwrap();
+        let body = hash(b"body");
+        lock(&cache.room).is_swept = true;
+        cache.made_larger(&body, 5000);
+        let room = || (lock(&cache.room).seen_bytes, lock(&cache.room).written_bytes);
+        assert_eq!(room(), (None, 5000));
+        lock(&cache.room).is_swept = false;
+        cache.made_larger(&body, 1);
+        assert_eq!(room(), (Some(0), 0));
+    }
 
     #[test]
     fn the_longest_unused_go_first_and_the_newest_last() {

@@ -152,8 +152,6 @@ pub fn fill(
         client.flush().await;
         end
     });
-    // Looking up a server's name cannot be given up; nobody waits for it.
-    runtime.shutdown_background();
     end?;
     fill.filled.cache = client.cache().map(|cache| cache.stats()).unwrap_or_default();
     Ok(fill.filled)

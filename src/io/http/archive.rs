@@ -151,7 +151,9 @@ impl HttpClient {
         if let (Some(cache), Some((entry, bytes))) = (cache, kept)
             && archive.vouches_for(&entry, Instant::now())
         {
-            return Ok(HttpBody { network_bytes: network_bytes.into_inner(), ..hit(cache, &entry, bytes, true) });
+            let network_bytes = network_bytes.into_inner();
+            let hit = hit(cache, &entry, bytes, true);
+            return Ok(HttpBody { network_bytes, asked: network_bytes > 0, ..hit });
         }
         let (bytes, part) = match &archive.inside {
             Inside::Zip(zip) => self.get_zipped(uri, (url, &name), (archive, zip), limits, &network_bytes).await?,
@@ -160,7 +162,8 @@ impl HttpClient {
         if let Some(cache) = cache {
             self.keep_member(cache, uri, &part, &bytes).await;
         }
-        Ok(HttpBody { bytes, network_bytes: network_bytes.into_inner() })
+        let network_bytes = network_bytes.into_inner();
+        Ok(HttpBody { bytes, network_bytes, asked: network_bytes > 0 })
     }
 
     /// A file of a zip archive, decompressed, and the part that it came in.

@@ -92,7 +92,7 @@ impl HttpClient {
             let of = uri.to_owned();
             self.write_behind(cache, move |cache| cache.store(&of, entry, &answer.body, asked)).await;
         }
-        Ok((HttpBody { bytes, network_bytes }, None))
+        Ok((HttpBody { bytes, network_bytes, asked: true }, None))
     }
 
     async fn look_up(&self, cache: &Arc<DiskCache>, uri: &str, limits: &Limits) -> Result<Kept, IoError> {
@@ -171,7 +171,7 @@ fn read_body(cache: &DiskCache, uri: &str, entry: &Entry, limits: &Limits) -> Op
 
 pub(super) fn hit(cache: &DiskCache, entry: &Entry, bytes: Vec<u8>, asked: bool) -> HttpBody {
     cache.count_hit(entry.size, asked);
-    HttpBody { bytes, network_bytes: 0 }
+    HttpBody { bytes, network_bytes: 0, asked }
 }
 
 fn validate(headers: &mut HeaderMap, entry: &Entry) {

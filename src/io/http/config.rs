@@ -18,8 +18,11 @@ pub struct HttpConfig {
     pub first_byte_timeout: Duration,
     /// Between two pieces of the body.
     pub read_timeout: Duration,
-    /// For the whole answer, redirects included.
+    /// For the whole answer, redirects included; longer by what its bytes take at [`Self::min_bytes_per_s`].
     pub total_timeout: Duration,
+    /// A slow line is given the time for what is large: an answer may go on for as long as the bytes that came would
+    /// take at this rate. 0: as long as [`Self::read_timeout`] holds.
+    pub min_bytes_per_s: u32,
     /// Tries after the first, for failures that may pass.
     pub max_retries: u32,
     /// Wait before the first retry; doubled each time, and half of it by chance, so that many clients do not come back
@@ -52,6 +55,7 @@ impl Default for HttpConfig {
             first_byte_timeout: Duration::from_secs(15),
             read_timeout: Duration::from_secs(15),
             total_timeout: Duration::from_secs(120),
+            min_bytes_per_s: 4 << 10,
             max_retries: 2,
             retry_backoff: Duration::from_millis(250),
             max_wait: Duration::from_secs(10),

@@ -3,6 +3,10 @@
 //! Redirects are followed here and not by the client below: credentials go to the server that they are for, at each
 //! step anew, and nothing ever goes from an encrypted connection to an open one or to another scheme.
 
+use std::future::Future;
+use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
 use reqwest::header::{HeaderMap, LOCATION, RANGE, VARY};
@@ -29,6 +33,8 @@ pub(super) struct Exchange<'a> {
     pub config: &'a HttpConfig,
     pub limits: &'a Limits,
     pub headers: &'a HeaderMap,
+    /// Bytes of the body so far: what goes on may take longer.
+    pub received: Arc<AtomicU64>,
 }
 
 /// What a server answered at the end of all redirects.
@@ -64,6 +70,26 @@ impl Answer {
 }
 
 impl Exchange<'_> {
+    /// What an answer comes to within its time, which grows with the bytes that come.
+    pub async fn in_time<T>(&self, uri: &str, answer: impl Future<Output = Result<T, IoError>>) -> Result<T, IoError> {
+        let HttpConfig { total_timeout, min_bytes_per_s, .. } = *self.config;
+        let (begun, mut allowed, mut answer) = (tokio::time::Instant::now(), total_timeout, pin!(answer));
+        while let Some(until) = begun.checked_add(allowed) {
+            if let Ok(answer) = tokio::time::timeout_at(until, &mut answer).await {
+                return answer;
+            }
+            let longer_s = self.received.load(Ordering::Relaxed) as f64 / f64::from(min_bytes_per_s);
+            // No bytes at no rate is no number, and more than a duration holds is for ever.
+            let longer = Duration::try_from_secs_f64(longer_s.max(0.0)).unwrap_or(Duration::MAX);
+            let grown = total_timeout.saturating_add(longer);
+            if grown <= begun.elapsed() {
+                return Err(timed_out(uri, "the whole answer", allowed));
+            }
+            allowed = grown;
+        }
+        answer.await
+    }
+
     pub async fn run(&self, uri: &str) -> Result<Answer, IoError> {
         let mut url = parse(uri)?;
         let mut hops: Vec<(u16, HeaderMap)> = Vec::new();
@@ -172,6 +198,7 @@ impl Exchange<'_> {
                 return Err(too_large((body.len() + piece.len()) as u64));
             }
             body.extend_from_slice(&piece);
+            self.received.fetch_add(piece.len() as u64, Ordering::Relaxed);
         }
     }
 }

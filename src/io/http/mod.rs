@@ -4,6 +4,7 @@ mod archive;
 mod cached;
 mod config;
 mod exchange;
+mod names;
 mod once;
 mod retry;
 #[cfg(feature = "object-store")]
@@ -63,6 +64,8 @@ pub struct HttpBody {
     pub bytes: Vec<u8>,
     /// Bytes of bodies that came over the network for it, before anything was undone.
     pub network_bytes: u64,
+    /// A server answered for it; "not modified" too.
+    pub asked: bool,
 }
 
 /// A client with its connection pool. Cheap to clone; used inside a tokio runtime.
@@ -97,6 +100,7 @@ impl HttpClient {
             // Followed by `Exchange`, which knows what is whose.
             .redirect(reqwest::redirect::Policy::none())
             .referer(false)
+            .dns_resolver(names::Names::default())
             .http2_adaptive_window(true);
         builder = builder.tls_certs_merge(tls::root_certificates(&config.root_certificates)?);
         if config.http2_only {
@@ -157,7 +161,7 @@ impl HttpClient {
                 }
                 let network_bytes = answer.body.len() as u64;
                 let bytes = undo(uri, answer.body, encodings(&answer.headers), limits).await?;
-                Ok(HttpBody { bytes, network_bytes })
+                Ok(HttpBody { bytes, network_bytes, asked: true })
             }
         }
     }
@@ -179,12 +183,8 @@ impl HttpClient {
                 }
                 tokio::time::sleep(left + backoff.spread()).await;
             }
-            let exchange = Exchange { client, config, limits, headers };
-            let answer = match tokio::time::timeout(config.total_timeout, self.once(uri, &exchange)).await {
-                Ok(answer) => answer,
-                Err(_) => Err(exchange::timed_out(uri, "the whole answer", config.total_timeout)),
-            };
-            let error = match answer {
+            let exchange = Exchange { client, config, limits, headers, received: Arc::default() };
+            let error = match exchange.in_time(uri, self.once(uri, &exchange)).await {
                 Ok(answer) if answer.is_success() => return Ok(answer),
                 Ok(answer) => answer.error(uri),
                 Err(error) => error,

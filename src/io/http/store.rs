@@ -5,6 +5,7 @@
 //! are those of HTTP. HTTP thread.
 
 use std::num::NonZeroUsize;
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -42,6 +43,7 @@ struct Asked {
     uri: String,
     limits: Limits,
     headers: HeaderMap,
+    received: Arc<AtomicU64>,
     outcome: Mutex<Option<Result<Answer, IoError>>>,
 }
 
@@ -61,6 +63,7 @@ impl Stores {
             uri: uri.to_owned(),
             limits: *exchange.limits,
             headers: exchange.headers.clone(),
+            received: exchange.received.clone(),
             outcome: Mutex::new(None),
         });
         let mut options = conditions(exchange.headers);
@@ -173,7 +176,9 @@ impl HttpService for Transport {
             None => (parts.uri.to_string(), Limits { max_file_bytes: MOST_TOKEN_BYTES, ..Limits::default() }),
         };
         let headers = asked.as_ref().map(|asked| asked.headers.clone()).unwrap_or_default();
-        let exchange = Exchange { client: &self.client, config: &self.config, limits: &limits, headers: &headers };
+        let received = asked.as_ref().map(|asked| asked.received.clone()).unwrap_or_default();
+        let (client, config) = (&self.client, &self.config);
+        let exchange = Exchange { client, config, limits: &limits, headers: &headers, received };
         let outcome = async {
             if !self.open && parts_are_open {
                 let reason = "an open connection to an object store, which is not allowed (ALLOW_HTTP)".to_owned();

@@ -149,7 +149,6 @@ impl Threads {
             let builder = std::thread::Builder::new().name(name.clone());
             let handle = builder.spawn(move || {
                 run(&list, &sender, &reader);
-                reader.end();
             });
             threads.handles.push(handle.map_err(|source| PagerError::Thread { name, source })?);
         }
@@ -225,12 +224,6 @@ impl Reader {
             #[cfg(feature = "http")]
             client: io::HttpClient::new(&config.http).map_err(PagerError::Http)?,
         })
-    }
-
-    /// Looking up a server's name cannot be given up; nobody waits for it.
-    fn end(self) {
-        #[cfg(feature = "http")]
-        self.runtime.shutdown_background();
     }
 
     /// `None` when it was given up, or the list closed.
