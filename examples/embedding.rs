@@ -7,6 +7,7 @@
 //! Expected: a ball that drags turn and the wheel zooms. Offscreen the host gets a picture to show where it likes.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Result;
 use glam::{DVec2, DVec3};
@@ -59,11 +60,12 @@ impl ApplicationHandler for Host {
         }
     }
 
-    /// The host asks whether there is anything new to draw, and sleeps otherwise.
+    /// The host asks whether there is anything new to draw, and sleeps otherwise; what failed may be tried again later.
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
         let busy = self.0.as_ref().filter(|(viewer, _)| viewer.check_need_to_do_frame());
         busy.into_iter().for_each(|(_, window)| window.request_redraw());
-        event_loop.set_control_flow(if busy.is_some() { ControlFlow::Poll } else { ControlFlow::Wait });
+        let again = ControlFlow::wait_duration(Duration::from_millis(250));
+        event_loop.set_control_flow(if busy.is_some() { ControlFlow::Poll } else { again });
     }
 }
 

@@ -326,3 +326,43 @@ fn the_viewer_loads_ahead_on_an_announced_path_and_by_the_eyes_motion() {
     }
     assert_eq!(viewer.pager().unwrap().stats().merged_ahead, 0);
 }
+
+/// It was looked along once all moments of the path before it were over.
+#[test]
+fn another_path_is_looked_along_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = ViewerConfig {
+        size_px: [64, 64],
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        look_ahead_s: 1e6,
+        ..ViewerConfig::default()
+    };
+    let mut viewer = Viewer::new_offscreen(&config).unwrap();
+    viewer.load(folder.path().to_str().unwrap()).unwrap();
+    viewer.camera.world_from_eye = DAffine3::from_translation(HERE);
+    let path = |end: DVec3| {
+        let point = |at_s: f64, eye| ControlPoint::from_pose(at_s, &DAffine3::from_translation(eye));
+        AnimationPath::new(vec![point(0.0, HERE), point(500.0, end)]).unwrap()
+    };
+    let end = Instant::now() + Duration::from_secs(60);
+    let ahead = |viewer: &Viewer| viewer.pager().unwrap().stats().merged_ahead;
+    let frame = |viewer: &mut Viewer| {
+        assert!(Instant::now() < end, "{:?}", viewer.pager().unwrap().stats());
+        let time_s = 1e-3 * viewer.frame_stamp().reference_time_s;
+        viewer.frame_at(time_s).unwrap();
+    };
+    viewer.announced = Some(path(HERE + DVec3::X));
+    for _ in 0..20 {
+        frame(&mut viewer);
+    }
+    while !viewer.is_settled() {
+        frame(&mut viewer);
+    }
+    assert_eq!(ahead(&viewer), 0);
+    viewer.announced = Some(path(THERE));
+    while ahead(&viewer) == 0 {
+        frame(&mut viewer);
+    }
+}

@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec2, DVec3};
 use image::RgbaImage;
+use terrane::cull::{Stereo, StereoMode};
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 #[cfg(feature = "http")]
@@ -28,8 +29,8 @@ use terrane::viewer::manipulators::{
     AnimationPathManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
 };
 use terrane::viewer::{
-    AnimationPath, CameraManipulator, CompositeViewer, ControlPoint, KEY_COLOR, Key, Slave, ThreadingModel, Viewer,
-    ViewerConfig,
+    AnimationPath, CameraManipulator, CompositeViewer, ControlPoint, Eyes, KEY_COLOR, Key, Slave, ThreadingModel,
+    Viewer, ViewerConfig,
 };
 use viewer_support::{Settle, ball, offscreen, or_skip};
 
@@ -191,6 +192,46 @@ fn a_context_of_another_size_asks_for_a_frame() {
         }
         views.add_slave(view, Slave::new(second)).unwrap();
     }
+}
+
+/// The change was seen when something else asked for a frame.
+#[test]
+fn what_is_set_is_drawn() {
+    let mut viewer = rested(OrbitManipulator::default());
+    let changes: [fn(&mut Viewer); 6] = [
+        |viewer| viewer.set_viewport([0, 0, 80, 60]),
+        |viewer| viewer.set_stereo(Some(Stereo::new(StereoMode::Anaglyphic))),
+        |viewer| viewer.set_eyes(Eyes::Left),
+        |viewer| viewer.set_state_set(Some(Arc::default())),
+        |viewer| {
+            let context = viewer.context().unwrap();
+            let slave = viewer.add_slave(Slave::new(context)).unwrap();
+            rest(viewer);
+            viewer.slave_mut(slave).unwrap().viewport = [0, 0, 9, 9].into();
+            assert!(viewer.check_need_to_do_frame());
+            rest(viewer);
+            viewer.remove_slave(slave).unwrap();
+        },
+        |viewer| {
+            let context = viewer.context().unwrap();
+            viewer.add_slave(Slave::new(context)).unwrap();
+        },
+    ];
+    for (i, change) in changes.into_iter().enumerate() {
+        change(&mut viewer);
+        assert!(viewer.check_need_to_do_frame(), "change {i}");
+        rest(&mut viewer);
+    }
+    let mut viewer = CompositeViewer::new(&config(AdapterChoice::Noop)).unwrap();
+    let context = GraphicsContext::new_offscreen(&config(AdapterChoice::Noop).traits()).unwrap();
+    let context = viewer.open_context(context).unwrap();
+    let scene = viewer.add_scene().unwrap();
+    let [_, second] = [(); 2].map(|()| viewer.add_view(scene, context, [0, 0, 80, 60]).unwrap());
+    while viewer.check_need_to_do_frame() {
+        viewer.frame().unwrap();
+    }
+    viewer.remove_view(second).unwrap();
+    assert!(viewer.check_need_to_do_frame(), "what it covered");
 }
 
 fn picture(viewer: &mut Viewer) -> RgbaImage {

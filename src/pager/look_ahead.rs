@@ -110,6 +110,12 @@ impl PathLooks {
         self.looked_s = self.now_s;
     }
 
+    /// The same, with a far look as at a path's beginning.
+    pub(crate) fn begin_anew(&mut self) {
+        self.look_anew();
+        self.has_begun = false;
+    }
+
     /// What will be wanted, where a frame takes `frame_s`.
     pub fn requests(&self, frame_s: f64) -> impl Iterator<Item = PageRequest> {
         self.found.iter().flat_map(move |(at_s, found)| {

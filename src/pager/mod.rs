@@ -36,6 +36,7 @@ pub use images::{
     StreamStatus,
 };
 pub use look_ahead::{PathLooks, frames_until};
+pub(crate) use motion::turn_between;
 pub use motion::{EyeMotion, MotionLooks};
 pub use states::RequestState;
 pub use stats::{ErrorRecord, PagerStats};

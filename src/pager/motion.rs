@@ -65,7 +65,7 @@ fn is_steady(a: DVec3, b: DVec3) -> bool {
 }
 
 /// Axis times radians.
-fn turn_between(from: &DAffine3, to: &DAffine3) -> DVec3 {
+pub(crate) fn turn_between(from: &DAffine3, to: &DAffine3) -> DVec3 {
     DQuat::from_mat3(&(to.matrix3 * from.matrix3.transpose())).normalize().to_scaled_axis()
 }
 

@@ -247,8 +247,12 @@ impl CompositeViewer {
         for camera in self.views[place].cameras() {
             self.base.rendering.remove_camera(camera);
         }
-        self.views.remove(place);
+        let gone = self.views.remove(place);
         self.view_ids.remove(place);
+        // What it covered is seen, or nothing any more.
+        for context in gone.contexts() {
+            self.views.iter_mut().for_each(|view| view.redraw_in(context));
+        }
         Ok(())
     }
 

@@ -221,6 +221,7 @@ impl View {
     /// State above all roots, such as a wireframe that overrides; OSG's state set of the camera.
     pub fn set_state_set(&mut self, state_set: Option<Arc<StateSet>>) {
         self.input.state_set = state_set;
+        self.request_redraw();
     }
 
     /// State above all roots.

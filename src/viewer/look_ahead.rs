@@ -10,7 +10,7 @@ use glam::DAffine3;
 use super::paged_scene::PagedScene;
 use super::view::View;
 use crate::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
-use crate::pager::{EyeMotion, MotionLooks, PathLooks, frames_until};
+use crate::pager::{EyeMotion, MotionLooks, PathLooks, frames_until, turn_between};
 
 /// Frames from one far look to the next.
 const LOOK_EVERY: u32 = 8;
@@ -20,6 +20,19 @@ const SHARES: [f64; 3] = [1.0 / 3.0, 2.0 / 3.0, 1.0];
 const GUESSED: u32 = 2;
 /// Requests kept of a look, the most urgent.
 const MOST_REQUESTS: usize = 128;
+/// A path is another where its end is off by more than this share of the way or of the turn to it; a turn counts as this
+/// many radians at least.
+const MOST_OFF: f64 = 0.5;
+const LEAST_TURN: f64 = 0.1;
+
+/// From now the way goes elsewhere than it was to go.
+fn is_off(now: &DAffine3, aimed: &DAffine3, then: &DAffine3) -> bool {
+    let way = |to: &DAffine3| (to.translation - now.translation).length();
+    let turn = |to: &DAffine3| turn_between(now, to).length();
+    let off_m = (aimed.translation - then.translation).length();
+    off_m > MOST_OFF * way(aimed).max(way(then))
+        || turn_between(aimed, then).length() > MOST_OFF * turn(aimed).max(turn(then)).max(LEAST_TURN)
+}
 
 /// The clocks of the last frames, and how the master camera moves.
 #[derive(Clone, Copy, Debug)]
@@ -54,6 +67,8 @@ pub(super) struct LookAhead {
     track: Option<Track>,
     /// Of each camera, on an announced path.
     on_path: Vec<PathLooks>,
+    /// A moment ahead, and where the path was to be by then.
+    aim: Option<(f64, DAffine3)>,
     /// Of each camera, as it moves.
     by_motion: Vec<MotionLooks>,
     /// Numbers the far looks.
@@ -114,6 +129,7 @@ impl LookAhead {
             self.look_along_path(&mut looker, from, track);
         } else {
             self.on_path.clear();
+            self.aim = None;
             self.look_by_motion(&mut looker, from, track.motion);
             self.look_far(&mut looker, from, track.motion);
         }
@@ -121,6 +137,17 @@ impl LookAhead {
 
     fn look_along_path(&mut self, looker: &mut Looker, from: LookFrom, track: Track) {
         self.on_path.resize_with(looker.view.cameras().count(), PathLooks::default);
+        self.aim = self.aim.filter(|(at_s, _)| *at_s > from.reference_time_s);
+        let pose_at =
+            |at_s: f64| looker.view.pose_after(from.simulation_time_s, track.rate, at_s - from.reference_time_s);
+        let now = looker.view.camera.world_from_eye;
+        if self.aim.is_some_and(|(at_s, aimed)| pose_at(at_s).is_some_and(|then| is_off(&now, &aimed, &then))) {
+            // Another path, or its time stands still or goes on: what was looked at is not on the way.
+            self.on_path.iter_mut().for_each(PathLooks::begin_anew);
+            self.aim = None;
+        }
+        let aim_s = from.reference_time_s + from.ahead_s;
+        self.aim = self.aim.or_else(|| Some((aim_s, pose_at(aim_s)?)));
         for (camera, looks) in looker.view.cameras().zip(&mut self.on_path) {
             looks.start_frame(from.reference_time_s);
             while let Some(at_s) = looks.next(from.ahead_s, track.frame_s()) {

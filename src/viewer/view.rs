@@ -185,6 +185,7 @@ impl View {
         if let Some(place) = &mut self.master {
             place.viewport = viewport.into();
         }
+        self.request_redraw();
     }
 
     /// Draws the master camera and its slaves for two eyes from now on, or for one.
@@ -192,11 +193,13 @@ impl View {
         self.stereo = stereo;
         self.targets = None;
         self.slaves.iter_mut().for_each(|s| s.targets = None);
+        self.request_redraw();
     }
 
     /// Which eyes the master camera draws for where there are two; [`Slave::eyes`] has the slaves'.
     pub fn set_eyes(&mut self, eyes: Eyes) {
         self.eyes = eyes;
+        self.request_redraw();
     }
 
     /// The slaves in the order added.
@@ -204,13 +207,15 @@ impl View {
         self.slaves.iter().map(|s| (SlaveId(s.camera), &s.slave))
     }
 
-    /// A slave, to change everything but its context: that stays what it was added with.
+    /// A slave, to change everything but its context: that stays what it was added with. The next frame is drawn.
     pub fn slave_mut(&mut self, id: SlaveId) -> Option<&mut Slave> {
+        self.request_redraw();
         self.slaves.iter_mut().find(|s| s.camera == id.0).map(|s| &mut s.slave)
     }
 
     /// Adds a slave whose camera was made.
     pub(super) fn push_slave(&mut self, place: Place, slave: Slave) -> SlaveId {
+        self.request_redraw();
         let Place { camera, device, context_px, .. } = place;
         let size_px = slave.viewport.picture_px(context_px);
         self.slaves.push(SlaveCamera { camera, device, size_px, context_px, slave, targets: None });
@@ -221,6 +226,7 @@ impl View {
     pub(super) fn take_slave(&mut self, id: SlaveId) -> bool {
         let before = self.slaves.len();
         self.slaves.retain(|s| s.camera != id.0);
+        self.request_redraw();
         self.slaves.len() < before
     }
 
@@ -239,9 +245,14 @@ impl View {
         self.slaves.retain(|s| s.slave.context.0 != context);
     }
 
+    /// Of its cameras.
+    pub(super) fn contexts(&self) -> impl Iterator<Item = ContextId> {
+        self.context().into_iter().chain(self.slaves.iter().map(|s| s.slave.context))
+    }
+
     /// The next frame is to be drawn where one of its cameras is in a context.
     pub(super) fn redraw_in(&mut self, context: ContextId) {
-        if self.context() == Some(context) || self.slaves.iter().any(|s| s.slave.context == context) {
+        if self.contexts().any(|of| of == context) {
             self.request_redraw();
         }
     }
