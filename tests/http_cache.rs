@@ -335,6 +335,31 @@ fn the_size_is_remembered() {
     assert_eq!(size(None), 77);
 }
 
+/// Another server's tag is another's, though it is the same text.
+#[test]
+fn validators_go_to_what_they_are_of() {
+    let place = |name: &'static str| {
+        Server::start(move |r| match r.header("if-none-match") {
+            Some("\"1\"") => Reply::new(304, ""),
+            _ => Reply::ok(name).with("ETag", "\"1\""),
+        })
+    };
+    let (old, new, folder) = (place("old"), place("new"), tempfile::tempdir().unwrap());
+    let urls = [&old, &old, &new, &new].map(|server| server.url.clone());
+    // Signed anew each time.
+    let redirecting = Server::start(move |r| {
+        Reply::new(302, "").with("Location", format!("{}/tile?signature={}", urls[r.nth], r.nth))
+    });
+    let bodies = [(); 4].map(|()| Client::at(folder.path()).get(&format!("{}/a", redirecting.url)));
+    assert_eq!(bodies, [b"old", b"old", b"new", b"new"].map(|body| body.to_vec()));
+    let asked_with = |server: &Server| {
+        server.seen().iter().map(|r| r.header("if-none-match").map(str::to_owned)).collect::<Vec<_>>()
+    };
+    let tag = || Some("\"1\"".to_owned());
+    assert_eq!((asked_with(&old), asked_with(&new)), (vec![None, tag()], vec![None, tag()]));
+    assert!(asked_with(&redirecting).iter().all(Option::is_none));
+}
+
 /// What was "not modified" said nothing of its server, which got eight requests at a time for ever.
 #[test]
 fn a_server_that_said_that_it_holds_was_asked() {

@@ -26,6 +26,9 @@ pub(crate) struct Entry {
     pub etag: Option<String>,
     #[serde(default)]
     pub last_modified: Option<String>,
+    /// Where redirects led to what they are of, without the query.
+    #[serde(default)]
+    pub redirected_to: Option<String>,
     /// When the server last said that it holds, seconds since 1970.
     pub checked_s: u64,
     /// For so many seconds from then it need not be asked again.

@@ -356,7 +356,7 @@ impl HttpClient {
         // A part of something compressed on its way is no use.
         headers.insert(ACCEPT_ENCODING, HeaderValue::from_static("identity"));
         let asked = Instant::now();
-        let answer = self.exchange(url, &headers, limits).await?;
+        let answer = self.exchange(url, &headers, None, limits).await?;
         network_bytes.fetch_add(answer.body.len() as u64, Ordering::Relaxed);
         let (offset, length) = match answer.status {
             206 => {

@@ -32,18 +32,16 @@ impl HttpClient {
                 cache.count_miss();
                 return Err(IoError::Offline { uri: uri.to_owned() });
             }
-            Kept::Nothing => return self.get_new(cache, uri, &accept_any(), limits).await.map(|(body, _)| body),
+            Kept::Nothing => return self.get_new(cache, uri, None, limits).await.map(|(body, _)| body),
             Kept::Stale(entry) => entry,
         };
-        let mut headers = accept_any();
-        validate(&mut headers, &entry);
         let (answer, kept) =
-            tokio::join!(self.get_new(cache, uri, &headers, limits), body_of(cache, uri, &entry, limits));
+            tokio::join!(self.get_new(cache, uri, Some(&entry), limits), body_of(cache, uri, &entry, limits));
         let (body, not_modified) = answer?;
         let Some(not_modified) = not_modified else { return Ok(body) };
         let Some(bytes) = kept? else {
             // It holds, but it is gone.
-            return self.get_new(cache, uri, &accept_any(), limits).await.map(|(body, _)| body);
+            return self.get_new(cache, uri, None, limits).await.map(|(body, _)| body);
         };
         if !not_modified.freshness.store {
             // It is no longer to be kept.
@@ -63,16 +61,20 @@ impl HttpClient {
         Ok(hit(cache, &entry, bytes, true))
     }
 
-    /// Asks the server and keeps what comes; with the answer instead of a body where it says that the kept one holds.
+    /// Asks the server, about what is kept where something is, and keeps what comes; with the answer instead of a body
+    /// where it says that the kept one holds.
     async fn get_new(
         &self,
         cache: &Arc<DiskCache>,
         uri: &str,
-        headers: &HeaderMap,
+        kept: Option<&Entry>,
         limits: &Limits,
     ) -> Result<(HttpBody, Option<Answer>), IoError> {
         let asked = Instant::now();
-        let answer = self.exchange(uri, headers, limits).await?;
+        let mut headers = accept_any();
+        kept.into_iter().for_each(|entry| validate(&mut headers, entry));
+        let validated_at = kept.and_then(|entry| entry.redirected_to.as_deref());
+        let answer = self.exchange(uri, &headers, validated_at, limits).await?;
         let was_asked = headers.contains_key(IF_NONE_MATCH) || headers.contains_key(IF_MODIFIED_SINCE);
         if answer.status == 304 && was_asked {
             return Ok((HttpBody::default(), Some(answer)));
@@ -87,6 +89,7 @@ impl HttpClient {
         let bytes = super::undo(uri, answer.body.clone(), names.clone(), limits).await?;
         if freshness.store {
             let mut entry = Entry { uri: shown(uri).into_owned(), encoding: names, ..Entry::default() };
+            entry.redirected_to = answer.redirected_to;
             entry.checked(SystemTime::now(), freshness.fresh_for);
             keep_validators(&mut entry, &answer.headers);
             let of = uri.to_owned();

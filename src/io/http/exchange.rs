@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, SystemTime};
 
-use reqwest::header::{HeaderMap, LOCATION, RANGE, VARY};
+use reqwest::header::{HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RANGE, VARY};
 use url::Url;
 
 use super::HttpConfig;
@@ -33,6 +33,8 @@ pub(super) struct Exchange<'a> {
     pub config: &'a HttpConfig,
     pub limits: &'a Limits,
     pub headers: &'a HeaderMap,
+    /// Where a redirect led to what the validators among them are of; `None`: no redirect.
+    pub validated_at: Option<&'a str>,
     /// Bytes of the body so far: what goes on may take longer.
     pub received: Arc<AtomicU64>,
 }
@@ -45,6 +47,8 @@ pub(super) struct Answer {
     pub body: Vec<u8>,
     /// Whether and for how long it may be kept, all redirects counted.
     pub freshness: Freshness,
+    /// Where redirects led to, without the query; `None` where there were none.
+    pub redirected_to: Option<String>,
 }
 
 impl Answer {
@@ -94,7 +98,11 @@ impl Exchange<'_> {
         let mut url = parse(uri)?;
         let mut hops: Vec<(u16, HeaderMap)> = Vec::new();
         for _ in 0..=MAX_REDIRECTS {
-            let response = self.send(uri, &url).await?;
+            let are_its_own = match self.validated_at {
+                Some(place) => place == place_of(&url),
+                None => hops.is_empty(),
+            };
+            let response = self.send(uri, &url, are_its_own).await?;
             let status = response.status().as_u16();
             let location = response.headers().get(LOCATION).filter(|_| matches!(status, 301 | 302 | 303 | 307 | 308));
             let Some(location) = location else {
@@ -103,6 +111,7 @@ impl Exchange<'_> {
                 let now = SystemTime::now();
                 let behind = |own: Freshness, (status, headers): &(u16, HeaderMap)| own.behind(*status, headers, now);
                 answer.freshness = hops.iter().fold(answer.freshness, behind);
+                answer.redirected_to = (!hops.is_empty()).then(|| place_of(&url));
                 return Ok(answer);
             };
             let location = location.to_str().map_err(|_| refused(uri, "redirected to no URL".to_owned()))?;
@@ -132,10 +141,15 @@ impl Exchange<'_> {
         names.any(is_sent)
     }
 
-    async fn send(&self, uri: &str, url: &Url) -> Result<reqwest::Response, IoError> {
+    /// Validators go to what they are of: others may use the same ones for something else.
+    async fn send(&self, uri: &str, url: &Url, with_validators: bool) -> Result<reqwest::Response, IoError> {
         let origin = url.origin().ascii_serialization();
         let mut url = url.clone();
         let mut headers = self.headers.clone();
+        if !with_validators {
+            headers.remove(IF_NONE_MATCH);
+            headers.remove(IF_MODIFIED_SINCE);
+        }
         for credential in &self.config.credentials {
             if let Some((name, value)) = credential.header_for(&origin) {
                 headers.insert(name.clone(), value.clone());
@@ -169,7 +183,7 @@ impl Exchange<'_> {
         let freshness = Freshness::of(&headers, SystemTime::now());
         if !matches!(status, 200 | 203 | 206) {
             self.drain(response).await;
-            return Ok(Answer { status, headers, body: Vec::new(), freshness });
+            return Ok(Answer { status, headers, body: Vec::new(), freshness, redirected_to: None });
         }
         let mut limit = self.limits.max_file_bytes;
         let length = response.content_length();
@@ -190,7 +204,7 @@ impl Exchange<'_> {
         loop {
             let piece = match tokio::time::timeout(self.config.read_timeout, response.chunk()).await {
                 Ok(Ok(Some(piece))) => piece,
-                Ok(Ok(None)) => return Ok(Answer { status, headers, body, freshness }),
+                Ok(Ok(None)) => return Ok(Answer { status, headers, body, freshness, redirected_to: None }),
                 Ok(Err(e)) => return Err(IoError::Network { uri: uri.to_owned(), reason: chain(e) }),
                 Err(_) => return Err(timed_out(uri, "reading the answer", self.config.read_timeout)),
             };
@@ -216,6 +230,17 @@ impl Exchange<'_> {
 
 fn parse(uri: &str) -> Result<Url, IoError> {
     Url::parse(uri).map_err(|e| IoError::Uri { uri: uri.to_owned(), reason: e.to_string() })
+}
+
+/// A URL without its query, which may hold a token, or change each time.
+fn place_of(url: &Url) -> String {
+    let mut place = url.clone();
+    place.set_query(None);
+    place.set_fragment(None);
+    // Fails only for URLs without a server, which have neither.
+    let _ = place.set_username("");
+    let _ = place.set_password(None);
+    place.into()
 }
 
 /// Scheme, name and port.

@@ -155,7 +155,7 @@ impl HttpClient {
         match &self.inner.cache {
             Some(cache) => self.get_cached(cache, uri, limits).await,
             None => {
-                let answer = self.exchange(uri, &accept_any(), limits).await?;
+                let answer = self.exchange(uri, &accept_any(), None, limits).await?;
                 if !answer.is_whole() {
                     return Err(answer.error(uri));
                 }
@@ -167,7 +167,13 @@ impl HttpClient {
     }
 
     /// An answer that is no failure, with as many tries as that takes and the configuration allows.
-    async fn exchange(&self, uri: &str, headers: &HeaderMap, limits: &Limits) -> Result<exchange::Answer, IoError> {
+    async fn exchange(
+        &self,
+        uri: &str,
+        headers: &HeaderMap,
+        validated_at: Option<&str>,
+        limits: &Limits,
+    ) -> Result<exchange::Answer, IoError> {
         let Inner { client, config, pauses, .. } = &*self.inner;
         let mut backoff = Backoff::new(config.retry_backoff, config.max_wait, config.seed, uri);
         let server = match is_store(uri) {
@@ -183,7 +189,7 @@ impl HttpClient {
                 }
                 tokio::time::sleep(left + backoff.spread()).await;
             }
-            let exchange = Exchange { client, config, limits, headers, received: Arc::default() };
+            let exchange = Exchange { client, config, limits, headers, validated_at, received: Arc::default() };
             let error = match exchange.in_time(uri, self.once(uri, &exchange)).await {
                 Ok(answer) if answer.is_success() => return Ok(answer),
                 Ok(answer) => answer.error(uri),

@@ -178,7 +178,8 @@ impl HttpService for Transport {
         let headers = asked.as_ref().map(|asked| asked.headers.clone()).unwrap_or_default();
         let received = asked.as_ref().map(|asked| asked.received.clone()).unwrap_or_default();
         let (client, config) = (&self.client, &self.config);
-        let exchange = Exchange { client, config, limits: &limits, headers: &headers, received };
+        let (limits, headers) = (&limits, &headers);
+        let exchange = Exchange { client, config, limits, headers, validated_at: None, received };
         let outcome = async {
             if !self.open && parts_are_open {
                 let reason = "an open connection to an object store, which is not allowed (ALLOW_HTTP)".to_owned();
