@@ -118,7 +118,10 @@ mod tests {
         let body = hash(b"body");
         lock(&cache.room).is_swept = true;
         cache.made_larger(&body, 5000);
-        let room = || (lock(&cache.room).seen_bytes, lock(&cache.room).written_bytes);
+        let room = || {
+            let room = lock(&cache.room);
+            (room.seen_bytes, room.written_bytes)
+        };
         assert_eq!(room(), (None, 5000));
         lock(&cache.room).is_swept = false;
         cache.made_larger(&body, 1);
