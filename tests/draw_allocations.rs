@@ -14,7 +14,7 @@ use gpu_support::{Rig, Terrain, camera, quad};
 use terrane::cull::{CullVisitor, RenderStage, SunShadows};
 use terrane::draw::{Environment, Renderer};
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
-use terrane::scene::Node;
+use terrane::scene::{Node, NodeKind, OcclusionQueryNode};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
 thread_local! {
@@ -124,14 +124,24 @@ fn a_steady_frame_allocates_nothing_of_its_own() {
         Node::transform(DAffine3::from_translation(offset), vec![Node::geode(vec![drawable])])
             .with_state_set(Arc::new(set))
     }));
+    nodes.extend((0..8u32).map(|i| {
+        let query = OcclusionQueryNode { query_frames: 1, ..OcclusionQueryNode::default() };
+        let place = DAffine3::from_translation(up + DVec3::new(300.0 * f64::from(i), 0.0, 500.0));
+        let below = Node::geode(vec![quad([0.0; 3], [2_000.0, 2_000.0], [1.0; 4])]);
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children = vec![below];
+        Node::transform(place, vec![asked])
+    }));
     let scene = rig.scene(Node::group(nodes));
     let environment = Environment { shadows: Some(SunShadows::default()), ..Environment::default() };
-    let mut leaves = 0;
+    let (mut leaves, mut number) = (0, 0);
     let mut fly = |rig: &mut Rig, frames: std::ops::Range<u32>| {
         for frame in frames {
             let angle = f64::from(frame) * 0.3;
             let eye = terrain.world(0.5 + 0.2 * angle.cos(), 0.5 + 0.2 * angle.sin(), 20_000.0);
-            let view = camera([64, 64], eye, terrain.world(0.5, 0.5, 0.0), DVec3::Z);
+            let mut view = camera([64, 64], eye, terrain.world(0.5, 0.5, 0.0), DVec3::Z);
+            number += 1;
+            view.frame = number;
             leaves += rig.draw(&scene, &view, &environment).leaves;
         }
     };
@@ -144,6 +154,7 @@ fn a_steady_frame_allocates_nothing_of_its_own() {
     assert!(wgpu > 0, "the call stacks say nothing: are there symbols?");
     assert!(own.is_empty(), "{} allocations, the first:\n{}", own.len(), own[0]);
     assert!(leaves > 1_000);
+    assert_eq!(rig.stage.queries.len(), 8);
     assert_eq!(rig.stage.shadows.cascades.len(), 4);
     assert!(rig.stage.counters.shadow_leaves > 100);
     let (own, _) = allocations(|| drop((CullVisitor::new(), Box::new(RenderStage::new()))));

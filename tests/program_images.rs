@@ -188,6 +188,15 @@ fn broken_programs_are_seen_and_said_once() {
         ("syntax", "this is no WGSL".to_string(), "expected"),
         ("types", format!("{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return 1; }}"), "types"),
         ("half", vertex.to_string(), "no fragment entry point"),
+        // What only the device finds, when it makes the pipeline.
+        (
+            "inputs",
+            format!(
+                "{} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return vec4(1.0); }}",
+                vertex.replace("vs_main(", "vs_main(@location(9) own: f32, ")
+            ),
+            "program \"inputs\"",
+        ),
         (
             "other",
             format!(

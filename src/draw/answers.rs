@@ -138,9 +138,31 @@ struct PictureSlot {
 #[derive(Default)]
 pub(super) struct PictureReads {
     slots: Vec<PictureSlot>,
+    /// Those that found no room, who asked first in front, each with the draw in which it last asked.
+    waiting: Vec<(Arc<PictureSink>, u32)>,
+    /// Counts on with each draw.
+    draw: u32,
 }
 
+/// Who has not asked in so many draws, of all targets, is not waited for.
+const WAITING_DRAWS: u32 = 32;
+
 impl PictureReads {
+    /// Whether there is room for a sink besides those that have waited longer; else it waits.
+    fn has_room(&mut self, sink: &Arc<PictureSink>) -> bool {
+        let is_busy = |s: &&PictureSlot| s.is_new || s.state.load(Ordering::Acquire) != IDLE;
+        let free = MOST_PICTURES.saturating_sub(self.slots.iter().filter(is_busy).count());
+        let place = self.waiting.iter().position(|(waits, _)| Arc::ptr_eq(waits, sink));
+        let has_room = place.unwrap_or(self.waiting.len()) < free;
+        match place {
+            Some(place) if has_room => _ = self.waiting.remove(place),
+            Some(place) => self.waiting[place].1 = self.draw,
+            None if has_room => {}
+            None => self.waiting.push((sink.clone(), self.draw)),
+        }
+        has_room
+    }
+
     /// Copies a texture (of four bytes a texel) to where it can be read; false while too many are under way.
     pub(super) fn copy(
         &mut self,
@@ -151,6 +173,9 @@ impl PictureReads {
         sink: &Arc<PictureSink>,
         frame: u32,
     ) -> bool {
+        if !self.has_room(sink) {
+            return false;
+        }
         let size_px = [texture.width(), texture.height()].map(|side| (side >> level).max(1));
         let row_bytes = (size_px[0] * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let size = u64::from(row_bytes) * u64::from(size_px[1]);
@@ -199,6 +224,8 @@ impl PictureReads {
     }
 
     pub(super) fn submitted(&mut self) {
+        self.draw = self.draw.wrapping_add(1);
+        self.waiting.retain(|(_, asked)| self.draw.wrapping_sub(*asked) <= WAITING_DRAWS);
         for slot in self.slots.iter_mut().filter(|s| s.is_new) {
             slot.is_new = false;
             map(&slot.buffer, &slot.state);
@@ -227,5 +254,48 @@ impl PictureReads {
                 _ => {}
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+
+    /// The first eight had all the room in every frame.
+    #[test]
+    fn of_many_pictures_each_comes_in_its_turn() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let texture = ctx.device().create_texture(&wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d { width: 4, height: 4, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba8Unorm,
+            usage: wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let mut reads = PictureReads::default();
+        let sinks: Vec<Arc<PictureSink>> = (0..20).map(|_| Arc::default()).collect();
+        let mut came = [0; 20];
+        for frame in 0..20 {
+            let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            // The last one asks no more after the first frames.
+            for sink in &sinks[..if frame < 2 { 20 } else { 19 }] {
+                reads.copy(ctx.device(), &mut encoder, &texture, [0, 0], sink, frame);
+            }
+            ctx.queue().submit([encoder.finish()]);
+            reads.submitted();
+            ctx.device().poll(wgpu::PollType::wait_indefinitely()).unwrap();
+            reads.deliver();
+            sinks.iter().zip(&mut came).for_each(|(sink, came)| *came += u32::from(sink.take().is_some()));
+        }
+        assert!(came[..19].iter().all(|came| (6..=10).contains(came)), "{came:?}");
+        assert!(reads.waiting.len() <= 20 && came[19] <= 1, "{came:?}");
+        // Nobody waits for those who are gone.
+        (0..=WAITING_DRAWS).for_each(|_| reads.submitted());
+        assert!(reads.waiting.is_empty());
     }
 }

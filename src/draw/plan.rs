@@ -21,8 +21,8 @@ pub(super) struct StagePlan {
     pub(super) see_through: usize,
     /// Index of the statics without any state set.
     pub(super) statics: u32,
-    /// Leaf, query and statics of boxes to be tested.
-    pub(super) queries: Vec<(u32, u32, u32)>,
+    /// Boxes to be tested, in the renderer's list.
+    pub(super) queries: std::ops::Range<usize>,
     pub(super) has_sky: bool,
     /// The sea, if there is one.
     pub(super) water: Option<Bare>,

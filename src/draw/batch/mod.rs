@@ -289,7 +289,7 @@ impl Batch {
                 self.run_of_leaf.push(NO_RUN);
                 continue;
             }
-            let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
+            let bucket = self.bucket(ctx, pipelines, stage, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last.0 {
                 let next = self.group_runs.len() as u32;
@@ -369,7 +369,7 @@ impl Batch {
                 self.unsampled += 1;
                 continue;
             }
-            let bucket = self.bucket(ctx, pipelines, leaf, entry, rows);
+            let bucket = self.bucket(ctx, pipelines, stage, leaf, entry, rows);
             let key = u64::from(bucket) << 32 | u64::from(self.geometry(bucket, entry));
             if key != last {
                 let first_leaf = self.leaf_count as u32;
@@ -403,6 +403,7 @@ impl Batch {
         &mut self,
         ctx: &GraphicsContext,
         pipelines: &mut Pipelines,
+        stage: &RenderStage,
         leaf: &RenderLeaf,
         entry: &DrawableEntry,
         rows: &[[f32; 4]; 3],
@@ -416,7 +417,7 @@ impl Batch {
         if key == self.last_bucket.0 {
             self.last_bucket.1
         } else {
-            self.find_bucket(ctx, pipelines, key, leaf.state, entry)
+            self.find_bucket(ctx, pipelines, stage, key, leaf.state, entry)
         }
     }
 
@@ -425,6 +426,7 @@ impl Batch {
         &mut self,
         ctx: &GraphicsContext,
         pipelines: &mut Pipelines,
+        stage: &RenderStage,
         key: u64,
         state_index: u32,
         entry: &DrawableEntry,
@@ -456,7 +458,10 @@ impl Batch {
                 // It has its own.
                 _ if is_custom => u32::MAX,
                 Some((known, index)) if known == pipeline => index,
-                _ => pipelines.ensure(ctx, pipeline),
+                _ => match stage.state_sets.get(state_index as usize) {
+                    Some(state) => pipelines.ensure_for(ctx, pipeline, state),
+                    None => pipelines.ensure(ctx, pipeline),
+                },
             };
             if !is_custom {
                 self.last_pipeline = Some((pipeline, index));

@@ -195,6 +195,22 @@ impl Pipelines {
         index
     }
 
+    /// The same for a state; what cannot be made is said with the name of the one that first needed it.
+    pub(in crate::draw) fn ensure_for(
+        &mut self,
+        ctx: &GraphicsContext,
+        key: PipelineKey,
+        state: &ResolvedState,
+    ) -> u32 {
+        let said = self.errors.len();
+        let index = self.ensure(ctx, key);
+        for error in &mut self.errors[said..] {
+            let name = if state.name.is_empty() { "a state set" } else { state.name.as_str() };
+            *error = format!("{name}: {error}");
+        }
+        index
+    }
+
     fn keep(&mut self, pipeline: wgpu::RenderPipeline) -> u32 {
         let made = Some(Made { pipeline, used: self.frame });
         if let Some(index) = self.free.pop() {

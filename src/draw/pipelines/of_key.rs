@@ -137,7 +137,7 @@ impl Pipelines {
         write_mask.set(wgpu::ColorWrites::ALPHA, target.keeps_alpha);
         let mut label = format!("{fragment} of target {}", key.target());
         if let Shading::Program(place) = key.shading() {
-            label = format!("program {place}, {label}");
+            label = format!("program {:?}, {label}", self.programs.name(place).unwrap_or_default());
         }
         let variant = Variant {
             label: &label,

@@ -1,6 +1,7 @@
 //! Programs of the application: parsed and checked here, so that what is wrong is one error and not a lost device;
 //! their uniforms filled by name. Draw thread.
 
+use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
 use crate::draw::pipelines::key::MOST_PROGRAMS;
@@ -59,6 +60,8 @@ struct Entry {
 pub(in crate::draw) struct Programs {
     /// A program's place is its own while it is there.
     entries: Vec<Option<Entry>>,
+    /// By address, which entries keep from being used again. Only looked up, never walked while anything is drawn.
+    place_of: HashMap<usize, u16>,
 }
 
 /// Times and matrices that uniforms named `osg_…` get.
@@ -79,9 +82,8 @@ impl Programs {
         device: &wgpu::Device,
         program: &Arc<Program>,
     ) -> Result<Option<u16>, String> {
-        let is_it = |entry: &Option<Entry>| entry.as_ref().is_some_and(|e| e.program.as_ptr() == Arc::as_ptr(program));
-        if let Some(place) = self.entries.iter().position(is_it) {
-            let place = place as u16;
+        let address = Arc::as_ptr(program).addr();
+        if let Some(&place) = self.place_of.get(&address) {
             return Ok(self.get(place).is_some().then_some(place));
         }
         let free = self.entries.iter().position(Option::is_none);
@@ -95,6 +97,7 @@ impl Programs {
             Ok(compiled) => (Some(compiled), Ok(Some(place as u16))),
             Err(reason) => (None, Err(format!("program {:?}: {reason}", program.name))),
         };
+        self.place_of.insert(address, place as u16);
         let entry = Some(Entry { program: Arc::downgrade(program), compiled });
         match free {
             Some(place) => self.entries[place] = entry,
@@ -110,6 +113,9 @@ impl Programs {
             if slot.take_if(|entry| entry.program.strong_count() == 0).is_some() {
                 gone.push(place);
             }
+        }
+        if !gone.is_empty() {
+            self.place_of.retain(|_, place| !gone.contains(place));
         }
         gone
     }
@@ -127,6 +133,12 @@ impl Programs {
             source: wgpu::ShaderSource::Wgsl(source.into()),
         }));
         Ok(())
+    }
+
+    /// For errors.
+    pub(in crate::draw) fn name(&self, place: u16) -> Option<String> {
+        let entry = self.entries.get(usize::from(place))?.as_ref()?;
+        entry.program.upgrade().map(|program| program.name.clone())
     }
 
     pub(in crate::draw) fn get(&self, place: u16) -> Option<&Compiled> {
@@ -461,6 +473,7 @@ mod tests {
         assert!(programs.prune().is_empty());
         drop((first, broken));
         assert_eq!(programs.prune(), [0, 2]);
+        assert_eq!(programs.place_of.len(), 1);
         assert!(programs.get(0).is_none() && programs.get(1).is_some());
         let third = whole();
         assert_eq!(programs.ensure(ctx.device(), &third), Ok(Some(0)));

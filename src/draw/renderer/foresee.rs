@@ -81,7 +81,7 @@ impl Renderer {
         let is_pulled =
             kind.is_small && state.can_pull && !kind.is_masked && kind.topology == Some(Topology::Triangles);
         let key = if is_pulled { key.pulled() } else { key.with_vertices(kind.vertex_format) };
-        self.pipelines.ensure(ctx, key);
+        self.pipelines.ensure_for(ctx, key, &kind.state);
     }
 
     fn own_target(&mut self, ctx: &GraphicsContext) -> Option<u8> {

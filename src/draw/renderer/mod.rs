@@ -49,7 +49,7 @@ const MOST_ERRORS: usize = 64;
 /// What a draw did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DrawStats {
-    /// Leaves drawn, those that cast shadows apart.
+    /// Leaves drawn; those that cast shadows, boxes of queries and backgrounds are none of them.
     pub leaves: u32,
     /// Leaves that no pixel would have shown, and that were not drawn ([`crate::cull::CullingMode::SAMPLES`]).
     pub unsampled_leaves: u32,
@@ -67,7 +67,7 @@ pub struct DrawStats {
     pub triangles: u64,
     /// Points submitted.
     pub points: u64,
-    /// Passes: the stages that were drawn.
+    /// Passes: the stages that were drawn, and cascades of their shadows.
     pub passes: u32,
     /// Eyes with air of their own beyond the most there may be: they have that of the eye at nearly the same height.
     pub airs_refused: u32,
@@ -144,6 +144,8 @@ pub struct Renderer {
     plans: Vec<StagePlan>,
     /// Of all plans.
     casters: Vec<CasterPlan>,
+    /// Leaf, query and statics of boxes to be tested, of all plans.
+    query_boxes: Vec<(u32, u32, u32)>,
     timer: Option<FrameTimer>,
     queries: Option<Queries>,
     pictures: PictureReads,
@@ -239,6 +241,7 @@ impl Renderer {
             drawn_into: Vec::new(),
             plans: Vec::new(),
             casters: Vec::new(),
+            query_boxes: Vec::new(),
             timer: FrameTimer::new(ctx),
             queries: None,
             pictures: PictureReads::default(),
@@ -326,7 +329,9 @@ impl Renderer {
         self.prepare(ctx, pictures.clone());
         self.upload(ctx);
         let mut stats = self.record(ctx, pictures);
-        stats.leaves = self.batch.leaves().len() as u32 - self.shadow_leaves;
+        let fills = self.plans.iter().filter(|plan| plan.fill.is_some()).count();
+        let others = self.shadow_leaves as usize + self.query_boxes.len() + fills;
+        stats.leaves = self.batch.leaves().len().saturating_sub(others) as u32;
         stats.unsampled_leaves = self.batch.unsampled;
         stats.shadow_leaves = self.shadow_leaves;
         stats.airs_refused = self.airs_refused;

@@ -30,6 +30,7 @@ impl Renderer {
         }
         self.plans.clear();
         self.casters.clear();
+        self.query_boxes.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
             timer.start_frame(self.timed.0, self.timed.1);
@@ -300,7 +301,7 @@ impl Renderer {
         Some(([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?], place))
     }
 
-    /// Leaves for the boxes of a stage's occlusion queries: their first leaf and first query, and how many.
+    /// Leaves for the boxes of a stage's occlusion queries: where they lie in the renderer's list.
     fn prepare_queries(
         &mut self,
         ctx: &GraphicsContext,
@@ -308,9 +309,10 @@ impl Renderer {
         target: &PassTarget,
         frames: &[ViewFrame],
         base: Statics,
-    ) -> Vec<(u32, u32, u32)> {
+    ) -> std::ops::Range<usize> {
+        let first = self.query_boxes.len();
         if stage.queries.is_empty() {
-            return Vec::new();
+            return first..first;
         }
         let queries = self.queries.get_or_insert_with(|| {
             let mut queries = Queries::new(ctx.device());
@@ -318,7 +320,6 @@ impl Renderer {
             queries
         });
         self.pipelines.ensure_bare(ctx, Bare::Query, target.index);
-        let mut asked = Vec::new();
         for query in &stage.queries {
             let Some(rows) = stage.eye_from_drawable.get(query.matrix as usize) else { continue };
             if self.batch.leaves().len() >= self.most_leaves {
@@ -339,10 +340,10 @@ impl Renderer {
                     self.statics.len() - 1
                 }
             };
-            asked.push((self.batch.leaves().len() as u32, index, place as u32));
+            self.query_boxes.push((self.batch.leaves().len() as u32, index, place as u32));
             self.batch.push_leaf(LeafUniform { eye_from_drawable: *rows, ..LeafUniform::EMPTY });
         }
-        asked
+        first..self.query_boxes.len()
     }
 }
 

@@ -137,7 +137,7 @@ impl Renderer {
             None => state.draw_runs(&from, plan.runs.start..plan.see_through),
         }
         if let (false, Some(pipeline)) = (plan.queries.is_empty(), self.pipelines.bare(Bare::Query, target.index)) {
-            for (leaf, query, statics) in &plan.queries {
+            for (leaf, query, statics) in self.query_boxes.get(plan.queries.clone()).unwrap_or_default() {
                 state.apply(&from, *statics);
                 state.pass.begin_occlusion_query(*query);
                 state.draw_bare(pipeline, 36, *leaf..leaf + 1);
