@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::DrawableEntry;
+use super::budget::CompileBudget;
 use super::compile_thread::CompileThread;
 use super::custom::{CompileInfo, CustomCompile};
 use super::drawable::{DrawableTable, Extent, Pools, Shape};
@@ -73,27 +74,6 @@ impl Compiled {
             None => self.bytes += if is_new { bytes } else { 0 },
         }
     }
-}
-
-/// How much of a frame uploads may take.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CompileBudget {
-    /// Time.
-    pub time: Duration,
-    /// Bytes; a call may always upload 16 KiB, or one row of an image.
-    pub bytes: u64,
-}
-
-impl Default for CompileBudget {
-    /// 2 ms and 4 MiB: some ten height tiles with colour a frame.
-    fn default() -> Self {
-        Self { time: Duration::from_millis(2), bytes: 4 << 20 }
-    }
-}
-
-impl CompileBudget {
-    /// No limit: everything that waits, at once.
-    pub const UNLIMITED: Self = Self { time: Duration::MAX, bytes: u64::MAX };
 }
 
 /// What one call of `run_compiles` did.

@@ -5,7 +5,8 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use super::compile::{self, CompileBudget, CompileOperation, CompileQueue, CompileStats, Compiled};
+use super::budget::CompileBudget;
+use super::compile::{self, CompileOperation, CompileQueue, CompileStats, Compiled};
 use super::drawable::{DrawableTable, Pools};
 use super::faces::{Face, surface_maker};
 use super::layouts::Layouts;

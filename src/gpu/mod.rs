@@ -12,6 +12,7 @@
 //! release(slots) -> the places are free at once: uploads run on the same queue, after the draws that used them
 //! ```
 
+mod budget;
 mod compile;
 mod compile_thread;
 mod context;
@@ -36,7 +37,8 @@ mod timer;
 mod transients;
 mod uploads;
 
-pub use compile::{CompileBudget, CompileOperation, CompileStats, Compiled};
+pub use budget::{CompileBudget, CompilePace};
+pub use compile::{CompileOperation, CompileStats, Compiled};
 pub use context::{AdapterChoice, ContextTraits, GraphicsContext};
 pub use custom::{CompileInfo, CustomError, TargetFormats};
 pub use error::GpuError;

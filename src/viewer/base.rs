@@ -16,7 +16,7 @@ use super::view::{ContextId, View};
 use super::viewer::{FrameStamp, ViewerConfig};
 use crate::cull::{CullCamera, CullVisitor, RenderStage};
 use crate::draw::FrameClock;
-use crate::gpu::{CompileBudget, GpuError};
+use crate::gpu::{CompileBudget, CompilePace, GpuError};
 use crate::timeline::{self, Span};
 
 /// How often arrivals are looked for while the draw thread is busy.
@@ -39,6 +39,7 @@ pub(super) struct ViewerBase {
     blocking: bool,
     look_ahead_s: f64,
     pub(super) compile_budget: CompileBudget,
+    compile_pace: CompilePace,
     /// Contexts, and what is painted over their next pictures.
     #[cfg(feature = "window")]
     overlays: Vec<(u32, super::overlay::OverlayPaint)>,
@@ -105,6 +106,7 @@ impl ViewerBase {
             blocking: config.pager.blocking,
             look_ahead_s: config.look_ahead_s.max(0.0),
             compile_budget: config.compile_budget,
+            compile_pace: config.compile_pace,
             #[cfg(feature = "window")]
             overlays: Vec::new(),
             probe: CullVisitor::looking(),
@@ -380,6 +382,7 @@ impl ViewerBase {
 
     /// What a context is told to draw: what its cameras cull.
     pub(super) fn job(&self) -> FrameJob {
+        let busy = self.history.busy(self.rendering.model());
         FrameJob {
             frame: self.stamp.frame,
             clock: FrameClock {
@@ -387,7 +390,7 @@ impl ViewerBase {
                 delta_s: self.delta_s,
                 simulation_time_s: self.stamp.simulation_time_s,
             },
-            budget: self.compile_budget,
+            budget: self.compile_budget.beside(busy, &self.compile_pace),
             present: true,
             ..FrameJob::default()
         }

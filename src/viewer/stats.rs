@@ -2,6 +2,9 @@
 //! thread's share arrives with the stage that comes back, up to two frames later.
 
 use std::collections::VecDeque;
+use std::time::Duration;
+
+use super::ThreadingModel;
 
 /// Times in milliseconds and counters of one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -60,6 +63,9 @@ pub struct FrameStats {
     pub drawn: bool,
 }
 
+/// Frames that say how long the next one may take.
+const BUSY_FRAMES: usize = 4;
+
 /// All frames of a run, newest last; forgets the oldest beyond a limit.
 #[derive(Debug)]
 pub struct StatsHistory {
@@ -107,6 +113,18 @@ impl StatsHistory {
     /// The newest frame that the draw thread has answered.
     pub fn last_drawn(&self) -> Option<&FrameStats> {
         self.frames.iter().rev().find(|s| s.drawn)
+    }
+
+    /// How long one of the last frames kept the thread that draws, or the adapter, at most, uploads apart.
+    pub(super) fn busy(&self, model: ThreadingModel) -> Duration {
+        let before_draw = |s: &FrameStats| match model {
+            ThreadingModel::SingleThreaded => s.event_ms + s.update_ms + s.cull_ms,
+            ThreadingModel::CullDrawThreadPerContext => s.cull_ms,
+            _ => 0.0,
+        };
+        let drawn = self.frames.iter().rev().filter(|s| s.drawn).take(BUSY_FRAMES);
+        let busy_ms = drawn.map(|s| (before_draw(s) + s.draw_ms).max(s.gpu_ms.unwrap_or(0.0)));
+        Duration::try_from_secs_f64(1e-3 * busy_ms.fold(0.0, f64::max)).unwrap_or_default()
     }
 
     /// Forgets everything, as after a warm-up.
@@ -163,6 +181,31 @@ impl Samples {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_keeps_the_thread_that_draws_is_the_longest_of_the_last_frames() {
+        let mut history = StatsHistory::new(100);
+        let ms = |history: &StatsHistory, model| (1e3 * history.busy(model).as_secs_f64()).round();
+        assert_eq!(ms(&history, ThreadingModel::SingleThreaded), 0.0, "nothing is known");
+        let frame = |draw_ms: f64, drawn| FrameStats {
+            event_ms: 1.0,
+            update_ms: 2.0,
+            cull_ms: 4.0,
+            draw_ms,
+            compile_ms: 1000.0,
+            drawn,
+            ..FrameStats::default()
+        };
+        for (draw_ms, drawn) in [(90.0, true), (10.0, true), (20.0, true), (10.0, true), (10.0, true), (0.0, false)] {
+            history.push(frame(draw_ms, drawn));
+        }
+        let models = ThreadingModel::ALL;
+        assert_eq!(models.map(|model| ms(&history, model)), [27.0, 24.0, 20.0, 20.0]);
+        history.push(FrameStats { gpu_ms: Some(25.0), ..frame(10.0, true) });
+        assert_eq!(models.map(|model| ms(&history, model)), [27.0, 25.0, 25.0, 25.0]);
+        history.push(frame(f64::NAN, true));
+        assert_eq!(ms(&history, ThreadingModel::DrawThreadPerContext), 25.0);
+    }
 
     #[test]
     fn percentiles_are_nearest_rank() {

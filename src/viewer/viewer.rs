@@ -18,7 +18,7 @@ use super::stats::StatsHistory;
 use super::view::{ContextId, Slave, SlaveId, View};
 use super::viewport::Viewport;
 use crate::cull::{CullSettings, Stereo};
-use crate::gpu::{AdapterChoice, CompileBudget, ContextTraits, GraphicsContext};
+use crate::gpu::{AdapterChoice, CompileBudget, CompilePace, ContextTraits, GraphicsContext};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence, PagerConfig};
 use crate::scene::{Page, PageId, Scene};
 
@@ -47,8 +47,10 @@ pub struct ViewerConfig {
     pub look_ahead_s: f64,
     /// A tile whose error projects to more pixels is refined.
     pub max_sse_px: f64,
-    /// Uploads between two frames: more fills the picture sooner, less keeps frames even.
+    /// The most that is uploaded before a frame is drawn: more fills the picture sooner, less keeps frames even.
     pub compile_budget: CompileBudget,
+    /// How much of it slow frames leave.
+    pub compile_pace: CompilePace,
     /// Each device has a thread of its own for uploads; see [`ContextTraits::compile_thread`].
     pub compile_contexts: bool,
     /// Frames whose statistics are kept.
@@ -81,6 +83,7 @@ impl Default for ViewerConfig {
             look_ahead_s: 1.0,
             max_sse_px: 16.0,
             compile_budget: CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
+            compile_pace: CompilePace::default(),
             compile_contexts: false,
             history_frames: 100_000,
             stereo: None,
@@ -134,7 +137,7 @@ pub type UpdateCallback = Box<dyn FnMut(&mut Scene, &FrameStamp) + Send>;
 ///                      which threads do it is the [`ThreadingModel`]'s to say
 /// ```
 pub struct Viewer {
-    /// Uploads between two frames.
+    /// [`ViewerConfig::compile_budget`] from the next frame on.
     pub compile_budget: CompileBudget,
     pub(super) base: ViewerBase,
     pub(super) view: View,
