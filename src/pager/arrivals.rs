@@ -160,6 +160,10 @@ impl DatabasePager {
             let tile_tree = page.is_tile_tree();
             match scene.attach(slot, *page) {
                 Ok(id) => {
+                    if self.asked.contains(&slot) {
+                        // No camera has used it.
+                        scene.note_use(slot, self.frame);
+                    }
                     let latency_s = entry.since.elapsed().as_secs_f64();
                     self.stats.merged += 1;
                     if is_ahead {

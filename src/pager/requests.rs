@@ -10,7 +10,7 @@ use super::list::{Entry, Job, Progress, Waiting};
 use super::shares::Held;
 use crate::cull::PageRequest;
 use crate::io;
-use crate::scene::{Scene, SlotState};
+use crate::scene::{NodeId, Scene, SlotState};
 use crate::timeline;
 
 /// Of each decode thread, decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing
@@ -25,6 +25,9 @@ const AHEAD_LISTED: usize = 32;
 
 /// What was met in the last so many frames is seen.
 const MET_FRAMES: u32 = 2;
+
+/// Of what the application asked for: before all that errors in pixels ask for.
+const ASKED_PRIORITY: f32 = 1e9;
 
 /// Failures that are remembered: frames look through them. With more, those are forgotten that nobody meets.
 const MOST_FAILURES: usize = 4096;
@@ -94,6 +97,19 @@ impl DatabasePager {
             self.is_listed = false;
         }
         is_sooner || self.next_ticket != known
+    }
+
+    /// Takes up, and renews, what is to be loaded whatever cameras see.
+    pub(super) fn accept_asked(&mut self, scene: &mut Scene) {
+        self.asked.append(&mut scene.take_asked());
+        if self.asked.is_empty() {
+            return;
+        }
+        self.asked.retain(|slot| scene.slot(*slot).is_some_and(|slot| slot.state == SlotState::Empty));
+        let request =
+            |slot: &NodeId| PageRequest { slot: *slot, priority: ASKED_PRIORITY, error_px: 0.0, ahead_frames: 0 };
+        let requests: Vec<PageRequest> = self.asked.iter().map(request).collect();
+        self.accept(scene, &requests);
     }
 
     /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while

@@ -29,6 +29,8 @@ pub struct DatabasePager {
     pub(super) threads: Threads,
     /// Requests that are not merged, by slot.
     pub(super) entries: HashMap<NodeId, Entry>,
+    /// Slots to be filled whatever cameras see, until they are or it failed.
+    pub(super) asked: Vec<NodeId>,
     /// Slots by ticket, for what contexts hand back.
     pub(super) compiling: HashMap<u64, NodeId>,
     /// Arrived and compiled, waiting to be merged.
@@ -79,6 +81,7 @@ impl DatabasePager {
             options,
             threads,
             entries: HashMap::new(),
+            asked: Vec::new(),
             compiling: HashMap::new(),
             ready: Vec::new(),
             residents: Residents::new(),
@@ -148,6 +151,7 @@ impl DatabasePager {
         self.frame = frame;
         self.goes_on = false;
         self.accept(scene, requests);
+        self.accept_asked(scene);
         self.merge_arrived(scene, contexts);
         self.retry(scene);
         // As a rule the same is asked for as after the last cull, and listed as it is to be.
@@ -162,6 +166,7 @@ impl DatabasePager {
                 self.answer(scene, answer, contexts);
             }
             self.merge_arrived(scene, contexts);
+            self.accept_asked(scene);
             self.rewrite_list();
             self.threads.list.ring_if_due();
         }
@@ -282,10 +287,15 @@ impl DatabasePager {
         })
     }
 
-    /// Another update would do something for those who ask for these: also take up one, or go on.
-    pub(crate) fn has_work(&self, requests: &[PageRequest]) -> bool {
+    /// Another update would do something for the scene and those who ask for these: also take up one, or go on.
+    pub(crate) fn has_work(&self, scene: &Scene, requests: &[PageRequest]) -> bool {
         let is_new = |request: &PageRequest| self.takes_requests && !self.entries.contains_key(&request.slot);
-        self.goes_on || self.is_busy() || requests.iter().any(is_new)
+        self.goes_on || self.is_busy() || self.has_asked(scene) || requests.iter().any(is_new)
+    }
+
+    /// Slots are to be filled that were not taken up.
+    pub(crate) fn has_asked(&self, scene: &Scene) -> bool {
+        self.takes_requests && scene.has_asked()
     }
 
     pub(super) fn count(&mut self) {

@@ -67,6 +67,8 @@ pub struct Scene {
     occluder_pages: Vec<OccluderPage>,
     /// Meshes that were changed and have not been sent to be drawn.
     pub(super) rewritten: Vec<Rewritten>,
+    /// Slots to be filled whatever cameras see, which the pager has not taken up.
+    pub(super) asked: Vec<NodeId>,
 }
 
 impl Scene {
@@ -263,7 +265,7 @@ impl Scene {
         places.map(|set| *set = new.clone()).count() > 0
     }
 
-    fn free_slot(&self, slot: NodeId) -> Result<usize, SceneError> {
+    pub(super) fn free_slot(&self, slot: NodeId) -> Result<usize, SceneError> {
         let page = self.page(slot.page).ok_or(SceneError::StaleNode { node: slot })?;
         let tile = page.tile_of(slot.index).ok_or(SceneError::NotASlot { node: slot })?;
         let record = &page.tiles.records[tile];
@@ -286,19 +288,19 @@ impl Scene {
             self.occluder_pages.push(OccluderPage::new(place, &page));
         }
         let lone = LoneDrawable::of(&page);
+        let generation = self.entries.get(place as usize).map_or(0, |entry| entry.generation);
+        let id = PageId { slot: place, generation };
+        self.asked.extend(page.tiles.immediate.iter().map(|index| NodeId { page: id, index: *index }));
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {
                 let entry = &mut self.entries[place as usize];
                 (entry.page, entry.slot, entry.base_depth) = (page, slot, base_depth);
                 (entry.occluders_at, entry.lone) = (occluders_at, lone);
-                PageId { slot: place, generation: entry.generation }
             }
-            None => {
-                self.entries.push(Entry { generation: 0, page, slot, base_depth, occluders_at, lone });
-                PageId { slot: self.entries.len() as u32 - 1, generation: 0 }
-            }
+            None => self.entries.push(Entry { generation, page, slot, base_depth, occluders_at, lone }),
         }
+        id
     }
 
     fn take(&mut self, id: PageId) -> Option<Page> {

@@ -188,9 +188,10 @@ pub enum ProxyLoading {
     /// When cull first sees it, by the pager.
     #[default]
     DeferToPager,
-    /// While its file is read, on the thread that reads it.
+    /// By the pager as soon as the page that it is in is in the scene, before all that cameras want and wherever they
+    /// look; it does not expire.
     Immediately,
-    /// Only when the application asks.
+    /// Only when the application asks: [`Scene::load_proxy`](super::Scene::load_proxy).
     Never,
 }
 

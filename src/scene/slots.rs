@@ -13,7 +13,7 @@ use super::graph::Scene;
 use super::node::PagingOptions;
 use super::page::{NONE, Page};
 use super::tiles::flag;
-use super::{NodeId, PageId};
+use super::{NodeId, PageId, SceneError};
 
 /// What is in a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,6 +74,34 @@ impl Scene {
             content_transform: page.tiles.content_transform(tile),
             paging: page.tiles.paging_of(tile as u32),
         })
+    }
+
+    /// Lets the pager load what a [`ProxyNode`](super::ProxyNode) or a PagedLod stands for from its next update on, before
+    /// all that cameras want and wherever they look; a ProxyNode that is loaded
+    /// [`Never`](super::ProxyLoading::Never) otherwise, say. It expires as others do. Refused where there is no slot, or
+    /// something is in it. What fails is counted, and not asked for again.
+    pub fn load_proxy(&mut self, node: NodeId) -> Result<(), SceneError> {
+        self.free_slot(node)?;
+        self.asked.push(node);
+        Ok(())
+    }
+
+    /// What is in a slot was wanted in a frame.
+    pub(crate) fn note_use(&self, slot: NodeId, frame: u32) {
+        let page = self.page(slot.page);
+        if let Some(last) = page.and_then(|page| page.tiles.last_used.get(page.tile_of(slot.index)?)) {
+            last.store(frame, Ordering::Relaxed);
+        }
+    }
+
+    /// Slots to be filled whatever cameras see, since the last call.
+    pub(crate) fn take_asked(&mut self) -> Vec<NodeId> {
+        std::mem::take(&mut self.asked)
+    }
+
+    /// There are such.
+    pub(crate) fn has_asked(&self) -> bool {
+        !self.asked.is_empty()
     }
 
     /// Every slot of a page (of each PagedLod with content and each ProxyNode), in depth-first order.

@@ -133,6 +133,8 @@ pub(crate) struct Tiles {
     pub own_paths: Vec<(u32, u32)>,
     /// By tile, where they are not the default.
     pub paging: Vec<(u32, PagingOptions)>,
+    /// Nodes of proxies that are loaded at once.
+    pub immediate: Vec<u32>,
     pub roots: Vec<TileRoot>,
     /// Top tiles that are not ready.
     pub not_ready_roots: u32,
@@ -186,8 +188,14 @@ impl Tiles {
 
     pub fn push_proxy(&mut self, parent: u32, node: u32, state_path: u32, proxy: ProxyNode) -> BoundingSphere {
         let mut flags = flag::PROXY | flag::ADD;
-        if proxy.loading == ProxyLoading::Never {
-            flags |= flag::NEVER;
+        match proxy.loading {
+            ProxyLoading::DeferToPager => {}
+            ProxyLoading::Never => flags |= flag::NEVER,
+            ProxyLoading::Immediately => {
+                self.immediate.push(node);
+                let stays = PagingOptions { cannot_expire: true, ..PagingOptions::default() };
+                self.paging.push((self.records.len() as u32, stays));
+            }
         }
         let bounds = self.bounds_of(&proxy.bounds, None, 0.0);
         let sphere = proxy.bounds;

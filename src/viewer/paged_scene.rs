@@ -236,7 +236,8 @@ impl PagedScene {
 
     /// The last frame's pictures show everything, and are those that the next ones will be.
     pub(super) fn is_at_rest(&self) -> bool {
-        self.fading == 0 && self.is_settled()
+        let is_asked = self.pager.as_ref().is_some_and(|pager| pager.has_asked(&self.scene));
+        self.fading == 0 && !is_asked && self.is_settled()
     }
 
     /// The next frames' pictures will be the last one's: everything is there, or what is not does not come, as where it
@@ -253,7 +254,7 @@ impl PagedScene {
 
     /// The pager's next turn would do something for what the last frame's pictures lacked.
     pub(super) fn has_work(&self) -> bool {
-        self.pager.as_ref().is_some_and(|pager| pager.has_work(&self.requests))
+        self.pager.as_ref().is_some_and(|pager| pager.has_work(&self.scene, &self.requests))
     }
 
     /// Something that failed is to be tried again.

@@ -1,0 +1,112 @@
+//! When ProxyNodes are loaded: where a camera sees them, at once, when the application asks. Real files; no GPU.
+
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use terrane::gpu::AdapterChoice;
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::BoundingSphere;
+use terrane::pager::PagerConfig;
+use terrane::scene::{Node, NodeId, NodeKind, Page, PageId, ProxyLoading, ProxyNode, SceneError, SlotState};
+use terrane::viewer::{Viewer, ViewerConfig};
+
+/// A triangle, and one proxy for it of each kind, behind the camera; another's file is not there.
+fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) {
+    let mesh = GlbMesh {
+        positions: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    };
+    std::fs::write(folder.join("mesh.glb"), write_glb(&mesh)).unwrap();
+    let place = DVec3::new(0.0, 0.0, 100.0);
+    let proxy = |loading, name: &str| {
+        Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
+            uri: Arc::from(folder.join(name).display().to_string()),
+            bounds: BoundingSphere::new(place, 5.0),
+            content_transform: DAffine3::from_translation(place),
+            loading,
+        })))
+    };
+    let nodes = vec![
+        proxy(ProxyLoading::Immediately, "mesh.glb"),
+        proxy(ProxyLoading::Never, "mesh.glb"),
+        proxy(ProxyLoading::DeferToPager, "mesh.glb"),
+        proxy(ProxyLoading::Immediately, "missing.glb"),
+    ];
+    let config = ViewerConfig {
+        size_px: [64, 64],
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        pager: PagerConfig { blocking, expiry_frames: 3, max_tiles, ..PagerConfig::default() },
+        ..ViewerConfig::default()
+    };
+    let mut viewer = Viewer::new_offscreen(&config).unwrap();
+    viewer.page_files_in(folder).unwrap();
+    let root = viewer.add_root(Page::from_node(Node::group(nodes)).unwrap()).unwrap();
+    // It looks down, away from them.
+    viewer.camera.world_from_eye = DAffine3::IDENTITY;
+    (viewer, root)
+}
+
+fn settle(viewer: &mut Viewer) {
+    let end = Instant::now() + Duration::from_secs(60);
+    viewer.frame().unwrap();
+    while !viewer.is_settled() {
+        assert!(Instant::now() < end, "{:?}", viewer.pager().unwrap().stats());
+        viewer.frame().unwrap();
+    }
+}
+
+fn states(viewer: &Viewer, root: PageId) -> Vec<&'static str> {
+    let of = |node: NodeId| match viewer.scene().slot(node).unwrap().state {
+        SlotState::Empty => "empty",
+        SlotState::Failed => "failed",
+        SlotState::Resident(_) => "there",
+    };
+    viewer.scene().slots_of_page(root).map(of).collect()
+}
+
+/// Those to be loaded at once waited for a camera, and nothing loaded the others.
+#[test]
+fn proxies_are_loaded_when_they_say() {
+    for blocking in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut viewer, root) = proxies(folder.path(), blocking, 3);
+        settle(&mut viewer);
+        assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "blocking {blocking}");
+        let stats = *viewer.pager().unwrap().stats();
+        assert_eq!((stats.requested, stats.failed), (2, 1), "the missing one is not hammered");
+        // There is want of room, and nobody sees it.
+        (0..20).for_each(|_| viewer.frame().unwrap());
+        assert_eq!(states(&viewer, root)[0], "there");
+        let never = viewer.scene().slots_of_page(root).nth(1).unwrap();
+        viewer.scene_mut().load_proxy(never).unwrap();
+        settle(&mut viewer);
+        assert_eq!(viewer.pager().unwrap().stats().loaded, 2);
+        (0..20).for_each(|_| viewer.frame().unwrap());
+        assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "it goes as others do");
+    }
+}
+
+#[test]
+fn what_the_application_asks_for_comes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut viewer, root) = proxies(folder.path(), false, 30);
+    settle(&mut viewer);
+    let [_, never, defer, _] = viewer.scene().slots_of_page(root).collect::<Vec<_>>().try_into().unwrap();
+    viewer.scene_mut().load_proxy(never).unwrap();
+    settle(&mut viewer);
+    assert_eq!(states(&viewer, root), ["there", "there", "empty", "failed"], "{:?}", viewer.pager().unwrap().stats());
+    let refused = viewer.scene_mut().load_proxy(never);
+    assert!(matches!(refused, Err(SceneError::SlotTaken { .. })), "{refused:?}");
+    let group = NodeId { page: root, index: 0 };
+    assert!(matches!(viewer.scene_mut().load_proxy(group), Err(SceneError::NotASlot { .. })));
+    viewer.scene_mut().load_proxy(defer).unwrap();
+    settle(&mut viewer);
+    assert_eq!(states(&viewer, root), ["there", "there", "there", "failed"]);
+}
