@@ -24,7 +24,10 @@ use terrane::io::write::{GlbMesh, write_glb};
 #[cfg(feature = "http")]
 use terrane::pager::ImageSequence;
 use terrane::pager::PagerConfig;
-use terrane::scene::{CullAction, CullCallback, Node, NodeKind, OcclusionQueryNode, Page, Scene};
+use terrane::scene::{
+    CameraNode, CameraTarget, CullAction, CullCallback, Node, NodeKind, OcclusionQueryNode, Page, PictureSink, Scene,
+};
+use terrane::state::{TextureFormat, TextureObject};
 use terrane::viewer::manipulators::{
     AnimationPathManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
 };
@@ -191,6 +194,31 @@ fn a_context_of_another_size_asks_for_a_frame() {
             assert_eq!(views.check_need_to_do_frame(), context == first || slaves > 0, "{context:?}");
         }
         views.add_slave(view, Slave::new(second)).unwrap();
+    }
+}
+
+/// The last one came when something else asked for a frame.
+#[test]
+fn frames_are_drawn_until_pictures_of_cameras_have_come() {
+    let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
+    let sink = Arc::new(PictureSink::default());
+    let texture = TextureObject::target("seen", [16, 16], TextureFormat::Rgba8Srgb);
+    let camera = CameraNode::to_texture(
+        texture.clone(),
+        DAffine3::IDENTITY,
+        viewer.camera.cull_camera([16, 16], 0, 0).clip_from_eye,
+    );
+    let target = CameraTarget { read_back: Some(sink.clone()), ..CameraTarget::clone(camera.target.as_ref().unwrap()) };
+    let camera = CameraNode { target: Some(Arc::new(target)), ..camera };
+    let node =
+        Node { children: vec![ball(DVec3::ZERO, 1.0, [1.0; 4])], ..Node::new(NodeKind::Camera(Box::new(camera))) };
+    viewer.add_root(Page::from_node(node).unwrap()).unwrap();
+    for _ in 0..3 {
+        let changed = viewer.frame_stamp().frame + 1;
+        viewer.request_redraw();
+        rest(&mut viewer);
+        let came = sink.take().map(|picture| picture.frame);
+        assert!(came >= Some(changed), "{came:?} of a change in {changed}");
     }
 }
 

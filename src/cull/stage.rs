@@ -96,8 +96,8 @@ pub struct CullCounters {
     pub shadows_refused: u32,
     /// Tiles and Lods between two levels of detail.
     pub fading: u32,
-    /// Frames since the last occlusion query that was answered was made, of the node for which that is longest; 0
-    /// without such nodes. `u32::MAX` where one has just been hidden or shown.
+    /// Frames since the last occlusion query that was answered was made, or the last picture that was read back was
+    /// drawn, of the node or camera for which that is longest; 0 without such. `u32::MAX` where one has just been hidden or shown.
     pub answers_age: u32,
 }
 

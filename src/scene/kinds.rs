@@ -180,6 +180,8 @@ impl Attachment {
 pub struct PictureSink {
     /// Written by the draw thread, taken by anybody; the newest replaces an older one.
     latest: std::sync::Mutex<Option<Picture>>,
+    /// The frame of the last one that came, for drawing on demand.
+    came: AtomicU32,
 }
 
 /// A picture read back: RGBA8, rows top to bottom.
@@ -201,9 +203,15 @@ impl PictureSink {
 
     /// Puts a picture there for whoever takes it.
     pub fn put(&self, picture: Picture) {
+        self.came.store(picture.frame, Ordering::Release);
         if let Ok(mut latest) = self.latest.lock() {
             *latest = Some(picture);
         }
+    }
+
+    /// The frames since the one of the last picture that came.
+    pub(crate) fn age(&self, frame: u32) -> u32 {
+        frame.saturating_sub(self.came.load(Ordering::Acquire))
     }
 }
 

@@ -524,7 +524,7 @@ impl ViewerBase {
         !(self.captures.is_empty() && self.wanted.is_empty() && self.asked.is_empty())
     }
 
-    /// Some occlusion query of what was last drawn has no answer that is as new as the last change.
+    /// Some occlusion query or camera that is read back of what was last drawn has no answer as new as the last change.
     pub(super) fn awaits_answers(&self) -> bool {
         let frames = self.stamp.frame.saturating_sub(self.changed);
         self.answers_age > frames && frames < MOST_AWAITED

@@ -460,7 +460,8 @@ impl Viewer {
     }
 
     /// For drawing on demand: false while another frame would show the same picture. True for events that wait, a
-    /// manipulator that moves, tiles that are still to come, answers to occlusion queries, image sequences that play,
+    /// manipulator that moves, tiles that are still to come, answers to occlusion queries and pictures that cameras of the
+    /// graph read back, image sequences that play,
     /// update callbacks, what lies over the picture, and [`View::request_redraw`]. Tiles that find no room in the budgets
     /// or wait while the pager is paused ask for no frame. What failed does once its wait is over: a loop that rests looks
     /// again now and then.
