@@ -3,7 +3,7 @@
 //! Planes are made in eye space in f64, moved into the frame where bounds are stored (f64), normalised there and
 //! only then rounded, so that bounds near that frame's origin are tested as precisely as f32 allows.
 
-use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4, Vec4};
+use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4, Vec3, Vec4, Vec4Swizzles as _};
 
 use super::CullingMode;
 
@@ -168,9 +168,9 @@ impl Planes {
         })
     }
 
-    /// Tests an oriented box (half axes = axes * half) as [`Self::test_sphere`] does.
+    /// Tests an oriented box (half axes = axes * half; nothing counts that lies behind in `center`) as [`Self::test_sphere`] does.
     #[inline(always)]
-    pub fn test_oriented(&self, center: [f32; 3], axes: &[[f32; 3]; 3], half: [f32; 3], mask: u8) -> Option<u8> {
+    pub fn test_oriented(&self, center: Vec4, axes: &[[f32; 3]; 3], half: [f32; 3], mask: u8) -> Option<u8> {
         let mut reach = Vec4::ZERO;
         for (axis, half) in axes.iter().zip(half) {
             reach += (self.x * axis[0] + self.y * axis[1] + self.z * axis[2]).abs() * half;
@@ -180,17 +180,10 @@ impl Planes {
         })
     }
 
-    /// The same of a box along the axes of the frame.
-    #[inline(always)]
-    pub fn test_aligned(&self, center: [f32; 3], half: [f32; 3], mask: u8) -> Option<u8> {
-        let reach = self.x.abs() * half[0] + self.y.abs() * half[1] + self.z.abs() * half[2];
-        self.test_reach(center, mask, reach, |n| n.x.abs() * half[0] + n.y.abs() * half[1] + n.z.abs() * half[2])
-    }
-
     /// Tests what reaches so far from its centre towards the sides, and towards another plane.
     #[inline(always)]
-    fn test_reach(&self, center: [f32; 3], mask: u8, reach: Vec4, reach_along: impl Fn(Vec4) -> f32) -> Option<u8> {
-        let distance = self.x * center[0] + self.y * center[1] + self.z * center[2] + self.w;
+    fn test_reach(&self, center: Vec4, mask: u8, reach: Vec4, reach_along: impl Fn(Vec4) -> f32) -> Option<u8> {
+        let distance = self.x * center.xxxx() + self.y * center.yyyy() + self.z * center.zzzz() + self.w;
         let outside = (distance + reach).cmplt(Vec4::ZERO).bitmask() as u8;
         let inside = distance.cmpgt(reach).bitmask() as u8;
         let mut crossing = mask & !inside;
@@ -200,9 +193,69 @@ impl Planes {
         if mask & (NEAR | FAR) != 0 {
             for (bit, n) in [(NEAR, self.near), (FAR, self.far)] {
                 if mask & bit != 0 {
-                    let distance = n.x * center[0] + n.y * center[1] + n.z * center[2] + n.w;
+                    let distance = n.truncate().dot(center.truncate()) + n.w;
                     let reach = reach_along(n);
                     if distance + reach < 0.0 {
+                        return None;
+                    }
+                    if distance > reach {
+                        crossing &= !bit;
+                    }
+                }
+            }
+        }
+        Some(crossing)
+    }
+}
+
+/// Planes as boxes on a grid are tested (`TileEye`): offsets in steps of it, lengths in metres. As many operations follow one
+/// another as must: a test that was guessed wrong waits for all of them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GridPlanes {
+    /// Of the four sides, of a step along each axis, and at 0.
+    sides: [Vec4; 4],
+    /// Of a metre along each axis, either way.
+    reach: [Vec4; 3],
+    /// Both of one plane.
+    near: [Vec4; 2],
+    far: [Vec4; 2],
+}
+
+impl Planes {
+    /// The planes of steps that are so long, counted from a point that lies so far before the eye.
+    pub fn on_grid(&self, step_m: f32, rest_m: Vec3) -> GridPlanes {
+        let at_zero = self.w - (self.x * rest_m.x + self.y * rest_m.y + self.z * rest_m.z);
+        let moved =
+            |n: Vec4| [(n.truncate() * step_m).extend(n.w - n.truncate().dot(rest_m)), n.truncate().abs().extend(0.0)];
+        GridPlanes {
+            sides: [self.x * step_m, self.y * step_m, self.z * step_m, at_zero],
+            reach: [self.x.abs(), self.y.abs(), self.z.abs()],
+            near: moved(self.near),
+            far: moved(self.far),
+        }
+    }
+}
+
+impl GridPlanes {
+    /// [`Planes::test_sphere`] of a box along the axes; nothing counts that lies behind.
+    #[inline(always)]
+    pub fn test_aligned(&self, steps: Vec4, half_m: Vec4, mask: u8) -> Option<u8> {
+        let [x, y, z, w] = self.sides;
+        let distance = (x * steps.xxxx() + y * steps.yyyy()) + (z * steps.zzzz() + w);
+        let [x, y, z] = self.reach;
+        let reach = x * half_m.xxxx() + y * half_m.yyyy() + z * half_m.zzzz();
+        let outside = distance.cmplt(-reach).bitmask() as u8;
+        let inside = distance.cmpgt(reach).bitmask() as u8;
+        let mut crossing = mask & !inside;
+        if outside & mask != 0 {
+            return None;
+        }
+        if mask & (NEAR | FAR) != 0 {
+            for (bit, [n, along]) in [(NEAR, self.near), (FAR, self.far)] {
+                if mask & bit != 0 {
+                    let distance = n.truncate().dot(steps.truncate()) + n.w;
+                    let reach = along.dot(half_m);
+                    if distance < -reach {
                         return None;
                     }
                     if distance > reach {

@@ -457,7 +457,7 @@ impl<'a> Cull<'a> {
         for at in first..end {
             let (place, eye_from_page) = match holder {
                 Some(holder) => {
-                    let place = holder.tiles.records[at as usize].resident;
+                    let place = holder.tiles.contents[at as usize].resident;
                     (place, eye_from_frame * holder.tiles.content_transform(at as usize))
                 }
                 None => (at, eye_from_frame),

@@ -36,7 +36,8 @@ struct QuantizedVertex {
 
 /// Rounded to the nearest: among numbers from 2^23 on, a whole is the lowest bit.
 fn unorm16(x: f32) -> u16 {
-    (x.clamp(0.0, 1.0) * 65535.0 + 8_388_608.0).to_bits() as u16
+    // No clamp, whose comparisons are branches.
+    (x.max(0.0).min(1.0) * 65535.0 + 8_388_608.0).to_bits() as u16
 }
 
 impl VertexFormat {
@@ -72,8 +73,12 @@ fn converted<'a, T: bytemuck::Pod>(
     scratch: &'a mut Vec<u8>,
     make: impl Fn(&MeshVertex) -> T,
 ) -> &'a [u8] {
-    scratch.clear();
-    scratch.resize(vertices.len() * size_of::<T>(), 0);
+    let bytes = vertices.len() * size_of::<T>();
+    // What is there of earlier calls is written over.
+    if scratch.len() < bytes {
+        scratch.resize(bytes, 0);
+    }
+    let scratch = &mut scratch[..bytes];
     for (vertex, place) in vertices.iter().zip(scratch.chunks_exact_mut(size_of::<T>())) {
         place.copy_from_slice(bytemuck::bytes_of(&make(vertex)));
     }

@@ -118,7 +118,7 @@ impl Scene {
         if let Some(holder) = self.page_at_mut(entry) {
             let record = &mut holder.tiles.records[tile];
             record.flags = (record.flags & !flag::FAILED) | flags;
-            record.resident = id.slot;
+            holder.tiles.contents[tile].resident = id.slot;
             holder.tiles.resident_generation[tile] = id.generation;
             holder.attached_pages += 1;
         }
@@ -141,7 +141,7 @@ impl Scene {
             if let Some(holder) = self.page_at_mut(entry) {
                 let record = &mut holder.tiles.records[tile];
                 record.flags &= !(flag::RESIDENT | flag::EXTERNAL);
-                record.resident = NONE;
+                holder.tiles.contents[tile].resident = NONE;
                 holder.attached_pages -= 1;
             }
             self.touched_records += 1;

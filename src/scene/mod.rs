@@ -25,6 +25,7 @@ mod slots;
 mod sun_shadows;
 #[cfg(feature = "text")]
 mod text;
+mod tile_bounds;
 mod tiles;
 mod transforms;
 mod variance;
@@ -70,4 +71,5 @@ pub(crate) use lone::LoneDrawable;
 pub(crate) use occluders::OccluderPage;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, LARGE, NONE, PLAIN, Special, UNBOUNDED, UNCULLED, VIEW, kind};
 pub(crate) use shared::{SharedContent, SharedParts};
-pub(crate) use tiles::{TileBounds, TileRecord, TileRoot, Tiles, flag};
+pub(crate) use tile_bounds::{TileBounds, TileEye};
+pub(crate) use tiles::{TileRecord, TileRoot, Tiles, flag};

@@ -57,7 +57,8 @@ impl Scene {
         let record = page.tiles.records.get(tile)?;
         let uri = page.tiles.uris.get(tile)?.as_ref()?;
         let state = if record.has(flag::RESIDENT) {
-            SlotState::Resident(PageId { slot: record.resident, generation: page.tiles.resident_generation[tile] })
+            let resident = page.tiles.contents.get(tile)?.resident;
+            SlotState::Resident(PageId { slot: resident, generation: page.tiles.resident_generation[tile] })
         } else if record.has(flag::FAILED) {
             SlotState::Failed
         } else {
@@ -132,7 +133,7 @@ impl Scene {
         let Some(page) = self.page_at(entry) else { return false };
         let record = &page.tiles.records[tile];
         if record.has(flag::RESIDENT) {
-            !record.has(flag::EXTERNAL) || self.page_at(record.resident).is_some_and(Page::is_ready)
+            !record.has(flag::EXTERNAL) || self.page_at(page.tiles.contents[tile].resident).is_some_and(Page::is_ready)
         } else {
             page.tiles.is_ready_without_page(tile)
         }

@@ -6,11 +6,12 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 
-use glam::{DAffine3, DMat3, DVec3};
+use glam::{DAffine3, DVec3, Vec3, Vec4};
 
 use super::lod_ranges::LodRanges;
 use super::node::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
-use super::page::{NONE, UNBOUNDED};
+use super::page::NONE;
+use super::tile_bounds::{ALONG_FRAME, BoxAxes, DeclaredBounds, TileBounds, TileEye, TileGrid};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox};
 
 /// Flags of a [`TileRecord`].
@@ -18,8 +19,6 @@ pub(crate) mod flag {
     pub const CONTENT: u16 = 1;
     pub const PROXY: u16 = 2;
     pub const ADD: u16 = 4;
-    /// The bound is a sphere, not a box.
-    pub const SPHERE: u16 = 8;
     /// [`super::RangeMode::Distance`]: the distance is to `center` of a separate table.
     pub const DISTANCE: u16 = 16;
     /// A proxy that is loaded only when the application asks.
@@ -34,21 +33,26 @@ pub(crate) mod flag {
     pub const OWN_PATH: u16 = 1024;
 }
 
-/// What the tile walk reads of every tile it meets.
+/// What the tile walk reads of every tile it meets, 16 bytes.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TileRecord {
     /// The first child tile; the others follow it.
     pub first_child: u32,
     pub child_count: u32,
-    /// Place of the resident page in the scene's table, or `NONE`.
-    pub resident: u32,
     /// Child tiles that are not ready; 0 means the children can replace the tile.
     pub not_ready_children: u32,
     pub flags: u16,
     /// Depth below the page's top tiles.
     pub depth: u16,
+}
+
+/// What a visit of a tile's content reads.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TileContent {
+    /// Place of the resident page in the scene's table, or `NONE`.
+    pub resident: u32,
     /// Index into [`Tiles::content_transforms`].
-    pub content_transform: u32,
+    transform: u32,
 }
 
 impl TileRecord {
@@ -70,46 +74,16 @@ impl TileRecord {
     }
 }
 
-/// Declared volume in the tile frame, 48 bytes. The centre is f64 so that the offset from the eye keeps its precision at
-/// planetary coordinates; everything else is small and f32.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct TileBounds {
-    pub center: [f64; 3],
-    /// Half length along each axis, metres.
-    pub half_m: [f32; 3],
-    pub radius_m: f32,
-    /// Geometric error or range in metres.
-    pub metric_m: f32,
-    /// Index of the box's axes in [`Tiles::axes`].
-    pub axes: u32,
-}
-
-/// Unit axes of a box.
-pub(crate) type BoxAxes = [[f32; 3]; 3];
-
-/// Axes of boxes along the frame's own: index 0 of [`Tiles::axes`], mostly of all tiles of a map in a plane.
-const ALONG_FRAME: BoxAxes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-
-impl TileBounds {
-    /// Offset of the centre from the eye; the subtraction is f64.
-    #[inline(always)]
-    pub fn offset_from(&self, eye: DVec3) -> [f32; 3] {
-        let [x, y, z] = self.center;
-        [(x - eye.x) as f32, (y - eye.y) as f32, (z - eye.z) as f32]
-    }
-
-    /// The box lies along the axes of the frame.
-    #[inline(always)]
-    pub fn is_along_frame(&self) -> bool {
-        self.axes == 0
-    }
-}
-
 /// Tiles of a page.
 #[derive(Debug, Default)]
 pub(crate) struct Tiles {
     pub records: Vec<TileRecord>,
     pub bounds: Vec<TileBounds>,
+    /// What the bounds are counted by.
+    pub grid: TileGrid,
+    pub contents: Vec<TileContent>,
+    /// Bounds until all tiles are known.
+    declared: Vec<DeclaredBounds>,
     /// Axes of boxes, each once in a row; empty without tiles.
     pub axes: Vec<BoxAxes>,
     /// Frame in which the tile was last wanted, or will be; stored by cull through a shared reference (relaxed: a
@@ -181,7 +155,7 @@ impl Tiles {
         }
         let sphere = tile.bounds.bounding_sphere();
         let oriented_box = tile.bounds.oriented_box();
-        let bounds = self.bounds_of(&sphere, oriented_box.as_ref(), metric);
+        let bounds = self.declare(&sphere, oriented_box.as_ref(), metric);
         self.push(parent, node, state_path, flags, bounds, tile.content_transform, tile.content, tile.reader_data);
         sphere
     }
@@ -197,7 +171,7 @@ impl Tiles {
                 self.paging.push((self.records.len() as u32, stays));
             }
         }
-        let bounds = self.bounds_of(&proxy.bounds, None, 0.0);
+        let bounds = self.declare(&proxy.bounds, None, 0.0);
         let sphere = proxy.bounds;
         self.push(parent, node, state_path, flags, bounds, proxy.content_transform, Some(proxy.uri), None);
         sphere
@@ -210,14 +184,11 @@ impl Tiles {
         node: u32,
         state_path: u32,
         mut flags: u16,
-        bounds: TileBounds,
+        bounds: DeclaredBounds,
         content_transform: DAffine3,
         uri: Option<Arc<str>>,
         reader_data: Option<Arc<str>>,
     ) {
-        if bounds.half_m == [0.0; 3] {
-            flags |= flag::SPHERE;
-        }
         // Of the tree that is being pushed; a top tile comes before its root.
         if parent != NONE && self.roots.last().is_some_and(|root| root.state_path != state_path) {
             flags |= flag::OWN_PATH;
@@ -228,16 +199,10 @@ impl Tiles {
         if self.content_transforms.last() != Some(&transform) {
             self.content_transforms.push(transform);
         }
-        self.records.push(TileRecord {
-            first_child: 0,
-            child_count: 0,
-            resident: NONE,
-            not_ready_children: 0,
-            flags,
-            depth,
-            content_transform: self.content_transforms.len() as u32 - 1,
-        });
-        self.bounds.push(bounds);
+        self.records.push(TileRecord { first_child: 0, child_count: 0, not_ready_children: 0, flags, depth });
+        let transform = self.content_transforms.len() as u32 - 1;
+        self.contents.push(TileContent { resident: NONE, transform });
+        self.declared.push(bounds);
         self.last_used.push(AtomicU32::new(0));
         self.parents.push(parent);
         self.busy_children.push(0);
@@ -249,26 +214,13 @@ impl Tiles {
         self.reader_data.push(reader_data);
     }
 
-    /// Bounds as cull reads them. A sphere has no half lengths; what is NaN or infinite becomes unbounded: always
-    /// visible, at distance 0.
-    fn bounds_of(&mut self, sphere: &BoundingSphere, oriented_box: Option<&OrientedBox>, metric_m: f64) -> TileBounds {
-        let metric_m = if metric_m > 0.0 { metric_m as f32 } else { 0.0 };
-        let mut bounds = TileBounds { center: [0.0; 3], half_m: [0.0; 3], radius_m: UNBOUNDED, metric_m, axes: 0 };
-        let usable = sphere.center.is_finite() && sphere.radius_m >= 0.0 && sphere.radius_m < f64::from(UNBOUNDED);
-        if !usable {
-            return bounds;
-        }
-        bounds.center = sphere.center.to_array();
-        bounds.radius_m = round_up(sphere.radius_m);
-        if let Some(b) = oriented_box {
-            let (axes, half) = unit_axes(&b.half_axes);
-            bounds.center = b.center.to_array();
-            bounds.axes = self.index_of(axes.map(|a| a.as_vec3().to_array()));
-            bounds.half_m = half.map(round_up);
-            // Around the box's own centre; a region's sphere has another.
-            bounds.radius_m = round_up(DVec3::from_array(half).length());
-        }
-        bounds
+    fn declare(
+        &mut self,
+        sphere: &BoundingSphere,
+        oriented_box: Option<&OrientedBox>,
+        metric_m: f64,
+    ) -> DeclaredBounds {
+        DeclaredBounds::new(sphere, oriented_box, metric_m, |axes| self.index_of(axes))
     }
 
     /// The index of a box's axes; those of the tile before and of the frame are found again.
@@ -303,7 +255,7 @@ impl Tiles {
     /// The axes of a tile's box.
     #[inline(always)]
     pub fn axes_of(&self, bounds: &TileBounds) -> &BoxAxes {
-        self.axes.get(bounds.axes as usize).unwrap_or(&ALONG_FRAME)
+        self.axes.get(bounds.axes()).unwrap_or(&ALONG_FRAME)
     }
 
     /// Lays siblings side by side; tiles were pushed depth-first. Every tree keeps its range. The new places of tiles
@@ -333,7 +285,10 @@ impl Tiles {
             order[*place as usize] = tile as u32;
         }
         self.records = taken(&self.records, &order);
-        self.bounds = taken(&self.bounds, &order);
+        self.contents = taken(&self.contents, &order);
+        let declared = std::mem::take(&mut self.declared);
+        self.grid = TileGrid::around(&declared);
+        self.bounds = order.iter().map(|tile| self.grid.fit(&declared[*tile as usize])).collect();
         self.parents = taken(&self.parents, &order);
         self.nodes = taken(&self.nodes, &order);
         self.uris = taken(&self.uris, &order);
@@ -376,7 +331,7 @@ impl Tiles {
 
     /// Maps a tile's content to the tile's frame.
     pub fn content_transform(&self, tile: usize) -> DAffine3 {
-        let place = self.records.get(tile).map(|record| record.content_transform as usize);
+        let place = self.contents.get(tile).map(|content| content.transform as usize);
         place.and_then(|place| self.content_transforms.get(place)).copied().unwrap_or_default()
     }
 
@@ -417,33 +372,41 @@ impl Tiles {
         tile: u32,
         record: &TileRecord,
         bounds: &TileBounds,
-        offset: [f32; 3],
-        eye: DVec3,
+        eye: &TileEye,
         ranges: &LodRanges,
     ) -> (f32, f32) {
-        let (range, distance2) = if record.has(flag::DISTANCE) {
-            let (range, distance) =
-                (bounds.metric_m * ranges.per_metre, self.distance_center(tile).distance(eye) as f32);
-            return (range * range, distance * distance);
-        } else if record.has(flag::SPHERE) {
-            let [x, y, z] = offset;
-            let outside = ((x * x + y * y + z * z).sqrt() - bounds.radius_m).max(0.0);
-            (bounds.metric_m * ranges.per_error, outside * outside)
-        } else {
-            let along = if bounds.is_along_frame() {
-                offset
-            } else {
-                let along = |axis: [f32; 3]| offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2];
-                self.axes_of(bounds).map(along)
-            };
-            let outside = |i: usize| {
-                let outside = along[i].abs() - bounds.half_m[i];
-                if outside > 0.0 { outside } else { 0.0 }
-            };
-            let [x, y, z] = [outside(0), outside(1), outside(2)];
-            (bounds.metric_m * ranges.per_error, x * x + y * y + z * z)
-        };
+        if record.has(flag::DISTANCE) {
+            return self.range_and_distance_to_center(tile, bounds, eye, ranges);
+        }
+        let offset = eye.offset_to(bounds);
+        let distance2 =
+            if bounds.is_along_frame() { outside2(offset, bounds) } else { self.distance2_to(bounds, offset) };
+        let range = bounds.metric_m() * ranges.per_error;
         (range * range, distance2.max(ranges.least_distance2))
+    }
+
+    #[inline(never)]
+    fn range_and_distance_to_center(
+        &self,
+        tile: u32,
+        bounds: &TileBounds,
+        eye: &TileEye,
+        ranges: &LodRanges,
+    ) -> (f32, f32) {
+        let range = bounds.metric_m() * ranges.per_metre;
+        let distance = self.distance_center(tile).distance(eye.position) as f32;
+        (range * range, distance * distance)
+    }
+
+    /// Squared distance to a sphere, or to a box that is turned.
+    #[inline(never)]
+    fn distance2_to(&self, bounds: &TileBounds, offset: Vec4) -> f32 {
+        if bounds.is_sphere() {
+            let outside = (offset.truncate().length() - bounds.radius_m()).max(0.0);
+            return outside * outside;
+        }
+        let [x, y, z] = self.axes_of(bounds).map(|axis| offset.truncate().dot(Vec3::from_array(axis)));
+        outside2(Vec4::new(x, y, z, 0.0), bounds)
     }
 
     pub fn distance_center(&self, tile: u32) -> DVec3 {
@@ -454,7 +417,11 @@ impl Tiles {
     }
 
     pub fn size_bytes(&self) -> u64 {
-        let row = size_of::<TileRecord>() + size_of::<TileBounds>() + 5 * 4 + 2 * size_of::<Option<Arc<str>>>();
+        let row = size_of::<TileRecord>()
+            + size_of::<TileContent>()
+            + size_of::<TileBounds>()
+            + 5 * 4
+            + 2 * size_of::<Option<Arc<str>>>();
         let shared = self.content_transforms.len() * size_of::<DAffine3>() + self.axes.len() * size_of::<BoxAxes>();
         (self.records.len() * row + shared) as u64 + self.text_bytes
     }
@@ -465,25 +432,10 @@ fn taken<T: Clone>(elements: &[T], order: &[u32]) -> Vec<T> {
     order.iter().map(|place| elements[*place as usize].clone()).collect()
 }
 
-/// The next f32 above a length, so that rounding never makes a volume smaller.
-fn round_up(length_m: f64) -> f32 {
-    (length_m * (1.0 + 2.0 * f64::from(f32::EPSILON))) as f32
-}
-
-/// Directions and lengths of half axes; axes of zero length get a direction perpendicular to the others.
-fn unit_axes(half_axes: &DMat3) -> ([DVec3; 3], [f64; 3]) {
-    let given = [half_axes.x_axis, half_axes.y_axis, half_axes.z_axis];
-    let half = given.map(|a| a.length());
-    let mut axes = given.map(|a| a.try_normalize());
-    for k in 0..3 {
-        if axes[k].is_none() {
-            let (a, b) = (axes[(k + 1) % 3], axes[(k + 2) % 3]);
-            axes[k] = match (a, b) {
-                (Some(a), Some(b)) => a.cross(b).try_normalize(),
-                (Some(a), None) | (None, Some(a)) => Some(a.any_orthonormal_vector()),
-                (None, None) => Some(DVec3::X),
-            };
-        }
-    }
-    (axes.map(|a| a.unwrap_or(DVec3::X)), half)
+/// Squared distance to a box from a point that is so far from its centre along each of its axes, and 0 behind.
+#[inline(always)]
+fn outside2(along: Vec4, bounds: &TileBounds) -> f32 {
+    let outside = along.abs() - bounds.extent();
+    // What lies behind is less than nothing.
+    outside.max(Vec4::ZERO).length_squared()
 }

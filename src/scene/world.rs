@@ -7,7 +7,6 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use super::graph::Scene;
 use super::page::{NONE, Page, UNBOUNDED, kind};
 use super::slots::SlotState;
-use super::tiles::flag;
 use super::{NodeId, PageId};
 use crate::math::{BoundingSphere, OrientedBox};
 
@@ -120,18 +119,18 @@ impl Scene {
 
     fn tile_box(&self, page_id: PageId, tile: usize) -> Option<OrientedBox> {
         let page = self.page(page_id)?;
-        let (record, bounds) = (page.tiles.records.get(tile)?, page.tiles.bounds.get(tile)?);
-        let half_axes = if record.has(flag::SPHERE) {
-            if bounds.radius_m >= UNBOUNDED {
+        let bounds = page.tiles.bounds.get(tile)?;
+        let half_axes = if bounds.is_sphere() {
+            if bounds.radius_m() >= UNBOUNDED {
                 return None;
             }
-            DMat3::from_diagonal(DVec3::splat(bounds.radius_m.into()))
+            DMat3::from_diagonal(DVec3::splat(bounds.radius_m().into()))
         } else {
             let [x, y, z] = page.tiles.axes_of(bounds).map(|axis| Vec3::from_array(axis).as_dvec3());
-            let half = Vec3::from_array(bounds.half_m).as_dvec3();
+            let half = Vec3::from_array(bounds.half_m()).as_dvec3();
             DMat3::from_cols(x * half.x, y * half.y, z * half.z)
         };
-        let in_tile = OrientedBox { center: DVec3::from_array(bounds.center), half_axes };
+        let in_tile = OrientedBox { center: page.tiles.grid.center(bounds), half_axes };
         Some(in_tile.transformed(&(self.world_from_page(page_id)? * page.page_from_tile(tile)?)))
     }
 }

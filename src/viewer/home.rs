@@ -12,7 +12,7 @@ use crate::draw::{Environment, Fog};
 use crate::io;
 use crate::math::{BoundingSphere, BoundingVolume, Ellipsoid, OrientedBox, WGS84};
 use crate::pager::{DatabasePager, PagerConfig};
-use crate::scene::{NodeKind, Page, flag};
+use crate::scene::{NodeKind, Page};
 
 /// A set whose bounding sphere's centre lies farther than this from the origin is taken as earth-centred.
 const GEOREFERENCED_BEYOND_M: f64 = 1.0e6;
@@ -253,14 +253,14 @@ fn declared_region(uri: &Arc<str>, options: &io::ReadOptions) -> Option<Bounding
 /// The declared volume of a page's root tile.
 pub(super) fn root_volume(page: &Page) -> Option<BoundingVolume> {
     let root = page.tiles.roots.first()?;
-    let (record, bounds) = (page.tiles.records.get(root.tile as usize)?, page.tiles.bounds.get(root.tile as usize)?);
+    let bounds = page.tiles.bounds.get(root.tile as usize)?;
     let page_from_tile = page.transforms.page_from_node(root.transform);
-    let center = DVec3::from_array(bounds.center);
-    Some(if record.has(flag::SPHERE) {
-        BoundingVolume::Sphere(BoundingSphere::new(center, bounds.radius_m.into()).transformed(&page_from_tile))
+    let center = page.tiles.grid.center(bounds);
+    Some(if bounds.is_sphere() {
+        BoundingVolume::Sphere(BoundingSphere::new(center, bounds.radius_m().into()).transformed(&page_from_tile))
     } else {
         let [x, y, z] = page.tiles.axes_of(bounds).map(|axis| Vec3::from_array(axis).as_dvec3());
-        let half = Vec3::from_array(bounds.half_m).as_dvec3();
+        let half = Vec3::from_array(bounds.half_m()).as_dvec3();
         let half_axes = DMat3::from_cols(x * half.x, y * half.y, z * half.z);
         BoundingVolume::Box(OrientedBox { center, half_axes }.transformed(&page_from_tile))
     })

@@ -237,8 +237,7 @@ impl Collector<'_> {
             return true;
         }
         let bounds = &tiles.bounds[tile as usize];
-        let offset = bounds.offset_from(eye);
-        let to_range = tiles.range_and_distance(tile, record, bounds, offset, eye, &self.view.ranges);
+        let to_range = tiles.range_and_distance(tile, record, bounds, &tiles.grid.eye(eye), &self.view.ranges);
         if !record.has(flag::CONTENT) {
             return to_range.1 < to_range.0;
         }

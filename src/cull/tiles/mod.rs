@@ -9,15 +9,15 @@ mod plain;
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use glam::DVec3;
-
 pub(super) use self::frame::TileFrame;
 use super::fade::{Fade, Step, TileMark, WHOLE};
 use super::horizon::Horizon;
-use super::planes::Planes;
+use super::planes::{GridPlanes, Planes};
 use super::stage::PageRequest;
 use super::visitor::{Cull, Hanger, PageVisit, Purpose, Waiting, eye_in};
-use crate::scene::{LodRanges, NONE, NodeId, Page, PageId, TileBounds, TileRecord, TileRoot, Tiles, UNBOUNDED, flag};
+use crate::scene::{
+    LodRanges, NONE, NodeId, Page, PageId, TileBounds, TileEye, TileRecord, TileRoot, Tiles, UNBOUNDED, flag,
+};
 
 /// A frame with tile trees, seen from the eye.
 #[derive(Clone, Copy, Debug)]
@@ -27,7 +27,9 @@ pub(super) struct TileView {
     hanger: u32,
     /// Relative to the eye.
     planes: Planes,
-    eye: DVec3,
+    /// The same for tiles along the frame.
+    grid_planes: GridPlanes,
+    eye: TileEye,
     horizon: Option<Horizon>,
 }
 
@@ -157,7 +159,7 @@ impl Cull<'_> {
             if walk.is_hidden(tile) {
                 seen = Some(kept?);
             }
-            if record.has(flag::REQUEST_VOLUME) && !walk.tiles.may_be_requested(tile, walk.view.eye) {
+            if record.has(flag::REQUEST_VOLUME) && !walk.tiles.may_be_requested(tile, walk.view.eye.position) {
                 return None;
             }
         }
@@ -165,11 +167,11 @@ impl Cull<'_> {
             && mask != 0
         {
             let bounds = &walk.tiles.bounds[tile as usize];
-            seen = walk.test(record, bounds, mask).map(|crossing| (above.purpose, crossing)).or(kept);
+            seen = walk.test(bounds, mask).map(|crossing| (above.purpose, crossing)).or(kept);
         }
         if walk.may_be_behind
             && let Some((Purpose::Draw | Purpose::Want, mask)) = seen
-            && self.is_behind(walk, tile, record)
+            && self.is_behind(walk, tile)
         {
             seen = kept.map(|_| (Purpose::Keep, mask));
         }
@@ -361,32 +363,34 @@ impl Cull<'_> {
                     required: false,
                     shown_px: 0.0,
                 });
-                *self.tile_view.insert(TileView { transform, hanger, planes, eye, horizon })
+                let eye = page.tiles.grid.eye(eye);
+                let grid_planes = planes.on_grid(eye.step_m(), eye.rest_m());
+                *self.tile_view.insert(TileView { transform, hanger, planes, grid_planes, eye, horizon })
             }
         }
     }
 
     /// True for a tile behind the horizon or in the shadow of an occluder.
     #[inline]
-    fn is_behind(&mut self, walk: &Walk, tile: u32, record: &TileRecord) -> bool {
+    fn is_behind(&mut self, walk: &Walk, tile: u32) -> bool {
         let bounds = &walk.tiles.bounds[tile as usize];
-        let offset = bounds.offset_from(walk.view.eye);
-        walk.view.horizon.as_ref().is_some_and(|h| h.hides(offset, bounds.radius_m))
-            || (!self.occluders.is_empty() && self.is_in_shadow(walk, bounds, record, offset))
+        let [x, y, z, _] = walk.view.eye.offset_to(bounds).to_array();
+        walk.view.horizon.as_ref().is_some_and(|h| h.hides([x, y, z], bounds.radius_m()))
+            || (!self.occluders.is_empty() && self.is_in_shadow(walk, bounds, [x, y, z]))
     }
 
     /// True for a tile in the shadow of an occluder.
     #[cold]
-    fn is_in_shadow(&mut self, walk: &Walk, bounds: &TileBounds, record: &TileRecord, offset: [f32; 3]) -> bool {
+    fn is_in_shadow(&mut self, walk: &Walk, bounds: &TileBounds, offset: [f32; 3]) -> bool {
         let axes = walk.tiles.axes_of(bounds);
         let reach = |p: glam::Vec4| {
-            if record.has(flag::SPHERE) {
-                return bounds.radius_m;
+            if bounds.is_sphere() {
+                return bounds.radius_m();
             }
             let along = |axis: &[f32; 3]| (p.x * axis[0] + p.y * axis[1] + p.z * axis[2]).abs();
-            axes.iter().zip(bounds.half_m).map(|(axis, half)| along(axis) * half).sum()
+            axes.iter().zip(bounds.half_m()).map(|(axis, half)| along(axis) * half).sum()
         };
-        let hidden = bounds.radius_m < UNBOUNDED && self.occluders.hide(self.tile_occluders, offset, reach);
+        let hidden = bounds.radius_m() < UNBOUNDED && self.occluders.hide(self.tile_occluders, offset, reach);
         self.counters.occluded += u32::from(hidden);
         hidden
     }
@@ -408,11 +412,11 @@ impl Cull<'_> {
     fn share_of_place(&self, walk: &Walk, tile: u32) -> f32 {
         let bounds = &walk.tiles.bounds[tile as usize];
         let eye_from_frame = &self.hangers[walk.view.hanger as usize].eye_from_frame;
-        let center = eye_from_frame.transform_point3(DVec3::from_array(bounds.center)).as_vec3();
+        let center = eye_from_frame.transform_point3(walk.tiles.grid.center(bounds)).as_vec3();
         let distance = center.length();
         // Of the angle to the centre, and of half the angle that the bounds take in.
         let (sin, cos) = (center.truncate().length() / distance, -center.z / distance);
-        let radius = bounds.radius_m * eye_from_frame.matrix3.x_axis.length() as f32;
+        let radius = bounds.radius_m() * eye_from_frame.matrix3.x_axis.length() as f32;
         let half_sin = radius / distance;
         if half_sin >= 1.0 {
             return 1.0;
@@ -441,7 +445,7 @@ impl Cull<'_> {
         let priority = finite(shown_px2.sqrt() * share);
         // The finest tiles have none.
         let bounds = &walk.tiles.bounds[tile as usize];
-        let has_error = bounds.metric_m > 0.0;
+        let has_error = bounds.metric_m() > 0.0;
         let error_px2 = if has_error { walk.px2(walk.range_and_distance(tile, record, bounds)) } else { 0.0 };
         let error_px = finite(error_px2.sqrt());
         self.stage.requests.push(PageRequest { slot, priority, error_px, ahead_frames: 0 });
@@ -493,14 +497,15 @@ impl Walk<'_> {
     }
 
     #[inline(always)]
-    fn test(&self, record: &TileRecord, bounds: &TileBounds, mask: u8) -> Option<u8> {
-        let offset = bounds.offset_from(self.view.eye);
-        if record.has(flag::SPHERE) {
-            self.view.planes.test_sphere(glam::Vec4::new(offset[0], offset[1], offset[2], bounds.radius_m), mask)
-        } else if bounds.is_along_frame() {
-            self.view.planes.test_aligned(offset, bounds.half_m, mask)
+    fn test(&self, bounds: &TileBounds, mask: u8) -> Option<u8> {
+        if bounds.is_along_frame() {
+            return self.view.grid_planes.test_aligned(self.view.eye.steps_to(bounds), bounds.extent(), mask);
+        }
+        let offset = self.view.eye.offset_to(bounds);
+        if bounds.is_sphere() {
+            self.view.planes.test_sphere(offset.with_w(bounds.radius_m()), mask)
         } else {
-            self.view.planes.test_oriented(offset, self.tiles.axes_of(bounds), bounds.half_m, mask)
+            self.view.planes.test_oriented(offset, self.tiles.axes_of(bounds), bounds.half_m(), mask)
         }
     }
 
@@ -521,8 +526,7 @@ impl Walk<'_> {
     /// Squared distance at which a tile wants its children, and squared distance now.
     #[inline(always)]
     fn range_and_distance(&self, tile: u32, record: &TileRecord, bounds: &TileBounds) -> (f32, f32) {
-        let offset = bounds.offset_from(self.view.eye);
-        self.tiles.range_and_distance(tile, record, bounds, offset, self.view.eye, &self.ranges)
+        self.tiles.range_and_distance(tile, record, bounds, &self.view.eye, &self.ranges)
     }
 }
 

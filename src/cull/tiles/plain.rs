@@ -59,7 +59,7 @@ impl Cull<'_> {
             }
             let mut mask = 0;
             if LOOKS {
-                let seen = self.see(walk, tile, record, &bounds[place], above);
+                let seen = self.see(walk, tile, &bounds[place], above);
                 match seen {
                     Some((Purpose::Draw, crossing)) => mask = crossing,
                     _ => {
@@ -212,7 +212,7 @@ impl Cull<'_> {
             }
             let (mut purpose, mut mask) = (above.purpose, 0);
             if LOOKS {
-                match self.see(walk, tile, record, &bounds[place], above) {
+                match self.see(walk, tile, &bounds[place], above) {
                     Some(seen) => (purpose, mask) = seen,
                     None => {
                         tile += 1;
@@ -248,20 +248,13 @@ impl Cull<'_> {
 
     /// [`Self::look`], by itself where only the frustum culls.
     #[inline(always)]
-    fn see(
-        &mut self,
-        walk: &Walk,
-        tile: u32,
-        record: &TileRecord,
-        bounds: &TileBounds,
-        above: TileFrame,
-    ) -> Option<(Purpose, u8)> {
+    fn see(&mut self, walk: &Walk, tile: u32, bounds: &TileBounds, above: TileFrame) -> Option<(Purpose, u8)> {
         if walk.looks_everywhere() {
             self.look(walk, tile, above)
         } else if above.mask == 0 || above.purpose == Purpose::Keep {
             Some((above.purpose, above.mask))
         } else {
-            match walk.test(record, bounds, above.mask) {
+            match walk.test(bounds, above.mask) {
                 Some(crossing) => Some((above.purpose, crossing)),
                 None if above.required => Some((Purpose::Keep, above.mask)),
                 None => {

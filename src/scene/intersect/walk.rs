@@ -7,7 +7,8 @@ use glam::{DAffine3, DMat3, DVec3};
 use super::visitor::{EyePoint, LodSelection};
 use super::window::WindowView;
 use crate::scene::page::{NONE, Page, Special, UNBOUNDED, kind};
-use crate::scene::tiles::{TileBounds, TileRecord, Tiles, flag};
+use crate::scene::tile_bounds::{TileBounds, TileEye};
+use crate::scene::tiles::{Tiles, flag};
 use crate::scene::{
     CameraNode, ComputeNearFar, INACTIVE, Inherit, ReferenceFrame, RenderOrder, Scene, has_parallel_rays,
 };
@@ -441,7 +442,7 @@ impl<P: Probe> Walk<'_, P> {
         let Ok(root) = tiles.roots.binary_search_by_key(&first, |r| r.tile) else { return };
         let world_from_tile = here.world_from_page * here.page.transforms.page_from_node(tiles.roots[root].transform);
         let Some(local) = self.probe.local(self.view.shape, &world_from_tile) else { return };
-        let eye = self.view.rules.eye.map(|eye| in_frame(&world_from_tile, eye.position()));
+        let eye = self.view.rules.eye.map(|eye| tiles.grid.eye(in_frame(&world_from_tile, eye.position())));
         let base_depth = self.scene.base_depth(self.scene.page_id_at(here.place));
         let mut tile = first;
         while tile != NONE {
@@ -450,13 +451,13 @@ impl<P: Probe> Walk<'_, P> {
             let hidden =
                 here.page.masks.get(tiles.nodes[index] as usize).is_some_and(|m| m & self.view.rules.mask == 0);
             let outside_request =
-                record.has(flag::REQUEST_VOLUME) && eye.is_some_and(|eye| !tiles.may_be_requested(tile, eye));
-            if hidden || outside_request || !enters_tile::<P>(&local, tiles, bounds, record) {
+                record.has(flag::REQUEST_VOLUME) && eye.is_some_and(|eye| !tiles.may_be_requested(tile, eye.position));
+            if hidden || outside_request || !enters_tile::<P>(&local, tiles, bounds) {
                 tile = tiles.behind(tile);
                 continue;
             }
             let resident = record.has(flag::RESIDENT);
-            let wants = record.has_children() && self.wants_children(tiles, tile, eye, base_depth);
+            let wants = record.has_children() && self.wants_children(tiles, tile, eye.as_ref(), base_depth);
             let ready = record.not_ready_children == 0;
             let (draws, descends) = if record.has(flag::PROXY | flag::EXTERNAL) {
                 (resident, true)
@@ -471,21 +472,23 @@ impl<P: Probe> Walk<'_, P> {
                 (resident, !resident && (ready || self.view.rules.lods != LodSelection::AsSeen))
             };
             if draws {
-                self.pages.push((record.resident, world_from_tile * tiles.content_transform(index), self.view));
+                self.pages.push((
+                    tiles.contents[index].resident,
+                    world_from_tile * tiles.content_transform(index),
+                    self.view,
+                ));
             }
             tile = if descends && record.has_children() { record.first_child } else { tiles.behind(tile) };
         }
     }
 
-    fn wants_children(&self, tiles: &Tiles, tile: u32, eye_in_tile: Option<DVec3>, base_depth: u32) -> bool {
+    fn wants_children(&self, tiles: &Tiles, tile: u32, eye_in_tile: Option<&TileEye>, base_depth: u32) -> bool {
         let record = &tiles.records[tile as usize];
         match (self.view.rules.lods, self.view.rules.eye, eye_in_tile) {
             (LodSelection::Level(level), ..) => base_depth + u32::from(record.depth) < level,
             (LodSelection::AsSeen, Some(eye), Some(eye_in_tile)) => {
                 let bounds = &tiles.bounds[tile as usize];
-                let offset = bounds.offset_from(eye_in_tile);
-                let (range2, distance2) =
-                    tiles.range_and_distance(tile, record, bounds, offset, eye_in_tile, &eye.ranges());
+                let (range2, distance2) = tiles.range_and_distance(tile, record, bounds, eye_in_tile, &eye.ranges());
                 distance2 < range2
             }
             _ => true,
@@ -493,16 +496,16 @@ impl<P: Probe> Walk<'_, P> {
     }
 }
 
-fn enters_tile<P: Probe>(local: &P::Local, tiles: &Tiles, bounds: &TileBounds, record: &TileRecord) -> bool {
-    let center = DVec3::from_array(bounds.center);
-    if bounds.radius_m >= UNBOUNDED {
+fn enters_tile<P: Probe>(local: &P::Local, tiles: &Tiles, bounds: &TileBounds) -> bool {
+    let center = tiles.grid.center(bounds);
+    if bounds.radius_m() >= UNBOUNDED {
         return true;
     }
-    if record.has(flag::SPHERE) {
-        return P::enters_sphere(local, center, bounds.radius_m.into()).is_some();
+    if bounds.is_sphere() {
+        return P::enters_sphere(local, center, bounds.radius_m().into()).is_some();
     }
     let axes = tiles.axes_of(bounds).map(|axis| DVec3::from_array(axis.map(f64::from)));
-    let half = DVec3::from_array(bounds.half_m.map(f64::from));
+    let half = DVec3::from_array(bounds.half_m().map(f64::from));
     // The axes are f32: at the ends of a long box off by this much.
     let half = half + half.max_element() * f64::from(f32::EPSILON);
     P::enters_box(local, center, &DMat3::from_cols(axes[0], axes[1], axes[2]), half).is_some()
