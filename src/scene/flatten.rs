@@ -13,6 +13,7 @@ use super::page::{
     BLEND, Boxes4, CALLBACK, DrawableRef, INACTIVE, LARGE, LodRecord, NONE, NodeRecord, PLAIN, Page, Special,
     StatePath, UNCULLED, VIEW, kind,
 };
+use super::tile_bounds::DeclaredBounds;
 use super::tiles::{TileRoot, Tiles};
 use super::transforms::Transforms;
 use crate::math::{Aabb, BoundingSphere};
@@ -32,6 +33,8 @@ struct Open {
 
 struct Flattener {
     page: Page,
+    /// Of tiles, in the order they were met.
+    declared: Vec<DeclaredBounds>,
     path_of: HashMap<(u32, u32), u32>,
     set_of: HashMap<usize, u32>,
 }
@@ -91,6 +94,7 @@ impl Flattener {
                 shared_tree_bytes: 0,
                 attached_pages: 0,
             },
+            declared: Vec::new(),
             path_of: HashMap::new(),
             set_of: HashMap::new(),
         }
@@ -173,14 +177,16 @@ impl Flattener {
             }
             NodeKind::PagedLod(lod) => {
                 payload = self.page.tiles.len() as u32;
-                let sphere = self.page.tiles.push_paged_lod(tile, index, path, *lod);
+                let (declared, sphere) = self.page.tiles.push_paged_lod(tile, index, path, *lod);
+                self.declared.push(declared);
                 self.note_tile_root(tile, TileRoot { tile: payload, transform, state_path: path }, sphere);
                 tile = payload;
                 kind::TILE
             }
             NodeKind::ProxyNode(proxy) => {
                 payload = self.page.tiles.len() as u32;
-                let sphere = self.page.tiles.push_proxy(tile, index, path, *proxy);
+                let (declared, sphere) = self.page.tiles.push_proxy(tile, index, path, *proxy);
+                self.declared.push(declared);
                 self.note_tile_root(tile, TileRoot { tile: payload, transform, state_path: path }, sphere);
                 tile = payload;
                 kind::TILE
@@ -345,7 +351,7 @@ impl Flattener {
         if page.payloads.iter().all(|p| *p == NONE) {
             page.payloads = Vec::new();
         }
-        let places = page.tiles.lay_siblings_together();
+        let places = page.tiles.lay_siblings_together(&self.declared);
         for (node, payload) in page.nodes.iter().zip(&mut page.payloads) {
             if node.kind == kind::TILE {
                 *payload = places[*payload as usize];

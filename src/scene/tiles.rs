@@ -82,8 +82,6 @@ pub(crate) struct Tiles {
     /// What the bounds are counted by.
     pub grid: TileGrid,
     pub contents: Vec<TileContent>,
-    /// Bounds until all tiles are known.
-    declared: Vec<DeclaredBounds>,
     /// Axes of boxes, each once in a row; empty without tiles.
     pub axes: Vec<BoxAxes>,
     /// Frame in which the tile was last wanted, or will be; stored by cull through a shared reference (relaxed: a
@@ -129,7 +127,14 @@ impl Tiles {
         self.records.len()
     }
 
-    pub fn push_paged_lod(&mut self, parent: u32, node: u32, state_path: u32, tile: PagedLod) -> BoundingSphere {
+    /// Takes up a tile; its declared bounds, which come on the page's grid once all are known, and the sphere around them.
+    pub fn push_paged_lod(
+        &mut self,
+        parent: u32,
+        node: u32,
+        state_path: u32,
+        tile: PagedLod,
+    ) -> (DeclaredBounds, BoundingSphere) {
         let mut flags = 0;
         if tile.content.is_some() {
             flags |= flag::CONTENT;
@@ -156,11 +161,18 @@ impl Tiles {
         let sphere = tile.bounds.bounding_sphere();
         let oriented_box = tile.bounds.oriented_box();
         let bounds = self.declare(&sphere, oriented_box.as_ref(), metric);
-        self.push(parent, node, state_path, flags, bounds, tile.content_transform, tile.content, tile.reader_data);
-        sphere
+        self.push(parent, node, state_path, flags, tile.content_transform, tile.content, tile.reader_data);
+        (bounds, sphere)
     }
 
-    pub fn push_proxy(&mut self, parent: u32, node: u32, state_path: u32, proxy: ProxyNode) -> BoundingSphere {
+    /// The same of a proxy.
+    pub fn push_proxy(
+        &mut self,
+        parent: u32,
+        node: u32,
+        state_path: u32,
+        proxy: ProxyNode,
+    ) -> (DeclaredBounds, BoundingSphere) {
         let mut flags = flag::PROXY | flag::ADD;
         match proxy.loading {
             ProxyLoading::DeferToPager => {}
@@ -173,8 +185,8 @@ impl Tiles {
         }
         let bounds = self.declare(&proxy.bounds, None, 0.0);
         let sphere = proxy.bounds;
-        self.push(parent, node, state_path, flags, bounds, proxy.content_transform, Some(proxy.uri), None);
-        sphere
+        self.push(parent, node, state_path, flags, proxy.content_transform, Some(proxy.uri), None);
+        (bounds, sphere)
     }
 
     #[allow(clippy::too_many_arguments, reason = "one row of the tables; called from the two functions above")]
@@ -184,7 +196,6 @@ impl Tiles {
         node: u32,
         state_path: u32,
         mut flags: u16,
-        bounds: DeclaredBounds,
         content_transform: DAffine3,
         uri: Option<Arc<str>>,
         reader_data: Option<Arc<str>>,
@@ -202,7 +213,6 @@ impl Tiles {
         self.records.push(TileRecord { first_child: 0, child_count: 0, not_ready_children: 0, flags, depth });
         let transform = self.content_transforms.len() as u32 - 1;
         self.contents.push(TileContent { resident: NONE, transform });
-        self.declared.push(bounds);
         self.last_used.push(AtomicU32::new(0));
         self.parents.push(parent);
         self.busy_children.push(0);
@@ -258,9 +268,9 @@ impl Tiles {
         self.axes.get(bounds.axes()).unwrap_or(&ALONG_FRAME)
     }
 
-    /// Lays siblings side by side; tiles were pushed depth-first. Every tree keeps its range. The new places of tiles
-    /// by their old ones.
-    pub fn lay_siblings_together(&mut self) -> Vec<u32> {
+    /// Lays siblings side by side; tiles were pushed depth-first, with these bounds. Every tree keeps its range. The new
+    /// places of tiles by their old ones.
+    pub fn lay_siblings_together(&mut self, declared: &[DeclaredBounds]) -> Vec<u32> {
         let count = self.len();
         for parent in self.parents.iter().filter(|p| **p != NONE) {
             self.records[*parent as usize].child_count += 1;
@@ -286,8 +296,7 @@ impl Tiles {
         }
         self.records = taken(&self.records, &order);
         self.contents = taken(&self.contents, &order);
-        let declared = std::mem::take(&mut self.declared);
-        self.grid = TileGrid::around(&declared);
+        self.grid = TileGrid::around(declared);
         self.bounds = order.iter().map(|tile| self.grid.fit(&declared[*tile as usize])).collect();
         self.parents = taken(&self.parents, &order);
         self.nodes = taken(&self.nodes, &order);
