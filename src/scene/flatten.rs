@@ -223,7 +223,6 @@ impl Flattener {
                 kind::SPECIAL
             }
             NodeKind::Camera(camera) => {
-                camera.check()?;
                 path = self.view_path(path);
                 flags |= INACTIVE;
                 payload = self.special(Special::Camera { camera, path });

@@ -235,7 +235,6 @@ impl Scene {
         if !(camera.view.is_finite() && camera.projection.is_none_or(|p| p.is_finite())) {
             return Err(SceneError::NotFinite);
         }
-        camera.check()?;
         match page.set_camera(node.index, camera) {
             true => Ok(()),
             false => Err(SceneError::NotACamera { node }),

@@ -7,7 +7,6 @@ use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, DVec4};
 
 use super::cull_settings::{CullSettings, Inherit};
 use super::environment::{CameraEnvironment, CameraShadows};
-use super::error::SceneError;
 use super::geometry::Drawable;
 use crate::math::Aabb;
 use crate::state::{Light, TexGen, TextureObject};
@@ -238,7 +237,8 @@ pub struct CameraNode {
     pub clear_depth: bool,
     /// Show the whole scene, besides what is below it: mirrors, maps and other views of one world, its paged content with
     /// the tiles that the camera's own eye asks for. Levels of detail do not cross-fade in its picture. Of cameras that
-    /// show the scene none is drawn in another's picture. Not for nested cameras.
+    /// show the scene none is drawn in another's picture. Nested cameras show it among the things of the picture that
+    /// they are met in: compared with the depths there, without its occluders, background, sky and water.
     pub shows_scene: bool,
     /// What it draws into; `None`: what the stage draws into that the camera was met in.
     pub target: Option<Arc<CameraTarget>>,
@@ -287,14 +287,6 @@ impl CameraNode {
             projection: Some(projection),
             target: Some(Arc::new(CameraTarget { colors, samples: 1, ..CameraTarget::default() })),
             ..Self::new(RenderOrder::PreRender(0))
-        }
-    }
-
-    /// What cannot be drawn.
-    pub(super) fn check(&self) -> Result<(), SceneError> {
-        match (self.order, self.shows_scene) {
-            (RenderOrder::Nested, true) => Err(SceneError::NestedShowsScene),
-            _ => Ok(()),
         }
     }
 }

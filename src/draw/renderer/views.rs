@@ -117,7 +117,7 @@ impl Renderer {
             let first_layer = layers_of(&view.shadows, &self.shadow_maps);
             let (camera, around) = if view.environment.is_whole() {
                 (view.camera, self.surroundings_of(ctx, &view.environment, &view.camera, &above.around))
-            } else if first_layer.is_some() {
+            } else if first_layer.is_some() || view.shows_scene {
                 (view.camera, above.around)
             } else {
                 (CullCamera { eye_from_world: above.camera.eye_from_world, ..view.camera }, above.around)
