@@ -61,6 +61,8 @@ impl Flattener {
             page: Page {
                 nodes: Vec::new(),
                 spheres: Vec::new(),
+                stale: Vec::new(),
+                fitted_spheres: 0,
                 parents: Vec::new(),
                 masks: Vec::new(),
                 payloads: Vec::new(),
