@@ -141,7 +141,8 @@ pub struct CameraTarget {
     pub colors: Vec<Attachment>,
     /// Depth, to be sampled later; without one a depth buffer of the camera's own is used.
     pub depth: Option<Attachment>,
-    /// Samples a pixel, 1 or 4; resolved into the colour attachments.
+    /// Samples a pixel, 1 or 4; resolved into the colour attachments. A camera that does not clear its colours goes on
+    /// with what these hold, the same in all samples of a pixel where an earlier frame drew it.
     pub samples: u32,
     /// Where the first colour attachment is copied to after each draw, with what cameras below draw over it; without waiting.
     pub read_back: Option<Arc<PictureSink>>,
@@ -233,7 +234,9 @@ pub struct CameraNode {
     pub viewport_px: Option<[u32; 4]>,
     /// Linear colour to clear with; `None` keeps what is there. Nested cameras clear nothing.
     pub clear_color: Option<[f32; 4]>,
-    /// Clear depth before drawing (to infinitely far).
+    /// Clear depth before drawing (to infinitely far). What is not cleared is what was drawn before in this frame into the
+    /// same target, or what a depth texture holds; a depth buffer of the target's own is another's from one frame to the
+    /// next.
     pub clear_depth: bool,
     /// Show the whole scene, besides what is below it: mirrors, maps and other views of one world, its paged content with
     /// the tiles that the camera's own eye asks for. Levels of detail do not cross-fade in its picture. Of cameras that

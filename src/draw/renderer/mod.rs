@@ -26,6 +26,7 @@ use crate::draw::composite::Composite;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{StagePlan, Targets};
 use crate::draw::shadow_maps::ShadowMaps;
+use crate::draw::spread::Spread;
 use crate::draw::state::{INDIRECT_BYTES, LEAST_MULTI_DRAW, Statics};
 use crate::draw::uniforms::fixed::StageUniform;
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
@@ -151,6 +152,8 @@ pub struct Renderer {
     pictures: PictureReads,
     /// Made when there first are two eyes.
     composite: Option<Composite>,
+    /// Made for the first camera that goes on with multisampled colours.
+    spread: Option<Spread>,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
     /// Recorded by a compile thread; submitted before the frame.
     uploads: Vec<wgpu::CommandBuffer>,
@@ -246,6 +249,7 @@ impl Renderer {
             queries: None,
             pictures: PictureReads::default(),
             composite: None,
+            spread: None,
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
             uploads: Vec::new(),
             clock: FrameClock::default(),
@@ -325,7 +329,7 @@ impl Renderer {
             }
         }
         let ctx = &*ctx;
-        let created_before = self.pipelines.created();
+        let created_before = self.created();
         self.prepare(ctx, pictures.clone());
         self.upload(ctx);
         let mut stats = self.record(ctx, pictures);
@@ -335,7 +339,7 @@ impl Renderer {
         stats.unsampled_leaves = self.batch.unsampled;
         stats.shadow_leaves = self.shadow_leaves;
         stats.airs_refused = self.airs_refused;
-        stats.pipelines_created += self.pipelines.created() - created_before;
+        stats.pipelines_created += self.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
         drop(wait);
@@ -349,6 +353,11 @@ impl Renderer {
         }
         self.pictures.deliver();
         Ok(stats)
+    }
+
+    /// Pipelines made so far.
+    fn created(&self) -> u32 {
+        self.pipelines.created() + self.spread.as_ref().map_or(0, Spread::created)
     }
 
     fn upload(&mut self, ctx: &GraphicsContext) {

@@ -13,6 +13,7 @@ use crate::draw::pipelines::Bare;
 use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
 use crate::draw::plan::{PassTarget, StagePlan, color};
+use crate::draw::spread::Spread;
 use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, replaces_sun};
 use crate::draw::uniforms::frame::LeafUniform;
@@ -180,9 +181,9 @@ impl Renderer {
             (None, false) => None,
         };
         let fill = bare.and_then(|bare| self.prepare_fill(ctx, &target, fill.unwrap_or_default(), bare));
-        self.plans.push(StagePlan {
+        let mut plan = StagePlan {
             eyes,
-            target: Some(target),
+            target: None,
             runs,
             bin_starts,
             see_through,
@@ -194,7 +195,18 @@ impl Renderer {
             clear,
             fill,
             is_part,
-        });
+            spreads: false,
+        };
+        if target.clear_color(stage, &plan).is_none()
+            && let Some(formats) = self.pipelines.target_key(target.index).copied()
+        {
+            for spreading in target.spreading(&formats) {
+                let spread = self.spread.get_or_insert_with(|| Spread::new(ctx.device()));
+                spread.ensure(ctx, spreading.kind);
+                plan.spreads = true;
+            }
+        }
+        self.plans.push(StagePlan { target: Some(target), ..plan });
         dropped
     }
 
