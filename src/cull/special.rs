@@ -357,6 +357,30 @@ mod tests {
         assert_eq!(queries(Node { culling_active: false, ..geode }), (0, 1, 0));
     }
 
+    /// It was asked for once.
+    #[test]
+    fn where_frames_stand_still_a_node_is_asked_for_again() {
+        let mesh = Mesh::cuboid(&Aabb { min: DVec3::new(-1.0, -1.0, -21.0), max: DVec3::new(1.0, 1.0, -19.0) });
+        let query = OcclusionQueryNode { query_frames: 3, ..OcclusionQueryNode::default() };
+        let results = query.results.clone();
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children.push(Node::geode(vec![Drawable::new(mesh.into(), Material::default())]));
+        let mut scene = Scene::new();
+        scene.add_root(Page::from_node(asked).unwrap());
+        let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+        let mut cull = || {
+            visitor.cull(&scene, &CullCamera::default(), &mut stage);
+            (stage.queries.len(), stage.leaf_count())
+        };
+        assert_eq!([cull(), cull()], [(1, 1), (0, 1)], "no answer yet");
+        results.answered(0, 1, CullCamera::default().frame);
+        assert_eq!([cull(), cull()], [(1, 1), (0, 1)]);
+        results.answered(0, 1, CullCamera::default().frame);
+        assert_eq!([cull(), cull()], [(1, 0), (0, 0)], "hidden");
+        results.answered(9, 1, CullCamera::default().frame);
+        assert_eq!([cull(), cull()], [(1, 1), (0, 1)], "and seen again");
+    }
+
     #[test]
     fn a_hidden_node_is_asked_for_where_near_and_far_do_not_cut_it_off() {
         let cube = |z: f64| {

@@ -338,6 +338,8 @@ pub struct OcclusionResults {
     queried: AtomicU32,
     /// Frame of the last query that was answered; written after `failures` by whoever writes that.
     answered: AtomicU32,
+    /// The last query was not answered yet; written by cull, and by the draw thread after all that it writes.
+    is_awaited: AtomicBool,
     /// What cull last decided.
     is_hidden: AtomicBool,
     /// The eye that asks; written by cull.
@@ -372,11 +374,13 @@ impl OcclusionResults {
         asking == 0 || is_idle
     }
 
-    /// True once every so many frames; notes the frame.
+    /// True once every so many frames, and where frames stand still once the last query was answered; notes the frame.
     pub(crate) fn is_due(&self, frame: u32, every: u32) -> bool {
         let last = self.queried.load(Ordering::Relaxed);
-        let due = last == 0 || frame.wrapping_sub(last) >= every.max(1);
+        let is_answered_still = last == frame && !self.is_awaited.load(Ordering::Acquire);
+        let due = last == 0 || frame.wrapping_sub(last) >= every.max(1) || is_answered_still;
         if due {
+            self.is_awaited.store(true, Ordering::Relaxed);
             self.queried.store(frame.max(1), Ordering::Relaxed);
         }
         due
@@ -400,6 +404,7 @@ impl OcclusionResults {
             self.failures.fetch_add(1, Ordering::Relaxed);
         }
         self.answered.store(frame, Ordering::Release);
+        self.is_awaited.store(false, Ordering::Release);
     }
 
     /// Whether a frame leaves out what is below, and how many frames ago that was asked; all of them while more answers
