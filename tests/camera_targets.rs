@@ -133,3 +133,67 @@ fn cameras_with_several_samples_share_a_texture() {
         assert_eq!(at, [RED, GREEN, [255; 3]], "{samples} samples");
     }
 }
+
+/// It began with what its samples held: another camera's of the last frame.
+#[test]
+fn a_camera_with_several_samples_goes_on_with_what_its_texture_holds() {
+    let Some(mut rig) = rig("a_camera_with_several_samples_goes_on_with_what_its_texture_holds") else { return };
+    let rig = &mut *rig;
+    for format in [TextureFormat::Rgba8Srgb, TextureFormat::Rgba8, TextureFormat::Rgba16Float] {
+        let [texture, second, other] =
+            ["kept", "second", "other"].map(|name| TextureObject::target(name, [SIDE; 2], format));
+        let target = |texture: &Arc<TextureObject>, samples| CameraTarget {
+            colors: vec![Attachment::new(texture.clone()), Attachment::new(second.clone())],
+            samples,
+            ..CameraTarget::default()
+        };
+        let shows = |texture: &Arc<TextureObject>| {
+            let set = StateSet::default()
+                .with_mode(Mode::Lighting, StateValue::OFF)
+                .with(Attribute::Texture(0, TextureBinding::new(texture.clone())));
+            Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])]).with_state_set(Arc::new(set))
+        };
+        let camera = |target: CameraTarget, order, clear_color, children| {
+            Node::camera(CameraNode { clear_color, ..to(target, order) }, children)
+        };
+        let begins = |samples| camera(target(&texture, samples), 0, Some([0.2, 0.5, 0.7, 1.0]), vec![]);
+        // One that leaves something else in the samples.
+        let blue = |order| {
+            let alone =
+                CameraTarget { colors: vec![Attachment::new(other.clone())], samples: 4, ..CameraTarget::default() };
+            camera(alone, order, Some([0.0, 0.0, 1.0, 1.0]), vec![])
+        };
+        let mark = |x: f32| Node::geode(vec![quad([x, 0.0, 0.0], [0.2, 0.5], [1.0; 4])]);
+        let goes_on = |x| camera(target(&texture, 4), 3, None, vec![mark(x)]);
+        // What it clears is its part of the target.
+        let part = || {
+            let top = Some([0, 0, SIDE, 8]);
+            let node =
+                CameraNode { clear_color: Some([1.0, 0.0, 0.0, 1.0]), viewport_px: top, ..to(target(&texture, 4), 3) };
+            Node::camera(node, vec![])
+        };
+        let ground = draw(rig, vec![begins(1), shows(&texture)]);
+        let plain = pixel(&ground, 32, 32);
+        let at = |picture: &RgbaImage| [12, 32, 52].map(|x| pixel(picture, x, 32));
+        // What is drawn goes into the first colour alone.
+        for (texture, seen) in [(&texture, [255; 3]), (&second, plain)] {
+            // In the frame after, in one frame after a camera without samples, and after one with some.
+            draw(rig, vec![blue(0), begins(4), blue(2), shows(texture)]);
+            let next = draw(rig, vec![blue(0), blue(4), goes_on(0.0), shows(texture)]);
+            assert_eq!((at(&next), pixel(&next, 2, 2)), ([plain, seen, plain], plain), "{format:?}");
+            let in_part = draw(rig, vec![blue(0), part(), shows(texture)]);
+            assert_eq!((at(&in_part), pixel(&in_part, 32, 4)), ([plain, seen, plain], RED), "{format:?}");
+            for samples in [1, 4] {
+                let same = draw(rig, vec![blue(0), begins(samples), goes_on(0.6), shows(texture)]);
+                assert_eq!(at(&same), [plain, plain, seen], "{format:?} after {samples} samples");
+            }
+        }
+        // However often, it is the same.
+        let scene = rig.scene(Node::group(vec![blue(0), goes_on(0.0), shows(&texture)]));
+        for _ in 0..40 {
+            let picture = rig.picture(&scene, &unit_camera(SIDE), &gpu_support::plain());
+            assert_eq!(at(&picture)[..2], [plain, [255; 3]], "{format:?}");
+        }
+        rig.release(scene);
+    }
+}

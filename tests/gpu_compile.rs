@@ -286,3 +286,56 @@ fn the_noop_backend_compiles_and_draws() {
     assert!(ctx.resize([128, 32]).is_ok());
     assert_eq!(renderer.read_back(&mut ctx).unwrap().dimensions(), (128, 32));
 }
+
+/// It was a device error, and spoiled what was uploaded with it; the buffer of indices that a grid has panicked.
+#[test]
+fn where_memory_is_out_the_drawable_fails_and_all_else_goes_on() {
+    let Some(mut rig) = fresh("where_memory_is_out_the_drawable_fails_and_all_else_goes_on") else { return };
+    let image = |side: u32, shade: u8| Arc::new(with_mips(side, side, vec![shade; (side * side * 4) as usize]));
+    let tile = || {
+        let terrain = Terrain { west: 0.1, south: 0.7, width: 0.01, relief_m: 1.0, root_error_m: 1.0, textured: false };
+        let terrane::scene::NodeKind::Geode(mut tile) = terrain.tile(0, 0, 0).children.remove(0).kind else {
+            panic!("a geode")
+        };
+        tile.remove(0)
+    };
+    let good = quad([0.0; 3], [1.0, 1.0], [1.0; 4]);
+    let first = rig.compile(vec![good.clone(), textured(&image(4, 1))]);
+    assert!(first.errors.is_empty());
+    let (in_use, allocated) = (rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated());
+    // What is there has places left; nothing more can be made.
+    rig.ctx.pretend_memory(Some(0));
+    let large = mesh(vec![MeshVertex::default(); 5000], (0..5000).map(|i| i % 3).collect());
+    let large = Drawable::new(Geometry::Mesh(Arc::new(large)), Material::default());
+    let drawables = vec![good.clone(), textured(&image(64, 2)), large.clone(), tile(), textured(&image(4, 3)), good];
+    let compiled = rig.compile(drawables.clone());
+    let made: Vec<_> = compiled.slots.iter().map(|s| *s != DrawSlot::NONE).collect();
+    assert_eq!(made, [true, false, false, false, true, true]);
+    let errors = &compiled.errors;
+    assert_eq!(errors.len(), 3, "{errors:?}");
+    for (error, what) in errors.iter().zip(["texture block", "indices", "grid"]) {
+        assert!(error.starts_with(&format!("out of graphics memory: {what} of ")), "{error}");
+    }
+    rig.ctx.release(&compiled.slots);
+    assert_eq!((rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated()), (in_use, allocated), "nothing is half made");
+    // Of a height block each part may be the one that does not fit.
+    let mut seen = Vec::new();
+    for left_bytes in (0..).map(|step| step * 2048) {
+        rig.ctx.pretend_memory(Some(left_bytes));
+        let compiled = rig.compile(vec![tile()]);
+        rig.ctx.release(&compiled.slots);
+        let Some(error) = compiled.errors.first() else { break };
+        let what = error.split(" of ").nth(1).unwrap().rsplit(": ").next().unwrap().to_owned();
+        if seen.last() != Some(&what) {
+            seen.push(what);
+        }
+        assert_eq!(rig.ctx.bytes_in_use(), in_use);
+    }
+    assert!(seen.len() >= 2, "{seen:?}");
+    // And with memory again all of it is there.
+    rig.ctx.pretend_memory(None);
+    let compiled = rig.compile(drawables);
+    assert!(compiled.errors.is_empty() && !compiled.slots.contains(&DrawSlot::NONE), "{:?}", compiled.errors);
+    rig.ctx.release(&compiled.slots);
+    assert!(rig.ctx.take_device_errors().is_empty());
+}

@@ -16,8 +16,8 @@ use terrane::cull::{CullCamera, CullingMode};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
     Attachment, CameraNode, CameraTarget, CullAction, CullCallback, Drawable, Environment, Fog, Geometry, HeightTile,
-    Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, PictureSink, RangeMode, ReferenceFrame, Refine, RenderOrder,
-    SunShadows, Texture, Topology, Water,
+    Inherit, Mesh, Node, NodeKind, Page, PagedLod, PagingOptions, PictureSink, RangeMode, ReferenceFrame, Refine,
+    RenderOrder, SunShadows, Texture, Topology, Water,
 };
 use terrane::state::{BinDetails, SortMode, StateSet, TextureFormat, TextureObject};
 
@@ -126,6 +126,8 @@ fn what_is_drawn_is_a_matter_of_the_scene_alone() {
         same("below a Projection", &projection, &camera, 0);
         let nested = CameraNode::new(RenderOrder::Nested);
         same("below a nested camera", &Node::camera(nested, vec![node.clone()]), &camera, 0);
+        let (shown, seen) = through_nested(&node, &camera);
+        same("through a nested camera that shows the scene", &shown, &seen, 0);
         let absolute = NodeKind::AbsoluteTransform(camera.eye_from_world);
         let absolute = Node { children: vec![node.clone()], ..Node::new(absolute) };
         same("below an AbsoluteTransform", &absolute, &camera, 4);
@@ -190,6 +192,19 @@ fn light_and_air_are_a_matter_of_the_scene_alone() {
 fn has_absolute_camera(node: &Node) -> bool {
     let is_one = |camera: &CameraNode| camera.frame == ReferenceFrame::Absolute;
     matches!(&node.kind, NodeKind::Camera(camera) if is_one(camera)) || node.children.iter().any(has_absolute_camera)
+}
+
+/// The scene beside a nested camera that shows it, for a camera that sees nothing else.
+fn through_nested(node: &Node, camera: &CullCamera) -> (Node, CullCamera) {
+    let (alone, scene) = (1, 2);
+    let mut nested = CameraNode { shows_scene: true, ..CameraNode::new(RenderOrder::Nested) };
+    (nested.settings, nested.inherit) = (camera.settings, Inherit(Inherit::ALL.0 & !Inherit::CULL_MASK.0));
+    nested.settings.cull_mask = scene;
+    let nested = Node { mask: alone, ..Node::camera(nested, Vec::new()) };
+    let node = Node { mask: scene, children: vec![node.clone()], ..Node::group(Vec::new()) };
+    let mut seen = *camera;
+    seen.settings.cull_mask = alone;
+    (Node::group(vec![node, nested]), seen)
 }
 
 /// Read back from the texture of a camera above the whole scene.

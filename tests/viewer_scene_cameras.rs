@@ -9,14 +9,14 @@ mod viewer_support;
 use std::sync::Arc;
 
 use camera_support::{differ, keep, like};
-use glam::DAffine3;
+use glam::{DAffine3, DMat4, DVec3, DVec4};
 use image::RgbaImage;
 use terrane::cull::CullCamera;
 use terrane::gpu::AdapterChoice;
 use terrane::pager::PagerConfig;
 use terrane::scene::{
     CameraEnvironment, CameraNode, CameraShadows, CameraTarget, IntersectionLimit, Node, Page, PictureSink,
-    ReferenceFrame, RenderOrder, SceneError,
+    ReferenceFrame, RenderOrder,
 };
 use terrane::viewer::{ThreadingModel, ViewFrom, Viewer, ViewerConfig};
 use viewer_support::{Settle, ball, offscreen, small_set};
@@ -157,6 +157,115 @@ fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
     let hits = viewer.compute_intersections(180.0, 45.0, IntersectionLimit::NoLimit);
     let ground = hits.iter().map(|hit| hit.world_point().distance(expected)).fold(f64::INFINITY, f64::min);
     assert!(ground < 20.0, "{ground}");
-    let nested = CameraNode { order: RenderOrder::Nested, ..node };
-    assert_eq!(Page::from_node(Node::camera(nested, vec![])).err(), Some(SceneError::NestedShowsScene));
+}
+
+/// In the window, before what is there: depths from a half on, where the main picture has less.
+fn in_front(camera: &CullCamera) -> DMat4 {
+    let nearer = DMat4::from_cols(DVec4::X, DVec4::Y, DVec4::new(0.0, 0.0, 0.5, 0.0), DVec4::new(0.0, 0.0, 0.5, 1.0));
+    nearer * camera.clip_from_eye
+}
+
+#[test]
+fn a_nested_camera_shows_the_scene_in_the_picture_that_it_is_met_in() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let Some(mut viewer) = viewer() else { return };
+    viewer.load(&set).unwrap();
+    let inset = [130, 10, 100, 70];
+    // All ground from there.
+    let near = pose(&viewer, 0.4, -0.9, 0.25);
+    let seen = camera_at(&viewer, near, [inset[2], inset[3]]);
+    viewer.camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
+    settle(&mut viewer);
+    let (before, alone) = (viewer.stats().last().unwrap().gpu_bytes, viewer.read_back().unwrap());
+    let node = CameraNode {
+        frame: ReferenceFrame::Absolute,
+        view: seen.eye_from_world,
+        environment: CameraEnvironment::Inherited,
+        shows_scene: true,
+        ..CameraNode::new(RenderOrder::PostRender(0))
+    };
+    let crop =
+        |picture: &RgbaImage| image::imageops::crop_imm(picture, inset[0], inset[1], inset[2], inset[3]).to_image();
+    // What a camera with a picture of its own shows there.
+    let after = CameraNode { projection: Some(seen.clip_from_eye), viewport_px: Some(inset), ..node.clone() };
+    let mut drawn = |node: CameraNode| {
+        let id = viewer.add_root(Page::from_node(Node::camera(node, vec![])).unwrap()).unwrap();
+        settle(&mut viewer);
+        let (bytes, picture) = (viewer.stats().last().unwrap().gpu_bytes, viewer.read_back().unwrap());
+        let hits = viewer.compute_intersections(180.0, 45.0, IntersectionLimit::Nearest);
+        let hit = hits.first().map_or(DVec3::INFINITY, |hit| hit.world_point());
+        viewer.remove_root(id).unwrap();
+        (picture, bytes, hit)
+    };
+    let (expected, _, expected_hit) = drawn(after.clone());
+    keep("scene-nested-expected", &expected);
+    let nested = CameraNode { order: RenderOrder::Nested, projection: Some(in_front(&seen)), ..after.clone() };
+    let (found, bytes, hit) = drawn(nested.clone());
+    keep("scene-nested-found", &found);
+    assert!(bytes > before, "it asks for tiles");
+    assert_eq!(differ(&crop(&found), &crop(&expected), 2), 0);
+    assert!(differ(&crop(&found), &crop(&alone), 8) > 5000);
+    assert!(hit.distance(expected_hit) < 1.0, "{hit} {expected_hit}");
+    // The rest of the picture is as without: neither shows the other, nor itself.
+    let other = CameraNode { viewport_px: Some([10, 80, 100, 70]), ..nested.clone() };
+    let mut without = found.clone();
+    image::imageops::replace(&mut without, &crop(&alone), inset[0].into(), inset[1].into());
+    assert_eq!(differ(&without, &alone, 0), 0);
+    let (second, ..) = drawn(other);
+    assert_eq!(differ(&image::imageops::crop_imm(&second, 10, 80, 100, 70).to_image(), &crop(&found), 2), 0);
+    // Without a viewport of its own, a projection puts it into the corner.
+    let corner = DMat4::from_cols(
+        DVec4::new(100.0 / 240.0, 0.0, 0.0, 0.0),
+        DVec4::new(0.0, 70.0 / 160.0, 0.0, 0.0),
+        DVec4::Z,
+        DVec4::new(2.0 * 180.0 / 240.0 - 1.0, 1.0 - 2.0 * 45.0 / 160.0, 0.0, 1.0),
+    );
+    let projected = CameraNode { projection: Some(corner * in_front(&seen)), viewport_px: None, ..nested };
+    let (found, _, hit) = drawn(projected);
+    assert!(hit.distance(expected_hit) < 1.0, "{hit} {expected_hit}");
+    keep("scene-nested-corner", &found);
+    let apart = differ(&crop(&found), &crop(&expected), 24);
+    assert!(apart < 350, "{apart} pixels differ");
+}
+
+#[test]
+fn below_a_camera_over_cleared_depths_a_nested_one_makes_the_same_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let Some(mut viewer) = viewer() else { return };
+    viewer.load(&set).unwrap();
+    viewer.environment.shadows = Some(Default::default());
+    let near = pose(&viewer, 0.4, -0.3, 0.25);
+    let mut picture_of = |nested: bool| {
+        let seen = camera_at(&viewer, near, SIZE_PX);
+        let sink = Arc::new(PictureSink::default());
+        let mut node = like(&seen);
+        let target = node.target.as_deref().unwrap().clone();
+        node.target = Some(Arc::new(CameraTarget { read_back: Some(sink.clone()), ..target }));
+        node.environment = CameraEnvironment::Inherited;
+        node.shadows = CameraShadows::Environment;
+        node.shows_scene = !nested;
+        let inner = CameraNode {
+            environment: CameraEnvironment::Inherited,
+            shadows: CameraShadows::Environment,
+            shows_scene: true,
+            ..CameraNode::new(RenderOrder::Nested)
+        };
+        let children = if nested { vec![Node::camera(inner, vec![])] } else { vec![] };
+        let id = viewer.add_root(Page::from_node(Node::camera(node, children)).unwrap()).unwrap();
+        viewer.camera.world_from_eye = pose(&viewer, 2.0, -0.6, 30.0);
+        settle(&mut viewer);
+        sink.take();
+        let found = (0..200).find_map(|_| {
+            viewer.frame().unwrap();
+            sink.take()
+        });
+        viewer.remove_root(id).unwrap();
+        RgbaImage::from_raw(SIZE_PX[0], SIZE_PX[1], found.unwrap().rgba).unwrap()
+    };
+    let (expected, found) = (picture_of(false), picture_of(true));
+    keep("scene-below-expected", &expected);
+    keep("scene-below-found", &found);
+    assert_eq!(differ(&found, &expected, 2), 0);
 }

@@ -66,10 +66,9 @@ impl CullVisitor {
                 horizon: view.horizon,
                 ..*camera
             };
-            let view = View { clamp_projection: met.view.clamp_projection, ..View::new(&own) };
+            let View { clamp_projection, in_scene_camera, .. } = view;
+            let view = View { clamp_projection, in_scene_camera, ..View::new(&own) };
             let others = self.deferred.len();
-            let was_in_scene_camera = self.in_scene_camera;
-            self.in_scene_camera |= met.met.shows_scene;
             self.traverse_stage(scene, &own, view, Some(&met.met), &mut below);
             self.sort(&mut below);
             let eye_in_world = own.eye_from_world.inverse().translation;
@@ -87,7 +86,6 @@ impl CullVisitor {
             } else {
                 self.deferred.truncate(others);
             }
-            self.in_scene_camera = was_in_scene_camera;
             if below.target.keeps_projection {
                 stage.widen(&below);
             }

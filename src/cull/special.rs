@@ -68,8 +68,7 @@ impl Cull<'_> {
             Special::Projection { clip_from_eye, path } => {
                 let own = View { clamp_projection: None, is_of_above: false, ..self.view };
                 let view = View { clip_from_eye: *clip_from_eye, ..own };
-                let environment = CameraEnvironment::Light;
-                self.in_view(context, node, view, environment, context.visit.eye_from_page, *path);
+                self.in_view(context, node, view, None, context.visit.eye_from_page, *path);
                 true
             }
             Special::AbsoluteTransform => {
@@ -112,13 +111,13 @@ impl Cull<'_> {
         self.frame_occluders(&context.visit.eye_from_page, page.origin);
     }
 
-    /// Scans the children of a node under another view of the same stage.
+    /// Scans the children of a node under another view of the same stage: that of a nested camera or a Projection.
     fn in_view(
         &mut self,
         context: &PageContext,
         node: u32,
         mut view: View,
-        environment: CameraEnvironment,
+        camera_node: Option<&CameraNode>,
         eye_from_page: DAffine3,
         path: u32,
     ) {
@@ -132,13 +131,15 @@ impl Cull<'_> {
             ..*self.camera
         };
         let above = self.view.index;
+        let shows_scene = camera_node.is_some_and(|node| node.shows_scene);
         self.stage.views.push(StageView {
             clip_from_eye,
             viewport_px: view.viewport_rect,
             camera,
             above,
             is_of_above: view.is_of_above,
-            environment,
+            shows_scene,
+            environment: camera_node.map_or(CameraEnvironment::Light, |node| node.environment.clone()),
             shadows: StageShadows::default(),
             range_m: [0.0; 2],
         });
@@ -148,7 +149,10 @@ impl Cull<'_> {
         self.views.push(view);
         self.enter_view(view.index);
         // Known before anything below it is met.
-        self.chain_state(context.page, path);
+        let state = self.chain_state(context.page, path);
+        if shows_scene {
+            self.queue_roots(state);
+        }
         let mut below = *context;
         below.visit.view = view.index;
         self.in_frame(&below, node, eye_from_page, None);
@@ -166,7 +170,7 @@ impl Cull<'_> {
 
     fn camera_node(&mut self, context: &PageContext, node: u32, camera: &CameraNode, path: u32, mask: u8) {
         let page = context.page;
-        if camera.shows_scene && self.in_scene_camera {
+        if camera.shows_scene && self.view.in_scene_camera {
             return;
         }
         let above = page.transforms.page_from_node(self.enclosing_transform(context, node));
@@ -188,10 +192,12 @@ impl Cull<'_> {
             }
         };
         let Some(eye_from_page) = finite(eye_from_node * node_from_page) else { return };
-        if camera.shows_scene {
+        view.in_scene_camera |= camera.shows_scene;
+        if view.in_scene_camera {
             // What fades is known by the picture's own eye.
             view.settings.lod_fade_s = 0.0;
-        } else if camera.frame == ReferenceFrame::Absolute {
+        }
+        if camera.frame == ReferenceFrame::Absolute && !camera.shows_scene {
             view.horizon = None;
         }
         if let Some(clip_from_eye) = camera.projection {
@@ -203,12 +209,11 @@ impl Cull<'_> {
         let order = match camera.order {
             RenderOrder::Nested => {
                 let place = self.stage.views.len() as u32 + 1;
-                let environment = camera.environment.clone();
-                self.in_view(context, node, view, environment, eye_from_page, path);
+                self.in_view(context, node, view, Some(camera), eye_from_page, path);
                 if camera.shadows != CameraShadows::None {
                     let (state, mut visit) = (self.chain_state(page, path), context.visit);
                     (visit.eye_from_page, visit.mask) = (eye_from_page, mask);
-                    let met = CameraPlace { visit, node, state, path, shows_scene: false };
+                    let met = CameraPlace { visit, node, state, path, shows_scene: camera.shows_scene };
                     self.nested.push(NestedCamera { met, place, shadows: camera.shadows });
                 }
                 return;
@@ -275,7 +280,7 @@ impl Cull<'_> {
         let only_looks = self.only_looks || self.camera.ahead_frames > 0;
         // Lights shine from where no box is seen, and cameras show what is not in it.
         let is_bounded = sphere.w < UNBOUNDED && sphere.w >= 0.0 && page.nodes[node as usize].flags & INACTIVE == 0;
-        if !is_bounded || self.in_scene_camera || only_looks {
+        if !is_bounded || self.view.in_scene_camera || only_looks {
             return false;
         }
         // What one eye does not see another may.
@@ -350,6 +355,30 @@ mod tests {
         })));
         assert_eq!(queries(Node::group(vec![geode.clone(), light])), (0, 1, 1));
         assert_eq!(queries(Node { culling_active: false, ..geode }), (0, 1, 0));
+    }
+
+    /// It was asked for once.
+    #[test]
+    fn where_frames_stand_still_a_node_is_asked_for_again() {
+        let mesh = Mesh::cuboid(&Aabb { min: DVec3::new(-1.0, -1.0, -21.0), max: DVec3::new(1.0, 1.0, -19.0) });
+        let query = OcclusionQueryNode { query_frames: 3, ..OcclusionQueryNode::default() };
+        let results = query.results.clone();
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children.push(Node::geode(vec![Drawable::new(mesh.into(), Material::default())]));
+        let mut scene = Scene::new();
+        scene.add_root(Page::from_node(asked).unwrap());
+        let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+        let mut cull = || {
+            visitor.cull(&scene, &CullCamera::default(), &mut stage);
+            (stage.queries.len(), stage.leaf_count())
+        };
+        assert_eq!([cull(), cull()], [(1, 1), (0, 1)], "no answer yet");
+        results.answered(0, 1, CullCamera::default().frame);
+        assert_eq!([cull(), cull()], [(1, 1), (0, 1)]);
+        results.answered(0, 1, CullCamera::default().frame);
+        assert_eq!([cull(), cull()], [(1, 0), (0, 0)], "hidden");
+        results.answered(9, 1, CullCamera::default().frame);
+        assert_eq!([cull(), cull()], [(1, 1), (0, 1)], "and seen again");
     }
 
     #[test]

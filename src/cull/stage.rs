@@ -130,6 +130,8 @@ pub struct StageView {
     pub above: u32,
     /// Its projection is that of the view that it hangs in, with the same near and far.
     pub is_of_above: bool,
+    /// Of a nested camera that shows the scene: it is lit as its own eye has the lights.
+    pub shows_scene: bool,
     /// Light and air of a nested camera.
     pub environment: CameraEnvironment,
     /// What casts shadows into what is below a nested camera.

@@ -33,6 +33,8 @@ pub(super) struct View {
     pub least_depth: f32,
     /// Of a shadow's cascade: nothing is asked for, nothing positioned, nothing below other projections is there.
     pub casts: bool,
+    /// The picture is one of a camera that shows the scene, or belongs to one: others that do are left out.
+    pub in_scene_camera: bool,
     /// Says near and far instead of what is found.
     pub clamp_projection: Option<ClampProjection>,
     /// The projection is that of the view that it is in.
@@ -58,6 +60,7 @@ impl View {
             depth_axis: DVec3::NEG_Z,
             least_depth: 0.0,
             casts: false,
+            in_scene_camera: false,
             clamp_projection: None,
             is_of_above: false,
             range: DepthRange::EMPTY,

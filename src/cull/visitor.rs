@@ -153,8 +153,6 @@ pub struct CullVisitor {
     pub environment: Option<Environment>,
     /// Cameras in the graph that may still have shadows in this cull.
     pub(super) shadowed_cameras: u32,
-    /// The picture is one of a camera that shows the scene, or belongs to one.
-    pub(super) in_scene_camera: bool,
 }
 
 /// A cull under way.
@@ -200,8 +198,6 @@ pub(super) struct Cull<'a> {
     pub only_looks: bool,
     /// Pages of the queue that are visited.
     pub most_pages: usize,
-    /// Cameras that show the scene are not drawn.
-    pub in_scene_camera: bool,
 }
 
 impl CullVisitor {
@@ -354,7 +350,6 @@ impl CullVisitor {
             takes_ranges: !self.visits_all && self.occluders.is_empty(),
             only_looks: self.only_looks,
             most_pages: if self.walks_only { scene.roots().len() } else { usize::MAX },
-            in_scene_camera: self.in_scene_camera,
         };
         cull.run(met);
     }
@@ -414,13 +409,13 @@ impl<'a> Cull<'a> {
         self.stage.set_projection(own.clamped());
     }
 
-    /// The scene's roots are to be visited, under a state.
-    fn queue_roots(&mut self, state: u32) {
+    /// The scene's roots are to be visited in the current view, under a state.
+    pub(super) fn queue_roots(&mut self, state: u32) {
         let hanger = self.hangers.len() as u32;
         self.hangers.push(Hanger {
             eye_from_frame: self.view.eye_from_world,
             page: NONE,
-            view: 0,
+            view: self.view.index,
             purpose: Purpose::Draw,
             required: false,
             shown_px: MOST_PX,

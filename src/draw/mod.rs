@@ -20,6 +20,7 @@ mod pipelines;
 mod plan;
 mod renderer;
 mod shadow_maps;
+mod spread;
 mod state;
 mod uniforms;
 

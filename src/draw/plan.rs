@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::cull::{RenderStage, StageTarget};
 use crate::draw::pipelines::{Bare, MOST_COLORS, Pipelines, TargetFormats};
+use crate::draw::spread::Spreading;
 use crate::draw::state::Dynamics;
 use crate::gpu::{GraphicsContext, StateTextures, Transients, texture_format};
 use crate::scene::{Attachment, CameraTarget};
@@ -36,6 +37,8 @@ pub(super) struct StagePlan {
     /// this pipeline.
     pub(super) fill: Option<(u32, Bare)>,
     pub(super) is_part: bool,
+    /// Colours that begin with what their textures hold are put into their multisampled buffers before.
+    pub(super) spreads: bool,
 }
 
 /// Where a pass draws.
@@ -44,6 +47,8 @@ pub(super) struct PassTarget {
     colors: [Option<wgpu::TextureView>; MOST_COLORS],
     /// Where multisampled colours are resolved to.
     resolves: [Option<wgpu::TextureView>; MOST_COLORS],
+    /// Of those, which hold what the multisampled buffer does not.
+    is_apart: [bool; MOST_COLORS],
     depth: wgpu::TextureView,
     has_stencil: bool,
     /// Its depth is sampled later, or later stages go on with it.
@@ -73,6 +78,8 @@ pub(super) struct Targets {
     /// Addresses of the targets met in this frame, each of which has a depth buffer of its own, and of attachments with
     /// level and layer, each of which has one for its samples.
     owners: Vec<(usize, u32, u32)>,
+    /// Owners of multisampled colours that were resolved in this frame, last of all that was drawn there.
+    resolved: Vec<u32>,
 }
 
 impl Targets {
@@ -84,6 +91,7 @@ impl Targets {
             has_followers: false,
             is_begun: false,
             owners: Vec::new(),
+            resolved: Vec::new(),
         }
     }
 
@@ -95,6 +103,7 @@ impl Targets {
     ) -> Option<String> {
         self.transients.start_frame(ctx.face_count());
         self.owners.clear();
+        self.resolved.clear();
         self.is_begun = false;
         let has_stencil = |stage| any(stage, &|s| s.state_sets.iter().any(|state| state.stencil().is_some()));
         let needs_stencil = stages.clone().any(has_stencil);
@@ -152,6 +161,7 @@ impl Targets {
         Ok(PassTarget {
             colors,
             resolves,
+            is_apart: [false; MOST_COLORS],
             depth: self.transients.view(ctx.device(), size_px, depth, samples, 0),
             has_stencil: self.has_stencil,
             keeps_depth: self.has_followers,
@@ -217,6 +227,7 @@ impl Targets {
             TargetFormats { colors: [None; MOST_COLORS], depth: self.depth_format(), samples, keeps_alpha: true };
         let mut colors = [const { None }; MOST_COLORS];
         let mut resolves = [const { None }; MOST_COLORS];
+        let mut owners = [None; MOST_COLORS];
         for (location, attachment) in camera.colors.iter().enumerate() {
             let Attachment { texture, level, layer } = attachment;
             let is_it = |a: &Attachment| Arc::ptr_eq(&a.texture, texture) && (a.level, a.layer) == (*level, *layer);
@@ -234,9 +245,10 @@ impl Targets {
             let format = texture_format(format);
             key.colors[location] = Some(format);
             let into = view(attachment)?;
+            // Of what is drawn into, whichever camera does: it goes there as a whole.
+            let owner = self.owner((Arc::as_ptr(texture) as usize, *level, *layer));
+            owners[location] = Some(owner);
             if samples > 1 {
-                // Of what is drawn into, whichever camera does: it goes there as a whole.
-                let owner = self.owner((Arc::as_ptr(texture) as usize, *level, *layer));
                 colors[location] = Some(self.transients.view(device, size_px, format, samples, owner));
                 resolves[location] = Some(into);
             } else {
@@ -257,16 +269,31 @@ impl Targets {
             }
             None => self.transients.view(device, size_px, key.depth, samples, owner),
         };
+        let index = pipelines.target(&key).ok_or("more different targets than there can be")?;
+        let mut is_apart = [false; MOST_COLORS];
+        for (is_apart, owner) in is_apart.iter_mut().zip(owners) {
+            let Some(owner) = owner else { continue };
+            let known = self.resolved.iter().position(|resolved| *resolved == owner);
+            match (samples > 1, known) {
+                (true, None) => {
+                    *is_apart = true;
+                    self.resolved.push(owner);
+                }
+                (false, Some(place)) => drop(self.resolved.swap_remove(place)),
+                _ => {}
+            }
+        }
         Ok(PassTarget {
             colors,
             resolves,
+            is_apart,
             depth,
             has_stencil: key.depth.has_stencil_aspect(),
             keeps_depth: true,
             size_px,
             most_px: device.limits().max_texture_dimension_2d,
             samples,
-            index: pipelines.target(&key).ok_or("more different targets than there can be")?,
+            index,
             is_outermost,
             is_begun: false,
         })
@@ -330,16 +357,30 @@ impl PassTarget {
         self.colors.iter().rposition(Option::is_some).map_or(0, |last| last + 1)
     }
 
+    /// With what all of its colours begin; `None`: with what is there.
+    pub(super) fn clear_color(&self, stage: &RenderStage, plan: &StagePlan) -> Option<wgpu::Color> {
+        match stage.clear_node {
+            _ if plan.is_part => (self.is_outermost && !self.is_begun).then_some(wgpu::Color::BLACK),
+            Some(said) => said.map(color),
+            None => plan.clear,
+        }
+    }
+
+    /// Multisampled colours whose textures hold what they do not, by location; `formats` are the target's.
+    pub(super) fn spreading<'a>(&'a self, formats: &'a TargetFormats) -> impl Iterator<Item = Spreading<'a>> {
+        let apart = self.is_apart.iter().zip(&self.colors).zip(&self.resolves).zip(formats.colors);
+        apart.filter_map(|(((is_apart, samples), texture), format)| {
+            let (samples, texture, format) = (samples.as_ref()?, texture.as_ref()?, format?);
+            is_apart.then_some(Spreading { texture, samples, kind: (format, formats.samples) })
+        })
+    }
+
     pub(super) fn color_attachments<'a>(
         &'a self,
         stage: &RenderStage,
         plan: &StagePlan,
     ) -> [Option<wgpu::RenderPassColorAttachment<'a>>; MOST_COLORS] {
-        let clear = match stage.clear_node {
-            _ if plan.is_part => (self.is_outermost && !self.is_begun).then_some(wgpu::Color::BLACK),
-            Some(said) => said.map(color),
-            None => plan.clear,
-        };
+        let clear = self.clear_color(stage, plan);
         let load = clear.map_or(wgpu::LoadOp::Load, wgpu::LoadOp::Clear);
         let mut attachments = [const { None }; MOST_COLORS];
         for ((attachment, view), resolve) in attachments.iter_mut().zip(&self.colors).zip(&self.resolves) {

@@ -416,7 +416,6 @@ impl CompileQueue {
 /// Puts another mesh in the place of a drawable's, with all of its data at once; true where it has
 /// places of a mesh that was there before.
 pub(super) fn rewrite(
-    device: &wgpu::Device,
     queue: &wgpu::Queue,
     pools: &mut Pools,
     table: &mut DrawableTable,
@@ -427,7 +426,7 @@ pub(super) fn rewrite(
     let Shape::Mesh { place: old, texture, .. } = entry.shape else {
         return Err("what is no mesh is not to be rewritten as one".into());
     };
-    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &SharedParts::default(), VertexFormat::Full)?;
+    let placed = pools.meshes.allocate(&mut pools.memory, mesh, &SharedParts::default(), VertexFormat::Full)?;
     let is_shared = placed.vertices.is_none() || placed.indices.is_none();
     let (mut uploads, mut scratch) = (VecDeque::new(), Vec::new());
     push_mesh(pools, &placed, mesh, &mut uploads);
@@ -467,12 +466,12 @@ fn prepare(
     job: &mut Job,
     uploads: &mut VecDeque<Upload>,
 ) -> Option<u64> {
-    let CompileInfo { device, queue, .. } = *info;
+    let CompileInfo { queue, .. } = *info;
     let material = &drawable.material;
     let bytes_before = job.compiled.bytes;
     let placed = match &drawable.geometry {
-        Geometry::Height(tile) => place_tile(device, pools, tile, &drawable, &mut job.compiled, uploads),
-        Geometry::Mesh(mesh) => place_mesh(device, queue, pools, mesh, &drawable, &mut job.compiled, uploads),
+        Geometry::Height(tile) => place_tile(pools, tile, &drawable, &mut job.compiled, uploads),
+        Geometry::Mesh(mesh) => place_mesh(queue, pools, mesh, &drawable, &mut job.compiled, uploads),
         Geometry::Custom(custom) => place_custom(info, pools, custom, &mut job.compiled),
     };
     let is_custom = matches!(drawable.geometry, Geometry::Custom(_));
@@ -501,7 +500,6 @@ fn place_custom(
 }
 
 fn place_tile(
-    device: &wgpu::Device,
     pools: &mut Pools,
     tile: &Arc<HeightTile>,
     drawable: &Drawable,
@@ -509,7 +507,7 @@ fn place_tile(
     uploads: &mut VecDeque<Upload>,
 ) -> Result<Shape, String> {
     let content = drawable.shared.geometry.as_ref().map(|s| &s.key);
-    let (place, is_new) = pools.heights.allocate(device, &pools.layouts, &pools.limits, tile, content)?;
+    let (place, is_new) = pools.heights.allocate(&mut pools.memory, &pools.layouts, tile, content)?;
     compiled.count(content, pools.heights.bytes_of(place), is_new);
     if !is_new {
         return Ok(Shape::Height(place));
@@ -523,7 +521,6 @@ fn place_tile(
 }
 
 fn place_mesh(
-    device: &wgpu::Device,
     queue: &wgpu::Queue,
     pools: &mut Pools,
     mesh: &Arc<Mesh>,
@@ -535,10 +532,10 @@ fn place_mesh(
     let [geometry, indices, texture_content] =
         [&drawable.shared.geometry, &drawable.shared.indices, &drawable.shared.texture]
             .map(|s| s.as_ref().map(|s| &s.key));
-    let placed = pools.meshes.allocate(device, &pools.limits, mesh, &drawable.shared, drawable.vertex_format())?;
+    let placed = pools.meshes.allocate(&mut pools.memory, mesh, &drawable.shared, drawable.vertex_format())?;
     let texture = match image {
-        Some(image) => pools.textures.allocate(device, &pools.layouts, &pools.limits, image, texture_content),
-        None => pools.textures.white(device, queue, &pools.layouts, &pools.limits).map(|place| (place, false)),
+        Some(image) => pools.textures.allocate(&mut pools.memory, &pools.layouts, image, texture_content),
+        None => pools.textures.white(&mut pools.memory, queue, &pools.layouts).map(|place| (place, false)),
     };
     let (texture, is_new_texture) = match texture {
         Ok(texture) => texture,

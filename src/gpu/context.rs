@@ -290,6 +290,13 @@ impl GraphicsContext {
         self.device.destroy();
     }
 
+    /// Lets pools grow by no more than so many bytes from now on, `None` by as many as there are, for tests of what comes
+    /// after.
+    #[doc(hidden)]
+    pub fn pretend_memory(&mut self, left_bytes: Option<u64>) {
+        self.pools.memory.pretend(left_bytes);
+    }
+
     /// Lets the window's surface answer so when it is asked for its next images, for tests of what comes after.
     #[doc(hidden)]
     pub fn pretend_surface(&mut self, answers: &[super::SurfaceAnswer]) {
@@ -405,7 +412,7 @@ impl GraphicsContext {
         let Self { device, queue, pools, drawables, .. } = self;
         // What the thread recorded for a place that is another's now must not come after this.
         self.compiles.flush_recorded(device, queue);
-        let is_shared = compile::rewrite(device, queue, pools, drawables, slot, mesh);
+        let is_shared = compile::rewrite(queue, pools, drawables, slot, mesh);
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
         if is_shared.map_err(|reason| GpuError::Rewrite { reason })? {
             // The mesh may be on its way.

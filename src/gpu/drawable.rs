@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use super::custom::CustomShapes;
 use super::height_pool::{HeightPool, TilePlace};
 use super::layouts::Layouts;
+use super::memory::Memory;
 use super::mesh_pool::{MeshPlace, MeshPool};
 use super::table::Table;
 use super::texture_pool::{TextureLayer, TexturePool};
@@ -179,7 +180,7 @@ pub(crate) struct Pools {
     pub(crate) textures: TexturePool,
     pub(crate) customs: CustomShapes,
     pub(super) layouts: Layouts,
-    pub(super) limits: wgpu::Limits,
+    pub(super) memory: Memory,
 }
 
 impl Pools {
@@ -190,7 +191,7 @@ impl Pools {
             textures: TexturePool::default(),
             customs: CustomShapes::default(),
             layouts,
-            limits: device.limits(),
+            memory: Memory::new(device),
         }
     }
 

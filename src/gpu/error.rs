@@ -33,6 +33,16 @@ pub enum GpuError {
         /// Largest side.
         limit: u32,
     },
+    /// The adapter has no memory for what a drawable needs.
+    #[error("out of graphics memory: {what} of {bytes} bytes cannot be made: {reason}")]
+    OutOfMemory {
+        /// What was to be made.
+        what: &'static str,
+        /// Its size.
+        bytes: u64,
+        /// What the driver said.
+        reason: String,
+    },
     /// A mesh could not take the place of another.
     #[error("rewriting a mesh: {reason}")]
     Rewrite {

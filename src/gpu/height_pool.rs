@@ -4,8 +4,10 @@
 //! instanced draw of the shared grid.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 
 use super::layouts::Layouts;
+use super::memory::Memory;
 use super::slots::{SlotAllocator, block_capacity};
 use super::table::Table;
 use super::texture_pool::{ImageSize, array_view};
@@ -109,9 +111,8 @@ impl HeightPool {
     /// A place for a tile; true when it must be uploaded, false when it is there already.
     pub(super) fn allocate(
         &mut self,
-        device: &wgpu::Device,
+        memory: &mut Memory,
         layouts: &Layouts,
-        limits: &wgpu::Limits,
         tile: &HeightTile,
         content: Option<&ContentKey>,
     ) -> Result<(TilePlace, bool), String> {
@@ -121,7 +122,7 @@ impl HeightPool {
             user.0 += 1;
             return Ok((place, false));
         }
-        let place = self.take_place(device, layouts, limits, tile)?;
+        let place = self.take_place(memory, layouts, tile)?;
         if let Some(user) = self.user_mut(place) {
             *user = (1, content.copied());
         }
@@ -136,31 +137,20 @@ impl HeightPool {
     }
 
     /// A place with the size of the tile's colour image.
-    fn take_place(
-        &mut self,
-        device: &wgpu::Device,
-        layouts: &Layouts,
-        limits: &wgpu::Limits,
-        tile: &HeightTile,
-    ) -> Result<TilePlace, String> {
+    fn take_place(&mut self, memory: &mut Memory, layouts: &Layouts, tile: &HeightTile) -> Result<TilePlace, String> {
         check(tile)?;
         let color_size = match &tile.texture {
-            Some(texture) => ImageSize::of(texture, limits)?,
+            Some(texture) => ImageSize::of(texture, &memory.limits)?,
             None => ImageSize { width: 1, height: 1, mips: 1 },
         };
         let side = tile.side;
-        self.grids.entry(side).or_insert_with(|| {
+        if let Entry::Vacant(grid) = self.grids.entry(side) {
             let indices = grid_indices(side);
-            let buffer = wgpu::util::DeviceExt::create_buffer_init(
-                device,
-                &wgpu::util::BufferInitDescriptor {
-                    label: Some("grid"),
-                    contents: bytemuck::cast_slice(&indices),
-                    usage: wgpu::BufferUsages::INDEX,
-                },
-            );
-            Grid { indices: buffer, index_count: indices.len() as u32 }
-        });
+            let index_count = indices.len() as u32;
+            let contents = bytemuck::cast_slice(&indices);
+            let indices = memory.make_filled("grid", wgpu::BufferUsages::INDEX, contents)?;
+            grid.insert(Grid { indices, index_count });
+        }
         let mut like = 0;
         for (index, block) in self.blocks.iter_mut() {
             if block.side == side && block.color_size == color_size {
@@ -171,9 +161,9 @@ impl HeightPool {
                 }
             }
         }
-        let most = BLOCK_TILES.min(limits.max_texture_array_layers);
+        let most = BLOCK_TILES.min(memory.limits.max_texture_array_layers);
         let capacity = block_capacity(like, tile_bytes(side, &color_size), BLOCK_BYTES, most);
-        let mut block = Block::new(device, layouts, side, color_size, capacity);
+        let mut block = Block::new(memory, layouts, side, color_size, capacity)?;
         let layer = block.slots.allocate().ok_or("a height block without layers")?;
         self.bytes_allocated += tile_bytes(side, &color_size) * u64::from(capacity);
         self.bytes_in_use += tile_bytes(side, &color_size);
@@ -239,8 +229,15 @@ impl HeightPool {
 }
 
 impl Block {
-    fn new(device: &wgpu::Device, layouts: &Layouts, side: u32, color_size: ImageSize, capacity: u32) -> Self {
-        let heights = device.create_texture(&wgpu::TextureDescriptor {
+    fn new(
+        memory: &mut Memory,
+        layouts: &Layouts,
+        side: u32,
+        color_size: ImageSize,
+        capacity: u32,
+    ) -> Result<Self, String> {
+        let padded = u64::from(side + 2);
+        let heights = wgpu::TextureDescriptor {
             label: Some("height block"),
             size: wgpu::Extent3d { width: side + 2, height: side + 2, depth_or_array_layers: capacity },
             mip_level_count: 1,
@@ -249,15 +246,19 @@ impl Block {
             format: wgpu::TextureFormat::R32Float,
             usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
-        });
-        let tables = device.create_buffer(&wgpu::BufferDescriptor {
+        };
+        let bytes = padded * padded * 4 * u64::from(capacity);
+        let heights = memory.make("height block", bytes, |device| device.create_texture(&heights))?;
+        let size = u64::from(table_vectors(side)) * 16 * u64::from(capacity);
+        let tables = wgpu::BufferDescriptor {
             label: Some("height block tables"),
-            size: u64::from(table_vectors(side)) * 16 * u64::from(capacity),
+            size,
             usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
-        });
-        let color = color_size.create(device, "height block colour", capacity);
-        let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+        };
+        let tables = memory.make("height block tables", size, |device| device.create_buffer(&tables))?;
+        let color = color_size.make(memory, "height block colour", capacity)?;
+        let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("height block"),
             layout: &layouts.height_block,
             entries: &[
@@ -275,7 +276,7 @@ impl Block {
         });
         let slots = SlotAllocator::new(capacity);
         let users = vec![(0, None); capacity as usize];
-        Self { side, color_size, heights, tables, color, bind_group, slots, capacity, users }
+        Ok(Self { side, color_size, heights, tables, color, bind_group, slots, capacity, users })
     }
 }
 

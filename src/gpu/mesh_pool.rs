@@ -8,6 +8,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
+use super::memory::Memory;
 use super::packing::{VertexFormat, WHITE, is_short};
 use super::slots::{Identity, SlotAllocator, block_capacity, size_class};
 use super::table::Table;
@@ -70,13 +71,14 @@ impl Arena {
         Self { label, usage, element_bytes, chunks: Table::default(), bytes_in_use: 0, bytes_allocated: 0 }
     }
 
-    fn allocate(&mut self, device: &wgpu::Device, limits: &wgpu::Limits, length: usize) -> Result<Range, String> {
+    fn allocate(&mut self, memory: &mut Memory, length: usize) -> Result<Range, String> {
         let too_large = || format!("{length} {} do not fit into one buffer of the adapter", self.label);
         let length = u32::try_from(length).ok().filter(|l| *l < 1 << 30).ok_or_else(too_large)?;
         let class = size_class(length);
         let class_bytes = u64::from(class) * self.element_bytes;
         // A base vertex is an i32, and buffers have a largest size.
-        if class_bytes > limits.max_buffer_size {
+        let most_bytes = memory.limits.max_buffer_size;
+        if class_bytes > most_bytes {
             return Err(too_large());
         }
         let mut like = 0;
@@ -89,13 +91,15 @@ impl Arena {
                 }
             }
         }
-        let capacity = block_capacity(like, class_bytes, CHUNK_BYTES.min(limits.max_buffer_size), CHUNK_PLACES);
-        let buffer = device.create_buffer(&wgpu::BufferDescriptor {
+        let capacity = block_capacity(like, class_bytes, CHUNK_BYTES.min(most_bytes), CHUNK_PLACES);
+        let size = class_bytes * u64::from(capacity);
+        let descriptor = wgpu::BufferDescriptor {
             label: Some(self.label),
-            size: class_bytes * u64::from(capacity),
+            size,
             usage: self.usage | wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
-        });
+        };
+        let buffer = memory.make(self.label, size, |device| device.create_buffer(&descriptor))?;
         let mut slots = SlotAllocator::new(capacity);
         let place = slots.allocate().ok_or("a buffer without places")?;
         self.bytes_allocated += class_bytes * u64::from(capacity);
@@ -134,15 +138,9 @@ impl Arena {
 struct Arenas<const N: usize>([Arena; N]);
 
 impl<const N: usize> Arenas<N> {
-    fn allocate(
-        &mut self,
-        arena: u32,
-        device: &wgpu::Device,
-        limits: &wgpu::Limits,
-        length: usize,
-    ) -> Result<Range, String> {
+    fn allocate(&mut self, arena: u32, memory: &mut Memory, length: usize) -> Result<Range, String> {
         let of = self.0.get_mut(arena as usize).ok_or("a format without buffers")?;
-        let range = of.allocate(device, limits, length)?;
+        let range = of.allocate(memory, length)?;
         Ok(Range { chunk: range.chunk | arena << ARENA_SHIFT, ..range })
     }
 
@@ -259,8 +257,7 @@ impl MeshPool {
     /// Places for a mesh, and which of them are new.
     pub(super) fn allocate(
         &mut self,
-        device: &wgpu::Device,
-        limits: &wgpu::Limits,
+        memory: &mut Memory,
         mesh: &Arc<Mesh>,
         shared: &SharedParts,
         format: VertexFormat,
@@ -280,16 +277,15 @@ impl MeshPool {
         if mesh.vertices.is_empty() || mesh.indices.is_empty() {
             return Err("a mesh without vertices or indices".into());
         }
-        let (index_list, new_indices) = self.allocate_indices(device, limits, mesh, shared)?;
-        if format != VertexFormat::Full && self.white.is_none() {
-            let descriptor = wgpu::util::BufferInitDescriptor {
-                label: Some("white"),
-                contents: &WHITE,
-                usage: wgpu::BufferUsages::VERTEX,
-            };
-            self.white = Some(wgpu::util::DeviceExt::create_buffer_init(device, &descriptor));
-        }
-        let vertices = match self.vertices.allocate(format as u32, device, limits, mesh.vertices.len()) {
+        let (index_list, new_indices) = self.allocate_indices(memory, mesh, shared)?;
+        let white = match format == VertexFormat::Full || self.white.is_some() {
+            true => Ok(()),
+            false => memory
+                .make_filled("white vertex", wgpu::BufferUsages::VERTEX, &WHITE)
+                .map(|white| self.white = Some(white)),
+        };
+        let vertices = white.and_then(|()| self.vertices.allocate(format as u32, memory, mesh.vertices.len()));
+        let vertices = match vertices {
             Ok(range) => range,
             Err(e) => {
                 self.release_indices(index_list);
@@ -319,8 +315,7 @@ impl MeshPool {
 
     fn allocate_indices(
         &mut self,
-        device: &wgpu::Device,
-        limits: &wgpu::Limits,
+        memory: &mut Memory,
         mesh: &Mesh,
         shared: &SharedParts,
     ) -> Result<(u32, Option<Range>), String> {
@@ -341,7 +336,7 @@ impl MeshPool {
         let largest = mesh.indices.iter().copied().max().unwrap_or(0);
         check_indices(largest, mesh)?;
         let arena = if is_short(largest, mesh.indices.len()) { SHORT } else { 0 };
-        let range = self.indices.allocate(arena, device, limits, mesh.indices.len())?;
+        let range = self.indices.allocate(arena, memory, mesh.indices.len())?;
         // A weak pointer keeps the list's memory, so it is kept for lists that others hold as well.
         let by_address = content.is_none() && Arc::strong_count(&mesh.indices) > 1;
         let source = by_address.then(|| Arc::downgrade(&mesh.indices));

@@ -22,6 +22,7 @@ mod error;
 mod faces;
 mod height_pool;
 mod layouts;
+mod memory;
 mod mesh_pool;
 mod packing;
 mod pipeline_cache;

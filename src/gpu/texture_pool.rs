@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
 use super::layouts::Layouts;
+use super::memory::Memory;
 use super::slots::{Identity, SlotAllocator, block_capacity};
 use super::table::Table;
 use super::uploads::{Destination, QueueSink, Source, Upload};
@@ -56,6 +57,11 @@ impl ImageSize {
 
     pub(super) fn bytes(&self) -> u64 {
         (0..self.mips).map(|l| self.level(l).map(u64::from).iter().product::<u64>() * 4).sum()
+    }
+
+    /// As [`Self::create`] does, where there is memory for it.
+    pub(super) fn make(&self, memory: &mut Memory, label: &'static str, layers: u32) -> Result<wgpu::Texture, String> {
+        memory.make(label, self.bytes() * u64::from(layers), |device| self.create(device, label, layers))
     }
 
     pub(super) fn create(&self, device: &wgpu::Device, label: &str, layers: u32) -> wgpu::Texture {
@@ -143,9 +149,8 @@ impl TexturePool {
     /// A layer for an image; true when it must be uploaded, false when it is there already.
     pub(super) fn allocate(
         &mut self,
-        device: &wgpu::Device,
+        memory: &mut Memory,
         layouts: &Layouts,
-        limits: &wgpu::Limits,
         image: &Arc<Texture>,
         content: Option<&ContentKey>,
     ) -> Result<(TextureLayer, bool), String> {
@@ -158,8 +163,8 @@ impl TexturePool {
                 return Ok((place, false));
             }
         }
-        let size = ImageSize::of(image, limits)?;
-        let place = self.take_place(device, layouts, limits, size, image.wrap)?;
+        let size = ImageSize::of(image, &memory.limits)?;
+        let place = self.take_place(memory, layouts, size, image.wrap)?;
         if let Some(user) = self.user_mut(place) {
             *user = (1, key);
         }
@@ -170,16 +175,15 @@ impl TexturePool {
     /// The single white texel for drawables without a texture.
     pub(super) fn white(
         &mut self,
-        device: &wgpu::Device,
+        memory: &mut Memory,
         queue: &wgpu::Queue,
         layouts: &Layouts,
-        limits: &wgpu::Limits,
     ) -> Result<TextureLayer, String> {
         if let Some(place) = self.white {
             return Ok(place);
         }
         let size = ImageSize { width: 1, height: 1, mips: 1 };
-        let place = self.take_place(device, layouts, limits, size, CLAMPED)?;
+        let place = self.take_place(memory, layouts, size, CLAMPED)?;
         if let Some(into) = self.destination(place) {
             Upload::new(Source::White, into).write(&mut QueueSink(queue), &mut Vec::new(), 1);
         }
@@ -197,9 +201,8 @@ impl TexturePool {
 
     fn take_place(
         &mut self,
-        device: &wgpu::Device,
+        memory: &mut Memory,
         layouts: &Layouts,
-        limits: &wgpu::Limits,
         size: ImageSize,
         wrap: [WrapMode; 2],
     ) -> Result<TextureLayer, String> {
@@ -213,10 +216,10 @@ impl TexturePool {
                 }
             }
         }
-        let most = BLOCK_LAYERS.min(limits.max_texture_array_layers);
+        let most = BLOCK_LAYERS.min(memory.limits.max_texture_array_layers);
         let capacity = block_capacity(like, size.bytes(), BLOCK_BYTES, most);
-        let texture = size.create(device, "texture block", capacity);
-        let bind_group = device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let texture = size.make(memory, "texture block", capacity)?;
+        let bind_group = memory.device().create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("texture block"),
             layout: &layouts.texture_block,
             entries: &[

@@ -64,9 +64,6 @@ pub enum SceneError {
         /// The handle given.
         node: NodeId,
     },
-    /// What is drawn among the things of another picture cannot be the whole scene.
-    #[error("a nested camera cannot show the scene")]
-    NestedShowsScene,
     /// The node is not a camera.
     #[error("node {} is not a Camera", node.index)]
     NotACamera {

@@ -64,6 +64,8 @@ impl Flattener {
             page: Page {
                 nodes: Vec::new(),
                 spheres: Vec::new(),
+                stale: Vec::new(),
+                fitted_spheres: 0,
                 parents: Vec::new(),
                 masks: Vec::new(),
                 payloads: Vec::new(),
@@ -229,7 +231,6 @@ impl Flattener {
                 kind::SPECIAL
             }
             NodeKind::Camera(camera) => {
-                camera.check()?;
                 path = self.view_path(path);
                 flags |= INACTIVE;
                 payload = self.special(Special::Camera { camera, path });

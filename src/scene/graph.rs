@@ -30,6 +30,8 @@ struct Entry {
     occluders_at: u32,
     /// What culls read instead of the page, where that is enough.
     lone: Option<LoneDrawable>,
+    /// It is in `Scene::stale_pages`.
+    is_stale: bool,
 }
 
 impl Entry {
@@ -67,6 +69,8 @@ pub struct Scene {
     occluder_pages: Vec<OccluderPage>,
     /// Meshes that were changed and have not been sent to be drawn.
     pub(super) rewritten: Vec<Rewritten>,
+    /// Places of pages that have bounds to be fitted, in no order.
+    stale_pages: Vec<u32>,
     /// Slots to be filled whatever cameras see, which the pager has not taken up.
     pub(super) asked: Vec<NodeId>,
 }
@@ -206,8 +210,9 @@ impl Scene {
         self.touched_records
     }
 
-    /// Replaces the map of a Transform node (`parent_from_child`) and fits the bounds of its subtree and of its
-    /// ancestors in the page again: 7 ns per node and drawable below it.
+    /// Replaces the map of a Transform node (`parent_from_child`) and fits the bounds of its subtree again: 7 ns per node
+    /// and drawable below it. Those of its ancestors in the page are fitted by [`Self::compute_bounds`], once for all
+    /// changes since the last time.
     pub fn set_transform(&mut self, node: NodeId, parent_from_child: DAffine3) -> Result<(), SceneError> {
         let page = self.page_mut(node.page).ok_or(SceneError::StaleNode { node })?;
         if node.index as usize >= page.node_count() {
@@ -220,7 +225,30 @@ impl Scene {
             let moved = OccluderPage::new(node.page.slot, page);
             self.occluder_pages[self.entries[node.page.slot as usize].occluders_at as usize] = moved;
         }
+        self.note_stale(node.page);
         Ok(())
+    }
+
+    /// Fits the bounds above what has changed, children before parents, each once. Viewers call it in every update;
+    /// whoever culls a scene without a viewer calls it once changes are made. Until then a cull takes these nodes for
+    /// larger than they are, and draws the same all the same; whoever asks for a sphere is told the one that it will be.
+    pub fn compute_bounds(&mut self) {
+        while let Some(place) = self.stale_pages.pop() {
+            let Some(entry) = self.entries.get_mut(place as usize) else { continue };
+            entry.is_stale = false;
+            if let Some(page) = &mut entry.page {
+                page.compute_bounds();
+            }
+        }
+    }
+
+    /// A page was changed: what is above the change is fitted later.
+    pub(super) fn note_stale(&mut self, page: PageId) {
+        let Some(entry) = self.entries.get_mut(page.slot as usize) else { return };
+        if !entry.is_stale && entry.page.as_ref().is_some_and(|page| !page.stale.is_empty()) {
+            entry.is_stale = true;
+            self.stale_pages.push(page.slot);
+        }
     }
 
     /// What a camera node holds; `None` where the node is none, or not there any more.
@@ -235,11 +263,11 @@ impl Scene {
         if !(camera.view.is_finite() && camera.projection.is_none_or(|p| p.is_finite())) {
             return Err(SceneError::NotFinite);
         }
-        camera.check()?;
-        match page.set_camera(node.index, camera) {
-            true => Ok(()),
-            false => Err(SceneError::NotACamera { node }),
+        if !page.set_camera(node.index, camera) {
+            return Err(SceneError::NotACamera { node });
         }
+        self.note_stale(node.page);
+        Ok(())
     }
 
     /// The nodes of a page that have a name, in depth-first order.
@@ -298,14 +326,18 @@ impl Scene {
                 (entry.page, entry.slot, entry.base_depth) = (page, slot, base_depth);
                 (entry.occluders_at, entry.lone) = (occluders_at, lone);
             }
-            None => self.entries.push(Entry { generation, page, slot, base_depth, occluders_at, lone }),
+            None => {
+                let is_stale = false;
+                self.entries.push(Entry { generation, page, slot, base_depth, occluders_at, lone, is_stale });
+            }
         }
         id
     }
 
     fn take(&mut self, id: PageId) -> Option<Page> {
         let entry = self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?;
-        let page = entry.page.take()?;
+        let mut page = entry.page.take()?;
+        page.compute_bounds();
         entry.lone = None;
         if !(page.update_callbacks.is_empty() && page.event_callbacks.is_empty()) {
             self.callback_pages.forget(id.slot);

@@ -7,7 +7,6 @@ use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, DVec4};
 
 use super::cull_settings::{CullSettings, Inherit};
 use super::environment::{CameraEnvironment, CameraShadows};
-use super::error::SceneError;
 use super::geometry::Drawable;
 use crate::math::Aabb;
 use crate::state::{Light, TexGen, TextureObject};
@@ -142,7 +141,8 @@ pub struct CameraTarget {
     pub colors: Vec<Attachment>,
     /// Depth, to be sampled later; without one a depth buffer of the camera's own is used.
     pub depth: Option<Attachment>,
-    /// Samples a pixel, 1 or 4; resolved into the colour attachments.
+    /// Samples a pixel, 1 or 4; resolved into the colour attachments. A camera that does not clear its colours goes on
+    /// with what these hold, the same in all samples of a pixel where an earlier frame drew it.
     pub samples: u32,
     /// Where the first colour attachment is copied to after each draw, with what cameras below draw over it; without waiting.
     pub read_back: Option<Arc<PictureSink>>,
@@ -234,11 +234,14 @@ pub struct CameraNode {
     pub viewport_px: Option<[u32; 4]>,
     /// Linear colour to clear with; `None` keeps what is there. Nested cameras clear nothing.
     pub clear_color: Option<[f32; 4]>,
-    /// Clear depth before drawing (to infinitely far).
+    /// Clear depth before drawing (to infinitely far). What is not cleared is what was drawn before in this frame into the
+    /// same target, or what a depth texture holds; a depth buffer of the target's own is another's from one frame to the
+    /// next.
     pub clear_depth: bool,
     /// Show the whole scene, besides what is below it: mirrors, maps and other views of one world, its paged content with
     /// the tiles that the camera's own eye asks for. Levels of detail do not cross-fade in its picture. Of cameras that
-    /// show the scene none is drawn in another's picture. Not for nested cameras.
+    /// show the scene none is drawn in another's picture. Nested cameras show it among the things of the picture that
+    /// they are met in: compared with the depths there, without its occluders, background, sky and water.
     pub shows_scene: bool,
     /// What it draws into; `None`: what the stage draws into that the camera was met in.
     pub target: Option<Arc<CameraTarget>>,
@@ -289,14 +292,6 @@ impl CameraNode {
             ..Self::new(RenderOrder::PreRender(0))
         }
     }
-
-    /// What cannot be drawn.
-    pub(super) fn check(&self) -> Result<(), SceneError> {
-        match (self.order, self.shows_scene) {
-            (RenderOrder::Nested, true) => Err(SceneError::NestedShowsScene),
-            _ => Ok(()),
-        }
-    }
 }
 
 pub use crate::state::DrawHook;
@@ -343,6 +338,8 @@ pub struct OcclusionResults {
     queried: AtomicU32,
     /// Frame of the last query that was answered; written after `failures` by whoever writes that.
     answered: AtomicU32,
+    /// The last query was not answered yet; written by cull, and by the draw thread after all that it writes.
+    is_awaited: AtomicBool,
     /// What cull last decided.
     is_hidden: AtomicBool,
     /// The eye that asks; written by cull.
@@ -377,11 +374,13 @@ impl OcclusionResults {
         asking == 0 || is_idle
     }
 
-    /// True once every so many frames; notes the frame.
+    /// True once every so many frames, and where frames stand still once the last query was answered; notes the frame.
     pub(crate) fn is_due(&self, frame: u32, every: u32) -> bool {
         let last = self.queried.load(Ordering::Relaxed);
-        let due = last == 0 || frame.wrapping_sub(last) >= every.max(1);
+        let is_answered_still = last == frame && !self.is_awaited.load(Ordering::Acquire);
+        let due = last == 0 || frame.wrapping_sub(last) >= every.max(1) || is_answered_still;
         if due {
+            self.is_awaited.store(true, Ordering::Relaxed);
             self.queried.store(frame.max(1), Ordering::Relaxed);
         }
         due
@@ -405,6 +404,7 @@ impl OcclusionResults {
             self.failures.fetch_add(1, Ordering::Relaxed);
         }
         self.answered.store(frame, Ordering::Release);
+        self.is_awaited.store(false, Ordering::Release);
     }
 
     /// Whether a frame leaves out what is below, and how many frames ago that was asked; all of them while more answers

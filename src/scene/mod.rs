@@ -19,6 +19,7 @@ mod lone;
 mod node;
 mod occluders;
 mod page;
+mod page_bounds;
 mod shapes;
 mod shared;
 mod slots;

@@ -5,15 +5,14 @@
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DMat4, DVec3, DVec4, Vec4};
+use glam::{DMat4, DVec3, Vec4};
 
 use super::callbacks::{EventCallback, UpdateCallback};
-use super::error::SceneError;
 use super::geometry::Drawable;
 use super::intersect::KdTree;
 use super::kinds::{
     BillboardMode, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, NormalCone,
-    OcclusionQueryNode, ReferenceFrame, TexGenNode,
+    OcclusionQueryNode, TexGenNode,
 };
 use super::shared::SharedContent;
 use super::tiles::Tiles;
@@ -57,6 +56,9 @@ pub(crate) const INACTIVE: u8 = 4;
 pub(crate) const UNCULLED: u8 = 8;
 /// Set where tiles are below, or what no bound culls: however small it looks, it is visited.
 pub(crate) const LARGE: u8 = 16;
+
+/// Set where what is below has changed: the sphere holds all of it, and is to be fitted.
+pub(crate) const STALE: u8 = 32;
 
 /// Of a path: the leaves below have the view of the camera or projection node that is being scanned.
 pub(crate) const VIEW: u32 = u32::MAX - 1;
@@ -201,6 +203,10 @@ pub struct Page {
     pub(crate) shared_tree_bytes: u64,
     /// Pages in this page's slots.
     pub(crate) attached_pages: u32,
+    /// Nodes that are [`STALE`], in no order.
+    pub(crate) stale: Vec<u32>,
+    /// Spheres that were fitted so far.
+    pub(crate) fitted_spheres: u64,
 }
 
 impl Page {
@@ -287,16 +293,6 @@ impl Page {
         self.kd_trees.get(drawable as usize)?.as_ref()
     }
 
-    /// The sphere around everything, in the page's frame.
-    pub fn bounding_sphere(&self) -> BoundingSphere {
-        match self.spheres.first() {
-            Some(s) if s.w >= 0.0 && s.w < UNBOUNDED => {
-                BoundingSphere::new(self.origin + s.truncate().as_dvec3(), f64::from(s.w))
-            }
-            _ => BoundingSphere::EMPTY,
-        }
-    }
-
     /// True when the page holds tiles: an external tileset. A tile whose content is such a page is always refined.
     pub fn is_tile_tree(&self) -> bool {
         !self.tiles.records.is_empty()
@@ -329,29 +325,6 @@ impl Page {
         self.payloads.get(node as usize).map(|t| *t as usize)
     }
 
-    /// Replaces the map of a transform node and fits the bounds of its subtree and of its ancestors again.
-    pub(crate) fn set_transform(&mut self, node: u32, parent_from_node: DAffine3) -> Result<bool, SceneError> {
-        let index = node as usize;
-        if index >= self.node_count() || self.nodes[index].kind != kind::TRANSFORM {
-            return Ok(false);
-        }
-        if !parent_from_node.is_finite() {
-            return Err(SceneError::NotFinite);
-        }
-        let record = self.nodes[index];
-        let end = index + record.skip as usize;
-        self.transforms.set(record.first_transform, parent_from_node, self.nodes[end].first_transform);
-        self.fit_billboards(index, end);
-        self.fit_boxes(record.first_drawable as usize, self.nodes[end].first_drawable as usize);
-        self.fit_spheres(index, end);
-        let mut parent = self.parents[index];
-        while parent != NONE {
-            self.fit_spheres(parent as usize, parent as usize + 1);
-            parent = self.parents[parent as usize];
-        }
-        Ok(true)
-    }
-
     /// What a camera node holds, if it is one.
     pub(crate) fn camera(&self, node: u32) -> Option<&CameraNode> {
         let index = node as usize;
@@ -360,132 +333,6 @@ impl Page {
             Special::Camera { camera, .. } => Some(camera),
             _ => None,
         }
-    }
-
-    /// Puts other values into a camera node; false where it is none. Bounds above depend on its frame.
-    pub(crate) fn set_camera(&mut self, node: u32, camera: CameraNode) -> bool {
-        let Some(frame) = self.camera(node).map(|c| c.frame) else { return false };
-        let refits = frame != camera.frame;
-        if let Some(Special::Camera { camera: old, .. }) = self.specials.get_mut(self.payloads[node as usize] as usize)
-        {
-            **old = camera;
-        }
-        let mut next = if refits { node } else { NONE };
-        while next != NONE {
-            self.fit_spheres(next as usize, next as usize + 1);
-            next = self.parents[next as usize];
-        }
-        true
-    }
-
-    /// The box of a drawable in the page's frame; `None` where its bound is not usable.
-    pub(crate) fn box_in_page(&self, drawable: usize) -> Option<Aabb> {
-        let local = &self.local_boxes[drawable];
-        if !usable(local) {
-            return None;
-        }
-        let in_page = local.transformed(&self.transforms.page_from_node(self.drawable_refs[drawable].transform));
-        usable(&in_page).then_some(in_page)
-    }
-
-    /// Computes the boxes, in the frames of their transforms, of billboards in a range of nodes: how far they reach is a
-    /// matter of these transforms.
-    pub(crate) fn fit_billboards(&mut self, first: usize, end: usize) {
-        if self.specials.is_empty() {
-            return;
-        }
-        for node in (first..end).filter(|node| self.nodes[*node].kind == kind::SPECIAL) {
-            let Some(Special::Billboard { mode, positions, bounds }) = self.specials.get(self.payloads[node] as usize)
-            else {
-                continue;
-            };
-            let own = self.nodes[node].first_drawable as usize;
-            for ((drawable, position), bounds) in (own..).zip(positions).zip(bounds) {
-                let page_from_node = self.transforms.page_from_node(self.drawable_refs[drawable].transform);
-                // Wherever it turns to.
-                let reach = mode.reach(&page_from_node.matrix3, bounds);
-                self.local_boxes[drawable] = Aabb { min: *position - reach, max: *position + reach };
-            }
-        }
-    }
-
-    /// Computes the page-frame boxes of a range of drawables.
-    pub(crate) fn fit_boxes(&mut self, first: usize, end: usize) {
-        for drawable in first..end {
-            let (center, half) = match self.box_in_page(drawable) {
-                Some(b) => {
-                    let center = b.center() - self.origin;
-                    let half = b.half_size();
-                    let slack = rounding_slack(center.abs().max_element() + half.max_element());
-                    ((center).as_vec3(), (half + slack).as_vec3())
-                }
-                None => (glam::Vec3::ZERO, glam::Vec3::splat(UNBOUNDED)),
-            };
-            let four = &mut self.boxes[drawable / 4];
-            for axis in 0..3 {
-                four.center[axis][drawable % 4] = center[axis];
-                four.half[axis][drawable % 4] = half[axis];
-            }
-        }
-    }
-
-    /// Computes the spheres of a range of nodes from those below it, deepest first: the middle of the box around
-    /// the children's spheres, then the radius that holds them all (as OSG's `Group::computeBound`).
-    pub(crate) fn fit_spheres(&mut self, first: usize, end: usize) {
-        for node in (first..end).rev() {
-            let sphere = self.fitted_sphere(node);
-            self.spheres[node] = sphere;
-        }
-    }
-
-    fn fitted_sphere(&self, node: usize) -> Vec4 {
-        let record = &self.nodes[node];
-        if record.kind == kind::TILE {
-            return self.tile_sphere(node);
-        }
-        let mut around = Aabb::EMPTY;
-        let mut unbounded = false;
-        let own = record.first_drawable as usize..self.nodes[node + 1].first_drawable as usize;
-        for drawable in own.clone() {
-            match self.box_in_page(drawable) {
-                Some(b) => around = around.union(&Aabb { min: b.min - self.origin, max: b.max - self.origin }),
-                None => unbounded = true,
-            }
-        }
-        let own_box = around;
-        let end = node + record.skip as usize;
-        let mut child = node + 1;
-        while child < end {
-            let apart = self.is_apart(child);
-            let s = if apart { DVec4::NEG_ONE } else { self.spheres[child].as_dvec4() };
-            if s.w >= f64::from(UNBOUNDED) {
-                unbounded = true;
-            } else if s.w >= 0.0 {
-                let (c, r) = (s.truncate(), DVec3::splat(s.w));
-                around = around.union(&Aabb { min: c - r, max: c + r });
-            }
-            child += self.nodes[child].skip as usize;
-        }
-        if unbounded {
-            return Vec4::new(0.0, 0.0, 0.0, UNBOUNDED);
-        }
-        if around.is_empty() {
-            return Vec4::new(0.0, 0.0, 0.0, -UNBOUNDED);
-        }
-        let center = around.center();
-        let mut radius_m = 0.0f64;
-        if !own_box.is_empty() {
-            radius_m = (own_box.center() - center).length() + own_box.half_size().length();
-        }
-        let mut child = node + 1;
-        while child < end {
-            let s = self.spheres[child].as_dvec4();
-            if s.w >= 0.0 && !self.is_apart(child) {
-                radius_m = radius_m.max(s.truncate().distance(center) + s.w);
-            }
-            child += self.nodes[child].skip as usize;
-        }
-        stored_sphere(center, radius_m)
     }
 
     /// Cull must know where the eye is in the page's frame.
@@ -546,50 +393,4 @@ impl Page {
         }
         index
     }
-
-    /// True for nodes whose children are not in the frame of what is above.
-    fn is_apart(&self, node: usize) -> bool {
-        if self.nodes[node].kind != kind::SPECIAL {
-            return false;
-        }
-        match self.specials.get(self.payloads[node] as usize) {
-            Some(Special::Camera { camera, .. }) => camera.frame == ReferenceFrame::Absolute,
-            Some(Special::AbsoluteTransform) => true,
-            _ => false,
-        }
-    }
-
-    fn tile_sphere(&self, node: usize) -> Vec4 {
-        let tile = self.payloads[node];
-        let Ok(root) = self.tiles.roots.binary_search_by_key(&tile, |r| r.tile) else {
-            return Vec4::new(0.0, 0.0, 0.0, -UNBOUNDED); // below a top tile: the tile walk has its own bounds
-        };
-        let page_from_tile = self.transforms.page_from_node(self.tiles.roots[root].transform);
-        let sphere = self.tile_root_spheres[root].transformed(&page_from_tile);
-        if !sphere.center.is_finite() || !(0.0..f64::from(UNBOUNDED)).contains(&sphere.radius_m) {
-            return Vec4::new(0.0, 0.0, 0.0, UNBOUNDED);
-        }
-        stored_sphere(sphere.center - self.origin, sphere.radius_m)
-    }
-}
-
-/// A sphere relative to the page's origin as f32, grown by what the rounding may have lost.
-fn stored_sphere(center: DVec3, radius_m: f64) -> Vec4 {
-    let slack = rounding_slack(center.abs().max_element() + radius_m);
-    let radius_m = radius_m + slack;
-    if center.is_finite() && radius_m < f64::from(UNBOUNDED) {
-        center.as_vec3().extend(radius_m as f32)
-    } else {
-        Vec4::new(0.0, 0.0, 0.0, UNBOUNDED)
-    }
-}
-
-/// One f32 step at a coordinate: the spike measured that nothing is lost with it, and 1 leaf of 5 million without.
-fn rounding_slack(coordinate_m: f64) -> f64 {
-    coordinate_m * f64::from(f32::EPSILON)
-}
-
-/// Finite, not empty, and small enough for f32.
-fn usable(b: &Aabb) -> bool {
-    b.min.is_finite() && b.max.is_finite() && !b.is_empty() && b.half_size().max_element() < f64::from(UNBOUNDED)
 }

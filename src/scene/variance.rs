@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::error::SceneError;
 use super::geometry::{Geometry, Mesh};
 use super::intersect::KdTree;
-use super::page::{NONE, kind};
+use super::page::kind;
 use super::{NodeId, Page, PageId, Scene};
 use crate::state::DataVariance;
 
@@ -49,6 +49,7 @@ impl Scene {
             Some(earlier) => *earlier = rewritten,
             None => self.rewritten.push(rewritten),
         }
+        self.note_stale(node.page);
         Ok(())
     }
 
@@ -80,10 +81,10 @@ impl Page {
         self.local_boxes[number as usize] = mesh.bounds;
         self.clusters.retain(|(of, _)| *of != number);
         self.fit_boxes(number as usize, number as usize + 1);
-        let mut node = node;
-        while node != NONE {
-            self.fit_spheres(node as usize, node as usize + 1);
-            node = self.parents[node as usize];
+        let before = self.spheres[index];
+        self.fit_spheres(index, index + 1);
+        if self.spheres[index] != before {
+            self.outdate_above(node);
         }
         Some(number)
     }

@@ -79,12 +79,7 @@ impl Scene {
                 (reach.x_axis.length_squared() + reach.y_axis.length_squared() + reach.z_axis.length_squared()).sqrt();
             return Some(BoundingSphere::new(bounds.center, radius_m));
         }
-        let sphere = page.spheres.get(node.index as usize)?;
-        if !(sphere.w >= 0.0 && sphere.w < UNBOUNDED) {
-            return None;
-        }
-        let in_page = BoundingSphere::new(page.origin + sphere.truncate().as_dvec3(), f64::from(sphere.w));
-        Some(in_page.transformed(&self.world_from_page(node.page)?))
+        Some(page.node_sphere(node.index)?.transformed(&self.world_from_page(node.page)?))
     }
 
     /// The tiles that are known, page after page: roots first, then what hangs in them.

@@ -219,6 +219,8 @@ impl ViewerBase {
         }
         self.tell_loss()?;
         let mut is_dynamic = false;
+        // The application's turn is over.
+        scenes.iter_mut().for_each(|scene| scene.scene_mut().compute_bounds());
         self.look_ahead(views, scenes);
         for scene in scenes.iter_mut() {
             stats.merge_ms += scene.page(&mut self.rendering, self.stamp.frame);

@@ -26,14 +26,14 @@ use crate::draw::composite::Composite;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{StagePlan, Targets};
 use crate::draw::shadow_maps::ShadowMaps;
+use crate::draw::spread::Spread;
 use crate::draw::state::{INDIRECT_BYTES, LEAST_MULTI_DRAW, Statics};
 use crate::draw::uniforms::fixed::StageUniform;
 use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
-use crate::scene::Environment;
-use crate::scene::Texture;
+use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 use shadows::CasterPlan;
@@ -55,7 +55,11 @@ pub struct DrawStats {
     pub unsampled_leaves: u32,
     /// Leaves drawn into shadow maps, once for each cascade.
     pub shadow_leaves: u32,
-    /// Draw calls for them, which [`Self::draw_calls`] counts too.
+    /// Leaves that the adapter's largest buffer had no room for; those that cast shadows give way first.
+    pub leaves_dropped: u32,
+    /// The same of those that cast shadows, once for each cascade.
+    pub shadow_leaves_dropped: u32,
+    /// Draw calls for shadows, which [`Self::draw_calls`] counts too.
     pub shadow_draw_calls: u32,
     /// Draw calls, the sky's among them; several runs drawn by one indirect call count once.
     pub draw_calls: u32,
@@ -130,6 +134,10 @@ pub struct Renderer {
     binds_shadows: bool,
     /// Of this frame.
     shadow_leaves: u32,
+    leaves_dropped: u32,
+    shadow_leaves_dropped: u32,
+    /// Leaves that may still cast shadows in this frame.
+    caster_room: usize,
     airs_refused: u32,
     indirect: Option<wgpu::Buffer>,
     indirect_bytes: Vec<u8>,
@@ -151,6 +159,8 @@ pub struct Renderer {
     pictures: PictureReads,
     /// Made when there first are two eyes.
     composite: Option<Composite>,
+    /// Made for the first camera that goes on with multisampled colours.
+    spread: Option<Spread>,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
     /// Recorded by a compile thread; submitted before the frame.
     uploads: Vec<wgpu::CommandBuffer>,
@@ -225,6 +235,9 @@ impl Renderer {
             shadow_maps,
             binds_shadows: false,
             shadow_leaves: 0,
+            leaves_dropped: 0,
+            shadow_leaves_dropped: 0,
+            caster_room: 0,
             airs_refused: 0,
             atmosphere,
             pipelines,
@@ -246,6 +259,7 @@ impl Renderer {
             queries: None,
             pictures: PictureReads::default(),
             composite: None,
+            spread: None,
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
             uploads: Vec::new(),
             clock: FrameClock::default(),
@@ -325,7 +339,7 @@ impl Renderer {
             }
         }
         let ctx = &*ctx;
-        let created_before = self.pipelines.created();
+        let created_before = self.created();
         self.prepare(ctx, pictures.clone());
         self.upload(ctx);
         let mut stats = self.record(ctx, pictures);
@@ -334,8 +348,9 @@ impl Renderer {
         stats.leaves = self.batch.leaves().len().saturating_sub(others) as u32;
         stats.unsampled_leaves = self.batch.unsampled;
         stats.shadow_leaves = self.shadow_leaves;
+        (stats.leaves_dropped, stats.shadow_leaves_dropped) = (self.leaves_dropped, self.shadow_leaves_dropped);
         stats.airs_refused = self.airs_refused;
-        stats.pipelines_created += self.pipelines.created() - created_before;
+        stats.pipelines_created += self.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
         drop(wait);
@@ -349,6 +364,11 @@ impl Renderer {
         }
         self.pictures.deliver();
         Ok(stats)
+    }
+
+    /// Pipelines made so far.
+    fn created(&self) -> u32 {
+        self.pipelines.created() + self.spread.as_ref().map_or(0, Spread::created)
     }
 
     fn upload(&mut self, ctx: &GraphicsContext) {
@@ -546,7 +566,7 @@ mod tests {
         camera.settings.culling = CullingMode::VIEW_FRUSTUM;
         CullVisitor::new().cull(&scene, &camera, &mut stage);
         let stats = renderer.draw(&mut ctx, &stage, &environment).unwrap();
-        assert_eq!(stats.leaves, 150);
+        assert_eq!((stats.leaves, stats.leaves_dropped as usize), (150, stage.leaf_count() - 150));
         let errors = renderer.take_errors();
         assert!(matches!(&errors[..], [e] if e.contains("more leaves than")), "{errors:?}");
         // Once, though there are others each time; and what is wrong after very much else is heard.
@@ -557,5 +577,24 @@ mod tests {
         renderer.take_errors();
         renderer.complain("at last".to_owned());
         assert_eq!(renderer.take_errors(), ["at last"]);
+
+        // What casts shadows gives way to what is seen.
+        let lit = Environment { shadows: Some(crate::scene::SunShadows::default()), ..environment };
+        let mut visitor = CullVisitor::new();
+        visitor.environment = Some(lit);
+        visitor.cull(&scene, &camera, &mut stage);
+        let own = stage.leaf_count();
+        renderer.most_leaves = usize::MAX;
+        let all = renderer.draw(&mut ctx, &stage, &lit).unwrap();
+        assert!(all.shadow_leaves > 20 && all.leaves_dropped + all.shadow_leaves_dropped == 0, "{all:?}");
+        renderer.most_leaves = own + 11;
+        let some = renderer.draw(&mut ctx, &stage, &lit).unwrap();
+        assert_eq!((some.leaves, some.leaves_dropped, some.shadow_leaves), (all.leaves, 0, 10));
+        assert_eq!(some.shadow_leaves_dropped, all.shadow_leaves - 10);
+        renderer.most_leaves = own;
+        let few = renderer.draw(&mut ctx, &stage, &lit).unwrap();
+        assert_eq!((few.leaves, few.leaves_dropped, few.shadow_leaves), (all.leaves, 0, 0));
+        let errors = renderer.take_errors();
+        assert!(matches!(&errors[..], [e] if e.contains("cast no shadow")), "{errors:?}");
     }
 }

@@ -13,6 +13,7 @@ use crate::draw::pipelines::Bare;
 use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
 use crate::draw::plan::{PassTarget, StagePlan, color};
+use crate::draw::spread::Spread;
 use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, replaces_sun};
 use crate::draw::uniforms::frame::LeafUniform;
@@ -44,7 +45,9 @@ impl Renderer {
         if let Some(composite) = &mut self.composite {
             composite.start_frame();
         }
-        (self.shadow_leaves, self.airs_refused) = (0, 0);
+        (self.shadow_leaves, self.shadow_leaves_dropped, self.airs_refused) = (0, 0, 0);
+        let own: usize = pictures.clone().map(|picture| leaves_of(picture.stage)).sum();
+        self.caster_room = self.most_leaves.saturating_sub(own);
         self.binds_shadows |= self.atmosphere.start_draw(ctx.face_count());
         self.prepare_shadow_maps(ctx, pictures.clone());
         let mut dropped = 0;
@@ -57,8 +60,14 @@ impl Renderer {
         for (bucket, _) in self.batch.buckets.iter().filter(|(b, _)| b.stride > 0) {
             self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
         }
+        self.leaves_dropped = dropped as u32;
+        // Without their number, which is another one in each frame.
+        if self.shadow_leaves_dropped > 0 {
+            self.complain(
+                "there are more leaves than the adapter's largest buffer holds; some cast no shadow".to_owned(),
+            );
+        }
         if dropped > 0 {
-            // Without their number, which is another one in each frame.
             self.complain(
                 "there are more leaves than the adapter's largest buffer holds; some are not drawn".to_owned(),
             );
@@ -98,7 +107,7 @@ impl Renderer {
             }
         };
         let first_caster = self.casters.len();
-        let (frames, background, mut dropped) = self.prepare_views(ctx, stage, around, &target);
+        let (frames, background) = self.prepare_views(ctx, stage, around, &target);
         let ViewFrame { uniform, positioned, air_kind, has_shadows, .. } = frames[0];
         let casters = first_caster..self.casters.len();
         let base = Statics {
@@ -147,8 +156,7 @@ impl Renderer {
         }
         self.batch.states = states;
         let (first_run, first_bin) = (self.batch.runs.len(), self.batch.bin_starts.len());
-        let (too_many, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
-        dropped += too_many;
+        let (dropped, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
         let runs = first_run..self.batch.runs.len();
         let is_called = stage.bins.iter().any(|bin| !bin.callbacks.is_empty());
         let bin_starts = is_called.then_some(first_bin..self.batch.bin_starts.len());
@@ -180,9 +188,9 @@ impl Renderer {
             (None, false) => None,
         };
         let fill = bare.and_then(|bare| self.prepare_fill(ctx, &target, fill.unwrap_or_default(), bare));
-        self.plans.push(StagePlan {
+        let mut plan = StagePlan {
             eyes,
-            target: Some(target),
+            target: None,
             runs,
             bin_starts,
             see_through,
@@ -194,7 +202,18 @@ impl Renderer {
             clear,
             fill,
             is_part,
-        });
+            spreads: false,
+        };
+        if target.clear_color(stage, &plan).is_none()
+            && let Some(formats) = self.pipelines.target_key(target.index).copied()
+        {
+            for spreading in target.spreading(&formats) {
+                let spread = self.spread.get_or_insert_with(|| Spread::new(ctx.device()));
+                spread.ensure(ctx, spreading.kind);
+                plan.spreads = true;
+            }
+        }
+        self.plans.push(StagePlan { target: Some(target), ..plan });
         dropped
     }
 
@@ -385,4 +404,10 @@ fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32
     if state.blends() && state.blend_func().has_constant() {
         dynamics.blend_color = Some(state.blend_color());
     }
+}
+
+/// Leaves of a stage and of those before and after it, with boxes and a background: what may go into the buffer.
+fn leaves_of(stage: &RenderStage) -> usize {
+    let around = stage.pre_render.iter().chain(&stage.post_render);
+    stage.leaf_count() + stage.queries.len() + 1 + around.map(leaves_of).sum::<usize>()
 }

@@ -107,6 +107,11 @@ impl Renderer {
         callbacks: Option<&CameraCallbacks>,
         info: &RenderInfo<'_>,
     ) -> DrawStats {
+        if let (true, Some(spread), Some(formats)) =
+            (plan.spreads, &self.spread, self.pipelines.target_key(target.index))
+        {
+            spread.record(ctx.device(), encoder, target.spreading(formats));
+        }
         let colors = target.color_attachments(stage, plan);
         let count = target.color_count();
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {

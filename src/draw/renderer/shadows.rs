@@ -66,21 +66,20 @@ impl Renderer {
         self.binds_shadows |= self.shadow_maps.ensure(ctx.device(), wanted);
     }
 
-    /// Prepares what casts shadows into a stage, or into a view inside it; how many leaves there was no room for.
+    /// Prepares what casts shadows into a stage, or into a view inside it: in the room that the pictures' own
+    /// leaves leave.
     pub(super) fn prepare_casters(
         &mut self,
         ctx: &GraphicsContext,
         stage: &RenderStage,
         casting: &Casting<'_>,
         target: &PassTarget,
-    ) -> usize {
-        let Some(into) = self.caster_target() else { return 0 };
+    ) {
+        let Some(into) = self.caster_target() else { return };
         let Casting { shadows, camera, environment, air, first_layer, view, positioned } = *casting;
         let size_px = shadows.settings.resolution_px;
         let count = shadows.cascades.len().min(MOST_CASCADES);
         let mut plan = CasterPlan { count, first_layer, size_px, ..Default::default() };
-        let mut dropped = 0;
-        let before = self.batch.leaves().len();
         for (runs, cascade) in plan.runs.iter_mut().zip(&shadows.cascades) {
             // The picture's own eye and levels of detail, seen along the sun's rays.
             let mut uniform = FrameUniform::new(camera, &cascade.clip_from_eye, environment, air);
@@ -114,13 +113,16 @@ impl Renderer {
                 ));
             }
             self.batch.states = states;
-            let first_run = self.batch.runs.len();
-            dropped += self.batch.build(ctx, &mut self.pipelines, &cascade.stage, self.most_leaves).0;
+            let (first_run, before) = (self.batch.runs.len(), self.batch.leaves().len());
+            let most_leaves = before + self.caster_room;
+            let (dropped, _) = self.batch.build(ctx, &mut self.pipelines, &cascade.stage, most_leaves);
+            let taken = self.batch.leaves().len() - before;
+            self.caster_room -= taken;
+            self.shadow_leaves += taken as u32;
+            self.shadow_leaves_dropped += dropped as u32;
             *runs = first_run..self.batch.runs.len();
         }
-        self.shadow_leaves += (self.batch.leaves().len() - before) as u32;
         self.casters.push(plan);
-        dropped
     }
 
     /// What pipelines must know of the shadow maps.

@@ -117,7 +117,7 @@ impl Renderer {
             let first_layer = layers_of(&view.shadows, &self.shadow_maps);
             let (camera, around) = if view.environment.is_whole() {
                 (view.camera, self.surroundings_of(ctx, &view.environment, &view.camera, &above.around))
-            } else if first_layer.is_some() {
+            } else if first_layer.is_some() || view.shows_scene {
                 (view.camera, above.around)
             } else {
                 (CullCamera { eye_from_world: above.camera.eye_from_world, ..view.camera }, above.around)
@@ -127,21 +127,20 @@ impl Renderer {
         self.views = views;
     }
 
-    /// The views inside a stage, the stage's own first, and what casts shadows into all of them; the background of its own,
-    /// and how many leaves there was no room for.
+    /// The views inside a stage, the stage's own first, and what casts shadows into all of them; the background of its own.
     pub(super) fn prepare_views(
         &mut self,
         ctx: &GraphicsContext,
         stage: &RenderStage,
         around: &Surroundings,
         target: &PassTarget,
-    ) -> ([ViewFrame; MOST_VIEWS], wgpu::Color, usize) {
+    ) -> ([ViewFrame; MOST_VIEWS], wgpu::Color) {
         self.light_views(ctx, stage, around);
         let views = std::mem::take(&mut self.views);
         let is_positioned = !stage.lights.is_empty() || !stage.clip_planes.is_empty();
         let none = ViewFrame { uniform: 0, positioned: 0, air: 0, air_kind: AirKind::Atmosphere, has_shadows: false };
         let mut frames = [none; MOST_VIEWS];
-        let (mut dropped, mut background) = (0, wgpu::Color::BLACK);
+        let mut background = wgpu::Color::BLACK;
         for (place, view) in views.iter().enumerate() {
             let LitView { camera, around: Surroundings { environment, air, .. }, first_layer } = view;
             let inner = stage.views.get(place.wrapping_sub(1));
@@ -165,7 +164,7 @@ impl Renderer {
                 uniform = uniform.with_shadows(shadows, self.shadow_maps.size_px(), first_layer);
                 let (air, view) = (&air.air, place as u32);
                 let casting = Casting { shadows, camera, environment, air, first_layer, view, positioned };
-                dropped += self.prepare_casters(ctx, stage, &casting, target);
+                self.prepare_casters(ctx, stage, &casting, target);
             }
             let has_shadows = first_layer.is_some();
             let (uniform, air_kind) = (self.groups.push(&uniform), AirKind::of(environment));
@@ -175,6 +174,6 @@ impl Renderer {
         let own = frames[0];
         frames[views.len()..].fill(own);
         self.views = views;
-        (frames, background, dropped)
+        (frames, background)
     }
 }

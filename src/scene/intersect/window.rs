@@ -7,6 +7,8 @@ use crate::scene::has_parallel_rays;
 
 /// What has less depth is ordered by its distance.
 const LEAST_DEPTH: f64 = 1e-12;
+/// At one of these something of every picture is in front of its near plane.
+const DEPTHS: [f64; 3] = [0.5, 0.9, 0.999];
 
 /// A camera's picture in its target.
 ///
@@ -61,12 +63,14 @@ impl WindowView {
     /// off. `all` of it begins at the eye (or beside it).
     pub(super) fn line_at(&self, at_px: DVec2, all: bool) -> Option<Ray> {
         let near = self.eye_at(at_px, 1.0)?;
-        let direction = (self.eye_at(at_px, 0.5)? - near).try_normalize()?;
+        // A projection that draws before others may have its far end at any depth.
+        let beyond = |depth| self.eye_at(at_px, depth).filter(|point| point.z < near.z);
+        let direction = (DEPTHS.into_iter().find_map(beyond)? - near).try_normalize()?;
         let whole = Ray::infinite(near - direction * (near.z / direction.z), direction);
         if self.begins_at_eye(all) {
             return whole.is_valid().then_some(whole);
         }
-        let max_ratio = self.eye_at(at_px, 0.0).map_or(f64::INFINITY, |far| near.distance(far));
+        let max_ratio = beyond(0.0).map_or(f64::INFINITY, |far| near.distance(far));
         let cut = Ray { origin: near, direction, max_ratio };
         cut.is_valid().then_some(cut)
     }
