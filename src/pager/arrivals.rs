@@ -1,6 +1,7 @@
 //! What comes: answers of the threads go to the contexts' compile queues, what they have compiled into the scene. Update
 //! thread.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -9,21 +10,22 @@ use super::config::CompileContext;
 use super::expiry::EXPIRY_TENTHS;
 use super::list::{Above, Answer, Arrived, Entry, Job, Progress};
 use super::residents::Resident;
+use super::scenes::Scenes;
 use super::shares::Held;
 use super::tries::wait_after;
 use crate::gpu::CompileOperation;
 use crate::io::IoError;
-use crate::scene::{DrawKind, NodeId, PagingOptions, Scene};
+use crate::scene::{DrawKind, NodeId, PagingOptions, SceneError, SceneNumber};
 use crate::timeline;
 
 impl DatabasePager {
-    pub(super) fn take_answers(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn take_answers(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
         while let Some(answer) = self.threads.answers.as_ref().and_then(|a| a.try_recv().ok()) {
-            self.answer(scene, answer, contexts);
+            self.answer(scenes, answer, contexts);
         }
     }
 
-    pub(super) fn answer(&mut self, scene: &mut Scene, answer: Answer, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn answer(&mut self, scenes: &mut dyn Scenes, answer: Answer, contexts: &mut [&mut dyn CompileContext]) {
         self.threads.list.lock().answered(&answer.job);
         self.stats.bytes_read += answer.bytes_read;
         self.stats.bytes_http += answer.bytes_http;
@@ -54,12 +56,13 @@ impl DatabasePager {
                 // Beyond what the clock knows it is never.
                 let retry_at = Instant::now().checked_add(wait).filter(|_| again);
                 entry.progress = Progress::Failed { retry_at };
-                scene.set_failed(slot, true);
+                scenes.set_failed(slot, true);
             }
             Some(Ok(mut page)) => {
                 self.stats.loaded += 1;
                 self.stats.bytes_decoded += page.size_bytes();
-                let kinds: Arc<[DrawKind]> = scene.draw_kinds(Some(slot), &page).into();
+                let scene = scenes.numbered(slot.page.scene);
+                let kinds: Arc<[DrawKind]> = scene.map_or(Vec::new(), |s| s.draw_kinds(Some(slot), &page)).into();
                 let drawables = page.take_drawables();
                 self.shares.take(&page);
                 let ticket = entry.job.ticket;
@@ -113,7 +116,7 @@ impl DatabasePager {
 
     /// Hangs pages into their slots, coarse before fine, within the time budget. What does not fit into the byte
     /// budgets, with everything else in use, is dropped and asked for again when there is room.
-    pub(super) fn merge(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn merge(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
         if self.ready.is_empty() {
             return;
         }
@@ -121,6 +124,10 @@ impl DatabasePager {
         let start = Instant::now();
         let priority = |s: &NodeId| self.entries.get(s).map_or(f32::MIN, |e| e.priority);
         self.ready.sort_by(|a, b| priority(b).total_cmp(&priority(a)).then(a.cmp(b)));
+        if self.served.len() > 1 {
+            self.ready = self.merge_turns.arrange(std::mem::take(&mut self.ready), |slot| slot.page.scene);
+        }
+        let mut of_scenes: BTreeMap<SceneNumber, u32> = BTreeMap::new();
         let mut done = 0;
         for slot in std::mem::take(&mut self.ready) {
             if done > 0 && !self.config.blocking && start.elapsed() >= self.config.merge_time {
@@ -138,14 +145,14 @@ impl DatabasePager {
             let alone = (cpu_bytes + shared.cpu, gpu_bytes + shared.gpu);
             if alone.0 > self.config.max_bytes_cpu || alone.1 > self.config.max_bytes_gpu {
                 timeline::request_ends(ticket, "failed");
-                self.refuse(scene, slot, entry.job, alone);
+                self.refuse(scenes, slot, entry.job, alone);
                 self.retire(page, contexts);
                 continue;
             }
             // Counts before there is room, so that what goes to make room and shares with it takes nothing along.
             let added = self.shares.merge(&page);
             let needs = Held { cpu: cpu_bytes + added.cpu, gpu: gpu_bytes + added.gpu };
-            if (is_ahead && !self.has_free(EXPIRY_TENTHS)) || !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
+            if (is_ahead && !self.has_free(EXPIRY_TENTHS)) || !self.make_room(scenes, cpu_bytes, gpu_bytes, contexts) {
                 self.stats.declined += 1;
                 timeline::request_ends(ticket, "declined");
                 self.shares.unmerge(&page);
@@ -158,9 +165,15 @@ impl DatabasePager {
             self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, needs.cpu);
             self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, needs.gpu);
             let tile_tree = page.is_tile_tree();
-            match scene.attach(slot, *page) {
+            let attached = match scenes.numbered_mut(slot.page.scene) {
+                Some(scene) => scene.attach(slot, *page),
+                None => Err(Box::new((SceneError::StaleNode { node: slot }, *page))),
+            };
+            match attached {
                 Ok(id) => {
-                    if self.asked.contains(&slot) {
+                    if self.asked.contains(&slot)
+                        && let Some(scene) = scenes.numbered(slot.page.scene)
+                    {
                         // No camera has used it.
                         scene.note_use(slot, self.frame);
                     }
@@ -189,6 +202,10 @@ impl DatabasePager {
                 }
             }
             done += 1;
+            *of_scenes.entry(slot.page.scene).or_default() += 1;
+        }
+        if self.served.len() > 1 {
+            self.merge_turns.took(&of_scenes, self.ready.iter().map(|slot| slot.page.scene));
         }
     }
 
@@ -205,7 +222,13 @@ impl DatabasePager {
     }
 
     /// A page that alone is beyond a budget: an error, and not asked for again.
-    pub(super) fn refuse(&mut self, scene: &mut Scene, slot: NodeId, job: Job, (cpu_bytes, gpu_bytes): (u64, u64)) {
+    pub(super) fn refuse(
+        &mut self,
+        scenes: &mut dyn Scenes,
+        slot: NodeId,
+        job: Job,
+        (cpu_bytes, gpu_bytes): (u64, u64),
+    ) {
         let config = &self.config;
         let (what, got, limit) = if cpu_bytes > config.max_bytes_cpu {
             ("memory of the page", cpu_bytes, config.max_bytes_cpu)
@@ -226,7 +249,7 @@ impl DatabasePager {
             paging: PagingOptions::default(),
         };
         self.entries.insert(slot, entry);
-        scene.set_failed(slot, true);
+        scenes.set_failed(slot, true);
     }
 }
 

@@ -6,6 +6,7 @@ use super::DatabasePager;
 use super::config::CompileContext;
 use super::list::{Arrived, Entry, Progress};
 use super::residents::Unused;
+use super::scenes::Scenes;
 use crate::io;
 use crate::scene::{NodeId, Page, PageId, Scene};
 use crate::timeline;
@@ -35,7 +36,7 @@ impl DatabasePager {
     /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
     pub(super) fn make_room(
         &mut self,
-        scene: &mut Scene,
+        scenes: &mut dyn Scenes,
         cpu_bytes: u64,
         gpu_bytes: u64,
         contexts: &mut [&mut dyn CompileContext],
@@ -45,8 +46,8 @@ impl DatabasePager {
             || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
             || self.residents.len() + 1 > self.config.max_tiles
         {
-            let Some(id) = self.residents.pop_expired(scene, self.frame, UNSEEN, &mut looks) else { return false };
-            self.detach(scene, id, contexts);
+            let Some(id) = self.residents.pop_expired(scenes, self.frame, UNSEEN, &mut looks) else { return false };
+            self.detach(scenes, id, contexts);
         }
         true
     }
@@ -67,7 +68,7 @@ impl DatabasePager {
     /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free; where there is no
     /// room beside them for what will be wanted soon, what was not wanted for longer; where there is none for what is
     /// missing in a picture, what is in none just now.
-    pub(super) fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn expire(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
         let config = &self.config;
         let mut unused = Unused { frames: config.expiry_frames, time: config.expiry_time };
         if let Some(ahead) = self.ahead_short {
@@ -82,8 +83,8 @@ impl DatabasePager {
         let expired_before = self.stats.expired;
         let mut looks = self.residents.len().min(self.expiry_looks);
         while !self.has_free(EXPIRY_TENTHS) || self.lacks_room_ahead() || self.lacks_room_now() {
-            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { break };
-            self.detach(scene, id, contexts);
+            let Some(id) = self.residents.pop_expired(scenes, self.frame, unused, &mut looks) else { break };
+            self.detach(scenes, id, contexts);
         }
         let next = if self.stats.expired > expired_before { 2 * self.expiry_looks } else { self.expiry_looks / 2 };
         self.expiry_looks = next.clamp(*EXPIRY_LOOKS.start(), *EXPIRY_LOOKS.end());
@@ -98,11 +99,12 @@ impl DatabasePager {
         self.ahead_short.is_some_and(|ahead| self.room_within(EXPIRY_TENTHS) < ahead.count)
     }
 
-    pub(super) fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn detach(&mut self, scenes: &mut dyn Scenes, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
         // Requests for slots inside an expired tileset go with it.
         if self.above.remove(&id).is_some() {
             self.drop_entries(contexts, |slot, _| slot.page == id);
         }
+        let Some(scene) = scenes.numbered_mut(id.scene) else { return };
         match scene.detach(id) {
             Ok(page) => {
                 self.stats.expired += 1;
@@ -124,10 +126,11 @@ impl DatabasePager {
         self.threads.reap(page);
     }
 
-    /// Takes every page out that nothing else hangs in, and what was loaded and not merged: all of it is loaded and
-    /// uploaded again when it is wanted. For contexts that come later.
+    /// Takes every page of a scene out that nothing else hangs in, and what was loaded for it and not merged: all of it is
+    /// loaded and uploaded again when it is wanted. For contexts that come later.
     pub fn page_anew(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
-        self.drop_uploads(contexts);
+        let number = scene.number();
+        self.drop_uploads_if(contexts, |slot| slot.page.scene == number);
         // What hangs deepest goes first; each round takes a level.
         loop {
             let expirable = self.residents.take_if(|id| scene.is_expirable(id));
@@ -140,13 +143,16 @@ impl DatabasePager {
         }
     }
 
-    /// Takes every page out and forgets every request, also what failed: as it was before the first frame.
+    /// Takes every page of a scene out and forgets every request for it, also what failed: as it was before the first
+    /// frame. Those of other scenes stay.
     pub fn clear(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         self.page_anew(scene, contexts);
         for (slot, _) in self.entries.iter().filter(|(_, e)| matches!(e.progress, Progress::Failed { .. })) {
             scene.set_failed(*slot, false);
         }
-        self.drop_entries(contexts, |_, _| true);
+        let number = scene.number();
+        self.asked.retain(|slot| slot.page.scene != number);
+        self.drop_entries(contexts, |slot, _| slot.page.scene == number);
         self.rewrite_list();
         self.threads.list.ring_if_due();
         self.count();
@@ -164,9 +170,13 @@ impl DatabasePager {
     /// Drops what was loaded and waits for its upload or its merge, to be asked for again: nobody would finish what a
     /// context that goes has begun.
     pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
-        self.drop_entries(contexts, |_, entry| matches!(entry.progress, Progress::Arrived(_)));
-        self.compiling.clear();
-        self.ready.clear();
+        self.drop_uploads_if(contexts, |_| true);
+    }
+
+    fn drop_uploads_if(&mut self, contexts: &mut [&mut dyn CompileContext], drops: impl Fn(&NodeId) -> bool) {
+        self.drop_entries(contexts, |slot, entry| matches!(entry.progress, Progress::Arrived(_)) && drops(slot));
+        self.compiling.retain(|_, slot| !drops(slot));
+        self.ready.retain(|slot| !drops(slot));
     }
 
     /// Forgets requests, with what was loaded and uploaded for them, and what was to be; late answers and uploads find

@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use glam::DAffine3;
 
+use super::scenes::Scope;
 use super::shares::Held;
 use super::states::Stage;
 use crate::io::{Fetched, IoError, is_remote};
@@ -28,6 +29,8 @@ pub(super) struct Job {
     pub reader_data: Option<Arc<str>>,
     /// Tilesets above.
     pub above: Above,
+    /// Its scene's.
+    pub scope: Arc<Scope>,
     /// Wanted later, when it was listed.
     pub is_ahead: bool,
     /// Where the threads are with it; clones of the job have the same.
@@ -86,6 +89,9 @@ pub(super) struct Waiting {
     pub ahead_room: usize,
     /// Most of them beside others.
     pub ahead_allowed: usize,
+    /// Of all scopes; written by update, read by the HTTP thread at the end: what came for them is still to be kept.
+    #[cfg(feature = "http")]
+    pub clients: Vec<crate::io::HttpClient>,
     /// Set once, by drop.
     pub closed: bool,
 }
@@ -267,12 +273,26 @@ impl Entry {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::scene::PageId;
+    use std::sync::LazyLock;
+
+    use crate::io::{Limits, ReadOptions};
+    use crate::scene::{Node, PageId, Scene};
+
+    static PAGE: LazyLock<PageId> =
+        LazyLock::new(|| Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap()));
+    static SCOPE: LazyLock<Arc<Scope>> = LazyLock::new(|| {
+        Arc::new(Scope {
+            options: ReadOptions::for_root("/set/tileset.json", Limits::default()),
+            #[cfg(feature = "http")]
+            client: crate::io::HttpClient::new(&crate::io::HttpConfig::default()).unwrap(),
+        })
+    });
 
     pub(in crate::pager) fn job(ticket: u64, uri: &str) -> Job {
         Job {
             ticket,
-            slot: NodeId { page: PageId { slot: 0, generation: 0 }, index: ticket as u32 },
+            slot: NodeId { page: *PAGE, index: ticket as u32 },
+            scope: SCOPE.clone(),
             uri: uri.into(),
             reader_data: None,
             above: Above { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY },

@@ -93,30 +93,17 @@ impl DatabasePager {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
     use std::time::Instant;
 
-    use glam::DAffine3;
-
-    use super::super::list::{Above, Arrived, Job, RequestList};
+    use super::super::list::tests::job;
+    use super::super::list::{Arrived, RequestList};
     use super::*;
-    use crate::scene::{Node, Page, PagingOptions, Scene};
+    use crate::scene::{Node, Page, PagingOptions};
 
     #[test]
     fn a_request_goes_through_the_states_as_threads_take_it() {
         let entry_of = |uri: &str| {
-            let above = Above { chain: Arc::default(), set_from_page: DAffine3::IDENTITY };
-            let page = Page::from_node(Node::group(vec![])).unwrap();
-            let slot = NodeId { page: Scene::new().add_root(page), index: 0 };
-            let job = Job {
-                ticket: 1,
-                slot,
-                uri: uri.into(),
-                reader_data: None,
-                above,
-                is_ahead: false,
-                stage: Arc::default(),
-            };
+            let job = job(1, uri);
             let (since, paging) = (Instant::now(), PagingOptions::default());
             Entry {
                 job,

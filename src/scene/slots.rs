@@ -57,7 +57,11 @@ impl Scene {
         let record = page.tiles.records.get(tile)?;
         let uri = page.tiles.uris.get(tile)?.as_ref()?;
         let state = if record.has(flag::RESIDENT) {
-            SlotState::Resident(PageId { slot: record.resident, generation: page.tiles.resident_generation[tile] })
+            SlotState::Resident(PageId {
+                scene: id.page.scene,
+                slot: record.resident,
+                generation: page.tiles.resident_generation[tile],
+            })
         } else if record.has(flag::FAILED) {
             SlotState::Failed
         } else {
