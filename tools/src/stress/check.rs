@@ -46,10 +46,10 @@ fn most_loading(config: &PagerConfig) -> u64 {
     (beside + of_servers.max(12 * decoders)) as u64
 }
 
-/// Counters, budgets and reports of a pager, after an update.
-pub fn pager(failures: &mut Failures, frame: u32, scene: usize, pager: &DatabasePager, config: &PagerConfig) {
+/// Counters, budgets and reports of a pager, after an update. Budgets are of all its scenes together.
+pub fn pager(failures: &mut Failures, frame: u32, place: usize, pager: &DatabasePager, config: &PagerConfig) {
     let s = *pager.stats();
-    let told = || format!("scene {scene}: {s:?}");
+    let told = || format!("pager {place}: {s:?}");
     failures.check(s.cpu_bytes <= config.max_bytes_cpu, "CPU bytes over the budget", frame, told);
     failures.check(s.gpu_bytes <= config.max_bytes_gpu, "GPU bytes over the budget", frame, told);
     failures.check(s.resident <= config.max_tiles as u64, "pages over the budget", frame, told);
