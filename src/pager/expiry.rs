@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::DatabasePager;
 use super::config::CompileContext;
-use super::list::{Arrived, Entry, Progress};
+use super::list::{Entry, Progress};
 use super::residents::Unused;
 use super::scenes::Scenes;
 use crate::io;
@@ -13,14 +13,14 @@ use crate::timeline;
 
 /// Pages looked at for expiry in one frame while less than [`EXPIRY_TENTHS`] are free: twice as many as in the frame
 /// before while something goes, half as many while all are in use.
-const EXPIRY_LOOKS: std::ops::RangeInclusive<usize> = 16..=256;
+pub(super) const EXPIRY_LOOKS: std::ops::RangeInclusive<usize> = 16..=256;
 /// Tenths of each budget that are kept free of what was not wanted for long.
 pub(super) const EXPIRY_TENTHS: u64 = 1;
 /// What is wanted in about as many frames as something else is not worth its place.
 pub(super) const AHEAD_MARGIN: u32 = 2;
 
 /// In want of room, the last two frames' tiles alone are safe.
-const UNSEEN: Unused = Unused { frames: 2, time: Duration::ZERO };
+pub(super) const UNSEEN: Unused = Unused { frames: 2, time: Duration::ZERO };
 
 impl DatabasePager {
     /// Of merged pages, what they share once.
@@ -33,25 +33,6 @@ impl DatabasePager {
         self.residents.gpu_bytes + self.shares.held.gpu
     }
 
-    /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
-    pub(super) fn make_room(
-        &mut self,
-        scenes: &mut dyn Scenes,
-        cpu_bytes: u64,
-        gpu_bytes: u64,
-        contexts: &mut [&mut dyn CompileContext],
-    ) -> bool {
-        let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS.end());
-        while self.cpu_bytes() + cpu_bytes > self.config.max_bytes_cpu
-            || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
-            || self.residents.len() + 1 > self.config.max_tiles
-        {
-            let Some(id) = self.residents.pop_expired(scenes, self.frame, UNSEEN, &mut looks) else { return false };
-            self.detach(scenes, id, contexts);
-        }
-        true
-    }
-
     /// Frames until all pages have been looked at for what may go, where there is want of room.
     pub(crate) fn frames_to_look(&self) -> u32 {
         self.residents.len().div_ceil(*EXPIRY_LOOKS.end()) as u32
@@ -60,9 +41,10 @@ impl DatabasePager {
     /// True while so many tenths of each budget are free.
     pub(super) fn has_free(&self, tenths: u64) -> bool {
         let is_free = |used: u64, max: u64| used <= max / 10 * (10 - tenths);
-        is_free(self.cpu_bytes(), self.config.max_bytes_cpu)
-            && is_free(self.gpu_bytes(), self.config.max_bytes_gpu)
-            && is_free(self.residents.len() as u64, self.config.max_tiles as u64)
+        let held = self.held();
+        is_free(held.cpu, self.config.max_bytes_cpu)
+            && is_free(held.gpu, self.config.max_bytes_gpu)
+            && is_free(self.pages_held(), self.config.max_tiles as u64)
     }
 
     /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free; where there is no
@@ -177,6 +159,7 @@ impl DatabasePager {
         self.drop_entries(contexts, |slot, entry| matches!(entry.progress, Progress::Arrived(_)) && drops(slot));
         self.compiling.retain(|_, slot| !drops(slot));
         self.ready.retain(|slot| !drops(slot));
+        self.uploads.retain(|slot| !drops(slot));
     }
 
     /// Forgets requests, with what was loaded and uploaded for them, and what was to be; late answers and uploads find
@@ -189,8 +172,7 @@ impl DatabasePager {
         let dropped: Vec<Entry> =
             self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
         self.is_listed &= dropped.is_empty();
-        let compiling =
-            |entry: &Entry| matches!(&entry.progress, Progress::Arrived(arrived) if arrived.contexts_left > 0);
+        let compiling = |entry: &Entry| matches!(&entry.progress, Progress::Arrived(arrived) if arrived.is_uploading());
         let tickets: Vec<u64> = dropped.iter().filter(|e| compiling(e)).map(|entry| entry.job.ticket).collect();
         if !tickets.is_empty() {
             contexts.iter_mut().for_each(|context| context.cancel(&tickets));
@@ -202,9 +184,11 @@ impl DatabasePager {
             self.stats.dropped += 1;
             timeline::request_ends(self.threads.list.ticket_source | job.ticket, "dropped");
             match progress {
-                Progress::Arrived(Arrived { page, .. }) => {
+                Progress::Arrived(arrived) => {
+                    self.arrived.take(&arrived);
                     self.compiling.remove(&job.ticket);
-                    self.retire(page, contexts);
+                    self.uploads.retain(|slot| *slot != job.slot);
+                    self.retire(arrived.page, contexts);
                 }
                 // Aborted, unless its answer is there already.
                 Progress::Loading if io::is_remote(&job.uri) => self.threads.list.lock().abort.push(job.ticket),

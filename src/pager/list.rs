@@ -14,7 +14,7 @@ use super::scenes::Scope;
 use super::shares::Held;
 use super::states::Stage;
 use crate::io::{Fetched, IoError, is_remote};
-use crate::scene::{NodeId, Page, PagingOptions};
+use crate::scene::{DrawKind, Drawable, NodeId, Page, PagingOptions};
 
 /// A server of whose places this part is taken has room for what is wanted only later.
 const QUIET: usize = 4;
@@ -123,7 +123,9 @@ impl Waiting {
         job.stage.reads();
     }
 
-    pub fn answered(&mut self, job: &Job) {
+    /// `arrived`: its page takes room in the budgets from now on, which is reckoned anew soon.
+    pub fn answered(&mut self, job: &Job, arrived: bool) {
+        self.allowed = self.allowed.saturating_sub(usize::from(arrived));
         self.outstanding = self.outstanding.saturating_sub(1);
         self.files_outstanding = self.files_outstanding.saturating_sub(usize::from(!is_remote(&job.uri)));
         self.ahead_outstanding = self.ahead_outstanding.saturating_sub(usize::from(job.is_ahead));
@@ -227,6 +229,26 @@ pub(super) struct Arrived {
     pub gpu_bytes: Vec<(u32, u64)>,
     /// Contexts that still compile.
     pub contexts_left: usize,
+    /// In memory, shared contents left out.
+    pub counts: Held,
+    /// What uploads that have begun may take besides.
+    pub reserved_gpu: u64,
+    /// Until its uploads begin.
+    pub payload: Option<Payload>,
+}
+
+/// What is to be uploaded of a page.
+pub(super) struct Payload {
+    pub drawables: Vec<Drawable>,
+    pub kinds: Arc<[DrawKind]>,
+    pub bytes: u64,
+}
+
+impl Arrived {
+    /// Contexts have it and have not told how large it is.
+    pub fn is_uploading(&self) -> bool {
+        self.contexts_left > 0 && self.payload.is_none()
+    }
 }
 
 /// How far a request is.
@@ -317,8 +339,8 @@ pub(super) mod tests {
             read.push(job);
         }
         assert_eq!(read.len(), 18);
-        waiting.answered(&read[0]);
-        waiting.answered(&asked[0]);
+        waiting.answered(&read[0], false);
+        waiting.answered(&asked[0], false);
         assert_eq!((waiting.outstanding, waiting.files_outstanding), (46, 17));
     }
 
@@ -334,7 +356,7 @@ pub(super) mod tests {
         let first = waiting.file.pop().unwrap();
         waiting.took(&first);
         assert!(!waiting.has_file_for(list.for_files), "but one");
-        waiting.answered(&first);
+        waiting.answered(&first, false);
         waiting.allowed = 0;
         assert!(!waiting.has_file_for(list.for_files), "no room at all, or paused");
         waiting.allowed = 4;

@@ -15,6 +15,7 @@ mod config;
 mod expiry;
 #[cfg(feature = "http")]
 mod flow;
+mod held;
 #[cfg(feature = "http")]
 mod http;
 mod images;

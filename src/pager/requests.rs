@@ -253,32 +253,26 @@ impl DatabasePager {
         }
         // What waits for its upload holds memory besides the budgets'.
         let of_each = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).max(LEAST_PENDING);
-        let pending = (of_each * self.config.decode_threads.max(1) as u64).saturating_sub(self.arrived());
+        let pending = (of_each * self.config.decode_threads.max(1) as u64).saturating_sub(self.arrived.pages);
         self.room_within(0).min(pending).min(capacity as u64) as usize
     }
 
     /// A page of known size has room beside what is merged or will be.
     pub(super) fn fits(&self, needs: &Held) -> bool {
-        let arrived = self.arrived();
-        let has_room = |max: u64, used: u64, mean: u64, needs: u64| used + arrived * mean + needs <= max;
-        has_room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes, needs.cpu)
-            && has_room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes, needs.gpu)
-            && has_room(self.config.max_tiles as u64, self.residents.len() as u64, 1, 1)
+        let held = self.held();
+        held.cpu + needs.cpu <= self.config.max_bytes_cpu
+            && held.gpu + needs.gpu <= self.config.max_bytes_gpu
+            && self.pages_held() < self.config.max_tiles as u64
     }
 
     /// Pages of the mean size that fit into the budgets less so many tenths, beside what is merged or will be.
     pub(super) fn room_within(&self, tenths: u64) -> u64 {
-        let arrived = self.arrived();
+        let held = self.held();
         let part = |max: u64| max / 10 * (10 - tenths) + if tenths == 0 { max % 10 } else { 0 };
-        let room = |max: u64, used: u64, mean: u64| part(max).saturating_sub(used + arrived * mean) / mean.max(1);
-        let cpu = room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes);
-        let gpu = room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes);
-        cpu.min(gpu).min(room(self.config.max_tiles as u64, self.residents.len() as u64, 1))
-    }
-
-    /// Loaded and not merged.
-    fn arrived(&self) -> u64 {
-        (self.compiling.len() + self.ready.len()) as u64
+        let room = |max: u64, used: u64, mean: u64| part(max).saturating_sub(used) / mean.max(1);
+        let cpu = room(self.config.max_bytes_cpu, held.cpu, self.mean_cpu_bytes);
+        let gpu = room(self.config.max_bytes_gpu, held.gpu, self.mean_gpu_bytes);
+        cpu.min(gpu).min(room(self.config.max_tiles as u64, self.pages_held(), 1))
     }
 
     /// How many of those wanted only later may be outstanding: as far as there is room beside the others, and not many

@@ -97,6 +97,7 @@ mod tests {
 
     use super::super::list::tests::job;
     use super::super::list::{Arrived, RequestList};
+    use super::super::shares::Held;
     use super::*;
     use crate::scene::{Node, Page, PagingOptions};
 
@@ -128,7 +129,10 @@ mod tests {
         taken.stage.decodes();
         assert_eq!(entry.state(), RequestState::Decoding);
         let page = Box::new(Page::from_node(Node::group(vec![])).unwrap());
-        entry.progress = Progress::Arrived(Arrived { page, gpu_bytes: Vec::new(), contexts_left: 2 });
+        let counts = Held { cpu: 0, gpu: 0 };
+        let (gpu_bytes, contexts_left) = (Vec::new(), 2);
+        let arrived = Arrived { page, gpu_bytes, contexts_left, counts, reserved_gpu: 0, payload: None };
+        entry.progress = Progress::Arrived(arrived);
         assert_eq!(entry.state(), RequestState::Compiling);
         if let Progress::Arrived(arrived) = &mut entry.progress {
             arrived.contexts_left = 0;

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
+use super::held::ArrivedSum;
 use super::list::{Above, Entry, Progress};
 use super::requests::AheadShort;
 use super::residents::Residents;
@@ -48,9 +49,13 @@ pub struct DatabasePager {
     pub(super) asked: Vec<NodeId>,
     /// Slots by ticket, for what contexts hand back.
     pub(super) compiling: HashMap<u64, NodeId>,
+    /// Arrived, waiting for room to be uploaded; some may be gone.
+    pub(super) uploads: Vec<NodeId>,
     /// Arrived and compiled, waiting to be merged.
     pub(super) ready: Vec<NodeId>,
     pub(super) residents: Residents,
+    /// What has arrived and is not merged.
+    pub(super) arrived: ArrivedSum,
     /// Pages that the next look for what may go takes in.
     pub(super) expiry_looks: usize,
     /// What pages share, counted once.
@@ -113,8 +118,10 @@ impl DatabasePager {
             entries: HashMap::new(),
             asked: Vec::new(),
             compiling: HashMap::new(),
+            uploads: Vec::new(),
             ready: Vec::new(),
             residents: Residents::new(),
+            arrived: ArrivedSum::default(),
             expiry_looks: 0,
             above: HashMap::new(),
             shares: Shares::default(),
@@ -188,7 +195,8 @@ impl DatabasePager {
     /// Takes what was loaded and compiled, merges and expires; may be called more than once a frame.
     pub fn merge_arrived(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
         self.take_answers(scenes, contexts);
-        self.take_compiled(contexts);
+        self.take_compiled(scenes, contexts);
+        self.begin_uploads(scenes, contexts);
         self.merge(scenes, contexts);
         self.expire(scenes, contexts);
         self.allow_more();
@@ -305,7 +313,7 @@ impl DatabasePager {
     }
 
     pub(super) fn count(&mut self) {
-        let (cpu_bytes, gpu_bytes) = (self.cpu_bytes(), self.gpu_bytes());
+        let (cpu_bytes, gpu_bytes, held) = (self.cpu_bytes(), self.gpu_bytes(), self.in_memory());
         let s = &mut self.stats;
         s.cpu_bytes = cpu_bytes;
         s.cpu_bytes_peak = s.cpu_bytes_peak.max(s.cpu_bytes);
@@ -318,6 +326,7 @@ impl DatabasePager {
             s.sharing = sharing.stats();
         }
         s.resident = self.residents.len() as u64;
+        (s.cpu_bytes_held, s.gpu_bytes_held) = (held.cpu, held.gpu);
         (s.waiting, s.in_flight, s.decoding, s.compiling) = (0, 0, 0, 0);
         for entry in self.entries.values() {
             match entry.progress {

@@ -545,7 +545,7 @@ impl<'a> Flight<'a> {
                 there += check::pages_in(viewer.scene(*scene)?);
             }
             let Some(s) = self.viewer()?.pager(scenes[0])?.map(|pager| *pager.stats()) else { continue };
-            let left = [there, s.resident, s.cpu_bytes, s.gpu_bytes, s.waiting, s.in_flight];
+            let left = [there, s.resident, s.cpu_bytes_held, s.gpu_bytes_held, s.waiting, s.in_flight];
             let says = || format!("pager {place}: {s:?}");
             self.failures.check(left == [0; 6], "something is left after a clear", self.frame, says);
         }
