@@ -46,6 +46,11 @@ fn budgets_hold_in_every_frame_and_what_is_seen_comes_first() {
         assert!(s.gpu_bytes <= config.max_bytes_gpu && s.cpu_bytes <= config.max_bytes_cpu, "frame {i}: {s:?}");
         assert!(s.resident <= config.max_tiles as u64, "frame {i}: {s:?}");
         assert_eq!(s.gpu_bytes, s.resident * PAGE_GPU_BYTES, "frame {i}");
+        assert!(
+            s.gpu_bytes_held_peak <= config.max_bytes_gpu && s.cpu_bytes_held_peak <= config.max_bytes_cpu,
+            "{s:?}"
+        );
+        assert!(s.held_peak <= config.max_tiles as u64 && s.resident + s.compiling <= s.held_peak, "frame {i}: {s:?}");
         if i % 10 == 0 {
             std::thread::sleep(Duration::from_micros(200));
         }
@@ -350,5 +355,90 @@ fn what_comes_after_a_clear_is_not_merged() {
         assert_eq!((s.resident, s.waiting + s.in_flight, run.context.slots_out), (0, 0, 0), "round {round}: {s:?}");
         run.pager.set_takes_requests(true);
         run.settle(eye);
+    }
+}
+
+/// What was loaded and uploaded held memory besides the budgets, until its merge.
+#[test]
+fn what_waits_for_its_upload_or_merge_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig { max_tiles: 6, max_bytes_gpu: 6 * PAGE_GPU_BYTES, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
+    run.max_sse_px = 0.01;
+    let eye = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500.0);
+    let start = Instant::now();
+    let mut most = 0;
+    for frame in 0u32.. {
+        // Uploads come in bursts.
+        run.context.holds = frame % 8 != 7;
+        run.frame(eye);
+        let s = *run.pager.stats();
+        assert!(s.resident + s.compiling <= 6 && s.held_peak <= 6, "frame {frame}: {s:?}");
+        assert!(s.gpu_bytes_held <= config.max_bytes_gpu && s.gpu_bytes_held_peak <= config.max_bytes_gpu, "{s:?}");
+        let reserved = (s.resident + s.compiling) * PAGE_GPU_BYTES;
+        assert!(s.merged == 0 || reserved <= config.max_bytes_gpu, "frame {frame}: {s:?}");
+        most = most.max(s.resident);
+        if frame > 300 && most == 6 {
+            break;
+        }
+        assert!(start.elapsed() < Duration::from_secs(60), "nothing comes: {s:?}");
+        std::thread::sleep(Duration::from_micros(500));
+    }
+}
+
+/// Sizes are not what the mean had them be.
+#[test]
+fn pages_of_all_sizes_keep_the_budgets_and_all_that_has_room_comes() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let glb = |triangles: usize| {
+        let corner = |i: usize| [(i % 7) as f32, (i / 7 % 5) as f32, (i % 3) as f32];
+        write_glb(&GlbMesh {
+            positions: (0..3 * triangles).map(corner).collect(),
+            indices: (0..3 * triangles as u16).collect(),
+            base_color: [1.0; 4],
+            ..GlbMesh::default()
+        })
+    };
+    let sizes = [1usize, 1, 1, 90, 2, 60, 1, 100, 3, 80];
+    let tiles: Vec<Node> = (0..40)
+        .map(|i| {
+            let name = format!("size_{i}.glb");
+            std::fs::write(folder.path().join(&name), glb(sizes[i % sizes.len()])).unwrap();
+            let node = PagedLod {
+                bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 10.0)),
+                range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+                refine: Refine::Replace,
+                content: Some(folder.path().join(name).display().to_string().into()),
+                content_transform: DAffine3::IDENTITY,
+                reader_data: None,
+                request_volume: None,
+                paging: PagingOptions::default(),
+            };
+            Node::new(NodeKind::PagedLod(Box::new(node)))
+        })
+        .collect();
+    let vertices: u64 = (0..40).map(|i| 3 * sizes[i % sizes.len()] as u64).sum();
+    for max_bytes_gpu in [vertices, vertices * 2 / 3, 400, 300] {
+        let config = PagerConfig { max_bytes_gpu, sharing: terrane::scene::ShareModes::NONE, ..PagerConfig::default() };
+        let root = Page::from_node(Node::group(tiles.clone())).unwrap();
+        let mut run = Run::of_page(root, folder.path().to_str().unwrap(), config);
+        run.context.counts_vertices = true;
+        let mut frame = 0u32;
+        run.until(above(30.0), "does not fill the budget", |run| {
+            let s = run.pager.stats();
+            assert!(s.gpu_bytes_held <= max_bytes_gpu && s.gpu_bytes_held_peak <= max_bytes_gpu, "{s:?}");
+            let enough = if max_bytes_gpu == vertices { vertices } else { max_bytes_gpu / 2 };
+            s.gpu_bytes >= enough
+        });
+        while frame < 100 {
+            frame += 1;
+            run.frame(above(30.0));
+            std::thread::sleep(Duration::from_micros(300));
+        }
+        let s = *run.pager.stats();
+        assert_eq!((s.failed, s.expired), (0, 0), "{max_bytes_gpu}: {s:?}");
+        assert!(s.gpu_bytes_held_peak <= max_bytes_gpu && s.loaded < 400, "{max_bytes_gpu}: {s:?}");
     }
 }

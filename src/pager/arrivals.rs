@@ -1,30 +1,32 @@
 //! What comes: answers of the threads go to the contexts' compile queues, what they have compiled into the scene. Update
 //! thread.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
 use super::DatabasePager;
 use super::config::CompileContext;
 use super::expiry::EXPIRY_TENTHS;
-use super::list::{Above, Answer, Arrived, Entry, Job, Progress};
+use super::list::{Above, Answer, Arrived, Entry, Job, Payload, Progress};
 use super::residents::Resident;
+use super::scenes::Scenes;
 use super::shares::Held;
 use super::tries::wait_after;
-use crate::gpu::CompileOperation;
 use crate::io::IoError;
-use crate::scene::{DrawKind, NodeId, PagingOptions, Scene};
+use crate::scene::{DrawKind, NodeId, PagingOptions, SceneError, SceneNumber};
 use crate::timeline;
 
 impl DatabasePager {
-    pub(super) fn take_answers(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn take_answers(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
         while let Some(answer) = self.threads.answers.as_ref().and_then(|a| a.try_recv().ok()) {
-            self.answer(scene, answer, contexts);
+            self.answer(scenes, answer, contexts);
         }
     }
 
-    pub(super) fn answer(&mut self, scene: &mut Scene, answer: Answer, contexts: &mut [&mut dyn CompileContext]) {
-        self.threads.list.lock().answered(&answer.job);
+    pub(super) fn answer(&mut self, scenes: &mut dyn Scenes, answer: Answer, contexts: &mut [&mut dyn CompileContext]) {
+        let has_page = matches!(answer.page, Some(Ok(_)));
+        self.threads.list.lock().answered(&answer.job, has_page);
         self.stats.bytes_read += answer.bytes_read;
         self.stats.bytes_http += answer.bytes_http;
         let slot = answer.job.slot;
@@ -54,35 +56,48 @@ impl DatabasePager {
                 // Beyond what the clock knows it is never.
                 let retry_at = Instant::now().checked_add(wait).filter(|_| again);
                 entry.progress = Progress::Failed { retry_at };
-                scene.set_failed(slot, true);
+                scenes.set_failed(slot, true);
             }
             Some(Ok(mut page)) => {
                 self.stats.loaded += 1;
                 self.stats.bytes_decoded += page.size_bytes();
-                let kinds: Arc<[DrawKind]> = scene.draw_kinds(Some(slot), &page).into();
+                let scene = scenes.numbered(slot.page.scene);
+                let kinds: Arc<[DrawKind]> = scene.map_or(Vec::new(), |s| s.draw_kinds(Some(slot), &page)).into();
+                let all_bytes = page.size_bytes();
                 let drawables = page.take_drawables();
                 self.shares.take(&page);
-                let ticket = entry.job.ticket;
+                let (ticket, cpu_bytes) = (entry.job.ticket, page.own_bytes());
                 let contexts_left = if drawables.is_empty() { 0 } else { contexts.len() };
-                entry.progress =
-                    Progress::Arrived(Arrived { page: Box::new(page), gpu_bytes: Vec::new(), contexts_left });
+                let payload = Payload { drawables, kinds, bytes: all_bytes.saturating_sub(page.size_bytes()) };
+                let arrived = Arrived {
+                    page: Box::new(page),
+                    gpu_bytes: Vec::new(),
+                    contexts_left,
+                    counts: Held { cpu: cpu_bytes, gpu: 0 },
+                    reserved_gpu: 0,
+                    payload: (contexts_left > 0).then_some(payload),
+                };
+                self.arrived.add(&arrived);
+                entry.progress = Progress::Arrived(arrived);
                 if contexts_left == 0 {
                     self.ready.push(slot);
-                    return;
+                } else {
+                    self.compiling.insert(ticket, slot);
+                    self.uploads.push(slot);
                 }
-                self.compiling.insert(ticket, slot);
-                let mut drawables = Some(drawables);
-                let last = contexts.len() - 1;
-                for (i, context) in contexts.iter_mut().enumerate() {
-                    let for_this = if i == last { drawables.take() } else { drawables.clone() };
-                    context.foresee(&kinds);
-                    context.compile(CompileOperation { ticket, drawables: for_this.unwrap_or_default() });
+                if !self.refuses(scenes, slot, contexts) {
+                    if contexts_left == 0 {
+                        self.learn_size(slot);
+                    }
+                    self.keep_budgets(scenes, contexts);
                 }
+                self.begin_uploads(scenes, contexts);
             }
         }
     }
 
-    pub(super) fn take_compiled(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn take_compiled(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
+        let mut known = Vec::new();
         for context in contexts.iter_mut() {
             for compiled in context.take_compiled() {
                 let slot = self.compiling.get(&compiled.ticket).copied();
@@ -100,20 +115,70 @@ impl DatabasePager {
                     context.release(compiled.slots);
                     continue;
                 };
+                self.arrived.take(arrived);
                 arrived.gpu_bytes.push((context.id(), compiled.bytes));
                 arrived.page.set_draw_slots(context.id(), compiled.slots);
                 arrived.contexts_left = arrived.contexts_left.saturating_sub(1);
+                arrived.counts = Held { cpu: arrived.page.own_bytes(), gpu: arrived.counts.gpu + compiled.bytes };
+                arrived.reserved_gpu = match arrived.contexts_left {
+                    0 => 0,
+                    _ => arrived.reserved_gpu.saturating_sub(compiled.bytes),
+                };
+                self.arrived.add(arrived);
                 if arrived.contexts_left == 0 {
                     self.compiling.remove(&compiled.ticket);
                     self.ready.push(slot);
+                    known.push(slot);
                 }
             }
         }
+        if known.is_empty() {
+            return;
+        }
+        for slot in known {
+            if !self.refuses(scenes, slot, contexts) {
+                self.learn_size(slot);
+            }
+        }
+        self.keep_budgets(scenes, contexts);
     }
 
-    /// Hangs pages into their slots, coarse before fine, within the time budget. What does not fit into the byte
-    /// budgets, with everything else in use, is dropped and asked for again when there is room.
-    pub(super) fn merge(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+    /// How much a page takes is known now.
+    fn learn_size(&mut self, slot: NodeId) {
+        let Some(Progress::Arrived(arrived)) = self.entries.get(&slot).map(|entry| &entry.progress) else { return };
+        let shared = self.shares.only_of(&arrived.page);
+        self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, arrived.counts.cpu + shared.cpu);
+        self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, arrived.counts.gpu + shared.gpu);
+    }
+
+    /// A page that has arrived and alone is beyond a budget is an error, and is not asked for again.
+    fn refuses(&mut self, scenes: &mut dyn Scenes, slot: NodeId, contexts: &mut [&mut dyn CompileContext]) -> bool {
+        let Some(Progress::Arrived(arrived)) = self.entries.get(&slot).map(|entry| &entry.progress) else {
+            return false;
+        };
+        let shared = self.shares.of(&arrived.page);
+        let alone = (arrived.counts.cpu + shared.cpu, arrived.counts.gpu + shared.gpu);
+        if alone.0 <= self.config.max_bytes_cpu && alone.1 <= self.config.max_bytes_gpu {
+            return false;
+        }
+        let Some(Entry { job, progress: Progress::Arrived(arrived), .. }) = self.entries.remove(&slot) else {
+            return false;
+        };
+        self.arrived.take(&arrived);
+        self.compiling.remove(&job.ticket);
+        if arrived.is_uploading() {
+            contexts.iter_mut().for_each(|context| context.cancel(&[job.ticket]));
+        }
+        self.ready.retain(|ready| *ready != slot);
+        self.uploads.retain(|waiting| *waiting != slot);
+        timeline::request_ends(self.threads.list.ticket_source | job.ticket, "failed");
+        self.refuse(scenes, slot, job, alone);
+        self.retire(arrived.page, contexts);
+        true
+    }
+
+    /// Hangs pages into their slots, coarse before fine, within the time budget: they have their room already.
+    pub(super) fn merge(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
         if self.ready.is_empty() {
             return;
         }
@@ -121,6 +186,10 @@ impl DatabasePager {
         let start = Instant::now();
         let priority = |s: &NodeId| self.entries.get(s).map_or(f32::MIN, |e| e.priority);
         self.ready.sort_by(|a, b| priority(b).total_cmp(&priority(a)).then(a.cmp(b)));
+        if self.served.len() > 1 {
+            self.ready = self.merge_turns.arrange(std::mem::take(&mut self.ready), |slot| slot.page.scene);
+        }
+        let mut of_scenes: BTreeMap<SceneNumber, u32> = BTreeMap::new();
         let mut done = 0;
         for slot in std::mem::take(&mut self.ready) {
             if done > 0 && !self.config.blocking && start.elapsed() >= self.config.merge_time {
@@ -130,37 +199,27 @@ impl DatabasePager {
             let Some(mut entry) = self.entries.remove(&slot) else { continue };
             let is_ahead = entry.is_ahead();
             let progress = std::mem::replace(&mut entry.progress, Progress::Waiting);
-            let Progress::Arrived(Arrived { page, gpu_bytes: by_context, .. }) = progress else { continue };
+            let Progress::Arrived(arrived) = progress else { continue };
+            self.arrived.take(&arrived);
+            let Arrived { page, gpu_bytes: by_context, counts: Held { cpu: cpu_bytes, .. }, .. } = arrived;
             let ticket = self.threads.list.ticket_source | entry.job.ticket;
-            let cpu_bytes = page.own_bytes();
-            let gpu_bytes = by_context.iter().map(|(_, bytes)| bytes).sum::<u64>();
-            let shared = self.shares.of(&page);
-            let alone = (cpu_bytes + shared.cpu, gpu_bytes + shared.gpu);
-            if alone.0 > self.config.max_bytes_cpu || alone.1 > self.config.max_bytes_gpu {
-                timeline::request_ends(ticket, "failed");
-                self.refuse(scene, slot, entry.job, alone);
-                self.retire(page, contexts);
-                continue;
-            }
-            // Counts before there is room, so that what goes to make room and shares with it takes nothing along.
-            let added = self.shares.merge(&page);
-            let needs = Held { cpu: cpu_bytes + added.cpu, gpu: gpu_bytes + added.gpu };
-            if (is_ahead && !self.has_free(EXPIRY_TENTHS)) || !self.make_room(scene, cpu_bytes, gpu_bytes, contexts) {
+            if is_ahead && !self.has_free(EXPIRY_TENTHS) {
                 self.stats.declined += 1;
                 timeline::request_ends(ticket, "declined");
-                self.shares.unmerge(&page);
                 self.retire(page, contexts);
-                if !is_ahead {
-                    self.ask_again(Entry { needs: Some(needs), ..entry });
-                }
                 continue;
             }
-            self.mean_cpu_bytes = moving_mean(self.mean_cpu_bytes, needs.cpu);
-            self.mean_gpu_bytes = moving_mean(self.mean_gpu_bytes, needs.gpu);
+            self.shares.merge(&page);
             let tile_tree = page.is_tile_tree();
-            match scene.attach(slot, *page) {
+            let attached = match scenes.numbered_mut(slot.page.scene) {
+                Some(scene) => scene.attach(slot, *page),
+                None => Err(Box::new((SceneError::StaleNode { node: slot }, *page))),
+            };
+            match attached {
                 Ok(id) => {
-                    if self.asked.contains(&slot) {
+                    if self.asked.contains(&slot)
+                        && let Some(scene) = scenes.numbered(slot.page.scene)
+                    {
                         // No camera has used it.
                         scene.note_use(slot, self.frame);
                     }
@@ -189,6 +248,10 @@ impl DatabasePager {
                 }
             }
             done += 1;
+            *of_scenes.entry(slot.page.scene).or_default() += 1;
+        }
+        if self.served.len() > 1 {
+            self.merge_turns.took(&of_scenes, self.ready.iter().map(|slot| slot.page.scene));
         }
     }
 
@@ -205,7 +268,7 @@ impl DatabasePager {
     }
 
     /// A page that alone is beyond a budget: an error, and not asked for again.
-    pub(super) fn refuse(&mut self, scene: &mut Scene, slot: NodeId, job: Job, (cpu_bytes, gpu_bytes): (u64, u64)) {
+    fn refuse(&mut self, scenes: &mut dyn Scenes, slot: NodeId, job: Job, (cpu_bytes, gpu_bytes): (u64, u64)) {
         let config = &self.config;
         let (what, got, limit) = if cpu_bytes > config.max_bytes_cpu {
             ("memory of the page", cpu_bytes, config.max_bytes_cpu)
@@ -226,7 +289,7 @@ impl DatabasePager {
             paging: PagingOptions::default(),
         };
         self.entries.insert(slot, entry);
-        scene.set_failed(slot, true);
+        scenes.set_failed(slot, true);
     }
 }
 

@@ -45,11 +45,14 @@ pub struct PagerConfig {
     /// Contents under way at once that are wanted only later (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead)),
     /// and of a server as many more as it has most of its places free; 0 loads none.
     pub ahead_in_flight: usize,
-    /// CPU bytes of merged pages and of tile trees.
+    /// CPU bytes of pages that are merged or have arrived, and of tile trees. Besides, each decode thread has the one that
+    /// it decodes and up to twelve that the main thread has not taken up, and up to 8 MiB for each of them are what waits to
+    /// be uploaded.
     pub max_bytes_cpu: u64,
-    /// GPU bytes of merged pages.
+    /// GPU bytes of pages that are merged or were uploaded. How much one takes is known once it was uploaded: meanwhile the
+    /// mean of the last pages is reserved for it, and one that is larger than the room is given up at once.
     pub max_bytes_gpu: u64,
-    /// Merged pages.
+    /// Pages that are merged or have arrived.
     pub max_tiles: usize,
     /// A page may expire once it was not wanted for so many frames.
     pub expiry_frames: u32,

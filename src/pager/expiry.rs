@@ -4,22 +4,23 @@ use std::time::Duration;
 
 use super::DatabasePager;
 use super::config::CompileContext;
-use super::list::{Arrived, Entry, Progress};
+use super::list::{Entry, Progress};
 use super::residents::Unused;
+use super::scenes::Scenes;
 use crate::io;
 use crate::scene::{NodeId, Page, PageId, Scene};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while less than [`EXPIRY_TENTHS`] are free: twice as many as in the frame
 /// before while something goes, half as many while all are in use.
-const EXPIRY_LOOKS: std::ops::RangeInclusive<usize> = 16..=256;
+pub(super) const EXPIRY_LOOKS: std::ops::RangeInclusive<usize> = 16..=256;
 /// Tenths of each budget that are kept free of what was not wanted for long.
 pub(super) const EXPIRY_TENTHS: u64 = 1;
 /// What is wanted in about as many frames as something else is not worth its place.
 pub(super) const AHEAD_MARGIN: u32 = 2;
 
 /// In want of room, the last two frames' tiles alone are safe.
-const UNSEEN: Unused = Unused { frames: 2, time: Duration::ZERO };
+pub(super) const UNSEEN: Unused = Unused { frames: 2, time: Duration::ZERO };
 
 impl DatabasePager {
     /// Of merged pages, what they share once.
@@ -32,25 +33,6 @@ impl DatabasePager {
         self.residents.gpu_bytes + self.shares.held.gpu
     }
 
-    /// Expires what is not needed until so many bytes and one tile more fit; false when they never will for now.
-    pub(super) fn make_room(
-        &mut self,
-        scene: &mut Scene,
-        cpu_bytes: u64,
-        gpu_bytes: u64,
-        contexts: &mut [&mut dyn CompileContext],
-    ) -> bool {
-        let mut looks = self.residents.len().min(4 * EXPIRY_LOOKS.end());
-        while self.cpu_bytes() + cpu_bytes > self.config.max_bytes_cpu
-            || self.gpu_bytes() + gpu_bytes > self.config.max_bytes_gpu
-            || self.residents.len() + 1 > self.config.max_tiles
-        {
-            let Some(id) = self.residents.pop_expired(scene, self.frame, UNSEEN, &mut looks) else { return false };
-            self.detach(scene, id, contexts);
-        }
-        true
-    }
-
     /// Frames until all pages have been looked at for what may go, where there is want of room.
     pub(crate) fn frames_to_look(&self) -> u32 {
         self.residents.len().div_ceil(*EXPIRY_LOOKS.end()) as u32
@@ -59,15 +41,16 @@ impl DatabasePager {
     /// True while so many tenths of each budget are free.
     pub(super) fn has_free(&self, tenths: u64) -> bool {
         let is_free = |used: u64, max: u64| used <= max / 10 * (10 - tenths);
-        is_free(self.cpu_bytes(), self.config.max_bytes_cpu)
-            && is_free(self.gpu_bytes(), self.config.max_bytes_gpu)
-            && is_free(self.residents.len() as u64, self.config.max_tiles as u64)
+        let held = self.held();
+        is_free(held.cpu, self.config.max_bytes_cpu)
+            && is_free(held.gpu, self.config.max_bytes_gpu)
+            && is_free(self.pages_held(), self.config.max_tiles as u64)
     }
 
     /// Takes out what was not wanted for long, while less than [`EXPIRY_TENTHS`] of a budget are free; where there is no
     /// room beside them for what will be wanted soon, what was not wanted for longer; where there is none for what is
     /// missing in a picture, what is in none just now.
-    pub(super) fn expire(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn expire(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
         let config = &self.config;
         let mut unused = Unused { frames: config.expiry_frames, time: config.expiry_time };
         if let Some(ahead) = self.ahead_short {
@@ -82,8 +65,8 @@ impl DatabasePager {
         let expired_before = self.stats.expired;
         let mut looks = self.residents.len().min(self.expiry_looks);
         while !self.has_free(EXPIRY_TENTHS) || self.lacks_room_ahead() || self.lacks_room_now() {
-            let Some(id) = self.residents.pop_expired(scene, self.frame, unused, &mut looks) else { break };
-            self.detach(scene, id, contexts);
+            let Some(id) = self.residents.pop_expired(scenes, self.frame, unused, &mut looks) else { break };
+            self.detach(scenes, id, contexts);
         }
         let next = if self.stats.expired > expired_before { 2 * self.expiry_looks } else { self.expiry_looks / 2 };
         self.expiry_looks = next.clamp(*EXPIRY_LOOKS.start(), *EXPIRY_LOOKS.end());
@@ -98,11 +81,12 @@ impl DatabasePager {
         self.ahead_short.is_some_and(|ahead| self.room_within(EXPIRY_TENTHS) < ahead.count)
     }
 
-    pub(super) fn detach(&mut self, scene: &mut Scene, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
+    pub(super) fn detach(&mut self, scenes: &mut dyn Scenes, id: PageId, contexts: &mut [&mut dyn CompileContext]) {
         // Requests for slots inside an expired tileset go with it.
         if self.above.remove(&id).is_some() {
             self.drop_entries(contexts, |slot, _| slot.page == id);
         }
+        let Some(scene) = scenes.numbered_mut(id.scene) else { return };
         match scene.detach(id) {
             Ok(page) => {
                 self.stats.expired += 1;
@@ -124,10 +108,11 @@ impl DatabasePager {
         self.threads.reap(page);
     }
 
-    /// Takes every page out that nothing else hangs in, and what was loaded and not merged: all of it is loaded and
-    /// uploaded again when it is wanted. For contexts that come later.
+    /// Takes every page of a scene out that nothing else hangs in, and what was loaded for it and not merged: all of it is
+    /// loaded and uploaded again when it is wanted. For contexts that come later.
     pub fn page_anew(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
-        self.drop_uploads(contexts);
+        let number = scene.number();
+        self.drop_uploads_if(contexts, |slot| slot.page.scene == number);
         // What hangs deepest goes first; each round takes a level.
         loop {
             let expirable = self.residents.take_if(|id| scene.is_expirable(id));
@@ -140,13 +125,16 @@ impl DatabasePager {
         }
     }
 
-    /// Takes every page out and forgets every request, also what failed: as it was before the first frame.
+    /// Takes every page of a scene out and forgets every request for it, also what failed: as it was before the first
+    /// frame. Those of other scenes stay.
     pub fn clear(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         self.page_anew(scene, contexts);
         for (slot, _) in self.entries.iter().filter(|(_, e)| matches!(e.progress, Progress::Failed { .. })) {
             scene.set_failed(*slot, false);
         }
-        self.drop_entries(contexts, |_, _| true);
+        let number = scene.number();
+        self.asked.retain(|slot| slot.page.scene != number);
+        self.drop_entries(contexts, |slot, _| slot.page.scene == number);
         self.rewrite_list();
         self.threads.list.ring_if_due();
         self.count();
@@ -164,9 +152,14 @@ impl DatabasePager {
     /// Drops what was loaded and waits for its upload or its merge, to be asked for again: nobody would finish what a
     /// context that goes has begun.
     pub fn drop_uploads(&mut self, contexts: &mut [&mut dyn CompileContext]) {
-        self.drop_entries(contexts, |_, entry| matches!(entry.progress, Progress::Arrived(_)));
-        self.compiling.clear();
-        self.ready.clear();
+        self.drop_uploads_if(contexts, |_| true);
+    }
+
+    fn drop_uploads_if(&mut self, contexts: &mut [&mut dyn CompileContext], drops: impl Fn(&NodeId) -> bool) {
+        self.drop_entries(contexts, |slot, entry| matches!(entry.progress, Progress::Arrived(_)) && drops(slot));
+        self.compiling.retain(|_, slot| !drops(slot));
+        self.ready.retain(|slot| !drops(slot));
+        self.uploads.retain(|slot| !drops(slot));
     }
 
     /// Forgets requests, with what was loaded and uploaded for them, and what was to be; late answers and uploads find
@@ -179,8 +172,7 @@ impl DatabasePager {
         let dropped: Vec<Entry> =
             self.entries.extract_if(|slot, entry| drops(slot, entry)).map(|(_, entry)| entry).collect();
         self.is_listed &= dropped.is_empty();
-        let compiling =
-            |entry: &Entry| matches!(&entry.progress, Progress::Arrived(arrived) if arrived.contexts_left > 0);
+        let compiling = |entry: &Entry| matches!(&entry.progress, Progress::Arrived(arrived) if arrived.is_uploading());
         let tickets: Vec<u64> = dropped.iter().filter(|e| compiling(e)).map(|entry| entry.job.ticket).collect();
         if !tickets.is_empty() {
             contexts.iter_mut().for_each(|context| context.cancel(&tickets));
@@ -192,9 +184,11 @@ impl DatabasePager {
             self.stats.dropped += 1;
             timeline::request_ends(self.threads.list.ticket_source | job.ticket, "dropped");
             match progress {
-                Progress::Arrived(Arrived { page, .. }) => {
+                Progress::Arrived(arrived) => {
+                    self.arrived.take(&arrived);
                     self.compiling.remove(&job.ticket);
-                    self.retire(page, contexts);
+                    self.uploads.retain(|slot| *slot != job.slot);
+                    self.retire(arrived.page, contexts);
                 }
                 // Aborted, unless its answer is there already.
                 Progress::Loading if io::is_remote(&job.uri) => self.threads.list.lock().abort.push(job.ticket),

@@ -51,14 +51,13 @@ fn servers_of(job: &Job) -> Vec<String> {
 /// The way to the HTTP thread for what cannot wait for the request list: a root.
 pub(super) struct Door {
     pub runtime: tokio::runtime::Handle,
-    pub client: HttpClient,
 }
 
 impl Door {
     /// Asks on the HTTP thread, whose connections are used again for the tiles, and waits here.
-    pub fn get(&self, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
+    pub fn get(&self, client: &HttpClient, uri: &str, limits: &Limits) -> Result<HttpBody, IoError> {
         let (sender, receiver) = crossbeam_channel::bounded(1);
-        let (client, of, limits) = (self.client.clone(), uri.to_owned(), *limits);
+        let (client, of, limits) = (client.clone(), uri.to_owned(), *limits);
         self.runtime.spawn(async move {
             // Nobody waits any more where the pager is gone.
             let _ = sender.send(client.get(&of, &limits).await);
@@ -71,7 +70,6 @@ impl Door {
 /// Runs until the list closes. Requests still under way are dropped then.
 pub(super) fn run(
     runtime: &tokio::runtime::Runtime,
-    client: &HttpClient,
     list: &RequestList,
     loaded: &Sender<Loaded>,
     answers: &Sender<Answer>,
@@ -86,7 +84,13 @@ pub(super) fn run(
             let (jobs, aborts, closed) = take(list, &running, &flows, most_in_flight(range));
             if closed {
                 // What came is worth keeping, but nobody waits long for it.
-                let _ = tokio::time::timeout(LAST_STORES, client.flush()).await;
+                let clients = std::mem::take(&mut list.lock().clients);
+                let flushed = async {
+                    for client in clients {
+                        client.flush().await;
+                    }
+                };
+                let _ = tokio::time::timeout(LAST_STORES, flushed).await;
                 return;
             }
             for ticket in aborts {
@@ -98,7 +102,7 @@ pub(super) fn run(
                 }
             }
             for Start { job, servers } in jobs {
-                let (client, limits, ticket, copy) = (client.clone(), *limits, job.ticket, job.clone());
+                let (client, limits, ticket, copy) = (job.scope.client.clone(), *limits, job.ticket, job.clone());
                 let source = list.ticket_source;
                 let work = async move {
                     let _span = timeline::request_span("fetch", source | ticket);

@@ -10,10 +10,11 @@ use std::time::Instant;
 
 use glam::DAffine3;
 
+use super::scenes::Scope;
 use super::shares::Held;
 use super::states::Stage;
 use crate::io::{Fetched, IoError, is_remote};
-use crate::scene::{NodeId, Page, PagingOptions};
+use crate::scene::{DrawKind, Drawable, NodeId, Page, PagingOptions};
 
 /// A server of whose places this part is taken has room for what is wanted only later.
 const QUIET: usize = 4;
@@ -28,6 +29,8 @@ pub(super) struct Job {
     pub reader_data: Option<Arc<str>>,
     /// Tilesets above.
     pub above: Above,
+    /// Its scene's.
+    pub scope: Arc<Scope>,
     /// Wanted later, when it was listed.
     pub is_ahead: bool,
     /// Where the threads are with it; clones of the job have the same.
@@ -86,6 +89,9 @@ pub(super) struct Waiting {
     pub ahead_room: usize,
     /// Most of them beside others.
     pub ahead_allowed: usize,
+    /// Of all scopes; written by update, read by the HTTP thread at the end: what came for them is still to be kept.
+    #[cfg(feature = "http")]
+    pub clients: Vec<crate::io::HttpClient>,
     /// Set once, by drop.
     pub closed: bool,
 }
@@ -117,7 +123,9 @@ impl Waiting {
         job.stage.reads();
     }
 
-    pub fn answered(&mut self, job: &Job) {
+    /// `arrived`: its page takes room in the budgets from now on, which is reckoned anew soon.
+    pub fn answered(&mut self, job: &Job, arrived: bool) {
+        self.allowed = self.allowed.saturating_sub(usize::from(arrived));
         self.outstanding = self.outstanding.saturating_sub(1);
         self.files_outstanding = self.files_outstanding.saturating_sub(usize::from(!is_remote(&job.uri)));
         self.ahead_outstanding = self.ahead_outstanding.saturating_sub(usize::from(job.is_ahead));
@@ -221,6 +229,26 @@ pub(super) struct Arrived {
     pub gpu_bytes: Vec<(u32, u64)>,
     /// Contexts that still compile.
     pub contexts_left: usize,
+    /// In memory, shared contents left out.
+    pub counts: Held,
+    /// What uploads that have begun may take besides.
+    pub reserved_gpu: u64,
+    /// Until its uploads begin.
+    pub payload: Option<Payload>,
+}
+
+/// What is to be uploaded of a page.
+pub(super) struct Payload {
+    pub drawables: Vec<Drawable>,
+    pub kinds: Arc<[DrawKind]>,
+    pub bytes: u64,
+}
+
+impl Arrived {
+    /// Contexts have it and have not told how large it is.
+    pub fn is_uploading(&self) -> bool {
+        self.contexts_left > 0 && self.payload.is_none()
+    }
 }
 
 /// How far a request is.
@@ -267,12 +295,26 @@ impl Entry {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::scene::PageId;
+    use std::sync::LazyLock;
+
+    use crate::io::{Limits, ReadOptions};
+    use crate::scene::{Node, PageId, Scene};
+
+    static PAGE: LazyLock<PageId> =
+        LazyLock::new(|| Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap()));
+    static SCOPE: LazyLock<Arc<Scope>> = LazyLock::new(|| {
+        Arc::new(Scope {
+            options: ReadOptions::for_root("/set/tileset.json", Limits::default()),
+            #[cfg(feature = "http")]
+            client: crate::io::HttpClient::new(&crate::io::HttpConfig::default()).unwrap(),
+        })
+    });
 
     pub(in crate::pager) fn job(ticket: u64, uri: &str) -> Job {
         Job {
             ticket,
-            slot: NodeId { page: PageId { slot: 0, generation: 0 }, index: ticket as u32 },
+            slot: NodeId { page: *PAGE, index: ticket as u32 },
+            scope: SCOPE.clone(),
             uri: uri.into(),
             reader_data: None,
             above: Above { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY },
@@ -297,8 +339,8 @@ pub(super) mod tests {
             read.push(job);
         }
         assert_eq!(read.len(), 18);
-        waiting.answered(&read[0]);
-        waiting.answered(&asked[0]);
+        waiting.answered(&read[0], false);
+        waiting.answered(&asked[0], false);
         assert_eq!((waiting.outstanding, waiting.files_outstanding), (46, 17));
     }
 
@@ -314,7 +356,7 @@ pub(super) mod tests {
         let first = waiting.file.pop().unwrap();
         waiting.took(&first);
         assert!(!waiting.has_file_for(list.for_files), "but one");
-        waiting.answered(&first);
+        waiting.answered(&first, false);
         waiting.allowed = 0;
         assert!(!waiting.has_file_for(list.for_files), "no room at all, or paused");
         waiting.allowed = 4;

@@ -132,11 +132,12 @@ pub fn frames_until(seconds: f64, frame_s: f64) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::list::tests::job;
     use super::*;
-    use crate::scene::{Node, Page, Scene};
 
+    /// Slots of one page.
     fn requests(slots: impl IntoIterator<Item = u32>) -> Vec<PageRequest> {
-        let page = Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap());
+        let page = job(0, "").slot.page;
         let request =
             |index| PageRequest { slot: NodeId { page, index }, priority: 1.0, error_px: 1.0, ahead_frames: 0 };
         slots.into_iter().map(request).collect()

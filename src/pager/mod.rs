@@ -15,6 +15,7 @@ mod config;
 mod expiry;
 #[cfg(feature = "http")]
 mod flow;
+mod held;
 #[cfg(feature = "http")]
 mod http;
 mod images;
@@ -23,11 +24,13 @@ mod look_ahead;
 mod motion;
 mod requests;
 mod residents;
+mod scenes;
 mod shares;
 mod states;
 mod stats;
 mod threads;
 mod tries;
+mod turns;
 mod update;
 
 pub use config::{CompileContext, PagerConfig, PagerError};
@@ -38,6 +41,7 @@ pub use images::{
 pub use look_ahead::{PathLooks, frames_until};
 pub(crate) use motion::turn_between;
 pub use motion::{EyeMotion, MotionLooks};
+pub use scenes::Scenes;
 pub use states::RequestState;
 pub use stats::{ErrorRecord, PagerStats};
 pub use update::DatabasePager;

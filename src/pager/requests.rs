@@ -1,16 +1,17 @@
 //! What is asked for: requests of culls become entries, and entries the list that the threads take from. Update thread.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 use std::time::Instant;
 
 use super::DatabasePager;
 use super::expiry::{AHEAD_MARGIN, EXPIRY_TENTHS};
 use super::list::{Entry, Job, Progress, Waiting};
+use super::scenes::Scenes;
 use super::shares::Held;
 use crate::cull::PageRequest;
 use crate::io;
-use crate::scene::{NodeId, Scene, SlotState};
+use crate::scene::{NodeId, SceneNumber, SlotState};
 use crate::timeline;
 
 /// Of each decode thread, decoded pages may hold about so many bytes while they wait for their upload; beyond that nothing
@@ -44,7 +45,8 @@ pub(super) struct AheadShort {
 impl DatabasePager {
     /// Takes up new requests and renews those that are known. Whether there are new ones, or one is wanted now that was
     /// wanted later.
-    pub(super) fn accept(&mut self, scene: &Scene, requests: &[PageRequest]) -> bool {
+    pub(super) fn accept(&mut self, scenes: &dyn Scenes, requests: &[PageRequest]) -> bool {
+        self.claim_first(scenes);
         let known = self.next_ticket;
         let mut is_sooner = false;
         for request in requests {
@@ -62,11 +64,12 @@ impl DatabasePager {
                 }
                 continue;
             }
-            let Some(slot) = scene.slot(request.slot) else { continue };
+            let Some(slot) = scenes.slot(request.slot) else { continue };
             if slot.state != SlotState::Empty || !self.takes_requests {
                 continue;
             }
-            let mut above = self.above.get(&slot.page).unwrap_or(&self.above_roots).clone();
+            let Some(served) = self.served.get(&slot.page.scene) else { continue };
+            let mut above = self.above.get(&slot.page).unwrap_or(&served.above_roots).clone();
             if !above.chain.is_empty() {
                 above.set_from_page *= slot.content_transform;
             }
@@ -76,6 +79,7 @@ impl DatabasePager {
                 uri: slot.uri.clone(),
                 reader_data: slot.reader_data.cloned(),
                 above,
+                scope: served.scope.clone(),
                 is_ahead: request.ahead_frames > 0,
                 stage: Arc::default(),
             };
@@ -100,56 +104,59 @@ impl DatabasePager {
     }
 
     /// Takes up, and renews, what is to be loaded whatever cameras see.
-    pub(super) fn accept_asked(&mut self, scene: &mut Scene) {
-        self.asked.append(&mut scene.take_asked());
+    pub(super) fn accept_asked(&mut self, scenes: &mut dyn Scenes) {
+        for place in 0.. {
+            let Some(scene) = scenes.at_mut(place) else { break };
+            self.asked.append(&mut scene.take_asked());
+        }
         if self.asked.is_empty() {
             return;
         }
-        self.asked.retain(|slot| scene.slot(*slot).is_some_and(|slot| slot.state == SlotState::Empty));
+        self.asked.retain(|slot| scenes.slot(*slot).is_some_and(|slot| slot.state == SlotState::Empty));
         let request =
             |slot: &NodeId| PageRequest { slot: *slot, priority: ASKED_PRIORITY, error_px: 0.0, ahead_frames: 0 };
         let requests: Vec<PageRequest> = self.asked.iter().map(request).collect();
-        self.accept(scene, &requests);
+        self.accept(scenes, &requests);
     }
 
     /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while
     /// nobody does.
-    pub(super) fn retry(&mut self, scene: &mut Scene) {
+    pub(super) fn retry(&mut self, scenes: &mut dyn Scenes) {
         let due: Vec<Entry> = {
-            let is_due = is_due(scene, self.frame);
+            let is_due = is_due(scenes, self.frame);
             self.entries.extract_if(|_, entry| is_due(entry)).map(|(_, entry)| entry).collect()
         };
         for mut entry in due {
-            scene.set_failed(entry.job.slot, false);
+            scenes.set_failed(entry.job.slot, false);
             entry.wanted_frame = self.frame;
             self.ask_again(entry);
         }
         if self.entries.len() > MOST_FAILURES {
-            self.forget_failures(scene);
+            self.forget_failures(scenes);
         }
     }
 
     /// Where there are too many, forgets those that were not met for as long as a page must not be wanted to go: they are
     /// asked for once more by who comes back.
-    fn forget_failures(&mut self, scene: &mut Scene) {
+    fn forget_failures(&mut self, scenes: &mut dyn Scenes) {
         let has_failed = |entry: &Entry| matches!(entry.progress, Progress::Failed { .. });
         if self.entries.values().filter(|entry| has_failed(entry)).count() <= MOST_FAILURES {
             return;
         }
         let old = self.frame.saturating_sub(self.config.expiry_frames.max(MET_FRAMES));
         self.entries.retain(|slot, entry| {
-            let is_met = scene.slot(*slot).is_some_and(|slot| slot.last_used_frame >= old);
+            let is_met = scenes.slot(*slot).is_some_and(|slot| slot.last_used_frame >= old);
             let is_kept = !has_failed(entry) || is_met;
             if !is_kept {
-                scene.set_failed(*slot, false);
+                scenes.set_failed(*slot, false);
             }
             is_kept
         });
     }
 
     /// The wait of a failure is over that somebody meets: the next update asks for it again.
-    pub(crate) fn has_due(&self, scene: &Scene) -> bool {
-        self.entries.values().any(is_due(scene, self.frame))
+    pub(crate) fn has_due(&self, scenes: &dyn Scenes) -> bool {
+        self.entries.values().any(is_due(scenes, self.frame))
     }
 
     /// Drops what is stale, aborts what nobody wants, and writes the waiting jobs in order of priority.
@@ -159,9 +166,13 @@ impl DatabasePager {
         let list = &self.threads.list;
         let mut waiting = list.lock();
         let mut taken: HashSet<u64> = waiting.taken.drain(..).collect();
+        let mut of_scenes: BTreeMap<SceneNumber, u32> = BTreeMap::new();
         if !taken.is_empty() {
             for entry in self.entries.values_mut().filter(|entry| taken.remove(&entry.job.ticket)) {
                 entry.progress = Progress::Loading;
+                if !entry.is_ahead() {
+                    *of_scenes.entry(entry.job.slot.page.scene).or_default() += 1;
+                }
             }
             // What is left was forgotten meanwhile.
             waiting.abort.extend(taken);
@@ -208,7 +219,14 @@ impl DatabasePager {
         let room = self.room_within(EXPIRY_TENTHS).saturating_sub(waiting.outstanding as u64);
         let takes_any = self.config.ahead_in_flight > 0 && !self.is_paused;
         let short = soonest.filter(|_| takes_any && room < ahead as u64);
-        let now = jobs.split_off(ahead);
+        let mut now = jobs.split_off(ahead);
+        if self.served.len() > 1 {
+            let scene_of = |(_, entry): &(f32, &Entry)| entry.job.slot.page.scene;
+            self.turns.took(&of_scenes, now.iter().map(scene_of));
+            now.reverse();
+            now = self.turns.arrange(now, scene_of);
+            now.reverse();
+        }
         waiting.allowed = self.allowed_in_flight(list.capacity);
         self.full = waiting.allowed == 0 && !now.is_empty();
         self.is_short = !self.is_paused && waiting.allowed < list.capacity.min(waiting.outstanding + now.len());
@@ -235,32 +253,26 @@ impl DatabasePager {
         }
         // What waits for its upload holds memory besides the budgets'.
         let of_each = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).max(LEAST_PENDING);
-        let pending = (of_each * self.config.decode_threads.max(1) as u64).saturating_sub(self.arrived());
+        let pending = (of_each * self.config.decode_threads.max(1) as u64).saturating_sub(self.arrived.pages);
         self.room_within(0).min(pending).min(capacity as u64) as usize
     }
 
     /// A page of known size has room beside what is merged or will be.
     pub(super) fn fits(&self, needs: &Held) -> bool {
-        let arrived = self.arrived();
-        let has_room = |max: u64, used: u64, mean: u64, needs: u64| used + arrived * mean + needs <= max;
-        has_room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes, needs.cpu)
-            && has_room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes, needs.gpu)
-            && has_room(self.config.max_tiles as u64, self.residents.len() as u64, 1, 1)
+        let held = self.held();
+        held.cpu + needs.cpu <= self.config.max_bytes_cpu
+            && held.gpu + needs.gpu <= self.config.max_bytes_gpu
+            && self.pages_held() < self.config.max_tiles as u64
     }
 
     /// Pages of the mean size that fit into the budgets less so many tenths, beside what is merged or will be.
     pub(super) fn room_within(&self, tenths: u64) -> u64 {
-        let arrived = self.arrived();
+        let held = self.held();
         let part = |max: u64| max / 10 * (10 - tenths) + if tenths == 0 { max % 10 } else { 0 };
-        let room = |max: u64, used: u64, mean: u64| part(max).saturating_sub(used + arrived * mean) / mean.max(1);
-        let cpu = room(self.config.max_bytes_cpu, self.cpu_bytes(), self.mean_cpu_bytes);
-        let gpu = room(self.config.max_bytes_gpu, self.gpu_bytes(), self.mean_gpu_bytes);
-        cpu.min(gpu).min(room(self.config.max_tiles as u64, self.residents.len() as u64, 1))
-    }
-
-    /// Loaded and not merged.
-    fn arrived(&self) -> u64 {
-        (self.compiling.len() + self.ready.len()) as u64
+        let room = |max: u64, used: u64, mean: u64| part(max).saturating_sub(used) / mean.max(1);
+        let cpu = room(self.config.max_bytes_cpu, held.cpu, self.mean_cpu_bytes);
+        let gpu = room(self.config.max_bytes_gpu, held.gpu, self.mean_gpu_bytes);
+        cpu.min(gpu).min(room(self.config.max_tiles as u64, self.pages_held(), 1))
     }
 
     /// How many of those wanted only later may be outstanding: as far as there is room beside the others, and not many
@@ -285,10 +297,10 @@ impl DatabasePager {
 }
 
 /// What failed, has waited long enough, and was met in the last frames.
-fn is_due(scene: &Scene, frame: u32) -> impl Fn(&Entry) -> bool {
+fn is_due(scenes: &dyn Scenes, frame: u32) -> impl Fn(&Entry) -> bool {
     let (now, met) = (Instant::now(), frame.saturating_sub(MET_FRAMES)..=frame);
     move |entry| {
         matches!(entry.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
-            && scene.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
+            && scenes.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
     }
 }

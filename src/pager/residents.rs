@@ -4,7 +4,8 @@ use std::time::{Duration, Instant};
 
 use lru::LruCache;
 
-use crate::scene::{NodeId, PageId, PagingOptions, Scene};
+use super::scenes::Scenes;
+use crate::scene::{NodeId, PageId, PagingOptions};
 
 /// What a merged page holds.
 #[derive(Clone, Debug)]
@@ -98,13 +99,21 @@ impl Residents {
 
     /// The page that was not wanted for longest, if it was not wanted for long enough and can go: nothing hangs in it
     /// and nothing finer is shown instead of it. Pages found in use move to the young end, at most `looks`.
-    pub fn pop_expired(&mut self, scene: &Scene, frame: u32, unused: Unused, looks: &mut usize) -> Option<PageId> {
+    pub fn pop_expired(
+        &mut self,
+        scenes: &dyn Scenes,
+        frame: u32,
+        unused: Unused,
+        looks: &mut usize,
+    ) -> Option<PageId> {
         while *looks > 0 {
             *looks -= 1;
             let id = *self.pages.peek_lru()?.0;
             let resident = self.pages.peek_mut(&id)?;
-            let last_used = scene.slot(resident.slot).map_or(0, |s| s.last_used_frame);
-            if resident.is_unused(last_used, frame, unused) && scene.is_expirable(id) {
+            let scene = scenes.numbered(id.scene);
+            let last_used = scene.and_then(|scene| scene.slot(resident.slot)).map_or(0, |slot| slot.last_used_frame);
+            let is_unused = resident.is_unused(last_used, frame, unused);
+            if is_unused && scene.is_some_and(|scene| scene.is_expirable(id)) {
                 let resident = self.pages.pop(&id)?;
                 self.cpu_bytes -= resident.cpu_bytes;
                 self.gpu_bytes -= resident.gpu();

@@ -35,6 +35,8 @@ pub(super) struct Shares {
     by_key: HashMap<ContentKey, Share>,
     /// Of contents that merged pages use.
     pub held: Held,
+    /// Of contents that any page uses, those on their way included.
+    pub all: Held,
     /// What merged pages would hold besides, each with a copy of its own.
     pub saved: Held,
 }
@@ -45,7 +47,13 @@ impl Shares {
         for used in &page.shared {
             let share = self.by_key.entry(used.content.key).or_default();
             share.users += 1;
-            share.cpu_bytes = share.cpu_bytes.max(used.tree_bytes);
+            let more = used.tree_bytes.saturating_sub(share.cpu_bytes);
+            share.cpu_bytes += more;
+            self.all.cpu += more;
+            if let Some(others) = share.merged.checked_sub(1) {
+                self.held.cpu += more;
+                self.saved.cpu += u64::from(others) * more;
+            }
         }
     }
 
@@ -58,6 +66,7 @@ impl Shares {
                 Some((_, known)) => *known = *bytes,
                 None => share.gpu_bytes.push((context, *bytes)),
             }
+            self.all.gpu = self.all.gpu + share.gpu() - before;
             if let Some(others) = share.merged.checked_sub(1) {
                 let after = share.gpu();
                 self.held.gpu = self.held.gpu + after - before;
@@ -71,6 +80,7 @@ impl Shares {
         for share in self.by_key.values_mut() {
             let Some(place) = share.gpu_bytes.iter().position(|(of, _)| *of == context) else { continue };
             let (_, bytes) = share.gpu_bytes.swap_remove(place);
+            self.all.gpu -= bytes;
             if let Some(others) = share.merged.checked_sub(1) {
                 self.held.gpu -= bytes;
                 self.saved.gpu -= u64::from(others) * bytes;
@@ -88,9 +98,19 @@ impl Shares {
         held
     }
 
-    /// A page is merged, or is about to be: what nobody had counts from now on. What that was.
-    pub fn merge(&mut self, page: &Page) -> Held {
-        let before = self.held;
+    /// Bytes of contents that a page alone uses.
+    pub fn only_of(&self, page: &Page) -> Held {
+        let mut held = Held::default();
+        let shares = page.shared.iter().filter_map(|used| self.by_key.get(&used.content.key));
+        for share in shares.filter(|share| share.users == 1) {
+            held.cpu += share.cpu_bytes;
+            held.gpu += share.gpu();
+        }
+        held
+    }
+
+    /// A page is merged, or is about to be: what nobody had counts from now on.
+    pub fn merge(&mut self, page: &Page) {
         for used in &page.shared {
             let Some(share) = self.by_key.get_mut(&used.content.key) else { continue };
             share.merged += 1;
@@ -98,7 +118,6 @@ impl Shares {
             sum.cpu += share.cpu_bytes;
             sum.gpu += share.gpu();
         }
-        Held { cpu: self.held.cpu - before.cpu, gpu: self.held.gpu - before.gpu }
     }
 
     /// The opposite of [`Self::merge`].
@@ -118,6 +137,8 @@ impl Shares {
             let Some(share) = self.by_key.get_mut(&used.content.key) else { continue };
             share.users = share.users.saturating_sub(1);
             if share.users == 0 {
+                self.all.cpu = self.all.cpu.saturating_sub(share.cpu_bytes);
+                self.all.gpu = self.all.gpu.saturating_sub(share.gpu());
                 self.by_key.remove(&used.content.key);
             }
         }

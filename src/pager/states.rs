@@ -93,30 +93,18 @@ impl DatabasePager {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
     use std::time::Instant;
 
-    use glam::DAffine3;
-
-    use super::super::list::{Above, Arrived, Job, RequestList};
+    use super::super::list::tests::job;
+    use super::super::list::{Arrived, RequestList};
+    use super::super::shares::Held;
     use super::*;
-    use crate::scene::{Node, Page, PagingOptions, Scene};
+    use crate::scene::{Node, Page, PagingOptions};
 
     #[test]
     fn a_request_goes_through_the_states_as_threads_take_it() {
         let entry_of = |uri: &str| {
-            let above = Above { chain: Arc::default(), set_from_page: DAffine3::IDENTITY };
-            let page = Page::from_node(Node::group(vec![])).unwrap();
-            let slot = NodeId { page: Scene::new().add_root(page), index: 0 };
-            let job = Job {
-                ticket: 1,
-                slot,
-                uri: uri.into(),
-                reader_data: None,
-                above,
-                is_ahead: false,
-                stage: Arc::default(),
-            };
+            let job = job(1, uri);
             let (since, paging) = (Instant::now(), PagingOptions::default());
             Entry {
                 job,
@@ -141,7 +129,10 @@ mod tests {
         taken.stage.decodes();
         assert_eq!(entry.state(), RequestState::Decoding);
         let page = Box::new(Page::from_node(Node::group(vec![])).unwrap());
-        entry.progress = Progress::Arrived(Arrived { page, gpu_bytes: Vec::new(), contexts_left: 2 });
+        let counts = Held { cpu: 0, gpu: 0 };
+        let (gpu_bytes, contexts_left) = (Vec::new(), 2);
+        let arrived = Arrived { page, gpu_bytes, contexts_left, counts, reserved_gpu: 0, payload: None };
+        entry.progress = Progress::Arrived(arrived);
         assert_eq!(entry.state(), RequestState::Compiling);
         if let Progress::Arrived(arrived) = &mut entry.progress {
             arrived.contexts_left = 0;

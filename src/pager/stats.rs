@@ -51,6 +51,19 @@ pub struct PagerStats {
     pub gpu_bytes: u64,
     /// Most that `gpu_bytes` was.
     pub gpu_bytes_peak: u64,
+    /// CPU bytes of merged pages and of those that have arrived and wait for their uploads or their merge, without what is
+    /// yet to be uploaded. Never beyond [`PagerConfig::max_bytes_cpu`](super::PagerConfig::max_bytes_cpu).
+    pub cpu_bytes_held: u64,
+    /// Most that `cpu_bytes_held` was once room was made for an arrival.
+    pub cpu_bytes_held_peak: u64,
+    /// GPU bytes of merged pages and of those that are uploaded and wait for their merge. Never beyond
+    /// [`PagerConfig::max_bytes_gpu`](super::PagerConfig::max_bytes_gpu).
+    pub gpu_bytes_held: u64,
+    /// Most that `gpu_bytes_held` was once room was made for an upload.
+    pub gpu_bytes_held_peak: u64,
+    /// Most pages that were merged or had arrived; never beyond
+    /// [`PagerConfig::max_tiles`](super::PagerConfig::max_tiles).
+    pub held_peak: u64,
     /// Pages merged now.
     pub resident: u64,
     /// Requests waiting for I/O.

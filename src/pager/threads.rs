@@ -13,7 +13,7 @@ use super::flow::Range;
 use super::http::Door;
 use super::list::{Above, Answer, Job, Loaded, RequestList};
 use crate::io::{self, Content, ReadOptions};
-use crate::scene::Page;
+use crate::scene::{Page, SharedStateManager};
 use crate::timeline;
 
 /// Pages that the reaper may have before it; more are dropped where they are.
@@ -44,7 +44,7 @@ pub(super) struct Threads {
 }
 
 impl Threads {
-    pub fn start(config: &PagerConfig, options: &ReadOptions) -> Result<Self, PagerError> {
+    pub fn start(config: &PagerConfig, sharing: Option<Arc<SharedStateManager>>) -> Result<Self, PagerError> {
         let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
         let (readers, decoders) = (config.file_threads.max(1), config.decode_threads.max(1));
         let beside = 4 * readers + 2 * decoders;
@@ -76,31 +76,21 @@ impl Threads {
         }
         #[cfg(feature = "http")]
         {
-            let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
             let (list, sender, limits) = (list.clone(), loaded_sender, config.limits);
             let (range, answers) = (Range { start, most }, answer_sender.clone());
             let name = "pager-http".to_owned();
             let runtime = io::runtime(&name).map_err(|source| PagerError::Thread { name: name.clone(), source })?;
-            threads.door = Some(Door { runtime: runtime.handle().clone(), client: client.clone() });
+            threads.door = Some(Door { runtime: runtime.handle().clone() });
             threads.spawn(name, move || {
-                super::http::run(&runtime, &client, &list, &sender, &answers, &limits, range);
+                super::http::run(&runtime, &list, &sender, &answers, &limits, range);
             })?;
         }
         for i in 0..decoders {
             let open = if cfg!(feature = "http") { 2 } else { 1 };
             let from = Intake { files: read.clone(), servers: loaded.clone(), open };
-            let (sender, options) = (answer_sender.clone(), options.clone());
-            #[cfg(feature = "http")]
-            let cache = threads.door.as_ref().and_then(|door| door.client.cache().cloned());
-            let forget = move |_uri: &str| {
-                #[cfg(feature = "http")]
-                if let Some(cache) = cache.as_ref().filter(|_| io::is_remote(_uri)) {
-                    cache.forget(_uri);
-                }
-            };
-            threads.spawn(format!("pager-decode-{i}"), move || decode(from, &sender, &options, &forget))?;
+            let sender = answer_sender.clone();
+            threads.spawn(format!("pager-decode-{i}"), move || decode(from, &sender))?;
         }
-        let sharing = options.sharing.clone();
         threads.spawn("pager-reaper".to_owned(), move || {
             for (count, page) in doomed.into_iter().enumerate() {
                 let _span = timeline::span("drop page");
@@ -214,16 +204,15 @@ impl Intake {
     }
 }
 
-/// `forget` is told the URI of what turned out to be no content.
-fn decode(mut from: Intake, sender: &Sender<Answer>, options: &ReadOptions, forget: &dyn Fn(&str)) {
+fn decode(mut from: Intake, sender: &Sender<Answer>) {
     while let Some(Loaded { job, bytes, companions, bytes_read, bytes_http }) = from.next() {
         let span = timeline::span_of("decode", || job.uri.clone());
         let page = bytes.and_then(|bytes| {
-            let page = decode_one(&job, bytes, companions, options);
+            let page = decode_one(&job, bytes, companions);
             if let Err(error) = &page
                 && error.is_no_content()
             {
-                forget(error.uri());
+                job.scope.forget(error.uri());
             }
             page
         });
@@ -234,14 +223,9 @@ fn decode(mut from: Intake, sender: &Sender<Answer>, options: &ReadOptions, forg
     }
 }
 
-fn decode_one(
-    job: &Job,
-    bytes: Vec<u8>,
-    companions: Vec<io::Fetched>,
-    options: &ReadOptions,
-) -> Result<Page, io::IoError> {
+fn decode_one(job: &Job, bytes: Vec<u8>, companions: Vec<io::Fetched>) -> Result<Page, io::IoError> {
     let content = Content { uri: job.uri.clone(), bytes, reader_data: job.reader_data.clone(), companions };
     let Above { chain, set_from_page } = job.above.clone();
-    let options = ReadOptions { chain, set_from_content: set_from_page, ..options.clone() };
+    let options = ReadOptions { chain, set_from_content: set_from_page, ..job.scope.options.clone() };
     io::decode(content, &options)
 }

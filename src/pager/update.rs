@@ -1,31 +1,47 @@
 //! [`DatabasePager`]: the main thread's side, and its turn in a frame. Everything here runs in the update stage.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
+use super::held::ArrivedSum;
 use super::list::{Above, Entry, Progress};
 use super::requests::AheadShort;
 use super::residents::Residents;
+use super::scenes::{Scenes, Scope, Served};
 use super::shares::{Held, Shares};
 use super::states::RequestState;
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
+use super::turns::Turns;
 use crate::cull::PageRequest;
 use crate::gpu::CompileBudget;
-use crate::io::{self, Content, IoError, ReadOptions};
-use crate::scene::{NodeId, Page, PageId, Scene, SharedStateManager};
+use crate::io::{self, ReadOptions};
+use crate::scene::{NodeId, PageId, Scene, SceneNumber, SharedStateManager};
 
 /// How often contexts are asked for what they uploaded, between frames.
 const COMPILE_POLL: Duration = Duration::from_micros(200);
 /// Kept free before the next frame is due: the longest single step, the upload of one slice or the merge of a page.
 const WORK_MARGIN: Duration = Duration::from_micros(500);
 
-/// Streams pages in and out of a [`Scene`].
+/// Streams pages in and out of a [`Scene`], or of several ([`Self::add_scene`]): one list of requests,
+/// one set of threads and one budget for all of them, and what is equal in any of them is there once.
 pub struct DatabasePager {
     pub(super) config: PagerConfig,
-    pub(super) options: ReadOptions,
+    /// What it serves, and the scope that it was made with until a scene has it.
+    pub(super) served: BTreeMap<SceneNumber, Served>,
+    pub(super) unclaimed: Option<Served>,
+    /// The scene that has it.
+    pub(super) first: Option<SceneNumber>,
+    /// Which scene is to be loaded for next, and merged into.
+    pub(super) turns: Turns,
+    pub(super) merge_turns: Turns,
+    /// Shared by all scenes.
+    pub(super) sharing: Option<Arc<SharedStateManager>>,
+    /// As the configuration has it.
+    #[cfg(feature = "http")]
+    pub(super) client: io::HttpClient,
     pub(super) threads: Threads,
     /// Requests that are not merged, by slot.
     pub(super) entries: HashMap<NodeId, Entry>,
@@ -33,16 +49,19 @@ pub struct DatabasePager {
     pub(super) asked: Vec<NodeId>,
     /// Slots by ticket, for what contexts hand back.
     pub(super) compiling: HashMap<u64, NodeId>,
+    /// Arrived, waiting for room to be uploaded; some may be gone.
+    pub(super) uploads: Vec<NodeId>,
     /// Arrived and compiled, waiting to be merged.
     pub(super) ready: Vec<NodeId>,
     pub(super) residents: Residents,
+    /// What has arrived and is not merged.
+    pub(super) arrived: ArrivedSum,
     /// Pages that the next look for what may go takes in.
     pub(super) expiry_looks: usize,
     /// What pages share, counted once.
     pub(super) shares: Shares,
-    /// What is above the contents of pages that are tilesets; roots have `above_roots`.
+    /// What is above the contents of pages that are tilesets.
     pub(super) above: HashMap<PageId, Above>,
-    pub(super) above_roots: Above,
     pub(super) next_ticket: u64,
     pub(super) frame: u32,
     pub(super) stats: PagerStats,
@@ -50,7 +69,7 @@ pub struct DatabasePager {
     /// Mean sizes of the last pages, for reserving budget before a size is known; 0 before the first.
     pub(super) mean_cpu_bytes: u64,
     pub(super) mean_gpu_bytes: u64,
-    /// The scene's budget is full of what is visible.
+    /// The budget is full of what is visible.
     pub(super) full: bool,
     /// More waits than there is room for.
     pub(super) is_short: bool,
@@ -67,24 +86,42 @@ pub struct DatabasePager {
 }
 
 impl DatabasePager {
-    /// Starts the threads. `options` is the scope of the tile set that is paged.
+    /// Starts the threads. `options` is the scope of the tile set that is paged: that of the first scene that the pager is
+    /// given and that was not added. Others that were not added get nothing.
     pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
         let build_kd_trees = config.build_kd_trees || options.build_kd_trees;
         let sharing = options.sharing.clone();
         let sharing =
             sharing.or_else(|| config.sharing.any().then(|| Arc::new(SharedStateManager::new(config.sharing))));
-        let options = ReadOptions { limits: config.limits, build_kd_trees, sharing, ..options };
-        let threads = Threads::start(&config, &options)?;
-        Ok(Self {
-            above_roots: Above { chain: options.chain.clone(), set_from_page: options.set_from_content },
-            config,
+        let options = ReadOptions { limits: config.limits, build_kd_trees, sharing: sharing.clone(), ..options };
+        #[cfg(feature = "http")]
+        let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
+        let threads = Threads::start(&config, sharing.clone())?;
+        #[cfg(feature = "http")]
+        threads.list.lock().clients.push(client.clone());
+        let scope = Scope {
             options,
+            #[cfg(feature = "http")]
+            client: client.clone(),
+        };
+        Ok(Self {
+            config,
+            served: BTreeMap::new(),
+            unclaimed: Some(Served::new(scope)),
+            first: None,
+            turns: Turns::default(),
+            merge_turns: Turns::default(),
+            sharing,
+            #[cfg(feature = "http")]
+            client,
             threads,
             entries: HashMap::new(),
             asked: Vec::new(),
             compiling: HashMap::new(),
+            uploads: Vec::new(),
             ready: Vec::new(),
             residents: Residents::new(),
+            arrived: ArrivedSum::default(),
             expiry_looks: 0,
             above: HashMap::new(),
             shares: Shares::default(),
@@ -110,50 +147,22 @@ impl DatabasePager {
         self.next_ticket = self.next_ticket.max(before.next_ticket);
     }
 
-    /// Reads a root tileset (or a single content) on the calling thread.
-    pub fn read_root(&mut self, uri: &Arc<str>) -> Result<Page, IoError> {
-        let bytes = self.fetch(uri)?;
-        self.stats.bytes_read += bytes.len() as u64;
-        let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
-        // A root is the application's.
-        let page = io::decode(content, &ReadOptions { sharing: None, ..self.options.clone() });
-        #[cfg(feature = "http")]
-        if page.as_ref().is_err_and(io::IoError::is_no_content)
-            && let Some(cache) = self.threads.door.as_ref().and_then(|door| door.client.cache())
-        {
-            // An error page, say: asked for again next time.
-            cache.forget(uri);
-        }
-        let page = page?;
-        self.above_roots.chain = self.options.below(uri).chain;
-        Ok(page)
-    }
-
-    fn fetch(&mut self, uri: &str) -> Result<Vec<u8>, IoError> {
-        #[cfg(feature = "http")]
-        if let Some(door) = self.threads.door.as_ref().filter(|_| io::is_remote(uri)) {
-            let body = door.get(uri, &self.config.limits)?;
-            self.stats.bytes_http += body.network_bytes;
-            return Ok(body.bytes);
-        }
-        io::Source::new(self.config.limits).read(uri)
-    }
-
-    /// The pager's turn with the scene, once a frame: takes what was loaded and compiled, merges, expires, and
-    /// rewrites the request list from `requests` (the last culls' outputs, all cameras together).
+    /// The pager's turn with all its scenes, once a frame: takes what was loaded and compiled, merges, expires, and
+    /// rewrites the request list from `requests` (the last culls' outputs, all cameras and scenes together, whose frames
+    /// are counted alike).
     pub fn update_scene_graph(
         &mut self,
-        scene: &mut Scene,
+        scenes: &mut dyn Scenes,
         frame: u32,
         requests: &[PageRequest],
         contexts: &mut [&mut dyn CompileContext],
     ) {
         self.frame = frame;
         self.goes_on = false;
-        self.accept(scene, requests);
-        self.accept_asked(scene);
-        self.merge_arrived(scene, contexts);
-        self.retry(scene);
+        self.accept(scenes, requests);
+        self.accept_asked(scenes);
+        self.merge_arrived(scenes, contexts);
+        self.retry(scenes);
         // As a rule the same is asked for as after the last cull, and listed as it is to be.
         if !self.is_listed || self.lacks.is_some() {
             self.rewrite_list();
@@ -163,10 +172,10 @@ impl DatabasePager {
         while self.config.blocking && self.is_busy() && contexts.iter().all(|context| context.is_alive()) {
             let answer = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(Duration::from_millis(20)).ok());
             if let Some(answer) = answer {
-                self.answer(scene, answer, contexts);
+                self.answer(scenes, answer, contexts);
             }
-            self.merge_arrived(scene, contexts);
-            self.accept_asked(scene);
+            self.merge_arrived(scenes, contexts);
+            self.accept_asked(scenes);
             self.rewrite_list();
             self.threads.list.ring_if_due();
         }
@@ -176,27 +185,28 @@ impl DatabasePager {
     /// Hands over what a cull asks for without waiting for the next update. The threads are told by the next
     /// [`Self::work_until`] (or update): telling one may take the frame longer than its cull. Optional, after a cull; the
     /// next [`Self::update_scene_graph`] may get the same requests again.
-    pub fn request(&mut self, scene: &Scene, requests: &[PageRequest]) {
-        if self.accept(scene, requests) {
+    pub fn request(&mut self, scenes: &dyn Scenes, requests: &[PageRequest]) {
+        if self.accept(scenes, requests) {
             self.rewrite_list();
             self.is_listed = true;
         }
     }
 
     /// Takes what was loaded and compiled, merges and expires; may be called more than once a frame.
-    pub fn merge_arrived(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
-        self.take_answers(scene, contexts);
-        self.take_compiled(contexts);
-        self.merge(scene, contexts);
-        self.expire(scene, contexts);
+    pub fn merge_arrived(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext]) {
+        self.take_answers(scenes, contexts);
+        self.take_compiled(scenes, contexts);
+        self.begin_uploads(scenes, contexts);
+        self.merge(scenes, contexts);
+        self.expire(scenes, contexts);
         self.allow_more();
     }
 
     /// Uploads, merges and expires what arrives until shortly before `deadline`, for a main thread that would
     /// otherwise wait for the next frame to be due. Returns early when nothing is under way.
-    pub fn work_until(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext], deadline: Instant) {
+    pub fn work_until(&mut self, scenes: &mut dyn Scenes, contexts: &mut [&mut dyn CompileContext], deadline: Instant) {
         // What was listed since the last look may need room.
-        self.expire(scene, contexts);
+        self.expire(scenes, contexts);
         self.allow_more();
         let left = || deadline.saturating_duration_since(Instant::now()).saturating_sub(WORK_MARGIN);
         while self.is_under_way() && !left().is_zero() {
@@ -207,14 +217,14 @@ impl DatabasePager {
                 (true, true) => left(),
             };
             if let Some(answer) = self.threads.answers.as_ref().and_then(|a| a.recv_timeout(patience).ok()) {
-                self.answer(scene, answer, contexts);
+                self.answer(scenes, answer, contexts);
             }
-            self.take_answers(scene, contexts);
+            self.take_answers(scenes, contexts);
             let time = left();
             for context in contexts.iter_mut() {
                 context.run_compiles(&CompileBudget { time, bytes: u64::MAX });
             }
-            self.merge_arrived(scene, contexts);
+            self.merge_arrived(scenes, contexts);
             self.allow_more();
         }
         self.count();
@@ -253,17 +263,17 @@ impl DatabasePager {
         &self.stats
     }
 
-    /// Counters of the cache on disk, where there is one.
+    /// Counters of the cache on disk that the configuration names, where it names one.
     pub fn cache_stats(&self) -> Option<io::CacheStats> {
         #[cfg(feature = "http")]
-        return self.threads.door.as_ref()?.client.cache().map(|cache| cache.stats());
+        return self.client.cache().map(|cache| cache.stats());
         #[cfg(not(feature = "http"))]
         None
     }
 
     /// What makes equal contents one; `None` where nothing is shared.
     pub fn sharing(&self) -> Option<&Arc<SharedStateManager>> {
-        self.options.sharing.as_ref()
+        self.sharing.as_ref()
     }
 
     /// Starts the longest latency of [`PagerStats`] anew, to measure a phase by itself.
@@ -287,19 +297,23 @@ impl DatabasePager {
         })
     }
 
-    /// Another update would do something for the scene and those who ask for these: also take up one, or go on.
-    pub(crate) fn has_work(&self, scene: &Scene, requests: &[PageRequest]) -> bool {
+    /// Another update would do something for the scenes and those who ask for these: also take up one, or go on.
+    pub(crate) fn has_work<'a>(
+        &self,
+        scenes: &dyn Scenes,
+        mut requests: impl Iterator<Item = &'a PageRequest>,
+    ) -> bool {
         let is_new = |request: &PageRequest| self.takes_requests && !self.entries.contains_key(&request.slot);
-        self.goes_on || self.is_busy() || self.has_asked(scene) || requests.iter().any(is_new)
+        self.goes_on || self.is_busy() || self.has_asked(scenes) || requests.any(is_new)
     }
 
     /// Slots are to be filled that were not taken up.
-    pub(crate) fn has_asked(&self, scene: &Scene) -> bool {
-        self.takes_requests && scene.has_asked()
+    pub(crate) fn has_asked(&self, scenes: &dyn Scenes) -> bool {
+        self.takes_requests && scenes.all().any(Scene::has_asked)
     }
 
     pub(super) fn count(&mut self) {
-        let (cpu_bytes, gpu_bytes) = (self.cpu_bytes(), self.gpu_bytes());
+        let (cpu_bytes, gpu_bytes, held) = (self.cpu_bytes(), self.gpu_bytes(), self.in_memory());
         let s = &mut self.stats;
         s.cpu_bytes = cpu_bytes;
         s.cpu_bytes_peak = s.cpu_bytes_peak.max(s.cpu_bytes);
@@ -308,10 +322,11 @@ impl DatabasePager {
         s.shared_cpu_bytes_saved = self.shares.saved.cpu;
         s.shared_gpu_bytes_saved = self.shares.saved.gpu;
         s.shared_gpu_bytes_saved_peak = s.shared_gpu_bytes_saved_peak.max(s.shared_gpu_bytes_saved);
-        if let Some(sharing) = &self.options.sharing {
+        if let Some(sharing) = &self.sharing {
             s.sharing = sharing.stats();
         }
         s.resident = self.residents.len() as u64;
+        (s.cpu_bytes_held, s.gpu_bytes_held) = (held.cpu, held.gpu);
         (s.waiting, s.in_flight, s.decoding, s.compiling) = (0, 0, 0, 0);
         for entry in self.entries.values() {
             match entry.progress {

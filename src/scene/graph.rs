@@ -1,7 +1,6 @@
 //! The scene: a table of pages.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::DAffine3;
 
@@ -13,7 +12,7 @@ use super::occluders::OccluderPage;
 use super::page::{NONE, Page};
 use super::tiles::flag;
 use super::variance::Rewritten;
-use super::{NodeId, PageId};
+use super::{NodeId, PageId, SceneNumber};
 use crate::math::BoundingSphere;
 use crate::state::StateSet;
 
@@ -42,26 +41,16 @@ impl Entry {
     }
 }
 
-/// Counts the changes of a scene, from a number on that no other scene comes to.
-#[derive(Debug)]
-struct Revision(u64);
-
-impl Default for Revision {
-    fn default() -> Self {
-        static SCENES: AtomicU64 = AtomicU64::new(0);
-        Self(SCENES.fetch_add(1 << 40, Ordering::Relaxed))
-    }
-}
-
 /// Owns pages. Update holds `&mut Scene`, cull `&Scene`.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Scene {
+    number: SceneNumber,
     entries: Vec<Entry>,
     free: Vec<u32>,
     roots: Vec<PageId>,
     page_count: usize,
-    /// Changed whenever pages come, go or may be changed.
-    revision: Revision,
+    /// Changed whenever pages come, go or may be changed; counted from a number on that no other scene comes to.
+    revision: u64,
     /// Records that attach and detach have written so far.
     pub(super) touched_records: u64,
     pub(super) callback_pages: CallbackPages,
@@ -75,10 +64,35 @@ pub struct Scene {
     pub(super) asked: Vec<NodeId>,
 }
 
+impl Default for Scene {
+    fn default() -> Self {
+        let number = SceneNumber::next();
+        Self {
+            number,
+            entries: Vec::new(),
+            free: Vec::new(),
+            roots: Vec::new(),
+            page_count: 0,
+            revision: u64::from(number.get()) << 40,
+            touched_records: 0,
+            callback_pages: CallbackPages::default(),
+            occluder_pages: Vec::new(),
+            rewritten: Vec::new(),
+            stale_pages: Vec::new(),
+            asked: Vec::new(),
+        }
+    }
+}
+
 impl Scene {
     /// A scene without pages.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// What tells it from other scenes.
+    pub fn number(&self) -> SceneNumber {
+        self.number
     }
 
     /// Adds a page that hangs in no slot, in the world's frame.
@@ -164,15 +178,18 @@ impl Scene {
         page.attached_pages == 0 && holder.tiles.busy_children[tile] == 0
     }
 
-    /// A page by its handle.
+    /// A page by its handle; `None` where it is stale, or another scene's.
     pub fn page(&self, id: PageId) -> Option<&Page> {
-        self.entries.get(id.slot as usize).filter(|e| e.generation == id.generation)?.page.as_deref()
+        let is_it = |e: &&Entry| e.generation == id.generation && self.number == id.scene;
+        self.entries.get(id.slot as usize).filter(is_it)?.page.as_deref()
     }
 
     /// A page to change its draw slots.
     pub fn page_mut(&mut self, id: PageId) -> Option<&mut Page> {
-        self.revision.0 += 1;
-        self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?.page_mut()
+        self.revision += 1;
+        let number = self.number;
+        let is_it = |e: &&mut Entry| e.generation == id.generation && number == id.scene;
+        self.entries.get_mut(id.slot as usize).filter(is_it)?.page_mut()
     }
 
     /// Forgets where a context kept the pages' drawables.
@@ -196,7 +213,7 @@ impl Scene {
 
     /// Another number whenever pages came, went or may have been changed; never that of another scene.
     pub fn revision(&self) -> u64 {
-        self.revision.0
+        self.revision
     }
 
     /// How many pages there are.
@@ -309,7 +326,7 @@ impl Scene {
     fn insert(&mut self, page: Page, slot: Option<NodeId>, base_depth: u32) -> PageId {
         let place = self.free.last().copied().unwrap_or(self.entries.len() as u32);
         self.callback_pages.note(place, &page);
-        self.revision.0 += 1;
+        self.revision += 1;
         self.page_count += 1;
         let occluders_at = self.occluder_pages.len() as u32;
         if !page.occluders.is_empty() {
@@ -317,7 +334,7 @@ impl Scene {
         }
         let lone = LoneDrawable::of(&page);
         let generation = self.entries.get(place as usize).map_or(0, |entry| entry.generation);
-        let id = PageId { slot: place, generation };
+        let id = PageId { scene: self.number, slot: place, generation };
         self.asked.extend(page.tiles.immediate.iter().map(|index| NodeId { page: id, index: *index }));
         let page = Some(Box::new(page));
         match self.free.pop() {
@@ -335,7 +352,8 @@ impl Scene {
     }
 
     fn take(&mut self, id: PageId) -> Option<Page> {
-        let entry = self.entries.get_mut(id.slot as usize).filter(|e| e.generation == id.generation)?;
+        self.page(id)?;
+        let entry = self.entries.get_mut(id.slot as usize)?;
         let mut page = entry.page.take()?;
         page.compute_bounds();
         entry.lone = None;
@@ -346,7 +364,7 @@ impl Scene {
         entry.generation = entry.generation.wrapping_add(1);
         self.free.push(id.slot);
         self.page_count -= 1;
-        self.revision.0 += 1;
+        self.revision += 1;
         if !page.occluders.is_empty() {
             let at = entry.occluders_at;
             self.occluder_pages.swap_remove(at as usize);
@@ -377,7 +395,7 @@ impl Scene {
     }
 
     pub(super) fn page_at_mut(&mut self, place: u32) -> Option<&mut Page> {
-        self.revision.0 += 1;
+        self.revision += 1;
         self.entries.get_mut(place as usize)?.page_mut()
     }
 
@@ -387,6 +405,7 @@ impl Scene {
 
     /// The handle of the page in a place of the table.
     pub(crate) fn page_id_at(&self, place: u32) -> PageId {
-        PageId { slot: place, generation: self.entries.get(place as usize).map_or(0, |e| e.generation) }
+        let generation = self.entries.get(place as usize).map_or(0, |e| e.generation);
+        PageId { scene: self.number, slot: place, generation }
     }
 }

@@ -44,7 +44,7 @@ pub use geometry::{
     VertexFormat,
 };
 pub use graph::Scene;
-pub use id::{NodeId, PageId};
+pub use id::{NodeId, PageId, SceneNumber};
 pub use intersect::{
     Dimensions, EyePoint, GroundPoint, GroundSnapshot, HeightQuery, Intersection, IntersectionLimit,
     IntersectionVisitor, Intersector, KdTree, LineSegmentIntersector, LodSelection, PolytopeIntersector,

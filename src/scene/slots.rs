@@ -57,8 +57,11 @@ impl Scene {
         let record = page.tiles.records.get(tile)?;
         let uri = page.tiles.uris.get(tile)?.as_ref()?;
         let state = if record.has(flag::RESIDENT) {
-            let resident = page.tiles.contents.get(tile)?.resident;
-            SlotState::Resident(PageId { slot: resident, generation: page.tiles.resident_generation[tile] })
+            SlotState::Resident(PageId {
+                scene: id.page.scene,
+                slot: page.tiles.contents.get(tile)?.resident,
+                generation: page.tiles.resident_generation[tile],
+            })
         } else if record.has(flag::FAILED) {
             SlotState::Failed
         } else {

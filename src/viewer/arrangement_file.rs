@@ -26,6 +26,7 @@ use super::camera::ResizePolicy;
 use super::view::Eyes;
 use super::viewport::Viewport;
 use super::views_file;
+use super::views_setup::ViewsSetup;
 
 /// A file that is larger is not read.
 const MOST_BYTES: u64 = 1 << 20;
@@ -67,7 +68,7 @@ pub(super) fn read_arrangement(file: &Path) -> Result<Arrangement, ArrangementEr
 }
 
 fn arrangement(root: &Field<'_>, folder: &Path) -> Result<Arrangement, Wrong> {
-    let object = root.object(&["windows", "scenes", "views"])?;
+    let object = root.object(&["windows", "scenes", "share_pager", "views"])?;
     let of = |name: &str| object.get(name).map(|value| root.child(name, value));
     let views = of("views");
     let windows = match of("windows") {
@@ -75,8 +76,16 @@ fn arrangement(root: &Field<'_>, folder: &Path) -> Result<Arrangement, Wrong> {
         None if views.is_some() => vec![WindowSetup::default()],
         None => return root.wrong("`windows` is missing"),
     };
+    let share_pager = of("share_pager");
+    if let (None, Some(field)) = (&views, &share_pager) {
+        return field.wrong("there are no `views` of scenes that could share one");
+    }
     match (views, of("scenes")) {
-        (Some(views), scenes) => views_file::views(&views, scenes.as_ref(), windows, folder).map(Arrangement::Views),
+        (Some(views), scenes) => {
+            let share_pager = share_pager.map_or(Ok(false), |field| field.bool())?;
+            let setup = views_file::views(&views, scenes.as_ref(), windows, folder)?;
+            Ok(Arrangement::Views(ViewsSetup { share_pager, ..setup }))
+        }
         (None, Some(scenes)) => scenes.wrong("there are no `views` to show them"),
         (None, None) => Ok(Arrangement::Windows(windows)),
     }

@@ -11,6 +11,7 @@ use super::input::OnPicture;
 use super::look_ahead::{LookFrom, Looker};
 use super::paged_scene::PagedScene;
 use super::rendering::{CullOutcome, FRAMES_IN_FLIGHT, FrameDone, FrameJob, Rendering, millis};
+use super::scene_pager::ScenePager;
 use super::stats::{FrameStats, StatsHistory};
 use super::view::{ContextId, View};
 use super::viewer::{FrameStamp, ViewerConfig};
@@ -21,22 +22,22 @@ use crate::timeline::{self, Span};
 
 /// How often arrivals are looked for while the draw thread is busy.
 const ARRIVAL_POLL: Duration = Duration::from_micros(300);
-/// Between frames each of several scenes has so much time at once.
+/// Between frames each of several pagers has so much time at once.
 const WORK_TURN: Duration = Duration::from_millis(2);
 /// Answers of the adapter that have not come so many frames after a change are not awaited: windows that are not seen
 /// draw nothing, and ask nothing.
 const MOST_AWAITED: u32 = 60;
 /// A device that is lost within so many frames of the last loss is not replaced.
 const FRAMES_TO_RENEW: u32 = 60;
-/// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
-const MAX_BLOCKING_ROUNDS: u32 = 256;
 
 pub(super) struct ViewerBase {
     pub(super) rendering: Rendering,
     pub(super) max_contexts: usize,
     pub(super) min_stencil_bits: u32,
     pub(super) pipeline_cache: Option<PathBuf>,
-    blocking: bool,
+    pub(super) blocking: bool,
+    /// Each with its scenes; a scene knows the place of its own.
+    pub(super) pagers: Vec<ScenePager>,
     look_ahead_s: f64,
     pub(super) compile_budget: CompileBudget,
     compile_pace: CompilePace,
@@ -104,6 +105,7 @@ impl ViewerBase {
             min_stencil_bits: config.min_stencil_bits,
             pipeline_cache: config.pipeline_cache.clone(),
             blocking: config.pager.blocking,
+            pagers: Vec::new(),
             look_ahead_s: config.look_ahead_s.max(0.0),
             compile_budget: config.compile_budget,
             compile_pace: config.compile_pace,
@@ -187,9 +189,8 @@ impl ViewerBase {
                 self.captures.iter_mut().for_each(|(_, of_frame, _)| *of_frame = next.max(*of_frame));
                 self.asked.clear();
                 for device in self.rendering.renew_lost()? {
-                    for scene in scenes.iter_mut() {
-                        scene.device_renewed(&mut self.rendering, device)?;
-                    }
+                    self.device_closed(scenes, device);
+                    self.device_opened(scenes, device)?;
                 }
                 // Their textures were the old device's.
                 #[cfg(feature = "window")]
@@ -222,8 +223,10 @@ impl ViewerBase {
         // The application's turn is over.
         scenes.iter_mut().for_each(|scene| scene.scene_mut().compute_bounds());
         self.look_ahead(views, scenes);
+        for pager in &mut self.pagers {
+            stats.merge_ms += pager.page(scenes, &mut self.rendering, self.stamp.frame);
+        }
         for scene in scenes.iter_mut() {
-            stats.merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
             scene.page_images(&mut self.rendering, self.stamp.simulation_time_s)?;
             is_dynamic |= scene.send_rewritten(&mut self.rendering)?;
         }
@@ -237,8 +240,8 @@ impl ViewerBase {
             view.prepare(&self.rendering, scenes[view.scene].bounds.as_ref());
         }
         if self.blocking {
-            for (place, scene) in scenes.iter_mut().enumerate() {
-                stats.merge_ms += self.settle(views, scene, place);
+            for place in 0..self.pagers.len() {
+                stats.merge_ms += self.settle(views, scenes, place);
             }
         }
         self.render(views, scenes, &mut stats, is_dynamic)?;
@@ -265,7 +268,7 @@ impl ViewerBase {
         let from = LookFrom { frame, reference_time_s, simulation_time_s, ahead_s: self.look_ahead_s };
         for view in views {
             let scene = &mut scenes[view.scene];
-            if scene.pager.is_some() {
+            if self.pagers[scene.pager].pager().is_some() {
                 let mut looks = std::mem::take(&mut view.look_ahead);
                 let (visitor, stage) = (&mut self.probe, &mut self.probe_stage);
                 looks.look(Looker { view, scene, visitor, stage }, from);
@@ -286,35 +289,6 @@ impl ViewerBase {
             simulation_time_s,
         };
         dt_s
-    }
-
-    /// Loads until nothing of what the views of a scene want is missing, or nothing more comes; milliseconds of paging.
-    fn settle(&mut self, views: &[View], scene: &mut PagedScene, place: usize) -> f64 {
-        let (mut merge_ms, mut quiet) = (0.0, 0);
-        self.look(views, scene, place);
-        for _ in 0..MAX_BLOCKING_ROUNDS {
-            if scene.is_settled() || scene.is_stuck(quiet) {
-                break;
-            }
-            merge_ms += scene.page(&mut self.rendering, self.stamp.frame);
-            self.look(views, scene, place);
-            quiet = if scene.has_work() { 0 } else { quiet + 1 };
-        }
-        merge_ms
-    }
-
-    /// Culls on this very thread, without a frame: what would be requested, and what misses.
-    fn look(&mut self, views: &[View], scene: &mut PagedScene, place: usize) {
-        scene.requests.clear();
-        scene.wanted_missing = 0;
-        for view in views.iter().filter(|view| view.scene == place) {
-            for camera in view.cameras() {
-                let Some(task) = view.task(camera, scene, self.stamp.frame, Vec::new()) else { continue };
-                let outcome = task.run(&mut self.probe, &mut self.probe_stage);
-                scene.requests.extend_from_slice(&outcome.requests);
-                scene.wanted_missing += outcome.counters.wanted_missing;
-            }
-        }
     }
 
     /// Hands jobs and tasks to the contexts and cameras, and takes what the culls found.
@@ -378,7 +352,9 @@ impl ViewerBase {
         if self.answers_age == u32::MAX {
             self.changed = frame;
         }
-        scenes.iter_mut().for_each(PagedScene::request);
+        for pager in &mut self.pagers {
+            pager.request(scenes);
+        }
         Ok(())
     }
 
@@ -402,17 +378,17 @@ impl ViewerBase {
     pub(super) fn work_until(&mut self, scenes: &mut [PagedScene], deadline: Instant) {
         let _span = timeline::span("between frames");
         // One that waits for its server leaves time to the others.
-        while scenes.iter().filter(|scene| scene.is_paging()).count() > 1 && Instant::now() < deadline {
+        while self.pagers.iter().filter(|pager| pager.is_paging()).count() > 1 && Instant::now() < deadline {
             let begun = Instant::now();
-            for scene in scenes.iter_mut() {
-                scene.work_until(&mut self.rendering, deadline.min(Instant::now() + WORK_TURN));
+            for pager in &mut self.pagers {
+                pager.work_until(scenes, &mut self.rendering, deadline.min(Instant::now() + WORK_TURN));
             }
             if begun.elapsed() < ARRIVAL_POLL {
                 break; // nothing is under way
             }
         }
-        for scene in scenes {
-            scene.work_until(&mut self.rendering, deadline);
+        for pager in &mut self.pagers {
+            pager.work_until(scenes, &mut self.rendering, deadline);
         }
         std::thread::sleep(deadline.saturating_duration_since(Instant::now()));
     }
@@ -483,12 +459,12 @@ impl ViewerBase {
         let _span = timeline::span("wait for stage");
         for place in 0..self.rendering.device_count() {
             while self.rendering.in_flight(place) >= FRAMES_IN_FLIGHT {
-                if !scenes.iter().any(PagedScene::is_paging) {
+                if !self.pagers.iter().any(ScenePager::is_paging) {
                     self.absorb_next(place)?;
                     continue;
                 }
-                for scene in scenes.iter_mut().filter(|scene| scene.is_paging()) {
-                    scene.merge_arrived(&mut self.rendering);
+                for pager in self.pagers.iter_mut().filter(|pager| pager.is_paging()) {
+                    pager.merge_arrived(scenes, &mut self.rendering);
                 }
                 let start = Instant::now();
                 let Some(context) = self.rendering.device_at(place) else { break };

@@ -83,10 +83,23 @@ impl CompositeViewer {
 
     /// An empty scene with a pager and budgets of its own.
     pub fn add_scene(&mut self) -> Result<SceneId, ViewerError> {
+        self.push_scene(None)
+    }
+
+    /// An empty scene with the pager of another one (OSG: `osgViewer::Scene::setDatabasePager` with another scene's): one
+    /// list of requests, one set of threads and one budget for both, and what is equal in both is there once. What each
+    /// of them may read, and as whom it asks servers, stays its own.
+    pub fn add_scene_with_pager_of(&mut self, other: SceneId) -> Result<SceneId, ViewerError> {
+        let pager = self.paged(other)?.pager;
+        self.push_scene(Some(pager))
+    }
+
+    fn push_scene(&mut self, shared: Option<usize>) -> Result<SceneId, ViewerError> {
         let place = self.scenes.len();
         let owner = u16::try_from(place).ok().filter(|_| place < MOST_SCENES);
         let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MOST_SCENES })?;
-        self.scenes.push(PagedScene::new(owner, self.config.pager.clone(), self.config.keep_drawables));
+        let pager = self.base.add_pager(place, shared);
+        self.scenes.push(PagedScene::new(owner, pager, self.config.pager.clone(), self.config.keep_drawables));
         Ok(SceneId(place))
     }
 
@@ -105,8 +118,8 @@ impl CompositeViewer {
 
     /// As [`Self::load`], with a root that was read before there was a viewer.
     pub fn set_root(&mut self, scene: SceneId, root: LoadedRoot) -> Result<PageId, ViewerError> {
-        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
-        let root = paged.set_root(root, &mut self.base.rendering)?;
+        self.paged(scene)?;
+        let root = self.base.set_root(&mut self.scenes, scene.0, root)?;
         self.first_sight(scene);
         Ok(root)
     }
@@ -139,8 +152,8 @@ impl CompositeViewer {
 
     /// Pages files in a folder and below, for a scene made by hand.
     pub fn page_files_in(&mut self, scene: SceneId, folder: &Path) -> Result<(), ViewerError> {
-        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
-        paged.page_files_in(folder, &mut self.base.rendering)
+        let pager = self.paged(scene)?.pager_of_files(folder)?;
+        self.base.set_pager(&mut self.scenes, scene.0, pager)
     }
 
     /// A scene; pages may be added and transforms set between frames.
@@ -153,21 +166,27 @@ impl CompositeViewer {
         Ok(self.paged(scene)?.scene())
     }
 
-    /// The pager of a scene, once a set is loaded.
+    /// The pager that serves a scene, once a set is loaded into it or into one that shares its pager.
     pub fn pager(&self, scene: SceneId) -> Result<Option<&DatabasePager>, ViewerError> {
-        Ok(self.paged(scene)?.pager.as_ref())
+        Ok(self.base.pager_of(self.paged(scene)?).pager())
     }
 
-    /// The pager of a scene, to pause it or to have it take no new requests.
+    /// The pager that serves a scene, to pause it or to have it take no new requests; for all scenes that share it.
     pub fn pager_mut(&mut self, scene: SceneId) -> Result<Option<&mut DatabasePager>, ViewerError> {
-        Ok(self.paged_mut(scene)?.pager.as_mut())
+        let of = self.paged(scene)?.pager;
+        Ok(self.base.pagers[of].pager_mut())
+    }
+
+    /// True when one pager serves both scenes.
+    pub fn shares_pager(&self, scene: SceneId, other: SceneId) -> Result<bool, ViewerError> {
+        Ok(self.paged(scene)?.pager == self.paged(other)?.pager)
     }
 
     /// Takes every page that the pager of a scene merged out of it and forgets what was asked for; what is wanted is
-    /// loaded anew from the next frame on.
+    /// loaded anew from the next frame on. Scenes that share its pager keep theirs.
     pub fn clear_pages(&mut self, scene: SceneId) -> Result<(), ViewerError> {
-        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
-        paged.clear_pages(&mut self.base.rendering);
+        self.paged(scene)?;
+        self.base.clear_pages(&mut self.scenes, scene.0);
         Ok(())
     }
 
@@ -204,7 +223,7 @@ impl CompositeViewer {
 
     /// True when the last frame showed everything its views wanted and no pager has anything to do.
     pub fn is_settled(&self) -> bool {
-        self.scenes.iter().all(PagedScene::is_at_rest)
+        self.base.pagers.iter().all(|pager| pager.is_at_rest(&self.scenes))
     }
 
     /// Adds a view of a scene, drawn in a part of a context after those that are there.
@@ -293,7 +312,7 @@ impl CompositeViewer {
     /// For drawing on demand: false while another frame would show the same pictures; see
     /// [`Viewer::check_need_to_do_frame`](super::Viewer::check_need_to_do_frame).
     pub fn check_need_to_do_frame(&self) -> bool {
-        self.views.iter().any(|view| needs_frame(&self.base, view, &self.scenes[view.scene]))
+        self.views.iter().any(|view| needs_frame(&self.base, view, &self.scenes))
     }
 
     /// Adds a camera that goes with the master camera of a view.
@@ -315,7 +334,7 @@ impl CompositeViewer {
 
     /// Renders one frame of all views at a simulation time.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
-        let changes = self.views.iter().any(|view| changes(&self.base, view, &self.scenes[view.scene]));
+        let changes = self.views.iter().any(|view| changes(&self.base, view, &self.scenes));
         let mut frame = self.base.begin_frame(simulation_time_s, changes)?;
         self.for_each_view(|mut view| view.event_traversal());
         #[cfg(feature = "window")]

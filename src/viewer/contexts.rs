@@ -39,9 +39,7 @@ impl ViewerBase {
         }
         self.absorb_all()?;
         let number = self.rendering.add_context(context, self.stamp.frame);
-        for scene in scenes {
-            scene.device_opened(&mut self.rendering, number)?;
-        }
+        self.device_opened(scenes, number)?;
         Ok(ContextId(number))
     }
 
@@ -80,9 +78,7 @@ impl ViewerBase {
         if let Closed::Device(device) = closed {
             // Another one that is lost shows again.
             self.lost = None;
-            for scene in scenes {
-                scene.device_closed(&mut self.rendering, device);
-            }
+            self.device_closed(scenes, device);
         }
         Ok(true)
     }

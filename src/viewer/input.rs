@@ -126,13 +126,14 @@ pub(super) fn manipulator_view<'a>(view: &'a View, paged: &'a PagedScene) -> Man
 }
 
 /// False while another frame would show the same picture.
-pub(super) fn needs_frame(base: &ViewerBase, view: &View, paged: &PagedScene) -> bool {
-    base.awaits_answers() || changes(base, view, paged)
+pub(super) fn needs_frame(base: &ViewerBase, view: &View, scenes: &[PagedScene]) -> bool {
+    base.awaits_answers() || changes(base, view, scenes)
 }
 
 /// Something but answers of the adapter may change the next picture.
-pub(super) fn changes(base: &ViewerBase, view: &View, paged: &PagedScene) -> bool {
-    let input = &view.input;
+pub(super) fn changes(base: &ViewerBase, view: &View, scenes: &[PagedScene]) -> bool {
+    let (input, paged) = (&view.input, &scenes[view.scene]);
+    let pager = base.pager_of(paged);
     input.redraw
         || !input.queue.is_empty()
         || view.shows_overlay()
@@ -141,8 +142,8 @@ pub(super) fn changes(base: &ViewerBase, view: &View, paged: &PagedScene) -> boo
         || base.awaits_picture()
         || !paged.update_callbacks.is_empty()
         || paged.scene().has_update_callbacks()
-        || !paged.is_unchanging()
-        || paged.has_due()
+        || !pager.is_unchanging(scenes)
+        || pager.has_due(scenes)
         || paged.image_pager.as_ref().is_some_and(|images| images.needs_frame())
 }
 
@@ -325,7 +326,7 @@ impl GuiActionAdapter<'_> {
 
     /// The pager, once a set is loaded.
     pub fn pager(&self) -> Option<&DatabasePager> {
-        self.paged.pager.as_ref()
+        self.base.pager_of(self.paged).pager()
     }
 
     /// Extent of the tile set that was loaded; without one, of the first root.

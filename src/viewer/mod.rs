@@ -32,6 +32,7 @@ mod parent;
 mod pick;
 mod rendering;
 mod report;
+mod scene_pager;
 mod settled;
 mod stats;
 mod view;

@@ -1,24 +1,18 @@
 //! [`PagedScene`]: a scene with what fills it, pages it and keeps it uploaded; osgViewer's Scene. Main thread.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
-use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Instant;
 
 use super::ViewerError;
-use super::home::{LOWEST_GROUND_M, LoadedRoot, SetBounds, root_volume};
-use super::rendering::{Rendering, millis};
+use super::home::{LOWEST_GROUND_M, SetBounds, root_volume};
+use super::rendering::Rendering;
 use super::viewer::{FrameStamp, UpdateCallback};
 use crate::cull::PageRequest;
 use crate::io::ReadOptions;
-use crate::math::Ellipsoid;
+use crate::math::{BoundingVolume, Ellipsoid};
 use crate::pager::{DatabasePager, ImagePager, ImagePagerConfig, ImageSequence, PagerConfig};
 use crate::scene::{DataVariance, DrawSlot, Drawable, Geometry, Page, PageId, Scene, UpdateInfo};
-
-/// With nothing under way for this many frames, besides those in which the pager looks at all pages for room, requests that
-/// remain are ones that it declines.
-const QUIET_FRAMES: u32 = 4;
 
 /// A page that the application made and whose drawables were sent to be uploaded.
 struct Own {
@@ -41,7 +35,8 @@ pub(super) struct PagedScene {
     owner: u16,
     /// The main thread's alone but while cameras are culled.
     scene: Arc<Scene>,
-    pub(super) pager: Option<DatabasePager>,
+    /// Place of its pager among the viewer's.
+    pub(super) pager: usize,
     pub(super) pager_config: PagerConfig,
     /// Made when the first sequence comes.
     pub(super) image_pager: Option<ImagePager>,
@@ -67,20 +62,14 @@ pub(super) struct PagedScene {
     pub(super) wanted_missing: u32,
     /// Tiles and Lods that the last frame's pictures showed between two levels of detail.
     pub(super) fading: u32,
-    /// The pager had nothing to do after its last turn.
-    is_idle: bool,
-    /// Frames in a row in which the same was asked for, and the pager could do nothing for it.
-    quiet_frames: u32,
-    /// A hash of what the last frame's pictures lacked.
-    asked: u64,
 }
 
 impl PagedScene {
-    pub(super) fn new(owner: u16, pager_config: PagerConfig, keeps_drawables: bool) -> Self {
+    pub(super) fn new(owner: u16, pager: usize, pager_config: PagerConfig, keeps_drawables: bool) -> Self {
         Self {
             owner,
             scene: Arc::new(Scene::new()),
-            pager: None,
+            pager,
             pager_config,
             image_pager: None,
             bounds: None,
@@ -96,9 +85,6 @@ impl PagedScene {
             requests_ahead: Vec::new(),
             wanted_missing: 0,
             fading: 0,
-            is_idle: false,
-            quiet_frames: 0,
-            asked: 0,
         }
     }
 
@@ -140,27 +126,28 @@ impl PagedScene {
         self.bounds.as_ref()?.body_below(lowest_m)
     }
 
-    pub(super) fn set_root(&mut self, root: LoadedRoot, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
-        if let Some(uri) = self.root_uri() {
-            return Err(ViewerError::HasTileset { uri: crate::io::shown(uri).into_owned() });
+    /// No tile set is there already.
+    pub(super) fn check_shows_none(&self) -> Result<(), ViewerError> {
+        match self.root_uri() {
+            Some(uri) => Err(ViewerError::HasTileset { uri: crate::io::shown(uri).into_owned() }),
+            None => Ok(()),
         }
-        let LoadedRoot { pager, page, uri, region } = root;
-        self.set_pager(pager, rendering);
+    }
+
+    /// Hangs the root of a tile set in the scene, whose pager has its scope.
+    pub(super) fn hang_set(
+        &mut self,
+        page: Page,
+        uri: Arc<str>,
+        region: Option<BoundingVolume>,
+        rendering: &mut Rendering,
+    ) -> Result<PageId, ViewerError> {
         let bounds = SetBounds::new(page.bounding_sphere(), region.or_else(|| root_volume(&page)));
         let root = self.hang(page, rendering)?;
         self.loaded = Some(Loaded { root, uri, lowest_ground_m: bounds.lowest_ground_m() });
         // Whatever the application has beside it.
         self.bounds = Some(bounds);
         Ok(root)
-    }
-
-    /// Takes another pager. What hangs in the scene by the one before goes with it.
-    pub(super) fn set_pager(&mut self, mut pager: DatabasePager, rendering: &mut Rendering) {
-        self.clear_pages(rendering);
-        if let Some(before) = &self.pager {
-            pager.continue_from(before);
-        }
-        self.pager = Some(pager);
     }
 
     pub(super) fn add_root(&mut self, page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
@@ -214,12 +201,12 @@ impl PagedScene {
         Some(page)
     }
 
-    pub(super) fn page_files_in(&mut self, folder: &Path, rendering: &mut Rendering) -> Result<(), ViewerError> {
+    /// A pager of files in a folder and below.
+    pub(super) fn pager_of_files(&self, folder: &Path) -> Result<DatabasePager, ViewerError> {
         // The scope of a root is the folder it lies in.
         let root = folder.join("tileset.json").display().to_string();
         let options = ReadOptions::for_root(&root, self.pager_config.limits);
-        self.set_pager(DatabasePager::new(self.pager_config.clone(), options)?, rendering);
-        Ok(())
+        Ok(DatabasePager::new(self.pager_config.clone(), options)?)
     }
 
     pub(super) fn is_height_set(&self) -> bool {
@@ -229,37 +216,14 @@ impl PagedScene {
         })
     }
 
-    /// The last frame showed everything it wanted, the application's pages too, and the pager has nothing to do.
-    pub(super) fn is_settled(&self) -> bool {
-        self.wanted_missing == 0 && self.own_uploads.is_empty() && self.is_idle
+    /// The last frame showed everything that was wanted of it, the application's pages too.
+    pub(super) fn shows_all(&self) -> bool {
+        self.wanted_missing == 0 && !self.is_uploading()
     }
 
-    /// The last frame's pictures show everything, and are those that the next ones will be.
-    pub(super) fn is_at_rest(&self) -> bool {
-        let is_asked = self.pager.as_ref().is_some_and(|pager| pager.has_asked(&self.scene));
-        self.fading == 0 && !is_asked && self.is_settled()
-    }
-
-    /// The next frames' pictures will be the last one's: everything is there, or what is not does not come, as where it
-    /// finds no room or the pager is paused.
-    pub(super) fn is_unchanging(&self) -> bool {
-        self.is_at_rest() || (self.fading == 0 && self.own_uploads.is_empty() && self.is_stuck(self.quiet_frames))
-    }
-
-    /// After so many frames, or rounds of the blocking mode, in which the pager could do nothing.
-    pub(super) fn is_stuck(&self, quiet: u32) -> bool {
-        let to_look = self.pager.as_ref().map_or(0, DatabasePager::frames_to_look);
-        quiet >= QUIET_FRAMES + to_look && !self.has_work()
-    }
-
-    /// The pager's next turn would do something for what the last frame's pictures lacked.
-    pub(super) fn has_work(&self) -> bool {
-        self.pager.as_ref().is_some_and(|pager| pager.has_work(&self.scene, &self.requests))
-    }
-
-    /// Something that failed is to be tried again.
-    pub(super) fn has_due(&self) -> bool {
-        self.pager.as_ref().is_some_and(|pager| pager.has_due(&self.scene))
+    /// Pages that the application made are on their way to a device.
+    pub(super) fn is_uploading(&self) -> bool {
+        !self.own_uploads.is_empty()
     }
 
     /// The application's turn with the scene.
@@ -274,25 +238,6 @@ impl PagedScene {
                 simulation_time_s: stamp.simulation_time_s,
             });
         }
-    }
-
-    /// The pager's turn with the scene; milliseconds.
-    pub(super) fn page(&mut self, rendering: &mut Rendering, frame: u32) -> f64 {
-        let start = Instant::now();
-        let _span = crate::timeline::span("merge");
-        self.merge_own(rendering);
-        if let Some(pager) = &mut self.pager {
-            let scene = alone(&mut self.scene);
-            let wanted = self.requests.len();
-            self.requests.append(&mut self.requests_ahead);
-            let requests = &self.requests;
-            rendering.compile_for(self.owner, |contexts| pager.update_scene_graph(scene, frame, requests, contexts));
-            self.requests.truncate(wanted);
-            self.is_idle = pager.is_idle();
-        } else {
-            self.is_idle = true;
-        }
-        millis(start.elapsed())
     }
 
     /// Takes a sequence of images, with an image pager like the pager of tiles where there is none yet.
@@ -329,40 +274,8 @@ impl PagedScene {
         Ok(())
     }
 
-    /// Hands over what the last culls lack: it is read while this frame is drawn, not from the next update on.
-    pub(super) fn request(&mut self) {
-        if let (Some(pager), false) = (&mut self.pager, self.pager_config.blocking) {
-            pager.request(&self.scene, &self.requests);
-        }
-        let mut hash = DefaultHasher::new();
-        self.requests.iter().for_each(|request| (request.slot, request.priority.to_bits()).hash(&mut hash));
-        let before = std::mem::replace(&mut self.asked, hash.finish());
-        let is_quiet = self.asked == before && !self.has_work();
-        self.quiet_frames = if is_quiet { self.quiet_frames.saturating_add(1) } else { 0 };
-    }
-
-    /// True where something may arrive and be merged while the main thread waits.
-    pub(super) fn is_paging(&self) -> bool {
-        !self.pager_config.blocking && self.pager.as_ref().is_some_and(|pager| !pager.is_idle())
-    }
-
-    pub(super) fn merge_arrived(&mut self, rendering: &mut Rendering) {
-        if let Some(pager) = &mut self.pager {
-            let scene = alone(&mut self.scene);
-            rendering.compile_for(self.owner, |contexts| pager.merge_arrived(scene, contexts));
-        }
-    }
-
-    /// Uploads, merges and expires what arrives until shortly before `deadline`.
-    pub(super) fn work_until(&mut self, rendering: &mut Rendering, deadline: Instant) {
-        if let (Some(pager), false) = (&mut self.pager, self.pager_config.blocking) {
-            let scene = alone(&mut self.scene);
-            rendering.compile_for(self.owner, |contexts| pager.work_until(scene, contexts, deadline));
-        }
-    }
-
     /// Gives pages that the application made the slots of their uploaded drawables.
-    fn merge_own(&mut self, rendering: &mut Rendering) {
+    pub(super) fn merge_own(&mut self, rendering: &mut Rendering) {
         if self.own_uploads.is_empty() {
             return;
         }
@@ -412,8 +325,7 @@ impl PagedScene {
         Ok(is_dynamic)
     }
 
-    /// Uploads everything to a device that was opened after others: the application's pages at once, paged contents
-    /// when they are asked for again.
+    /// Uploads the application's pages to a device that was opened after others.
     pub(super) fn device_opened(&mut self, rendering: &mut Rendering, device: u32) -> Result<(), ViewerError> {
         for (number, own) in &self.own {
             if !own.drawables.is_empty() {
@@ -424,42 +336,13 @@ impl PagedScene {
         if let Some(images) = &mut self.image_pager {
             images.show_again();
         }
-        self.page_anew(rendering);
         Ok(())
     }
 
     /// Forgets what a device had that is gone.
-    pub(super) fn device_closed(&mut self, rendering: &mut Rendering, device: u32) {
-        // Uploads that wait for it would wait for ever.
-        if let Some(pager) = &mut self.pager {
-            rendering.compile_for(self.owner, |contexts| pager.forget_context(device, contexts));
-        }
+    pub(super) fn device_closed(&mut self, device: u32) {
         alone(&mut self.scene).forget_context(device);
         self.own_uploads.retain(|(of, _)| *of != device);
-    }
-
-    /// Uploads everything to a device that takes the place of a lost one.
-    pub(super) fn device_renewed(&mut self, rendering: &mut Rendering, device: u32) -> Result<(), ViewerError> {
-        self.device_closed(rendering, device);
-        self.device_opened(rendering, device)
-    }
-
-    /// Takes every paged page out, and forgets what was asked for.
-    pub(super) fn clear_pages(&mut self, rendering: &mut Rendering) {
-        self.requests.clear();
-        (self.is_idle, self.quiet_frames) = (false, 0);
-        if let Some(pager) = &mut self.pager {
-            let scene = alone(&mut self.scene);
-            rendering.compile_for(self.owner, |contexts| pager.clear(scene, contexts));
-        }
-    }
-
-    fn page_anew(&mut self, rendering: &mut Rendering) {
-        (self.is_idle, self.quiet_frames) = (false, 0);
-        if let Some(pager) = &mut self.pager {
-            let scene = alone(&mut self.scene);
-            rendering.compile_for(self.owner, |contexts| pager.page_anew(scene, contexts));
-        }
     }
 }
 
@@ -471,13 +354,13 @@ fn alone(scene: &mut Arc<Scene>) -> &mut Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::{BoundingSphere, BoundingVolume, Region, WGS84};
+    use crate::math::{BoundingSphere, Region, WGS84};
     use crate::scene::{Material, Mesh, Node, NodeKind, ProxyLoading, ProxyNode};
 
     #[test]
     fn roots_that_are_gone_are_forgotten() {
         let mut rendering = Rendering::new(false, false);
-        let mut paged = PagedScene::new(0, PagerConfig::default(), true);
+        let mut paged = PagedScene::new(0, 0, PagerConfig::default(), true);
         let page = || {
             let mesh = Mesh::sphere(glam::DVec3::ZERO, 1.0, 4);
             let drawable = Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default());
@@ -504,7 +387,7 @@ mod tests {
     #[test]
     fn the_horizon_is_that_of_the_lowest_ground_that_is_there() {
         let mut rendering = Rendering::new(false, false);
-        let mut paged = PagedScene::new(0, PagerConfig::default(), true);
+        let mut paged = PagedScene::new(0, 0, PagerConfig::default(), true);
         let bounds = BoundingSphere::new(WGS84.semi_major_m * glam::DVec3::X, 1000.0);
         let proxy = || {
             let (uri, loading) = (Arc::from("set/tile.glb"), ProxyLoading::Never);
@@ -512,22 +395,16 @@ mod tests {
             Page::from_node(Node::new(NodeKind::ProxyNode(Box::new(proxy)))).unwrap()
         };
         let set = |min_height_m: f64| {
-            let config = PagerConfig::default();
-            let options = ReadOptions::for_root("set/tileset.json", config.limits);
             let region = Region { west: 0.0, south: 0.0, east: 0.1, north: 0.1, min_height_m, max_height_m: 3000.0 };
-            LoadedRoot {
-                pager: DatabasePager::new(config, options).unwrap(),
-                page: proxy(),
-                uri: Arc::from("set/tileset.json"),
-                region: Some(BoundingVolume::Region(region)),
-            }
+            (proxy(), Arc::from("set/tileset.json"), Some(BoundingVolume::Region(region)))
         };
         let lowest_m = |paged: &PagedScene| paged.horizon().map(|body| body.semi_major_m - WGS84.semi_major_m);
         let text = || Page::from_node(Node::group(Vec::new())).unwrap();
         // A page that is not on the earth.
         paged.add_root(text(), &mut rendering).unwrap();
         assert_eq!(lowest_m(&paged), None);
-        let land = paged.set_root(set(-400.0), &mut rendering).unwrap();
+        let (page, uri, region) = set(-400.0);
+        let land = paged.hang_set(page, uri, region, &mut rendering).unwrap();
         assert_eq!(lowest_m(&paged), Some(-400.0));
         paged.add_root(text(), &mut rendering).unwrap();
         assert_eq!(lowest_m(&paged), Some(-400.0), "what has no tiles hides nothing");
@@ -536,7 +413,8 @@ mod tests {
         assert!(paged.remove_root(of_unknown_depth, &mut rendering).is_some());
         assert_eq!(lowest_m(&paged), Some(-400.0));
         assert!(paged.remove_root(land, &mut rendering).is_some());
-        paged.set_root(set(-4000.0), &mut rendering).unwrap();
+        let (page, uri, region) = set(-4000.0);
+        paged.hang_set(page, uri, region, &mut rendering).unwrap();
         assert_eq!(lowest_m(&paged), Some(-4000.0));
     }
 }

@@ -183,7 +183,8 @@ impl Viewer {
         let mut view = View::new(0, config.cull_settings(), config.size_px, config.samples);
         view.master = Some(base.add_camera(context, Viewport::Whole)?);
         view.set_stereo(config.stereo);
-        let paged = PagedScene::new(0, config.pager.clone(), config.keep_drawables);
+        let pager = base.add_pager(0, None);
+        let paged = PagedScene::new(0, pager, config.pager.clone(), config.keep_drawables);
         let compile_budget = config.compile_budget;
         Ok(Self { compile_budget, base, view, paged, context, converge_s: None, first_pose: None })
     }
@@ -196,7 +197,7 @@ impl Viewer {
 
     /// As [`Self::load`], with a root that was read before there was a viewer.
     pub fn set_root(&mut self, root: LoadedRoot) -> Result<PageId, ViewerError> {
-        let root = self.paged.set_root(root, &mut self.base.rendering)?;
+        let root = self.base.set_root(std::slice::from_mut(&mut self.paged), 0, root)?;
         self.actions().first_sight();
         Ok(root)
     }
@@ -221,12 +222,13 @@ impl Viewer {
 
     /// Pages files in a folder and below, for scenes made by hand.
     pub fn page_files_in(&mut self, folder: &Path) -> Result<(), ViewerError> {
-        self.paged.page_files_in(folder, &mut self.base.rendering)
+        let pager = self.paged.pager_of_files(folder)?;
+        self.base.set_pager(std::slice::from_mut(&mut self.paged), 0, pager)
     }
 
     /// Replaces the pager, for scenes made by hand. What the one before merged goes.
     pub fn set_pager(&mut self, pager: DatabasePager) {
-        self.paged.set_pager(pager, &mut self.base.rendering);
+        self.base.replace_pager(&mut self.paged, pager);
     }
 
     /// The scene; pages may be added and transforms set between frames.
@@ -241,18 +243,18 @@ impl Viewer {
 
     /// The pager, once a set is loaded.
     pub fn pager(&self) -> Option<&DatabasePager> {
-        self.paged.pager.as_ref()
+        self.base.pager_of(&self.paged).pager()
     }
 
     /// The pager, to pause it or to have it take no new requests.
     pub fn pager_mut(&mut self) -> Option<&mut DatabasePager> {
-        self.paged.pager.as_mut()
+        self.base.pagers[self.paged.pager].pager_mut()
     }
 
     /// Takes every page that the pager merged out of the scene and forgets what was asked for; what is wanted is loaded
     /// anew from the next frame on.
     pub fn clear_pages(&mut self) {
-        self.paged.clear_pages(&mut self.base.rendering);
+        self.base.clear_pages(std::slice::from_mut(&mut self.paged), 0);
     }
 
     /// Lets a sequence's texture show its images over simulation time; see [`ImageSequence`].
@@ -309,7 +311,7 @@ impl Viewer {
     /// True when the last frame showed everything it wanted, no level of detail gave way to another, and the pager
     /// has nothing to do.
     pub fn is_settled(&self) -> bool {
-        self.paged.is_at_rest()
+        self.base.pager_of(&self.paged).is_at_rest(std::slice::from_ref(&self.paged))
     }
 
     /// Adds something to do in each update phase.
@@ -466,7 +468,7 @@ impl Viewer {
     /// or wait while the pager is paused ask for no frame. What failed does once its wait is over: a loop that rests looks
     /// again now and then.
     pub fn check_need_to_do_frame(&self) -> bool {
-        needs_frame(&self.base, &self.view, &self.paged)
+        needs_frame(&self.base, &self.view, std::slice::from_ref(&self.paged))
     }
 
     /// Paints an overlay over the next frame, in the context that the viewer was made with.
@@ -503,7 +505,7 @@ impl Viewer {
     /// Renders one frame at a simulation time.
     pub fn frame_at(&mut self, simulation_time_s: f64) -> Result<(), ViewerError> {
         self.base.compile_budget = self.compile_budget;
-        let changes = changes(&self.base, &self.view, &self.paged);
+        let changes = changes(&self.base, &self.view, std::slice::from_ref(&self.paged));
         let mut frame = self.base.begin_frame(simulation_time_s, changes)?;
         let start = frame.start;
         let mut actions = self.actions();
@@ -521,9 +523,10 @@ impl Viewer {
     }
 
     fn note_convergence(&mut self, now: Instant) {
+        let is_settled = self.base.pager_of(&self.paged).is_settled(std::slice::from_ref(&self.paged));
         let pose = self.view.camera.world_from_eye;
         let first_pose = *self.first_pose.get_or_insert(pose);
-        if self.converge_s.is_none() && first_pose == pose && self.paged.is_settled() {
+        if self.converge_s.is_none() && first_pose == pose && is_settled {
             self.converge_s = self.base.first_frame.map(|first| now.max(first).duration_since(first).as_secs_f64());
         }
     }

@@ -3,6 +3,7 @@
 //! ```json
 //! { "windows": [ { "size_px": [1280, 480] }, { "shares_device": true } ],
 //!   "scenes": { "before": "sets/1990", "after": "https://host/2020/tileset.json" },
+//!   "share_pager": true,
 //!   "views": [
 //!     { "scene": "before", "cameras": [ { "viewport": [0, 0, 0.5, 1] } ] },
 //!     { "scene": "after", "heading_deg": 20, "pitch_deg": -60, "range_m": 5000, "background": [0, 0, 40],
@@ -14,7 +15,7 @@
 //! show, without `cameras` all of the first window; without `heading_deg`, `pitch_deg` and `range_m` (from the middle of
 //! the set) it sees the set as it is seen at first; `background` is sRGB. A camera has the fields that it has in a window,
 //! and `window`, counted from 0; the first of a view is its master and has no offsets. The sources of `scenes` are as on
-//! the command line, paths from the folder of the file.
+//! the command line, paths from the folder of the file. With `share_pager` one pager, with one budget, fills all of them.
 
 use std::path::Path;
 
@@ -37,7 +38,7 @@ pub(super) fn views(
     folder: &Path,
 ) -> Result<ViewsSetup, Wrong> {
     let scenes = scenes.map_or(Ok(Vec::new()), |field| scene_setups(field, folder))?;
-    let mut setup = ViewsSetup { windows, scenes, views: Vec::new() };
+    let mut setup = ViewsSetup { windows, scenes, ..ViewsSetup::default() };
     for field in &views.list()? {
         let view = view(field, &setup)?;
         setup.views.push(view);
@@ -142,7 +143,7 @@ mod tests {
     fn every_field_is_read() {
         let setup = read(
             r#"{"windows": [{"size_px": [640, 480]}, {"shares_device": true}],
-                "scenes": {"b": "sets/b", "a": "https://host/tileset.json", "c": "/abs/olute"},
+                "scenes": {"b": "sets/b", "a": "https://host/tileset.json", "c": "/abs/olute"}, "share_pager": true,
                 "views": [
                   {},
                   {"scene": "b", "heading_deg": 90, "background": [1, 2, 255],
@@ -151,7 +152,8 @@ mod tests {
                   {"scene": "a", "pitch_deg": -45, "range_m": 10}]}"#,
         )
         .unwrap();
-        assert_eq!(setup.windows.len(), 2);
+        assert_eq!((setup.windows.len(), setup.share_pager), (2, true));
+        assert!(!read(r#"{"views": [{}]}"#).unwrap().share_pager);
         let scenes: Vec<_> = setup.scenes.iter().map(|s| (&*s.name, &*s.source)).collect();
         assert_eq!(scenes, [("a", "https://host/tileset.json"), ("b", "FOLDER/sets/b"), ("c", "/abs/olute")]);
         let [plain, rich, third] = &setup.views[..] else { panic!("{setup:?}") };
@@ -192,6 +194,8 @@ mod tests {
             (r#"{"views": [{}], "windows": [{"cameras": [{}]}]}"#, "windows[0].cameras", "of `views`"),
             (r#"{"views": [{}], "windows": [{"size_px": 1}]}"#, "windows[0].size_px", "2 numbers"),
             (r#"{"windows": [{}], "scenes": {}}"#, "scenes", "no `views`"),
+            (r#"{"windows": [{}], "share_pager": true}"#, "share_pager", "no `views`"),
+            (r#"{"views": [{}], "share_pager": 1}"#, "share_pager", "neither"),
         ] {
             let error = read(text).unwrap_err();
             assert_eq!(error.field, field, "{text}: {error}");

@@ -47,8 +47,11 @@ pub struct ViewSetup {
 pub struct ViewsSetup {
     /// Their own cameras do not count: those of the views are drawn in them. Never none.
     pub windows: Vec<WindowSetup>,
-    /// What views may show. Each has a pager and budgets of its own, also where two have one source.
+    /// What views may show. Each has a pager and budgets of its own, also where two have one source, if
+    /// [`Self::share_pager`] does not say otherwise.
     pub scenes: Vec<SceneSetup>,
+    /// All scenes, the application's too, have one pager with one budget.
+    pub share_pager: bool,
     /// In the order drawn. Never none.
     pub views: Vec<ViewSetup>,
 }
@@ -121,12 +124,16 @@ impl ArrangedViews {
             contexts.push(open(&mut viewer, place, window)?);
         }
         let mut scenes = Vec::with_capacity(roots.len());
+        let add_scene = |viewer: &mut CompositeViewer, first: Option<SceneId>| match first {
+            Some(first) if setup.share_pager => viewer.add_scene_with_pager_of(first),
+            _ => viewer.add_scene(),
+        };
         for root in roots {
-            let scene = viewer.add_scene()?;
+            let scene = add_scene(&mut viewer, scenes.first().copied())?;
             viewer.set_root(scene, root)?;
             scenes.push(scene);
         }
-        let own_scene = if setup.needs_root() { Some(viewer.add_scene()?) } else { None };
+        let own_scene = setup.needs_root().then(|| add_scene(&mut viewer, scenes.first().copied())).transpose()?;
         if let (Some(scene), Some(root)) = (own_scene, own) {
             viewer.set_root(scene, root)?;
         }

@@ -135,6 +135,11 @@ impl HttpClient {
         cache.is_offline() || (!self.asks && entry.is_fresh(SystemTime::now()))
     }
 
+    /// How it talks to servers.
+    pub fn config(&self) -> &HttpConfig {
+        &self.inner.config
+    }
+
     /// The cache on disk, where there is one.
     pub fn cache(&self) -> Option<&Arc<DiskCache>> {
         self.inner.cache.as_ref()

@@ -37,8 +37,7 @@ impl Failures {
     }
 }
 
-/// Loads that the threads and servers may have at once, as the pager reckons it. What is decoded and not merged is not
-/// bounded as exactly: threads may take more between an answer and the next reckoning of the room.
+/// Loads that the threads and servers may have at once, as the pager reckons it.
 fn most_loading(config: &PagerConfig) -> u64 {
     let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
     let (of_servers, decoders) = (4 * start + most.saturating_sub(start), config.decode_threads.max(1));
@@ -46,13 +45,20 @@ fn most_loading(config: &PagerConfig) -> u64 {
     (beside + of_servers.max(12 * decoders)) as u64
 }
 
-/// Counters, budgets and reports of a pager, after an update.
-pub fn pager(failures: &mut Failures, frame: u32, scene: usize, pager: &DatabasePager, config: &PagerConfig) {
+/// Counters, budgets and reports of a pager, after an update. Budgets are of all its scenes together.
+pub fn pager(failures: &mut Failures, frame: u32, place: usize, pager: &DatabasePager, config: &PagerConfig) {
     let s = *pager.stats();
-    let told = || format!("scene {scene}: {s:?}");
+    let told = || format!("pager {place}: {s:?}");
     failures.check(s.cpu_bytes <= config.max_bytes_cpu, "CPU bytes over the budget", frame, told);
     failures.check(s.gpu_bytes <= config.max_bytes_gpu, "GPU bytes over the budget", frame, told);
     failures.check(s.resident <= config.max_tiles as u64, "pages over the budget", frame, told);
+    // With what is loaded, uploaded and not merged.
+    let is_within = s.cpu_bytes_held_peak <= config.max_bytes_cpu && s.gpu_bytes_held_peak <= config.max_bytes_gpu;
+    failures.check(is_within, "arrived bytes over the budget", frame, told);
+    let pages = s.held_peak.max(s.resident + s.compiling);
+    failures.check(pages <= config.max_tiles as u64, "arrived pages over the budget", frame, told);
+    let is_counted = s.cpu_bytes <= s.cpu_bytes_held && s.gpu_bytes <= s.gpu_bytes_held;
+    failures.check(is_counted && (s.compiling > 0 || s.cpu_bytes == s.cpu_bytes_held), "held bytes", frame, told);
     let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
     let has_end = s.requested + s.retried == ended + s.waiting + s.in_flight;
     failures.check(has_end, "requests that have no end or two", frame, told);

@@ -89,6 +89,8 @@ struct Flight<'a> {
     pager: PagerConfig,
     config: ViewerConfig,
     scenes: Vec<SceneId>,
+    /// The scenes of each pager.
+    pagers: Vec<Vec<SceneId>>,
     /// The first stays in the first context, all of it.
     views: Vec<(ViewId, ContextId)>,
     slaves: Vec<(ViewId, SlaveId, ContextId)>,
@@ -170,6 +172,7 @@ impl<'a> Flight<'a> {
             pager,
             config,
             scenes: Vec::new(),
+            pagers: Vec::new(),
             views: Vec::new(),
             slaves: Vec::new(),
             contexts: Vec::new(),
@@ -206,8 +209,16 @@ impl<'a> Flight<'a> {
             server.set_faulty(false);
         }
         for _ in 0..self.plan.scenes {
-            let scene = viewer.add_scene()?;
+            let shared = self.pagers.first_mut().filter(|_| self.plan.share_pager);
+            let scene = match &shared {
+                Some(scenes) => viewer.add_scene_with_pager_of(scenes[0])?,
+                None => viewer.add_scene()?,
+            };
             viewer.load(scene, source)?;
+            match shared {
+                Some(scenes) => scenes.push(scene),
+                None => self.pagers.push(vec![scene]),
+            }
             self.scenes.push(scene);
         }
         if let Some(server) = &self.server {
@@ -317,11 +328,15 @@ impl<'a> Flight<'a> {
     fn check(&mut self) -> Result<()> {
         let number = self.frame;
         let viewer = self.viewer.as_ref().context("the viewer is gone")?;
-        for (place, scene) in self.scenes.iter().enumerate() {
-            let Some(pager) = viewer.pager(*scene)? else { continue };
+        for (place, scenes) in self.pagers.iter().enumerate() {
+            let Some(pager) = viewer.pager(scenes[0])? else { continue };
             check::pager(&mut self.failures, number, place, pager, &self.pager);
-            let (there, resident) = (check::pages_in(viewer.scene(*scene)?), pager.stats().resident);
-            let says = || format!("scene {place}: {there} hang in it, {resident} are counted");
+            let resident = pager.stats().resident;
+            let mut there = 0;
+            for scene in scenes {
+                there += check::pages_in(viewer.scene(*scene)?);
+            }
+            let says = || format!("pager {place}: {there} hang in its scenes, {resident} are counted");
             self.failures.check(there == resident, "pages that are not counted", number, says);
             let is_on_disk = self.server.is_none() && !self.is_elsewhere;
             let lost = is_on_disk && pager.stats().failed > 0 && !self.pager_is_too_small();
@@ -399,7 +414,15 @@ impl<'a> Flight<'a> {
                     pager.set_takes_requests(takes);
                 }
             }
-            Event::Clear(scene) => self.viewer()?.clear_pages(scenes[at(scene_count, scene)])?,
+            Event::Clear(scene) => {
+                let place = at(scene_count, scene);
+                let mut left = self.pages_in_each()?;
+                left[place] = 0;
+                self.viewer()?.clear_pages(scenes[place])?;
+                let there = self.pages_in_each()?;
+                let says = || format!("{there:?} instead of {left:?}");
+                self.failures.check(there == left, "a clear took what is another scene's", self.frame, says);
+            }
             Event::Sse { view, px } => {
                 let view = self.views[at(self.views.len(), view)].0;
                 self.viewer()?.view_mut(view)?.camera.settings.max_sse_px = px;
@@ -414,6 +437,12 @@ impl<'a> Flight<'a> {
             | Event::RemoveSlave(_) => {}
         }
         Ok(())
+    }
+
+    /// Pages that hang in each scene.
+    fn pages_in_each(&self) -> Result<Vec<u64>> {
+        let viewer = self.viewer.as_ref().context("the viewer is gone")?;
+        self.scenes.iter().map(|scene| Ok(check::pages_in(viewer.scene(*scene)?))).collect()
     }
 
     /// Faults cease and cameras stay: everything comes to rest.
@@ -440,7 +469,7 @@ impl<'a> Flight<'a> {
             self.viewer()?.work_until(until);
             self.check()?;
             let viewer = self.viewer.as_ref().context("the viewer is gone")?;
-            let stats: Vec<_> = self.scenes.iter().filter_map(|s| Some(*viewer.pager(*s).ok()??.stats())).collect();
+            let stats: Vec<_> = self.pagers.iter().filter_map(|s| Some(*viewer.pager(s[0]).ok()??.stats())).collect();
             let now: Vec<_> = stats.iter().map(check::progress).collect();
             let in_flight: u64 = stats.iter().map(|s| s.in_flight).sum();
             quiet = if now == last && in_flight == 0 { quiet + 1 } else { 0 };
@@ -451,7 +480,7 @@ impl<'a> Flight<'a> {
         }
         let viewer = self.viewer.as_ref().context("the viewer is gone")?;
         let missing = viewer.stats().last().map_or(0, |s| s.wanted_missing);
-        let stats: Vec<_> = self.scenes.iter().filter_map(|s| Some(*viewer.pager(*s).ok()??.stats())).collect();
+        let stats: Vec<_> = self.pagers.iter().filter_map(|s| Some(*viewer.pager(s[0]).ok()??.stats())).collect();
         self.failures.add("does not come to rest", self.frame, || format!("{missing} missing, {stats:?}"));
         Ok(())
     }
@@ -499,9 +528,9 @@ impl<'a> Flight<'a> {
     /// Nothing is left of what was loaded.
     fn clear(&mut self) -> Result<()> {
         watch::step(format_args!("clear"));
-        for (place, scene) in self.scenes.clone().into_iter().enumerate() {
+        for (place, scenes) in self.pagers.clone().into_iter().enumerate() {
             let viewer = self.viewer()?;
-            let Some(pager) = viewer.pager_mut(scene)? else { continue };
+            let Some(pager) = viewer.pager_mut(scenes[0])? else { continue };
             pager.set_takes_requests(false);
             let before = *pager.stats();
             self.outcome.requested += before.requested;
@@ -509,12 +538,15 @@ impl<'a> Flight<'a> {
             self.outcome.failed += before.failed;
             self.outcome.cancelled += before.cancelled;
             self.outcome.expired += before.expired;
-            let viewer = self.viewer()?;
-            viewer.clear_pages(scene)?;
-            let there = check::pages_in(viewer.scene(scene)?);
-            let Some(s) = viewer.pager(scene)?.map(|pager| *pager.stats()) else { continue };
-            let left = [there, s.resident, s.cpu_bytes, s.gpu_bytes, s.waiting, s.in_flight];
-            let says = || format!("scene {place}: {s:?}");
+            let mut there = 0;
+            for scene in &scenes {
+                let viewer = self.viewer()?;
+                viewer.clear_pages(*scene)?;
+                there += check::pages_in(viewer.scene(*scene)?);
+            }
+            let Some(s) = self.viewer()?.pager(scenes[0])?.map(|pager| *pager.stats()) else { continue };
+            let left = [there, s.resident, s.cpu_bytes_held, s.gpu_bytes_held, s.waiting, s.in_flight];
+            let says = || format!("pager {place}: {s:?}");
             self.failures.check(left == [0; 6], "something is left after a clear", self.frame, says);
         }
         let empty = self.empty_gpu_bytes;

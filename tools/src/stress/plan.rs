@@ -193,6 +193,8 @@ pub struct Plan {
     pub between_us: u64,
     /// Pictures are looked at every so many frames.
     pub picture_every: u32,
+    /// All scenes have one pager.
+    pub share_pager: bool,
 }
 
 impl Plan {
@@ -239,6 +241,8 @@ impl Plan {
             events,
             between_us: r.one_of(&[0, 300, 2000, 5000]),
             picture_every: r.whole(1, 6) as u32,
+            // Drawn last: plans of before are the same but for it.
+            share_pager: r.percent(60),
         }
     }
 
@@ -367,6 +371,7 @@ mod tests {
         let count = |holds: &dyn Fn(&Plan) -> bool| plans.iter().filter(|p| holds(p)).count();
         assert!(count(&|p| p.way == Way::Http && p.faults.shares() > 0.0) > 60);
         assert!(count(&|p| p.is_tiny) > 40 && count(&|p| p.pager.blocking) > 4 && count(&|p| p.scenes == 2) > 60);
+        assert!(count(&|p| p.scenes == 2 && p.share_pager) > 30 && count(&|p| p.scenes == 2 && !p.share_pager) > 20);
         assert!(count(&|p| p.drawing == Drawing::Holes) > 15 && count(&|p| p.drawing == Drawing::Sky) > 5);
         let events: Vec<Event> = plans.iter().flat_map(|p| p.events.iter().map(|(_, e)| *e)).collect();
         assert!(events.iter().filter(|e| matches!(e, Event::Model(_))).count() > 100);
