@@ -128,7 +128,7 @@ impl Tiles {
     }
 
     /// Takes up a tile; its declared bounds, which come on the page's grid once all are known, and the sphere around them.
-    pub fn push_paged_lod(
+    pub(super) fn push_paged_lod(
         &mut self,
         parent: u32,
         node: u32,
@@ -166,7 +166,7 @@ impl Tiles {
     }
 
     /// The same of a proxy.
-    pub fn push_proxy(
+    pub(super) fn push_proxy(
         &mut self,
         parent: u32,
         node: u32,
@@ -270,7 +270,7 @@ impl Tiles {
 
     /// Lays siblings side by side; tiles were pushed depth-first, with these bounds. Every tree keeps its range. The new
     /// places of tiles by their old ones.
-    pub fn lay_siblings_together(&mut self, declared: &[DeclaredBounds]) -> Vec<u32> {
+    pub(super) fn lay_siblings_together(&mut self, declared: &[DeclaredBounds]) -> Vec<u32> {
         let count = self.len();
         for parent in self.parents.iter().filter(|p| **p != NONE) {
             self.records[*parent as usize].child_count += 1;
