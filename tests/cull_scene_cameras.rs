@@ -79,9 +79,11 @@ fn drawn(stage: &RenderStage) -> Vec<(u32, [u32; 12], u32)> {
     drawn
 }
 
-fn wanted(stage: &RenderStage) -> Vec<PageRequest> {
-    let mut wanted = stage.requests.clone();
-    wanted.sort_by_key(|request| request.slot.index);
+/// What is asked for, whichever scene it is in: node, priority, error and frames until then.
+fn wanted(stage: &RenderStage) -> Vec<(u32, f32, f32, u32)> {
+    let of = |r: &PageRequest| (r.slot.index, r.priority, r.error_px, r.ahead_frames);
+    let mut wanted: Vec<_> = stage.requests.iter().map(of).collect();
+    wanted.sort_by_key(|request| request.0);
     wanted
 }
 

@@ -335,7 +335,7 @@ impl Scene {
         let lone = LoneDrawable::of(&page);
         let generation = self.entries.get(place as usize).map_or(0, |entry| entry.generation);
         let id = PageId { scene: self.number, slot: place, generation };
-        self.asked.extend(page.tiles.immediate.iter().map(|index| NodeId { page: id, index: *index }));
+        self.asked.extend(page.tiles.immediate().iter().map(|index| NodeId { page: id, index: *index }));
         let page = Some(Box::new(page));
         match self.free.pop() {
             Some(place) => {

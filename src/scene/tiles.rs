@@ -97,20 +97,26 @@ pub(crate) struct Tiles {
     pub content_transforms: Vec<DAffine3>,
     pub uris: Vec<Option<Arc<str>>>,
     pub reader_data: Vec<Option<Arc<str>>>,
-    /// Centres of tiles with `RangeMode::Distance`, sorted by tile.
-    pub distance_centers: Vec<(u32, DVec3)>,
-    /// By tile, for tiles with [`flag::REQUEST_VOLUME`].
-    pub request_volumes: Vec<(u32, BoundingVolume)>,
-    /// By tile, for tiles with [`flag::OWN_PATH`].
-    pub own_paths: Vec<(u32, u32)>,
-    /// By tile, where they are not the default.
-    pub paging: Vec<(u32, PagingOptions)>,
-    /// Nodes of proxies that are loaded at once.
-    pub immediate: Vec<u32>,
+    rare: Option<Box<RareTiles>>,
     pub roots: Vec<TileRoot>,
     /// Top tiles that are not ready.
     pub not_ready_roots: u32,
     text_bytes: u64,
+}
+
+/// What few pages have; each by tile, in their order.
+#[derive(Debug, Default)]
+struct RareTiles {
+    /// Centres of tiles with `RangeMode::Distance`.
+    distance_centers: Vec<(u32, DVec3)>,
+    /// Of tiles with [`flag::REQUEST_VOLUME`].
+    request_volumes: Vec<(u32, BoundingVolume)>,
+    /// Of tiles with [`flag::OWN_PATH`].
+    own_paths: Vec<(u32, u32)>,
+    /// Where they are not the default.
+    paging: Vec<(u32, PagingOptions)>,
+    /// Nodes of proxies that are loaded at once.
+    immediate: Vec<u32>,
 }
 
 /// A tile tree inside a page.
@@ -125,6 +131,25 @@ pub(crate) struct TileRoot {
 impl Tiles {
     pub fn len(&self) -> usize {
         self.records.len()
+    }
+
+    fn rare_mut(&mut self) -> &mut RareTiles {
+        self.rare.get_or_insert_default()
+    }
+
+    /// Of what few pages have, a part.
+    fn rare<T>(&self, part: impl Fn(&RareTiles) -> &Vec<T>) -> &[T] {
+        self.rare.as_deref().map_or(&[], |rare| part(rare))
+    }
+
+    /// Some tile is only for eyes inside a volume.
+    pub fn has_request_volumes(&self) -> bool {
+        !self.rare(|rare| &rare.request_volumes).is_empty()
+    }
+
+    /// Nodes of proxies that are loaded at once.
+    pub fn immediate(&self) -> &[u32] {
+        self.rare(|rare| &rare.immediate)
     }
 
     /// Takes up a tile; its declared bounds, which come on the page's grid once all are known, and the sphere around them.
@@ -147,16 +172,19 @@ impl Tiles {
             RangeMode::Distance { center, range_m } => {
                 flags |= flag::DISTANCE;
                 let center = if center.is_finite() { center } else { DVec3::ZERO };
-                self.distance_centers.push((self.records.len() as u32, center));
+                let tile = self.records.len() as u32;
+                self.rare_mut().distance_centers.push((tile, center));
                 range_m
             }
         };
         if let Some(volume) = tile.request_volume {
             flags |= flag::REQUEST_VOLUME;
-            self.request_volumes.push((self.records.len() as u32, volume));
+            let tile = self.records.len() as u32;
+            self.rare_mut().request_volumes.push((tile, volume));
         }
         if tile.paging != PagingOptions::default() {
-            self.paging.push((self.records.len() as u32, tile.paging));
+            let number = self.records.len() as u32;
+            self.rare_mut().paging.push((number, tile.paging));
         }
         let sphere = tile.bounds.bounding_sphere();
         let oriented_box = tile.bounds.oriented_box();
@@ -178,9 +206,10 @@ impl Tiles {
             ProxyLoading::DeferToPager => {}
             ProxyLoading::Never => flags |= flag::NEVER,
             ProxyLoading::Immediately => {
-                self.immediate.push(node);
+                self.rare_mut().immediate.push(node);
                 let stays = PagingOptions { cannot_expire: true, ..PagingOptions::default() };
-                self.paging.push((self.records.len() as u32, stays));
+                let tile = self.records.len() as u32;
+                self.rare_mut().paging.push((tile, stays));
             }
         }
         let bounds = self.declare(&proxy.bounds, None, 0.0);
@@ -203,7 +232,8 @@ impl Tiles {
         // Of the tree that is being pushed; a top tile comes before its root.
         if parent != NONE && self.roots.last().is_some_and(|root| root.state_path != state_path) {
             flags |= flag::OWN_PATH;
-            self.own_paths.push((self.records.len() as u32, state_path));
+            let tile = self.records.len() as u32;
+            self.rare_mut().own_paths.push((tile, state_path));
         }
         let depth = if parent == NONE { 0 } else { self.records[parent as usize].depth.saturating_add(1) };
         let transform = if content_transform.is_finite() { content_transform } else { DAffine3::IDENTITY };
@@ -302,15 +332,18 @@ impl Tiles {
         self.nodes = taken(&self.nodes, &order);
         self.uris = taken(&self.uris, &order);
         self.reader_data = taken(&self.reader_data, &order);
-        let place_of = |tile: &mut u32| *tile = places[*tile as usize];
-        self.distance_centers.iter_mut().for_each(|(tile, _)| place_of(tile));
-        self.distance_centers.sort_unstable_by_key(|(tile, _)| *tile);
-        self.request_volumes.iter_mut().for_each(|(tile, _)| place_of(tile));
-        self.request_volumes.sort_unstable_by_key(|(tile, _)| *tile);
-        self.own_paths.iter_mut().for_each(|(tile, _)| place_of(tile));
-        self.own_paths.sort_unstable_by_key(|(tile, _)| *tile);
-        self.paging.iter_mut().for_each(|(tile, _)| place_of(tile));
-        self.paging.sort_unstable_by_key(|(tile, _)| *tile);
+        if let Some(rare) = &mut self.rare {
+            let RareTiles { distance_centers, request_volumes, own_paths, paging, immediate: _ } = &mut **rare;
+            let place_of = |tile: &mut u32| *tile = places[*tile as usize];
+            distance_centers.iter_mut().for_each(|(tile, _)| place_of(tile));
+            distance_centers.sort_unstable_by_key(|(tile, _)| *tile);
+            request_volumes.iter_mut().for_each(|(tile, _)| place_of(tile));
+            request_volumes.sort_unstable_by_key(|(tile, _)| *tile);
+            own_paths.iter_mut().for_each(|(tile, _)| place_of(tile));
+            own_paths.sort_unstable_by_key(|(tile, _)| *tile);
+            paging.iter_mut().for_each(|(tile, _)| place_of(tile));
+            paging.sort_unstable_by_key(|(tile, _)| *tile);
+        }
         places
     }
 
@@ -352,26 +385,17 @@ impl Tiles {
 
     /// The page's state path above a tile of a tree.
     pub fn state_path(&self, tile: u32, root: &TileRoot) -> u32 {
-        match self.own_paths.binary_search_by_key(&tile, |(t, _)| *t) {
-            Ok(place) => self.own_paths[place].1,
-            Err(_) => root.state_path,
-        }
+        found(self.rare(|rare| &rare.own_paths), tile).map_or(root.state_path, |path| *path)
     }
 
     /// How the pager treats a tile.
     pub fn paging_of(&self, tile: u32) -> PagingOptions {
-        match self.paging.binary_search_by_key(&tile, |(t, _)| *t) {
-            Ok(place) => self.paging[place].1,
-            Err(_) => PagingOptions::default(),
-        }
+        found(self.rare(|rare| &rare.paging), tile).copied().unwrap_or_default()
     }
 
     /// True when a tile has no request volume, or the eye is in it.
     pub fn may_be_requested(&self, tile: u32, eye: DVec3) -> bool {
-        match self.request_volumes.binary_search_by_key(&tile, |(t, _)| *t) {
-            Ok(place) => self.request_volumes[place].1.contains(eye),
-            Err(_) => true,
-        }
+        found(self.rare(|rare| &rare.request_volumes), tile).is_none_or(|volume| volume.contains(eye))
     }
 
     /// Squared distance at which a tile wants its children, and squared distance now; metres of the tile frame.
@@ -419,10 +443,7 @@ impl Tiles {
     }
 
     pub fn distance_center(&self, tile: u32) -> DVec3 {
-        match self.distance_centers.binary_search_by_key(&tile, |c| c.0) {
-            Ok(i) => self.distance_centers[i].1,
-            Err(_) => DVec3::ZERO,
-        }
+        found(self.rare(|rare| &rare.distance_centers), tile).copied().unwrap_or_default()
     }
 
     pub fn size_bytes(&self) -> u64 {
@@ -434,6 +455,12 @@ impl Tiles {
         let shared = self.content_transforms.len() * size_of::<DAffine3>() + self.axes.len() * size_of::<BoxAxes>();
         (self.records.len() * row + shared) as u64 + self.text_bytes
     }
+}
+
+/// What a list in the order of tiles has for one.
+fn found<T>(list: &[(u32, T)], tile: u32) -> Option<&T> {
+    let place = list.binary_search_by_key(&tile, |(of, _)| *of).ok()?;
+    list.get(place).map(|(_, found)| found)
 }
 
 /// The elements in another order.

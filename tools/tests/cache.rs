@@ -91,7 +91,8 @@ fn a_flight_without_a_server_shows_what_was_seen_before() {
     assert!(text.contains("answers from the cache"), "{text}");
 
     let info: Value = serde_json::from_str(&said(&["cache", "info", "--cache", &cache, "--json"])).unwrap();
-    assert_eq!(info["entries"], first["cache"]["stored"]);
+    // What was on its way when the report was written is kept too.
+    assert!(info["entries"].as_u64() >= first["cache"]["stored"].as_u64(), "{info} {first}");
     assert_eq!(info["fresh"], info["entries"]);
     let verified: Value = serde_json::from_str(&said(&["cache", "verify", "--cache", &cache, "--json"])).unwrap();
     assert_eq!((&verified["broken"], &verified["orphans"]), (&0.into(), &0.into()));

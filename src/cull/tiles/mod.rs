@@ -87,7 +87,7 @@ impl Cull<'_> {
             max_sse_px2: self.view.max_sse_px * self.view.max_sse_px,
             asks: !self.view.casts,
             cull_mask,
-            may_hide: !page.masks.is_empty() || cull_mask == 0 || !tiles.request_volumes.is_empty(),
+            may_hide: !page.masks.is_empty() || cull_mask == 0 || tiles.has_request_volumes(),
             may_be_behind: self.view.horizon.is_some() || !self.occluders.is_empty(),
             step: self.fades.step(fade_s),
             stamp: Stamp { frame: if self.view.casts { 0 } else { frame }, then: frame.saturating_add(ahead) },
