@@ -176,13 +176,13 @@ impl Cull<'_> {
         let lod = &page.lods[page.payloads[node as usize] as usize];
         let enclosing = self.enclosing_transform(context, node);
         let eye = page.transforms.point_in_node(enclosing, context.eye);
-        let distance_m = eye.distance(lod.center) * self.view.settings.lod_scale;
-        let in_range = |r: &[f64; 2]| r[0] <= distance_m && distance_m < r[1];
-        let shares = self.lod_shares(context, node, lod.ranges_m.iter().map(in_range));
+        let measure = lod.measure(eye.distance(lod.center), self.view.settings.lod_scale, &self.view.ranges);
+        let is_shown = |child: usize| lod.shows(child, measure);
+        let shares = self.lod_shares(context, node, (0..lod.ranges.len()).map(is_shown));
         for (index, child) in children(page, node).enumerate() {
             match shares.filter(|_| index < MOST_FADING) {
                 Some(shares) => self.scan_fading(context, child, mask, matrix, shares, 1 << index),
-                None if lod.ranges_m.get(index).is_some_and(in_range) => {
+                None if is_shown(index) => {
                     self.scan_nodes(context, child.start, child.end, mask, matrix);
                 }
                 None => {}

@@ -8,10 +8,11 @@ use glam::{DAffine3, DVec3, Vec4};
 use super::error::SceneError;
 use super::geometry::{AlphaMode, Drawable};
 use super::kinds::Billboard;
+use super::lod_ranges::LodRecord;
 use super::node::{Node, NodeKind};
 use super::page::{
-    BLEND, Boxes4, CALLBACK, DrawableRef, INACTIVE, LARGE, LodRecord, NONE, NodeRecord, PLAIN, Page, Special,
-    StatePath, UNCULLED, VIEW, kind,
+    BLEND, Boxes4, CALLBACK, DrawableRef, INACTIVE, LARGE, NONE, NodeRecord, PLAIN, Page, Special, StatePath, UNCULLED,
+    VIEW, kind,
 };
 use super::tile_bounds::DeclaredBounds;
 use super::tiles::{TileRoot, Tiles};
@@ -174,7 +175,13 @@ impl Flattener {
             }
             NodeKind::Lod { center, ranges_m } => {
                 payload = self.page.lods.len() as u32;
-                self.page.lods.push(LodRecord { center, ranges_m: ranges_m.into_boxed_slice() });
+                self.page.lods.push(LodRecord { center, radius_m: None, ranges: ranges_m.into_boxed_slice() });
+                kind::LOD
+            }
+            NodeKind::LodByPixelSize { center, radius_m, ranges_px } => {
+                payload = self.page.lods.len() as u32;
+                let radius_m = Some(radius_m);
+                self.page.lods.push(LodRecord { center, radius_m, ranges: ranges_px.into_boxed_slice() });
                 kind::LOD
             }
             NodeKind::PagedLod(lod) => {
@@ -406,6 +413,7 @@ fn kind_name(kind: &NodeKind) -> &'static str {
         NodeKind::Projection(_) => "Projection",
         NodeKind::Switch(_) => "Switch",
         NodeKind::Lod { .. } => "Lod",
+        NodeKind::LodByPixelSize { .. } => "LodByPixelSize",
         NodeKind::PagedLod(_) => "PagedLod",
         NodeKind::ProxyNode(_) => "ProxyNode",
         NodeKind::Geode(_) => "Geode",

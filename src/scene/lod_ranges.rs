@@ -1,7 +1,7 @@
 //! The distances at which tiles give way to their children, by the error they have in pixels. Plain values, shared by cull,
 //! intersections and draw.
 
-use glam::DMat4;
+use glam::{DMat4, DVec3};
 
 /// Share of a level's range at which the vertices of height tiles start to morph into the coarser level.
 pub(crate) const MORPH_START: f64 = 0.7;
@@ -17,6 +17,8 @@ pub(crate) struct LodRanges {
     pub per_error: f32,
     /// Of a metre of a range that is said in metres.
     pub per_metre: f32,
+    /// Of a metre that shall cover a pixel, over the LOD scale.
+    pub per_pixel: f32,
     /// The squared distance from which an error is seen at least.
     pub least_distance2: f32,
     is_parallel: bool,
@@ -26,20 +28,62 @@ impl LodRanges {
     /// Ranges of an eye for which one metre covers so many pixels: at a distance of one metre, or at all where its rays are
     /// parallel. A tile is refined where its error, over the scale, is more than `max_sse_px`.
     pub fn new(px_per_metre: f64, max_sse_px: f64, lod_scale: f64, is_parallel: bool) -> Self {
-        let per_error = px_per_metre / (max_sse_px * lod_scale);
+        let (per_error, per_pixel) = (px_per_metre / (max_sse_px * lod_scale), px_per_metre / lod_scale);
         let (distance_m, least_distance2) = if is_parallel { (PARALLEL_M, PARALLEL_M.powi(2)) } else { (1.0, 1e-14) };
         Self {
             per_error: (per_error * distance_m) as f32,
             per_metre: (1.0 / lod_scale) as f32,
+            per_pixel: (per_pixel * distance_m) as f32,
             least_distance2: least_distance2 as f32,
             is_parallel,
         }
+    }
+
+    /// Pixels that a sphere covers across, over the LOD scale, at a distance; no end of them around the eye. Metres of one
+    /// frame.
+    pub fn size_px(&self, radius_m: f64, distance_m: f64) -> f64 {
+        let distance_m = if self.is_parallel { PARALLEL_M } else { distance_m };
+        if distance_m > radius_m { 2.0 * radius_m * f64::from(self.per_pixel) / distance_m } else { f64::MAX }
     }
 
     /// The least depth at which a height tile can lie whose own surface is at a depth, as far as it may have morphed.
     pub fn before_morph(&self, depth_m: f64) -> f64 {
         let slack = 1.0 / (MORPH_START * f64::from(self.per_error));
         if self.is_parallel { depth_m - slack * PARALLEL_M } else { depth_m * (1.0 - slack.min(0.5)) }
+    }
+}
+
+/// The range test of a [`super::NodeKind::Lod`] or [`super::NodeKind::LodByPixelSize`].
+#[derive(Clone, Debug)]
+pub(crate) struct LodRecord {
+    pub center: DVec3,
+    /// Of the sphere whose size counts instead of its distance.
+    pub radius_m: Option<f64>,
+    /// Metres, or pixels across.
+    pub ranges: Box<[[f64; 2]]>,
+}
+
+impl LodRecord {
+    /// What the ranges are compared with, for an eye at a distance in the node's frame.
+    pub fn measure(&self, distance: f64, lod_scale: f64, ranges: &LodRanges) -> f64 {
+        match self.radius_m {
+            None => distance * lod_scale,
+            Some(radius_m) => ranges.size_px(radius_m, distance),
+        }
+    }
+
+    /// The same where no eye decides, as if it were as near as can be.
+    pub fn nearest(&self) -> f64 {
+        let starts = self.ranges.iter().map(|range| range[0]);
+        match self.radius_m {
+            None => starts.fold(f64::INFINITY, f64::min),
+            Some(_) => starts.fold(f64::NEG_INFINITY, f64::max),
+        }
+    }
+
+    /// Whether a child is shown.
+    pub fn shows(&self, child: usize, measure: f64) -> bool {
+        self.ranges.get(child).is_some_and(|range| range[0] <= measure && measure < range[1])
     }
 }
 

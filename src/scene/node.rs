@@ -57,6 +57,17 @@ pub enum NodeKind {
         /// `[min, max)` a child, metres.
         ranges_m: Vec<[f64; 2]>,
     },
+    /// The same by size (OSG's LOD with `PIXEL_SIZE_ON_SCREEN`): child i is shown while a sphere covers so many pixels of
+    /// the picture, over the LOD scale, that they are in `ranges_px[i]`.
+    /// Where rays are parallel, metres of the node's frame count as the picture's, as those of tiles' errors do.
+    LodByPixelSize {
+        /// The sphere's centre in the node's frame.
+        center: DVec3,
+        /// Its radius, metres of the same frame.
+        radius_m: f64,
+        /// `[min, max)` a child, pixels across.
+        ranges_px: Vec<[f64; 2]>,
+    },
     /// A tile: content that is paged in, children that refine it.
     PagedLod(Box<PagedLod>),
     /// Children that are loaded from elsewhere: an external tileset.
@@ -94,8 +105,8 @@ pub enum Refine {
 /// When a tile gives way to (or is joined by) its children.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RangeMode {
-    /// Refine when the error projects to more than the camera's limit in pixels (OSG's PIXEL_SIZE_ON_SCREEN
-    /// in 3D Tiles' terms). Metres in the node's frame.
+    /// Refine when the error projects to more than the camera's limit in pixels, as 3D Tiles has it. Metres in the
+    /// node's frame.
     ScreenSpaceError {
         /// Error in metres of drawing this tile instead of its children.
         geometric_error_m: f64,
@@ -107,6 +118,16 @@ pub enum RangeMode {
         center: DVec3,
         /// Metres.
         range_m: f64,
+    },
+    /// Refine when a sphere covers more pixels of the picture, over the LOD scale, than so many, whatever error the camera
+    /// allows (OSG's PIXEL_SIZE_ON_SCREEN).
+    PixelSize {
+        /// Its centre in the node's frame.
+        center: DVec3,
+        /// Its radius, metres of the same frame.
+        radius_m: f64,
+        /// Pixels across; 0 or no number refines at any size.
+        size_px: f64,
     },
 }
 

@@ -14,6 +14,7 @@ use super::kinds::{
     BillboardMode, CameraNode, ClearNode, ClipNode, ConvexPlanarOccluder, CullCallback, LightSource, NormalCone,
     OcclusionQueryNode, TexGenNode,
 };
+use super::lod_ranges::LodRecord;
 use super::shared::SharedContent;
 use super::tiles::Tiles;
 use super::transforms::Transforms;
@@ -133,13 +134,6 @@ pub(crate) struct DrawableRef {
 pub(crate) struct Boxes4 {
     pub center: [Vec4; 3],
     pub half: [Vec4; 3],
-}
-
-/// A range test of a [`super::NodeKind::Lod`].
-#[derive(Clone, Debug)]
-pub(crate) struct LodRecord {
-    pub center: DVec3,
-    pub ranges_m: Box<[[f64; 2]]>,
 }
 
 /// A shared content that a page uses.

@@ -19,6 +19,8 @@ pub(crate) mod flag {
     pub const CONTENT: u16 = 1;
     pub const PROXY: u16 = 2;
     pub const ADD: u16 = 4;
+    /// [`super::RangeMode::PixelSize`], with the flag of a distance: the metric is metres for each pixel.
+    pub const PIXEL_SIZE: u16 = 8;
     /// [`super::RangeMode::Distance`]: the distance is to `center` of a separate table.
     pub const DISTANCE: u16 = 16;
     /// A proxy that is loaded only when the application asks.
@@ -175,6 +177,13 @@ impl Tiles {
                 let tile = self.records.len() as u32;
                 self.rare_mut().distance_centers.push((tile, center));
                 range_m
+            }
+            RangeMode::PixelSize { center, radius_m, size_px } => {
+                flags |= flag::DISTANCE | flag::PIXEL_SIZE;
+                let center = if center.is_finite() { center } else { DVec3::ZERO };
+                let tile = self.records.len() as u32;
+                self.rare_mut().distance_centers.push((tile, center));
+                if size_px > 0.0 { 2.0 * radius_m / size_px } else { f64::MAX }
             }
         };
         if let Some(volume) = tile.request_volume {
@@ -409,7 +418,7 @@ impl Tiles {
         ranges: &LodRanges,
     ) -> (f32, f32) {
         if record.has(flag::DISTANCE) {
-            return self.range_and_distance_to_center(tile, bounds, eye, ranges);
+            return self.range_and_distance_to_center(tile, record, bounds, eye, ranges);
         }
         let offset = eye.offset_to(bounds);
         let distance2 =
@@ -422,12 +431,17 @@ impl Tiles {
     fn range_and_distance_to_center(
         &self,
         tile: u32,
+        record: &TileRecord,
         bounds: &TileBounds,
         eye: &TileEye,
         ranges: &LodRanges,
     ) -> (f32, f32) {
-        let range = bounds.metric_m() * ranges.per_metre;
         let distance = self.distance_center(tile).distance(eye.position) as f32;
+        if record.has(flag::PIXEL_SIZE) {
+            let range = bounds.metric_m() * ranges.per_pixel;
+            return (range * range, (distance * distance).max(ranges.least_distance2));
+        }
+        let range = bounds.metric_m() * ranges.per_metre;
         (range * range, distance * distance)
     }
 

@@ -210,9 +210,9 @@ impl Collector<'_> {
         let lod = &page.lods[index];
         let eye_in_page = eye_in(&self.eye_from_page(page, link, node));
         let eye = page.transforms.point_in_node(page.enclosing_transform(node), eye_in_page);
-        let distance_m = eye.distance(lod.center) * self.view.settings.lod_scale;
+        let measure = lod.measure(eye.distance(lod.center), self.view.settings.lod_scale, &self.view.ranges);
         let place = page.child_index(node, child);
-        let is_in_range = lod.ranges_m.get(place).is_some_and(|r| r[0] <= distance_m && distance_m < r[1]);
+        let is_in_range = lod.shows(place, measure);
         let generation = self.scene.page_id_at(link.place).generation;
         is_in_range && (!self.fades_in_time() || self.fades.lod_rests(link.place, generation, index, place))
     }

@@ -6,6 +6,7 @@ use glam::{DAffine3, DMat3, DVec3};
 
 use super::visitor::{EyePoint, LodSelection};
 use super::window::WindowView;
+use crate::scene::lod_ranges::LodRecord;
 use crate::scene::page::{NONE, Page, Special, UNBOUNDED, kind};
 use crate::scene::tile_bounds::{TileBounds, TileEye};
 use crate::scene::tiles::{Tiles, flag};
@@ -207,13 +208,8 @@ impl<P: Probe> Walk<'_, P> {
                 }
                 kind::LOD => {
                     let lod = &page.lods[page.payloads[index] as usize];
-                    let at = self.lod_distance(here, node, lod.center);
-                    // Without an eye what is shown nearest.
-                    let least = lod.ranges_m.iter().map(|r| r[0]).fold(f64::INFINITY, f64::min);
-                    let distance_m = at.unwrap_or(least);
-                    self.children(here, node, |child| {
-                        lod.ranges_m.get(child).is_some_and(|r| r[0] <= distance_m && distance_m < r[1])
-                    });
+                    let measure = self.lod_measure(here, node, lod).unwrap_or_else(|| lod.nearest());
+                    self.children(here, node, |child| lod.shows(child, measure));
                     end
                 }
                 _ => {
@@ -259,13 +255,13 @@ impl<P: Probe> Walk<'_, P> {
         P::enters_box(local, center, &DMat3::IDENTITY, DVec3::from_array(half))
     }
 
-    /// Distance that a LOD node compares; `None` where no eye decides.
-    fn lod_distance(&self, here: &InPage<P::Local>, node: u32, center: DVec3) -> Option<f64> {
+    /// What a LOD node compares; `None` where no eye decides.
+    fn lod_measure(&self, here: &InPage<P::Local>, node: u32, lod: &LodRecord) -> Option<f64> {
         let eye = self.view.rules.eye.filter(|_| self.view.rules.lods == LodSelection::AsSeen)?;
         let eye_in_page = in_frame(&here.world_from_page, eye.position());
         let page = here.page;
         let eye_in_node = page.transforms.point_in_node(page.enclosing_transform(node), eye_in_page);
-        Some(eye_in_node.distance(center) * eye.lod_scale)
+        Some(lod.measure(eye_in_node.distance(lod.center), eye.lod_scale, &eye.ranges()))
     }
 
     /// Visits a node of a rarer kind. False: its children are visited like those of a group.
