@@ -36,8 +36,7 @@ struct QuantizedVertex {
 
 /// Rounded to the nearest: among numbers from 2^23 on, a whole is the lowest bit.
 fn unorm16(x: f32) -> u16 {
-    // No clamp, whose comparisons are branches.
-    (x.max(0.0).min(1.0) * 65535.0 + 8_388_608.0).to_bits() as u16
+    (x.clamp(0.0, 1.0) * 65535.0 + 8_388_608.0).to_bits() as u16
 }
 
 impl VertexFormat {
