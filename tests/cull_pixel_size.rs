@@ -31,7 +31,7 @@ fn lod() -> Node {
 fn cull(scene: &Scene, camera: &CullCamera) -> RenderStage {
     let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
     // However small things are.
-    let mut camera = camera.clone();
+    let mut camera = *camera;
     camera.settings.culling = CullingMode::NONE;
     visitor.cull(scene, &camera, &mut stage);
     stage
