@@ -190,9 +190,15 @@ impl TileBounds {
     /// Of a sphere around it; [`UNBOUNDED`] or more where there is none.
     #[inline(always)]
     pub fn radius_m(&self) -> f32 {
-        let [x, y, z, _] = self.extent;
         // Rounded, as the root may be.
-        if self.is_sphere() { x } else { (x * x + y * y + z * z).sqrt() * (1.0 + f32::EPSILON) }
+        if self.is_sphere() { self.extent[0] } else { self.radius2_m2().sqrt() * (1.0 + f32::EPSILON) }
+    }
+
+    /// Its square, which is not rounded up; infinite where there is none.
+    #[inline(always)]
+    pub fn radius2_m2(&self) -> f32 {
+        let [x, y, z, _] = self.extent;
+        if self.is_sphere() { x * x } else { x * x + y * y + z * z }
     }
 
     /// Geometric error or range, metres.

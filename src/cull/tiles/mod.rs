@@ -9,6 +9,8 @@ mod plain;
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use glam::Vec4;
+
 pub(super) use self::frame::TileFrame;
 use super::fade::{Fade, Step, TileMark, WHOLE};
 use super::horizon::Horizon;
@@ -30,6 +32,8 @@ pub(super) struct TileView {
     /// The same for tiles along the frame.
     grid_planes: GridPlanes,
     eye: TileEye,
+    /// Where the eye looks, of length 1 where the frame is not stretched.
+    forward: Vec4,
     horizon: Option<Horizon>,
 }
 
@@ -363,9 +367,11 @@ impl Cull<'_> {
                     required: false,
                     shown_px: 0.0,
                 });
+                let m = &eye_from_tile.matrix3;
+                let forward = (m.row(2) / -m.x_axis.length()).as_vec3().extend(0.0);
                 let eye = page.tiles.grid.eye(eye);
                 let grid_planes = planes.on_grid(eye.step_m(), eye.rest_m());
-                *self.tile_view.insert(TileView { transform, hanger, planes, grid_planes, eye, horizon })
+                *self.tile_view.insert(TileView { transform, hanger, planes, grid_planes, eye, forward, horizon })
             }
         }
     }
@@ -407,31 +413,8 @@ impl Cull<'_> {
         self.queue.push(Waiting { first: tile, end: tile + 1, hanger, state, fade, mask });
     }
 
-    /// What a tile's place in the picture makes of its priority: all in the middle and around the eye, a half where its
-    /// bounds begin 45 degrees from it.
-    fn share_of_place(&self, walk: &Walk, tile: u32) -> f32 {
-        let bounds = &walk.tiles.bounds[tile as usize];
-        let eye_from_frame = &self.hangers[walk.view.hanger as usize].eye_from_frame;
-        let center = eye_from_frame.transform_point3(walk.tiles.grid.center(bounds)).as_vec3();
-        let distance = center.length();
-        // Of the angle to the centre, and of half the angle that the bounds take in.
-        let (sin, cos) = (center.truncate().length() / distance, -center.z / distance);
-        let radius = bounds.radius_m() * eye_from_frame.matrix3.x_axis.length() as f32;
-        let half_sin = radius / distance;
-        if half_sin >= 1.0 {
-            return 1.0;
-        }
-        let half_cos = (1.0 - half_sin * half_sin).sqrt();
-        if sin * half_cos > cos * half_sin {
-            (cos * half_cos + sin * half_sin).max(0.0).powi(2).max(KEPT_SHARE)
-        } else {
-            1.0
-        }
-    }
-
     /// Asks for the content of a tile, unless it is there or cannot come. What tiles below may have for a squared error
     /// of what is shown, so that they come later.
-    #[cold]
     #[inline(never)]
     fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, shown_px2: f32, fade: Fade) -> f32 {
         let record = &walk.tiles.records[tile as usize];
@@ -440,16 +423,39 @@ impl Cull<'_> {
             return shown_px2;
         }
         let slot = NodeId { page: walk.id, index: walk.tiles.nodes[tile as usize] };
-        let finite = |px: f32| if px > 0.0 { px.min(MOST_PX) } else { 0.0 };
-        let share = if purpose == Purpose::Keep { KEPT_SHARE } else { self.share_of_place(walk, tile) };
-        let priority = finite(shown_px2.sqrt() * share);
-        // The finest tiles have none.
         let bounds = &walk.tiles.bounds[tile as usize];
+        // The finest tiles have none.
         let has_error = bounds.metric_m() > 0.0;
         let error_px2 = if has_error { walk.px2(walk.range_and_distance(tile, record, bounds)) } else { 0.0 };
+        let share = if purpose == Purpose::Keep { KEPT_SHARE } else { walk.view.share_of_place(bounds) };
+        let finite = |px: f32| if px > 0.0 { px.min(MOST_PX) } else { 0.0 };
+        let priority = finite(shown_px2.sqrt() * share);
         let error_px = finite(error_px2.sqrt());
         self.stage.requests.push(PageRequest { slot, priority, error_px, ahead_frames: 0 });
         priority * priority
+    }
+}
+
+impl TileView {
+    /// What a tile's place in the picture makes of its priority: all in the middle and around the eye, a half where its
+    /// bounds begin 45 degrees from it.
+    #[inline(always)]
+    fn share_of_place(&self, bounds: &TileBounds) -> f32 {
+        let offset = self.eye.offset_to(bounds);
+        let (distance2, along, radius2) = (offset.length_squared(), offset.dot(self.forward), bounds.radius2_m2());
+        if radius2 >= distance2 {
+            return 1.0;
+        }
+        // Each times the distance: the sine of the angle to the centre, and of half the angle that the bounds take in
+        // its cosine and sine.
+        let [across, half_cos, half_sin] =
+            [(distance2 - along * along).max(0.0), distance2 - radius2, radius2].map(f32::sqrt);
+        if across * half_cos > along * half_sin {
+            let cos = (along * half_cos + across * half_sin).max(0.0) / distance2;
+            (cos * cos).max(KEPT_SHARE)
+        } else {
+            1.0
+        }
     }
 }
 
