@@ -190,6 +190,11 @@ fn eye() -> impl Strategy<Value = [f64; 3]> {
     ((-1500.0..1500.0f64), (-1500.0..1500.0f64), (2.0..1200.0f64)).prop_map(|(x, y, z)| [x, y, z])
 }
 
+/// How many levels are skipped: none, some, all.
+fn skip() -> impl Strategy<Value = f64> {
+    prop::sample::select(vec![1.0, 1.0, 2.5, 16.0, 1e30])
+}
+
 /// Tiles on the way from the root to a tile, the tile included.
 fn ancestors(name: &str) -> impl Iterator<Item = &str> {
     name.match_indices('/').map(|(i, _)| &name[..i]).chain([name])
@@ -218,6 +223,7 @@ proptest! {
         tree in tile(true, false),
         places in prop::collection::vec((eye(), prop::array::uniform2(-800.0..800.0f64)), 1..6),
         choices in prop::collection::vec((0u32..1000, 0u32..10), 40),
+        skip_sse_factor in skip(),
     ) {
         // The root has content, or there is nothing to fall back to.
         let tree = Tile { kind: Kind::Content, ..tree };
@@ -226,6 +232,7 @@ proptest! {
         let mut step = 0;
         for (eye, target) in places {
             let mut camera = camera(eye, target);
+            camera.settings.skip_sse_factor = skip_sse_factor;
             for _ in 0..12 {
                 camera.frame += 1;
                 let stage = world.cull(&camera);
@@ -285,10 +292,11 @@ proptest! {
         eye in eye(),
         target in prop::array::uniform2(-800.0..800.0f64),
         lod_scale in 0.5..2.0f64,
+        skip_sse_factor in skip(),
     ) {
         let mut world = World::new(&tree);
         let mut camera = camera(eye, target);
-        camera.settings.lod_scale = lod_scale;
+        (camera.settings.lod_scale, camera.settings.skip_sse_factor) = (lod_scale, skip_sse_factor);
         let mut rounds = 0;
         let stage = loop {
             camera.frame += 1;
@@ -395,6 +403,87 @@ fn empty_tiles_heed_their_error() {
     // An error of 51.2 m takes 16 pixels of 512, which show 60 degrees, at 1,419 m.
     let asked = |height_m: f64| world.cull(&camera([0.0, 0.0, height_m], [0.0, 0.1])).requests.len();
     assert_eq!([1_000.0, 1_400.0, 1_440.0, 1e6].map(asked), [1, 1, 0, 0]);
+}
+
+/// A chain of ancestors was loaded for each tile that is shown.
+#[test]
+fn levels_between_are_skipped() {
+    let leaf = Tile { refine: Refine::Replace, kind: Kind::Content, children: vec![] };
+    let tree = (0..5).fold(leaf, |below, _| Tile { children: vec![below.clone(); 4], ..below });
+    let mut camera = camera([10.0, 10.0, 3.0], [12.0, 10.0]);
+    let load = |camera: &CullCamera, fails: &str| {
+        let mut world = World::new(&tree);
+        let mut loaded = Vec::new();
+        loop {
+            let stage = world.cull(camera);
+            if stage.requests.is_empty() {
+                return (world.drawn(&stage), loaded);
+            }
+            assert_covered_where_the_root_is(&world, &stage, camera);
+            for request in &stage.requests {
+                let uri = world.scene.slot(request.slot).unwrap().uri.to_string();
+                if uri == fails {
+                    world.scene.set_failed(request.slot, true);
+                    continue;
+                }
+                loaded.push(uri);
+                world.load(request.slot);
+            }
+        }
+    };
+    let depths =
+        |loaded: &[String]| -> BTreeSet<usize> { loaded.iter().map(|name| name.matches('/').count()).collect() };
+    let (all, every) = load(&camera, "");
+    camera.settings.skip_sse_factor = 16.0;
+    let (drawn, some) = load(&camera, "");
+    assert_eq!(drawn, all, "the picture is the same");
+    let above = |name: &str| all.iter().any(|drawn| drawn != name && ancestors(drawn).any(|above| above == name));
+    let replaced = |loaded: &[String]| loaded.iter().filter(|name| above(name)).count();
+    assert!(all.iter().any(|name| name.matches('/').count() == 5), "down to the finest");
+    assert!(depths(&every).len() == 6 && replaced(&every) > 5, "{every:?}");
+    // Below the root, four levels are one step.
+    assert!(replaced(&some) <= replaced(&every) / 2 && some.len() < every.len(), "{some:?}");
+    assert!(some.contains(&"r".to_owned()), "there is something from the start on");
+
+    // What is above a failure is loaded instead, and the rest is as fine as ever.
+    let fails = all.iter().find(|name| name.matches('/').count() == 5).unwrap();
+    let above = fails.rsplit_once('/').unwrap().0;
+    assert!(!some.contains(&above.to_owned()), "it was skipped");
+    let (drawn, loaded) = load(&camera, fails);
+    assert!(drawn.contains(above) && loaded.contains(&above.to_owned()), "{drawn:?}");
+    let others = |set: &BTreeSet<String>| -> BTreeSet<String> {
+        set.iter().filter(|name| !name.starts_with(above)).cloned().collect()
+    };
+    assert_eq!(others(&drawn), others(&all));
+}
+
+/// As [`assert_covered`], once something is there.
+fn assert_covered_where_the_root_is(world: &World, stage: &RenderStage, camera: &CullCamera) {
+    if !world.drawn(stage).is_empty() {
+        assert_covered(world, stage, camera);
+    }
+}
+
+/// They were skipped, and what is above them waited for ever.
+#[test]
+fn a_tile_above_tiles_that_hold_nothing_is_not_skipped() {
+    let empty = |children| Tile { refine: Refine::Replace, kind: Kind::Empty, children };
+    let middle = Tile { refine: Refine::Replace, kind: Kind::Content, children: vec![empty(vec![]); 4] };
+    let tree = Tile { refine: Refine::Replace, kind: Kind::Content, children: vec![middle; 4] };
+    let mut world = World::new(&tree);
+    let mut camera = camera([10.0, 10.0, 3.0], [12.0, 10.0]);
+    camera.settings.skip_sse_factor = 1e30;
+    for _ in 0..3 {
+        world.cull(&camera).requests.iter().for_each(|request| world.load(request.slot));
+    }
+    let stage = world.cull(&camera);
+    assert!(stage.requests.is_empty());
+    // What refines it holds nothing: as it says.
+    assert!(world.drawn(&stage).is_empty());
+    assert_eq!(
+        world.all_slots().iter().filter(|s| world.scene.slot(**s).unwrap().state != SlotState::Empty).count(),
+        5
+    );
 }
 
 #[test]

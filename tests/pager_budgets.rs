@@ -13,7 +13,7 @@ use pager_support::{PAGE_GPU_BYTES, Run, WORLD_M, above, write_quadtree};
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::{CompileContext, PagerConfig};
-use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine};
+use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};
 
 fn over_the_world(u: f64, height_m: f64) -> DVec3 {
     DVec3::new(WORLD_M * u, 0.5 * WORLD_M + 0.3 * WORLD_M * (9.0 * u).sin(), height_m)
@@ -387,6 +387,29 @@ fn what_waits_for_its_upload_or_merge_counts() {
     }
 }
 
+/// Pages of the mean size had no room any more, and nothing smaller was looked at for as long as the view stayed.
+#[test]
+fn a_small_page_has_room_where_none_of_the_mean_size_has() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let write = |name: &str, points: u16| {
+        let positions = (0..points).map(|k| [f32::from(k % 3), f32::from(k % 7), f32::from(k % 5)]).collect();
+        let mesh = GlbMesh { positions, indices: (0..points).collect(), base_color: [1.0; 4], ..GlbMesh::default() };
+        std::fs::write(folder.path().join(name), write_glb(&mesh)).unwrap();
+    };
+    write("0_0_0.glb", 3000);
+    write("1_0_0.glb", 30);
+    // The large one is more urgent.
+    let options = PagingOptions { priority_offset: 1e6, ..PagingOptions::default() };
+    let config = PagerConfig { max_bytes_gpu: 4000, ..PagerConfig::default() };
+    let mut run = two_tiles(folder.path(), options, config);
+    run.context.counts_vertices = true;
+    let eye = DVec3::new(0.5 * FAR_M, 0.0, 2.0 * FAR_M);
+    run.until(above(30.0), "the large one does not come", |r| r.pager.stats().merged == 1);
+    run.until(eye, "the small one does not come", |r| r.pager.stats().merged == 2);
+    assert!(run.pager.stats().gpu_bytes_held_peak <= 4000);
+}
+
 /// Sizes are not what the mean had them be.
 #[test]
 fn pages_of_all_sizes_keep_the_budgets_and_all_that_has_room_comes() {
@@ -420,6 +443,11 @@ fn pages_of_all_sizes_keep_the_budgets_and_all_that_has_room_comes() {
         })
         .collect();
     let vertices: u64 = (0..40).map(|i| 3 * sizes[i % sizes.len()] as u64).sum();
+    // By the name that a slot has.
+    let size_of = |uri: &str| {
+        let number = uri.rsplit_once("size_").and_then(|(_, name)| name.strip_suffix(".glb")?.parse::<usize>().ok());
+        3 * sizes[number.unwrap() % sizes.len()] as u64
+    };
     for max_bytes_gpu in [vertices, vertices * 2 / 3, 400, 300] {
         let config = PagerConfig { max_bytes_gpu, sharing: terrane::scene::ShareModes::NONE, ..PagerConfig::default() };
         let root = Page::from_node(Node::group(tiles.clone())).unwrap();
@@ -437,6 +465,15 @@ fn pages_of_all_sizes_keep_the_budgets_and_all_that_has_room_comes() {
             run.frame(above(30.0));
             std::thread::sleep(Duration::from_micros(300));
         }
+        // Nothing is left out that has room.
+        let smallest_missing = |run: &Run| {
+            let slots = run.scene.slots_of_page(run.scene.roots()[0]).filter_map(|slot| run.scene.slot(slot));
+            slots.filter(|slot| slot.state == SlotState::Empty).map(|slot| size_of(slot.uri)).min()
+        };
+        run.until(above(30.0), "something that has room does not come", |run| {
+            let free = max_bytes_gpu - run.pager.stats().gpu_bytes;
+            smallest_missing(run).is_none_or(|size| size > free)
+        });
         let s = *run.pager.stats();
         assert_eq!((s.failed, s.expired), (0, 0), "{max_bytes_gpu}: {s:?}");
         assert!(s.gpu_bytes_held_peak <= max_bytes_gpu && s.loaded < 400, "{max_bytes_gpu}: {s:?}");

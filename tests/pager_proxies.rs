@@ -2,20 +2,23 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
+mod pager_support;
+
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use glam::{DAffine3, DVec3};
+use pager_support::Run;
 use terrane::gpu::AdapterChoice;
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::math::BoundingSphere;
 use terrane::pager::PagerConfig;
-use terrane::scene::{Node, NodeId, NodeKind, Page, PageId, ProxyLoading, ProxyNode, SceneError, SlotState};
+use terrane::scene::{Node, NodeId, NodeKind, Page, PageId, ProxyLoading, ProxyNode, Scene, SceneError, SlotState};
 use terrane::viewer::{Viewer, ViewerConfig};
 
 /// A triangle, and one proxy for it of each kind, behind the camera; another's file is not there.
-fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) {
+fn nodes(folder: &Path) -> Vec<Node> {
     let mesh = GlbMesh {
         positions: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         indices: vec![0, 1, 2],
@@ -32,12 +35,16 @@ fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) 
             loading,
         })))
     };
-    let nodes = vec![
+    vec![
         proxy(ProxyLoading::Immediately, "mesh.glb"),
         proxy(ProxyLoading::Never, "mesh.glb"),
         proxy(ProxyLoading::DeferToPager, "mesh.glb"),
         proxy(ProxyLoading::Immediately, "missing.glb"),
-    ];
+    ]
+}
+
+/// The same in a viewer.
+fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) {
     let config = ViewerConfig {
         size_px: [64, 64],
         adapter: AdapterChoice::Noop,
@@ -47,7 +54,7 @@ fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) 
     };
     let mut viewer = Viewer::new_offscreen(&config).unwrap();
     viewer.page_files_in(folder).unwrap();
-    let root = viewer.add_root(Page::from_node(Node::group(nodes)).unwrap()).unwrap();
+    let root = viewer.add_root(Page::from_node(Node::group(nodes(folder))).unwrap()).unwrap();
     // It looks down, away from them.
     viewer.camera.world_from_eye = DAffine3::IDENTITY;
     (viewer, root)
@@ -63,12 +70,16 @@ fn settle(viewer: &mut Viewer) {
 }
 
 fn states(viewer: &Viewer, root: PageId) -> Vec<&'static str> {
-    let of = |node: NodeId| match viewer.scene().slot(node).unwrap().state {
+    states_in(viewer.scene(), root)
+}
+
+fn states_in(scene: &Scene, root: PageId) -> Vec<&'static str> {
+    let of = |node: NodeId| match scene.slot(node).unwrap().state {
         SlotState::Empty => "empty",
         SlotState::Failed => "failed",
         SlotState::Resident(_) => "there",
     };
-    viewer.scene().slots_of_page(root).map(of).collect()
+    scene.slots_of_page(root).map(of).collect()
 }
 
 /// Those to be loaded at once waited for a camera, and nothing loaded the others.
@@ -91,6 +102,48 @@ fn proxies_are_loaded_when_they_say() {
         (0..20).for_each(|_| viewer.frame().unwrap());
         assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "it goes as others do");
     }
+}
+
+/// Nothing asked for them again: no camera sees them.
+#[test]
+fn what_no_camera_asks_for_comes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = Page::from_node(Node::group(nodes(folder.path()))).unwrap();
+    let mut run = Run::of_page(page, folder.path().to_str().unwrap(), PagerConfig::default());
+    let (root, away) = (run.scene.roots()[0], DVec3::ZERO);
+    run.settle(away);
+    let never = run.scene.slots_of_page(root).nth(1).unwrap();
+    run.scene.load_proxy(never).unwrap();
+    run.settle(away);
+    assert_eq!(states_in(&run.scene, root), ["there", "there", "empty", "failed"]);
+    // As where a context comes that nothing was uploaded for.
+    run.pager.page_anew(&mut run.scene, &mut [&mut run.context]);
+    assert_eq!(states_in(&run.scene, root), ["empty", "empty", "empty", "failed"]);
+    run.settle(away);
+    assert_eq!(states_in(&run.scene, root), ["there", "there", "empty", "failed"]);
+    // As before the first frame.
+    run.pager.clear(&mut run.scene, &mut [&mut run.context]);
+    assert_eq!(states_in(&run.scene, root), ["empty", "empty", "empty", "empty"]);
+    run.settle(away);
+    assert_eq!(states_in(&run.scene, root), ["there", "empty", "empty", "failed"]);
+    assert_eq!(run.pager.stats().failed, 2, "the missing one is asked for once more");
+}
+
+/// It was told to be loaded, and nothing happened.
+#[test]
+fn what_failed_is_tried_again_for_the_application() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut viewer, root) = proxies(folder.path(), false, 30);
+    settle(&mut viewer);
+    let missing = viewer.scene().slots_of_page(root).nth(3).unwrap();
+    viewer.scene_mut().load_proxy(missing).unwrap();
+    settle(&mut viewer);
+    assert_eq!(states(&viewer, root)[3], "failed");
+    assert_eq!(viewer.pager().unwrap().stats().failed, 2);
+    std::fs::copy(folder.path().join("mesh.glb"), folder.path().join("missing.glb")).unwrap();
+    viewer.scene_mut().load_proxy(missing).unwrap();
+    settle(&mut viewer);
+    assert_eq!(states(&viewer, root), ["there", "empty", "empty", "there"]);
 }
 
 #[test]

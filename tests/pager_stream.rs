@@ -5,11 +5,15 @@
 mod pager_support;
 
 use std::path::Path;
+use std::time::{Duration, Instant};
 
+use glam::{DAffine3, DVec3};
 use pager_support::{Run, above};
+use terrane::cull::PageRequest;
 use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::pager::PagerConfig;
-use terrane::scene::SlotState;
+use terrane::scene::{Node, NodeId, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};
 
 /// A root and four children around the origin, one glb each.
 fn write_set(folder: &Path) {
@@ -179,4 +183,48 @@ fn an_occluder_in_a_content_hides_what_is_behind_it_while_it_is_there() {
         run.cull(above(40.0));
         assert_eq!((run.stage.counters.tiles_drawn, run.stage.counters.occluded), (1, 0));
     }
+}
+
+/// What one view asked for waited for as long as another asked for what was more urgent.
+#[test]
+fn what_waits_long_comes_before_all_that_is_more_urgent_has_come() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    const MANY: usize = 4000;
+    let tile = |_| {
+        let node = PagedLod {
+            bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 10.0)),
+            range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+            refine: Refine::Replace,
+            content: Some(folder.path().join("root.glb").display().to_string().into()),
+            content_transform: DAffine3::IDENTITY,
+            reader_data: None,
+            request_volume: None,
+            paging: PagingOptions::default(),
+        };
+        Node::new(NodeKind::PagedLod(Box::new(node)))
+    };
+    let root = Page::from_node(Node::group((0..MANY).map(tile).collect())).unwrap();
+    let config = PagerConfig { file_threads: 1, decode_threads: 1, stale_frames: 1000, ..PagerConfig::default() };
+    let mut run = Run::of_page(root, folder.path().to_str().unwrap(), config);
+    let slots: Vec<NodeId> = run.scene.slots_of_page(run.scene.roots()[0]).collect();
+    let request = |(i, slot): (usize, &NodeId)| {
+        let priority = if i == MANY / 2 { 1.0 } else { 1000.0 };
+        PageRequest { slot: *slot, priority, error_px: priority, ahead_frames: 0 }
+    };
+    // The one, and few others before it.
+    let requests: Vec<PageRequest> = slots.iter().enumerate().map(request).collect();
+    let end = Instant::now() + Duration::from_secs(60);
+    for round in 0.. {
+        run.frame += 20;
+        let first = if round == 0 { MANY / 2 } else { 0 };
+        run.pager.update_scene_graph(&mut run.scene, run.frame, &requests[first..], &mut [&mut run.context]);
+        if run.scene.slot(slots[MANY / 2]).unwrap().state != SlotState::Empty {
+            break;
+        }
+        assert!(Instant::now() < end, "{:?}", run.pager.stats());
+        std::thread::sleep(Duration::from_micros(500));
+    }
+    let merged = run.pager.stats().merged as usize;
+    assert!(merged < MANY - 100, "{merged} were before it");
 }

@@ -25,6 +25,9 @@ pub(super) struct View {
     /// At which tiles are refined.
     pub ranges: LodRanges,
     pub max_sse_px: f32,
+    /// Times the squared ratio of a tile's range to its distance: below it what is shown is fine enough to skip the tile; 0
+    /// where no level is skipped.
+    pub skip_px2: f32,
     /// Radius over depth below which a bound is too small; 0 when off.
     pub small_feature: f32,
     /// Along which depths are counted, in eye space.
@@ -56,6 +59,7 @@ impl View {
             index: 0,
             ranges: LodRanges::new(1.0, 1.0, 1.0, false),
             max_sse_px: 0.0,
+            skip_px2: 0.0,
             small_feature: 0.0,
             depth_axis: DVec3::NEG_Z,
             least_depth: 0.0,
@@ -90,13 +94,15 @@ impl View {
 
     /// Computes what follows from projection, viewport and settings.
     pub fn derive(&mut self) {
-        let CullSettings { culling, lod_scale, max_sse_px, small_feature_px, .. } = self.settings;
+        let CullSettings { culling, lod_scale, max_sse_px, skip_sse_factor, small_feature_px, .. } = self.settings;
         let px = px_per_radian(&self.clip_from_eye, self.viewport_px);
         self.planes = EyePlanes::new(&self.clip_from_eye, culling);
         // Sizes do not depend on the distance then, and rays reach behind what the eye would see.
         let is_parallel = has_parallel_rays(&self.clip_from_eye);
         self.ranges = LodRanges::new(px, max_sse_px, lod_scale, is_parallel);
         self.max_sse_px = max_sse_px as f32;
+        let skips = skip_sse_factor > 1.0;
+        self.skip_px2 = if skips { (skip_sse_factor * max_sse_px).powi(2) as f32 } else { 0.0 };
         if is_parallel {
             self.horizon = None;
         }

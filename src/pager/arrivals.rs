@@ -225,6 +225,7 @@ impl DatabasePager {
                     }
                     let latency_s = entry.since.elapsed().as_secs_f64();
                     self.stats.merged += 1;
+                    self.tried_room(true);
                     if is_ahead {
                         self.stats.merged_ahead += 1;
                         self.ahead_short.iter_mut().for_each(|ahead| ahead.count = ahead.count.saturating_sub(1));
@@ -280,6 +281,7 @@ impl DatabasePager {
         let entry = Entry {
             job,
             priority: 0.0,
+            asked_frame: self.frame,
             wanted_frame: self.frame,
             ahead_frames: 0,
             since: Instant::now(),

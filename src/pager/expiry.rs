@@ -8,7 +8,7 @@ use super::list::{Entry, Progress};
 use super::residents::Unused;
 use super::scenes::Scenes;
 use crate::io;
-use crate::scene::{NodeId, Page, PageId, Scene};
+use crate::scene::{NodeId, Page, PageId, ProxyLoading, Scene};
 use crate::timeline;
 
 /// Pages looked at for expiry in one frame while less than [`EXPIRY_TENTHS`] are free: twice as many as in the frame
@@ -109,7 +109,8 @@ impl DatabasePager {
     }
 
     /// Takes every page of a scene out that nothing else hangs in, and what was loaded for it and not merged: all of it is
-    /// loaded and uploaded again when it is wanted. For contexts that come later.
+    /// loaded and uploaded again when it is wanted, and at once what no camera asks for: ProxyNodes that are loaded
+    /// immediately or for the application. For contexts that come later.
     pub fn page_anew(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         let number = scene.number();
         self.drop_uploads_if(contexts, |slot| slot.page.scene == number);
@@ -120,7 +121,11 @@ impl DatabasePager {
                 break;
             }
             for id in expirable {
+                let slot = scene.slot_at(id.slot);
                 self.detach(scene, id, contexts);
+                self.asked.extend(slot.filter(|slot| {
+                    matches!(scene.proxy_loading(*slot), Some(ProxyLoading::Immediately | ProxyLoading::Never))
+                }));
             }
         }
     }
@@ -131,9 +136,11 @@ impl DatabasePager {
         self.page_anew(scene, contexts);
         for (slot, _) in self.entries.iter().filter(|(_, e)| matches!(e.progress, Progress::Failed { .. })) {
             scene.set_failed(*slot, false);
+            self.asked.push(*slot);
         }
         let number = scene.number();
-        self.asked.retain(|slot| slot.page.scene != number);
+        self.asked
+            .retain(|slot| slot.page.scene != number || scene.proxy_loading(*slot) == Some(ProxyLoading::Immediately));
         self.drop_entries(contexts, |slot, _| slot.page.scene == number);
         self.rewrite_list();
         self.threads.list.ring_if_due();

@@ -193,6 +193,7 @@ impl DatabasePager {
         let gpu = if arrived.contexts_left > 0 { self.mean_gpu_bytes } else { arrived.counts.gpu + shared.gpu };
         let needs = Held { cpu: arrived.counts.cpu + shared.cpu, gpu };
         self.stats.declined += 1;
+        self.tried_room(false);
         timeline::request_ends(self.threads.list.ticket_source | ticket, "declined");
         self.retire(arrived.page, contexts);
         if !entry.is_ahead() {

@@ -65,6 +65,12 @@ impl Door {
         let stopped = |_| IoError::Network { uri: uri.to_owned(), reason: "the HTTP thread stopped".to_owned() };
         receiver.recv().map_err(stopped)?
     }
+
+    /// Writes to its cache what a client has that nobody asks with any more; does not wait for it.
+    pub fn keep_what_came(&self, client: &HttpClient) {
+        let client = client.clone();
+        self.runtime.spawn(async move { client.flush().await });
+    }
 }
 
 /// Runs until the list closes. Requests still under way are dropped then.

@@ -266,6 +266,8 @@ pub(super) enum Progress {
 pub(super) struct Entry {
     pub job: Job,
     pub priority: f32,
+    /// Frame in which it was first asked for.
+    pub asked_frame: u32,
     /// Frame in which cull last asked.
     pub wanted_frame: u32,
     /// Frames until a picture will lack it, as it was last asked for; 0 where one does.
@@ -282,6 +284,11 @@ impl Entry {
     /// Wanted later, by no picture yet.
     pub fn is_ahead(&self) -> bool {
         self.ahead_frames > 0
+    }
+
+    /// It failed, in passing.
+    pub fn will_be_tried(&self) -> bool {
+        matches!(self.progress, Progress::Failed { retry_at: Some(_) })
     }
 
     /// Nobody wants it any longer. False where it can be forgotten: tries that failed are not, so that whoever comes back

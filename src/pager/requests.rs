@@ -27,6 +27,9 @@ const AHEAD_LISTED: usize = 32;
 /// What was met in the last so many frames is seen.
 const MET_FRAMES: u32 = 2;
 
+/// After a page that was tried for its size had no room, the next is tried in so many frames; each time in twice as many.
+const TRY_ROOM_FRAMES: std::ops::RangeInclusive<u32> = 8..=128;
+
 /// Of what the application asked for: before all that errors in pixels ask for.
 const ASKED_PRIORITY: f32 = 1e9;
 
@@ -90,6 +93,7 @@ impl DatabasePager {
                 job,
                 priority: slot.paging.priority(request.priority),
                 paging: slot.paging,
+                asked_frame: self.frame,
                 wanted_frame: self.frame,
                 ahead_frames: request.ahead_frames,
                 since: Instant::now(),
@@ -107,16 +111,34 @@ impl DatabasePager {
     pub(super) fn accept_asked(&mut self, scenes: &mut dyn Scenes) {
         for place in 0.. {
             let Some(scene) = scenes.at_mut(place) else { break };
-            self.asked.append(&mut scene.take_asked());
+            let asked = scene.take_asked();
+            for slot in asked {
+                self.try_now(scenes, slot);
+                self.asked.push(slot);
+            }
         }
         if self.asked.is_empty() {
             return;
         }
-        self.asked.retain(|slot| scenes.slot(*slot).is_some_and(|slot| slot.state == SlotState::Empty));
+        let entries = &self.entries;
+        self.asked.retain(|slot| match scenes.slot(*slot).map(|slot| slot.state) {
+            Some(SlotState::Empty) => true,
+            Some(SlotState::Failed) => entries.get(slot).is_some_and(Entry::will_be_tried),
+            _ => false,
+        });
         let request =
             |slot: &NodeId| PageRequest { slot: *slot, priority: ASKED_PRIORITY, error_px: 0.0, ahead_frames: 0 };
         let requests: Vec<PageRequest> = self.asked.iter().map(request).collect();
         self.accept(scenes, &requests);
+    }
+
+    /// Ends the wait of what failed.
+    fn try_now(&mut self, scenes: &mut dyn Scenes, slot: NodeId) {
+        match self.entries.get_mut(&slot).map(|entry| &mut entry.progress) {
+            Some(Progress::Failed { retry_at }) => *retry_at = Some(Instant::now()),
+            Some(_) => {}
+            None => scenes.set_failed(slot, false),
+        }
     }
 
     /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while
@@ -220,16 +242,19 @@ impl DatabasePager {
         let takes_any = self.config.ahead_in_flight > 0 && !self.is_paused;
         let short = soonest.filter(|_| takes_any && room < ahead as u64);
         let mut now = jobs.split_off(ahead);
+        now.reverse();
+        self.long_waits.took(of_scenes.values().sum());
+        now = self.long_waits.arrange(now, frame, |(_, entry)| (entry.asked_frame, entry.job.slot));
         if self.served.len() > 1 {
             let scene_of = |(_, entry): &(f32, &Entry)| entry.job.slot.page.scene;
             self.turns.took(&of_scenes, now.iter().map(scene_of));
-            now.reverse();
             now = self.turns.arrange(now, scene_of);
-            now.reverse();
         }
-        waiting.allowed = self.allowed_in_flight(list.capacity);
+        now.reverse();
+        let allowed = self.allowed_in_flight(list.capacity);
+        waiting.allowed = self.allowed_or_tried(allowed);
         self.full = waiting.allowed == 0 && !now.is_empty();
-        self.is_short = !self.is_paused && waiting.allowed < list.capacity.min(waiting.outstanding + now.len());
+        self.is_short = !self.is_paused && allowed < list.capacity.min(waiting.outstanding + now.len());
         jobs.retain(|(_, entry)| short.is_none_or(|soonest| entry.ahead_frames <= soonest + AHEAD_MARGIN));
         let ahead_short = short.map(|frames| AheadShort { frames, count: jobs.len() as u64 });
         jobs.drain(..jobs.len().saturating_sub(AHEAD_LISTED * self.config.ahead_in_flight));
@@ -255,6 +280,23 @@ impl DatabasePager {
         let of_each = (MOST_PENDING_BYTES / self.mean_gpu_bytes.max(1)).max(LEAST_PENDING);
         let pending = (of_each * self.config.decode_threads.max(1) as u64).saturating_sub(self.arrived.pages);
         self.room_within(0).min(pending).min(capacity as u64) as usize
+    }
+
+    /// Where no page of the mean size has room, one may be tried: only once it is there its size is known.
+    fn allowed_or_tried(&self, allowed: usize) -> usize {
+        let held = self.held();
+        let has_some = held.cpu < self.config.max_bytes_cpu
+            && held.gpu < self.config.max_bytes_gpu
+            && self.pages_held() < self.config.max_tiles as u64;
+        let may_try = has_some && !self.is_paused && self.arrived.pages == 0 && self.frame >= self.try_room_frame;
+        allowed.max(usize::from(may_try))
+    }
+
+    /// One that was tried had room, or had none.
+    pub(super) fn tried_room(&mut self, had_room: bool) {
+        let (least, most) = TRY_ROOM_FRAMES.into_inner();
+        self.try_room_wait = if had_room { 0 } else { (2 * self.try_room_wait).clamp(least, most) };
+        self.try_room_frame = self.frame.saturating_add(self.try_room_wait);
     }
 
     /// A page of known size has room beside what is merged or will be.
@@ -288,7 +330,7 @@ impl DatabasePager {
 
     /// Lets the threads go on when there is more room than the list last said.
     pub(super) fn allow_more(&self) {
-        let allowed = self.allowed_in_flight(self.threads.list.capacity);
+        let allowed = self.allowed_or_tried(self.allowed_in_flight(self.threads.list.capacity));
         let mut waiting = self.threads.list.lock();
         waiting.allowed = allowed;
         self.allow_ahead(&mut waiting);
@@ -296,11 +338,12 @@ impl DatabasePager {
     }
 }
 
-/// What failed, has waited long enough, and was met in the last frames.
+/// What failed, or came to nothing, has waited long enough, and was met in the last frames or is asked for.
 fn is_due(scenes: &dyn Scenes, frame: u32) -> impl Fn(&Entry) -> bool {
     let (now, met) = (Instant::now(), frame.saturating_sub(MET_FRAMES)..=frame);
     move |entry| {
         matches!(entry.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
-            && scenes.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame))
+            && (entry.wanted_frame == frame
+                || scenes.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame)))
     }
 }

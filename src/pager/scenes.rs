@@ -194,9 +194,28 @@ impl DatabasePager {
     /// is dropped.
     pub fn remove_scene(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         self.clear(scene, contexts);
-        self.served.remove(&scene.number());
-        self.turns.forget(scene.number());
-        self.merge_turns.forget(scene.number());
+        let number = scene.number();
+        self.asked.retain(|slot| slot.page.scene != number);
+        self.turns.forget(number);
+        self.merge_turns.forget(number);
+        #[cfg_attr(not(feature = "http"), expect(unused_variables, reason = "it has no client"))]
+        let Some(served) = self.served.remove(&number) else { return };
+        #[cfg(feature = "http")]
+        self.let_go(&served.scope.client);
+    }
+
+    /// Keeps a client no longer than the last scene that asks as it does.
+    #[cfg(feature = "http")]
+    fn let_go(&mut self, client: &HttpClient) {
+        let others = std::iter::once(&self.client).chain(self.served.values().map(|served| &served.scope.client));
+        let unclaimed = self.unclaimed.iter().map(|served| &served.scope.client);
+        let is_asked_with = |of: &HttpClient| of.config() == client.config();
+        if !others.chain(unclaimed).any(is_asked_with) {
+            self.threads.list.lock().clients.retain(|of| !is_asked_with(of));
+            if let Some(door) = &self.threads.door {
+                door.keep_what_came(client);
+            }
+        }
     }
 
     /// The first scene that was not added has the scope that the pager was made with.

@@ -109,6 +109,7 @@ mod tests {
             Entry {
                 job,
                 priority: 1.0,
+                asked_frame: 0,
                 wanted_frame: 1,
                 ahead_frames: 0,
                 since,

@@ -1,12 +1,16 @@
-//! [`Turns`]: which scene of a pager is to have the next place, so that none waits for another one's end. Update thread.
+//! Who is to have the next place, so that nobody waits for another one's end. Update thread.
 //!
+//! [`Turns`]: of scenes.
 //! Requests of all scenes are ordered by priority. A scene whose pictures ask for more and more, because its camera moves
 //! on, say, would take all places for as long as what it asks for is the more urgent; so a scene that was passed over a few
 //! times has the next place.
+//!
+//! [`LongWaits`]: of what was asked for. A view that moves on may ask for ever more that is more urgent than what another
+//! view of the same scene lacks; so some places go to what was asked for longest ago.
 
 use std::collections::{BTreeMap, VecDeque};
 
-use crate::scene::SceneNumber;
+use crate::scene::{NodeId, SceneNumber};
 
 /// A scene with something to load, or to merge, has one place of so many and one at least.
 const PASSED_OVER: u32 = 4;
@@ -71,6 +75,48 @@ impl Turns {
     }
 }
 
+/// Of so many places one goes to what waits longest.
+const LONG_WAIT_SHARE: u32 = 8;
+/// Once it was asked for in so many frames.
+const LONG_WAIT_FRAMES: u32 = 120;
+
+/// How many places have gone since the last that went to a long wait.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct LongWaits {
+    gone: u32,
+}
+
+impl LongWaits {
+    /// So many places have gone.
+    pub fn took(&mut self, places: u32) {
+        self.gone = (self.gone % LONG_WAIT_SHARE + places % LONG_WAIT_SHARE) % LONG_WAIT_SHARE;
+    }
+
+    /// Puts what is ordered with the most urgent first so that what waits long has its share. `asked` is the frame in
+    /// which something was asked for first, and what it was asked for.
+    pub fn arrange<T: Copy>(&self, ordered: Vec<T>, frame: u32, asked: impl Fn(&T) -> (u32, NodeId)) -> Vec<T> {
+        let waits_long = |item: &T| frame.saturating_sub(asked(item).0) > LONG_WAIT_FRAMES;
+        let mut long: Vec<(usize, T)> =
+            ordered.iter().copied().enumerate().filter(|(_, item)| waits_long(item)).collect();
+        if long.is_empty() {
+            return ordered;
+        }
+        long.sort_by_key(|(_, item)| asked(item));
+        let mut long = long.into_iter();
+        let mut urgent = ordered.iter().copied().enumerate();
+        let mut has_place = vec![false; ordered.len()];
+        let mut arranged = Vec::with_capacity(ordered.len());
+        for place in self.gone.. {
+            let is_turn = place % LONG_WAIT_SHARE == LONG_WAIT_SHARE - 1;
+            let waits = is_turn.then(|| long.find(|(at, _)| !has_place[*at])).flatten();
+            let Some((at, item)) = waits.or_else(|| urgent.find(|(at, _)| !has_place[*at])) else { break };
+            has_place[at] = true;
+            arranged.push(item);
+        }
+        arranged
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -86,6 +132,43 @@ mod tests {
     fn items(counts: [usize; 3]) -> Vec<(SceneNumber, usize)> {
         let of = scenes();
         (0..3).flat_map(|s| (0..counts[s]).map(move |i| (of[s], i))).collect()
+    }
+
+    /// Places in an order of so many, of which those at `long` were asked for long ago, the last first.
+    fn arranged(waits: LongWaits, count: u32, long: &[u32]) -> Vec<u32> {
+        let page = Scene::new().add_root(crate::scene::Page::from_node(crate::scene::Node::group(Vec::new())).unwrap());
+        let asked = |place: &u32| {
+            let frame = if long.contains(place) { 1000 - place } else { 5000 };
+            (frame, NodeId { page, index: *place })
+        };
+        waits.arrange((0..count).collect(), 5000, asked)
+    }
+
+    #[test]
+    fn what_waits_long_has_every_eighth_place() {
+        let all: Vec<u32> = (0..40).collect();
+        assert_eq!(arranged(LongWaits::default(), 40, &[]), all);
+        let arranged_all = arranged(LongWaits::default(), 40, &[25, 30, 35]);
+        assert_eq!([7, 15, 23].map(|place: usize| arranged_all[place]), [35, 30, 25], "the longest first");
+        assert_eq!(arranged_all[..7], all[..7], "the most urgent else");
+        assert!(
+            {
+                let mut sorted = arranged_all;
+                sorted.sort_unstable();
+                sorted == all
+            },
+            "each once"
+        );
+        // Lists are written anew before a turn comes.
+        let mut waits = LongWaits::default();
+        let mut firsts = Vec::new();
+        for _ in 0..16 {
+            firsts.push(arranged(waits, 40, &[39])[0]);
+            waits.took(1);
+        }
+        assert_eq!(firsts.iter().filter(|first| **first == 39).count(), 2, "{firsts:?}");
+        // The last is among the urgent too.
+        assert_eq!(arranged(LongWaits { gone: 7 }, 3, &[0, 1, 2]), [2, 0, 1]);
     }
 
     #[test]

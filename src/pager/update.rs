@@ -14,7 +14,7 @@ use super::shares::{Held, Shares};
 use super::states::RequestState;
 use super::stats::{ErrorRecord, Errors, PagerStats};
 use super::threads::Threads;
-use super::turns::Turns;
+use super::turns::{LongWaits, Turns};
 use crate::cull::PageRequest;
 use crate::gpu::CompileBudget;
 use crate::io::{self, ReadOptions};
@@ -37,6 +37,7 @@ pub struct DatabasePager {
     /// Which scene is to be loaded for next, and merged into.
     pub(super) turns: Turns,
     pub(super) merge_turns: Turns,
+    pub(super) long_waits: LongWaits,
     /// Shared by all scenes.
     pub(super) sharing: Option<Arc<SharedStateManager>>,
     /// As the configuration has it.
@@ -73,6 +74,9 @@ pub struct DatabasePager {
     pub(super) full: bool,
     /// More waits than there is room for.
     pub(super) is_short: bool,
+    /// From when on a page may be tried where none of the mean size has room, and how long the last wait was; frames.
+    pub(super) try_room_frame: u32,
+    pub(super) try_room_wait: u32,
     /// What the most urgent page needs that was loaded and found no room.
     pub(super) lacks: Option<Held>,
     /// What is wanted soonest of what found no free room.
@@ -111,6 +115,7 @@ impl DatabasePager {
             first: None,
             turns: Turns::default(),
             merge_turns: Turns::default(),
+            long_waits: LongWaits::default(),
             sharing,
             #[cfg(feature = "http")]
             client,
@@ -133,6 +138,8 @@ impl DatabasePager {
             mean_gpu_bytes: 0,
             full: false,
             is_short: false,
+            try_room_frame: 0,
+            try_room_wait: 0,
             lacks: None,
             ahead_short: None,
             is_paused: false,

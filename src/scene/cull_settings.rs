@@ -88,6 +88,13 @@ pub struct CullSettings {
     pub lod_scale: f64,
     /// A tile is refined where its error projects to more pixels.
     pub max_sse_px: f64,
+    /// Of tiles that their children will replace, those are asked for alone that show what is there so many times finer;
+    /// the levels between are skipped, and never read. 16 is four levels of a quadtree; at 1 (or no number) none is
+    /// skipped, as with OSG. Nothing else changes: no tile gives way before all that takes its place is there. With
+    /// levels skipped less is loaded for a picture, but its parts come in larger steps, and where a budget is too small
+    /// for all of it, or a server slow, they stay coarse for longer. What is skipped is asked for where something below
+    /// it failed. CesiumJS' `skipScreenSpaceErrorFactor`.
+    pub skip_sse_factor: f64,
     /// Seconds of the application's time in which a level of detail gives way to another, both dithered, so that
     /// neither pops: tiles with their children, and children of Lods. 0 changes them at once. So does a frame that
     /// comes later after the one before than this, and one at the same time: pictures that are meant to be
@@ -119,6 +126,7 @@ impl Default for CullSettings {
             small_feature_px: SMALL_FEATURE_PX,
             lod_scale: 1.0,
             max_sse_px: 16.0,
+            skip_sse_factor: 1.0,
             lod_fade_s: 0.25,
             cull_mask: u32::MAX,
             cull_mask_left: u32::MAX,
@@ -139,7 +147,7 @@ impl Inherit {
     pub const NONE: Self = Self(0);
     /// Culling mode and small feature size.
     pub const CULLING: Self = Self(1);
-    /// LOD scale, largest error and length of fades.
+    /// LOD scale, largest error, skipping of levels and length of fades.
     pub const LOD_SCALE: Self = Self(2);
     /// Cull masks.
     pub const CULL_MASK: Self = Self(4);
@@ -168,7 +176,7 @@ impl CullSettings {
         }
         if mask.has(Inherit::LOD_SCALE) {
             (self.lod_scale, self.max_sse_px) = (above.lod_scale, above.max_sse_px);
-            self.lod_fade_s = above.lod_fade_s;
+            (self.lod_fade_s, self.skip_sse_factor) = (above.lod_fade_s, above.skip_sse_factor);
         }
         if mask.has(Inherit::CULL_MASK) {
             self.cull_mask = above.cull_mask;

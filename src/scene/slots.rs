@@ -10,7 +10,7 @@ use std::sync::atomic::Ordering;
 use glam::DAffine3;
 
 use super::graph::Scene;
-use super::node::PagingOptions;
+use super::node::{PagingOptions, ProxyLoading};
 use super::page::{NONE, Page};
 use super::tiles::flag;
 use super::{NodeId, PageId, SceneError};
@@ -83,11 +83,23 @@ impl Scene {
     /// Lets the pager load what a [`ProxyNode`](super::ProxyNode) or a PagedLod stands for from its next update on, before
     /// all that cameras want and wherever they look; a ProxyNode that is loaded
     /// [`Never`](super::ProxyLoading::Never) otherwise, say. It expires as others do. Refused where there is no slot, or
-    /// something is in it. What fails is counted, and not asked for again.
+    /// something is in it. What failed before is tried once more; what fails in passing goes on being tried, whoever looks.
     pub fn load_proxy(&mut self, node: NodeId) -> Result<(), SceneError> {
         self.free_slot(node)?;
         self.asked.push(node);
         Ok(())
+    }
+
+    /// When what a ProxyNode stands for is loaded; `None` for a PagedLod.
+    pub(crate) fn proxy_loading(&self, slot: NodeId) -> Option<ProxyLoading> {
+        let tiles = &self.page(slot.page)?.tiles;
+        let record = tiles.records.get(self.page(slot.page)?.tile_of(slot.index)?)?;
+        match () {
+            () if !record.has(flag::PROXY) => None,
+            () if record.has(flag::NEVER) => Some(ProxyLoading::Never),
+            () if tiles.immediate().contains(&slot.index) => Some(ProxyLoading::Immediately),
+            () => Some(ProxyLoading::DeferToPager),
+        }
     }
 
     /// What is in a slot was wanted in a frame.
@@ -117,7 +129,8 @@ impl Scene {
         })
     }
 
-    /// Marks a slot as failed (not requested, never ready) or as worth another try. Ignored where a page is.
+    /// Marks a slot as failed (not requested; ready only by what replaces it) or as worth another try. Ignored where a
+    /// page is.
     pub fn set_failed(&mut self, slot: NodeId, failed: bool) {
         let Some(tile) = self.page(slot.page).and_then(|p| p.tile_of(slot.index)) else { return };
         let was_ready = self.tile_ready(slot.page.slot, tile);
@@ -129,6 +142,29 @@ impl Scene {
             record.flags = if failed { record.flags | flag::FAILED } else { record.flags & !flag::FAILED };
         }
         self.spread_readiness(slot.page.slot, tile, was_ready);
+        if failed {
+            self.note_failure_above(slot.page.slot, tile);
+        }
+    }
+
+    /// The next content above what failed is to be there instead of it, also where it would be skipped.
+    fn note_failure_above(&mut self, mut entry: u32, mut tile: usize) {
+        loop {
+            let parent = self.page_at(entry).map_or(NONE, |page| page.tiles.parents[tile]);
+            if parent != NONE {
+                tile = parent as usize;
+            } else {
+                let above = self.slot_at(entry).and_then(|s| Some((s.page.slot, self.page(s.page)?.tile_of(s.index)?)));
+                let Some(above) = above else { return };
+                (entry, tile) = above;
+            }
+            let Some(page) = self.page_at_mut(entry) else { return };
+            let record = &mut page.tiles.records[tile];
+            if record.has(flag::CONTENT) && !record.has(flag::EXTERNAL) {
+                record.flags |= flag::FAILED_BELOW;
+                return;
+            }
+        }
     }
 
     /// Whether a tile can be drawn in its parent's place without a hole.

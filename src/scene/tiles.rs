@@ -33,6 +33,10 @@ pub(crate) mod flag {
     pub const REQUEST_VOLUME: u16 = 512;
     /// Another state path than that of the tree's top tile, in a separate table.
     pub const OWN_PATH: u16 = 1024;
+    /// Something that takes its place has failed: it is not skipped any more.
+    pub const FAILED_BELOW: u16 = 2048;
+    /// There is content below it, as far as the page tells.
+    pub const CONTENT_BELOW: u16 = 4096;
 }
 
 /// What the tile walk reads of every tile it meets, 16 bytes.
@@ -359,6 +363,14 @@ impl Tiles {
     /// Counts what is not ready, leaves first. Called once, when nothing is resident.
     pub fn count_readiness(&mut self) {
         for i in (0..self.records.len()).rev() {
+            let record = self.records[i];
+            let has_content = record.has(flag::CONTENT | flag::PROXY) && !record.has(flag::NEVER);
+            if has_content || record.has(flag::CONTENT_BELOW) {
+                match self.parents[i] {
+                    NONE => {}
+                    parent => self.records[parent as usize].flags |= flag::CONTENT_BELOW,
+                }
+            }
             if !self.is_ready_without_page(i) {
                 match self.parents[i] {
                     NONE => self.not_ready_roots += 1,
@@ -368,16 +380,14 @@ impl Tiles {
         }
     }
 
-    /// Readiness of a tile whose slot is empty, or that has none.
+    /// Readiness of a tile whose slot is empty, or that has none. What its children replace, they can stand for.
     pub fn is_ready_without_page(&self, tile: usize) -> bool {
         let record = &self.records[tile];
-        if record.has(flag::FAILED) {
-            false
-        } else if record.has(flag::PROXY) {
-            record.has(flag::NEVER)
-        } else {
-            !record.has(flag::CONTENT) && record.not_ready_children == 0
+        if record.has(flag::PROXY) {
+            return record.has(flag::NEVER) && !record.has(flag::FAILED);
         }
+        let children_can = !record.has(flag::CONTENT) || (record.has(flag::CONTENT_BELOW) && !record.has(flag::ADD));
+        children_can && record.not_ready_children == 0
     }
 
     /// Maps a tile's content to the tile's frame.

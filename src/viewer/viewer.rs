@@ -47,6 +47,9 @@ pub struct ViewerConfig {
     pub look_ahead_s: f64,
     /// A tile whose error projects to more pixels is refined.
     pub max_sse_px: f64,
+    /// How much finer than what is there a tile must be to be loaded on the way to a finer one, see
+    /// [`CullSettings::skip_sse_factor`].
+    pub skip_sse_factor: f64,
     /// The most that is uploaded before a frame is drawn: more fills the picture sooner, less keeps frames even.
     pub compile_budget: CompileBudget,
     /// How much of it slow frames leave.
@@ -82,6 +85,7 @@ impl Default for ViewerConfig {
             pager: PagerConfig::default(),
             look_ahead_s: 1.0,
             max_sse_px: 16.0,
+            skip_sse_factor: 1.0,
             compile_budget: CompileBudget { time: Duration::from_millis(3), bytes: 16 << 20 },
             compile_pace: CompilePace::default(),
             compile_contexts: false,
@@ -109,7 +113,7 @@ impl ViewerConfig {
     }
 
     pub(super) fn cull_settings(&self) -> CullSettings {
-        CullSettings { max_sse_px: self.max_sse_px, ..CullSettings::default() }
+        CullSettings { max_sse_px: self.max_sse_px, skip_sse_factor: self.skip_sse_factor, ..CullSettings::default() }
     }
 }
 

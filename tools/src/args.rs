@@ -90,6 +90,10 @@ pub struct FlyArgs {
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
+    /// On the way to finer tiles load only those that are so many times finer than what is there: at 16 of four levels
+    /// of a quadtree one [default: 1, every level]
+    #[arg(long, value_name = "FACTOR")]
+    pub skip_sse: Option<Positive>,
     /// Seconds in which levels of detail fade into one another; 0 changes them at once
     #[arg(long, value_name = "SECONDS", default_value = "0.25")]
     pub lod_fade: NotNegative,
@@ -188,6 +192,10 @@ pub struct ViewArgs {
     /// Refine tiles whose error shows as more pixels [default: 3 for height tiles, else 16 as CesiumJS]
     #[arg(long, value_name = "PX")]
     pub sse: Option<Positive>,
+    /// On the way to finer tiles load only those that are so many times finer than what is there: at 16 of four levels
+    /// of a quadtree one [default: 1, every level]
+    #[arg(long, value_name = "FACTOR")]
+    pub skip_sse: Option<Positive>,
     /// Seconds in which levels of detail fade into one another; 0 changes them at once
     #[arg(long, value_name = "SECONDS", default_value = "0.25")]
     pub lod_fade: NotNegative,
@@ -229,6 +237,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             view,
             path,
             sse,
+            skip_sse,
             lod_fade,
             threading,
             stats,
@@ -246,6 +255,7 @@ impl From<ViewArgs> for Box<FlyArgs> {
             view,
             path,
             sse,
+            skip_sse,
             lod_fade,
             threading,
             stats,
@@ -364,6 +374,9 @@ pub enum Bench {
         /// Load what the announced path will want in so many seconds; the peers cannot
         #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = not_negative)]
         look_ahead: f64,
+        /// Load only tiles that are so many times finer than what is there, on the way to those that are wanted
+        #[arg(long, value_name = "FACTOR", default_value = "1")]
+        skip_sse: Positive,
         /// Nothing is announced: look ahead where the eye's motion goes on to
         #[arg(long)]
         by_motion: bool,

@@ -309,6 +309,7 @@ impl Flight {
             None if viewer.is_height_set() => HEIGHT_SSE_PX,
             None => FOREIGN_SSE_PX,
         };
+        viewer.camera.settings.skip_sse_factor = self.args.skip_sse.map_or(1.0, |factor| factor.0);
         viewer.camera.settings.lod_fade_s = self.args.lod_fade.0;
         if let Some(color) = self.args.background {
             viewer.environment.sky = Sky::Background(color.0);

@@ -46,6 +46,8 @@ struct Walk<'a> {
     view: TileView,
     ranges: LodRanges,
     max_sse_px2: f32,
+    /// Of the squared error of a tile: what is shown is asked to be finer from so much on; 0 where no level is skipped.
+    skip_px2: f32,
     /// Shadows take what is there.
     asks: bool,
     cull_mask: u32,
@@ -89,6 +91,8 @@ impl Cull<'_> {
             view: self.tile_view(page, visit, tile_root.transform),
             ranges: self.view.ranges,
             max_sse_px2: self.view.max_sse_px * self.view.max_sse_px,
+            // From outside a volume a tile is all that there is of what is below it.
+            skip_px2: if tiles.has_request_volumes() { 0.0 } else { self.view.skip_px2 },
             asks: !self.view.casts,
             cull_mask,
             may_hide: !page.masks.is_empty() || cull_mask == 0 || tiles.has_request_volumes(),
@@ -274,14 +278,15 @@ impl Cull<'_> {
         let wants = distance2 < range2;
         let is_refined = purpose == Purpose::Draw && record.not_ready_children == 0 && (wants || !resident);
         let mut above_px2 = above.shown_px2;
-        if !(resident || (is_refined && wants)) {
+        let is_skipped = wants && !resident && walk.skips(record, (range2, distance2), above_px2);
+        if !(resident || (is_refined && wants) || is_skipped) {
             above_px2 = self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
         }
         if purpose == Purpose::Draw && (resident || !stays(marks, tile as usize, walk.step, is_refined, false)) {
             let above = TileFrame { shown_px2: above_px2, ..above.read() };
             return self.fade_tile(walk, tile, mask, &above, marks);
         }
-        let shown_px2 = walk.below_px2(range2, distance2, above_px2);
+        let shown_px2 = if is_skipped { above_px2 } else { walk.below_px2(range2, distance2, above_px2) };
         let purpose = if is_refined { Purpose::Draw } else { Purpose::Want };
         (is_refined || wants) && self.open_tile(walk, tile, (purpose, mask), true, shown_px2, above.fade)
     }
@@ -519,6 +524,13 @@ impl Walk<'_> {
     #[inline(always)]
     fn px2(&self, (range2, distance2): (f32, f32)) -> f32 {
         self.max_sse_px2 * (range2 / distance2)
+    }
+
+    /// True for a tile that its children will replace, and that is not much finer than what is shown meanwhile.
+    #[inline(always)]
+    fn skips(&self, record: &TileRecord, (range2, distance2): (f32, f32), shown_px2: f32) -> bool {
+        shown_px2 * distance2 < self.skip_px2 * range2
+            && record.flags & (flag::CONTENT_BELOW | flag::FAILED_BELOW) == flag::CONTENT_BELOW
     }
 
     /// The squared error of what is shown while tiles below are missing: never as large as what is shown above, so that

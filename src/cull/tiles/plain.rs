@@ -223,22 +223,28 @@ impl Cull<'_> {
             visited += 1;
             walk.stamp.put::<AHEAD>(&last_used[place]);
             let mut above_px2 = above.shown_px2;
+            let (range2, distance2) = match purpose == Purpose::Want && record.has_children() {
+                true => walk.range_and_distance(tile, record, &bounds[place]),
+                false => (0.0, 1.0),
+            };
+            let wants = distance2 < range2;
+            let mut is_skipped = false;
             if !record.has(flag::RESIDENT) {
-                above_px2 = self.request_missing(walk, tile, purpose, above_px2, above.fade);
-            }
-            if purpose == Purpose::Want && record.has_children() {
-                let (range2, distance2) = walk.range_and_distance(tile, record, &bounds[place]);
-                if distance2 < range2 {
-                    let shown_px2 = walk.below_px2(range2, distance2, above_px2);
-                    let (next, end) = (record.first_child, record.end_of_children());
-                    above = TileFrame { next, end, mask, shown_px2, required: true, ..above };
-                    frame::open(self.tile_stack, tile + 1, above);
-                    tile = next;
-                    if LOOKS && mask == 0 && !looks_everywhere {
-                        break;
-                    }
-                    continue;
+                is_skipped = wants && walk.skips(record, (range2, distance2), above_px2);
+                if !is_skipped {
+                    above_px2 = self.request_missing(walk, tile, purpose, above_px2, above.fade);
                 }
+            }
+            if wants {
+                let shown_px2 = if is_skipped { above_px2 } else { walk.below_px2(range2, distance2, above_px2) };
+                let (next, end) = (record.first_child, record.end_of_children());
+                above = TileFrame { next, end, mask, shown_px2, required: true, ..above };
+                frame::open(self.tile_stack, tile + 1, above);
+                tile = next;
+                if LOOKS && mask == 0 && !looks_everywhere {
+                    break;
+                }
+                continue;
             }
             tile += 1;
         }

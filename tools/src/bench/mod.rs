@@ -36,7 +36,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
         Bench::Threading { secs } => threading::run(*secs),
         Bench::Share { secs } => share::run(*secs),
         Bench::Resident { tiles, secs } => resident::run(*tiles as usize, *secs),
-        Bench::Page { frames, pace, draw, tiles, content, world, speed, look_ahead, by_motion, url, net } => {
+        Bench::Page { frames, pace, draw, tiles, content, world, speed, look_ahead, skip_sse, by_motion, url, net } => {
             page::run(page::Options {
                 frames: *frames,
                 pace_hz: *pace,
@@ -46,6 +46,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
                 world: *world,
                 speed_m_s: speed.map(|speed| speed.0),
                 look_ahead_s: *look_ahead,
+                skip_sse_factor: skip_sse.0,
                 by_motion: *by_motion,
                 url: url.clone(),
                 net: net.clone(),

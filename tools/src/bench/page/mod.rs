@@ -44,6 +44,8 @@ pub struct Options {
     pub speed_m_s: Option<f64>,
     /// Seconds of the flight for which to load ahead.
     pub look_ahead_s: f64,
+    /// See [`terrane::cull::CullSettings::skip_sse_factor`].
+    pub skip_sse_factor: f64,
     /// The path is not announced, but guessed.
     pub by_motion: bool,
     /// Where the folder of the tiles is served; `None` reads the files.
@@ -273,6 +275,12 @@ impl Bench {
         1.0 / if self.options.pace_hz > 0.0 { self.options.pace_hz } else { 60.0 }
     }
 
+    fn camera(&self, pose: (DVec3, DVec3), frame: u32) -> CullCamera {
+        let mut camera = camera(pose, frame);
+        camera.settings.skip_sse_factor = self.options.skip_sse_factor;
+        camera
+    }
+
     /// Where the eye is in a frame of the flight, or between two.
     fn pose(&self, frame: f64) -> (DVec3, DVec3) {
         match self.options.speed_m_s {
@@ -290,7 +298,7 @@ impl Bench {
         self.looks.start_frame(frame * frame_s);
         while let Some(at_s) = self.looks.next(self.options.look_ahead_s, frame_s) {
             let frames = frames_until(at_s - frame * frame_s, frame_s);
-            let camera = CullCamera { ahead_frames: frames, ..camera(self.pose(at_s / frame_s), self.frame) };
+            let camera = CullCamera { ahead_frames: frames, ..self.camera(self.pose(at_s / frame_s), self.frame) };
             self.visitor.traverse(&self.scene, &camera, &mut self.ahead);
             self.looks.found(&self.ahead.requests);
         }
@@ -300,14 +308,14 @@ impl Bench {
     /// The same, as a viewer does where none is.
     fn look_by_motion(&mut self, frame: f64) {
         let now_s = frame * self.frame_s();
-        let here = camera(self.pose(frame), 0).eye_from_world.inverse();
+        let here = self.camera(self.pose(frame), 0).eye_from_world.inverse();
         self.motion.go_on(now_s, &here);
         self.guesses.start_frame(now_s, &here, &self.motion);
         while let Some((then, frames)) = self.guesses.next(self.options.look_ahead_s, &self.motion) {
             let camera = CullCamera {
                 eye_from_world: then.inverse(),
                 ahead_frames: frames,
-                ..camera(self.pose(frame), self.frame)
+                ..self.camera(self.pose(frame), self.frame)
             };
             self.visitor.traverse(&self.scene, &camera, &mut self.ahead);
             self.guesses.found(&self.ahead.requests, &self.motion);
@@ -324,7 +332,7 @@ impl Bench {
         }
         self.pager.update_scene_graph(&mut self.scene, self.frame, &self.stage.requests, &mut [&mut self.context]);
         let t1 = Instant::now();
-        self.visitor.cull(&self.scene, &camera(self.pose(frame), self.frame), &mut self.stage);
+        self.visitor.cull(&self.scene, &self.camera(self.pose(frame), self.frame), &mut self.stage);
         self.pager.request(&self.scene, &self.stage.requests);
         let t2 = Instant::now();
         self.context.0.run_compiles(&CompileBudget::default());
