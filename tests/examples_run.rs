@@ -26,6 +26,11 @@ fn example(name: &str) -> PathBuf {
 
 /// The picture; `None` where nothing can draw.
 fn run(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<image::RgbImage> {
+    run_and_listen(name, arguments, colours_at_least).map(|(picture, _)| picture)
+}
+
+/// The picture and what was printed.
+fn run_and_listen(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<(image::RgbImage, String)> {
     let traits = terrane::gpu::ContextTraits::default();
     if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&traits) {
         assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
@@ -44,7 +49,15 @@ fn run(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<image:
     assert_eq!((picture.width(), picture.height()), (1280, 720));
     let colours: BTreeSet<_> = picture.pixels().map(|p| p.0).collect();
     assert!(colours.len() >= colours_at_least, "{name}: {} colours", colours.len());
-    Some(picture)
+    Some((picture, String::from_utf8(out.stdout).unwrap()))
+}
+
+/// A pixel, 0 to 1, linear.
+fn linear(picture: &image::RgbImage, [x, y]: [u32; 2]) -> [f64; 3] {
+    picture.get_pixel(x, y).0.map(|s| {
+        let s = f64::from(s) / 255.0;
+        if s <= 0.040_45 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
+    })
 }
 
 #[test]
@@ -68,12 +81,54 @@ fn image_sequence() {
 
 #[test]
 fn render_to_texture() {
-    run("render_to_texture", &[], 100);
+    let Some(picture) = run("render_to_texture", &[], 100) else { return };
+    let all = |places: &[(u32, u32)], is: fn(i32, i32, i32) -> bool| {
+        places.iter().all(|(x, y)| {
+            let [r, g, b] = picture.get_pixel(*x, *y).0.map(i32::from);
+            is(r, g, b)
+        })
+    };
+    let is_yellow = |r, g, b| r > b + 60 && g > b + 60;
+    assert!(all(&[(420, 450)], |r, g, b| r > 200 && g < 130 && b < 130), "the house's wall in the sun");
+    assert!(all(&[(400, 350), (500, 360)], is_yellow), "its roof");
+    // On the screen's edges the blue behind the house, in its middle the house: the walls from their dark side.
+    let rim = [(755, 155), (930, 155), (1120, 155), (750, 330), (1110, 330), (750, 510), (930, 510), (1100, 510)];
+    assert!(all(&rim, |r, g, b| b > r + 70 && b > g + 40), "blue around");
+    assert!(all(&[(880, 370), (970, 390)], |r, g, b| (60..130).contains(&r) && r > 2 * g && r > 2 * b), "walls");
+    assert!(all(&[(970, 280), (920, 275), (860, 284)], is_yellow), "a roof");
+    assert!(all(&[(875, 245)], |r, g, b| r < 100 && (b - r).abs() < 40 && (g - r).abs() < 40), "a chimney");
 }
 
 #[test]
 fn transparency_and_bins() {
-    run("transparency_and_bins", &[], 100);
+    let Some(picture) = run("transparency_and_bins", &[], 100) else { return };
+    // Beside the panes the background, then each alone, then one over the other: the nearer comes last. A pane keeps the
+    // same part of all that is behind it.
+    const KEPT: f64 = 0.55;
+    for (near, far, both) in [
+        ([[240, 560], [360, 560]], [[260, 210], [330, 220]], [360, 340]),
+        ([[1010, 560], [900, 580]], [[1040, 210], [930, 220]], [920, 400]),
+    ] {
+        let tint = |[beside, alone]: [[u32; 2]; 2]| {
+            let [beside, alone] = [beside, alone].map(|at| linear(&picture, at));
+            [0, 1, 2].map(|i| alone[i] - KEPT * beside[i])
+        };
+        let behind = linear(&picture, [far[0][0], both[1]]);
+        let (near, far, got) = (tint(near), tint(far), linear(&picture, both));
+        let off = |first: [f64; 3], last: [f64; 3]| -> f64 {
+            (0..3).map(|i| (last[i] + KEPT * (first[i] + KEPT * behind[i]) - got[i]).abs()).sum()
+        };
+        assert!(off(far, near) < 0.03 && off(near, far) > 0.12, "{} {}", off(far, near), off(near, far));
+    }
+    // The ball: white above the pane before it, green behind it.
+    let [above, behind] = [[640, 290], [640, 420]].map(|[x, y]| picture.get_pixel(x, y).0.map(i32::from));
+    assert!(above.iter().all(|c| *c > 220) && behind[1] > behind[0] + 30, "{above:?} {behind:?}");
+    // Each side of the mark, over whatever lies there.
+    for [x, y] in [[648u32, 213], [506, 328], [788, 378], [646, 493]] {
+        let mut around = (y - 4..=y + 4).flat_map(|y| (x - 4..=x + 4).map(move |x| (x, y)));
+        let is_orange = |[r, g, b]: [u8; 3]| r > 200 && (110..200).contains(&g) && b < 120;
+        assert!(around.any(|(x, y)| is_orange(picture.get_pixel(x, y).0)), "no mark at {x}, {y}");
+    }
 }
 
 #[test]
@@ -83,7 +138,23 @@ fn custom_drawable() {
 
 #[test]
 fn occluders() {
-    run("occluders", &[], 100);
+    let Some((picture, said)) = run_and_listen("occluders", &[], 100) else { return };
+    let numbers = |said: &str| -> Vec<u32> {
+        said.split(|c: char| !c.is_ascii_digit()).filter(|n| !n.is_empty()).map(|n| n.parse().unwrap()).collect()
+    };
+    let [drawn, 400, 4, hidden] = numbers(&said)[..] else { panic!("{said}") };
+    assert!((30..200).contains(&drawn) && hidden > 200, "{said}");
+    let (all, said) = run_and_listen("occluders", &["--no-occluders"], 100).unwrap();
+    let [all_drawn, 400, 4, 0] = numbers(&said)[..] else { panic!("{said}") };
+    // Groups of balls count once.
+    assert!(all_drawn > drawn + 200, "{said}");
+    let differing = picture.pixels().zip(all.pixels()).filter(|(a, b)| a != b).count();
+    assert_eq!(differing, 0, "what is hidden changes nothing");
+    // Balls behind the window, wall around it.
+    let is_wall = |x, y| picture.get_pixel(x, y).0.iter().all(|c| (140..180).contains(c));
+    assert!(is_wall(640, 200) && is_wall(300, 340) && is_wall(980, 340) && is_wall(640, 500));
+    let [r, _, b] = picture.get_pixel(600, 400).0;
+    assert!(r > 200 && b < 80, "a ball behind the window: {r} {b}");
 }
 
 #[test]

@@ -148,6 +148,93 @@ fn programs_have_uniforms_and_defines() {
     );
 }
 
+#[test]
+fn uniforms_of_every_type_reach_programs() {
+    let Some(mut rig) = rig("uniforms_of_every_type_reach_programs") else { return };
+    let rig = &mut *rig;
+    use UniformValue::{
+        Float, IVec2, IVec3, IVec4, Int, Mat2, Mat3, Mat4, UVec2, UVec3, UVec4, Uint, Vec2, Vec3, Vec4, Vec4Array,
+    };
+    let columns = [[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0], [9.0, 10.0, 11.0, 12.0], [13.0, 14.0, 15.0, 16.0]];
+    let of_three = [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5], [7.5, 8.5, 9.5]];
+    // Types that are smaller than the place of the next, so that each begins where WGSL says.
+    let given = [
+        ("f32", Float(-0.25), "all(V == -0.25)"),
+        ("vec2<f32>", Vec2([0.5, -1.5]), "all(V == vec2(0.5, -1.5))"),
+        ("vec3<f32>", Vec3([1.25, 2.25, -3.25]), "all(V == vec3(1.25, 2.25, -3.25))"),
+        ("vec4<f32>", Vec4([4.0, 3.0, 2.0, -1.0]), "all(V == vec4(4.0, 3.0, 2.0, -1.0))"),
+        ("i32", Int(-7), "V == -7"),
+        ("vec2<i32>", IVec2([-8, 9]), "all(V == vec2(-8, 9))"),
+        ("vec3<i32>", IVec3([10, -11, 12]), "all(V == vec3(10, -11, 12))"),
+        ("vec4<i32>", IVec4([-13, 14, i32::MIN, i32::MAX]), "all(V == vec4(-13, 14, -2147483647 - 1, 2147483647))"),
+        ("u32", Uint(17), "V == 17u"),
+        ("vec2<u32>", UVec2([18, 19]), "all(V == vec2(18u, 19u))"),
+        ("vec3<u32>", UVec3([20, 21, 22]), "all(V == vec3(20u, 21u, 22u))"),
+        ("vec4<u32>", UVec4([23, 24, 25, u32::MAX]), "all(V == vec4(23u, 24u, 25u, 4294967295u))"),
+        ("mat2x2<f32>", Mat2([[1.0, 2.0], [3.0, 4.0]]), "all(V[0] == vec2(1.0, 2.0)) && all(V[1] == vec2(3.0, 4.0))"),
+        (
+            "mat3x3<f32>",
+            Mat3(of_three),
+            "all(V[0] == vec3(1.5, 2.5, 3.5)) && all(V[1] == vec3(4.5, 5.5, 6.5)) && all(V[2] == vec3(7.5, 8.5, 9.5))",
+        ),
+        (
+            "mat4x4<f32>",
+            Mat4(columns),
+            "all(V[1] == vec4(5.0, 6.0, 7.0, 8.0)) && all(V * vec4(0.0, 0.0, 0.0, 1.0) == V[3]) && V[3].w == 16.0",
+        ),
+        ("array<vec4<f32>, 4>", Vec4Array(columns.into()), "all(V[0] == vec4(1.0, 2.0, 3.0, 4.0)) && V[3].x == 13.0"),
+    ];
+    let times = [
+        ("osg_FrameNumber", "u32", "uniforms.osg_FrameNumber == 6u"),
+        ("osg_FrameTime", "f32", "uniforms.osg_FrameTime == 12.5"),
+        ("osg_DeltaFrameTime", "f32", "uniforms.osg_DeltaFrameTime == 0.125"),
+        ("osg_SimulationTime", "f32", "uniforms.osg_SimulationTime == 1000.5"),
+        ("osg_ViewMatrix", "mat4x4<f32>", "all(uniforms.osg_ViewMatrix[3] == vec4(0.0, 0.0, -10.0, 1.0))"),
+    ];
+    let mut set = StateSet::default();
+    let (mut declared, mut checked, mut whats) = (String::new(), String::new(), Vec::new());
+    let mut add = |what, name: &str, ty: &str, holds: &str| {
+        declared += &format!("{name}: {ty}, ");
+        checked += &format!("case {}u: {{ holds = {holds}; }}\n", whats.len());
+        whats.push(what);
+    };
+    for (at, (ty, value, holds)) in given.into_iter().enumerate() {
+        let name = format!("given_{at}");
+        add(ty, &name, ty, &holds.replace('V', &format!("uniforms.{name}")));
+        set = set.with_uniform(&name, value);
+    }
+    times.into_iter().for_each(|(name, ty, holds)| add(name, name, ty, holds));
+    let count = whats.len();
+    let wgsl = format!(
+        "struct Uniforms {{ {declared} }}
+        @group(2) @binding(0) var<uniform> uniforms: Uniforms;
+        struct V {{ @builtin(position) position: vec4<f32>, @location(0) uv: vec2<f32> }}
+        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> V {{
+            return V(frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0), vertex.uv);
+        }}
+        @fragment fn fs_main(in: V) -> @location(0) vec4<f32> {{
+            var holds = false;
+            switch u32(in.uv.x * {count}.0) {{
+                {checked}
+                default: {{}}
+            }}
+            return vec4<f32>(select(1.0, 0.0, holds), select(0.0, 1.0, holds), 0.0, 1.0);
+        }}"
+    );
+    let set = set.with(Attribute::Program(Program::new("types", &wgsl)));
+    rig.renderer.clock =
+        terrane::draw::FrameClock { reference_time_s: 12.5, delta_s: 0.125, simulation_time_s: 1000.5 };
+    let scene = rig.scene(Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])]).with_state_set(Arc::new(set)));
+    let side = 4 * count as u32;
+    let picture = rig.picture(&scene, &CullCamera { frame: 6, ..unit_camera(side) }, &plain());
+    rig.release(scene);
+    let errors = rig.renderer.take_errors();
+    assert!(errors.is_empty(), "{errors:?}");
+    for (place, what) in (0u32..).zip(whats) {
+        assert_eq!(pixel(&picture, 4 * place + 2, side / 2), GREEN, "{what}");
+    }
+}
+
 /// More uniforms than the adapter takes: the program is said, and the rest of the picture drawn.
 #[test]
 fn programs_with_too_many_uniforms_are_said_and_lose_no_frame() {

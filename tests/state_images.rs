@@ -210,6 +210,23 @@ fn polygons_are_lines_where_the_adapter_can() {
 }
 
 #[test]
+fn polygons_are_points_where_the_adapter_can() {
+    let Some(mut rig) = rig("polygons_are_points_where_the_adapter_can") else { return };
+    let points = StateSet::default().with(Attribute::PolygonMode(PolygonMode::Point));
+    // Corners lie in the middle of pixels.
+    let at_middles = quad([0.0; 3], [31.0 / 64.0; 2], [1.0, 0.0, 0.0, 1.0]);
+    let picture = draw(&mut rig, vec![node(at_middles, points)]);
+    let red = count(&picture, RED);
+    if rig.ctx.device().features().contains(wgpu::Features::POLYGON_MODE_POINT) {
+        let corners = [(16, 16), (47, 16), (16, 47), (47, 47)];
+        assert!(corners.iter().all(|(x, y)| picture.get_pixel(*x, *y).0[..3] == RED) && red == 4, "{red} pixels");
+    } else {
+        eprintln!("polygons_are_points_where_the_adapter_can: filled: no points of polygons");
+        assert_eq!(red, 31 * 31, "filled instead");
+    }
+}
+
+#[test]
 fn an_offset_decides_between_equal_depths() {
     let Some(mut rig) = rig("an_offset_decides_between_equal_depths") else { return };
     let rig = &mut *rig;
@@ -223,6 +240,21 @@ fn an_offset_decides_between_equal_depths() {
     let mut set = later();
     set.set_attribute(Attribute::PolygonOffset(PolygonOffset { factor: 0.0, units: -16.0 }), StateValue::ON);
     assert_eq!(middle(rig, vec![node(square(0.0, RED), StateSet::default()), node(square(0.0, GREEN), set)]), RED);
+}
+
+#[test]
+fn an_offset_by_the_slope_moves_what_is_seen_aslant() {
+    let Some(mut rig) = rig("an_offset_by_the_slope_moves_what_is_seen_aslant") else { return };
+    let rig = &mut *rig;
+    let second = |factor: f32, turn: DAffine3| {
+        let set = later().with(Attribute::PolygonOffset(PolygonOffset { factor, units: 0.0 }));
+        let nodes = vec![node(square(0.0, RED), StateSet::default()), node(square(0.0, GREEN), set)];
+        vec![Node::transform(turn, nodes)]
+    };
+    let aslant = || DAffine3::from_rotation_y(1.0);
+    assert_eq!(middle(rig, second(-4.0, aslant())), GREEN, "nearer");
+    assert_eq!(middle(rig, second(4.0, aslant())), RED, "farther");
+    assert_eq!(middle(rig, second(-4.0, DAffine3::IDENTITY)), RED, "no slope, no offset");
 }
 
 #[test]

@@ -167,3 +167,32 @@ fn offsets_of_a_slave_come_before_its_eyes() {
         assert!(single[0] == found[1], "{mode:?}: one eye alone is another");
     }
 }
+
+/// Both were culled and drawn, and one thrown away.
+#[test]
+fn an_eye_that_is_not_shown_is_not_drawn() {
+    let leaves = |stereo: Option<Stereo>, threading| {
+        let mut viewer = viewer(SIZE, stereo, threading)?;
+        let context = viewer.context().unwrap();
+        let second = viewer.open_offscreen_on(context, &traits(SIZE)).unwrap();
+        let both = |viewer: &mut Viewer| {
+            viewer.settle(4);
+            viewer.finish().unwrap();
+            let last = viewer.stats().last_drawn().unwrap();
+            (last.leaves, last.triangles)
+        };
+        let alone = both(&mut viewer);
+        viewer.add_slave(Slave::new(second)).unwrap();
+        Some([alone, both(&mut viewer)])
+    };
+    for threading in ThreadingModel::ALL {
+        let Some(one) = leaves(None, threading) else { return };
+        assert_eq!((one[0].0, one[1].0), (3, 6), "three balls, in one window and in two");
+        let two = one.map(|(leaves, triangles)| (2 * leaves, 2 * triangles));
+        for mode in StereoMode::ALL {
+            let is_one = [StereoMode::LeftEye, StereoMode::RightEye].contains(&mode);
+            let expected = if is_one { one } else { two };
+            assert_eq!(leaves(Some(Stereo::new(mode)), threading).unwrap(), expected, "{mode:?}, {threading}");
+        }
+    }
+}

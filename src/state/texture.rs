@@ -169,9 +169,10 @@ pub struct Sampler {
     pub mip_filter: FilterMode,
     /// Along s, t and r.
     pub wrap: [WrapMode; 3],
-    /// Most samples along the steepest direction, 1 to 16.
+    /// Most samples along the steepest direction, 1 to 16; counts where all filters are linear.
     pub max_anisotropy: u8,
-    /// Added to the mip level.
+    /// Added to the mip level by the fixed function. Adapters' samplers have none: programs do not see it, theirs is
+    /// what they give `textureSampleBias`.
     pub mip_bias: f32,
     /// Compares with a reference instead of returning depth; programs only.
     pub compare: Option<CompareFunction>,

@@ -12,7 +12,7 @@ use super::look_ahead::LookAhead;
 use super::paged_scene::PagedScene;
 use super::rendering::{CullTask, Lens, Rendering, Sight};
 use super::viewport::Viewport;
-use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo};
+use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo, StereoMode};
 use crate::draw::Environment;
 use crate::scene::{Attachment, CameraTarget, Inherit};
 use crate::state::{TextureFormat, TextureObject};
@@ -37,6 +37,17 @@ pub enum Eyes {
     Right,
     /// None: from between them.
     Middle,
+}
+
+impl Eyes {
+    /// Those that are seen where the pictures are put together so: of both the one that is shown, where it is one alone.
+    fn shown(self, mode: StereoMode) -> Self {
+        match (self, mode) {
+            (Self::Both, StereoMode::LeftEye) => Self::Left,
+            (Self::Both, StereoMode::RightEye) => Self::Right,
+            _ => self,
+        }
+    }
 }
 
 /// A camera that goes with the master camera of its view: another eye of it, another window, another part of one.
@@ -295,7 +306,7 @@ impl View {
         let of_master = (self.eyes, size_px, &mut self.targets);
         let of_slaves = self.slaves.iter_mut().map(|s| (s.slave.eyes, s.size_px, &mut s.targets));
         for (eyes, size_px, targets) in std::iter::once(of_master).chain(of_slaves) {
-            match eyes {
+            match eyes.shown(stereo.mode) {
                 Eyes::Both => {
                     targets.get_or_insert_with(|| eye_targets(stereo.eye_size_px(size_px), self.samples));
                 }
@@ -315,11 +326,12 @@ impl View {
 
     /// With which eyes a camera of the view is culled.
     fn sight(&self, eyes: Eyes, targets: Option<&[Arc<CameraTarget>; 2]>) -> Sight {
-        match (&self.stereo, eyes, targets) {
-            (Some(stereo), Eyes::Both, Some(targets)) => Sight::Both(*stereo, targets.clone()),
-            (Some(stereo), Eyes::Left, _) => Sight::One(*stereo, 0),
-            (Some(stereo), Eyes::Right, _) => Sight::One(*stereo, 1),
-            _ => Sight::Middle,
+        let Some(stereo) = self.stereo else { return Sight::Middle };
+        match (eyes.shown(stereo.mode), targets) {
+            (Eyes::Both, Some(targets)) => Sight::Both(stereo, targets.clone()),
+            (Eyes::Left, _) => Sight::One(stereo, 0),
+            (Eyes::Right, _) => Sight::One(stereo, 1),
+            (Eyes::Both, None) | (Eyes::Middle, _) => Sight::Middle,
         }
     }
 

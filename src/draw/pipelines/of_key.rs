@@ -166,7 +166,8 @@ impl Pipelines {
             polygon_mode: self.polygon_mode(key.polygon_mode()),
             depth_write: key.writes_depth(),
             depth_compare: if key.culled() == 3 { wgpu::CompareFunction::Never } else { reversed(key.depth_compare()) },
-            stencil: self.stencil_state(key.stencil(), target.depth),
+            // Nor do they fail it: what is culled marks nothing.
+            stencil: self.stencil_state(if key.culled() == 3 { 0 } else { key.stencil() }, target.depth),
             bias: bias(self.parts.offsets.get(key.offset()).unwrap_or_default()),
             blend: self.parts.blends.get(key.blend()).map(|(func, equation)| {
                 let operation = operation(equation);
