@@ -396,6 +396,32 @@ fn faces_that_look_away_are_dropped() {
     assert_eq!(slots(&cull(root(), &off)), [0, 1]);
 }
 
+/// They were told from the eye's place, which parallel rays do not have.
+#[test]
+fn faces_look_away_from_parallel_rays() {
+    let cone = |normal| NormalCone { control_point: DVec3::ZERO, normal, least_cosine: -0.1, radius_m: 1.0 };
+    let with = |normal| {
+        let mut drawable = drawable(Aabb { min: DVec3::splat(-0.5), max: DVec3::splat(0.5) });
+        drawable.cluster = Some(cone(normal));
+        drawable
+    };
+    // Looks along +y, from y = -10; what faces it looks along -y.
+    let mut flat = camera();
+    flat.clip_from_eye = proj::orthographic(-40.0, 40.0, -40.0, 40.0, 100.0, -100.0);
+    // Beside the eye, behind it, and beyond: seen from a point, the second and fourth would look away.
+    let places = [DVec3::ZERO, DVec3::new(0.0, -30.0, 0.0), DVec3::new(0.0, 30.0, 0.0), DVec3::new(30.0, -9.0, 0.0)];
+    let root = |normal: DVec3| {
+        let at = |place: DVec3| {
+            let geode = Node::geode(vec![with(normal)]);
+            Node::transform(DAffine3::from_translation(place), vec![geode])
+        };
+        Node::group(places.map(at).into())
+    };
+    let facing = DVec3::new(-0.1, -1.0, 0.0).normalize();
+    assert_eq!(slots(&cull(root(facing), &flat)), [0, 1, 2, 3]);
+    assert!(slots(&cull(root(-facing), &flat)).is_empty());
+}
+
 #[test]
 fn callbacks_decide_and_inactive_nodes_are_not_culled() {
     let asked = Arc::new(AtomicU32::new(0));
@@ -450,6 +476,26 @@ fn what_an_inactive_node_draws_is_not_culled() {
     assert_eq!(slots(&cull(kinds(false), &camera)), [0, 1, 2, 3, 4]);
     camera.settings.cull_mask = 0;
     assert!(slots(&cull(kinds(false), &camera)).is_empty());
+}
+
+/// Its page's origin was half way to it, the boxes beside it grew by what f32 lost there, and near was beyond all else.
+#[test]
+fn a_vertex_gone_astray_changes_nothing_for_what_is_beside_it() {
+    let mut camera = camera();
+    camera.settings.compute_near_far = ComputeNearFar::BoundingVolumes;
+    let things = || vec![cube(DVec3::ZERO), cube(DVec3::new(0.0, 50.0, 0.0)), cube(DVec3::new(900.0, 0.0, 0.0))];
+    let alone = cull(Node::group(things()), &camera);
+    assert_eq!(slots(&alone), [0, 1]);
+    for far_m in [1e12, 1e20, 1e35] {
+        let astray = Aabb { min: DVec3::splat(-0.5), max: DVec3::new(0.5, far_m, far_m) };
+        let with = cull(Node::group([things(), vec![Node::geode(vec![drawable(astray)])]].concat()), &camera);
+        assert_eq!(slots(&with), [0, 1, 3], "it is drawn, whatever is seen of it");
+        assert_eq!(with.camera.clip_from_eye, alone.camera.clip_from_eye, "{far_m}");
+        let gone = Node::transform(DAffine3::from_translation(DVec3::splat(far_m * 1e5)), vec![cube(DVec3::ZERO)]);
+        let with = cull(Node::group([things(), vec![gone]].concat()), &camera);
+        assert_eq!(slots(&with)[..2], [0, 1], "{far_m}");
+        assert_eq!(with.camera.clip_from_eye, alone.camera.clip_from_eye, "{far_m}");
+    }
 }
 
 #[test]

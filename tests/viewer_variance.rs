@@ -10,12 +10,12 @@ use std::sync::{Arc, Mutex};
 
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
-use terrane::draw::{CameraCallbacks, Sky};
+use terrane::draw::{CameraCallbacks, RenderInfo, Sky};
 use terrane::gpu::AdapterChoice;
 use terrane::math::Aabb;
 use terrane::scene::{
-    CameraNode, DataVariance, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page, PageId, RenderOrder,
-    SceneError, Topology,
+    CameraNode, ComputeNearFar, DataVariance, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeId, Page,
+    PageId, RenderOrder, SceneError, Topology,
 };
 use terrane::state::{Attribute, StateSet, SurfaceMaterial};
 use terrane::viewer::{KEY_COLOR, ThreadingModel, Viewer, ViewerConfig};
@@ -171,6 +171,51 @@ fn dynamic_callbacks_have_read_what_the_next_update_writes() {
         let seen = std::mem::take(&mut *seen.lock().unwrap());
         assert_eq!(seen.len(), 30, "{threading}");
         assert!(seen.iter().all(|(frame, value)| frame == value), "{threading}: {seen:?}");
+    }
+}
+
+/// Only cameras in the graph had any.
+#[test]
+fn a_view_has_callbacks_and_says_near_and_far() {
+    for threading in ThreadingModel::ALL {
+        let Some(mut viewer) = viewer(threading) else { return };
+        let said: Arc<Mutex<Vec<(&str, u32, f64)>>> = Arc::default();
+        let log = |moment: &'static str| {
+            let said = said.clone();
+            move |info: &RenderInfo<'_>| {
+                let camera = &info.stage.camera;
+                // What is at -near has depth 1.
+                let near_m = camera.clip_from_eye.w_axis.z / (1.0 + camera.clip_from_eye.z_axis.z);
+                said.lock().unwrap().push((moment, camera.frame, near_m));
+            }
+        };
+        let (initial, pre, post, last) = (log("initial"), log("pre"), log("post"), log("final"));
+        viewer.set_draw_callbacks(Some(CameraCallbacks {
+            initial: Some(Box::new(move |info, _| initial(info))),
+            pre_draw: Some(Box::new(move |info, _| pre(info))),
+            post_draw: Some(Box::new(move |info, _| post(info))),
+            final_draw: Some(Box::new(move |info, _| last(info))),
+            ..CameraCallbacks::default()
+        }));
+        viewer.camera.settings.compute_near_far = ComputeNearFar::BoundingVolumes;
+        viewer.set_clamp_projection(Some(|near_m, far_m| {
+            assert!(near_m > 0.125, "{near_m}");
+            (0.125, far_m)
+        }));
+        let mesh = Drawable::new(Geometry::Mesh(Arc::new(sheet())), Material::default());
+        viewer.add_root(Page::from_node(Node::geode(vec![mesh])).unwrap()).unwrap();
+        (0..3).for_each(|_| viewer.frame().unwrap());
+        viewer.set_draw_callbacks(None);
+        viewer.frame().unwrap();
+        viewer.finish().unwrap();
+        let said = std::mem::take(&mut *said.lock().unwrap());
+        let moments: Vec<_> = said.iter().map(|(moment, frame, _)| (*moment, *frame)).collect();
+        let first = moments[0].1;
+        let of_frame = |frame| ["initial", "pre", "post", "final"].map(|moment| (moment, frame));
+        let expected: Vec<_> = (first..first + 3).flat_map(of_frame).collect();
+        assert_eq!(moments, expected, "{threading}");
+        // A little room is left.
+        assert!(said.iter().all(|(_, _, near_m)| (0.12..=0.125).contains(near_m)), "{threading}: {said:?}");
     }
 }
 

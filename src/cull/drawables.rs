@@ -132,7 +132,14 @@ impl Cull<'_> {
         let Ok(place) = page.clusters.binary_search_by_key(&drawable, |(d, _)| *d) else { return false };
         let cone = &page.clusters[place].1;
         let transform = page.drawable_refs[drawable as usize].transform;
-        let to_eye = page.transforms.point_in_node(transform, context.eye) - cone.control_point;
+        let eye = page.transforms.point_in_node(transform, context.eye);
+        if self.view.ranges.is_parallel() {
+            // Seen from everywhere along the same way, also what is behind the eye.
+            let toward_eye = context.eye - context.depth.truncate().as_dvec3();
+            let toward_eye = page.transforms.point_in_node(transform, toward_eye) - eye;
+            return toward_eye.dot(cone.normal) < cone.least_cosine * toward_eye.length();
+        }
+        let to_eye = eye - cone.control_point;
         let distance_m = to_eye.length();
         distance_m > cone.radius_m && to_eye.dot(cone.normal) < cone.least_cosine * distance_m
     }
@@ -212,9 +219,8 @@ impl Cull<'_> {
                 self.counters.drawables_tested += own.len() as u32;
                 for drawable in own {
                     let lane = drawable - start;
-                    // A NaN in the first operand loses.
-                    near = Vec4::splat(nearest[lane]).min(near);
-                    far = Vec4::splat(farthest[lane]).max(far);
+                    near = lesser(Vec4::splat(nearest[lane]), near);
+                    far = greater(Vec4::splat(farthest[lane]), far);
                     let of = page.drawable_refs[drawable];
                     let state = self.state_of(page, of.state_path);
                     let slot = context.slots.get(drawable).copied().unwrap_or(DrawSlot::NONE);
@@ -222,8 +228,8 @@ impl Cull<'_> {
                     self.leaves.push(RenderLeaf { slot, state, matrix, depth: depths[lane] });
                 }
             } else {
-                near = nearest.min(near);
-                far = farthest.max(far);
+                near = lesser(nearest, near);
+                far = greater(farthest, far);
                 self.counters.drawables_tested += 4;
                 let Some(of) = page.drawable_refs[start..].first_chunk::<4>() else { break };
                 let slots = context.slots.get(start..).and_then(|s| s.first_chunk::<4>());
@@ -249,6 +255,19 @@ impl Cull<'_> {
             self.test_drawables(context, drawable as u32, drawable as u32 + 1, 0, matrix);
         }
     }
+}
+
+/// The lesser of each; of what is no number what is known.
+#[inline(always)]
+fn lesser(new: Vec4, known: Vec4) -> Vec4 {
+    // There a NaN in the first operand loses.
+    if cfg!(target_arch = "x86_64") { new.min(known) } else { Vec4::select(new.cmplt(known), new, known) }
+}
+
+/// The greater of each; of what is no number what is known.
+#[inline(always)]
+fn greater(new: Vec4, known: Vec4) -> Vec4 {
+    if cfg!(target_arch = "x86_64") { new.max(known) } else { Vec4::select(new.cmpgt(known), new, known) }
 }
 
 /// Centre and half size of a drawable's box.
@@ -281,4 +300,16 @@ fn multiply_linear(context: &PageContext, known: &mut (u32, [Vec4; 3]), linear: 
     let matrix3 = context.visit.eye_from_page.matrix3 * page_from_node;
     let rows = super::visitor::rows(&DAffine3 { matrix3, translation: DVec3::ZERO });
     *known = (linear, rows.map(Vec4::from_array));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_number_is_neither_least_nor_greatest() {
+        let (new, known) = (Vec4::new(f32::NAN, 1.0, 5.0, f32::NEG_INFINITY), Vec4::new(3.0, 3.0, 3.0, 3.0));
+        assert_eq!(lesser(new, known).to_array(), [3.0, 1.0, 3.0, f32::NEG_INFINITY]);
+        assert_eq!(greater(new, known).to_array(), [3.0, 3.0, 5.0, 3.0]);
+    }
 }

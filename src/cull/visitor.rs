@@ -16,7 +16,9 @@ use super::state_graph::{ROOT, StateGraph};
 use super::tiles::{MOST_PX, TileFrame, TileView};
 use super::view::View;
 use super::{CullCamera, Stereo};
-use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, CullingMode, Environment, NONE, Page, Scene};
+use crate::scene::{
+    CameraTarget, ClampProjection, ComputeNearFar, CullingMode, DrawHook, Environment, NONE, Page, Scene,
+};
 use crate::state::StateSet;
 
 /// Why a page or tile is visited.
@@ -146,6 +148,8 @@ pub struct CullVisitor {
     eye_target: Option<Arc<CameraTarget>>,
     /// Changes near and far of the outermost stage when its settings have them computed.
     pub clamp_projection: Option<ClampProjection>,
+    /// What is called while the outermost stage is drawn.
+    pub callbacks: Option<DrawHook>,
     /// State above all roots; OSG's state set of a camera.
     pub state_set: Option<Arc<StateSet>>,
     /// Light and air of the picture: where the sun is, and which shadows it throws. Without one there are shadows only
@@ -283,6 +287,7 @@ impl CullVisitor {
         self.deferred.clear();
         let view = View { clamp_projection: self.clamp_projection, ..View::new(camera) };
         self.traverse_stage(scene, camera, view, None, stage);
+        stage.target.callbacks = self.callbacks.clone();
         stage.target.camera = self.eye_target.clone();
         stage.target.viewport_px = self.viewport_px.filter(|_| self.eye_target.is_none());
     }

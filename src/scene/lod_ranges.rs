@@ -39,6 +39,11 @@ impl LodRanges {
         }
     }
 
+    /// Rays are parallel: what is seen does not depend on where along them the eye is.
+    pub fn is_parallel(&self) -> bool {
+        self.is_parallel
+    }
+
     /// Pixels that a sphere covers across, over the LOD scale, at a distance; no end of them around the eye. Metres of one
     /// frame.
     pub fn size_px(&self, radius_m: f64, distance_m: f64) -> f64 {

@@ -289,7 +289,17 @@ fn rounding_slack(coordinate_m: f64) -> f64 {
     coordinate_m * f64::from(f32::EPSILON)
 }
 
-/// Finite, not empty, and small enough for f32.
+/// What reaches farther, metres, is no bound: what is beside a vertex gone astray is culled as if that were not there. Ten
+/// million kilometres.
+const MOST_HALF_M: f64 = 1e10;
+/// Nor is what lies farther from its page's frame, where f64 is of a step of a decimetre.
+const MOST_CENTER_M: f64 = 1e15;
+
+/// Not empty, and as things are.
 fn usable(b: &Aabb) -> bool {
-    b.min.is_finite() && b.max.is_finite() && !b.is_empty() && b.half_size().max_element() < f64::from(UNBOUNDED)
+    !b.is_empty()
+        && b.half_size().max_element() <= MOST_HALF_M
+        && b.center().abs().max_element() <= MOST_CENTER_M
+        && b.min.is_finite()
+        && b.max.is_finite()
 }

@@ -13,8 +13,9 @@ use super::paged_scene::PagedScene;
 use super::rendering::{CullTask, Lens, Rendering, Sight};
 use super::viewport::Viewport;
 use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo, StereoMode};
+use crate::draw::CameraCallbacks;
 use crate::draw::Environment;
-use crate::scene::{Attachment, CameraTarget, Inherit};
+use crate::scene::{Attachment, CameraTarget, ClampProjection, DrawHook, Inherit};
 use crate::state::{TextureFormat, TextureObject};
 
 /// A graphics context of a viewer; never the same again once it was closed.
@@ -145,6 +146,8 @@ pub struct View {
     /// What its eyes' pictures are drawn into; made anew when their size changes.
     targets: Option<[Arc<CameraTarget>; 2]>,
     pub(super) input: Input,
+    callbacks: Option<DrawHook>,
+    clamp_projection: Option<ClampProjection>,
 }
 
 impl View {
@@ -165,6 +168,8 @@ impl View {
             eyes: Eyes::Both,
             targets: None,
             input: Input::new(size_px),
+            callbacks: None,
+            clamp_projection: None,
         }
     }
 
@@ -315,6 +320,20 @@ impl View {
         }
     }
 
+    /// What is called while the picture of the view is drawn, by its cameras each (by each eye, where it is drawn for two):
+    /// on the thread that draws.
+    pub fn set_draw_callbacks(&mut self, callbacks: Option<CameraCallbacks>) {
+        self.callbacks = callbacks.map(CameraCallbacks::hook);
+        self.request_redraw();
+    }
+
+    /// Sets near and far anew, where the camera's [`CullSettings::compute_near_far`] has them computed: called with what
+    /// cull found, on the thread that culls.
+    pub fn set_clamp_projection(&mut self, clamp: Option<ClampProjection>) {
+        self.clamp_projection = clamp;
+        self.request_redraw();
+    }
+
     /// Where the master camera will be some seconds after a simulation time that passes at a rate, where that was
     /// announced.
     pub(super) fn pose_after(&self, simulation_time_s: f64, rate: f64, seconds: f64) -> Option<DAffine3> {
@@ -373,6 +392,8 @@ impl View {
             sight,
             environment: self.environment,
             state_set: self.input.state_set.clone(),
+            callbacks: self.callbacks.clone(),
+            clamp_projection: self.clamp_projection,
             viewport_px,
             is_dynamic: false,
             requests,

@@ -13,7 +13,7 @@ use glam::DMat4;
 use super::millis;
 use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo, StereoMode};
 use crate::draw::{BinCallback, CameraCallbacks, Environment};
-use crate::scene::{CameraTarget, ComputeNearFar, DataVariance, Scene};
+use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, DataVariance, DrawHook, Scene};
 use crate::state::StateSet;
 use crate::sync::BlockCount;
 use crate::timeline;
@@ -34,6 +34,10 @@ pub(in crate::viewer) struct CullTask {
     pub(in crate::viewer) environment: Environment,
     /// State above all roots.
     pub(in crate::viewer) state_set: Option<Arc<StateSet>>,
+    /// What is called while its picture is drawn.
+    pub(in crate::viewer) callbacks: Option<DrawHook>,
+    /// Changes near and far where its settings have them computed.
+    pub(in crate::viewer) clamp_projection: Option<ClampProjection>,
     /// Part of the context's target: x, y, width and height; `None`: all of it.
     pub(in crate::viewer) viewport_px: Option<[u32; 4]>,
     /// What draw does for the frame besides reads what update changes.
@@ -92,8 +96,10 @@ impl CullTask {
     /// Culls into a stage; the scene is dropped.
     pub(in crate::viewer) fn run(self, visitor: &mut CullVisitor, stage: &mut RenderStage) -> CullOutcome {
         let start = Instant::now();
-        let Self { scene, camera, lens, sight, environment, state_set, viewport_px, mut requests, .. } = self;
-        visitor.state_set = state_set;
+        let Self { scene, camera, lens, sight, environment, viewport_px, mut requests, .. } = self;
+        visitor.state_set = self.state_set;
+        visitor.callbacks = self.callbacks;
+        visitor.clamp_projection = self.clamp_projection;
         visitor.environment = Some(environment);
         visitor.viewport_px = viewport_px;
         let fits_itself = camera.settings.compute_near_far != ComputeNearFar::Off;
