@@ -410,6 +410,29 @@ fn a_small_page_has_room_where_none_of_the_mean_size_has() {
     assert!(run.pager.stats().gpu_bytes_held_peak <= 4000);
 }
 
+#[test]
+fn uploads_wait_for_time_or_for_none() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    for pre_compile in [true, false] {
+        let config = PagerConfig { pre_compile, ..PagerConfig::default() };
+        let mut run = Run::new(folder.path().to_str().unwrap(), config);
+        run.context.waits = true;
+        let eye = over_the_world(0.5, 150.0);
+        if pre_compile {
+            run.until(eye, "nothing is loaded", |r| r.pager.stats().loaded > 0);
+            (0..20).for_each(|_| run.frame(eye));
+            assert_eq!(run.pager.stats().merged, 0, "frames leave it no time");
+            // Between two frames there is some.
+            run.work_until_idle();
+            assert!(run.pager.stats().merged > 0);
+        } else {
+            run.settle(eye);
+            assert!(run.pager.stats().merged > 1);
+        }
+    }
+}
+
 /// Sizes are not what the mean had them be.
 #[test]
 fn pages_of_all_sizes_keep_the_budgets_and_all_that_has_room_comes() {

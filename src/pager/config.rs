@@ -62,6 +62,10 @@ pub struct PagerConfig {
     pub stale_frames: u32,
     /// A running HTTP request not renewed for so many frames is aborted.
     pub abort_frames: u32,
+    /// What has arrived is uploaded as frames leave time for it, before it is merged (OSG's pre-compile). Without it
+    /// uploads wait for no frame: a page is uploaded whole in the update that finds it, however long that takes; for
+    /// pictures that nobody waits for, or applications that load behind a curtain.
+    pub pre_compile: bool,
     /// Time for merging per frame; one page always goes through.
     pub merge_time: Duration,
     /// Wait before a failure that may pass is tried again, while somebody looks; doubled each time, up to five minutes.
@@ -99,6 +103,7 @@ impl Default for PagerConfig {
             expiry_time: Duration::ZERO,
             stale_frames: 3,
             abort_frames: 30,
+            pre_compile: true,
             merge_time: Duration::from_millis(1),
             retry_after: Duration::from_secs(5),
             max_tries: None,

@@ -5,13 +5,15 @@
 //! the last pages is reserved for it, and it waits for others where that is not free. One that turns out to be larger than
 //! the room is given up at once, and asked for again when there is room for it.
 
+use std::time::Duration;
+
 use super::DatabasePager;
 use super::config::CompileContext;
 use super::expiry::{EXPIRY_LOOKS, UNSEEN};
 use super::list::{Arrived, Entry, Payload, Progress};
 use super::scenes::Scenes;
 use super::shares::Held;
-use crate::gpu::CompileOperation;
+use crate::gpu::{CompileBudget, CompileOperation};
 use crate::scene::NodeId;
 use crate::timeline;
 
@@ -149,6 +151,9 @@ impl DatabasePager {
             let for_this = if i == last { drawables.take() } else { drawables.clone() };
             context.foresee(&kinds);
             context.compile(CompileOperation { ticket, drawables: for_this.unwrap_or_default() });
+            if !self.config.pre_compile {
+                context.run_compiles(&CompileBudget { time: Duration::MAX, bytes: u64::MAX });
+            }
         }
     }
 

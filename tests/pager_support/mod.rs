@@ -28,6 +28,9 @@ pub struct Context {
     pub counts_vertices: bool,
     /// What is compiled is kept back.
     pub holds: bool,
+    /// Compiles when it is given time for it, not at once.
+    pub waits: bool,
+    waiting: Vec<Compiled>,
 }
 
 impl CompileContext for Context {
@@ -47,14 +50,19 @@ impl CompileContext for Context {
             true => operation.drawables.iter().map(vertices).sum(),
             false => PAGE_GPU_BYTES,
         };
-        self.done.push(Compiled { ticket, slots, bytes, shared: Vec::new(), errors: Vec::new() });
+        let to = if self.waits { &mut self.waiting } else { &mut self.done };
+        to.push(Compiled { ticket, slots, bytes, shared: Vec::new(), errors: Vec::new() });
     }
 
     fn cancel(&mut self, tickets: &[u64]) {
         self.cancelled += tickets.len();
     }
 
-    fn run_compiles(&mut self, _: &CompileBudget) {}
+    fn run_compiles(&mut self, budget: &CompileBudget) {
+        if !budget.time.is_zero() {
+            self.done.append(&mut self.waiting);
+        }
+    }
 
     fn take_compiled(&mut self) -> Vec<Compiled> {
         if self.holds { Vec::new() } else { std::mem::take(&mut self.done) }
