@@ -13,7 +13,7 @@ use image::RgbaImage;
 use terrane::scene::{AlphaMode, Attachment, CameraNode, CameraTarget, Drawable, Node, RenderOrder};
 use terrane::state::{
     AlphaFunc, Attribute, CompareFunction, Fog, FogMode, Mode, Program, Sampler, StateSet, StateValue, TextureBinding,
-    TextureFormat, TextureObject,
+    TextureDimension, TextureFormat, TextureObject,
 };
 
 const SIDE: u32 = 64;
@@ -196,4 +196,27 @@ fn a_camera_with_several_samples_goes_on_with_what_its_texture_holds() {
         }
         rig.release(scene);
     }
+}
+
+/// What there is no memory for cost the whole frame.
+#[test]
+fn textures_that_there_is_no_memory_for_are_said_and_lose_no_frame() {
+    let Some(mut rig) = rig("textures_that_there_is_no_memory_for_are_said_and_lose_no_frame") else { return };
+    let rig = &mut *rig;
+    let limits = rig.ctx.device().limits();
+    let side = limits.max_texture_dimension_2d;
+    let huge = Arc::new(TextureObject {
+        dimension: TextureDimension::D2Array,
+        size: [side, side, limits.max_texture_array_layers],
+        ..(*TextureObject::target("huge", [side; 2], TextureFormat::Rgba16Float)).clone()
+    });
+    let set = StateSet::default()
+        .with_mode(Mode::Lighting, StateValue::OFF)
+        .with(Attribute::Texture(0, TextureBinding::new(huge)));
+    let white = Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.4; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+    let beside = Node::geode(vec![quad([0.5, 0.0, 0.0], [0.4; 2], [0.0, 1.0, 0.0, 1.0])]);
+    let picture = picture(rig, Node::group(vec![white, beside]), &unit_camera(SIDE), &plain());
+    assert_eq!([16, 48].map(|x| pixel(&picture, x, 32)), [[255; 3], GREEN]);
+    let errors = rig.renderer.take_errors();
+    assert!(matches!(&errors[..], [e] if e.contains("texture \"huge\" cannot be made")), "{errors:?}");
 }

@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
 use super::texture_pool::{ImageSize, Rows, write_rows};
+use super::watched;
 use crate::scene::Texture;
 use crate::state::{CompareFunction, FilterMode, Sampler, TextureDimension, TextureFormat, TextureObject, WrapMode};
 
@@ -96,7 +97,9 @@ impl StateTextures {
         if let Some(entry) = self.entries.get(&key) {
             return Ok(entry.made.is_some().then_some(entry.serial));
         }
-        let made = make(device, queue, object);
+        let (made, error) = watched(device, || make(device, queue, object));
+        let refused = |error| Err(format!("texture {:?} cannot be made: {error}", object.name));
+        let made = made.and_then(|made| error.map_or(Ok(made), refused));
         let serial = self.next_serial;
         self.next_serial += 1;
         let (made, result) = match made {
@@ -127,7 +130,10 @@ impl StateTextures {
         let key = Arc::as_ptr(object) as usize;
         let known = self.entries.get(&key).and_then(|e| e.made.as_ref()).is_some_and(fits);
         if !known {
-            let texture = size.create(device, &object.name, 1);
+            let (texture, error) = watched(device, || size.create(device, &object.name, 1));
+            if let Some(error) = error {
+                return Err(format!("texture {:?} cannot be made: {error}", object.name));
+            }
             let view = texture.create_view(&wgpu::TextureViewDescriptor {
                 label: Some(&object.name),
                 dimension: Some(wgpu::TextureViewDimension::D2),
