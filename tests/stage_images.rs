@@ -6,8 +6,8 @@ mod gpu_support;
 
 use std::sync::{Arc, Mutex};
 
-use glam::DAffine3;
 use glam::dcamera::rh::proj::directx as proj;
+use glam::{DAffine3, DVec4};
 use gpu_support::{MAGENTA, Rig, count, new_rig, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::cull::CullCamera;
@@ -584,4 +584,32 @@ fn a_context_has_several_samples() {
     }
     let errors = rig.renderer.take_errors();
     assert!(errors.is_empty(), "{errors:?}");
+}
+
+/// Those beyond 63 were drawn with the stage's own projection.
+#[test]
+fn each_of_many_projections_is_its_own() {
+    let Some(mut rig) = rig("each_of_many_projections_is_its_own") else { return };
+    let rig = &mut *rig;
+    // Each puts its square of 2 m into another cell of 4 x 4 pixels.
+    let cell = |i: u32, child: Node| {
+        let at = |place: u32| (f64::from(place) + 0.5) / 8.0 - 1.0;
+        let projection = glam::DMat4 {
+            x_axis: DVec4::X / 16.0,
+            y_axis: DVec4::Y / 16.0,
+            z_axis: DVec4::Z / 20.0,
+            w_axis: DVec4::new(at(i % 16), at(i / 16), 1.0, 1.0),
+        };
+        Node::new(NodeKind::Projection(projection)).with_child(child)
+    };
+    let full = |[r, g, b]: [u8; 3]| quad([0.0; 3], [1.0; 2], [r, g, b, 255].map(|c| f32::from(c) / 255.0));
+    let colors = [RED, GREEN, BLUE];
+    let nodes: Vec<Node> = (0..150u32).map(|i| cell(i, Node::geode(vec![full(colors[i as usize % 3])]))).collect();
+    for _ in 0..2 {
+        let picture = draw(rig, nodes.clone());
+        assert_eq!(colors.map(|c| count(&picture, c)), [50 * 16; 3]);
+    }
+    // Fewer in the next frame.
+    assert_eq!(count(&draw(rig, nodes[..100].to_vec()), MAGENTA), (256 - 100) * 16);
+    no_errors(rig);
 }

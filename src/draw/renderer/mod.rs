@@ -37,7 +37,7 @@ use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 use shadows::CasterPlan;
-use views::LitView;
+use views::{LitView, ViewFrame};
 
 /// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -147,6 +147,8 @@ pub struct Renderer {
     statics: Vec<Statics>,
     /// Eyes of the views inside a stage, and what is around them; only while it is prepared.
     views: Vec<LitView>,
+    /// What these are drawn with, alike.
+    view_frames: Vec<ViewFrame>,
     /// Of the last frame.
     drawn_into: Vec<DrawnInto>,
     plans: Vec<StagePlan>,
@@ -251,6 +253,7 @@ impl Renderer {
             pulls: Pulls::default(),
             statics: Vec::new(),
             views: Vec::new(),
+            view_frames: Vec::new(),
             drawn_into: Vec::new(),
             plans: Vec::new(),
             casters: Vec::new(),

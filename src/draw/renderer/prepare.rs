@@ -107,7 +107,8 @@ impl Renderer {
             }
         };
         let first_caster = self.casters.len();
-        let (frames, background) = self.prepare_views(ctx, stage, around, &target);
+        let mut frames = std::mem::take(&mut self.view_frames);
+        let background = self.prepare_views(ctx, stage, around, &target, &mut frames);
         let ViewFrame { uniform, positioned, air_kind, has_shadows, .. } = frames[0];
         let casters = first_caster..self.casters.len();
         let base = Statics {
@@ -161,6 +162,7 @@ impl Renderer {
         let is_called = stage.bins.iter().any(|bin| !bin.callbacks.is_empty());
         let bin_starts = is_called.then_some(first_bin..self.batch.bin_starts.len());
         let queries = self.prepare_queries(ctx, stage, &target, &frames, base);
+        self.view_frames = frames;
         let has_sky =
             *is_whole && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Atmosphere;
         if has_sky {
