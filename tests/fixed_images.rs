@@ -484,3 +484,22 @@ fn height_tiles_have_lights_and_fog_too() {
     let foggy = with(StateSet::default().with(Attribute::Fog(fog)));
     assert!(mean(&foggy, 2) > mean(&sunny, 2) + 20.0);
 }
+
+/// A sun that nothing took the place of was off.
+#[test]
+fn a_light_that_is_nowhere_leaves_the_sun_on() {
+    let Some(mut rig) = rig("a_light_that_is_nowhere_leaves_the_sun_on") else { return };
+    let rig = &mut *rig;
+    let material = SurfaceMaterial { diffuse: [0.6, 0.5, 0.4, 1.0], ..SurfaceMaterial::default() };
+    let sets = [StateSet::default(), StateSet::default().with(Attribute::SurfaceMaterial(material))];
+    for set in sets {
+        let sunlit = middle(rig, vec![node(square(WHITE), set.clone())]);
+        assert!(sunlit.iter().any(|c| *c > 20), "{sunlit:?}");
+        for position in [[f64::NAN, 0.0, 1.0, 0.0], [0.0, 0.0, 1e300, 1.0], [0.0; 4]] {
+            let light = Light { number: 0, position, ..Light::default() };
+            let source = LightSource { light, frame: ReferenceFrame::Relative };
+            let source = Node::new(NodeKind::LightSource(Box::new(source)));
+            assert_eq!(middle(rig, vec![source, node(square(WHITE), set.clone())]), sunlit, "{position:?}");
+        }
+    }
+}
