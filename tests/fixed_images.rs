@@ -5,9 +5,11 @@ mod gpu_support;
 
 use std::sync::Arc;
 
+use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec3, DVec4};
 use gpu_support::{MAGENTA, Rig, Terrain, camera, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
+use terrane::cull::CullCamera;
 use terrane::scene::{
     ClipNode, Drawable, Geometry, LightSource, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, TexGenNode,
     Topology,
@@ -69,6 +71,15 @@ fn light(light: Light) -> Node {
 }
 
 const WHITE: [f32; 4] = [1.0; 4];
+
+/// A camera of parallel rays, 1 m before what is drawn, that sees the same as the tests' own.
+fn parallel_camera() -> CullCamera {
+    CullCamera {
+        eye_from_world: DAffine3::from_translation(DVec3::new(0.0, 0.0, -1.0)),
+        clip_from_eye: proj::orthographic(-1.0, 1.0, -1.0, 1.0, 100.0, 0.0),
+        ..unit_camera(SIDE)
+    }
+}
 
 #[test]
 fn lights_shine_from_their_side() {
@@ -502,4 +513,38 @@ fn a_light_that_is_nowhere_leaves_the_sun_on() {
             assert_eq!(middle(rig, vec![source, node(square(WHITE), set.clone())]), sunlit, "{position:?}");
         }
     }
+}
+
+/// The highlight and what is mirrored lay where rays from one point would have put them.
+#[test]
+fn parallel_rays_see_the_same_highlight_all_over_a_plane() {
+    let Some(mut rig) = rig("parallel_rays_see_the_same_highlight_all_over_a_plane") else { return };
+    let rig = &mut *rig;
+    let dark = SurfaceMaterial { ambient: [0.0; 3], diffuse: [0.0, 0.0, 0.0, 1.0], ..SurfaceMaterial::default() };
+    let shiny = SurfaceMaterial { specular: [0.5, 0.25, 0.0], shininess: 20.0, ..dark };
+    let front = light(Light { position: [0.0, 0.0, 1.0, 0.0], ..Light::default() });
+    let mut seen = |nodes: Vec<Node>| {
+        let scene = rig.scene(Node::group(nodes));
+        let picture = rig.picture(&scene, &parallel_camera(), &plain());
+        rig.release(scene);
+        [(32, 32), (18, 18), (46, 20)].map(|(x, y)| pixel(&picture, x, y))
+    };
+    for got in seen(vec![front.clone(), node(square(WHITE), only_light_1().with(Attribute::SurfaceMaterial(shiny)))]) {
+        assert_near(got, [0.5, 0.25, 0.0], "a highlight");
+    }
+    // Where the eye is, too.
+    let near = Node::transform(
+        DAffine3::from_translation(DVec3::Z),
+        vec![node(square(WHITE), only_light_1().with(Attribute::SurfaceMaterial(shiny)))],
+    );
+    for got in seen(vec![front, near]) {
+        assert_near(got, [0.5, 0.25, 0.0], "in the eye's own plane");
+    }
+    // Red where what is behind the eye is mirrored, the middle of a sphere map.
+    let mut texels = [0u8, 0, 255, 255].repeat(81);
+    texels[40 * 4..41 * 4].copy_from_slice(&[255, 0, 0, 255]);
+    let map = unlit()
+        .with(Attribute::Texture(0, nearest(TextureObject::image("dot", [9, 9], texels))))
+        .with(Attribute::TexGen(0, TexGen::SphereMap));
+    assert_eq!(seen(vec![node(square(WHITE), map)]), [RED; 3]);
 }

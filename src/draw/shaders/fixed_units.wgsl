@@ -16,7 +16,7 @@
 @group(2) @binding(14) var layers_sampler: sampler;
 
 fn unit_coordinates(unit: u32, s: Surface) -> vec3<f32> {
-    let mirrored = reflect(normalize(s.in_eye), s.normal);
+    let mirrored = reflect(-towards_eye(s.in_eye), s.normal);
     let plane_s = fixed_state.planes[2u * unit];
     let plane_t = fixed_state.planes[2u * unit + 1u];
     switch fixed_state.texgens[unit] {
