@@ -548,3 +548,56 @@ fn parallel_rays_see_the_same_highlight_all_over_a_plane() {
         .with(Attribute::TexGen(0, TexGen::SphereMap));
     assert_eq!(seen(vec![node(square(WHITE), map)]), [RED; 3]);
 }
+
+/// They counted as the last ones.
+#[test]
+fn numbers_beyond_the_last_are_said_and_touch_no_others() {
+    let Some(mut rig) = rig("numbers_beyond_the_last_are_said_and_touch_no_others") else { return };
+    let rig = &mut *rig;
+    let named = |name: &str, set: StateSet| StateSet { name: name.into(), ..set };
+    let color = |texel: [u8; 4]| nearest(TextureObject::image("color", [1, 1], texel.to_vec()));
+    let mut last = unlit();
+    last.set_attribute(Attribute::Texture(3, color([0, 0, 255, 255])), StateValue::ON);
+    let texgen = Attribute::TexGen(4, TexGen::NormalMap);
+    let beyond = named("units", last.with(Attribute::Texture(4, color([255, 0, 0, 255]))).with(texgen));
+    let clip = |number, plane| {
+        let clip = ClipNode { planes: vec![(number, plane)], frame: ReferenceFrame::Relative };
+        Node::new(NodeKind::ClipNode(Box::new(clip)))
+    };
+    let all = DVec4::new(0.0, 0.0, 0.0, -1.0);
+    let source = |number| {
+        let light = Light { number, position: [0.0, 0.0, 1.0, 0.0], ..Light::default() };
+        Node::new(NodeKind::LightSource(Box::new(LightSource { light, frame: ReferenceFrame::Relative })))
+    };
+    let dark = named(
+        "lights",
+        StateSet::default().with_mode(Mode::Light(0), StateValue::OFF).with_mode(Mode::Light(8), StateValue::ON),
+    );
+    // Switched off is what they are.
+    let off = unlit().with_mode(Mode::Texture(7), StateValue::OFF).with_mode(Mode::Light(200), StateValue::OFF);
+    let generator = Node::new(NodeKind::TexGenNode(Box::new(TexGenNode { unit: 4, texgen: TexGen::SphereMap })));
+    for (nodes, seen, wanted) in [
+        (vec![node(square(WHITE), beyond)], [255; 3], vec!["units: texture unit 4"]),
+        (
+            vec![clip(5, all), clip(6, all).with_child(node(square(WHITE), unlit()))],
+            [255; 3],
+            vec!["a ClipNode: clip plane 6"],
+        ),
+        (
+            vec![source(7), source(8), node(square(WHITE), dark)],
+            [0; 3],
+            vec!["a LightSource: light 8", "lights: light 8"],
+        ),
+        (vec![generator, node(square(WHITE), off)], [255; 3], vec!["a TexGenNode: texture unit 4"]),
+    ] {
+        let scene = rig.scene(Node::group(nodes));
+        let mut errors = Vec::new();
+        for _ in 0..2 {
+            assert_eq!(pixel(&rig.picture(&scene, &unit_camera(SIDE), &plain()), 32, 32), seen, "{wanted:?}");
+            errors.extend(rig.renderer.take_errors());
+        }
+        rig.release(scene);
+        let is_wanted = |(error, wanted): (&String, &&str)| error.contains(*wanted);
+        assert!(errors.len() == wanted.len() && errors.iter().zip(&wanted).all(is_wanted), "{errors:?}");
+    }
+}

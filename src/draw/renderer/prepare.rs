@@ -19,7 +19,7 @@ use crate::draw::uniforms::fixed::{FixedUniform, replaces_sun};
 use crate::draw::uniforms::frame::LeafUniform;
 use crate::gpu::GraphicsContext;
 use crate::scene::{CullingMode, Sky};
-use crate::state::{PolygonMode, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
+use crate::state::{Mode, NumberError, PolygonMode, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
     pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>> + Clone) {
@@ -119,6 +119,9 @@ impl Renderer {
         };
         let first_statics = self.statics.len() as u32;
         self.statics.push(base);
+        for (node, error) in wrong_numbers(stage) {
+            self.complain(format!("{node}: {error}"));
+        }
         let has_own_light = replaces_sun(stage);
         // An empty stage has none; what comes will.
         let will_have = around.shadows.is_some() && stage.leaf_count() == 0;
@@ -247,6 +250,10 @@ impl Renderer {
         has_own_light: bool,
         target: &PassTarget,
     ) -> (Shading, Option<(u32, Option<u32>)>) {
+        for (name, error) in state.wrong_numbers() {
+            let name = if name.is_empty() { "a state set" } else { name };
+            self.complain(format!("{name}: {error}"));
+        }
         let mut wrong: Vec<String> = Vec::new();
         let shading = self.shading_of(ctx, state, has_own_light).unwrap_or_else(|problem| {
             wrong.push(problem);
@@ -366,6 +373,15 @@ impl Renderer {
         }
         first..self.query_boxes.len()
     }
+}
+
+/// Lights, planes and units of a stage's nodes that there are not.
+fn wrong_numbers(stage: &RenderStage) -> impl Iterator<Item = (&'static str, NumberError)> {
+    let lights = stage.lights.iter().map(|l| ("a LightSource", Mode::Light(l.light.number)));
+    let planes = stage.clip_planes.iter().map(|p| ("a ClipNode", Mode::ClipPlane(p.number)));
+    let texgens = stage.texgens.iter().map(|t| ("a TexGenNode", Mode::TexGen(t.unit)));
+    let all = lights.chain(planes).chain(texgens);
+    all.filter_map(|(node, mode)| mode.check().err().map(|error| (node, error)))
 }
 
 /// Statics compared with a new one, newest first.
