@@ -53,6 +53,8 @@ pub(crate) fn texture_format(format: TextureFormat) -> wgpu::TextureFormat {
         TextureFormat::Rgba16Float => wgpu::TextureFormat::Rgba16Float,
         TextureFormat::R32Float => wgpu::TextureFormat::R32Float,
         TextureFormat::Depth32 => wgpu::TextureFormat::Depth32Float,
+        TextureFormat::Depth24Stencil8 => wgpu::TextureFormat::Depth24PlusStencil8,
+        TextureFormat::Depth32Stencil8 => wgpu::TextureFormat::Depth32FloatStencil8,
     }
 }
 
@@ -80,8 +82,7 @@ impl StateTextures {
     pub(crate) fn is_filterable(&self, format: TextureFormat) -> bool {
         match format {
             TextureFormat::R32Float => self.can_filter_floats,
-            TextureFormat::Depth32 => false,
-            _ => true,
+            _ => !format.is_depth(),
         }
     }
 
@@ -261,9 +262,12 @@ fn make(device: &wgpu::Device, queue: &wgpu::Queue, object: &TextureObject) -> R
             wgpu::Extent3d { width, height, depth_or_array_layers: depth },
         );
     }
+    // What is sampled is one aspect.
+    let aspect = if object.format.has_stencil() { wgpu::TextureAspect::DepthOnly } else { wgpu::TextureAspect::All };
     let view = texture.create_view(&wgpu::TextureViewDescriptor {
         label: Some(&object.name),
         dimension: Some(view_dimension(object.dimension)),
+        aspect,
         ..Default::default()
     });
     Ok(Made { texture, view, attachments: Vec::new() })

@@ -136,6 +136,12 @@ impl Renderer {
         let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
         for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
             let (shading, group) = self.shading(ctx, stage, *view, state, has_own_light, &target);
+            if state.stencil().is_some()
+                && let Some(depth) = target.depth_without_stencil(stage)
+            {
+                let (name, depth) = (name_of(state), &depth.name);
+                self.complain(format!("{name}: texture {depth:?} has no stencil; the stencil test passes everywhere"));
+            }
             let mut statics = Statics { group, ..base };
             let of_view = frames.get(*view as usize).unwrap_or(&frames[0]);
             (statics.frame, statics.air) = ([of_view.uniform, of_view.positioned], of_view.air);
@@ -288,8 +294,7 @@ impl Renderer {
             }
         };
         for problem in wrong {
-            let name = if state.name.is_empty() { "a state set" } else { state.name.as_str() };
-            self.complain(format!("{name}: {problem}"));
+            self.complain(format!("{}: {problem}", name_of(state)));
         }
         (shading, group)
     }
@@ -373,6 +378,11 @@ impl Renderer {
         }
         first..self.query_boxes.len()
     }
+}
+
+/// For errors.
+fn name_of(state: &ResolvedState) -> &str {
+    if state.name.is_empty() { "a state set" } else { &state.name }
 }
 
 /// Lights, planes and units of a stage's nodes that there are not.
