@@ -289,7 +289,7 @@ fn samplers_wrap_filter_and_bias() {
     let Some(mut rig) = rig("samplers_wrap_filter_and_bias") else { return };
     let rig = &mut *rig;
     // s and t run over three copies: x + 1.5 copies of 0.5 m each.
-    let planes = [[2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.25]];
+    let planes = TexGen::planes([2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.25]);
     let two = TextureObject::image("two", [2, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
     let mut rows = |wrap| {
         let sampler = Sampler {
@@ -327,7 +327,7 @@ fn samplers_wrap_filter_and_bias() {
 fn coordinates_come_from_planes_and_mirrors() {
     let Some(mut rig) = rig("coordinates_come_from_planes_and_mirrors") else { return };
     let rig = &mut *rig;
-    let planes = [[0.5, 0.0, 0.0, 0.5], [0.0, -0.5, 0.0, 0.5]];
+    let planes = TexGen::planes([0.5, 0.0, 0.0, 0.5], [0.0, -0.5, 0.0, 0.5]);
     let with = |texgen| unlit().with(Attribute::Texture(1, nearest(quarters()))).with(Attribute::TexGen(1, texgen));
     let aside = |n: Node| Node::transform(DAffine3::from_translation(DVec3::new(0.3, 0.0, 0.0)), vec![n]);
     // In the object's frame the middle of the texture moves along; in the eye's it stays.
@@ -340,7 +340,7 @@ fn coordinates_come_from_planes_and_mirrors() {
     let texgen = TexGenNode { unit: 1, texgen: TexGen::EyeLinear(planes) };
     let nodes = vec![
         aside(Node::new(NodeKind::TexGenNode(Box::new(texgen)))),
-        node(square(WHITE), with(TexGen::EyeLinear([[0.0; 4]; 2]))),
+        node(square(WHITE), with(TexGen::EyeLinear([[0.0; 4]; 4]))),
     ];
     assert!(edge(&draw(rig, nodes)).unwrap().abs_diff(32 + 10) <= 1);
     // A mirror that faces the eye shows what is behind the eye: the middle of a sphere map.
@@ -380,6 +380,51 @@ fn coordinates_come_from_planes_and_mirrors() {
     });
     let set = unlit().with(Attribute::Texture(0, nearest(cube))).with(Attribute::TexGen(0, TexGen::ReflectionMap));
     assert_eq!(middle(rig, vec![node(square(WHITE), set)]), GREEN);
+}
+
+#[test]
+fn planes_of_r_and_q_choose_slices_and_project() {
+    let Some(mut rig) = rig("planes_of_r_and_q_choose_slices_and_project") else { return };
+    let rig = &mut *rig;
+    let [along_s, along_t] = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5]];
+    let constant = |value: f32| [0.0, 0.0, 0.0, value];
+    let with = |texture: &Arc<TextureObject>, planes| {
+        let binding = nearest(texture.clone());
+        node(
+            square(WHITE),
+            unlit().with(Attribute::Texture(1, binding)).with(Attribute::TexGen(1, TexGen::ObjectLinear(planes))),
+        )
+    };
+    // Slices and layers by r, from below: q divides what is in a volume, and s and t alone of layers.
+    for (dimension, q) in [(TextureDimension::D3, 1.0), (TextureDimension::D3, 2.0), (TextureDimension::D2Array, 2.0)] {
+        let two = Arc::new(TextureObject {
+            dimension,
+            size: [1, 1, 2],
+            format: TextureFormat::Rgba8,
+            texels: vec![[[0, 0, 255, 255], [255, 0, 0, 255]].concat()],
+            ..(*quarters()).clone()
+        });
+        // Half a slice higher per 0.5 m of a volume; from layer 0 to layer 1 in the middle.
+        let r = if dimension == TextureDimension::D3 { [0.0, q, 0.0, 0.5 * q] } else { [0.0, 1.0, 0.0, 0.5] };
+        let picture = draw(rig, vec![with(&two, [along_s, along_t, r, constant(q)])]);
+        let at = [20, 30, 34, 44].map(|y| pixel(&picture, 32, y));
+        assert_eq!(at, [RED, RED, BLUE, BLUE], "{dimension:?} {q}");
+    }
+    // A picture from a projector: s / q is 0.5 where x = y / 2.
+    let two = TextureObject::image("two", [2, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
+    let q = [0.0, 1.0, 0.0, 1.0];
+    let picture = draw(rig, vec![with(&two, [along_s, constant(0.0), constant(0.0), q])]);
+    let edge = |picture: &RgbaImage, y: u32| (16..48).find(|x| pixel(picture, *x, y) == GREEN).unwrap_or(0);
+    for y in [18, 25, 32, 39, 46] {
+        let y_m = 1.0 - (f64::from(y) + 0.5) / 32.0;
+        let expected = 32.0 + 16.0 * y_m;
+        assert!((f64::from(edge(&picture, y)) - expected).abs() <= 1.0, "{} instead of {expected}", edge(&picture, y));
+    }
+    // In the eye's frame, 10 m before it, q is made of depth: the same as without it, by tenths.
+    let eye = [[1.0, 0.0, 0.0, 5.0], constant(0.0), constant(0.0), [0.0, 0.0, -1.0, 0.0]];
+    let set = unlit().with(Attribute::Texture(0, nearest(two))).with(Attribute::TexGen(0, TexGen::EyeLinear(eye)));
+    let picture = draw(rig, vec![node(square(WHITE), set)]);
+    assert_eq!(edge(&picture, 32), 32);
 }
 
 #[test]

@@ -507,18 +507,28 @@ pub struct Fog {
 }
 
 /// Where texture coordinates come from; OpenGL's `glTexGen`.
+///
+/// Planes are those of s, t, r and q. Planes and volumes are read at the others divided by q, so that a picture can be
+/// projected; cubes in the direction of s, t and r; arrays at s and t divided by q in the layer nearest to r.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TexGen {
     /// Distances from planes of the drawable's frame.
-    ObjectLinear([[f32; 4]; 2]),
+    ObjectLinear([[f32; 4]; 4]),
     /// Distances from planes of the eye's frame, or of a TexGenNode's.
-    EyeLinear([[f32; 4]; 2]),
+    EyeLinear([[f32; 4]; 4]),
     /// The point of a photographed mirror ball that reflects the same.
     SphereMap,
     /// The normal in the eye's frame.
     NormalMap,
     /// The mirrored view direction in the eye's frame.
     ReflectionMap,
+}
+
+impl TexGen {
+    /// All four planes of pictures that are not projected: r is 0 everywhere, and q is 1.
+    pub const fn planes(s: [f32; 4], t: [f32; 4]) -> [[f32; 4]; 4] {
+        [s, t, [0.0; 4], [0.0, 0.0, 0.0, 1.0]]
+    }
 }
 
 /// One attribute of a state set.

@@ -12,7 +12,7 @@ struct Fixed {
     units: vec4<u32>,          // 0 off, 1 plane, 2 cube, 3 volume, 4 layers
     texgens: vec4<u32>,        // 0 the mesh's, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection
     bias: vec4<f32>,           // added to the mip level
-    planes: array<vec4<f32>, 8>,  // of s and t, by unit
+    planes: array<vec4<f32>, 16>,  // of s, t, r and q, by unit
 }
 
 @group(2) @binding(0) var<uniform> fixed_state: Fixed;

@@ -115,8 +115,8 @@ pub(in crate::draw) struct FixedUniform {
     pub(in crate::draw) texgens: [u32; 4],
     /// Added to the mip level by unit.
     pub(in crate::draw) bias: [f32; 4],
-    /// Planes of s and t by unit.
-    pub(in crate::draw) planes: [[f32; 4]; 2 * TEXTURE_UNITS],
+    /// Planes of s, t, r and q by unit.
+    pub(in crate::draw) planes: [[f32; 4]; 4 * TEXTURE_UNITS],
 }
 
 const _: () = assert!(TEXTURE_UNITS == 4);
@@ -172,7 +172,7 @@ impl FixedUniform {
             units: [0; 4],
             texgens: [0; 4],
             bias: [0.0; 4],
-            planes: [[0.0; 4]; 2 * TEXTURE_UNITS],
+            planes: [[0.0; 4]; 4 * TEXTURE_UNITS],
         };
         for unit in 0..TEXTURE_UNITS {
             let Some(binding) = state.texture(unit).filter(|_| taken_by(state, unit).is_none()) else { continue };
@@ -189,12 +189,12 @@ impl FixedUniform {
             let (kind, planes) = match (texgen, of_node) {
                 (TexGen::ObjectLinear(planes), _) => (1, planes),
                 (TexGen::EyeLinear(_), Some(TexGen::EyeLinear(planes))) | (TexGen::EyeLinear(planes), _) => (2, planes),
-                (TexGen::SphereMap, _) => (3, [[0.0; 4]; 2]),
-                (TexGen::NormalMap, _) => (4, [[0.0; 4]; 2]),
-                (TexGen::ReflectionMap, _) => (5, [[0.0; 4]; 2]),
+                (TexGen::SphereMap, _) => (3, [[0.0; 4]; 4]),
+                (TexGen::NormalMap, _) => (4, [[0.0; 4]; 4]),
+                (TexGen::ReflectionMap, _) => (5, [[0.0; 4]; 4]),
             };
             uniform.texgens[unit] = kind;
-            uniform.planes[2 * unit..2 * unit + 2].copy_from_slice(&planes);
+            uniform.planes[4 * unit..4 * unit + 4].copy_from_slice(&planes);
         }
         uniform
     }
