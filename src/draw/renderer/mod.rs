@@ -79,8 +79,9 @@ pub struct DrawStats {
     /// a target counts as one.
     pub pipelines_created: u32,
     /// Time of all passes on the adapter, of the latest frame whose timestamps have arrived; `None` without
-    /// timestamps, and on software adapters, which stop at each of them, unless a timeline is recorded.
-    /// [`Renderer::pass_ms`] has them one by one.
+    /// timestamps, and on software adapters, which stop at each of them, unless a timeline is recorded. `None` too where
+    /// not all passes of that frame were measured: of 2,048 at most, and not in the first frame that has many more than
+    /// those before. [`Renderer::pass_ms`] has them one by one.
     pub gpu_ms: Option<f64>,
     /// The window showed nothing, so nothing was drawn.
     pub skipped: bool,

@@ -34,7 +34,7 @@ impl Renderer {
         self.query_boxes.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
-            timer.start_frame(self.timed.0, self.timed.1);
+            timer.start_frame(ctx.device(), self.timed.0, self.timed.1);
         }
         if let Some(queries) = &mut self.queries {
             queries.start_frame();
