@@ -33,7 +33,7 @@ use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
-use crate::scene::{Environment, Texture};
+use crate::scene::{Attachment, Environment, Texture};
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 use shadows::CasterPlan;
@@ -421,18 +421,16 @@ impl Renderer {
     /// Copies what a camera has drawn to whoever wants it.
     fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
         let Some(camera) = stage.target.camera.as_ref().filter(|_| !stage.target.is_shared) else { return };
-        let (Some(sink), Some(first)) = (&camera.read_back, camera.colors.first()) else { return };
         let frame = stage.camera.frame;
-        let is_bytes = first.texture.format.texel_bytes() == 4;
-        match self.groups.textures.texture(&first.texture).filter(|_| is_bytes) {
-            Some(texture) => {
-                let place = [first.level, first.layer];
-                self.pictures.copy(ctx.device(), encoder, texture, place, sink, frame);
-            }
-            None => {
-                let format = first.texture.format;
-                self.complain(format!("texture {:?} ({format:?}) cannot be read back", first.texture.name));
-            }
+        for (location, sink) in camera.read_backs() {
+            let Some(Attachment { texture: object, level, layer }) = camera.colors.get(location) else {
+                self.complain(format!("a camera without colour {location}, which is to be read back"));
+                continue;
+            };
+            // What is wrong with it has been said.
+            let Some(texture) = self.groups.textures.texture(object) else { continue };
+            let (device, place) = (ctx.device(), [*level, *layer]);
+            self.pictures.copy(device, encoder, texture, object.format, place, sink, frame);
         }
     }
 
