@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use crate::cull::OcclusionQuery;
-use crate::scene::{OcclusionResults, Picture, PictureSink};
+use crate::scene::{Attachment, OcclusionResults, Picture, PictureSink};
 use crate::state::TextureFormat;
 
 const IDLE: u8 = 0;
@@ -165,20 +165,20 @@ impl PictureReads {
         has_room
     }
 
-    /// Copies a texture to where it can be read; false while too many are under way.
+    /// Copies an attachment from its texture to where it can be read; false while too many are under way.
     pub(super) fn copy(
         &mut self,
         device: &wgpu::Device,
         encoder: &mut wgpu::CommandEncoder,
         texture: &wgpu::Texture,
-        format: TextureFormat,
-        [level, layer]: [u32; 2],
+        of: &Attachment,
         sink: &Arc<PictureSink>,
         frame: u32,
     ) -> bool {
         if !self.has_room(sink) {
             return false;
         }
+        let (format, level, layer) = (of.texture.format, of.level, of.layer);
         let size_px = [texture.width(), texture.height()].map(|side| (side >> level).max(1));
         let row_bytes = (size_px[0] * format.texel_bytes() as u32).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let size = u64::from(row_bytes) * u64::from(size_px[1]);
@@ -267,6 +267,7 @@ impl PictureReads {
 mod tests {
     use super::*;
     use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+    use crate::state::TextureObject;
 
     /// The first eight had all the room in every frame.
     #[test]
@@ -283,6 +284,7 @@ mod tests {
             usage: wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
         });
+        let of = Attachment::new(TextureObject::target("any", [4, 4], TextureFormat::Rgba8));
         let mut reads = PictureReads::default();
         let sinks: Vec<Arc<PictureSink>> = (0..20).map(|_| Arc::default()).collect();
         let mut came = [0; 20];
@@ -290,8 +292,7 @@ mod tests {
             let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             // The last one asks no more after the first frames.
             for sink in &sinks[..if frame < 2 { 20 } else { 19 }] {
-                let format = TextureFormat::Rgba8;
-                reads.copy(ctx.device(), &mut encoder, &texture, format, [0, 0], sink, frame);
+                reads.copy(ctx.device(), &mut encoder, &texture, &of, sink, frame);
             }
             ctx.queue().submit([encoder.finish()]);
             reads.submitted();

@@ -33,7 +33,7 @@ use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
-use crate::scene::{Attachment, Environment, Texture};
+use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 use shadows::CasterPlan;
@@ -423,14 +423,13 @@ impl Renderer {
         let Some(camera) = stage.target.camera.as_ref().filter(|_| !stage.target.is_shared) else { return };
         let frame = stage.camera.frame;
         for (location, sink) in camera.read_backs() {
-            let Some(Attachment { texture: object, level, layer }) = camera.colors.get(location) else {
+            let Some(attachment) = camera.colors.get(location) else {
                 self.complain(format!("a camera without colour {location}, which is to be read back"));
                 continue;
             };
             // What is wrong with it has been said.
-            let Some(texture) = self.groups.textures.texture(object) else { continue };
-            let (device, place) = (ctx.device(), [*level, *layer]);
-            self.pictures.copy(device, encoder, texture, object.format, place, sink, frame);
+            let Some(texture) = self.groups.textures.texture(&attachment.texture) else { continue };
+            self.pictures.copy(ctx.device(), encoder, texture, attachment, sink, frame);
         }
     }
 
