@@ -138,7 +138,7 @@ fn all_colours_are_cleared_in_their_part_with_their_alpha() {
     rig.release(scene);
     no_errors(rig);
     let (first, shown) = (first.unwrap(), shown.unwrap());
-    let first = RgbaImage::from_raw(SIDE, SIDE, first.rgba).unwrap();
+    let first = RgbaImage::from_raw(SIDE, SIDE, first.texels).unwrap();
     assert_eq!([first.get_pixel(10, 5).0, first.get_pixel(40, 5).0], [[0, 0, 255, 128], [0, 255, 0, 255]]);
     assert_eq!([pixel(&shown, 20, 32), pixel(&shown, 44, 32)], [BLUE, GREEN], "the second attachment");
 }

@@ -12,7 +12,8 @@ use gpu_support::{Rig, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::scene::{AlphaMode, Attachment, CameraNode, CameraTarget, Drawable, Node, RenderOrder};
 use terrane::state::{
-    AlphaFunc, Attribute, CompareFunction, Fog, FogMode, Mode, Program, Sampler, StateSet, StateValue, TextureBinding,
+    AlphaFunc, Attribute, BinDetails, ColorMask, CompareFunction, Depth, Fog, FogMode, Mode, Program, Sampler,
+    SortMode, StateSet, StateValue, Stencil, StencilFace, StencilOperation, TextureBinding, TextureDimension,
     TextureFormat, TextureObject,
 };
 
@@ -195,5 +196,96 @@ fn a_camera_with_several_samples_goes_on_with_what_its_texture_holds() {
             assert_eq!(at(&picture)[..2], [plain, [255; 3]], "{format:?}");
         }
         rig.release(scene);
+    }
+}
+
+/// What there is no memory for cost the whole frame.
+#[test]
+fn textures_that_there_is_no_memory_for_are_said_and_lose_no_frame() {
+    let Some(mut rig) = rig("textures_that_there_is_no_memory_for_are_said_and_lose_no_frame") else { return };
+    let rig = &mut *rig;
+    let limits = rig.ctx.device().limits();
+    let side = limits.max_texture_dimension_2d;
+    let huge = Arc::new(TextureObject {
+        dimension: TextureDimension::D2Array,
+        size: [side, side, limits.max_texture_array_layers],
+        ..(*TextureObject::target("huge", [side; 2], TextureFormat::Rgba16Float)).clone()
+    });
+    let set = StateSet::default()
+        .with_mode(Mode::Lighting, StateValue::OFF)
+        .with(Attribute::Texture(0, TextureBinding::new(huge)));
+    let white = Node::geode(vec![quad([-0.5, 0.0, 0.0], [0.4; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+    let beside = Node::geode(vec![quad([0.5, 0.0, 0.0], [0.4; 2], [0.0, 1.0, 0.0, 1.0])]);
+    let picture = picture(rig, Node::group(vec![white, beside]), &unit_camera(SIDE), &plain());
+    assert_eq!([16, 48].map(|x| pixel(&picture, x, 32)), [[255; 3], GREEN]);
+    let errors = rig.renderer.take_errors();
+    assert!(matches!(&errors[..], [e] if e.contains("texture \"huge\" cannot be made")), "{errors:?}");
+}
+
+/// Stencil tests passed everywhere in cameras with a depth texture, and nobody said so.
+#[test]
+fn depth_textures_may_have_a_stencil() {
+    let Some(mut rig) = rig("depth_textures_may_have_a_stencil") else { return };
+    let rig = &mut *rig;
+    let has_float = rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
+    let face = |function, pass| StencilFace { function, pass, ..StencilFace::default() };
+    let in_bin = |number, name: &str, face| {
+        let bin = Some(BinDetails { number, sort: SortMode::ByState });
+        let set = StateSet { bin, name: name.into(), ..StateSet::default() };
+        set.with(Attribute::Stencil(Stencil::both(face, 3)))
+    };
+    // Marked in the middle, without colour and depth; then green where it is marked.
+    let mut mark = in_bin(1, "mark", face(CompareFunction::Always, StencilOperation::Replace))
+        .with(Attribute::ColorMask(ColorMask([false; 3])));
+    mark.set_attribute(Attribute::Depth(Depth { write: false, ..Depth::default() }), StateValue::ON);
+    let test = in_bin(2, "test", face(CompareFunction::Equal, StencilOperation::Keep));
+    let node = |half, color, set: &StateSet| {
+        Node::geode(vec![quad([0.0; 3], [half; 2], color)]).with_state_set(Arc::new(set.clone()))
+    };
+    let formats = [TextureFormat::Depth24Stencil8, TextureFormat::Depth32Stencil8, TextureFormat::Depth32];
+    for format in formats.into_iter().filter(|f| has_float || *f != TextureFormat::Depth32Stencil8) {
+        let color = TextureObject::target("color", [SIDE; 2], TextureFormat::Rgba8Srgb);
+        let depth = TextureObject::target("depth", [SIDE; 2], format);
+        let target = || CameraTarget {
+            colors: vec![Attachment::new(color.clone())],
+            depth: Some(Attachment::new(depth.clone())),
+            ..CameraTarget::default()
+        };
+        let camera = |order, clears, children| {
+            let node = to(target(), order);
+            let node = CameraNode { clear_depth: clears, clear_color: node.clear_color.filter(|_| clears), ..node };
+            Node::camera(node, children)
+        };
+        let green = || node(0.75, [0.0, 1.0, 0.0, 1.0], &test);
+        let set = StateSet::default()
+            .with_mode(Mode::Lighting, StateValue::OFF)
+            .with(Attribute::Texture(0, TextureBinding::new(color.clone())));
+        let screen = || node(1.0, [1.0; 4], &set);
+        let has_stencil = format != TextureFormat::Depth32;
+        let mut said = Vec::new();
+        // In one camera; and where a second one goes on with what the first has left.
+        let one = vec![camera(0, true, vec![node(0.5, [1.0; 4], &mark), green()])];
+        let two = vec![camera(0, true, vec![node(0.5, [1.0; 4], &mark)]), camera(1, false, vec![green()])];
+        for cameras in [one, two] {
+            let nodes = [cameras, vec![screen()]].concat();
+            let scene = rig.scene(Node::group(nodes));
+            for _ in 0..2 {
+                let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+                let at = [32, 12].map(|x| pixel(&picture, x, 32));
+                assert_eq!(at, [GREEN, if has_stencil { BLACK } else { GREEN }], "{format:?}");
+                said.extend(rig.renderer.take_errors());
+            }
+            rig.release(scene);
+        }
+        let is_of =
+            |(error, set): (&String, &&str)| error.starts_with(*set) && error.contains("\"depth\" has no stencil");
+        let wanted: &[&str] = if has_stencil { &[] } else { &["mark: ", "test: "] };
+        assert!(said.len() == wanted.len() && said.iter().zip(wanted).all(is_of), "{format:?}: {said:?}");
+        // Its depth is sampled as ever.
+        let picture = draw(
+            rig,
+            vec![camera(0, true, vec![Node::geode(vec![quad([0.0; 3], [0.5; 2], [1.0; 4])])]), shown(&depth)],
+        );
+        assert_eq!([32, 12].map(|x| pixel(&picture, x, 32)), [GREEN, BLACK], "{format:?}");
     }
 }

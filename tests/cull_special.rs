@@ -289,7 +289,7 @@ fn lights_and_planes_are_in_eye_space_of_their_stage() {
         })))
     };
     let up = DAffine3::from_translation(DVec3::new(0.0, 0.0, 4.0));
-    let texgen = TexGen::EyeLinear([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+    let texgen = TexGen::EyeLinear(TexGen::planes([1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]));
     let far_away = DAffine3::from_translation(DVec3::new(0.0, -1e6, 0.0));
     let stage = cull(
         Node::group(vec![
@@ -310,11 +310,12 @@ fn lights_and_planes_are_in_eye_space_of_their_stage() {
     assert!(plane.plane.distance(DVec4::new(0.0, 0.0, -1.0, -10.0)) < 1e-9, "{}", plane.plane);
     assert!(stage.state_sets[0].mode(Mode::ClipPlane(2)) && !stage.state_sets[0].mode(Mode::ClipPlane(1)));
     assert_eq!(stage.clear_node, Some(Some([0.5; 4])));
-    let PositionedTexGen { unit: 1, texgen: TexGen::EyeLinear([s, t]), view: 0 } = stage.texgens[0] else {
+    let PositionedTexGen { unit: 1, texgen: TexGen::EyeLinear([s, t, r, q]), view: 0 } = stage.texgens[0] else {
         panic!("eye linear")
     };
     assert!(DVec4::from_array(s.map(f64::from)).distance(DVec4::X) < 1e-6);
     assert!(DVec4::from_array(t.map(f64::from)).distance(DVec4::Y) < 1e-6);
+    assert_eq!([r, q], [[0.0; 4], [0.0, 0.0, 0.0, 1.0]]);
 }
 
 #[test]
@@ -636,7 +637,7 @@ fn of_lights_with_one_number_the_last_counts_and_texture_planes_are_inherited() 
         let light = Light { number: 1, diffuse: [red, 0.0, 0.0], ..Light::default() };
         Node::new(NodeKind::LightSource(LightSource { light, frame: ReferenceFrame::Relative }.into()))
     };
-    let planes = TexGen::EyeLinear([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]);
+    let planes = TexGen::EyeLinear(TexGen::planes([1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]));
     let texgen = Node::new(NodeKind::TexGenNode(Box::new(TexGenNode { unit: 2, texgen: planes })));
     let below = Node::camera(CameraNode::new(RenderOrder::PostRender(0)), vec![light(0.75), cube(DVec3::ZERO)]);
     let stage = cull(Node::group(vec![light(0.25), light(0.5), texgen, below]), &camera());

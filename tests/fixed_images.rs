@@ -5,9 +5,11 @@ mod gpu_support;
 
 use std::sync::Arc;
 
+use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec3, DVec4};
 use gpu_support::{MAGENTA, Rig, Terrain, camera, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
+use terrane::cull::CullCamera;
 use terrane::scene::{
     ClipNode, Drawable, Geometry, LightSource, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, TexGenNode,
     Topology,
@@ -69,6 +71,15 @@ fn light(light: Light) -> Node {
 }
 
 const WHITE: [f32; 4] = [1.0; 4];
+
+/// A camera of parallel rays, 1 m before what is drawn, that sees the same as the tests' own.
+fn parallel_camera() -> CullCamera {
+    CullCamera {
+        eye_from_world: DAffine3::from_translation(DVec3::new(0.0, 0.0, -1.0)),
+        clip_from_eye: proj::orthographic(-1.0, 1.0, -1.0, 1.0, 100.0, 0.0),
+        ..unit_camera(SIDE)
+    }
+}
 
 #[test]
 fn lights_shine_from_their_side() {
@@ -278,7 +289,7 @@ fn samplers_wrap_filter_and_bias() {
     let Some(mut rig) = rig("samplers_wrap_filter_and_bias") else { return };
     let rig = &mut *rig;
     // s and t run over three copies: x + 1.5 copies of 0.5 m each.
-    let planes = [[2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.25]];
+    let planes = TexGen::planes([2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.25]);
     let two = TextureObject::image("two", [2, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
     let mut rows = |wrap| {
         let sampler = Sampler {
@@ -316,7 +327,7 @@ fn samplers_wrap_filter_and_bias() {
 fn coordinates_come_from_planes_and_mirrors() {
     let Some(mut rig) = rig("coordinates_come_from_planes_and_mirrors") else { return };
     let rig = &mut *rig;
-    let planes = [[0.5, 0.0, 0.0, 0.5], [0.0, -0.5, 0.0, 0.5]];
+    let planes = TexGen::planes([0.5, 0.0, 0.0, 0.5], [0.0, -0.5, 0.0, 0.5]);
     let with = |texgen| unlit().with(Attribute::Texture(1, nearest(quarters()))).with(Attribute::TexGen(1, texgen));
     let aside = |n: Node| Node::transform(DAffine3::from_translation(DVec3::new(0.3, 0.0, 0.0)), vec![n]);
     // In the object's frame the middle of the texture moves along; in the eye's it stays.
@@ -329,7 +340,7 @@ fn coordinates_come_from_planes_and_mirrors() {
     let texgen = TexGenNode { unit: 1, texgen: TexGen::EyeLinear(planes) };
     let nodes = vec![
         aside(Node::new(NodeKind::TexGenNode(Box::new(texgen)))),
-        node(square(WHITE), with(TexGen::EyeLinear([[0.0; 4]; 2]))),
+        node(square(WHITE), with(TexGen::EyeLinear([[0.0; 4]; 4]))),
     ];
     assert!(edge(&draw(rig, nodes)).unwrap().abs_diff(32 + 10) <= 1);
     // A mirror that faces the eye shows what is behind the eye: the middle of a sphere map.
@@ -369,6 +380,51 @@ fn coordinates_come_from_planes_and_mirrors() {
     });
     let set = unlit().with(Attribute::Texture(0, nearest(cube))).with(Attribute::TexGen(0, TexGen::ReflectionMap));
     assert_eq!(middle(rig, vec![node(square(WHITE), set)]), GREEN);
+}
+
+#[test]
+fn planes_of_r_and_q_choose_slices_and_project() {
+    let Some(mut rig) = rig("planes_of_r_and_q_choose_slices_and_project") else { return };
+    let rig = &mut *rig;
+    let [along_s, along_t] = [[1.0, 0.0, 0.0, 0.5], [0.0, 1.0, 0.0, 0.5]];
+    let constant = |value: f32| [0.0, 0.0, 0.0, value];
+    let with = |texture: &Arc<TextureObject>, planes| {
+        let binding = nearest(texture.clone());
+        node(
+            square(WHITE),
+            unlit().with(Attribute::Texture(1, binding)).with(Attribute::TexGen(1, TexGen::ObjectLinear(planes))),
+        )
+    };
+    // Slices and layers by r, from below: q divides what is in a volume, and s and t alone of layers.
+    for (dimension, q) in [(TextureDimension::D3, 1.0), (TextureDimension::D3, 2.0), (TextureDimension::D2Array, 2.0)] {
+        let two = Arc::new(TextureObject {
+            dimension,
+            size: [1, 1, 2],
+            format: TextureFormat::Rgba8,
+            texels: vec![[[0, 0, 255, 255], [255, 0, 0, 255]].concat()],
+            ..(*quarters()).clone()
+        });
+        // Half a slice higher per 0.5 m of a volume; from layer 0 to layer 1 in the middle.
+        let r = if dimension == TextureDimension::D3 { [0.0, q, 0.0, 0.5 * q] } else { [0.0, 1.0, 0.0, 0.5] };
+        let picture = draw(rig, vec![with(&two, [along_s, along_t, r, constant(q)])]);
+        let at = [20, 30, 34, 44].map(|y| pixel(&picture, 32, y));
+        assert_eq!(at, [RED, RED, BLUE, BLUE], "{dimension:?} {q}");
+    }
+    // A picture from a projector: s / q is 0.5 where x = y / 2.
+    let two = TextureObject::image("two", [2, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
+    let q = [0.0, 1.0, 0.0, 1.0];
+    let picture = draw(rig, vec![with(&two, [along_s, constant(0.0), constant(0.0), q])]);
+    let edge = |picture: &RgbaImage, y: u32| (16..48).find(|x| pixel(picture, *x, y) == GREEN).unwrap_or(0);
+    for y in [18, 25, 32, 39, 46] {
+        let y_m = 1.0 - (f64::from(y) + 0.5) / 32.0;
+        let expected = 32.0 + 16.0 * y_m;
+        assert!((f64::from(edge(&picture, y)) - expected).abs() <= 1.0, "{} instead of {expected}", edge(&picture, y));
+    }
+    // In the eye's frame, 10 m before it, q is made of depth: the same as without it, by tenths.
+    let eye = [[1.0, 0.0, 0.0, 5.0], constant(0.0), constant(0.0), [0.0, 0.0, -1.0, 0.0]];
+    let set = unlit().with(Attribute::Texture(0, nearest(two))).with(Attribute::TexGen(0, TexGen::EyeLinear(eye)));
+    let picture = draw(rig, vec![node(square(WHITE), set)]);
+    assert_eq!(edge(&picture, 32), 32);
 }
 
 #[test]
@@ -483,4 +539,110 @@ fn height_tiles_have_lights_and_fog_too() {
     let fog = Fog { mode: FogMode::Linear { start_m: 5_000.0, end_m: 30_000.0 }, color: [0.0, 0.0, 1.0] };
     let foggy = with(StateSet::default().with(Attribute::Fog(fog)));
     assert!(mean(&foggy, 2) > mean(&sunny, 2) + 20.0);
+}
+
+/// A sun that nothing took the place of was off.
+#[test]
+fn a_light_that_is_nowhere_leaves_the_sun_on() {
+    let Some(mut rig) = rig("a_light_that_is_nowhere_leaves_the_sun_on") else { return };
+    let rig = &mut *rig;
+    let material = SurfaceMaterial { diffuse: [0.6, 0.5, 0.4, 1.0], ..SurfaceMaterial::default() };
+    let sets = [StateSet::default(), StateSet::default().with(Attribute::SurfaceMaterial(material))];
+    for set in sets {
+        let sunlit = middle(rig, vec![node(square(WHITE), set.clone())]);
+        assert!(sunlit.iter().any(|c| *c > 20), "{sunlit:?}");
+        for position in [[f64::NAN, 0.0, 1.0, 0.0], [0.0, 0.0, 1e300, 1.0], [0.0; 4]] {
+            let light = Light { number: 0, position, ..Light::default() };
+            let source = LightSource { light, frame: ReferenceFrame::Relative };
+            let source = Node::new(NodeKind::LightSource(Box::new(source)));
+            assert_eq!(middle(rig, vec![source, node(square(WHITE), set.clone())]), sunlit, "{position:?}");
+        }
+    }
+}
+
+/// The highlight and what is mirrored lay where rays from one point would have put them.
+#[test]
+fn parallel_rays_see_the_same_highlight_all_over_a_plane() {
+    let Some(mut rig) = rig("parallel_rays_see_the_same_highlight_all_over_a_plane") else { return };
+    let rig = &mut *rig;
+    let dark = SurfaceMaterial { ambient: [0.0; 3], diffuse: [0.0, 0.0, 0.0, 1.0], ..SurfaceMaterial::default() };
+    let shiny = SurfaceMaterial { specular: [0.5, 0.25, 0.0], shininess: 20.0, ..dark };
+    let front = light(Light { position: [0.0, 0.0, 1.0, 0.0], ..Light::default() });
+    let mut seen = |nodes: Vec<Node>| {
+        let scene = rig.scene(Node::group(nodes));
+        let picture = rig.picture(&scene, &parallel_camera(), &plain());
+        rig.release(scene);
+        [(32, 32), (18, 18), (46, 20)].map(|(x, y)| pixel(&picture, x, y))
+    };
+    for got in seen(vec![front.clone(), node(square(WHITE), only_light_1().with(Attribute::SurfaceMaterial(shiny)))]) {
+        assert_near(got, [0.5, 0.25, 0.0], "a highlight");
+    }
+    // Where the eye is, too.
+    let near = Node::transform(
+        DAffine3::from_translation(DVec3::Z),
+        vec![node(square(WHITE), only_light_1().with(Attribute::SurfaceMaterial(shiny)))],
+    );
+    for got in seen(vec![front, near]) {
+        assert_near(got, [0.5, 0.25, 0.0], "in the eye's own plane");
+    }
+    // Red where what is behind the eye is mirrored, the middle of a sphere map.
+    let mut texels = [0u8, 0, 255, 255].repeat(81);
+    texels[40 * 4..41 * 4].copy_from_slice(&[255, 0, 0, 255]);
+    let map = unlit()
+        .with(Attribute::Texture(0, nearest(TextureObject::image("dot", [9, 9], texels))))
+        .with(Attribute::TexGen(0, TexGen::SphereMap));
+    assert_eq!(seen(vec![node(square(WHITE), map)]), [RED; 3]);
+}
+
+/// They counted as the last ones.
+#[test]
+fn numbers_beyond_the_last_are_said_and_touch_no_others() {
+    let Some(mut rig) = rig("numbers_beyond_the_last_are_said_and_touch_no_others") else { return };
+    let rig = &mut *rig;
+    let named = |name: &str, set: StateSet| StateSet { name: name.into(), ..set };
+    let color = |texel: [u8; 4]| nearest(TextureObject::image("color", [1, 1], texel.to_vec()));
+    let mut last = unlit();
+    last.set_attribute(Attribute::Texture(3, color([0, 0, 255, 255])), StateValue::ON);
+    let texgen = Attribute::TexGen(4, TexGen::NormalMap);
+    let beyond = named("units", last.with(Attribute::Texture(4, color([255, 0, 0, 255]))).with(texgen));
+    let clip = |number, plane| {
+        let clip = ClipNode { planes: vec![(number, plane)], frame: ReferenceFrame::Relative };
+        Node::new(NodeKind::ClipNode(Box::new(clip)))
+    };
+    let all = DVec4::new(0.0, 0.0, 0.0, -1.0);
+    let source = |number| {
+        let light = Light { number, position: [0.0, 0.0, 1.0, 0.0], ..Light::default() };
+        Node::new(NodeKind::LightSource(Box::new(LightSource { light, frame: ReferenceFrame::Relative })))
+    };
+    let dark = named(
+        "lights",
+        StateSet::default().with_mode(Mode::Light(0), StateValue::OFF).with_mode(Mode::Light(8), StateValue::ON),
+    );
+    // Switched off is what they are.
+    let off = unlit().with_mode(Mode::Texture(7), StateValue::OFF).with_mode(Mode::Light(200), StateValue::OFF);
+    let generator = Node::new(NodeKind::TexGenNode(Box::new(TexGenNode { unit: 4, texgen: TexGen::SphereMap })));
+    for (nodes, seen, wanted) in [
+        (vec![node(square(WHITE), beyond)], [255; 3], vec!["units: texture unit 4"]),
+        (
+            vec![clip(5, all), clip(6, all).with_child(node(square(WHITE), unlit()))],
+            [255; 3],
+            vec!["a ClipNode: clip plane 6"],
+        ),
+        (
+            vec![source(7), source(8), node(square(WHITE), dark)],
+            [0; 3],
+            vec!["a LightSource: light 8", "lights: light 8"],
+        ),
+        (vec![generator, node(square(WHITE), off)], [255; 3], vec!["a TexGenNode: texture unit 4"]),
+    ] {
+        let scene = rig.scene(Node::group(nodes));
+        let mut errors = Vec::new();
+        for _ in 0..2 {
+            assert_eq!(pixel(&rig.picture(&scene, &unit_camera(SIDE), &plain()), 32, 32), seen, "{wanted:?}");
+            errors.extend(rig.renderer.take_errors());
+        }
+        rig.release(scene);
+        let is_wanted = |(error, wanted): (&String, &&str)| error.contains(*wanted);
+        assert!(errors.len() == wanted.len() && errors.iter().zip(&wanted).all(is_wanted), "{errors:?}");
+    }
 }

@@ -278,7 +278,7 @@ fn cameras_move_and_change_their_air() {
             break;
         }
     }
-    let found = RgbaImage::from_raw(SIZE[0], SIZE[1], found.unwrap().rgba).unwrap();
+    let found = RgbaImage::from_raw(SIZE[0], SIZE[1], found.unwrap().texels).unwrap();
     let expected = picture(rig, &second, &around(&second));
     assert_eq!(differ(&found, &expected, 1), 0);
     rig.release(scene);

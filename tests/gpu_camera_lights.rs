@@ -110,7 +110,7 @@ fn planes_lie_where_they_are() {
         ..Sampler::default()
     };
     let binding = TextureBinding { texture: TextureObject::image("quarters", [2, 2], texels), sampler: nearest };
-    let planes = [[0.7, 0.1, 0.0, 0.3], [0.1, -0.6, 0.0, 0.2]];
+    let planes = TexGen::planes([0.7, 0.1, 0.0, 0.3], [0.1, -0.6, 0.0, 0.2]);
     let texgen =
         || Node::new(NodeKind::TexGenNode(Box::new(TexGenNode { unit: 0, texgen: TexGen::EyeLinear(planes) })));
     let turned = |node: Node| Node::transform(DAffine3::from_rotation_z(0.4), vec![node]);
@@ -118,7 +118,7 @@ fn planes_lie_where_they_are() {
         StateSet::default()
             .with_mode(Mode::ClipPlane(2), StateValue::ON)
             .with(Attribute::Texture(0, binding))
-            .with(Attribute::TexGen(0, TexGen::EyeLinear([[0.0; 4]; 2]))),
+            .with(Attribute::TexGen(0, TexGen::EyeLinear([[0.0; 4]; 4]))),
     );
     let square = || Node::geode(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]).with_state_set(set.clone());
     let expected = drawn(rig, vec![clip(), turned(texgen()), square()], &own());

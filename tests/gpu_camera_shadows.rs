@@ -139,7 +139,7 @@ fn terrain_has_air_and_shadows_in_a_texture() {
         rig.draw(&scene, &CullCamera { frame, ..main }, &world.seen_from(above));
         sink.take()
     });
-    let found = RgbaImage::from_raw(SIZE[0], SIZE[1], found.unwrap().rgba).unwrap();
+    let found = RgbaImage::from_raw(SIZE[0], SIZE[1], found.unwrap().texels).unwrap();
     keep("shadows-terrain", &found);
     assert_eq!(differ(&found, &expected, 1), 0);
     rig.release(scene);

@@ -225,7 +225,7 @@ fn to_texture(rig: &mut Rig, node: &Node, camera: &CullCamera) -> RgbaImage {
         sink.take()
     });
     rig.release(scene);
-    RgbaImage::from_raw(SIDE, SIDE, picture.unwrap().rgba).unwrap()
+    RgbaImage::from_raw(SIDE, SIDE, picture.unwrap().texels).unwrap()
 }
 
 /// The children of the root as pages of their own, each with the root's state set.

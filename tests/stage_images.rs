@@ -6,8 +6,8 @@ mod gpu_support;
 
 use std::sync::{Arc, Mutex};
 
-use glam::DAffine3;
 use glam::dcamera::rh::proj::directx as proj;
+use glam::{DAffine3, DVec4};
 use gpu_support::{MAGENTA, Rig, count, new_rig, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::cull::CullCamera;
@@ -277,7 +277,7 @@ fn programs_write_several_attachments_and_read_depth() {
     let (first, second) = (target("first"), TextureObject::target("second", [SIDE; 2], TextureFormat::Rgba16Float));
     let depth = TextureObject::target("depth", [SIDE; 2], TextureFormat::Depth32);
     let colors = vec![Attachment::new(first.clone()), Attachment::new(second.clone())];
-    let of = CameraTarget { colors, depth: Some(Attachment::new(depth.clone())), samples: 1, read_back: None };
+    let of = CameraTarget { colors, depth: Some(Attachment::new(depth.clone())), ..CameraTarget::default() };
     let (eye_from_world, projection) = view();
     let camera =
         CameraNode { target: Some(Arc::new(of)), ..CameraNode::to_texture(first.clone(), eye_from_world, projection) };
@@ -358,7 +358,7 @@ fn drawn_until(rig: &mut Rig, scene: &Scene, sink: &Arc<PictureSink>) -> Vec<u8>
         if let Some(picture) = sink.take() {
             assert!(picture.frame >= 1 && picture.frame <= frame);
             assert_eq!(picture.size_px, [SIDE, SIDE]);
-            return picture.rgba;
+            return picture.texels;
         }
     }
     panic!("no picture came");
@@ -376,6 +376,67 @@ fn pictures_come_back_without_waiting() {
     assert_eq!(pixels.iter().filter(|p| **p == [255, 0, 0, 255]).count(), 32 * 32);
     assert_eq!(pixels[0], [0, 0, 255, 128], "textures keep alpha");
     no_errors(rig);
+}
+
+#[test]
+fn pictures_of_several_attachments_and_of_numbers_come_back() {
+    let Some(mut rig) = rig("pictures_of_several_attachments_and_of_numbers_come_back") else { return };
+    let rig = &mut *rig;
+    // Rows that do not fill what copies are aligned to.
+    let size = [40, 24];
+    let formats = [TextureFormat::Rgba8, TextureFormat::Rgba16Float, TextureFormat::R32Float];
+    let colors = formats.map(|format| Attachment::new(TextureObject::target("part", size, format)));
+    let sinks = formats.map(|_| Arc::new(PictureSink::default()));
+    let [first, second, third] = &sinks;
+    // The third twice, and one that is not there.
+    let (again, missing) = (Arc::new(PictureSink::default()), Arc::new(PictureSink::default()));
+    let target = CameraTarget {
+        colors: colors.to_vec(),
+        read_back: Some(first.clone()),
+        read_back_of: vec![(2, third.clone()), (1, second.clone()), (2, again.clone()), (3, missing.clone())],
+        ..CameraTarget::default()
+    };
+    let program = Program::new(
+        "numbers",
+        "struct Out { @location(0) a: vec4<f32>, @location(1) b: vec4<f32>, @location(2) c: f32 }
+        @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
+            return frame.clip_from_eye * vec4<f32>(point_in_eye(leaves[i], vertex.position), 1.0);
+        }
+        @fragment fn fs_main(@builtin(position) at: vec4<f32>) -> Out {
+            return Out(vec4(1.0, 0.0, 0.0, 1.0), vec4(0.5, -2.0, 1024.0, 1.0), floor(at.x) + 1000.0 * floor(at.y));
+        }",
+    );
+    let set = StateSet::default().with(Attribute::Program(program));
+    let drawn = Node::geode(vec![quad([0.0; 3], [2.0; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+    let (view, projection) = view();
+    let camera = CameraNode {
+        target: Some(Arc::new(target)),
+        ..CameraNode::to_texture(colors[0].texture.clone(), view, projection)
+    };
+    let scene = rig.scene(Node::camera(camera, vec![drawn]));
+    let mut came = [const { None }; 4];
+    for frame in 1..50 {
+        rig.draw(&scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+        for (came, sink) in came.iter_mut().zip([first, second, third, &again]) {
+            *came = sink.take().or(came.take());
+        }
+    }
+    rig.release(scene);
+    let [first, second, third, again] = came.map(|picture| picture.expect("a picture"));
+    for (picture, format) in [(&first, formats[0]), (&second, formats[1]), (&third, formats[2]), (&again, formats[2])] {
+        assert_eq!((picture.size_px, picture.format), (size, format));
+        assert_eq!(picture.texels.len(), (size[0] * size[1]) as usize * format.texel_bytes());
+    }
+    assert!(first.texels.chunks_exact(4).all(|p| p == [255, 0, 0, 255]));
+    // 0.5, -2, 1024 and 1 in halves.
+    let halves = [0x3800u16, 0xc000, 0x6400, 0x3c00].map(u16::to_le_bytes).concat();
+    assert!(second.texels.chunks_exact(8).all(|p| p == halves));
+    let numbers: Vec<f32> = third.texels.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
+    let expected: Vec<f32> = (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (x + 1000 * y) as f32)).collect();
+    assert_eq!(numbers, expected);
+    assert!(missing.take().is_none());
+    let errors = rig.renderer.take_errors();
+    assert!(matches!(&errors[..], [e] if e.contains("colour 3")), "{errors:?}");
 }
 
 #[test]
@@ -421,7 +482,7 @@ fn wrong_targets_are_one_error_and_the_rest_is_drawn() {
         colors: colors.iter().map(|t| Attachment::new((*t).clone())).collect(),
         depth: depth.map(|t| Attachment::new(t.clone())),
         samples: 1,
-        read_back: None,
+        ..CameraTarget::default()
     };
     let fine = target("fine");
     let missing = CameraTarget {
@@ -584,4 +645,32 @@ fn a_context_has_several_samples() {
     }
     let errors = rig.renderer.take_errors();
     assert!(errors.is_empty(), "{errors:?}");
+}
+
+/// Those beyond 63 were drawn with the stage's own projection.
+#[test]
+fn each_of_many_projections_is_its_own() {
+    let Some(mut rig) = rig("each_of_many_projections_is_its_own") else { return };
+    let rig = &mut *rig;
+    // Each puts its square of 2 m into another cell of 4 x 4 pixels.
+    let cell = |i: u32, child: Node| {
+        let at = |place: u32| (f64::from(place) + 0.5) / 8.0 - 1.0;
+        let projection = glam::DMat4 {
+            x_axis: DVec4::X / 16.0,
+            y_axis: DVec4::Y / 16.0,
+            z_axis: DVec4::Z / 20.0,
+            w_axis: DVec4::new(at(i % 16), at(i / 16), 1.0, 1.0),
+        };
+        Node::new(NodeKind::Projection(projection)).with_child(child)
+    };
+    let full = |[r, g, b]: [u8; 3]| quad([0.0; 3], [1.0; 2], [r, g, b, 255].map(|c| f32::from(c) / 255.0));
+    let colors = [RED, GREEN, BLUE];
+    let nodes: Vec<Node> = (0..150u32).map(|i| cell(i, Node::geode(vec![full(colors[i as usize % 3])]))).collect();
+    for _ in 0..2 {
+        let picture = draw(rig, nodes.clone());
+        assert_eq!(colors.map(|c| count(&picture, c)), [50 * 16; 3]);
+    }
+    // Fewer in the next frame.
+    assert_eq!(count(&draw(rig, nodes[..100].to_vec()), MAGENTA), (256 - 100) * 16);
+    no_errors(rig);
 }

@@ -101,7 +101,7 @@ fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
         viewer.frame().unwrap();
         sink.take()
     });
-    let found = RgbaImage::from_raw(SIZE_PX[0], SIZE_PX[1], found.unwrap().rgba).unwrap();
+    let found = RgbaImage::from_raw(SIZE_PX[0], SIZE_PX[1], found.unwrap().texels).unwrap();
     keep("scene-camera-found", &found);
     let apart = differ(&found, &expected, 2);
     assert!(apart < 40, "{apart} pixels differ");
@@ -262,7 +262,7 @@ fn below_a_camera_over_cleared_depths_a_nested_one_makes_the_same_picture() {
             sink.take()
         });
         viewer.remove_root(id).unwrap();
-        RgbaImage::from_raw(SIZE_PX[0], SIZE_PX[1], found.unwrap().rgba).unwrap()
+        RgbaImage::from_raw(SIZE_PX[0], SIZE_PX[1], found.unwrap().texels).unwrap()
     };
     let (expected, found) = (picture_of(false), picture_of(true));
     keep("scene-below-expected", &expected);

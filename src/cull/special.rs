@@ -221,7 +221,7 @@ impl Cull<'_> {
             RenderOrder::PreRender(order) | RenderOrder::PostRender(order) => order,
         };
         let target_px = camera.target.as_ref().and_then(|target| target.size_px());
-        if let Some(sink) = camera.target.as_ref().and_then(|target| target.read_back.as_ref()) {
+        for (_, sink) in camera.target.iter().flat_map(|target| target.read_backs()) {
             self.counters.answers_age = self.counters.answers_age.max(sink.age(self.camera.frame));
         }
         if let (None, Some(size_px)) = (camera.viewport_px, target_px) {

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use crate::cull::OcclusionQuery;
-use crate::scene::{OcclusionResults, Picture, PictureSink};
+use crate::scene::{Attachment, OcclusionResults, Picture, PictureSink};
+use crate::state::TextureFormat;
 
 const IDLE: u8 = 0;
 const IN_FLIGHT: u8 = 1;
@@ -129,6 +130,7 @@ struct PictureSlot {
     buffer: wgpu::Buffer,
     sink: Arc<PictureSink>,
     size_px: [u32; 2],
+    format: TextureFormat,
     frame: u32,
     is_new: bool,
     state: Arc<AtomicU8>,
@@ -163,21 +165,22 @@ impl PictureReads {
         has_room
     }
 
-    /// Copies a texture (of four bytes a texel) to where it can be read; false while too many are under way.
+    /// Copies an attachment from its texture to where it can be read; false while too many are under way.
     pub(super) fn copy(
         &mut self,
         device: &wgpu::Device,
         encoder: &mut wgpu::CommandEncoder,
         texture: &wgpu::Texture,
-        [level, layer]: [u32; 2],
+        of: &Attachment,
         sink: &Arc<PictureSink>,
         frame: u32,
     ) -> bool {
         if !self.has_room(sink) {
             return false;
         }
+        let (format, level, layer) = (of.texture.format, of.level, of.layer);
         let size_px = [texture.width(), texture.height()].map(|side| (side >> level).max(1));
-        let row_bytes = (size_px[0] * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let row_bytes = (size_px[0] * format.texel_bytes() as u32).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let size = u64::from(row_bytes) * u64::from(size_px[1]);
         let is_idle = |s: &PictureSlot| !s.is_new && s.state.load(Ordering::Acquire) == IDLE;
         let fitting = self.slots.iter().position(|s| is_idle(s) && s.buffer.size() == size);
@@ -196,6 +199,7 @@ impl PictureReads {
                 }),
                 sink: sink.clone(),
                 size_px,
+                format,
                 frame,
                 is_new: true,
                 state: Arc::new(AtomicU8::new(IDLE)),
@@ -207,7 +211,8 @@ impl PictureReads {
             }
         }
         let slot = &mut self.slots[place];
-        (slot.sink, slot.size_px, slot.frame, slot.is_new) = (sink.clone(), size_px, frame, true);
+        (slot.sink, slot.size_px, slot.format) = (sink.clone(), size_px, format);
+        (slot.frame, slot.is_new) = (frame, true);
         encoder.copy_texture_to_buffer(
             wgpu::TexelCopyTextureInfo {
                 mip_level: level,
@@ -239,13 +244,14 @@ impl PictureReads {
                 READY => {
                     if let Ok(view) = slot.buffer.get_mapped_range(..) {
                         let [width, height] = slot.size_px;
-                        let row_bytes = width as usize * 4;
-                        let mut rgba = Vec::with_capacity(row_bytes * height as usize);
+                        let row_bytes = width as usize * slot.format.texel_bytes();
+                        let mut texels = Vec::with_capacity(row_bytes * height as usize);
                         let padded = row_bytes.next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT as usize);
                         for row in view.chunks_exact(padded) {
-                            rgba.extend_from_slice(&row[..row_bytes]);
+                            texels.extend_from_slice(&row[..row_bytes]);
                         }
-                        slot.sink.put(Picture { size_px: slot.size_px, frame: slot.frame, rgba });
+                        let PictureSlot { size_px, format, frame, .. } = *slot;
+                        slot.sink.put(Picture { size_px, frame, format, texels });
                     }
                     slot.buffer.unmap();
                     slot.state.store(IDLE, Ordering::Release);
@@ -261,6 +267,7 @@ impl PictureReads {
 mod tests {
     use super::*;
     use crate::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+    use crate::state::TextureObject;
 
     /// The first eight had all the room in every frame.
     #[test]
@@ -277,6 +284,7 @@ mod tests {
             usage: wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
         });
+        let of = Attachment::new(TextureObject::target("any", [4, 4], TextureFormat::Rgba8));
         let mut reads = PictureReads::default();
         let sinks: Vec<Arc<PictureSink>> = (0..20).map(|_| Arc::default()).collect();
         let mut came = [0; 20];
@@ -284,7 +292,7 @@ mod tests {
             let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             // The last one asks no more after the first frames.
             for sink in &sinks[..if frame < 2 { 20 } else { 19 }] {
-                reads.copy(ctx.device(), &mut encoder, &texture, [0, 0], sink, frame);
+                reads.copy(ctx.device(), &mut encoder, &texture, &of, sink, frame);
             }
             ctx.queue().submit([encoder.finish()]);
             reads.submitted();

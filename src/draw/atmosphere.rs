@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 
 use crate::cull::CullCamera;
 use crate::draw::uniforms::frame::{eye_height_m, sun_height};
-use crate::gpu::GraphicsContext;
+use crate::gpu::{FrameTimer, GraphicsContext};
 use crate::scene::Environment;
 
 /// Source of the compute shaders.
@@ -254,15 +254,21 @@ impl Atmosphere {
     }
 
     /// Computes what has changed, before the passes of a draw.
-    pub(super) fn record(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder) {
+    pub(super) fn record(
+        &mut self,
+        ctx: &GraphicsContext,
+        encoder: &mut wgpu::CommandEncoder,
+        timer: Option<&mut FrameTimer>,
+    ) {
         let draw = self.draw;
         let needs = |set: &Tables| set.used == draw && set.made_for != set.wanted;
         if !self.sets.iter().any(needs) {
             return;
         }
         let passes = self.passes.get_or_insert_with(|| passes(ctx.device(), ctx.pipeline_cache()));
+        let timestamp_writes = timer.and_then(|timer| timer.compute_pass("air"));
         let mut pass =
-            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("air"), ..Default::default() });
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("air"), timestamp_writes });
         for set in self.sets.iter_mut().filter(|set| needs(set)) {
             set.record(ctx, &mut pass, passes, &self.sampler);
         }

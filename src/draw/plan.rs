@@ -105,8 +105,11 @@ impl Targets {
         self.owners.clear();
         self.resolved.clear();
         self.is_begun = false;
-        let has_stencil = |stage| any(stage, &|s| s.state_sets.iter().any(|state| state.stencil().is_some()));
-        let needs_stencil = stages.clone().any(has_stencil);
+        // Depth textures have their own, or none.
+        let needs_stencil = |stage: &RenderStage| {
+            depth_of(stage).is_none() && stage.state_sets.iter().any(|state| state.stencil().is_some())
+        };
+        let needs_stencil = stages.clone().any(|stage| any(stage, &needs_stencil));
         self.has_stencil = needs_stencil && self.can_stencil;
         // A picture clears the depth of those before it.
         self.has_followers = stages.any(|stage| {
@@ -235,7 +238,7 @@ impl Targets {
                 return Err(format!("texture {:?} is attached twice: level {level} of layer {layer}", texture.name));
             }
             let format = texture.format;
-            if format == TextureFormat::Depth32 {
+            if format.is_depth() {
                 return Err(format!("texture {:?} holds depth and is attached as colour", texture.name));
             }
             if format == TextureFormat::R32Float && samples > 1 {
@@ -256,7 +259,7 @@ impl Targets {
             }
         }
         let depth = match &camera.depth {
-            Some(attachment) if attachment.texture.format != TextureFormat::Depth32 => {
+            Some(attachment) if !attachment.texture.format.is_depth() => {
                 return Err(format!("texture {:?} holds colour and is attached as depth", attachment.texture.name));
             }
             Some(attachment) if samples > 1 => {
@@ -264,7 +267,7 @@ impl Targets {
                 return Err(format!("texture {name:?}: depth of several samples cannot be kept in a texture"));
             }
             Some(attachment) => {
-                key.depth = wgpu::TextureFormat::Depth32Float;
+                key.depth = texture_format(attachment.texture.format);
                 view(attachment)?
             }
             None => self.transients.view(device, size_px, key.depth, samples, owner),
@@ -298,6 +301,11 @@ impl Targets {
             is_begun: false,
         })
     }
+}
+
+/// The depth texture of the camera that a stage is of.
+fn depth_of(stage: &RenderStage) -> Option<&Arc<TextureObject>> {
+    stage.target.camera.as_ref()?.depth.as_ref().map(|depth| &depth.texture)
 }
 
 /// True when something holds for a stage or one around it.
@@ -340,6 +348,11 @@ impl PassTarget {
     pub(super) fn draws_into(&self, stage: &RenderStage, texture: &Arc<TextureObject>) -> bool {
         let attachments = stage.target.camera.iter().flat_map(|c| c.colors.iter().chain(&c.depth));
         attachments.into_iter().any(|a| Arc::ptr_eq(&a.texture, texture))
+    }
+
+    /// The depth texture of a stage where it has no stencil.
+    pub(super) fn depth_without_stencil<'a>(&self, stage: &'a RenderStage) -> Option<&'a Arc<TextureObject>> {
+        depth_of(stage).filter(|_| !self.has_stencil)
     }
 
     /// A whole picture is drawn, or an eye's.

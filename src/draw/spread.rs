@@ -1,7 +1,7 @@
 //! Puts what a texture holds into the multisampled buffer that is resolved into it: a camera that does not clear its
 //! colours goes on with them, though the buffer was another's since. Draw thread.
 
-use crate::gpu::GraphicsContext;
+use crate::gpu::{FrameTimer, GraphicsContext};
 
 const SPREAD_WGSL: &str = include_str!("shaders/spread.wgsl");
 
@@ -94,6 +94,7 @@ impl Spread {
         device: &wgpu::Device,
         encoder: &mut wgpu::CommandEncoder,
         all: impl Iterator<Item = Spreading<'a>>,
+        mut timer: Option<&mut FrameTimer>,
     ) {
         for Spreading { texture, samples, kind } in all {
             let Some((_, pipeline)) = self.pipelines.iter().find(|(known, _)| *known == kind) else { continue };
@@ -115,7 +116,7 @@ impl Spread {
                     },
                 })],
                 depth_stencil_attachment: None,
-                timestamp_writes: None,
+                timestamp_writes: timer.as_mut().and_then(|timer| timer.pass("spread")),
                 occlusion_query_set: None,
                 multiview_mask: None,
             });

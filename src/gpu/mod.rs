@@ -37,6 +37,7 @@ mod texture_pool;
 mod timer;
 mod transients;
 mod uploads;
+mod watched;
 
 pub use budget::{CompileBudget, CompilePace};
 pub use compile::{CompileOperation, CompileStats, Compiled};
@@ -56,3 +57,4 @@ pub(crate) use state_textures::{StateTextures, White, compare_function, texture_
 pub(crate) use target::DEPTH_FORMAT;
 pub(crate) use timer::FrameTimer;
 pub(crate) use transients::Transients;
+pub(crate) use watched::watched;

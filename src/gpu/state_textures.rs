@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
 use super::texture_pool::{ImageSize, Rows, write_rows};
+use super::watched;
 use crate::scene::Texture;
 use crate::state::{CompareFunction, FilterMode, Sampler, TextureDimension, TextureFormat, TextureObject, WrapMode};
 
@@ -52,6 +53,8 @@ pub(crate) fn texture_format(format: TextureFormat) -> wgpu::TextureFormat {
         TextureFormat::Rgba16Float => wgpu::TextureFormat::Rgba16Float,
         TextureFormat::R32Float => wgpu::TextureFormat::R32Float,
         TextureFormat::Depth32 => wgpu::TextureFormat::Depth32Float,
+        TextureFormat::Depth24Stencil8 => wgpu::TextureFormat::Depth24PlusStencil8,
+        TextureFormat::Depth32Stencil8 => wgpu::TextureFormat::Depth32FloatStencil8,
     }
 }
 
@@ -79,8 +82,7 @@ impl StateTextures {
     pub(crate) fn is_filterable(&self, format: TextureFormat) -> bool {
         match format {
             TextureFormat::R32Float => self.can_filter_floats,
-            TextureFormat::Depth32 => false,
-            _ => true,
+            _ => !format.is_depth(),
         }
     }
 
@@ -96,7 +98,9 @@ impl StateTextures {
         if let Some(entry) = self.entries.get(&key) {
             return Ok(entry.made.is_some().then_some(entry.serial));
         }
-        let made = make(device, queue, object);
+        let (made, error) = watched(device, || make(device, queue, object));
+        let refused = |error| Err(format!("texture {:?} cannot be made: {error}", object.name));
+        let made = made.and_then(|made| error.map_or(Ok(made), refused));
         let serial = self.next_serial;
         self.next_serial += 1;
         let (made, result) = match made {
@@ -127,7 +131,10 @@ impl StateTextures {
         let key = Arc::as_ptr(object) as usize;
         let known = self.entries.get(&key).and_then(|e| e.made.as_ref()).is_some_and(fits);
         if !known {
-            let texture = size.create(device, &object.name, 1);
+            let (texture, error) = watched(device, || size.create(device, &object.name, 1));
+            if let Some(error) = error {
+                return Err(format!("texture {:?} cannot be made: {error}", object.name));
+            }
             let view = texture.create_view(&wgpu::TextureViewDescriptor {
                 label: Some(&object.name),
                 dimension: Some(wgpu::TextureViewDimension::D2),
@@ -255,9 +262,12 @@ fn make(device: &wgpu::Device, queue: &wgpu::Queue, object: &TextureObject) -> R
             wgpu::Extent3d { width, height, depth_or_array_layers: depth },
         );
     }
+    // What is sampled is one aspect.
+    let aspect = if object.format.has_stencil() { wgpu::TextureAspect::DepthOnly } else { wgpu::TextureAspect::All };
     let view = texture.create_view(&wgpu::TextureViewDescriptor {
         label: Some(&object.name),
         dimension: Some(view_dimension(object.dimension)),
+        aspect,
         ..Default::default()
     });
     Ok(Made { texture, view, attachments: Vec::new() })

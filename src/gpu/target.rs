@@ -1,7 +1,7 @@
 //! What is drawn into: textures of our own, or the images of a window. Draw thread only.
 
 use super::surface::{Health, Next, SurfaceAnswer};
-use super::{ContextTraits, GpuError};
+use super::{ContextTraits, GpuError, watched};
 
 /// Colour format of offscreen targets.
 pub(super) const OFFSCREEN_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
@@ -90,9 +90,7 @@ fn configure_or_drop(
     config: &wgpu::SurfaceConfiguration,
 ) {
     let Some(of) = surface else { return };
-    let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
-    of.configure(device, config);
-    if let Some(error) = pollster::block_on(scope.pop()) {
+    if let ((), Some(error)) = watched(device, || of.configure(device, config)) {
         log::warn!("a surface cannot be configured anew: {error}");
         *surface = None;
     }

@@ -24,8 +24,11 @@ const FAILED: u8 = 3;
 /// Draws whose results may be outstanding at a time; a frame has one for each context of the device, and one beyond goes
 /// unmeasured.
 const RING: usize = 8;
-/// Passes of a frame that are measured; those beyond go unmeasured.
+/// Passes of a frame that are measured at first. Of a frame with more there are no times, and those after it measure as
+/// many.
 const PASSES: usize = 32;
+/// The most: wgpu's limit of a query set.
+const MOST_PASSES: usize = wgpu::QUERY_SET_MAX_QUERIES as usize / 2;
 
 /// Frames after which a bound on the clocks' difference is forgotten, as they may drift.
 const FORGOTTEN_AFTER: u32 = 256;
@@ -34,8 +37,10 @@ struct Slot {
     buffer: wgpu::Buffer,
     /// Number of the context, and of its frame.
     of: (u32, u32),
-    passes: usize,
-    names: [&'static str; PASSES],
+    /// Those of its passes that are measured.
+    names: Vec<&'static str>,
+    /// Passes that were not measured.
+    missed: usize,
     submitted: Instant,
     /// Written by wgpu's map callback (which runs inside poll on the draw thread), read by the timer.
     state: Arc<AtomicU8>,
@@ -45,6 +50,9 @@ struct Slot {
 pub(crate) struct FrameTimer {
     queries: wgpu::QuerySet,
     resolve: wgpu::Buffer,
+    /// Passes that these have room for, and the most that a frame had.
+    passes: usize,
+    most: usize,
     slots: Vec<Slot>,
     next: usize,
     current: Option<usize>,
@@ -57,6 +65,25 @@ pub(crate) struct FrameTimer {
     /// By pass, of each context's latest frame whose result has arrived.
     last_ms: Vec<(u32, Vec<f64>)>,
     tracks: Vec<(u32, Track)>,
+    /// Of the slot that is read; kept for its memory.
+    ticks: Vec<[u64; 2]>,
+}
+
+const READ_BACK: wgpu::BufferUsages = wgpu::BufferUsages::COPY_DST.union(wgpu::BufferUsages::MAP_READ);
+const RESOLVE: wgpu::BufferUsages = wgpu::BufferUsages::QUERY_RESOLVE.union(wgpu::BufferUsages::COPY_SRC);
+
+/// For the timestamps of so many passes.
+fn buffer(device: &wgpu::Device, usage: wgpu::BufferUsages, passes: usize) -> wgpu::Buffer {
+    let (label, size) = (Some("frame time"), 16 * passes as u64);
+    device.create_buffer(&wgpu::BufferDescriptor { label, size, usage, mapped_at_creation: false })
+}
+
+fn query_set(device: &wgpu::Device, passes: usize) -> wgpu::QuerySet {
+    device.create_query_set(&wgpu::QuerySetDescriptor {
+        label: Some("frame time"),
+        ty: wgpu::QueryType::Timestamp,
+        count: 2 * passes as u32,
+    })
 }
 
 /// How far a clock of the adapter is from ours, nanoseconds: bounded from below by each event that cannot have come
@@ -94,31 +121,21 @@ impl FrameTimer {
         if !device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
             return None;
         }
-        let buffer = |label, usage| {
-            device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(label),
-                size: 16 * PASSES as u64,
-                usage,
-                mapped_at_creation: false,
-            })
-        };
         let slots = (0..RING)
             .map(|_| Slot {
-                buffer: buffer("frame time read-back", wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ),
+                buffer: buffer(device, READ_BACK, PASSES),
                 of: (0, 0),
-                passes: 0,
-                names: [""; PASSES],
+                names: Vec::with_capacity(PASSES),
+                missed: 0,
                 submitted: Instant::now(),
                 state: Arc::new(AtomicU8::new(IDLE)),
             })
             .collect();
         Some(Self {
-            queries: device.create_query_set(&wgpu::QuerySetDescriptor {
-                label: Some("frame time"),
-                ty: wgpu::QueryType::Timestamp,
-                count: 2 * PASSES as u32,
-            }),
-            resolve: buffer("frame time", wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC),
+            queries: query_set(device, PASSES),
+            resolve: buffer(device, RESOLVE, PASSES),
+            passes: PASSES,
+            most: PASSES,
             slots,
             next: 0,
             current: None,
@@ -128,11 +145,12 @@ impl FrameTimer {
             clock: ClockFit::default(),
             last_ms: Vec::new(),
             tracks: Vec::new(),
+            ticks: Vec::with_capacity(PASSES),
         })
     }
 
     /// Starts a context's frame of a number; it goes unmeasured while every read-back buffer is outstanding.
-    pub(crate) fn start_frame(&mut self, context: u32, frame: u32) {
+    pub(crate) fn start_frame(&mut self, device: &wgpu::Device, context: u32, frame: u32) {
         self.current = None;
         if self.is_software && !timeline::is_recording() {
             self.last_ms.clear();
@@ -141,21 +159,24 @@ impl FrameTimer {
         if let Some(slot) = self.slots.get_mut(self.next)
             && slot.state.load(Ordering::Acquire) == IDLE
         {
-            slot.passes = 0;
+            slot.names.clear();
+            slot.missed = 0;
             slot.of = (context, frame);
             self.current = Some(self.next);
+            if self.most > self.passes {
+                self.passes = self.most.next_power_of_two().min(MOST_PASSES);
+                (self.queries, self.resolve) = (query_set(device, self.passes), buffer(device, RESOLVE, self.passes));
+            }
+            // Nobody reads it.
+            if slot.buffer.size() < self.resolve.size() {
+                slot.buffer = buffer(device, READ_BACK, self.passes);
+            }
         }
     }
 
     /// The writes for the frame's next pass, by its name.
     pub(crate) fn pass(&mut self, name: &'static str) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
-        let slot = self.slots.get_mut(self.current?)?;
-        if slot.passes == PASSES {
-            return None;
-        }
-        let first = 2 * slot.passes as u32;
-        slot.names[slot.passes] = name;
-        slot.passes += 1;
+        let first = self.next_query(name)?;
         Some(wgpu::RenderPassTimestampWrites {
             query_set: &self.queries,
             beginning_of_pass_write_index: Some(first),
@@ -163,17 +184,38 @@ impl FrameTimer {
         })
     }
 
+    /// The same for one that computes.
+    pub(crate) fn compute_pass(&mut self, name: &'static str) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        let first = self.next_query(name)?;
+        Some(wgpu::ComputePassTimestampWrites {
+            query_set: &self.queries,
+            beginning_of_pass_write_index: Some(first),
+            end_of_pass_write_index: Some(first + 1),
+        })
+    }
+
+    fn next_query(&mut self, name: &'static str) -> Option<u32> {
+        let slot = self.slots.get_mut(self.current?)?;
+        if slot.names.len() == self.passes {
+            slot.missed += 1;
+            return None;
+        }
+        slot.names.push(name);
+        Some(2 * (slot.names.len() as u32 - 1))
+    }
+
     /// Copies the timestamps after the passes have ended.
     pub(crate) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
-        if let Some(slot) = self.current.and_then(|i| self.slots.get(i)).filter(|s| s.passes > 0) {
-            encoder.resolve_query_set(&self.queries, 0..2 * slot.passes as u32, &self.resolve, 0);
-            encoder.copy_buffer_to_buffer(&self.resolve, 0, &slot.buffer, 0, 16 * slot.passes as u64);
+        if let Some(slot) = self.current.and_then(|i| self.slots.get(i)).filter(|s| !s.names.is_empty()) {
+            encoder.resolve_query_set(&self.queries, 0..2 * slot.names.len() as u32, &self.resolve, 0);
+            encoder.copy_buffer_to_buffer(&self.resolve, 0, &slot.buffer, 0, 16 * slot.names.len() as u64);
         }
     }
 
     /// Asks for the result once the frame is submitted; that began at a moment.
     pub(crate) fn submitted(&mut self, at: Instant) {
-        if let Some(slot) = self.current.take().and_then(|i| self.slots.get_mut(i)).filter(|s| s.passes > 0) {
+        if let Some(slot) = self.current.take().and_then(|i| self.slots.get_mut(i)).filter(|s| !s.names.is_empty()) {
+            self.most = self.most.max(slot.names.len() + slot.missed);
             slot.submitted = at;
             slot.state.store(IN_FLIGHT, Ordering::Release);
             let state = slot.state.clone();
@@ -192,18 +234,18 @@ impl FrameTimer {
             match slot.state.load(Ordering::Acquire) {
                 READY => {
                     if let Ok(view) = slot.buffer.get_mapped_range(..) {
-                        let mut ticks = [[0; 2]; PASSES];
-                        for (ticks, pass) in ticks.iter_mut().zip(view.chunks_exact(16)).take(slot.passes) {
-                            *ticks = bytemuck::pod_read_unaligned(pass);
-                        }
-                        note(&mut self.last_ms, slot, &ticks, self.period_ns);
+                        let passes = view.chunks_exact(16).take(slot.names.len());
+                        self.ticks.clear();
+                        self.ticks.extend(passes.map(bytemuck::pod_read_unaligned::<[u64; 2]>));
+                        let ticks = &self.ticks;
+                        note(&mut self.last_ms, slot, ticks, self.period_ns);
                         if timeline::is_recording() {
                             let began_ns = ticks[0][0] as f64 * self.period_ns;
                             let epoch = *self.epoch.get_or_insert(slot.submitted);
                             self.clock.observe(began_ns, signed_ns(epoch, slot.submitted));
                             let ours =
                                 |ticks: u64| from_signed_ns(epoch, self.clock.ours_ns(ticks as f64 * self.period_ns));
-                            record(&mut self.tracks, slot, &ticks, ours);
+                            record(&mut self.tracks, slot, ticks, ours);
                         }
                     }
                     slot.buffer.unmap();
@@ -215,13 +257,14 @@ impl FrameTimer {
         }
     }
 
-    /// Milliseconds by pass of a context's latest frame whose result has been read; empty before the first.
+    /// Milliseconds by pass of a context's latest frame whose result has been read; empty before the first, and where
+    /// not all of its passes were measured.
     pub(crate) fn latest_ms(&self, context: u32) -> &[f64] {
         self.last_ms.iter().find(|(of, _)| *of == context).map_or(&[], |(_, ms)| ms)
     }
 }
 
-fn note(all: &mut Vec<(u32, Vec<f64>)>, slot: &Slot, ticks: &[[u64; 2]; PASSES], period_ns: f64) {
+fn note(all: &mut Vec<(u32, Vec<f64>)>, slot: &Slot, ticks: &[[u64; 2]], period_ns: f64) {
     let place = all.iter().position(|(of, _)| *of == slot.of.0).unwrap_or_else(|| {
         all.push((slot.of.0, Vec::with_capacity(PASSES)));
         all.len() - 1
@@ -229,20 +272,22 @@ fn note(all: &mut Vec<(u32, Vec<f64>)>, slot: &Slot, ticks: &[[u64; 2]; PASSES],
     let ms = |[begin, end]: &[u64; 2]| end.saturating_sub(*begin) as f64 * period_ns * 1e-6;
     let (_, last) = &mut all[place];
     last.clear();
-    last.extend(ticks.iter().take(slot.passes).map(ms));
+    if slot.missed == 0 {
+        last.extend(ticks.iter().map(ms));
+    }
 }
 
 /// Puts a frame on its context's line.
-fn record(tracks: &mut Vec<(u32, Track)>, slot: &Slot, ticks: &[[u64; 2]; PASSES], ours: impl Fn(u64) -> Instant) {
+fn record(tracks: &mut Vec<(u32, Track)>, slot: &Slot, passes: &[[u64; 2]], ours: impl Fn(u64) -> Instant) {
+    let Some([began, _]) = passes.first() else { return };
     let (context, frame) = slot.of;
     let place = tracks.iter().position(|(of, _)| *of == context).unwrap_or_else(|| {
         tracks.push((context, Track::new(format!("gpu {context}"))));
         tracks.len() - 1
     });
-    let passes = &ticks[..slot.passes];
     let end = passes.iter().map(|[_, end]| *end).max().unwrap_or(0);
     let spans = passes.iter().zip(&slot.names).map(|(ticks, name)| (*name, ticks.map(&ours)));
-    tracks[place].1.spans("frame", || frame.to_string().into(), [ours(ticks[0][0]), ours(end)], spans);
+    tracks[place].1.spans("frame", || frame.to_string().into(), [ours(*began), ours(end)], spans);
 }
 
 /// Nanoseconds from one moment to another, which may be before it.

@@ -221,7 +221,10 @@ impl Flattener {
             NodeKind::ClipNode(clip) => {
                 let mut set = StateSet::default();
                 for (number, _) in &clip.planes {
-                    set.set_mode(Mode::ClipPlane(*number), StateValue::ON);
+                    // Those that there are not, draw tells of.
+                    if Mode::ClipPlane(*number).check().is_ok() {
+                        set.set_mode(Mode::ClipPlane(*number), StateValue::ON);
+                    }
                 }
                 path = self.path_below(path, Arc::new(set));
                 payload = self.special(Special::ClipNode(*clip));

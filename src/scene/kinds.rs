@@ -9,7 +9,7 @@ use super::cull_settings::{CullSettings, Inherit};
 use super::environment::{CameraEnvironment, CameraShadows};
 use super::geometry::Drawable;
 use crate::math::Aabb;
-use crate::state::{Light, TexGen, TextureObject};
+use crate::state::{Light, TexGen, TextureFormat, TextureObject};
 
 /// Whether what a node holds is given in the frame it hangs in or in the eye's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -146,6 +146,8 @@ pub struct CameraTarget {
     pub samples: u32,
     /// Where the first colour attachment is copied to after each draw, with what cameras below draw over it; without waiting.
     pub read_back: Option<Arc<PictureSink>>,
+    /// The same of other colour attachments, with their locations.
+    pub read_back_of: Vec<(usize, Arc<PictureSink>)>,
 }
 
 impl CameraTarget {
@@ -154,6 +156,12 @@ impl CameraTarget {
         let first = self.colors.first().or(self.depth.as_ref())?;
         let [width, height, _] = first.texture.level_size(first.level);
         Some([width, height])
+    }
+
+    /// Where colours are copied to, with their locations.
+    pub(crate) fn read_backs(&self) -> impl Iterator<Item = (usize, &Arc<PictureSink>)> {
+        let others = self.read_back_of.iter().map(|(location, sink)| (*location, sink));
+        self.read_back.iter().map(|sink| (0, sink)).chain(others)
     }
 }
 
@@ -184,15 +192,17 @@ pub struct PictureSink {
     came: AtomicU32,
 }
 
-/// A picture read back: RGBA8, rows top to bottom.
+/// A picture read back: rows top to bottom, without gaps.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
     /// Width and height.
     pub size_px: [u32; 2],
     /// Frame it shows.
     pub frame: u32,
-    /// Four bytes a pixel.
-    pub rgba: Vec<u8>,
+    /// What a pixel holds.
+    pub format: TextureFormat,
+    /// Bytes of the pixels, [`TextureFormat::texel_bytes`] each; numbers are little-endian.
+    pub texels: Vec<u8>,
 }
 
 impl PictureSink {

@@ -96,12 +96,15 @@ impl Mode {
     pub(crate) const OF_FIXED_FUNCTION: u64 =
         1 << 5 | 1 << 6 | ((1 << (LIGHTS + CLIP_PLANES + TEXTURE_UNITS)) - 1) << 10;
 
-    /// A number of its own below [`Self::COUNT`]; numbers beyond the last light, plane or unit count as the last.
-    pub fn index(self) -> usize {
-        let at = |first: usize, number: u8, count: usize| first + usize::from(number).min(count - 1);
+    /// A number of its own below [`Self::COUNT`]; none for a light, plane or unit that there is not.
+    pub fn index(self) -> Option<usize> {
+        let at = |first: usize, number: u8, count: usize| {
+            let number = usize::from(number);
+            (number < count).then_some(first + number)
+        };
         let planes = 10 + LIGHTS;
         let units = planes + CLIP_PLANES;
-        match self {
+        Some(match self {
             Self::Blend => 0,
             Self::CullFace => 1,
             Self::DepthTest => 2,
@@ -112,12 +115,36 @@ impl Mode {
             Self::StencilTest => 7,
             Self::ScissorTest => 8,
             Self::AlphaToCoverage => 9,
-            Self::Light(number) => at(10, number, LIGHTS),
-            Self::ClipPlane(number) => at(planes, number, CLIP_PLANES),
-            Self::Texture(unit) => at(units, unit, TEXTURE_UNITS),
-            Self::TexGen(unit) => at(units + TEXTURE_UNITS, unit, TEXTURE_UNITS),
-        }
+            Self::Light(number) => return at(10, number, LIGHTS),
+            Self::ClipPlane(number) => return at(planes, number, CLIP_PLANES),
+            Self::Texture(unit) => return at(units, unit, TEXTURE_UNITS),
+            Self::TexGen(unit) => return at(units + TEXTURE_UNITS, unit, TEXTURE_UNITS),
+        })
     }
+
+    /// An error for a light, plane or unit that there is not.
+    pub fn check(self) -> Result<(), NumberError> {
+        let (what, number, count) = match self {
+            Self::Light(number) => ("light", number, LIGHTS),
+            Self::ClipPlane(number) => ("clip plane", number, CLIP_PLANES),
+            Self::Texture(unit) | Self::TexGen(unit) => ("texture unit", unit, TEXTURE_UNITS),
+            _ => return Ok(()),
+        };
+        if usize::from(number) < count { Ok(()) } else { Err(NumberError { what, number, count }) }
+    }
+}
+
+/// A light, clip plane or texture unit by a number beyond the last one. What is said of it does not count; the renderer
+/// tells which state set or node said it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{what} {number} is not there: numbers are 0 to {last}", last = count - 1)]
+pub struct NumberError {
+    /// What is numbered.
+    pub what: &'static str,
+    /// The number given.
+    pub number: u8,
+    /// How many there are.
+    pub count: usize,
 }
 
 /// A factor of [`BlendFunc`].
@@ -480,18 +507,28 @@ pub struct Fog {
 }
 
 /// Where texture coordinates come from; OpenGL's `glTexGen`.
+///
+/// Planes are those of s, t, r and q. Planes and volumes are read at the others divided by q, so that a picture can be
+/// projected; cubes in the direction of s, t and r; arrays at s and t divided by q in the layer nearest to r.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TexGen {
     /// Distances from planes of the drawable's frame.
-    ObjectLinear([[f32; 4]; 2]),
+    ObjectLinear([[f32; 4]; 4]),
     /// Distances from planes of the eye's frame, or of a TexGenNode's.
-    EyeLinear([[f32; 4]; 2]),
+    EyeLinear([[f32; 4]; 4]),
     /// The point of a photographed mirror ball that reflects the same.
     SphereMap,
     /// The normal in the eye's frame.
     NormalMap,
     /// The mirrored view direction in the eye's frame.
     ReflectionMap,
+}
+
+impl TexGen {
+    /// All four planes of pictures that are not projected: r is 0 everywhere, and q is 1.
+    pub const fn planes(s: [f32; 4], t: [f32; 4]) -> [[f32; 4]; 4] {
+        [s, t, [0.0; 4], [0.0, 0.0, 0.0, 1.0]]
+    }
 }
 
 /// One attribute of a state set.

@@ -13,8 +13,8 @@ mod variance;
 
 pub use attributes::{
     AlphaFunc, Attribute, BlendEquation, BlendFactor, BlendFunc, CLIP_PLANES, ColorMask, CompareFunction, CullFace,
-    Depth, Fog, FogMode, FrontFace, LIGHTS, Light, LightModel, Mode, PolygonMode, PolygonOffset, Scissor, StateValue,
-    Stencil, StencilFace, StencilOperation, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
+    Depth, Fog, FogMode, FrontFace, LIGHTS, Light, LightModel, Mode, NumberError, PolygonMode, PolygonOffset, Scissor,
+    StateValue, Stencil, StencilFace, StencilOperation, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
 };
 pub use hook::DrawHook;
 pub use program::{Program, Uniform, UniformValue};

@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::attributes::{
     AlphaFunc, Attribute, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, Fog, FrontFace, LightModel, Mode,
-    PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
+    NumberError, PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, SurfaceMaterial, TEXTURE_UNITS, TexGen,
+    Viewport,
 };
 use super::{BinDetails, DrawHook, Program, StateSet, TextureBinding, Uniform};
 
@@ -42,9 +43,14 @@ struct Modes {
 
 const _: () = assert!(Mode::COUNT <= 64);
 
+/// None for what there is not.
+fn bit(mode: Mode) -> u64 {
+    mode.index().map_or(0, |index| 1 << index)
+}
+
 impl Modes {
     fn state(&mut self, mode: Mode, how: StateValue) {
-        let bit = 1 << mode.index();
+        let bit = bit(mode);
         if counts(self.overrides & bit != 0, how) {
             let put = |bits: u64, set: bool| if set { bits | bit } else { bits & !bit };
             self.on = put(self.on, how.contains(StateValue::ON));
@@ -53,12 +59,12 @@ impl Modes {
     }
 
     fn is_on(&self, mode: Mode) -> bool {
-        self.on >> mode.index() & 1 == 1
+        self.on & bit(mode) != 0
     }
 
     /// What a drawable itself says, where nothing above overrides it.
     fn by_drawable(&self, mode: Mode, value: bool) -> bool {
-        if self.overrides >> mode.index() & 1 == 1 { self.is_on(mode) } else { value }
+        if self.overrides & bit(mode) != 0 { self.is_on(mode) } else { value }
     }
 }
 
@@ -99,6 +105,8 @@ pub struct ResolvedState {
     textures: [Stated<Option<TextureBinding>>; TEXTURE_UNITS],
     program: Stated<Option<Arc<Program>>>,
     uniforms: Vec<(Uniform, bool)>,
+    /// What was said of lights, planes and units that there are not, with the names of the sets that said it.
+    wrong: Vec<(String, NumberError)>,
 }
 
 fn next_id() -> u64 {
@@ -137,6 +145,7 @@ impl Default for ResolvedState {
             textures: Default::default(),
             program: Stated::default(),
             uniforms: Vec::new(),
+            wrong: Vec::new(),
         }
     }
 }
@@ -169,9 +178,16 @@ impl ResolvedState {
         below.bins_overridden |= set.bin_value.contains(StateValue::OVERRIDE);
         for (mode, how) in &set.modes {
             below.modes.state(*mode, *how);
+            // Off it is anyway.
+            if how.contains(StateValue::ON) {
+                below.check(set, *mode);
+            }
         }
         for (attribute, how) in &set.attributes {
             below.give(attribute, *how);
+            if let Some(mode) = attribute.mode() {
+                below.check(set, mode);
+            }
         }
         for (uniform, how) in &set.uniforms {
             match below.uniforms.iter_mut().find(|(u, _)| u.name == uniform.name) {
@@ -186,6 +202,20 @@ impl ResolvedState {
             }
         }
         below
+    }
+
+    fn check(&mut self, set: &StateSet, mode: Mode) {
+        let is_known = |error| self.wrong.iter().any(|(name, known)| *known == error && *name == set.name);
+        if let Err(error) = mode.check()
+            && !is_known(error)
+        {
+            self.wrong.push((set.name.clone(), error));
+        }
+    }
+
+    /// Numbers of lights, planes and units in the chain that there are not, with the names of the sets that gave them.
+    pub fn wrong_numbers(&self) -> &[(String, NumberError)] {
+        &self.wrong
     }
 
     fn give(&mut self, attribute: &Attribute, how: StateValue) {
@@ -306,7 +336,7 @@ impl ResolvedState {
 
     /// Bits of the lights (or clip planes) that are on, by number.
     pub(crate) fn mode_bits(&self, first: Mode, count: usize) -> u32 {
-        (self.modes.on >> first.index()) as u32 & ((1 << count) - 1)
+        first.index().map_or(0, |index| (self.modes.on >> index) as u32 & ((1 << count) - 1))
     }
 
     /// Which faces are front faces.

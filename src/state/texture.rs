@@ -37,15 +37,30 @@ pub enum TextureFormat {
     R32Float,
     /// Depth, for targets only.
     Depth32,
+    /// Depth in at least 24 bits beside the stencil, for targets only; sampled as depth.
+    Depth24Stencil8,
+    /// Depth as precise as the renderer's own beside the stencil, for targets only, where the adapter has it; sampled as
+    /// depth.
+    Depth32Stencil8,
 }
 
 impl TextureFormat {
     /// Bytes of a texel.
     pub const fn texel_bytes(self) -> usize {
         match self {
-            Self::Rgba16Float => 8,
+            Self::Rgba16Float | Self::Depth32Stencil8 => 8,
             _ => 4,
         }
+    }
+
+    /// It holds depth, and may hold stencil.
+    pub const fn is_depth(self) -> bool {
+        matches!(self, Self::Depth32) || self.has_stencil()
+    }
+
+    /// It holds stencil beside depth.
+    pub const fn has_stencil(self) -> bool {
+        matches!(self, Self::Depth24Stencil8 | Self::Depth32Stencil8)
     }
 }
 
@@ -123,7 +138,7 @@ impl TextureObject {
         if self.texels.is_empty() {
             return None;
         }
-        if self.texels.len() != self.levels as usize || self.format == TextureFormat::Depth32 {
+        if self.texels.len() != self.levels as usize || self.format.is_depth() {
             return Some(format!("texture {:?}: texels of {} levels", self.name, self.texels.len()));
         }
         (0..self.levels).zip(&self.texels).find_map(|(level, texels)| {

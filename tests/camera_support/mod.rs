@@ -42,7 +42,7 @@ pub fn drawn(
         if let Some(picture) = sink.take() {
             rig.release(scene);
             let [width, height] = picture.size_px;
-            return (RgbaImage::from_raw(width, height, picture.rgba).unwrap(), stats);
+            return (RgbaImage::from_raw(width, height, picture.texels).unwrap(), stats);
         }
     }
     panic!("no picture came");

@@ -254,7 +254,8 @@ impl Maker {
     }
 
     fn texgen(&mut self) -> TexGen {
-        let planes = [0; 2].map(|_| self.random.point(0.2).extend(0.5).as_vec4().to_array());
+        let [s, t] = [0; 2].map(|_| self.random.point(0.2).extend(0.5).as_vec4().to_array());
+        let planes = TexGen::planes(s, t);
         self.random.one_of(&[
             TexGen::ObjectLinear(planes),
             TexGen::EyeLinear(planes),

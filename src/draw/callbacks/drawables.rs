@@ -15,7 +15,7 @@ use crate::cull::CullCamera;
 use crate::draw::batch::{Bucket, Run};
 use crate::draw::state::{Sources, State};
 use crate::draw::uniforms::frame::LeafUniform;
-use crate::gpu::{CompileInfo, CustomCompile, CustomError, CustomShape, TargetFormats};
+use crate::gpu::{CompileInfo, CustomCompile, CustomError, CustomShape, TargetFormats, watched};
 use crate::math::Aabb;
 use crate::scene::{CustomGeometry, Geometry};
 use crate::state::{DrawHook, ResolvedState};
@@ -140,12 +140,9 @@ pub fn custom_geometry(drawable: impl CustomDrawable) -> Geometry {
 
 /// What the device complains about becomes an error.
 fn guarded<T>(device: &wgpu::Device, make: impl FnOnce() -> Result<T, CustomError>) -> Result<T, CustomError> {
-    let invalid = device.push_error_scope(wgpu::ErrorFilter::Validation);
-    let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-    let made = make();
-    let errors = [pollster::block_on(memory.pop()), pollster::block_on(invalid.pop())];
+    let (made, error) = watched(device, make);
     let made = made?;
-    errors.into_iter().flatten().next().map_or(Ok(made), |error| Err(error.into()))
+    error.map_or(Ok(made), |error| Err(error.into()))
 }
 
 impl Made {

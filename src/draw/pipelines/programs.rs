@@ -6,6 +6,7 @@ use std::sync::{Arc, Weak};
 
 use crate::draw::pipelines::key::MOST_PROGRAMS;
 use crate::draw::pipelines::{HEIGHT_PROGRAM_PRELUDE, PROGRAM_PRELUDE};
+use crate::gpu::watched;
 use crate::state::{CompareFunction, FilterMode, Program, ResolvedState, Sampler, TEXTURE_UNITS};
 
 /// Group of what a program declares itself.
@@ -92,7 +93,8 @@ impl Programs {
             let name = &program.name;
             return Err(format!("program {name:?} is one more than the {MOST_PROGRAMS} that there can be"));
         }
-        let compiled = compile(device, program);
+        let (compiled, error) = watched(device, || compile(device, program));
+        let compiled = compiled.and_then(|compiled| error.map_or(Ok(compiled), |error| Err(error.to_string())));
         let (compiled, result) = match compiled {
             Ok(compiled) => (Some(compiled), Ok(Some(place as u16))),
             Err(reason) => (None, Err(format!("program {:?}: {reason}", program.name))),
@@ -128,11 +130,11 @@ impl Programs {
         let Some(program) = entry.program.upgrade() else { return Ok(()) };
         let source = heights_source(&program.wgsl)
             .map_err(|reason| format!("program {:?} on height tiles: {reason}", program.name))?;
-        compiled.heights = Some(device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(&program.name),
-            source: wgpu::ShaderSource::Wgsl(source.into()),
-        }));
-        Ok(())
+        let source = wgpu::ShaderSource::Wgsl(source.into());
+        let descriptor = wgpu::ShaderModuleDescriptor { label: Some(&program.name), source };
+        let (module, error) = watched(device, || device.create_shader_module(descriptor));
+        compiled.heights = error.is_none().then_some(module);
+        error.map_or(Ok(()), |error| Err(format!("program {:?} on height tiles: {error}", program.name)))
     }
 
     /// For errors.

@@ -1,7 +1,7 @@
 //! A pipeline by the parts in which pipelines differ, and how the device makes it. Draw thread.
 
 use super::{MOST_COLORS, Pipelines, TargetFormats};
-use crate::gpu::GraphicsContext;
+use crate::gpu::{GraphicsContext, watched};
 
 /// The parts in which pipelines differ.
 pub(super) struct Variant<'a> {
@@ -73,8 +73,15 @@ impl Pipelines {
 
     /// `None`, and an error kept, where the device refuses.
     pub(super) fn create(&mut self, ctx: &GraphicsContext, variant: &Variant<'_>) -> Option<wgpu::RenderPipeline> {
+        let (pipeline, error) = watched(ctx.device(), || self.of_variant(ctx, variant));
+        let Some(error) = error else { return Some(pipeline) };
+        self.errors.push(format!("pipeline {}: {error}", variant.label));
+        None
+    }
+
+    /// Whatever the device says of it.
+    fn of_variant(&self, ctx: &GraphicsContext, variant: &Variant<'_>) -> wgpu::RenderPipeline {
         let device = ctx.device();
-        let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
         let layouts = [Some(&self.frame_layout), variant.block_layout, variant.state_layout, variant.pull_layout];
         let used = layouts.iter().rposition(Option::is_some).map_or(0, |last| last + 1);
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -94,7 +101,7 @@ impl Pipelines {
             });
         }
         let options = wgpu::PipelineCompilationOptions { constants: variant.constants, ..Default::default() };
-        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
             label: Some(variant.label),
             layout: Some(&layout),
             vertex: wgpu::VertexState {
@@ -131,13 +138,6 @@ impl Pipelines {
             }),
             multiview_mask: None,
             cache: ctx.pipeline_cache(),
-        });
-        match pollster::block_on(scope.pop()) {
-            None => Some(pipeline),
-            Some(error) => {
-                self.errors.push(format!("pipeline {}: {error}", variant.label));
-                None
-            }
-        }
+        })
     }
 }

@@ -37,7 +37,7 @@ use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 use shadows::CasterPlan;
-use views::LitView;
+use views::{LitView, ViewFrame};
 
 /// Frames the processor may be ahead of the adapter, in each target.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -79,8 +79,9 @@ pub struct DrawStats {
     /// a target counts as one.
     pub pipelines_created: u32,
     /// Time of all passes on the adapter, of the latest frame whose timestamps have arrived; `None` without
-    /// timestamps, and on software adapters, which stop at each of them, unless a timeline is recorded.
-    /// [`Renderer::pass_ms`] has them one by one.
+    /// timestamps, and on software adapters, which stop at each of them, unless a timeline is recorded. `None` too where
+    /// not all passes of that frame were measured: of 2,048 at most, and not in the first frame that has many more than
+    /// those before. [`Renderer::pass_ms`] has them one by one.
     pub gpu_ms: Option<f64>,
     /// The window showed nothing, so nothing was drawn.
     pub skipped: bool,
@@ -147,6 +148,8 @@ pub struct Renderer {
     statics: Vec<Statics>,
     /// Eyes of the views inside a stage, and what is around them; only while it is prepared.
     views: Vec<LitView>,
+    /// What these are drawn with, alike.
+    view_frames: Vec<ViewFrame>,
     /// Of the last frame.
     drawn_into: Vec<DrawnInto>,
     plans: Vec<StagePlan>,
@@ -251,6 +254,7 @@ impl Renderer {
             pulls: Pulls::default(),
             statics: Vec::new(),
             views: Vec::new(),
+            view_frames: Vec::new(),
             drawn_into: Vec::new(),
             plans: Vec::new(),
             casters: Vec::new(),
@@ -417,18 +421,15 @@ impl Renderer {
     /// Copies what a camera has drawn to whoever wants it.
     fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
         let Some(camera) = stage.target.camera.as_ref().filter(|_| !stage.target.is_shared) else { return };
-        let (Some(sink), Some(first)) = (&camera.read_back, camera.colors.first()) else { return };
         let frame = stage.camera.frame;
-        let is_bytes = first.texture.format.texel_bytes() == 4;
-        match self.groups.textures.texture(&first.texture).filter(|_| is_bytes) {
-            Some(texture) => {
-                let place = [first.level, first.layer];
-                self.pictures.copy(ctx.device(), encoder, texture, place, sink, frame);
-            }
-            None => {
-                let format = first.texture.format;
-                self.complain(format!("texture {:?} ({format:?}) cannot be read back", first.texture.name));
-            }
+        for (location, sink) in camera.read_backs() {
+            let Some(attachment) = camera.colors.get(location) else {
+                self.complain(format!("a camera without colour {location}, which is to be read back"));
+                continue;
+            };
+            // What is wrong with it has been said.
+            let Some(texture) = self.groups.textures.texture(&attachment.texture) else { continue };
+            self.pictures.copy(ctx.device(), encoder, texture, attachment, sink, frame);
         }
     }
 

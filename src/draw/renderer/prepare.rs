@@ -19,7 +19,7 @@ use crate::draw::uniforms::fixed::{FixedUniform, replaces_sun};
 use crate::draw::uniforms::frame::LeafUniform;
 use crate::gpu::GraphicsContext;
 use crate::scene::{CullingMode, Sky};
-use crate::state::{PolygonMode, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
+use crate::state::{Mode, NumberError, PolygonMode, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
 impl Renderer {
     pub(super) fn prepare<'a>(&mut self, ctx: &GraphicsContext, pictures: impl Iterator<Item = Picture<'a>> + Clone) {
@@ -34,7 +34,7 @@ impl Renderer {
         self.query_boxes.clear();
         self.pulls.start_frame();
         if let Some(timer) = &mut self.timer {
-            timer.start_frame(self.timed.0, self.timed.1);
+            timer.start_frame(ctx.device(), self.timed.0, self.timed.1);
         }
         if let Some(queries) = &mut self.queries {
             queries.start_frame();
@@ -107,7 +107,8 @@ impl Renderer {
             }
         };
         let first_caster = self.casters.len();
-        let (frames, background) = self.prepare_views(ctx, stage, around, &target);
+        let mut frames = std::mem::take(&mut self.view_frames);
+        let background = self.prepare_views(ctx, stage, around, &target, &mut frames);
         let ViewFrame { uniform, positioned, air_kind, has_shadows, .. } = frames[0];
         let casters = first_caster..self.casters.len();
         let base = Statics {
@@ -118,6 +119,9 @@ impl Renderer {
         };
         let first_statics = self.statics.len() as u32;
         self.statics.push(base);
+        for (node, error) in wrong_numbers(stage) {
+            self.complain(format!("{node}: {error}"));
+        }
         let has_own_light = replaces_sun(stage);
         // An empty stage has none; what comes will.
         let will_have = around.shadows.is_some() && stage.leaf_count() == 0;
@@ -132,6 +136,12 @@ impl Renderer {
         let fades = stage.fade_of_state.iter().chain(std::iter::repeat(&0));
         for ((state, view), fade) in stage.state_sets.iter().zip(&stage.view_of_state).zip(fades) {
             let (shading, group) = self.shading(ctx, stage, *view, state, has_own_light, &target);
+            if state.stencil().is_some()
+                && let Some(depth) = target.depth_without_stencil(stage)
+            {
+                let (name, depth) = (name_of(state), &depth.name);
+                self.complain(format!("{name}: texture {depth:?} has no stencil; the stencil test passes everywhere"));
+            }
             let mut statics = Statics { group, ..base };
             let of_view = frames.get(*view as usize).unwrap_or(&frames[0]);
             (statics.frame, statics.air) = ([of_view.uniform, of_view.positioned], of_view.air);
@@ -161,6 +171,7 @@ impl Renderer {
         let is_called = stage.bins.iter().any(|bin| !bin.callbacks.is_empty());
         let bin_starts = is_called.then_some(first_bin..self.batch.bin_starts.len());
         let queries = self.prepare_queries(ctx, stage, &target, &frames, base);
+        self.view_frames = frames;
         let has_sky =
             *is_whole && stage.stereo.is_none() && stage.clear_node.is_none() && environment.sky == Sky::Atmosphere;
         if has_sky {
@@ -245,6 +256,10 @@ impl Renderer {
         has_own_light: bool,
         target: &PassTarget,
     ) -> (Shading, Option<(u32, Option<u32>)>) {
+        for (name, error) in state.wrong_numbers() {
+            let name = if name.is_empty() { "a state set" } else { name };
+            self.complain(format!("{name}: {error}"));
+        }
         let mut wrong: Vec<String> = Vec::new();
         let shading = self.shading_of(ctx, state, has_own_light).unwrap_or_else(|problem| {
             wrong.push(problem);
@@ -279,8 +294,7 @@ impl Renderer {
             }
         };
         for problem in wrong {
-            let name = if state.name.is_empty() { "a state set" } else { state.name.as_str() };
-            self.complain(format!("{name}: {problem}"));
+            self.complain(format!("{}: {problem}", name_of(state)));
         }
         (shading, group)
     }
@@ -364,6 +378,20 @@ impl Renderer {
         }
         first..self.query_boxes.len()
     }
+}
+
+/// For errors.
+fn name_of(state: &ResolvedState) -> &str {
+    if state.name.is_empty() { "a state set" } else { &state.name }
+}
+
+/// Lights, planes and units of a stage's nodes that there are not.
+fn wrong_numbers(stage: &RenderStage) -> impl Iterator<Item = (&'static str, NumberError)> {
+    let lights = stage.lights.iter().map(|l| ("a LightSource", Mode::Light(l.light.number)));
+    let planes = stage.clip_planes.iter().map(|p| ("a ClipNode", Mode::ClipPlane(p.number)));
+    let texgens = stage.texgens.iter().map(|t| ("a TexGenNode", Mode::TexGen(t.unit)));
+    let all = lights.chain(planes).chain(texgens);
+    all.filter_map(|(node, mode)| mode.check().err().map(|error| (node, error)))
 }
 
 /// Statics compared with a new one, newest first.

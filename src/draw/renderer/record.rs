@@ -32,7 +32,7 @@ impl Renderer {
         let mut stats = DrawStats::default();
         let mut next = 0;
         let plans = std::mem::take(&mut self.plans);
-        self.atmosphere.record(ctx, &mut encoder);
+        self.atmosphere.record(ctx, &mut encoder, self.timer.as_mut());
         for picture in pictures {
             self.record_all(ctx, &mut encoder, picture.stage, &plans, &mut next, &mut stats);
         }
@@ -110,7 +110,7 @@ impl Renderer {
         if let (true, Some(spread), Some(formats)) =
             (plan.spreads, &self.spread, self.pipelines.target_key(target.index))
         {
-            spread.record(ctx.device(), encoder, target.spreading(formats));
+            spread.record(ctx.device(), encoder, target.spreading(formats), self.timer.as_mut());
         }
         let colors = target.color_attachments(stage, plan);
         let count = target.color_count();

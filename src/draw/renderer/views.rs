@@ -14,9 +14,6 @@ use crate::draw::uniforms::frame::{FrameUniform, clear_color};
 use crate::gpu::GraphicsContext;
 use crate::scene::{CameraEnvironment, Environment, Sky, SunShadows};
 
-/// Projections of a stage that can be told apart; those beyond have the stage's own.
-pub(super) const MOST_VIEWS: usize = 64;
-
 /// What is around what a stage shows.
 #[derive(Clone, Copy)]
 pub(super) struct Surroundings {
@@ -51,9 +48,9 @@ pub(super) struct ViewFrame {
     pub(super) has_shadows: bool,
 }
 
-/// The projection of a view inside a stage. Those that there is no room for are drawn with the stage's own.
+/// The projection of a view inside a stage.
 pub(super) fn clip_of_view(stage: &RenderStage, view: u32) -> &DMat4 {
-    let inner = (view as usize).checked_sub(1).filter(|place| *place < MOST_VIEWS - 1);
+    let inner = (view as usize).checked_sub(1);
     inner.and_then(|place| stage.views.get(place)).map_or(&stage.camera.clip_from_eye, |view| &view.clip_from_eye)
 }
 
@@ -112,7 +109,7 @@ impl Renderer {
         };
         let first_layer = around.shadows.and_then(|_| layers_of(&stage.shadows, &self.shadow_maps));
         views.push(LitView { camera: stage.camera, around: *around, first_layer });
-        for view in stage.views.iter().take(MOST_VIEWS - 1) {
+        for view in &stage.views {
             let above = *views.get(view.above as usize).unwrap_or(&views[0]);
             let first_layer = layers_of(&view.shadows, &self.shadow_maps);
             let (camera, around) = if view.environment.is_whole() {
@@ -127,19 +124,20 @@ impl Renderer {
         self.views = views;
     }
 
-    /// The views inside a stage, the stage's own first, and what casts shadows into all of them; the background of its own.
+    /// Puts the views inside a stage, its own first, into `frames`, and prepares what casts shadows into all of them; the
+    /// background of its own.
     pub(super) fn prepare_views(
         &mut self,
         ctx: &GraphicsContext,
         stage: &RenderStage,
         around: &Surroundings,
         target: &PassTarget,
-    ) -> ([ViewFrame; MOST_VIEWS], wgpu::Color) {
+        frames: &mut Vec<ViewFrame>,
+    ) -> wgpu::Color {
         self.light_views(ctx, stage, around);
         let views = std::mem::take(&mut self.views);
         let is_positioned = !stage.lights.is_empty() || !stage.clip_planes.is_empty();
-        let none = ViewFrame { uniform: 0, positioned: 0, air: 0, air_kind: AirKind::Atmosphere, has_shadows: false };
-        let mut frames = [none; MOST_VIEWS];
+        frames.clear();
         let mut background = wgpu::Color::BLACK;
         for (place, view) in views.iter().enumerate() {
             let LitView { camera, around: Surroundings { environment, air, .. }, first_layer } = view;
@@ -150,16 +148,15 @@ impl Renderer {
             if place == 0 {
                 background = clear_color(environment, &uniform);
             }
-            let positioned = if place == 0 || is_positioned {
+            let shared = frames.first().filter(|_| !is_positioned).map(|own| own.positioned);
+            let positioned = shared.unwrap_or_else(|| {
                 let eye_from = |from: u32| {
                     let from = views.get(from as usize).unwrap_or(&views[0]);
                     let to_from = camera.eye_from_world * from.camera.eye_from_world.inverse();
                     if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
                 };
                 self.groups.push(&StageUniform::new(stage, place as u32, eye_from))
-            } else {
-                frames[0].positioned
-            };
+            });
             if let Some(first_layer) = *first_layer {
                 uniform = uniform.with_shadows(shadows, self.shadow_maps.size_px(), first_layer);
                 let (air, view) = (&air.air, place as u32);
@@ -168,12 +165,9 @@ impl Renderer {
             }
             let has_shadows = first_layer.is_some();
             let (uniform, air_kind) = (self.groups.push(&uniform), AirKind::of(environment));
-            frames[place] = ViewFrame { uniform, positioned, air: air.place, air_kind, has_shadows };
+            frames.push(ViewFrame { uniform, positioned, air: air.place, air_kind, has_shadows });
         }
-        // Views that there is no room for are drawn with the stage's own.
-        let own = frames[0];
-        frames[views.len()..].fill(own);
         self.views = views;
-        (frames, background)
+        background
     }
 }

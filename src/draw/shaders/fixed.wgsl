@@ -12,7 +12,7 @@ struct Fixed {
     units: vec4<u32>,          // 0 off, 1 plane, 2 cube, 3 volume, 4 layers
     texgens: vec4<u32>,        // 0 the mesh's, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection
     bias: vec4<f32>,           // added to the mip level
-    planes: array<vec4<f32>, 8>,  // of s and t, by unit
+    planes: array<vec4<f32>, 16>,  // of s, t, r and q, by unit
 }
 
 @group(2) @binding(0) var<uniform> fixed_state: Fixed;
@@ -30,6 +30,13 @@ struct Surface {
     alpha_cutoff: f32,
 }
 
+// The direction to the eye: along the axis where rays are parallel, and at the eye itself.
+fn towards_eye(in_eye: vec3<f32>) -> vec3<f32> {
+    let square = dot(in_eye, in_eye);
+    let is_along = frame.air.w > 0.0 || square <= 0.0;
+    return select(-in_eye * inverseSqrt(square), vec3<f32>(0.0, 0.0, 1.0), is_along);
+}
+
 fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {
     let ambient = base.rgb * fixed_state.ambient.rgb;
     let diffuse = base.rgb * fixed_state.diffuse.rgb;
@@ -41,7 +48,7 @@ fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {
         }
         color += diffuse * (sun + light_of_sky(s.normal, s.up));
     }
-    let to_eye = normalize(-s.in_eye);
+    let to_eye = towards_eye(s.in_eye);
     for (var i = 0u; i < 8u; i++) {
         let l = stage.lights[i];
         if (fixed_state.flags.x >> i & 1u) == 0u || l.diffuse.w < 0.5 {

@@ -15,45 +15,52 @@
 @group(2) @binding(13) var layers: texture_2d_array<f32>;
 @group(2) @binding(14) var layers_sampler: sampler;
 
-fn unit_coordinates(unit: u32, s: Surface) -> vec3<f32> {
-    let mirrored = reflect(normalize(s.in_eye), s.normal);
-    let plane_s = fixed_state.planes[2u * unit];
-    let plane_t = fixed_state.planes[2u * unit + 1u];
+// Distances of a point from the planes of a unit.
+fn plane_coordinates(unit: u32, point: vec3<f32>) -> vec4<f32> {
+    let p = vec4<f32>(point, 1.0);
+    let first = 4u * unit;
+    return vec4<f32>(
+        dot(fixed_state.planes[first], p),
+        dot(fixed_state.planes[first + 1u], p),
+        dot(fixed_state.planes[first + 2u], p),
+        dot(fixed_state.planes[first + 3u], p),
+    );
+}
+
+// s, t, r and q.
+fn unit_coordinates(unit: u32, s: Surface) -> vec4<f32> {
+    let mirrored = reflect(-towards_eye(s.in_eye), s.normal);
     switch fixed_state.texgens[unit] {
-        case 1u: {
-            let p = vec4<f32>(s.object, 1.0);
-            return vec3<f32>(dot(plane_s, p), dot(plane_t, p), 0.0);
-        }
-        case 2u: {
-            let p = vec4<f32>(s.in_eye, 1.0);
-            return vec3<f32>(dot(plane_s, p), dot(plane_t, p), 0.0);
-        }
+        case 1u: { return plane_coordinates(unit, s.object); }
+        case 2u: { return plane_coordinates(unit, s.in_eye); }
         case 3u: {
             let m = 2.0 * length(mirrored + vec3<f32>(0.0, 0.0, 1.0));
             // Rows of a picture go down.
-            return vec3<f32>(vec2<f32>(mirrored.x, -mirrored.y) / max(m, 1e-6) + 0.5, 0.0);
+            return vec4<f32>(vec2<f32>(mirrored.x, -mirrored.y) / max(m, 1e-6) + 0.5, 0.0, 1.0);
         }
-        case 4u: { return s.normal; }
-        case 5u: { return mirrored; }
-        default: { return vec3<f32>(s.uv, 0.0); }
+        case 4u: { return vec4<f32>(s.normal, 1.0); }
+        case 5u: { return vec4<f32>(mirrored, 1.0); }
+        default: { return vec4<f32>(s.uv, 0.0, 1.0); }
     }
 }
 
 fn unit_color(unit: u32, s: Surface) -> vec4<f32> {
     let c = unit_coordinates(unit, s);
+    // What lies in the projector's own plane is anywhere.
+    let p = c.xyz / select(c.w, 1.0, c.w == 0.0);
     let bias = fixed_state.bias[unit];
     switch fixed_state.units[unit] {
         case 1u: {
             switch unit {
-                case 0u: { return textureSampleBias(plane_0, plane_0_sampler, c.xy, bias); }
-                case 1u: { return textureSampleBias(plane_1, plane_1_sampler, c.xy, bias); }
-                case 2u: { return textureSampleBias(plane_2, plane_2_sampler, c.xy, bias); }
-                default: { return textureSampleBias(plane_3, plane_3_sampler, c.xy, bias); }
+                case 0u: { return textureSampleBias(plane_0, plane_0_sampler, p.xy, bias); }
+                case 1u: { return textureSampleBias(plane_1, plane_1_sampler, p.xy, bias); }
+                case 2u: { return textureSampleBias(plane_2, plane_2_sampler, p.xy, bias); }
+                default: { return textureSampleBias(plane_3, plane_3_sampler, p.xy, bias); }
             }
         }
-        case 2u: { return textureSampleBias(cube_map, cube_map_sampler, c, bias); }
-        case 3u: { return textureSampleBias(volume, volume_sampler, c, bias); }
-        case 4u: { return textureSampleBias(layers, layers_sampler, c.xy, i32(round(c.z)), bias); }
+        case 2u: { return textureSampleBias(cube_map, cube_map_sampler, c.xyz, bias); }
+        case 3u: { return textureSampleBias(volume, volume_sampler, p, bias); }
+        case 4u: { return textureSampleBias(layers, layers_sampler, p.xy, i32(round(c.z)), bias); }
         default: { return vec4<f32>(1.0); }
     }
 }

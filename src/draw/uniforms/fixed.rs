@@ -7,8 +7,8 @@ use glam::DAffine3;
 
 use crate::cull::{RenderStage, moved, plane_moved};
 use crate::state::{
-    CLIP_PLANES, CompareFunction, FogMode, LIGHTS, Mode, ResolvedState, Sampler, TEXTURE_UNITS, TexGen, TextureBinding,
-    TextureDimension,
+    CLIP_PLANES, CompareFunction, FogMode, LIGHTS, Light, Mode, ResolvedState, Sampler, TEXTURE_UNITS, TexGen,
+    TextureBinding, TextureDimension,
 };
 
 /// A light; `StageLight` in frame.wgsl.
@@ -50,10 +50,7 @@ impl StageUniform {
             let [x, y, z] = light.direction;
             let direction = glam::DVec3::new(x, y, z).normalize_or(glam::DVec3::NEG_Z).as_vec3();
             let rgb = |c: [f32; 3], w: f32| [c[0], c[1], c[2], w];
-            let position = light.position.map(|p| p as f32);
-            if !position.iter().all(|p| p.is_finite()) {
-                continue;
-            }
+            let Some(position) = position_of(light) else { continue };
             let is_spot = light.spot_cutoff < std::f32::consts::FRAC_PI_2;
             *slot = StageLight {
                 position,
@@ -82,9 +79,16 @@ fn eye_from(stage: &RenderStage, to: u32, from: u32) -> DAffine3 {
     if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
 }
 
+/// Where a light shines from; `None` where that cannot be said, and it does not shine.
+fn position_of(light: &Light) -> Option<[f32; 4]> {
+    let position = light.position.map(|p| p as f32);
+    let is_somewhere = position.iter().all(|p| p.is_finite()) && position.iter().any(|p| *p != 0.0);
+    is_somewhere.then_some(position)
+}
+
 /// True when a LightSource has taken the place of the environment's sun.
 pub(in crate::draw) fn replaces_sun(stage: &RenderStage) -> bool {
-    stage.lights.iter().any(|l| l.light.number == 0)
+    stage.lights.iter().any(|l| l.light.number == 0 && position_of(&l.light).is_some())
 }
 
 /// Per state; `Fixed` in fixed.wgsl.
@@ -111,8 +115,8 @@ pub(in crate::draw) struct FixedUniform {
     pub(in crate::draw) texgens: [u32; 4],
     /// Added to the mip level by unit.
     pub(in crate::draw) bias: [f32; 4],
-    /// Planes of s and t by unit.
-    pub(in crate::draw) planes: [[f32; 4]; 2 * TEXTURE_UNITS],
+    /// Planes of s, t, r and q by unit.
+    pub(in crate::draw) planes: [[f32; 4]; 4 * TEXTURE_UNITS],
 }
 
 const _: () = assert!(TEXTURE_UNITS == 4);
@@ -168,7 +172,7 @@ impl FixedUniform {
             units: [0; 4],
             texgens: [0; 4],
             bias: [0.0; 4],
-            planes: [[0.0; 4]; 2 * TEXTURE_UNITS],
+            planes: [[0.0; 4]; 4 * TEXTURE_UNITS],
         };
         for unit in 0..TEXTURE_UNITS {
             let Some(binding) = state.texture(unit).filter(|_| taken_by(state, unit).is_none()) else { continue };
@@ -185,12 +189,12 @@ impl FixedUniform {
             let (kind, planes) = match (texgen, of_node) {
                 (TexGen::ObjectLinear(planes), _) => (1, planes),
                 (TexGen::EyeLinear(_), Some(TexGen::EyeLinear(planes))) | (TexGen::EyeLinear(planes), _) => (2, planes),
-                (TexGen::SphereMap, _) => (3, [[0.0; 4]; 2]),
-                (TexGen::NormalMap, _) => (4, [[0.0; 4]; 2]),
-                (TexGen::ReflectionMap, _) => (5, [[0.0; 4]; 2]),
+                (TexGen::SphereMap, _) => (3, [[0.0; 4]; 4]),
+                (TexGen::NormalMap, _) => (4, [[0.0; 4]; 4]),
+                (TexGen::ReflectionMap, _) => (5, [[0.0; 4]; 4]),
             };
             uniform.texgens[unit] = kind;
-            uniform.planes[2 * unit..2 * unit + 2].copy_from_slice(&planes);
+            uniform.planes[4 * unit..4 * unit + 4].copy_from_slice(&planes);
         }
         uniform
     }

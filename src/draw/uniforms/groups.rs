@@ -137,7 +137,7 @@ impl Groups {
             let fits = match (program, layout) {
                 (Some(_), Some(u)) => {
                     u.dimension == view_dimension(texture.dimension)
-                        && u.is_depth == (texture.format == crate::state::TextureFormat::Depth32)
+                        && u.is_depth == texture.format.is_depth()
                         && (u.is_depth || self.textures.is_filterable(texture.format))
                 }
                 (Some(_), None) => true,
