@@ -167,6 +167,37 @@ fn a_mesh_on_its_way_is_whole_where_another_drawable_takes_it() {
     assert!(count(&picture, [0, 255, 0]) > 64 * 64 - 64, "{}", count(&picture, [0, 255, 0]));
 }
 
+/// One frame freed all of them.
+#[test]
+fn thousands_that_go_at_once_retire_over_frames() {
+    let Some(mut rig) = fresh("thousands_that_go_at_once_retire_over_frames") else { return };
+    rig.compile(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]);
+    let base = rig.ctx.bytes_in_use();
+    let one = |i: u16| quad([f32::from(i), 0.0, 0.0], [1.0, 1.0], [1.0; 4]);
+    let compiled = rig.compile((0..3000).map(one).collect());
+    let all = rig.ctx.bytes_in_use() - base;
+    for part in compiled.slots.chunks(7) {
+        rig.ctx.release(part);
+    }
+    let left = |rig: &Rig| (rig.ctx.bytes_in_use() - base) as f64 / all as f64;
+    let mut shares = vec![left(&rig)];
+    for _ in 0..3 {
+        rig.picture(&Scene::new(), &unit_camera(64), &plain());
+        shares.push(left(&rig));
+    }
+    let retired: Vec<f64> = shares.windows(2).map(|two| two[0] - two[1]).collect();
+    assert!((0.6..0.7).contains(&shares[0]) && retired[..2].iter().all(|share| *share < 0.35), "{shares:?}");
+    assert_eq!(shares[3], 0.0);
+
+    // Uploads take their places before any others.
+    let again = rig.compile((0..3000).map(one).collect());
+    let allocated = rig.ctx.bytes_allocated();
+    rig.ctx.release(&again.slots);
+    assert!(left(&rig) > 0.6);
+    rig.compile((0..3000).map(one).collect());
+    assert_eq!((left(&rig), rig.ctx.bytes_allocated()), (1.0, allocated));
+}
+
 #[test]
 fn released_places_are_used_again() {
     let Some(mut rig) = fresh("released_places_are_used_again") else { return };

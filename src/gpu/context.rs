@@ -2,6 +2,7 @@
 //!
 //! Made in realize, then owned by the draw thread; nothing else calls its queue.
 
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -77,6 +78,10 @@ pub struct GraphicsContext {
     pools: Pools,
     drawables: DrawableTable,
     compiles: CompileQueue,
+    /// Released, and not yet retired.
+    retiring: VecDeque<DrawSlot>,
+    /// How many more this frame retires.
+    retires: usize,
     /// Written by wgpu's device-lost callback on any thread, read by the draw thread; first reason wins.
     lost: Arc<Mutex<Option<String>>>,
     /// Written by wgpu's error callback on the draw thread, emptied by [`Self::take_device_errors`].
@@ -95,6 +100,10 @@ struct Opened {
     lost: Arc<Mutex<Option<String>>>,
     errors: Arc<Mutex<Vec<String>>>,
 }
+
+/// Drawables whose places one frame frees: some tenths of a millisecond. What a tile set leaves that is taken out at once
+/// goes over several frames.
+const MOST_RETIRED: usize = 1024;
 
 /// Errors of the device that are kept until somebody asks.
 const MOST_ERRORS: usize = 16;
@@ -225,6 +234,8 @@ impl GraphicsContext {
             pools,
             drawables: DrawableTable::default(),
             compiles,
+            retiring: VecDeque::new(),
+            retires: MOST_RETIRED,
             lost,
             errors,
             bytes_peak: 0,
@@ -390,6 +401,9 @@ impl GraphicsContext {
     /// Uploads within a budget, at least one slice; what is too big is split over calls.
     pub fn run_compiles(&mut self, budget: &CompileBudget) -> CompileStats {
         let _span = crate::timeline::span("compile");
+        if self.compiles.pending() > 0 {
+            self.retire(usize::MAX);
+        }
         let cache = self.pipeline_cache.as_ref().map(PipelineCache::cache);
         let stats = self.compiles.run(&self.device, &self.queue, &mut self.pools, &mut self.drawables, cache, budget);
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
@@ -421,14 +435,23 @@ impl GraphicsContext {
         Ok(())
     }
 
-    /// Gives drawables back. Their places are free at once: later uploads run after the draws already
-    /// submitted. Stages drawn after this call must not name the slots.
+    /// Gives drawables back. Their places are free at once, but for more than a frame retires: those when the next
+    /// frames are submitted, or when an upload needs places. Later uploads run after the draws already submitted. Stages
+    /// drawn after this call must not name the slots.
     pub fn release(&mut self, slots: &[DrawSlot]) {
-        for slot in slots {
-            if let Some(entry) = self.drawables.remove(*slot) {
+        self.retiring.extend(slots);
+        self.retire(self.retires);
+    }
+
+    /// Frees the places of so many that were released, or of all.
+    fn retire(&mut self, most: usize) {
+        let count = most.min(self.retiring.len());
+        for slot in self.retiring.drain(..count) {
+            if let Some(entry) = self.drawables.remove(slot) {
                 self.pools.release(&entry);
             }
         }
+        self.retires = self.retires.saturating_sub(count);
     }
 
     /// Bytes of the places that are taken in the pools.
@@ -456,6 +479,8 @@ impl GraphicsContext {
     pub(crate) fn submitted(&mut self, uploads: &mut Vec<wgpu::CommandBuffer>) {
         self.compiles.flushed();
         self.compiles.take_commands(uploads);
+        self.retires = MOST_RETIRED;
+        self.retire(MOST_RETIRED);
     }
 
     /// What is drawn into: told to what the application compiles.
