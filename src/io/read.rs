@@ -123,14 +123,7 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
         }
     }
     if first == Some(b'{') {
-        #[derive(serde::Deserialize)]
-        struct Probe {
-            root: Option<serde::de::IgnoredAny>,
-            #[serde(rename = "geometricError")]
-            geometric_error: Option<serde::de::IgnoredAny>,
-        }
-        let probe: Probe = serde_json::from_slice(text).map_err(|e| IoError::invalid(&uri, format!("JSON: {e}")))?;
-        return if probe.root.is_some() || probe.geometric_error.is_some() {
+        return if is_tileset_text(&uri, text)? {
             tileset::read(&uri, text, options)
         } else {
             gltf::read_gltf(&uri, text, limits, sharing)
@@ -141,6 +134,30 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
         return Err(IoError::unsupported(&uri, "an image as the content of a tile"));
     }
     Err(IoError::invalid(&uri, format!("unknown magic {:02x?}", bytes.get(..4.min(bytes.len())).unwrap_or(&[]))))
+}
+
+/// A tileset rather than a glTF.
+fn is_tileset_text(uri: &str, text: &[u8]) -> Result<bool, IoError> {
+    #[derive(serde::Deserialize)]
+    struct Probe {
+        root: Option<serde::de::IgnoredAny>,
+        #[serde(rename = "geometricError")]
+        geometric_error: Option<serde::de::IgnoredAny>,
+    }
+    let probe: Probe = serde_json::from_slice(text).map_err(|e| IoError::invalid(uri, format!("JSON: {e}")))?;
+    Ok(probe.root.is_some() || probe.geometric_error.is_some())
+}
+
+/// True for the bytes of a tileset, whatever it is called.
+pub(crate) fn is_tileset(uri: &str, bytes: &[u8], limits: &Limits) -> bool {
+    let is_text = |bytes: &[u8]| {
+        let (text, first) = first_of_text(bytes);
+        first == Some(b'{') && is_tileset_text(uri, text).unwrap_or(false)
+    };
+    if bytes.starts_with(&[0x1f, 0x8b]) {
+        return file::gunzip(uri, bytes.to_vec(), limits).is_ok_and(|bytes| is_text(&bytes));
+    }
+    is_text(bytes)
 }
 
 /// Pages for people begin as no content does.

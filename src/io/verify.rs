@@ -8,6 +8,7 @@ use super::{
     Content, InfoError, IoError, Limits, ReadOptions, Source, companions, decode, decode_node, root_uri, shown,
 };
 use crate::io::info::{TOLD, too_many};
+use crate::io::read;
 use crate::scene::{Node, NodeKind};
 
 /// What reading everything came to.
@@ -86,7 +87,6 @@ impl Verified {
     /// Returns how many tiles and tilesets that has brought.
     fn read(&mut self, from: &Source, job: Job, jobs: &mut Vec<Job>) -> Result<u64, IoError> {
         let Job { uri, reader_data, options, is_tileset } = job;
-        self.contents += u64::from(!is_tileset);
         let mut fetch = |uri: &Arc<str>| {
             let bytes = from.read(uri)?;
             self.bytes += bytes.len() as u64;
@@ -94,7 +94,12 @@ impl Verified {
         };
         let companions = if is_tileset { Vec::new() } else { companions(&uri, reader_data.as_ref()) };
         let companions = companions.into_iter().map(|of| (of.clone(), fetch(&of))).collect();
-        let content = Content { bytes: fetch(&uri)?, uri: uri.clone(), reader_data, companions };
+        let bytes = fetch(&uri);
+        // Its name need not say it.
+        let is_one = |bytes: &Vec<u8>| read::is_tileset(&uri, bytes, &options.limits);
+        let is_tileset = is_tileset || bytes.as_ref().is_ok_and(is_one);
+        self.contents += u64::from(!is_tileset);
+        let content = Content { bytes: bytes?, uri: uri.clone(), reader_data, companions };
         if is_tileset {
             return Ok(collect(&decode_node(content, &options)?, &uri, &options, jobs));
         }
