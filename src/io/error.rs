@@ -139,9 +139,14 @@ impl IoError {
         match self {
             Self::Network { .. } | Self::Timeout { .. } => true,
             Self::Status { status, .. } => *status >= 500 || *status == 429 || *status == 408,
-            Self::Markup { uri } => is_remote(uri),
+            Self::Markup { uri } | Self::Invalid { uri, .. } => is_remote(uri),
             _ => false,
         }
+    }
+
+    /// True for what may pass and mostly does not, as bytes that were changed on their way: worth a few tries.
+    pub fn is_doubtful(&self) -> bool {
+        matches!(self, Self::Invalid { uri, .. } if is_remote(uri))
     }
 
     /// True for bytes that are not what they should be: no cache is to keep them.

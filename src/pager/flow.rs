@@ -33,7 +33,7 @@ pub(super) enum Answered {
     After(f64),
     /// It was overloaded or did not answer.
     Failed,
-    /// Nothing: from the cache, or not found.
+    /// Nothing: from the cache, not found, or not as it should be.
     Else,
 }
 
@@ -41,7 +41,7 @@ impl Answered {
     pub fn of<T>(result: &Result<T, IoError>, asked: bool, seconds: f64) -> Self {
         match result {
             Ok(_) if asked => Self::After(seconds),
-            Err(error) if error.is_transient() => Self::Failed,
+            Err(error) if error.is_transient() && !error.is_doubtful() => Self::Failed,
             _ => Self::Else,
         }
     }

@@ -252,10 +252,11 @@ impl Reader {
     /// The cache does not keep what turned out to be no image.
     fn forget_no_content(&self, _image: &Option<Result<Arc<Texture>, IoError>>) {
         #[cfg(feature = "http")]
-        if let (Some(Err(error)), Some(cache)) = (_image, self.client.cache())
+        if let Some(Err(error)) = _image
             && error.is_no_content()
+            && io::is_remote(error.uri())
         {
-            cache.forget(error.uri());
+            self.client.forget(error.uri());
         }
     }
 }
