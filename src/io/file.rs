@@ -7,7 +7,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use lru::LruCache;
 
 use super::archive::{KEPT_ARCHIVES, KEPT_BYTES, Local, split_path, trim};
+use super::read::guarded;
 use super::{IoError, Limits};
+
+/// Files of this name end in the panic of a codec, which none is known to have.
+#[cfg(test)]
+pub(crate) const PANICS: &str = "panics.zip/a";
 
 /// Reads files, and files inside archives, whose directories it keeps. Shared by the file threads.
 #[derive(Debug)]
@@ -25,6 +30,12 @@ impl FileReader {
 
     /// A file whole, gzip undone. A path that goes on behind the name of an archive is a file inside it.
     pub fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        guarded(uri, || self.read_unguarded(uri))
+    }
+
+    fn read_unguarded(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        #[cfg(test)]
+        assert!(!uri.ends_with(PANICS), "a codec has a defect");
         let limits = &self.limits;
         let Some(metadata) = self.metadata(uri)? else {
             let (archive, name) = self.inside(uri)?;
@@ -48,13 +59,13 @@ impl FileReader {
 
     /// Bytes of a file, or of one inside an archive, as it is there.
     pub fn size(&self, uri: &str) -> Result<u64, IoError> {
-        match self.metadata(uri)? {
+        guarded(uri, || match self.metadata(uri)? {
             Some(metadata) => Ok(metadata.len()),
             None => {
                 let (archive, name) = self.inside(uri)?;
                 archive.size(uri, &name, &self.limits)
             }
-        }
+        })
     }
 
     /// `None` where there is no such file.
