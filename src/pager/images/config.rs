@@ -7,7 +7,7 @@ use crate::io::Limits;
 /// Sizes and patience of an [`ImagePager`](super::ImagePager).
 #[derive(Clone, Debug)]
 pub struct ImagePagerConfig {
-    /// Threads that read and decode. One server has one less at once, so that one that hangs does not stop everything.
+    /// Threads that read files and decode; each server may have as many requests.
     pub threads: usize,
     /// Images from files that may be decoded or under way at once.
     pub max_images: usize,

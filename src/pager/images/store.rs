@@ -486,6 +486,48 @@ mod tests {
         assert_eq!(pager.bytes, 21_844, "the one of the moment");
     }
 
+    /// Each of them had all threads but one, so that two had all.
+    #[cfg(feature = "http")]
+    #[test]
+    fn servers_that_hang_hold_up_no_file_and_no_other_server() {
+        use std::io::{Read as _, Write as _};
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.png");
+        image::RgbImage::new(8, 8).save(&file).unwrap();
+        let image = std::fs::read(&file).unwrap();
+        let listen = || std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        // Connections wait to be taken for ever.
+        let hung: Vec<_> = (0..5).map(|_| listen()).collect();
+        let well = listen();
+        let url = |server: &std::net::TcpListener, k: u32| format!("http://{}/{k}.png", server.local_addr().unwrap());
+        let long = Duration::from_secs(1000);
+        let http = crate::io::HttpConfig { first_byte_timeout: long, total_timeout: long, ..Default::default() };
+        let mut pager = ImagePager::new(ImagePagerConfig { http, ..ImagePagerConfig::default() }).unwrap();
+        let files = hung.iter().map(|server| (0..9).map(|k| url(server, k)).collect());
+        let files: Vec<Vec<String>> = files.chain([vec![file.display().to_string()], vec![url(&well, 0)]]).collect();
+        let sequences: Vec<_> = files.into_iter().map(|files| ImageSequence::from_files("test", files)).collect();
+        let _used: Vec<_> = sequences.iter().map(ImageSequence::texture).collect();
+        sequences[..5].iter().for_each(|sequence| pager.add(sequence));
+        let until = Instant::now() + Duration::from_secs(60);
+        let update_until = |is_so: &dyn Fn(&ImagePagerStats) -> bool, pager: &mut ImagePager| {
+            while !is_so(&pager.stats) {
+                assert!(Instant::now() < until, "{:?}", pager.stats);
+                pager.update(0.0);
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        };
+        update_until(&|stats| stats.in_flight >= 3, &mut pager);
+        sequences[5..].iter().for_each(|sequence| pager.add(sequence));
+        std::thread::spawn(move || {
+            let (mut stream, _) = well.accept().unwrap();
+            let _ = stream.read(&mut [0; 4096]).unwrap();
+            let head = format!("HTTP/1.1 200 OK\r\nContent-Length: {}\r\n\r\n", image.len());
+            stream.write_all(&[head.as_bytes(), &image].concat()).unwrap();
+        });
+        update_until(&|stats| stats.shown == 2, &mut pager);
+        assert_eq!(pager.stats.failed, 0);
+    }
+
     #[test]
     fn tries_are_not_forgotten_while_nobody_wants_an_image() {
         let uri: Arc<str> = "a.png".into();
