@@ -71,6 +71,12 @@ impl Flows {
         self.flows.get(server).map_or(self.range.start, |flow| flow.limit)
     }
 
+    /// A server with so many requests may have one more, of so many places that are left to all: the last ones are for those
+    /// that have fewer, so that servers that hang do not have all.
+    pub fn leaves_enough(&self, has: usize, left: usize) -> bool {
+        has == 0 || left > self.range.start || has + 1 < left
+    }
+
     /// Learns from an answer of a server that had so many requests while it came.
     pub fn learn(&mut self, server: &str, running: usize, answered: Answered) {
         if answered == Answered::Else {
