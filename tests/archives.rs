@@ -418,6 +418,105 @@ mod over_http {
         }
     }
 
+    /// An archive of which an answer is changed on its way: `change` gets the number of the request and what goes out.
+    fn changing(bytes: Vec<u8>, change: impl Fn(usize, &mut Vec<u8>) + Send + Sync + 'static) -> Server {
+        Server::start(move |r| {
+            let mut reply = Reply::ok(bytes.clone()).with("ETag", "\"1\"").ranged(r);
+            change(r.nth, &mut reply.body);
+            reply
+        })
+    }
+
+    /// Where a file's checksum is in the directory that is at the end of these bytes.
+    fn checksum_of(name: &str, bytes: &[u8]) -> usize {
+        let is_name =
+            |at: &usize| bytes[*at..].starts_with(name.as_bytes()) && bytes[at - 46..].starts_with(b"PK\x01\x02");
+        (46..bytes.len()).rev().find(is_name).unwrap() - 46 + 16
+    }
+
+    /// A bit was changed on the way and the directory is one all the same: what it says wrongly of was lost for good.
+    #[test]
+    fn a_directory_that_came_wrong_is_read_anew() {
+        for files in [contents(), many()] {
+            let flip = |nth: usize, body: &mut Vec<u8>| {
+                // The directory is at the end of the first answer, or is all of the second one but for its end.
+                if nth < 2 && body.ends_with(&[0; 2]) || nth == 1 && body.starts_with(b"PK\x01\x02") {
+                    let has_it = body.windows(12).any(|w| w == b"tileset.json");
+                    if has_it && body.windows(4).any(|w| w == b"PK\x01\x02") {
+                        let at = checksum_of("tileset.json", body);
+                        body[at] ^= 1;
+                    }
+                }
+            };
+            let server = changing(zipped(&files, options()), flip);
+            let reader = client(None);
+            let url = format!("{}/set.3tz/tileset.json", server.url);
+            let error = get(&reader, &url).unwrap_err();
+            assert!(error.is_transient() && error.to_string().contains("checksum"), "{error}");
+            assert_eq!(get(&reader, &url).as_ref(), Ok(&files["tileset.json"]));
+        }
+    }
+
+    /// A file that is broken in the archive itself: its directory is not read again for each try.
+    #[test]
+    fn a_broken_file_costs_its_directory_seldom() {
+        let mut bytes = zipped(&contents(), options().compression_method(Stored));
+        let at = bytes.windows(10).position(|w| w == [7; 10]).unwrap();
+        bytes[at] = 8;
+        let server = changing(bytes, |_, _| {});
+        let reader = client(None);
+        let url = format!("{}/set.3tz/%C3%A9/%C3%BC.bin", server.url);
+        assert!((0..5).all(|_| matches!(get(&reader, &url), Err(IoError::Invalid { .. }))));
+        let directories = server.seen().iter().filter(|r| r.header("range").unwrap().starts_with("bytes=-")).count();
+        assert!((1..=4).contains(&directories), "{directories}");
+        assert_eq!(server.count(), 5 + directories);
+    }
+
+    /// All tiles that waited for the directory failed with it, for good.
+    #[test]
+    fn tiles_come_though_directories_came_wrong() {
+        let glb = terrane::io::write::write_glb(&terrane::io::write::GlbMesh {
+            positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+            indices: vec![0, 1, 2],
+            base_color: [1.0; 4],
+            ..Default::default()
+        });
+        let files: BTreeMap<String, Vec<u8>> = (0..8).map(|i| (format!("{i}.glb"), glb.clone())).collect();
+        let tile = |i: usize| {
+            format!(
+                r#"{{"boundingVolume":{{"sphere":[0,0,0,2]}},"geometricError":0,"content":{{"uri":"t.zip/{i}.glb"}}}}"#
+            )
+        };
+        let children: Vec<String> = (0..8).map(tile).collect();
+        let json = format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{{"boundingVolume":{{"sphere":[0,0,0,2]}},
+                "geometricError":5,"children":[{}]}}}}"#,
+            children.join(",")
+        );
+        let bytes = zipped(&files, options().compression_method(Stored));
+        let server = Server::start(move |r| {
+            if r.path().ends_with("json") {
+                return Reply::ok(json.clone());
+            }
+            let mut reply = Reply::ok(bytes.clone()).ranged(r);
+            let length = reply.body.len();
+            match r.nth {
+                // The end is missing, then the last header, then sizes are other ones.
+                0 => reply.body[length - 22] ^= 1,
+                1 => reply.body[length - 22 - 46 - 5] ^= 1,
+                2 => reply.body = change_headers(reply.body, |header| header[12] ^= 1),
+                _ => {}
+            }
+            reply
+        });
+        let mut run = Run::new(
+            &format!("{}/set/", server.url),
+            PagerConfig { retry_after: Duration::from_millis(2), ..PagerConfig::default() },
+        );
+        run.until(above(10.0), "tiles are lost", |r| r.stage.counters.tiles_drawn == 8);
+        assert!(run.pager.stats().failed >= 16, "{:?}", run.pager.stats());
+    }
+
     #[test]
     fn the_cache_keeps_members() {
         let folder = tempfile::tempdir().unwrap();

@@ -158,6 +158,26 @@ fn each_timeout_names_its_phase() {
     assert_eq!(phase(&whole, "/stall"), "the whole answer");
 }
 
+/// The queue of those who wait to be taken is full: nothing answers.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_connection_that_does_not_come_names_its_phase() {
+    let listener = runtime().block_on(async {
+        let socket = tokio::net::TcpSocket::new_v4().unwrap();
+        socket.bind("127.0.0.1:0".parse().unwrap()).unwrap();
+        socket.listen(1).unwrap().into_std().unwrap()
+    });
+    let address = listener.local_addr().unwrap();
+    let connect = || std::net::TcpStream::connect_timeout(&address, 300 * MS);
+    let waiting: Vec<_> = (0..100).map_while(|_| connect().ok()).collect();
+    assert!(waiting.len() < 100);
+    let config = HttpConfig { connect_timeout: 200 * MS, first_byte_timeout: 60_000 * MS, max_retries: 0, ..quick() };
+    match get_with(&config, &format!("http://{address}/a")) {
+        Err(IoError::Timeout { phase, seconds, .. }) => assert_eq!((phase, seconds), ("connecting", 0.2)),
+        other => panic!("{other:?}"),
+    }
+}
+
 /// What is large was cut at the same moment in every try, and never came over a slow line.
 #[test]
 fn what_goes_on_coming_may_take_longer() {

@@ -126,6 +126,11 @@ async fn serve_h1(mut stream: Stream, answer: impl Fn(&str, &str) -> Vec<u8>) ->
         }
         let path = String::from_utf8_lossy(&head).split(' ').nth(1).unwrap().to_owned();
         head.clear();
+        if let Some(to) = path.strip_prefix("/to?") {
+            let head = format!("HTTP/1.1 302 Found\r\nLocation: {to}\r\nContent-Length: 0\r\n\r\n");
+            stream.write_all(head.as_bytes()).await?;
+            continue;
+        }
         let bytes = answer("HTTP/1.1", &path);
         stream.write_all(format!("HTTP/1.1 200 OK\r\nContent-Length: {}\r\n\r\n", bytes.len()).as_bytes()).await?;
         stream.write_all(&bytes).await?;
@@ -206,6 +211,21 @@ fn certificates_that_do_not_hold_are_said_once() {
     let wrong = authority.server("tiles.example", &[], |_| {});
     let text = refused(&trusting(&authority), &wrong);
     assert!(text.contains("not valid for name"), "{text}");
+}
+
+/// Who answers openly could be anybody.
+#[test]
+fn nothing_leads_from_an_encrypted_connection_to_an_open_one() {
+    let authority = Authority::new();
+    let server = authority.server("127.0.0.1", &[], |_| {});
+    let open = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    open.set_nonblocking(true).unwrap();
+    let to = |url: &str| get(&trusting(&authority), &format!("{}/to?{url}", server.url));
+    let error = to(&format!("http://{}/a?token=hidden", open.local_addr().unwrap())).unwrap_err();
+    assert!(matches!(error, IoError::Uri { .. }) && !error.is_transient(), "{error:?}");
+    assert!(error.reason().contains("redirected from https") && !error.reason().contains("hidden"), "{error}");
+    assert!(open.accept().is_err(), "nobody came");
+    assert_eq!(to(&format!("{}/a", server.url)).unwrap(), "HTTP/1.1 /a");
 }
 
 #[test]

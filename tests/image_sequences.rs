@@ -376,6 +376,36 @@ fn images_come_over_http_and_a_server_that_hangs_holds_nobody_up() {
     assert!(start.elapsed() < Duration::from_secs(20), "dropping waits for nobody: {:?}", start.elapsed());
 }
 
+/// Each thread had a client of its own, and read an archive's directory for itself.
+#[cfg(feature = "http")]
+#[test]
+fn the_threads_share_a_client() {
+    use std::io::Write as _;
+    let folder = tempfile::tempdir().unwrap();
+    let mut archive = zip::write::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (k, file) in write_images(folder.path(), 8, 8).iter().enumerate() {
+        archive.start_file(format!("{k}.png"), zip::write::SimpleFileOptions::default()).unwrap();
+        archive.write_all(&std::fs::read(file).unwrap()).unwrap();
+    }
+    let bytes = archive.finish().unwrap().into_inner();
+    let delay = Duration::from_millis(50);
+    let server = http_support::Server::start(move |r| {
+        http_support::Reply { delay, ..http_support::Reply::ok(bytes.clone()) }.ranged(r)
+    });
+    let sequence =
+        playing((0..8).map(|k| format!("{}/a.zip/{k}.png", server.url)).collect(), LoopingMode::Looping, 8.0);
+    let Some(mut theatre) = Theatre::open(&[&sequence], ImagePagerConfig::default(), ThreadingModel::default()) else {
+        return;
+    };
+    let end = Instant::now() + Duration::from_secs(30);
+    while theatre.pager().stats().loaded < 8 {
+        assert!(Instant::now() < end, "{:?} {:?}", theatre.pager().stats(), theatre.pager().errors());
+        theatre.viewer.frame_at(1.0).unwrap();
+    }
+    let directories = server.seen().iter().filter(|r| r.header("range").unwrap().starts_with("bytes=-")).count();
+    assert_eq!((directories, server.count()), (1, 9));
+}
+
 /// It held a thread until the server's time was over.
 #[cfg(feature = "http")]
 #[test]

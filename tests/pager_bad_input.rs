@@ -348,12 +348,46 @@ fn failures_that_nobody_meets_are_forgotten_where_there_are_thousands() {
     }
 }
 
+/// A disk that did not answer once lost a tile until the program was started again.
+#[cfg(target_os = "linux")]
+#[test]
+fn what_the_system_refuses_for_a_while_is_tried_again() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tileset.json"), tileset(&["a.glb", "b.glb", "c.glb"])).unwrap();
+    for name in ["root.glb", "a.glb"] {
+        std::fs::write(folder.path().join(name), glb()).unwrap();
+    }
+    // It has no page at 0: an I/O error.
+    let (broken, well) = (folder.path().join("b.glb"), folder.path().join("a.glb"));
+    std::os::unix::fs::symlink("/proc/self/mem", &broken).unwrap();
+    std::fs::create_dir(folder.path().join("c.glb")).unwrap();
+    let config = PagerConfig { retry_after: std::time::Duration::from_millis(20), ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
+    let near = above(5.0);
+    run.until(near, "does not fail", |r| r.pager.stats().failed >= 2);
+    std::fs::remove_file(&broken).unwrap();
+    std::fs::copy(&well, &broken).unwrap();
+    run.until(near, "is not tried again", |r| r.pager.stats().merged == 3);
+    let errors = run.pager.errors();
+    let of = |name: &str| errors.iter().find(|e| e.uri.ends_with(name)).unwrap();
+    assert!(of("b.glb").reason.contains("os error 5"), "{errors:?}");
+    assert_eq!(of("c.glb").count, 1, "folders stay folders");
+    // And not for ever.
+    std::fs::remove_file(&broken).unwrap();
+    std::os::unix::fs::symlink("/proc/self/mem", &broken).unwrap();
+    let wait = std::time::Duration::from_millis(1);
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig { retry_after: wait, ..config });
+    let end = std::time::Instant::now() + 200 * wait;
+    run.until(near, "is tried for ever", |r| r.pager.stats().failed >= 6 && std::time::Instant::now() > end);
+    assert_eq!(run.pager.stats().failed, 5 + 1);
+}
+
 #[test]
 fn errors_of_all_kinds_say_what_and_why() {
     let uri = || "http://h/t.glb".to_owned();
     for error in [
         IoError::NotFound { uri: uri() },
-        IoError::File { uri: uri(), reason: "no".to_owned() },
+        IoError::File { uri: uri(), reason: "no".to_owned(), may_pass: false },
         IoError::Network { uri: uri(), reason: "no".to_owned() },
         IoError::TooLarge { uri: uri(), what: "file", got: 2, limit: 1 },
     ] {

@@ -33,6 +33,8 @@ enum Answer {
     Broken,
     /// An error page with status 200.
     Page,
+    /// What is no content, with status 200.
+    Rubbish,
     /// The whole after 20 ms.
     Slow,
     /// To another address.
@@ -116,8 +118,8 @@ fn serve(
                 format!("HTTP/1.1 302 Found\r\nLocation: {to}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
             stream.write_all(text.as_bytes()).ok()?;
         }
-        Answer::Page => {
-            let page = b"<html><body>Sorry</body></html>";
+        Answer::Page | Answer::Rubbish => {
+            let page: &[u8] = if answer == Answer::Page { b"<html><body>Sorry</body></html>" } else { b"glTE" };
             stream.write_all(head("200 OK", page.len()).as_bytes()).ok()?;
             stream.write_all(page).ok()?;
         }
@@ -318,6 +320,25 @@ fn a_page_instead_of_a_tile_is_asked_for_again() {
     let error = error_of(&run, "child2.glb");
     assert!(error.reason.contains("markup") && error.count == 1, "{error:?}");
     assert_eq!(server.requests("/set/child2.glb"), 2);
+}
+
+/// One answer that was changed on its way was missing until the program was started again.
+#[test]
+fn what_is_no_content_is_asked_for_again_a_few_times() {
+    let url = "/set/child2.glb";
+    for (broken, requests) in [(2, 3), (usize::MAX, 5)] {
+        let is_broken = move |path: &str, nth| path == url && nth < broken;
+        let server =
+            Server::start(set(), move |path, nth| if is_broken(path, nth) { Answer::Rubbish } else { Answer::Whole });
+        let wait = Duration::from_millis(2);
+        let mut run = run_of(&server, PagerConfig { max_tries: None, retry_after: wait, ..impatient() });
+        run.until(NEAR, "is not tried again", |r| server.requests(url) == requests && r.pager.is_idle());
+        let end = Instant::now() + 100 * wait;
+        run.until(NEAR, "", |_| Instant::now() > end);
+        let is_whole = run.stage.counters.tiles_drawn == CHILDREN as u32;
+        assert_eq!((server.requests(url), is_whole), (requests, broken < 5), "{:?}", run.pager.errors());
+        assert_eq!(error_of(&run, "child2.glb").count, broken.min(5) as u64);
+    }
 }
 
 /// Nobody looks at it for long; whoever comes back finds the tries that were made.

@@ -221,6 +221,37 @@ mod over_http {
         assert!((1..=2).contains(&directories), "{directories}");
     }
 
+    /// The place of the first tile's size in a directory that is not packed: ids, runs, sizes and offsets follow its length.
+    fn first_size(directory: &[u8]) -> usize {
+        let mut ends = (0..directory.len()).filter(|at| directory[*at] < 0x80);
+        let end = ends.next().unwrap();
+        let count = (0..=end).rev().fold(0, |n, at| n << 7 | usize::from(directory[at] & 0x7f));
+        ends.nth(2 * count - 1).unwrap() + 1
+    }
+
+    /// One below the root that cannot be read, and one that can.
+    #[test]
+    fn a_directory_that_came_wrong_is_read_anew() {
+        for packing in [Compression::Gzip, Compression::None] {
+            let bytes = written(MANY, packing, Compression::Gzip);
+            let leaves = u64::from_le_bytes(bytes[40..48].try_into().unwrap());
+            let server = Server::start(move |r| {
+                let mut reply = Reply::ok(bytes.clone()).with("ETag", "\"1\"").ranged(r);
+                let is_first = r.nth == 1 && r.header("range").unwrap().starts_with(&format!("bytes={leaves}-"));
+                if is_first {
+                    let at = if packing == Compression::Gzip { 15 } else { first_size(&reply.body) };
+                    reply.body[at] ^= 4;
+                }
+                reply
+            });
+            let client = HttpClient::new(&HttpConfig::default()).unwrap();
+            let url = [format!("{}/map.pmtiles/0/0/0", server.url)];
+            let error = get(&client, &url).remove(0).unwrap_err();
+            assert!(error.is_transient() && matches!(error, IoError::Invalid { .. }), "{packing:?}: {error}");
+            assert_eq!(get(&client, &url).remove(0).ok(), content(0, 0, 0), "{packing:?}");
+        }
+    }
+
     #[test]
     fn the_cache_keeps_tiles() {
         let folder = tempfile::tempdir().unwrap();

@@ -21,6 +21,8 @@ pub enum IoError {
         uri: String,
         /// The system's words.
         reason: String,
+        /// It may do so no longer: too many files were open, or a disk or a mount was away.
+        may_pass: bool,
     },
     /// The server answered with a failure.
     #[error("{}: HTTP status {status}", shown(.uri))]
@@ -139,9 +141,16 @@ impl IoError {
         match self {
             Self::Network { .. } | Self::Timeout { .. } => true,
             Self::Status { status, .. } => *status >= 500 || *status == 429 || *status == 408,
-            Self::Markup { uri } => is_remote(uri),
+            Self::Markup { uri } | Self::Invalid { uri, .. } => is_remote(uri),
+            Self::File { may_pass, .. } => *may_pass,
             _ => false,
         }
+    }
+
+    /// True for what may pass and mostly does not, as bytes that were changed on their way, or a disk that does not answer:
+    /// worth a few tries.
+    pub fn is_doubtful(&self) -> bool {
+        self.is_transient() && matches!(self, Self::Invalid { .. } | Self::File { .. })
     }
 
     /// True for bytes that are not what they should be: no cache is to keep them.
@@ -155,6 +164,22 @@ impl IoError {
             Self::Status { retry_after, .. } => *retry_after,
             _ => None,
         }
+    }
+
+    /// What the operating system said of a file.
+    pub(crate) fn of_file(uri: &str, error: &std::io::Error) -> Self {
+        use std::io::ErrorKind;
+        let uri = uri.to_owned();
+        let may_pass = match error.kind() {
+            ErrorKind::NotFound => return Self::NotFound { uri },
+            ErrorKind::PermissionDenied
+            | ErrorKind::NotADirectory
+            | ErrorKind::IsADirectory
+            | ErrorKind::InvalidInput
+            | ErrorKind::InvalidFilename => false,
+            _ => true,
+        };
+        Self::File { uri, reason: error.to_string(), may_pass }
     }
 
     pub(crate) fn invalid(uri: &str, reason: impl Into<String>) -> Self {

@@ -7,7 +7,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use lru::LruCache;
 
 use super::archive::{KEPT_ARCHIVES, KEPT_BYTES, Local, split_path, trim};
+use super::read::guarded;
 use super::{IoError, Limits};
+
+/// Files of this name end in the panic of a codec, which none is known to have.
+#[cfg(test)]
+pub(crate) const PANICS: &str = "panics.zip/a";
 
 /// Reads files, and files inside archives, whose directories it keeps. Shared by the file threads.
 #[derive(Debug)]
@@ -25,35 +30,42 @@ impl FileReader {
 
     /// A file whole, gzip undone. A path that goes on behind the name of an archive is a file inside it.
     pub fn read(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        guarded(uri, || self.read_unguarded(uri))
+    }
+
+    fn read_unguarded(&self, uri: &str) -> Result<Vec<u8>, IoError> {
+        #[cfg(test)]
+        assert!(!uri.ends_with(PANICS), "a codec has a defect");
         let limits = &self.limits;
         let Some(metadata) = self.metadata(uri)? else {
             let (archive, name) = self.inside(uri)?;
             return gunzip(uri, archive.read(uri, &name, limits)?, limits);
         };
+        let refused = |reason: &str| IoError::File { uri: uri.to_owned(), reason: reason.to_owned(), may_pass: false };
         if metadata.is_dir() {
-            return Err(IoError::File { uri: uri.to_owned(), reason: "is a folder".to_owned() });
+            return Err(refused("is a folder"));
         }
         // A pipe or a device may never end, or never begin.
         if !metadata.is_file() {
-            return Err(IoError::File { uri: uri.to_owned(), reason: "is not a regular file".to_owned() });
+            return Err(refused("is not a regular file"));
         }
         check(uri, metadata.len(), limits)?;
-        let file = std::fs::File::open(uri).map_err(|e| failed(uri, &e))?;
+        let file = std::fs::File::open(uri).map_err(|e| IoError::of_file(uri, &e))?;
         let mut bytes = Vec::with_capacity(metadata.len() as usize);
-        file.take(limits.max_file_bytes + 1).read_to_end(&mut bytes).map_err(|e| failed(uri, &e))?;
+        file.take(limits.max_file_bytes + 1).read_to_end(&mut bytes).map_err(|e| IoError::of_file(uri, &e))?;
         check(uri, bytes.len() as u64, limits)?;
         gunzip(uri, bytes, limits)
     }
 
     /// Bytes of a file, or of one inside an archive, as it is there.
     pub fn size(&self, uri: &str) -> Result<u64, IoError> {
-        match self.metadata(uri)? {
+        guarded(uri, || match self.metadata(uri)? {
             Some(metadata) => Ok(metadata.len()),
             None => {
                 let (archive, name) = self.inside(uri)?;
                 archive.size(uri, &name, &self.limits)
             }
-        }
+        })
     }
 
     /// `None` where there is no such file.
@@ -61,7 +73,7 @@ impl FileReader {
         match std::fs::metadata(uri) {
             Ok(metadata) => Ok(Some(metadata)),
             Err(e) if matches!(e.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
-            Err(e) => Err(failed(uri, &e)),
+            Err(e) => Err(IoError::of_file(uri, &e)),
         }
     }
 
@@ -87,13 +99,6 @@ impl FileReader {
 /// Reads one file as a [`FileReader`] does.
 pub fn read_file(uri: &str, limits: &Limits) -> Result<Vec<u8>, IoError> {
     FileReader::new(*limits).read(uri)
-}
-
-fn failed(uri: &str, error: &std::io::Error) -> IoError {
-    match error.kind() {
-        ErrorKind::NotFound => IoError::NotFound { uri: uri.to_owned() },
-        _ => IoError::File { uri: uri.to_owned(), reason: error.to_string() },
-    }
 }
 
 /// Undoes gzip where the magic says so (servers and disks hold tiles compressed without saying it).

@@ -6,7 +6,10 @@ use std::sync::{Arc, OnceLock};
 
 use image::{ColorType, DynamicImage, ImageDecoder as _, ImageFormat, ImageReader, Limits as ImageLimits};
 
-use super::{IoError, Limits, read::refuse_markup};
+use super::{
+    IoError, Limits,
+    read::{guarded, refuse_markup},
+};
 use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
 use crate::state::{CLAMPED, WrapMode};
 
@@ -74,8 +77,7 @@ pub(crate) fn decode(uri: &str, bytes: &[u8], wrap: [WrapMode; 2], limits: &Limi
 
 /// [`decode`] of a file by itself, clamped; a panic of a decoder is an error of that file.
 pub(crate) fn decode_file(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Arc<Texture>, IoError> {
-    let decode = || decode(uri, bytes, CLAMPED, limits);
-    std::panic::catch_unwind(decode).unwrap_or_else(|_| Err(IoError::invalid(uri, super::DECODER_PANICKED)))
+    guarded(uri, || decode(uri, bytes, CLAMPED, limits))
 }
 
 /// Most bytes that a thread keeps for the next image.

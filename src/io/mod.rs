@@ -42,6 +42,8 @@ pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
 #[doc(hidden)]
 pub use encoding::fuzz_encoding;
 pub use error::{IoError, Limits};
+#[cfg(test)]
+pub(crate) use file::PANICS;
 pub use file::{FileReader, read_file};
 #[cfg(feature = "http")]
 pub use fill::{FillOptions, Filled, fill};

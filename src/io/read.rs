@@ -85,8 +85,13 @@ pub fn decode(content: Content, options: &ReadOptions) -> Result<Page, IoError> 
         }
         Ok(page)
     };
+    guarded(&uri, read)
+}
+
+/// Reads outside data; should a crate that helps with it panic, that is an error of this URI, and the thread goes on.
+pub(crate) fn guarded<T>(uri: &str, read: impl FnOnce() -> Result<T, IoError>) -> Result<T, IoError> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(read))
-        .unwrap_or_else(|_| Err(IoError::invalid(&uri, DECODER_PANICKED)))
+        .unwrap_or_else(|_| Err(IoError::invalid(uri, DECODER_PANICKED)))
 }
 
 /// The reason given for a content whose decoder panicked.

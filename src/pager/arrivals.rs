@@ -12,7 +12,7 @@ use super::list::{Above, Answer, Arrived, Entry, Job, Payload, Progress};
 use super::residents::Resident;
 use super::scenes::Scenes;
 use super::shares::Held;
-use super::tries::wait_after;
+use super::tries::Tries;
 use crate::io::IoError;
 use crate::scene::{DrawKind, NodeId, PagingOptions, SceneError, SceneNumber};
 use crate::timeline;
@@ -50,11 +50,10 @@ impl DatabasePager {
                 self.stats.failed += 1;
                 timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "failed");
                 self.errors.add(&error);
-                entry.tries = entry.tries.saturating_add(1);
-                let again = error.is_transient() && self.config.max_tries.is_none_or(|most| entry.tries < most);
-                let wait = wait_after(self.config.retry_after, entry.tries, &error).mul_f64(spread(entry.job.ticket));
+                let wait = entry.tries.fail(&error, self.config.retry_after, self.config.max_tries);
+                let wait = wait.map(|wait| wait.mul_f64(spread(entry.job.ticket)));
                 // Beyond what the clock knows it is never.
-                let retry_at = Instant::now().checked_add(wait).filter(|_| again);
+                let retry_at = wait.and_then(|wait| Instant::now().checked_add(wait));
                 entry.progress = Progress::Failed { retry_at };
                 scenes.set_failed(slot, true);
             }
@@ -285,7 +284,7 @@ impl DatabasePager {
             wanted_frame: self.frame,
             ahead_frames: 0,
             since: Instant::now(),
-            tries: 1,
+            tries: Tries::default(),
             needs: None,
             progress: Progress::Failed { retry_at: None },
             paging: PagingOptions::default(),

@@ -70,7 +70,8 @@ pub struct PagerConfig {
     pub merge_time: Duration,
     /// Wait before a failure that may pass is tried again, while somebody looks; doubled each time, up to five minutes.
     pub retry_after: Duration,
-    /// Tries of a URI in all; `None` for no end of them: a network that was away for long is found when it comes back.
+    /// Tries of a URI in all; `None` for no end of them: a network that was away for long is found when it comes back. Of
+    /// those that fail with what mostly stays ([`IoError::is_doubtful`](crate::io::IoError::is_doubtful)) there are five.
     pub max_tries: Option<u32>,
     /// How much is accepted from outside.
     pub limits: Limits,

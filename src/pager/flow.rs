@@ -33,7 +33,7 @@ pub(super) enum Answered {
     After(f64),
     /// It was overloaded or did not answer.
     Failed,
-    /// Nothing: from the cache, or not found.
+    /// Nothing: from the cache, not found, or not as it should be.
     Else,
 }
 
@@ -41,7 +41,7 @@ impl Answered {
     pub fn of<T>(result: &Result<T, IoError>, asked: bool, seconds: f64) -> Self {
         match result {
             Ok(_) if asked => Self::After(seconds),
-            Err(error) if error.is_transient() => Self::Failed,
+            Err(error) if error.is_transient() && !error.is_doubtful() => Self::Failed,
             _ => Self::Else,
         }
     }
@@ -69,6 +69,12 @@ impl Flows {
     /// Requests that a server may have.
     pub fn limit(&self, server: &str) -> usize {
         self.flows.get(server).map_or(self.range.start, |flow| flow.limit)
+    }
+
+    /// A server with so many requests may have one more, of so many places that are left to all: the last ones are for those
+    /// that have fewer, so that servers that hang do not have all.
+    pub fn leaves_enough(&self, has: usize, left: usize) -> bool {
+        has == 0 || left > self.range.start || has + 1 < left
     }
 
     /// Learns from an answer of a server that had so many requests while it came.

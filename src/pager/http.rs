@@ -174,7 +174,8 @@ fn take(
     while next > 0 && running.len() + jobs.len() < most {
         next -= 1;
         let count = |of: &str| at_server.get(of).copied().unwrap_or(0);
-        let has_place = |of: &str| count(of) < flows.limit(of);
+        let left = most - running.len() - jobs.len();
+        let has_place = |of: &str| count(of) < flows.limit(of) && flows.leaves_enough(count(of), left);
         let job = &waiting.http[next];
         let own = server(&job.uri);
         if full.iter().any(|of| of == own) {
@@ -303,6 +304,34 @@ mod tests {
         let flows = Flows::new(Range { start: 16, most: 16 });
         let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
         assert_eq!(jobs.iter().map(|start| start.job.ticket).collect::<Vec<_>>(), [17, 16, 15, 14, 8]);
+    }
+
+    /// Seven that hung had all places of all servers until their time was over.
+    #[test]
+    fn servers_that_hang_leave_places_to_others() {
+        let range = Range { start: 32, most: 128 };
+        for hung in [7, 9, 11] {
+            let list = RequestList::new(1000, 1000);
+            let mut waiting = list.lock();
+            waiting.allowed = 1000;
+            waiting.http.extend((0..9).map(|ticket| job(ticket, "http://well/a.glb")));
+            let of_hung =
+                |server: u64| (0..99).map(move |k| job(9 + 99 * server + k, &format!("http://h{server}/a.glb")));
+            waiting.http.extend((0..hung).flat_map(of_hung));
+            drop(waiting);
+            let (jobs, ..) = take(&list, &HashMap::new(), &Flows::new(range), most_in_flight(range));
+            assert!(jobs.iter().any(|start| start.job.ticket < 9), "{hung}");
+            // Few servers have all that they may.
+            let of = |server: &str| jobs.iter().filter(|start| start.servers == [server]).count();
+            assert!((2..=7).all(|server| of(&format!("http://h{}", hung - server + 1)) >= 8), "{hung}");
+            assert_eq!((of(&format!("http://h{}", hung - 1)), of(&format!("http://h{}", hung - 2))), (32, 32));
+        }
+        // One alone goes as far as it may.
+        for range in [range, Range { start: 1, most: 128 }, Range { start: 4, most: 4 }] {
+            let flows = Flows::new(range);
+            let most = most_in_flight(range);
+            assert!((0..range.most).all(|has| flows.leaves_enough(has, most - has)), "{range:?}");
+        }
     }
 
     /// Over a slow network they came too late, eight at a time.

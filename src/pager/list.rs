@@ -13,6 +13,7 @@ use glam::DAffine3;
 use super::scenes::Scope;
 use super::shares::Held;
 use super::states::Stage;
+use super::tries::Tries;
 use crate::io::{Fetched, IoError, is_remote};
 use crate::scene::{DrawKind, Drawable, NodeId, Page, PagingOptions};
 
@@ -273,7 +274,7 @@ pub(super) struct Entry {
     /// Frames until a picture will lack it, as it was last asked for; 0 where one does.
     pub ahead_frames: u32,
     pub since: Instant,
-    pub tries: u32,
+    pub tries: Tries,
     /// Bytes that it takes, where it was loaded and found no room: it is not loaded again before it has.
     pub needs: Option<Held>,
     pub progress: Progress,
@@ -295,7 +296,7 @@ impl Entry {
     /// does not make them again.
     pub fn rests(&mut self) -> bool {
         self.progress = Progress::Failed { retry_at: Some(Instant::now()) };
-        self.tries > 0
+        !self.tries.is_none()
     }
 }
 

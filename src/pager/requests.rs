@@ -9,6 +9,7 @@ use super::expiry::{AHEAD_MARGIN, EXPIRY_TENTHS};
 use super::list::{Entry, Job, Progress, Waiting};
 use super::scenes::Scenes;
 use super::shares::Held;
+use super::tries::Tries;
 use crate::cull::PageRequest;
 use crate::io;
 use crate::scene::{NodeId, SceneNumber, SlotState};
@@ -97,7 +98,7 @@ impl DatabasePager {
                 wanted_frame: self.frame,
                 ahead_frames: request.ahead_frames,
                 since: Instant::now(),
-                tries: 0,
+                tries: Tries::default(),
                 needs: None,
                 progress: Progress::Waiting,
             };

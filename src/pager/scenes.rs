@@ -87,11 +87,11 @@ pub(super) struct Scope {
 }
 
 impl Scope {
-    /// Lets the cache on disk forget what turned out to be no content.
+    /// Nothing is to be kept of what turned out to be no content.
     pub fn forget(&self, uri: &str) {
         #[cfg(feature = "http")]
-        if let Some(cache) = self.client.cache().filter(|_| io::is_remote(uri)) {
-            cache.forget(uri);
+        if io::is_remote(uri) {
+            self.client.forget(uri);
         }
         #[cfg(not(feature = "http"))]
         let _ = uri;

@@ -98,6 +98,7 @@ mod tests {
     use super::super::list::tests::job;
     use super::super::list::{Arrived, RequestList};
     use super::super::shares::Held;
+    use super::super::tries::Tries;
     use super::*;
     use crate::scene::{Node, Page, PagingOptions};
 
@@ -113,7 +114,7 @@ mod tests {
                 wanted_frame: 1,
                 ahead_frames: 0,
                 since,
-                tries: 0,
+                tries: Tries::default(),
                 needs: None,
                 progress: Progress::Waiting,
                 paging,

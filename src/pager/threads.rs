@@ -229,3 +229,26 @@ fn decode_one(job: &Job, bytes: Vec<u8>, companions: Vec<io::Fetched>) -> Result
     let options = ReadOptions { chain, set_from_content: set_from_page, ..job.scope.options.clone() };
     io::decode(content, &options)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::super::list::tests::job;
+    use super::*;
+
+    /// A codec's panic ended the thread, and its job was never answered.
+    #[test]
+    fn a_panic_while_reading_is_an_error_of_that_file() {
+        let (list, (sender, read)) = (RequestList::new(4, 4), bounded(4));
+        list.lock().file = [1, 2].map(|ticket| job(ticket, &format!("/{ticket}/{}", io::PANICS))).to_vec();
+        std::thread::scope(|scope| {
+            scope.spawn(|| read_files(&list, &sender, &io::FileReader::new(io::Limits::default())));
+            for _ in 0..2 {
+                let loaded = read.recv_timeout(Duration::from_secs(60)).expect("the thread goes on");
+                assert_eq!(loaded.bytes.unwrap_err().reason(), io::DECODER_PANICKED);
+            }
+            list.close();
+        });
+    }
+}

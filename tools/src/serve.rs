@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, ErrorKind, Read, Seek as _, SeekFrom, Write};
 use std::net::SocketAddr;
-use std::net::{Shutdown, TcpListener, TcpStream};
+use std::net::{TcpListener, TcpStream};
 use std::path::{Component, Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -22,6 +22,8 @@ use crate::args::{amount, share};
 const MOST_HEAD_BYTES: u64 = 16 << 10;
 /// A connection without a request ends.
 const IDLE: Duration = Duration::from_secs(60);
+/// From the half of an answer to the reset.
+const BEFORE_RESET: Duration = Duration::from_millis(20);
 /// Instead of a tile.
 const PAGE: &[u8] = b"<!doctype html><title>Sorry</title><p>The page that you are looking for is not here.</p>\n";
 /// Most bytes between two looks at the clock.
@@ -60,7 +62,7 @@ pub struct ServeArgs {
     /// Share of answers that stop half way until the client goes
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub stall_rate: f64,
-    /// Share of connections closed instead of an answer
+    /// Share of connections reset instead of an answer, or half way through it
     #[arg(long, default_value_t = 0.0, value_parser = share)]
     pub reset_rate: f64,
     /// Share of requests that get no answer at all until the client goes
@@ -258,6 +260,11 @@ impl Request {
     }
 }
 
+/// The connection ends by a reset when it is closed, not in order.
+fn reset(stream: &TcpStream) -> std::io::Result<()> {
+    socket2::SockRef::from(stream).set_linger(Some(Duration::ZERO))
+}
+
 fn wait_for_the_end(stream: &mut TcpStream) -> std::io::Result<()> {
     stream.set_read_timeout(None)?;
     while stream.read(&mut [0; 256]).is_ok_and(|n| n > 0) {}
@@ -296,8 +303,8 @@ impl Server {
         let wait_ms = self.args.latency_ms + self.args.jitter_ms * chance.share();
         std::thread::sleep(Duration::from_secs_f64(wait_ms / 1e3));
         match fate {
-            Fate::Reset => {
-                stream.shutdown(Shutdown::Both)?;
+            Fate::Reset if chance.share() < 0.5 => {
+                reset(stream)?;
                 return Ok(false);
             }
             Fate::Error => {
@@ -365,11 +372,17 @@ impl Server {
             return Ok(true);
         }
         file.seek(SeekFrom::Start(first))?;
-        let sent = if matches!(fate, Fate::Truncated | Fate::Stalled) { count / 2 } else { count };
+        let sent = if matches!(fate, Fate::Truncated | Fate::Stalled | Fate::Reset) { count / 2 } else { count };
         let corrupt_at = (fate == Fate::Corrupted).then(|| (chance.share() * count as f64) as u64);
         self.send(stream, &mut file, sent, corrupt_at)?;
         match fate {
             Fate::Truncated => Ok(false),
+            Fate::Reset => {
+                // What was written is to be there before.
+                std::thread::sleep(BEFORE_RESET);
+                reset(stream)?;
+                Ok(false)
+            }
             Fate::Stalled => {
                 wait_for_the_end(stream)?;
                 Ok(false)

@@ -9,6 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use terrane::io::IoError;
 
 struct Server {
     child: Child,
@@ -133,7 +134,7 @@ fn chance_is_the_same_for_the_same_seed() {
     assert_eq!(first, fates("3"));
     assert_ne!(first, fates("4"));
     for (what, seen) in
-        [("whole", (200, 1000, 0)), ("truncated", (200, 500, 0)), ("corrupted", (200, 1000, 1)), ("reset", (0, 0, 0))]
+        [("whole", (200, 1000, 0)), ("half", (200, 500, 0)), ("corrupted", (200, 1000, 1)), ("reset", (0, 0, 0))]
     {
         assert!(first.contains(&seen), "{what}: {first:?}");
     }
@@ -158,6 +159,69 @@ fn pages_and_silence_and_how_long_answers_hold() {
     stream.write_all(b"GET /f HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
     stream.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
     assert!(stream.read(&mut [0; 8]).is_err(), "nothing comes, and the connection stays");
+}
+
+/// It was the orderly end of a connection, which clients see otherwise.
+#[test]
+fn a_reset_is_one() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("f"), vec![b'x'; 1000]).unwrap();
+    let server = Server::start(folder.path(), &["--reset-rate", "1"]);
+    let mut lengths = std::collections::BTreeSet::new();
+    for _ in 0..20 {
+        let mut stream = TcpStream::connect(&server.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        stream.write_all(b"GET /f HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        let error = stream.read_to_end(&mut answer).unwrap_err();
+        assert_eq!(error.kind(), std::io::ErrorKind::ConnectionReset);
+        lengths.insert(answer.iter().filter(|b| **b == b'x').count());
+    }
+    assert_eq!(lengths.into_iter().collect::<Vec<_>>(), [0, 500], "before the first byte, and half way");
+    // As the client has it.
+    let uri = terrane::io::root_uri(&format!("http://{}/f", server.address)).unwrap();
+    let mut config = terrane::pager::PagerConfig::default();
+    config.http.max_retries = 0;
+    let options = terrane::io::ReadOptions::for_root(&uri, terrane::io::Limits::default());
+    let mut pager = terrane::pager::DatabasePager::new(config, options).unwrap();
+    for _ in 0..20 {
+        let error = pager.read_root(&uri).err().unwrap();
+        assert!(matches!(&error, IoError::Network { reason, .. } if reason.contains("reset")), "{error:?}");
+    }
+}
+
+/// No sooner than asked; how much later is the machine's affair.
+#[test]
+fn answers_wait_as_long_as_asked() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("f"), "content").unwrap();
+    for (options, requests, least_ms) in
+        [(&["--latency-ms", "150"][..], 3, 450), (&["--jitter-ms", "100"], 10, 200), (&["--latency-ms", "0"], 1, 0)]
+    {
+        let server = Server::start(folder.path(), options);
+        let start = Instant::now();
+        assert!((0..requests).all(|_| server.ask("GET", "/f", "").2 == b"content"));
+        assert!(start.elapsed() >= Duration::from_millis(least_ms), "{options:?}: {:?}", start.elapsed());
+    }
+}
+
+#[test]
+fn a_stalled_answer_stops_half_way_and_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("f"), vec![b'x'; 1000]).unwrap();
+    let server = Server::start(folder.path(), &["--stall-rate", "1"]);
+    let mut stream = TcpStream::connect(&server.address).unwrap();
+    stream.write_all(b"GET /f HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
+    let mut answer = Vec::new();
+    while answer.iter().filter(|b| **b == b'x').count() < 500 {
+        let mut byte = [0];
+        stream.read_exact(&mut byte).unwrap();
+        answer.push(byte[0]);
+    }
+    assert!(String::from_utf8_lossy(&answer).contains("Content-Length: 1000"));
+    stream.set_read_timeout(Some(Duration::from_millis(300))).unwrap();
+    let kind = stream.read(&mut [0; 8]).unwrap_err().kind();
+    assert!(matches!(kind, std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut), "{kind:?}");
 }
 
 #[test]

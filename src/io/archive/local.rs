@@ -27,7 +27,7 @@ pub(crate) struct LocalArchive {
 impl LocalArchive {
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, IoError> {
         let uri = path.display().to_string();
-        let failed = |e: io::Error| failed(&uri, &e);
+        let failed = |e: io::Error| IoError::of_file(&uri, &e);
         let metadata = std::fs::metadata(path).map_err(failed)?;
         let mut file = File::open(path).map_err(failed)?;
         let length = metadata.len();
@@ -99,8 +99,8 @@ impl LocalArchive {
         else {
             return Ok(None);
         };
-        let mut file = File::open(&self.path).map_err(|e| failed(uri, &e))?;
-        let piece = read(&mut file, span).map_err(|e| failed(uri, &e))?;
+        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
+        let piece = read(&mut file, span).map_err(|e| IoError::of_file(uri, &e))?;
         let Some(member) = own_header(&piece, span.offset, name) else { return Ok(None) };
         check(uri, &member, limits)?;
         Ok(Some((member, piece)))
@@ -109,12 +109,12 @@ impl LocalArchive {
     fn by_directory(&self, uri: &str, name: &str, limits: &Limits) -> Result<(Member, Vec<u8>), IoError> {
         let member = self.find(uri, name, limits)?;
         let span = piece_of(uri, &member, self.place.offset, limits)?;
-        let mut file = File::open(&self.path).map_err(|e| failed(uri, &e))?;
-        let mut piece = read(&mut file, span).map_err(|e| failed(uri, &e))?;
+        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
+        let mut piece = read(&mut file, span).map_err(|e| IoError::of_file(uri, &e))?;
         let data = data_of(uri, &member, &piece)?;
         if data.end > piece.len() as u64 {
             let whole = Span { offset: span.offset, size: data.end };
-            piece = read(&mut file, inside(whole, self.place.offset)).map_err(|e| failed(uri, &e))?;
+            piece = read(&mut file, inside(whole, self.place.offset)).map_err(|e| IoError::of_file(uri, &e))?;
         }
         Ok((member, piece))
     }
@@ -132,8 +132,8 @@ impl LocalArchive {
             let (got, limit) = (self.place.size, limits.max_file_bytes);
             return Err(IoError::TooLarge { uri: uri.to_owned(), what: "directory of an archive", got, limit });
         }
-        let mut file = File::open(&self.path).map_err(|e| failed(uri, &e))?;
-        let bytes = read(&mut file, inside(self.place, self.length)).map_err(|e| failed(uri, &e))?;
+        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
+        let bytes = read(&mut file, inside(self.place, self.length)).map_err(|e| IoError::of_file(uri, &e))?;
         let directory = Directory::read(uri, bytes, self.place.offset, limits)?;
         Ok(self.directory.get_or_init(|| directory))
     }
@@ -150,11 +150,4 @@ pub(super) fn read(file: &mut File, span: Span) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(span.size as usize);
     file.take(span.size).read_to_end(&mut bytes)?;
     Ok(bytes)
-}
-
-pub(super) fn failed(uri: &str, error: &io::Error) -> IoError {
-    match error.kind() {
-        io::ErrorKind::NotFound => IoError::NotFound { uri: uri.to_owned() },
-        _ => IoError::File { uri: uri.to_owned(), reason: error.to_string() },
-    }
 }

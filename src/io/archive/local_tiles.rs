@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::SystemTime;
 
 use super::directory::Span;
-use super::local::{failed, inside, read};
+use super::local::{inside, read};
 use super::pmtiles::{
     HEAD_BYTES, KeptDirectories, MOST_DIRECTORIES, Step, TileDirectory, TileHeader, check_size, tile_id, too_deep,
 };
@@ -27,7 +27,7 @@ pub(crate) struct LocalTiles {
 impl LocalTiles {
     pub fn open(path: &Path, limits: &Limits) -> Result<Self, IoError> {
         let uri = path.display().to_string();
-        let failed = |e: io::Error| failed(&uri, &e);
+        let failed = |e: io::Error| IoError::of_file(&uri, &e);
         let metadata = std::fs::metadata(path).map_err(failed)?;
         let mut file = File::open(path).map_err(failed)?;
         let length = metadata.len();
@@ -91,8 +91,8 @@ impl LocalTiles {
     }
 
     fn span(&self, uri: &str, span: Span) -> Result<Vec<u8>, IoError> {
-        let mut file = File::open(&self.path).map_err(|e| failed(uri, &e))?;
-        let bytes = read(&mut file, inside(span, self.length)).map_err(|e| failed(uri, &e))?;
+        let mut file = File::open(&self.path).map_err(|e| IoError::of_file(uri, &e))?;
+        let bytes = read(&mut file, inside(span, self.length)).map_err(|e| IoError::of_file(uri, &e))?;
         if bytes.len() as u64 != span.size {
             return Err(IoError::invalid(uri, "the archive ends early"));
         }

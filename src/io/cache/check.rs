@@ -111,7 +111,7 @@ impl DiskCache {
     }
 
     fn failed(&self, error: &io::Error) -> IoError {
-        IoError::File { uri: self.folder().display().to_string(), reason: error.to_string() }
+        IoError::of_file(&self.folder().display().to_string(), error)
     }
 }
 
@@ -132,7 +132,7 @@ impl Left {
         };
         if let Err(e) = &removed {
             self.count += 1;
-            self.first.get_or_insert_with(|| IoError::File { uri: path.display().to_string(), reason: e.to_string() });
+            self.first.get_or_insert_with(|| IoError::of_file(&path.display().to_string(), e));
         }
         removed.is_ok()
     }
@@ -141,9 +141,9 @@ impl Left {
     fn end<T>(self, found: T) -> Result<T, IoError> {
         match self.first {
             None => Ok(found),
-            Some(IoError::File { uri, reason }) if self.count > 1 => {
+            Some(IoError::File { uri, reason, may_pass }) if self.count > 1 => {
                 let others = self.count - 1;
-                Err(IoError::File { uri, reason: format!("{reason} (and {others} others of the cache)") })
+                Err(IoError::File { uri, reason: format!("{reason} (and {others} others of the cache)"), may_pass })
             }
             Some(error) => Err(error),
         }

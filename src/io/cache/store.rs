@@ -90,7 +90,7 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl DiskCache {
     /// Opens a cache or begins one. A folder that holds other things is refused.
     pub fn open(config: &CacheConfig) -> Result<Self, IoError> {
-        let failed = |e: io::Error| IoError::File { uri: config.folder.display().to_string(), reason: e.to_string() };
+        let failed = |e: io::Error| IoError::of_file(&config.folder.display().to_string(), &e);
         let files = Files::open(&config.folder).map_err(failed)?;
         let max_bytes = files.limit(config.max_bytes).unwrap_or(DEFAULT_BYTES);
         Ok(Self {

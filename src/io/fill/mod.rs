@@ -194,11 +194,9 @@ impl Fill<'_> {
             Some(tileset) => self.tileset_in_its_places(&done.job, bytes, tileset),
             None => refuse_markup(&done.job.uri, &bytes),
         });
-        if let Some(cache) = client.cache()
-            && result.as_ref().is_err_and(IoError::is_no_content)
-        {
+        if result.as_ref().is_err_and(IoError::is_no_content) {
             // An error page, say: asked for again next time.
-            cache.forget(&done.job.uri);
+            client.forget(&done.job.uri);
         }
         match result {
             Ok(()) if done.job.is_again => {}

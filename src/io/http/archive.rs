@@ -8,6 +8,7 @@ use lru::LruCache;
 use reqwest::header::{ACCEPT_ENCODING, CONTENT_RANGE, ETAG, HeaderMap, HeaderValue, RANGE};
 
 use super::cached::{hit, keep_validators};
+use super::doubts::Doubts;
 use super::once::Once;
 use super::tiles::RemoteTiles;
 use super::{DECODED_HERE_BYTES, HttpBody, HttpClient, blocking, exchange};
@@ -23,7 +24,10 @@ const VOUCHES_FOR: Duration = Duration::from_secs(60);
 
 /// Directories by URL. Whoever needs one first reads it, the others wait for that.
 #[derive(Debug)]
-pub(super) struct Archives(Mutex<LruCache<String, Arc<Once<Arc<RemoteArchive>>>>>);
+pub(super) struct Archives {
+    read: Mutex<LruCache<String, Arc<Once<Arc<RemoteArchive>>>>>,
+    doubts: Doubts,
+}
 
 #[derive(Debug)]
 pub(super) struct RemoteArchive {
@@ -80,26 +84,44 @@ pub(super) struct RemoteZip {
 
 impl Archives {
     pub fn new() -> Self {
-        Self(Mutex::new(LruCache::new(KEPT_ARCHIVES)))
+        Self { read: Mutex::new(LruCache::new(KEPT_ARCHIVES)), doubts: Doubts::new() }
+    }
+
+    fn read(&self) -> MutexGuard<'_, LruCache<String, Arc<Once<Arc<RemoteArchive>>>>> {
+        self.read.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn cell(&self, url: &str) -> Arc<Once<Arc<RemoteArchive>>> {
-        let mut archives = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        archives.get_or_insert(url.to_owned(), Arc::default).clone()
+        self.read().get_or_insert(url.to_owned(), Arc::default).clone()
     }
 
     /// Lets those go that were not used for longest, until all have no more bytes than are kept.
     fn trim(&self) {
-        let mut archives = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut archives = self.read();
         archive::trim(&mut archives, KEPT_BYTES, |cell| cell.get().map_or(0, |archive| archive.bytes()));
     }
 
     /// Lets an archive go that turned out to be another one by now; what was read of that meanwhile stays.
     fn forget(&self, url: &str, archive: &RemoteArchive) {
-        let mut archives = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut archives = self.read();
         let read = archives.peek(url).and_then(|cell| cell.get());
         if read.is_some_and(|read| std::ptr::eq(&**read, archive)) {
             archives.pop(url);
+        }
+    }
+
+    /// A file of an archive turned out to be no content: its directory may be wrong, and is read anew now and then.
+    fn doubt(&self, url: &str, archive: &RemoteArchive) {
+        if self.doubts.count(url, Instant::now()) {
+            self.forget(url, archive);
+        }
+    }
+
+    /// The same, found out by whoever read the file.
+    pub fn doubt_any(&self, url: &str) {
+        let read = self.read().peek(url).and_then(|cell| cell.get()).cloned();
+        if let Some(archive) = read {
+            self.doubt(url, &archive);
         }
     }
 }
@@ -155,10 +177,14 @@ impl HttpClient {
             let hit = hit(cache, &entry, bytes, true);
             return Ok(HttpBody { network_bytes, asked: network_bytes > 0, ..hit });
         }
-        let (bytes, part) = match &archive.inside {
-            Inside::Zip(zip) => self.get_zipped(uri, (url, &name), (archive, zip), limits, &network_bytes).await?,
-            Inside::Tiles(tiles) => self.get_tile(uri, (url, &name), (archive, tiles), limits, &network_bytes).await?,
+        let got = match &archive.inside {
+            Inside::Zip(zip) => self.get_zipped(uri, (url, &name), (archive, zip), limits, &network_bytes).await,
+            Inside::Tiles(tiles) => self.get_tile(uri, (url, &name), (archive, tiles), limits, &network_bytes).await,
         };
+        if got.as_ref().is_err_and(IoError::is_no_content) {
+            self.inner.archives.doubt(url, archive);
+        }
+        let (bytes, part) = got?;
         if let Some(cache) = cache {
             self.keep_member(cache, uri, &part, &bytes).await;
         }

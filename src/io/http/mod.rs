@@ -3,6 +3,7 @@
 mod archive;
 mod cached;
 mod config;
+mod doubts;
 mod exchange;
 mod names;
 mod once;
@@ -143,6 +144,17 @@ impl HttpClient {
     /// The cache on disk, where there is one.
     pub fn cache(&self) -> Option<&Arc<DiskCache>> {
         self.inner.cache.as_ref()
+    }
+
+    /// What came for a URI turned out to be no content: the cache does not keep it, and an archive that it is in may have
+    /// been misread.
+    pub(crate) fn forget(&self, uri: &str) {
+        if let Some(cache) = self.cache() {
+            cache.forget(uri);
+        }
+        if let Some((url, _)) = split_url(uri) {
+            self.inner.archives.doubt_any(&url);
+        }
     }
 
     /// Waits until everything that came is in the cache.

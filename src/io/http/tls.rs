@@ -19,10 +19,7 @@ pub(super) fn root_certificates(files: &[PathBuf]) -> Result<Vec<Certificate>, I
 
 fn certificates(file: &Path) -> Result<Vec<Certificate>, IoError> {
     let uri = file.display().to_string();
-    let bytes = std::fs::read(file).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound => IoError::NotFound { uri: uri.clone() },
-        _ => IoError::File { uri: uri.clone(), reason: e.to_string() },
-    })?;
+    let bytes = std::fs::read(file).map_err(|e| IoError::of_file(&uri, &e))?;
     let bad = |e: &dyn std::fmt::Display| IoError::invalid(&uri, format!("no certificate: {e}"));
     let ders = CertificateDer::pem_slice_iter(&bytes).collect::<Result<Vec<_>, Error>>().map_err(|e| bad(&e))?;
     if ders.is_empty() {

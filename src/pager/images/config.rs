@@ -7,7 +7,7 @@ use crate::io::Limits;
 /// Sizes and patience of an [`ImagePager`](super::ImagePager).
 #[derive(Clone, Debug)]
 pub struct ImagePagerConfig {
-    /// Threads that read and decode. One server has one less at once, so that one that hangs does not stop everything.
+    /// Threads that read files and decode; each server may have as many requests.
     pub threads: usize,
     /// Images from files that may be decoded or under way at once.
     pub max_images: usize,
@@ -17,7 +17,8 @@ pub struct ImagePagerConfig {
     pub expiry: Duration,
     /// Wait before a failure that may pass is tried again, while somebody looks; doubled each time, up to five minutes.
     pub retry_after: Duration,
-    /// Tries of a URI in all; `None` for no end of them: a network that was away for long is found when it comes back.
+    /// Tries of a URI in all; `None` for no end of them: a network that was away for long is found when it comes back. Of
+    /// those that fail with what mostly stays ([`IoError::is_doubtful`](crate::io::IoError::is_doubtful)) there are five.
     pub max_tries: Option<u32>,
     /// How much is accepted from outside.
     pub limits: Limits,

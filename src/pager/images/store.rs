@@ -9,7 +9,7 @@ use super::sequence::{ImageSequence, SequenceImage};
 use super::threads::{Loaded, Threads};
 use crate::io::IoError;
 use crate::pager::stats::Errors;
-use crate::pager::tries::wait_after;
+use crate::pager::tries::Tries;
 use crate::pager::{ErrorRecord, PagerError};
 use crate::scene::Texture;
 use crate::state::TextureObject;
@@ -46,7 +46,7 @@ enum State {
 /// An image from a file, for all sequences that name it.
 struct Slot {
     state: State,
-    tries: u32,
+    tries: Tries,
     /// Of the image when it was last there; `None` before.
     size_bytes: Option<u64>,
     /// Number of the update that last wanted it.
@@ -186,7 +186,7 @@ impl ImagePager {
                 if let SequenceImage::File(uri) = &image {
                     let slot = self.slots.entry(uri.clone()).or_insert_with(|| Slot {
                         state: State::Waiting,
-                        tries: 0,
+                        tries: Tries::default(),
                         size_bytes: None,
                         wanted: 0,
                         wanted_at: now,
@@ -253,7 +253,7 @@ impl ImagePager {
             self.let_go(&uri);
         }
         for slot in self.slots.values_mut() {
-            if matches!(slot.state, State::Waiting) && slot.wanted != updates && slot.tries > 0 {
+            if matches!(slot.state, State::Waiting) && slot.wanted != updates && !slot.tries.is_none() {
                 slot.state = State::Failed { retry_at: Some(now) };
             }
         }
@@ -348,7 +348,7 @@ impl ImagePager {
         match image {
             Ok(image) => {
                 let bytes = bytes_of(&image);
-                (slot.tries, slot.size_bytes) = (0, Some(bytes));
+                (slot.tries, slot.size_bytes) = (Tries::default(), Some(bytes));
                 if matches!(slot.state, State::Loaded(_)) {
                     return;
                 }
@@ -364,11 +364,9 @@ impl ImagePager {
             Err(error) => {
                 self.stats.failed += 1;
                 self.errors.add(&error);
-                slot.tries = slot.tries.saturating_add(1);
-                let again = error.is_transient() && self.config.max_tries.is_none_or(|most| slot.tries < most);
-                let wait = wait_after(self.config.retry_after, slot.tries, &error);
+                let wait = slot.tries.fail(&error, self.config.retry_after, self.config.max_tries);
                 // Beyond what the clock knows it is never.
-                slot.state = State::Failed { retry_at: Instant::now().checked_add(wait).filter(|_| again) };
+                slot.state = State::Failed { retry_at: wait.and_then(|wait| Instant::now().checked_add(wait)) };
             }
         }
     }
@@ -437,7 +435,7 @@ impl ImagePager {
 mod tests {
     use super::*;
 
-    fn pager_with(uri: &Arc<str>, state: State, tries: u32) -> ImagePager {
+    fn pager_with(uri: &Arc<str>, state: State, tries: Tries) -> ImagePager {
         let mut pager = ImagePager::new(ImagePagerConfig::default()).unwrap();
         let now = Instant::now();
         let (size_bytes, due_s) = (None, 0.0);
@@ -450,7 +448,7 @@ mod tests {
     #[test]
     fn what_comes_and_goes_between_two_lists_is_asked_for_again() {
         let uri: Arc<str> = "a.png".into();
-        let mut pager = pager_with(&uri, State::Waiting, 0);
+        let mut pager = pager_with(&uri, State::Waiting, Tries::default());
         pager.threads.lock().taken.push(uri.clone());
         let image = Texture { width: 1, height: 1, mips: vec![vec![1; 4]], wrap: Default::default() };
         pager.arrive(Loaded { uri: uri.clone(), image: Some(Ok(image.into())), bytes_read: 4 });
@@ -488,16 +486,60 @@ mod tests {
         assert_eq!(pager.bytes, 21_844, "the one of the moment");
     }
 
+    /// Each of them had all threads but one, so that two had all.
+    #[cfg(feature = "http")]
+    #[test]
+    fn servers_that_hang_hold_up_no_file_and_no_other_server() {
+        use std::io::{Read as _, Write as _};
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.png");
+        image::RgbImage::new(8, 8).save(&file).unwrap();
+        let image = std::fs::read(&file).unwrap();
+        let listen = || std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        // Connections wait to be taken for ever.
+        let hung: Vec<_> = (0..5).map(|_| listen()).collect();
+        let well = listen();
+        let url = |server: &std::net::TcpListener, k: u32| format!("http://{}/{k}.png", server.local_addr().unwrap());
+        let long = Duration::from_secs(1000);
+        let http = crate::io::HttpConfig { first_byte_timeout: long, total_timeout: long, ..Default::default() };
+        let mut pager = ImagePager::new(ImagePagerConfig { http, ..ImagePagerConfig::default() }).unwrap();
+        let files = hung.iter().map(|server| (0..9).map(|k| url(server, k)).collect());
+        let files: Vec<Vec<String>> = files.chain([vec![file.display().to_string()], vec![url(&well, 0)]]).collect();
+        let sequences: Vec<_> = files.into_iter().map(|files| ImageSequence::from_files("test", files)).collect();
+        let _used: Vec<_> = sequences.iter().map(ImageSequence::texture).collect();
+        sequences[..5].iter().for_each(|sequence| pager.add(sequence));
+        let until = Instant::now() + Duration::from_secs(60);
+        let update_until = |is_so: &dyn Fn(&ImagePagerStats) -> bool, pager: &mut ImagePager| {
+            while !is_so(&pager.stats) {
+                assert!(Instant::now() < until, "{:?}", pager.stats);
+                pager.update(0.0);
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        };
+        update_until(&|stats| stats.in_flight >= 3, &mut pager);
+        sequences[5..].iter().for_each(|sequence| pager.add(sequence));
+        std::thread::spawn(move || {
+            let (mut stream, _) = well.accept().unwrap();
+            let _ = stream.read(&mut [0; 4096]).unwrap();
+            let head = format!("HTTP/1.1 200 OK\r\nContent-Length: {}\r\n\r\n", image.len());
+            stream.write_all(&[head.as_bytes(), &image].concat()).unwrap();
+        });
+        update_until(&|stats| stats.shown == 2, &mut pager);
+        assert_eq!(pager.stats.failed, 0);
+    }
+
     #[test]
     fn tries_are_not_forgotten_while_nobody_wants_an_image() {
         let uri: Arc<str> = "a.png".into();
         let now = Instant::now();
+        let mut tries = Tries::default();
+        tries.fail(&IoError::NotFound { uri: uri.to_string() }, Duration::ZERO, None);
         let is_to_be_tried = |pager: &ImagePager| {
             let slot = &pager.slots[&uri];
-            slot.tries == 2 && matches!(slot.state, State::Failed { retry_at: Some(at) } if at <= now)
+            slot.tries == tries && matches!(slot.state, State::Failed { retry_at: Some(at) } if at <= now)
         };
         for state in [State::Failed { retry_at: Some(now) }, State::Waiting] {
-            let mut pager = pager_with(&uri, state, 2);
+            let mut pager = pager_with(&uri, state, tries);
             for _ in 0..3 {
                 pager.updates += 1;
                 pager.page_out(now);
