@@ -22,7 +22,7 @@ fn tile(level: u32, x: u32, y: u32, of_its_own: bool) -> String {
     let [east, north] = [x + 1, y + 1].map(|i| (f64::from(i) * degrees).to_radians());
     let region = format!(r#""boundingVolume":{{"region":[{west},{south},{east},{north},0,100]}},"geometricError":9"#);
     if level == 1 && x == 1 && !of_its_own {
-        return format!(r#"{{{region},"content":{{"uri":"east{y}.json"}}}}"#);
+        return format!(r#"{{{region},"content":{{"uri":"east{y}EXTENSION"}}}}"#);
     }
     let children: Vec<String> =
         (0..4).filter(|_| level < 3).map(|i| tile(level + 1, 2 * x + i % 2, 2 * y + i / 2, false)).collect();
@@ -30,8 +30,14 @@ fn tile(level: u32, x: u32, y: u32, of_its_own: bool) -> String {
 }
 
 fn set() -> Server {
-    Server::start(|r| {
+    set_called(".json")
+}
+
+/// Whose inner tilesets have names that end so.
+fn set_called(extension: &'static str) -> Server {
+    Server::start(move |r| {
         let tileset = |root: String| {
+            let root = root.replace("EXTENSION", extension);
             Reply::ok(format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{root}}}"#))
                 .with("ETag", "\"t\"")
         };
@@ -40,8 +46,8 @@ fn set() -> Server {
         }
         match r.path() {
             "/set/tileset.json" => tileset(tile(0, 0, 0, false)),
-            "/set/east0.json" => tileset(tile(1, 1, 0, true)),
-            "/set/east1.json" => tileset(tile(1, 1, 1, true)),
+            path if path == format!("/set/east0{extension}") => tileset(tile(1, 1, 0, true)),
+            path if path == format!("/set/east1{extension}") => tileset(tile(1, 1, 1, true)),
             path if path.ends_with(".glb") => {
                 Reply::ok(path.repeat(50)).with("ETag", "\"t\"").with("Cache-Control", "max-age=1000")
             }
@@ -80,6 +86,28 @@ fn all_of_a_set_and_again() {
     assert_eq!(server.count() as u64, 2 * (CONTENTS + TILESETS));
     let verified = DiskCache::open(&CacheConfig::new(folder.path())).unwrap().verify().unwrap();
     assert_eq!((verified.broken, verified.orphans), (0, 0));
+}
+
+/// The fill ended at them, as at contents.
+#[test]
+fn tilesets_are_filled_whatever_they_are_called() {
+    for extension in ["", ".tileset", ".v2"] {
+        let (server, folder) = (set_called(extension), tempfile::tempdir().unwrap());
+        let all = FillOptions::default();
+        let first = filled(&server, folder.path(), &all);
+        assert_eq!((first.fetched, first.failed), (CONTENTS + TILESETS, 0), "{extension}");
+        let again = filled(&server, folder.path(), &all);
+        assert_eq!((again.kept, again.bytes), (CONTENTS + TILESETS, 0), "{extension}");
+        // What lies above the levels leads to them.
+        let (server, folder) = (set_called(extension), tempfile::tempdir().unwrap());
+        filled(&server, folder.path(), &FillOptions { levels: 3..=3, ..FillOptions::default() });
+        let east =
+            |path: &String| path.starts_with("3/") && path.split('/').nth(1).unwrap().parse::<u32>().unwrap() >= 4;
+        assert_eq!(paths(&server).iter().filter(|path| east(path)).count(), 0, "their roots are one level below");
+        let deeper = filled(&server, folder.path(), &FillOptions { levels: 4..=4, ..FillOptions::default() });
+        assert_eq!(deeper.fetched, 32);
+        assert_eq!(paths(&server).iter().filter(|path| east(path)).count(), 32, "{extension}");
+    }
 }
 
 /// It counted as unused since it came, and went before what nobody asked for.

@@ -273,6 +273,18 @@ fn tilesets_that_name_each_other_often_end() {
     assert_eq!((info.failed, info.errors.len()), (10_000, 1000));
 }
 
+/// One was read as a content: what is below it was not.
+#[test]
+fn all_of_a_set_is_verified_whatever_its_tilesets_are_called() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, content) in [("tileset.json", "inner"), ("inner", "deeper.v1"), ("deeper.v1", "missing.glb")] {
+        std::fs::write(folder.path().join(name), tileset(SPHERE, "1", content)).unwrap();
+    }
+    let verified = verify(folder.path().to_str().unwrap(), &Limits::default(), &mut |_| {}).unwrap();
+    assert_eq!((verified.contents, verified.failed), (1, 1));
+    assert!(verified.errors[0].uri.ends_with("missing.glb"), "{verified:?}");
+}
+
 #[test]
 fn tilesets_that_contain_themselves_end() {
     let folder = tempfile::tempdir().unwrap();

@@ -165,6 +165,17 @@ pub(crate) fn is_tileset(uri: &str, bytes: &[u8], limits: &Limits) -> bool {
     is_text(bytes)
 }
 
+/// True for names that do not say that they are no tileset's.
+pub(crate) fn may_be_tileset(uri: &str) -> bool {
+    const OTHERS: [&str; 16] = [
+        "glb", "gltf", "b3dm", "i3dm", "pnts", "cmpt", "subtree", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2",
+        "terrain", "bin",
+    ];
+    let path = uri.split(['?', '#']).next().unwrap_or(uri);
+    let extension = path.rsplit('/').next().and_then(|name| name.rsplit_once('.')).map(|(_, extension)| extension);
+    extension.is_none_or(|extension| !OTHERS.iter().any(|other| extension.eq_ignore_ascii_case(other)))
+}
+
 /// Pages for people begin as no content does.
 pub(crate) fn refuse_markup(uri: &str, bytes: &[u8]) -> Result<(), IoError> {
     match first_of_text(bytes).1 {

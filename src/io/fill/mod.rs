@@ -16,7 +16,7 @@ use super::{
     CacheStats, Content, HttpClient, HttpConfig, IoError, Limits, ReadOptions, RootScope, companions, decode_node,
     http, is_remote, root_uri, shown,
 };
-use crate::io::read::refuse_markup;
+use crate::io::read::{is_tileset, may_be_tileset, refuse_markup};
 use crate::io::tileset::TILE_OF_SEVERAL;
 use crate::math::{BoundingVolume, Region};
 use crate::scene::{Node, NodeKind};
@@ -78,6 +78,8 @@ struct Tileset {
 struct Job {
     uri: Arc<str>,
     tileset: Option<Tileset>,
+    /// Its name does not say what it is: where it lies if it is a tileset.
+    maybe: Option<Box<Tileset>>,
     /// It was counted: a tileset that is met in another place once more.
     is_again: bool,
 }
@@ -87,7 +89,7 @@ type Place = (Arc<str>, u32, [u64; 12]);
 
 struct Done {
     job: Job,
-    /// The bytes of a tileset; empty for others.
+    /// The bytes of what is a tileset, or may be one; empty for others.
     result: Result<Vec<u8>, IoError>,
     was_kept: bool,
     network_bytes: u64,
@@ -192,7 +194,7 @@ impl Fill<'_> {
         self.filled.bytes += done.network_bytes;
         let result = done.result.and_then(|bytes| match &done.job.tileset {
             Some(tileset) => self.tileset_in_its_places(&done.job, bytes, tileset),
-            None => refuse_markup(&done.job.uri, &bytes),
+            None => self.content(&done.job, bytes),
         });
         if result.as_ref().is_err_and(IoError::is_no_content) {
             // An error page, say: asked for again next time.
@@ -218,10 +220,23 @@ impl Fill<'_> {
         }
     }
 
-    fn push(&mut self, uri: Arc<str>) {
+    fn push(&mut self, uri: Arc<str>, maybe: Option<Box<Tileset>>) {
         if self.seen.insert(uri.clone()) {
             self.filled.found += 1;
-            self.jobs.push(Job { uri, tileset: None, is_again: false });
+            self.jobs.push(Job { uri, tileset: None, maybe, is_again: false });
+        }
+    }
+
+    /// What is not called a tileset may be one; of several places it has the first.
+    fn content(&mut self, job: &Job, bytes: Vec<u8>) -> Result<(), IoError> {
+        refuse_markup(&job.uri, &bytes)?;
+        match &job.maybe {
+            Some(tileset)
+                if !tileset.chain.contains(&job.uri) && is_tileset(&job.uri, &bytes, &self.options.limits) =>
+            {
+                self.tileset(&job.uri, bytes, tileset).map(drop)
+            }
+            _ => Ok(()),
         }
     }
 
@@ -241,7 +256,7 @@ impl Fill<'_> {
             places.push(tileset);
             return;
         }
-        self.jobs.push(Job { uri, tileset: Some(tileset), is_again: !is_new });
+        self.jobs.push(Job { uri, tileset: Some(tileset), maybe: None, is_again: !is_new });
     }
 
     fn tileset_in_its_places(&mut self, job: &Job, bytes: Vec<u8>, tileset: &Tileset) -> Result<(), IoError> {
@@ -298,11 +313,18 @@ impl Fill<'_> {
                 if !self.is_wanted(&tile.bounds, tileset) {
                     return 1;
                 }
-                if let Some(uri) = tile.content.as_ref().filter(|_| self.options.levels.contains(&tileset.level)) {
-                    for companion in companions(uri, tile.reader_data.as_ref()) {
-                        self.push(companion);
+                if let Some(uri) = &tile.content {
+                    let maybe = may_be_tileset(uri).then(|| {
+                        let (level, world) = (tileset.level + 1, tileset.world * tile.content_transform);
+                        Box::new(Tileset { level, world, chain: tileset.chain.clone() })
+                    });
+                    // What lies above the levels may lead to them.
+                    if maybe.is_some() || self.options.levels.contains(&tileset.level) {
+                        for companion in companions(uri, tile.reader_data.as_ref()) {
+                            self.push(companion, None);
+                        }
+                        self.push(uri.clone(), maybe);
                     }
-                    self.push(uri.clone());
                 }
             }
             NodeKind::ProxyNode(proxy) => {
@@ -327,9 +349,9 @@ impl Fill<'_> {
 async fn fetch(client: &HttpClient, job: Job, limits: &Limits, refresh: bool) -> Done {
     if !refresh {
         // A tileset has to be read, of others it is enough that they are there.
-        let kept = match job.tileset {
-            Some(_) => client.kept(&job.uri, limits).await,
-            None => client.is_kept(&job.uri).await.then(Vec::new),
+        let kept = match (&job.tileset, &job.maybe) {
+            (None, None) => client.is_kept(&job.uri).await.then(Vec::new),
+            _ => client.kept(&job.uri, limits).await,
         };
         if let Some(bytes) = kept {
             return Done { job, result: Ok(bytes), was_kept: true, network_bytes: 0 };
