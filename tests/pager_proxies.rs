@@ -104,6 +104,25 @@ fn proxies_are_loaded_when_they_say() {
     }
 }
 
+#[test]
+fn a_proxy_without_bounds_has_those_of_what_it_loads() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut node = nodes(folder.path()).swap_remove(2);
+    let NodeKind::ProxyNode(proxy) = &mut node.kind else { panic!("a proxy") };
+    proxy.bounds = BoundingSphere::EVERYTHING;
+    let page = Page::from_node(Node::group(vec![node])).unwrap();
+    let mut run = Run::of_page(page, folder.path().to_str().unwrap(), PagerConfig::default());
+    // It looks down, and what is to be loaded is above it.
+    run.settle(DVec3::ZERO);
+    assert_eq!(states_in(&run.scene, run.scene.roots()[0]), ["there"]);
+    assert_eq!(run.stage.leaf_count(), 0);
+    run.frame(DVec3::new(0.0, 0.0, 110.0));
+    assert_eq!(run.stage.leaf_count(), 1);
+    run.frame(DVec3::new(0.0, 500.0, 110.0));
+    assert_eq!(run.stage.leaf_count(), 0);
+    assert_eq!(run.pager.stats().expired, 0, "it is in use");
+}
+
 /// Nothing asked for them again: no camera sees them.
 #[test]
 fn what_no_camera_asks_for_comes_back() {

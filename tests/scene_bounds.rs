@@ -211,3 +211,26 @@ fn a_page_that_is_taken_out_takes_fitted_bounds_along() {
     scene.compute_bounds();
     assert_eq!(scene.page(again).unwrap().fitted_spheres(), fitted);
 }
+
+#[test]
+fn levels_of_detail_are_around_what_they_hold() {
+    let place = DAffine3::from_translation(DVec3::new(100.0, 20.0, 0.0));
+    let children = vec![Node::transform(place, vec![Node::geode(vec![cube(DVec3::new(0.0, 0.0, 5.0), 1.0)])])];
+    let lod = Node::lod(vec![[0.0, 50.0]], children);
+    let center = match &lod.kind {
+        NodeKind::Lod { center, .. } => *center,
+        other => panic!("{other:?}"),
+    };
+    assert!(center.distance(DVec3::new(100.0, 20.0, 5.0)) < 1e-3, "{center}");
+    assert!(lod.bounding_sphere().center.distance(center) < 1e-3);
+    let mut scene = Scene::new();
+    scene.add_root(page(lod, 0));
+    let seen = |eye: DVec3| {
+        let mut stage = RenderStage::new();
+        CullVisitor::new().cull(&scene, &look_at(eye, center, DVec3::Z), &mut stage);
+        stage.leaf_count()
+    };
+    assert_eq!([seen(center + DVec3::X * 49.0), seen(center + DVec3::X * 51.0)], [1, 0]);
+    let empty = Node::lod(vec![[0.0, 50.0]], vec![Node::group(vec![])]);
+    assert!(matches!(empty.kind, NodeKind::Lod { center: DVec3::ZERO, .. }));
+}

@@ -17,6 +17,9 @@ impl BoundingSphere {
     /// The sphere that holds nothing.
     pub const EMPTY: Self = Self { center: DVec3::ZERO, radius_m: -1.0 };
 
+    /// The sphere that holds everything: what declares it is seen from anywhere.
+    pub const EVERYTHING: Self = Self { center: DVec3::ZERO, radius_m: f64::INFINITY };
+
     /// A sphere from its centre and radius.
     pub const fn new(center: DVec3, radius_m: f64) -> Self {
         Self { center, radius_m }

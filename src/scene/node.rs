@@ -134,7 +134,9 @@ pub enum RangeMode {
 /// A tile of a paged tree. Its children in [`Node::children`] are tiles (or proxies) too.
 #[derive(Clone, Debug)]
 pub struct PagedLod {
-    /// Declared volume in the page's tile frame; never dirtied by what is loaded.
+    /// Declared volume in the page's tile frame; never dirtied by what is loaded (OSG's USER_DEFINED_CENTER). Where nobody
+    /// knows it, [`BoundingSphere::EVERYTHING`]: the content is asked for from anywhere, and culled by bounds of its own
+    /// once it is there.
     pub bounds: BoundingVolume,
     /// When the children are wanted.
     pub range_mode: RangeMode,
@@ -195,7 +197,9 @@ impl PagingOptions {
 pub struct ProxyNode {
     /// Absolute URI of what is loaded.
     pub uri: Arc<str>,
-    /// Declared bound in the node's frame.
+    /// Declared bound in the node's frame (OSG's USER_DEFINED_CENTER). Where nobody knows it,
+    /// [`BoundingSphere::EVERYTHING`] (OSG's USE_BOUNDING_SPHERE_CENTER): seen from anywhere until it is loaded, from then
+    /// on culled by the bounds of what is there.
     pub bounds: BoundingSphere,
     /// Node-from-content map.
     pub content_transform: DAffine3,
@@ -240,6 +244,21 @@ impl Node {
     /// A transform over children.
     pub fn transform(parent_from_child: DAffine3, children: Vec<Node>) -> Self {
         Self { children, ..Self::new(NodeKind::Transform(parent_from_child)) }
+    }
+
+    /// Levels of detail by the distance from the middle of what they hold; OSG's LOD as it comes
+    /// (USE_BOUNDING_SPHERE_CENTER). `ranges_m[i]` is that of child i, `[min, max)`.
+    pub fn lod(ranges_m: Vec<[f64; 2]>, children: Vec<Node>) -> Self {
+        let group = Self::group(children);
+        let sphere = group.bounding_sphere();
+        let center = if sphere.is_empty() || !sphere.center.is_finite() { DVec3::ZERO } else { sphere.center };
+        Self { kind: NodeKind::Lod { center, ranges_m }, ..group }
+    }
+
+    /// A sphere around all that is below the node, in the frame that the node is in; empty where nothing has a bound, or
+    /// where the graph is one that no page can be made of. Looks at the whole graph.
+    pub fn bounding_sphere(&self) -> BoundingSphere {
+        super::Page::from_node(self.clone()).map_or(BoundingSphere::EMPTY, |page| page.bounding_sphere())
     }
 
     /// A camera over children.
