@@ -103,7 +103,7 @@ fn drawn(rig: &mut Rig, cases: &[(BlendFunc, BlendEquation)]) -> Vec<[u8; 4]> {
     rig.release(scene);
     let errors = rig.renderer.take_errors();
     assert!(errors.is_empty(), "{errors:?}");
-    let picture = picture.expect("a picture comes back").rgba;
+    let picture = picture.expect("a picture comes back").texels;
     let px = |place: f32| (0.5 * (place + 1.0) * SIDE as f32) as usize;
     let at = |at: usize| (px(-center(at / ACROSS)) * SIDE as usize + px(center(at % ACROSS))) * 4;
     (0..cases.len()).map(|case| std::array::from_fn(|i| picture[at(case) + i])).collect()

@@ -161,7 +161,7 @@ fn planes_wrap_each_axis_in_the_fixed_function() {
     let texels = [RED, GREEN, BLUE, [255; 4]].concat();
     let texture = TextureObject::image("quarters", [2, 2], texels.clone());
     // Three copies each way, in the middle of the picture the texture itself.
-    let coordinates = TexGen::ObjectLinear([[3.0, 0.0, 0.0, 0.5], [0.0, -3.0, 0.0, 0.5]]);
+    let coordinates = TexGen::ObjectLinear(TexGen::planes([3.0, 0.0, 0.0, 0.5], [0.0, -3.0, 0.0, 0.5]));
     let modes = [WrapMode::ClampToEdge, WrapMode::Repeat, WrapMode::Mirror];
     for (s, t) in modes.into_iter().flat_map(|s| modes.map(|t| (s, t))) {
         let set = unlit(&texture, Sampler { wrap: [s, t, WrapMode::Repeat], ..NEAREST });
