@@ -12,7 +12,8 @@ use std::sync::Arc;
 use fuzz_support::Parser;
 use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
 use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode, inspect};
-use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_pmtiles};
+use terrane::io::{RootScope, is_http, resolve, root_uri};
+use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_index, fuzz_pmtiles, fuzz_url};
 use terrane::viewer::{AnimationPath, Arrangement, DisplaySettings};
 
 fn limits() -> Limits {
@@ -132,7 +133,11 @@ fn gltf_json() -> Parser {
     let gltf = format!(
         r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"translation":[1,2,3],"rotation":[0,0,0,1],"scale":[1,2,1]}},{{"mesh":0,"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"mode":4,"material":0}}]}}],"materials":[{{"doubleSided":true,"alphaMode":"MASK","alphaCutoff":0.3,"pbrMetallicRoughness":{{"baseColorFactor":[1,0.5,0,1]}}}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}},{{"bufferView":1,"componentType":5121,"count":3,"type":"SCALAR"}}],"bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":3}}],"buffers":[{{"byteLength":40,"uri":"data:application/octet-stream;base64,{uri}"}}]}}"#
     );
-    Parser::new("gltf", [gltf.into_bytes()], |bytes| content(bytes, None, Vec::new()))
+    // A node that says what it hides.
+    let occluder = r#""extras":{"terrane":{"occluder":{"corners":[[0,0,0],[4,0,0],[4,4,0],[0,4,0]],"holes":[[[1,1,0],[2,1,0],[2,2,0]]]}}},"mesh":0,"#;
+    let occluding = gltf.replacen(r#""mesh":0,"#, occluder, 1);
+    assert_ne!(occluding, gltf);
+    Parser::new("gltf", [gltf, occluding], |bytes| content(bytes, None, Vec::new()))
 }
 
 fn b3dm() -> Parser {
@@ -224,6 +229,85 @@ fn archive() -> Parser {
             }
         }
         std::fs::remove_file(&path).unwrap();
+    })
+}
+
+/// Small archives have their directory at hand, and need no index.
+fn archive_index() -> Parser {
+    use std::io::Write as _;
+    let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for name in ["tileset.json", "a/b.glb"] {
+        writer.start_file(name, options).unwrap();
+        writer.write_all(b"a content").unwrap();
+    }
+    let bytes = writer.finish().unwrap().into_inner();
+    let second = 1 + bytes[1..].windows(4).position(|w| w == b"PK\x03\x04").unwrap() as u64;
+    let mut entries = [(TILESET_HASH, 0), (GLB_HASH, second)];
+    let key = |hash: [u8; 16]| [0, 8].map(|at| u64::from_le_bytes(hash[at..at + 8].try_into().unwrap()));
+    entries.sort_by_key(|(hash, _)| key(*hash));
+    let mut writer = zip::ZipWriter::new_append(std::io::Cursor::new(bytes)).unwrap();
+    writer.start_file("@3dtilesIndex1@", options).unwrap();
+    for (hash, offset) in entries {
+        writer.write_all(&[&hash[..], &u64::to_le_bytes(offset)].concat()).unwrap();
+    }
+    let seed = writer.finish().unwrap().into_inner();
+    assert!(fuzz_index(&seed));
+    Parser::new("archive-index", [seed], |bytes| {
+        fuzz_index(bytes);
+    })
+}
+
+/// MD5 of `tileset.json` and of `a/b.glb`.
+const TILESET_HASH: [u8; 16] =
+    [0xc0, 0x9b, 0xde, 0xa7, 0xe7, 0x45, 0x89, 0x4f, 0x49, 0x9a, 0x75, 0x17, 0xdb, 0x9a, 0x77, 0x09];
+const GLB_HASH: [u8; 16] =
+    [0xc0, 0xfd, 0x87, 0xfb, 0xad, 0x28, 0x7f, 0x84, 0xf1, 0x1f, 0x29, 0x70, 0xdf, 0x90, 0x55, 0x41];
+
+/// A base and a reference, a line each.
+fn uris() -> Parser {
+    let seeds = [
+        "http://h/set/tileset.json?key=1&b=2\n../a%20b.glb?key=3#f",
+        "https://user:word@h:8080/a.3tz/tileset.json\nb/c.3TZ?token=x",
+        "s3://bucket/set/tileset.json\n../other/%2e%2e/a.glb",
+        "/data/set/sub/tileset.json\n../a%20b.glb?x=1",
+        "http:///h\\x/\nhttp://a@b@c/d?e&f=g",
+        "az://bucket/a.zip/b.zip/c\n//other/key",
+    ];
+    Parser::new("uris", seeds, |bytes| {
+        let text = String::from_utf8_lossy(bytes);
+        let (base, reference) = text.split_once('\n').unwrap_or((&text, "a.glb"));
+        for uri in [base, reference] {
+            fuzz_url(uri);
+        }
+        match root_uri(base) {
+            Ok(uri) => {
+                fuzz_url(&uri);
+                assert_eq!(root_uri(&uri).as_deref(), Ok(&*uri));
+            }
+            Err(error) => assert!(!error.reason().is_empty()),
+        }
+        for scope in [RootScope::of("http://h/a"), RootScope::of("s3://bucket/a"), RootScope::of("/data/set/t.json")] {
+            match (resolve(base, reference, &scope), &scope) {
+                (Ok(uri), RootScope::Http) => {
+                    fuzz_url(&uri);
+                    assert!(is_http(&uri), "{uri}");
+                    let is_safe = |uri: &str| uri.to_ascii_lowercase().starts_with("https:");
+                    assert!(is_safe(&uri) || !is_safe(base), "{base:?} {reference:?} {uri}");
+                }
+                (Ok(uri), RootScope::Bucket(bucket)) => {
+                    fuzz_url(&uri);
+                    let key = uri.strip_prefix(bucket.as_str());
+                    assert!(key.is_some_and(|key| key.is_empty() || key.starts_with('/')), "{uri}");
+                }
+                (Ok(uri), RootScope::Folder(folder)) => {
+                    let path = std::path::Path::new(&*uri);
+                    let climbs = path.components().any(|part| part == std::path::Component::ParentDir);
+                    assert!(path.starts_with(folder) && (!climbs || base.contains("..")), "{base:?} {uri}");
+                }
+                (Err(error), _) => assert!(!error.reason().is_empty()),
+            }
+        }
     })
 }
 
@@ -352,6 +436,8 @@ parsers! {
     imagery,
     gzip,
     archive,
+    archive_index,
+    uris,
     pmtiles,
     camera_path,
     arrangements,

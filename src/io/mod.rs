@@ -31,6 +31,8 @@ mod verify;
 pub mod write;
 
 #[doc(hidden)]
+pub use archive::fuzz_index;
+#[doc(hidden)]
 pub use archive::pmtiles::fuzz_pmtiles;
 pub use cache::CacheStats;
 #[cfg(feature = "http")]
@@ -60,6 +62,9 @@ pub use info::inspect_with;
 pub use info::{BoundsInfo, Info, InfoError, LevelInfo, inspect};
 pub use read::{Content, DECODER_PANICKED, Fetched, ReadOptions, companions, decode, decode_node};
 pub(crate) use source::Source;
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub use uri::fuzz_url;
 #[cfg(feature = "http")]
 pub(crate) use uri::server;
 pub use uri::{RootScope, is_http, is_remote, is_store, resolve, root_uri, shown};

@@ -68,8 +68,12 @@ pub fn shown(uri: &str) -> Cow<'_, str> {
         return Cow::Borrowed(uri);
     }
     let (path, query) = uri.split_once('?').map_or((uri, None), |(path, query)| (path, Some(query)));
+    let query = query.and_then(|query| query.split('#').next());
     let start = path.find("://").map_or(0, |at| at + 3);
-    let end = path[start..].find('/').map_or(path.len(), |at| start + at);
+    // Slashes before the name are passed over, as clients do.
+    let start = path.len() - path[start..].trim_start_matches(['/', '\\', '\t', '\n', '\r']).len();
+    let ends: &[char] = if is_http(uri) { &['/', '\\', '#'] } else { &['/', '#'] };
+    let end = path[start..].find(ends).map_or(path.len(), |at| start + at);
     let user = path[start..end].rfind('@');
     if query.is_none() && user.is_none() {
         return Cow::Borrowed(uri);
@@ -217,6 +221,28 @@ fn bad(uri: &str, reason: impl Into<String>) -> IoError {
     IoError::Uri { uri: uri.to_owned(), reason: reason.into() }
 }
 
+/// What is done with addresses of servers besides [`resolve`]: for tests.
+#[cfg(feature = "http")]
+#[doc(hidden)]
+pub fn fuzz_url(uri: &str) {
+    let (shown, split) = (shown(uri), super::archive::split_url(uri));
+    if !is_remote(uri) {
+        return;
+    }
+    assert!(uri.starts_with(server(uri)));
+    if let Some((archive, _)) = split {
+        assert_eq!(server(&archive), server(uri));
+    }
+    // Neither a password nor a token is left of what a client takes.
+    if url::Url::parse(uri).is_ok()
+        && let Ok(url) = url::Url::parse(&shown)
+    {
+        assert!(url.username().is_empty() && url.password().is_none(), "{uri:?}: {shown}");
+        let query = url.query().unwrap_or_default();
+        assert!(query.split('&').all(|pair| pair.is_empty() || pair.ends_with("...")), "{uri:?}: {shown}");
+    }
+}
+
 pub(super) fn percent_decode(text: &str) -> Option<String> {
     if !text.contains('%') {
         return Some(text.to_owned());
@@ -260,6 +286,9 @@ mod tests {
             ("https://h/a.glb?secret", "https://h/a.glb?..."),
             ("HTTP://me:pass@h:80/a@b", "HTTP://h:80/a@b"),
             ("http://me@h", "http://h"),
+            ("http:///me:pass@h/a", "http:///h/a"),
+            ("http://h\\a@b/c", "http://h\\a@b/c"),
+            ("https://h/a.glb?secret#=f", "https://h/a.glb?..."),
         ] {
             assert_eq!(shown(uri), text);
         }

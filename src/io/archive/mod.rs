@@ -22,6 +22,7 @@ use super::{IoError, Limits};
 
 #[cfg(feature = "http")]
 pub(crate) use directory::{Directory, End, Member, Span, TAIL_BYTES};
+pub use index::fuzz_index;
 #[cfg(feature = "http")]
 pub(crate) use index::{Index, own_header};
 use local::LocalArchive;
