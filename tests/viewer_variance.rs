@@ -174,12 +174,15 @@ fn dynamic_callbacks_have_read_what_the_next_update_writes() {
     }
 }
 
+/// Moment, frame, and where the near plane is, metres.
+type Said = (&'static str, u32, f64);
+
 /// Only cameras in the graph had any.
 #[test]
 fn a_view_has_callbacks_and_says_near_and_far() {
     for threading in ThreadingModel::ALL {
         let Some(mut viewer) = viewer(threading) else { return };
-        let said: Arc<Mutex<Vec<(&str, u32, f64)>>> = Arc::default();
+        let said: Arc<Mutex<Vec<Said>>> = Arc::default();
         let log = |moment: &'static str| {
             let said = said.clone();
             move |info: &RenderInfo<'_>| {

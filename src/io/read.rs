@@ -166,6 +166,7 @@ pub(crate) fn is_tileset(uri: &str, bytes: &[u8], limits: &Limits) -> bool {
 }
 
 /// True for names that do not say that they are no tileset's.
+#[cfg(feature = "http")]
 pub(crate) fn may_be_tileset(uri: &str) -> bool {
     const OTHERS: [&str; 16] = [
         "glb", "gltf", "b3dm", "i3dm", "pnts", "cmpt", "subtree", "exr", "png", "jpg", "jpeg", "webp", "tif", "ktx2",
