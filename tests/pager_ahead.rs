@@ -105,6 +105,37 @@ fn what_is_wanted_now_comes_first_and_later_takes_no_room() {
     assert_eq!(run.stage.counters.wanted_missing, 0);
 }
 
+/// It waited until the frame that lacked it, which had the room at once.
+#[test]
+fn what_comes_in_the_next_frames_may_take_the_last_tenth() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let set = folder.path().to_str().unwrap();
+    // High enough for many tiles in a picture.
+    let [here, there] = [HERE, THERE].map(|eye| eye + 500.0 * DVec3::Z);
+    let mut free = Run::new(set, PagerConfig::default());
+    free.max_sse_px = 0.25 * FINE_PX;
+    free.settle(here);
+    let needed = free.pager.stats().resident as usize;
+    let max_tiles = needed + needed / 12;
+    assert!(max_tiles > needed + 1, "{needed}");
+    for (frames, comes) in [(20, false), (4, false), (3, true), (1, true)] {
+        let mut run = Run::new(set, PagerConfig { max_tiles, ..PagerConfig::default() });
+        run.max_sse_px = 0.25 * FINE_PX;
+        run.settle(here);
+        for _ in 0..30 {
+            let requests = ahead(&run, there, frames);
+            run.frame_with(here, &requests);
+            run.work_until_idle();
+            assert_eq!(run.stage.counters.wanted_missing, 0, "what is seen stays");
+            assert!(run.pager.stats().resident <= max_tiles as u64);
+        }
+        let stats = *run.pager.stats();
+        assert_eq!(stats.merged_ahead > 0, comes, "{frames}: {stats:?}");
+        assert!(stats.loaded < 2 * max_tiles as u64, "{frames}: {stats:?}");
+    }
+}
+
 /// So few tiles that on a flight what was seen goes all the time.
 fn little_room(set: &str) -> usize {
     let mut here = Run::new(set, PagerConfig::default());

@@ -196,13 +196,13 @@ impl DatabasePager {
                 continue;
             }
             let Some(mut entry) = self.entries.remove(&slot) else { continue };
-            let is_ahead = entry.is_ahead();
+            let (is_ahead, is_soon) = (entry.is_ahead(), entry.is_soon());
             let progress = std::mem::replace(&mut entry.progress, Progress::Waiting);
             let Progress::Arrived(arrived) = progress else { continue };
             self.arrived.take(&arrived);
             let Arrived { page, gpu_bytes: by_context, counts: Held { cpu: cpu_bytes, .. }, .. } = arrived;
             let ticket = self.threads.list.ticket_source | entry.job.ticket;
-            if is_ahead && !self.has_free(EXPIRY_TENTHS) {
+            if is_ahead && !is_soon && !self.has_free(EXPIRY_TENTHS) {
                 self.stats.declined += 1;
                 timeline::request_ends(ticket, "declined");
                 self.retire(page, contexts);

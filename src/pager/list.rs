@@ -20,6 +20,10 @@ use crate::scene::{DrawKind, Drawable, NodeId, Page, PagingOptions};
 /// A server of whose places this part is taken has room for what is wanted only later.
 const QUIET: usize = 4;
 
+/// What is wanted in so many frames takes the place of what no picture shows any more, as what is missing in one does: it
+/// would make room for it by then.
+const SOON_FRAMES: u32 = 3;
+
 /// One content to load.
 #[derive(Clone, Debug)]
 pub(super) struct Job {
@@ -285,6 +289,16 @@ impl Entry {
     /// Wanted later, by no picture yet.
     pub fn is_ahead(&self) -> bool {
         self.ahead_frames > 0
+    }
+
+    /// Wanted later, but in one of the next frames.
+    pub fn is_soon(&self) -> bool {
+        (1..=SOON_FRAMES).contains(&self.ahead_frames)
+    }
+
+    /// It waits for a thread, or one has it.
+    pub fn is_under_way(&self) -> bool {
+        matches!(self.progress, Progress::Waiting | Progress::Loading)
     }
 
     /// It failed, in passing.

@@ -239,6 +239,7 @@ impl DatabasePager {
         // Of what is wanted later the most urgent; where room is tight, what is wanted about as soon.
         let ahead = jobs.partition_point(|(_, entry)| entry.is_ahead());
         let soonest = jobs[..ahead].iter().map(|(_, entry)| entry.ahead_frames).min();
+        self.soon = self.entries.values().filter(|entry| entry.is_soon() && entry.is_under_way()).count() as u64;
         let room = self.room_within(EXPIRY_TENTHS).saturating_sub(waiting.outstanding as u64);
         let takes_any = self.config.ahead_in_flight > 0 && !self.is_paused;
         let short = soonest.filter(|_| takes_any && room < ahead as u64);
@@ -324,7 +325,9 @@ impl DatabasePager {
         let arrived = self.compiling.values().chain(&self.ready);
         let arrived = arrived.filter(|slot| self.entries.get(slot).is_some_and(Entry::is_ahead)).count();
         let others = waiting.outstanding.saturating_sub(waiting.ahead_outstanding);
-        let room = (self.room_within(EXPIRY_TENTHS) as usize).saturating_sub(others);
+        // What comes into the picture at once may take the rest too.
+        let room = self.room_within(EXPIRY_TENTHS).max(self.room_within(0).min(self.soon));
+        let room = (room as usize).saturating_sub(others);
         waiting.ahead_room = if self.config.ahead_in_flight > 0 { room } else { 0 };
         waiting.ahead_allowed = self.config.ahead_in_flight.saturating_sub(arrived);
     }

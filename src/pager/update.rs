@@ -79,6 +79,8 @@ pub struct DatabasePager {
     pub(super) try_room_wait: u32,
     /// What the most urgent page needs that was loaded and found no room.
     pub(super) lacks: Option<Held>,
+    /// How many are wanted in one of the next frames, and not there.
+    pub(super) soon: u64,
     /// What is wanted soonest of what found no free room.
     pub(super) ahead_short: Option<AheadShort>,
     pub(super) is_paused: bool,
@@ -141,6 +143,7 @@ impl DatabasePager {
             try_room_frame: 0,
             try_room_wait: 0,
             lacks: None,
+            soon: 0,
             ahead_short: None,
             is_paused: false,
             takes_requests: true,
