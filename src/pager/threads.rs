@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
-use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select};
+use crossbeam_channel::{Receiver, RecvError, Sender, bounded, never, select, unbounded};
 use thread_priority::{ThreadPriority, ThreadPriorityValue};
 
 use super::config::{PagerConfig, PagerError};
@@ -15,9 +15,6 @@ use super::list::{Above, Answer, Job, Loaded, RequestList};
 use crate::io::{self, Content, ReadOptions};
 use crate::scene::{Page, SharedStateManager};
 use crate::timeline;
-
-/// Pages that the reaper may have before it; more are dropped where they are.
-const REAPER_QUEUE: usize = 256;
 
 /// After so many dropped pages a part of what is shared is looked through for what nobody uses.
 const PAGES_BETWEEN_PRUNES: usize = 16;
@@ -67,7 +64,8 @@ impl Threads {
         #[cfg(not(feature = "http"))]
         let loaded = never::<Loaded>();
         let (answer_sender, answers) = bounded::<Answer>(capacity);
-        let (reaper, doomed) = bounded::<Box<Page>>(REAPER_QUEUE);
+        // Thousands may go at once. They are out of all budgets, and gone sooner than others come.
+        let (reaper, doomed) = unbounded::<Box<Page>>();
         (threads.answers, threads.reaper) = (Some(answers), Some(reaper));
         let files = Arc::new(io::FileReader::new(config.limits));
         for i in 0..readers {
@@ -117,8 +115,8 @@ impl Threads {
     /// Drops a page off the main thread.
     pub fn reap(&self, page: Box<Page>) {
         if let Some(reaper) = &self.reaper {
-            // A full queue hands the page back, and it is dropped here.
-            let _ = reaper.try_send(page);
+            // Without its thread, which ends with this alone, the page is dropped here.
+            let _ = reaper.send(page);
         }
     }
 }
@@ -232,10 +230,12 @@ fn decode_one(job: &Job, bytes: Vec<u8>, companions: Vec<io::Fetched>) -> Result
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
     use std::time::Duration;
 
     use super::super::list::tests::job;
     use super::*;
+    use crate::scene::{CullAction, CullCallback, Node};
 
     /// A codec's panic ended the thread, and its job was never answered.
     #[test]
@@ -250,5 +250,35 @@ mod tests {
             }
             list.close();
         });
+    }
+
+    /// Says which thread drops it.
+    struct Told(Arc<Mutex<Vec<String>>>);
+
+    impl Drop for Told {
+        fn drop(&mut self) {
+            let name = std::thread::current().name().unwrap_or_default().to_owned();
+            self.0.lock().unwrap().push(name);
+        }
+    }
+
+    /// Beyond 256 they were dropped by whoever updates.
+    #[test]
+    fn thousands_of_pages_are_dropped_by_the_reaper() {
+        let threads = Threads::start(&PagerConfig::default(), None).unwrap();
+        let dropped: Arc<Mutex<Vec<String>>> = Arc::default();
+        for _ in 0..5000 {
+            let told = Told(dropped.clone());
+            let callback = CullCallback(Arc::new(move |_| {
+                let _ = &told;
+                CullAction::Traverse
+            }));
+            let node = Node { cull_callback: Some(callback), ..Node::group(Vec::new()) };
+            threads.reap(Box::new(Page::from_node(node).unwrap()));
+        }
+        drop(threads);
+        let dropped = dropped.lock().unwrap();
+        assert_eq!(dropped.len(), 5000);
+        assert!(dropped.iter().all(|name| name == "pager-reaper"), "{:?}", dropped.last());
     }
 }
