@@ -286,10 +286,7 @@ impl DatabasePager {
 
     /// Where no page of the mean size has room, one may be tried: only once it is there its size is known.
     fn allowed_or_tried(&self, allowed: usize) -> usize {
-        let held = self.held();
-        let has_some = held.cpu < self.config.max_bytes_cpu
-            && held.gpu < self.config.max_bytes_gpu
-            && self.pages_held() < self.config.max_tiles as u64;
+        let has_some = self.fits(&Held { cpu: 1, gpu: 1 });
         let may_try = has_some && !self.is_paused && self.arrived.pages == 0 && self.frame >= self.try_room_frame;
         allowed.max(usize::from(may_try))
     }

@@ -198,10 +198,11 @@ impl DatabasePager {
         self.asked.retain(|slot| slot.page.scene != number);
         self.turns.forget(number);
         self.merge_turns.forget(number);
-        #[cfg_attr(not(feature = "http"), expect(unused_variables, reason = "it has no client"))]
-        let Some(served) = self.served.remove(&number) else { return };
+        let _served = self.served.remove(&number);
         #[cfg(feature = "http")]
-        self.let_go(&served.scope.client);
+        if let Some(served) = _served {
+            self.let_go(&served.scope.client);
+        }
     }
 
     /// Keeps a client no longer than the last scene that asks as it does.
@@ -274,5 +275,32 @@ impl DatabasePager {
         #[cfg(not(feature = "http"))]
         let _ = scope;
         io::Source::new(self.config.limits).read(uri)
+    }
+}
+
+#[cfg(all(test, feature = "http"))]
+mod tests {
+    use super::*;
+    use crate::io::Limits;
+    use crate::pager::PagerConfig;
+
+    /// They were kept until the pager ended, with their connections and caches.
+    #[test]
+    fn clients_go_with_the_last_scene_that_asks_with_them() {
+        let options = || ReadOptions::for_root("http://h/tileset.json", Limits::default());
+        let mut pager = DatabasePager::new(PagerConfig::default(), options()).unwrap();
+        let clients = |pager: &DatabasePager| pager.threads.list.lock().clients.len();
+        let own = PagerConfig::default().http;
+        let other = HttpConfig { max_retries: own.max_retries + 1, ..own.clone() };
+        let mut scenes: Vec<Scene> = (0..3).map(|_| Scene::new()).collect();
+        for (scene, http) in scenes.iter().zip([&other, &other, &own]) {
+            pager.add_scene_with_http(scene.number(), options(), http).unwrap();
+        }
+        assert_eq!(clients(&pager), 2, "equal ones are one");
+        let left = scenes.iter_mut().map(|scene| {
+            pager.remove_scene(scene, &mut []);
+            clients(&pager)
+        });
+        assert_eq!(left.collect::<Vec<_>>(), [2, 1, 1], "the pager's own stays");
     }
 }

@@ -92,13 +92,16 @@ impl Scene {
 
     /// When what a ProxyNode stands for is loaded; `None` for a PagedLod.
     pub(crate) fn proxy_loading(&self, slot: NodeId) -> Option<ProxyLoading> {
-        let tiles = &self.page(slot.page)?.tiles;
-        let record = tiles.records.get(self.page(slot.page)?.tile_of(slot.index)?)?;
-        match () {
-            () if !record.has(flag::PROXY) => None,
-            () if record.has(flag::NEVER) => Some(ProxyLoading::Never),
-            () if tiles.immediate().contains(&slot.index) => Some(ProxyLoading::Immediately),
-            () => Some(ProxyLoading::DeferToPager),
+        let page = self.page(slot.page)?;
+        let record = page.tiles.records.get(page.tile_of(slot.index)?)?;
+        if !record.has(flag::PROXY) {
+            None
+        } else if record.has(flag::NEVER) {
+            Some(ProxyLoading::Never)
+        } else if page.tiles.immediate().contains(&slot.index) {
+            Some(ProxyLoading::Immediately)
+        } else {
+            Some(ProxyLoading::DeferToPager)
         }
     }
 
