@@ -43,7 +43,7 @@ pub struct PagerConfig {
     /// Threads that decode, behind the frame's in priority; the default is one for each core.
     pub decode_threads: usize,
     /// Contents under way at once that are wanted only later (see [`PageRequest::ahead`](crate::cull::PageRequest::ahead)),
-    /// and of a server as many more as it has most of its places free; 0 loads none.
+    /// and of a server as many more as leave a quarter of its places free; 0 loads none.
     pub ahead_in_flight: usize,
     /// CPU bytes of pages that are merged or have arrived, and of tile trees. Besides, each decode thread has the one that
     /// it decodes and up to twelve that the main thread has not taken up, and up to 8 MiB for each of them are what waits to

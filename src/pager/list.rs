@@ -17,8 +17,8 @@ use super::tries::Tries;
 use crate::io::{Fetched, IoError, is_remote};
 use crate::scene::{DrawKind, Drawable, NodeId, Page, PagingOptions};
 
-/// A server of whose places this part is taken has room for what is wanted only later.
-const QUIET: usize = 4;
+/// Of a server's places one in so many is kept free of what is wanted only later.
+const KEPT_FREE: usize = 4;
 
 /// What is wanted in so many frames takes the place of what no picture shows any more, as what is missing in one does: it
 /// would make room for it by then.
@@ -103,11 +103,15 @@ pub(super) struct Waiting {
 
 impl Waiting {
     /// A thread may take a job from a server, or from the disk, that has so many of its `places` taken. What is wanted only
-    /// later takes those that a server has most of its places free of: over a slow network few at once come too late.
+    /// later leaves some of a server's places to what is missing; over a network that answers late few at once come too
+    /// late.
     pub fn may_take(&self, job: &Job, beside: usize, places: usize) -> bool {
         if job.is_ahead {
-            let is_quiet = beside < places / QUIET;
-            let most = if is_quiet { self.ahead_room } else { self.ahead_allowed.min(self.ahead_room) };
+            let most = if beside < places - places.div_ceil(KEPT_FREE) {
+                self.ahead_room
+            } else {
+                self.ahead_allowed.min(self.ahead_room)
+            };
             return self.outstanding < self.allowed && self.ahead_outstanding < most;
         }
         let is_first = beside == 0 && self.allowed > 0;
