@@ -6,6 +6,7 @@
 mod archive;
 mod b3dm;
 mod cache;
+mod database_path;
 mod encoding;
 mod error;
 mod extras;
@@ -40,6 +41,7 @@ pub use cache::CacheStats;
 pub use cache::fuzz_cache_entry;
 #[cfg(feature = "http")]
 pub use cache::{CacheConfig, CacheInfo, CacheVerified, DiskCache};
+pub use database_path::set_database_path;
 #[cfg(feature = "http")]
 #[doc(hidden)]
 pub use encoding::fuzz_encoding;

@@ -136,13 +136,14 @@ pub enum RangeMode {
 pub struct PagedLod {
     /// Declared volume in the page's tile frame; never dirtied by what is loaded (OSG's USER_DEFINED_CENTER). Where nobody
     /// knows it, [`BoundingSphere::EVERYTHING`]: the content is asked for from anywhere, and culled by bounds of its own
-    /// once it is there.
+    /// once it is there. OSG's union of both is a sphere's [`union`](BoundingSphere::union) with what
+    /// [`Node::bounding_sphere`] says of the children.
     pub bounds: BoundingVolume,
     /// When the children are wanted.
     pub range_mode: RangeMode,
     /// REPLACE or ADD.
     pub refine: Refine,
-    /// Absolute URI of the content; `None` for an empty tile, which shows its children in their range, and nothing beyond:
+    /// Absolute URI of the content ([`set_database_path`](crate::io::set_database_path) makes it so); `None` for an empty tile, which shows its children in their range, and nothing beyond:
     /// below content that is replaced give it a range that is always met, or there are holes.
     pub content: Option<Arc<str>>,
     /// Node-from-content map applied to the page that the content becomes (the tile's transform).
