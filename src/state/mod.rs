@@ -6,6 +6,7 @@
 
 mod attributes;
 mod hook;
+mod lighting;
 mod program;
 mod resolved;
 mod texture;
@@ -13,10 +14,11 @@ mod variance;
 
 pub use attributes::{
     AlphaFunc, Attribute, BlendEquation, BlendFactor, BlendFunc, CLIP_PLANES, ColorMask, CompareFunction, CullFace,
-    Depth, Fog, FogMode, FrontFace, LIGHTS, Light, LightModel, Mode, NumberError, PolygonMode, PolygonOffset, Scissor,
-    StateValue, Stencil, StencilFace, StencilOperation, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
+    Depth, FrontFace, LIGHTS, Mode, NumberError, PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, StencilFace,
+    StencilOperation, TEXTURE_UNITS, TexGen, Viewport,
 };
 pub use hook::DrawHook;
+pub use lighting::{ColorControl, Fog, FogMode, Light, LightModel, SurfaceMaterial};
 pub use program::{Program, Uniform, UniformValue};
 pub use resolved::ResolvedState;
 pub(crate) use texture::CLAMPED;

@@ -13,10 +13,10 @@ use terrane::scene::{
     Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, Scene, TexGenNode, Topology,
 };
 use terrane::state::{
-    AlphaFunc, Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace,
-    DataVariance, Depth, Fog, FogMode, FrontFace, Light, LightModel, Mode, PolygonOffset, Scissor, SortMode, StateSet,
-    StateValue, Stencil, StencilFace, StencilOperation, SurfaceMaterial, TexGen, TextureBinding, TextureFormat,
-    TextureObject,
+    AlphaFunc, Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorControl, ColorMask, CompareFunction,
+    CullFace, DataVariance, Depth, Fog, FogMode, FrontFace, Light, LightModel, Mode, PolygonOffset, Scissor, SortMode,
+    StateSet, StateValue, Stencil, StencilFace, StencilOperation, SurfaceMaterial, TexGen, TextureBinding,
+    TextureFormat, TextureObject,
 };
 
 use super::gpu_support::{Rig, Terrain, with_mips};
@@ -327,7 +327,12 @@ impl Maker {
                 shininess: 8.0,
                 ..SurfaceMaterial::default()
             }),
-            Attribute::LightModel(LightModel { ambient: random.color() }),
+            Attribute::LightModel(LightModel {
+                ambient: random.color(),
+                local_viewer: random.percent(50),
+                two_sided: random.percent(50),
+                color_control: random.one_of(&[ColorControl::SingleColor, ColorControl::SeparateSpecularColor]),
+            }),
             Attribute::Fog(Fog {
                 mode: random.one_of(&[
                     FogMode::Linear { start_m: 5.0, end_m: 60.0 },

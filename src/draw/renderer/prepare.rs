@@ -15,7 +15,7 @@ use crate::draw::pipelines::programs::Builtins;
 use crate::draw::plan::{PassTarget, StagePlan, color};
 use crate::draw::spread::Spread;
 use crate::draw::state::{Dynamics, Statics};
-use crate::draw::uniforms::fixed::{FixedUniform, replaces_sun};
+use crate::draw::uniforms::fixed::{FixedUniform, position_of, replaces_sun};
 use crate::draw::uniforms::frame::LeafUniform;
 use crate::gpu::GraphicsContext;
 use crate::scene::{CullingMode, Sky};
@@ -121,6 +121,9 @@ impl Renderer {
         self.statics.push(base);
         for (node, error) in wrong_numbers(stage) {
             self.complain(format!("{node}: {error}"));
+        }
+        for error in stage.lights.iter().filter_map(|l| position_of(&l.light).err()) {
+            self.complain(format!("a LightSource: {error}"));
         }
         let has_own_light = replaces_sun(stage);
         // An empty stage has none; what comes will.
