@@ -230,7 +230,7 @@ fn depth_textures_may_have_a_stencil() {
     let has_float = rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
     let face = |function, pass| StencilFace { function, pass, ..StencilFace::default() };
     let in_bin = |number, name: &str, face| {
-        let bin = Some(BinDetails { number, sort: SortMode::ByState });
+        let bin = Some(BinDetails::new(number, SortMode::ByState));
         let set = StateSet { bin, name: name.into(), ..StateSet::default() };
         set.with(Attribute::Stencil(Stencil::both(face, 3)))
     };

@@ -283,7 +283,7 @@ impl Maker {
         }
         if random.percent(35) {
             let number = if self.is_opaque { 0 } else { random.one_of(&[-2, -1, 0, 1, 5, 10, 11]) };
-            set.bin = Some(BinDetails { number, sort: self.sort_mode() });
+            set.bin = Some(BinDetails::new(number, self.sort_mode()));
             set.nest_bins = self.random.percent(80);
         }
         let always = self.of_opaque();

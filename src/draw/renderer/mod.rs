@@ -12,6 +12,7 @@ mod foresee;
 pub(super) mod prepare;
 mod record;
 pub(super) mod shadows;
+mod upload;
 mod views;
 
 use std::collections::{HashSet, VecDeque};
@@ -21,15 +22,14 @@ use std::time::Duration;
 use crate::cull::RenderStage;
 use crate::draw::answers::{PictureReads, Queries};
 use crate::draw::atmosphere::Atmosphere;
-use crate::draw::batch::{Batch, Run};
+use crate::draw::batch::Batch;
 use crate::draw::composite::Composite;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{StagePlan, Targets};
 use crate::draw::shadow_maps::ShadowMaps;
 use crate::draw::spread::Spread;
-use crate::draw::state::{INDIRECT_BYTES, LEAST_MULTI_DRAW, Statics};
-use crate::draw::uniforms::fixed::StageUniform;
-use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
+use crate::draw::state::Statics;
+use crate::draw::uniforms::frame::LeafUniform;
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
@@ -37,6 +37,7 @@ use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 use shadows::CasterPlan;
+use upload::{frame_bind_group, indirect_buffer, leaf_buffer};
 use views::{LitView, ViewFrame};
 
 /// Frames the processor may be ahead of the adapter, in each target.
@@ -174,46 +175,6 @@ pub struct Renderer {
     errors: Vec<String>,
     /// What was said already.
     said: HashSet<String>,
-}
-
-fn leaf_buffer(device: &wgpu::Device, leaves: usize) -> wgpu::Buffer {
-    device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("leaves"),
-        size: (leaves * size_of::<LeafUniform>()) as u64,
-        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
-}
-
-fn frame_bind_group(
-    device: &wgpu::Device,
-    layout: &wgpu::BindGroupLayout,
-    uniforms: &wgpu::Buffer,
-    leaves: &wgpu::Buffer,
-    air: [wgpu::BindGroupEntry<'_>; 5],
-    [shadow_maps, shadow_sampler]: [wgpu::BindGroupEntry<'_>; 2],
-) -> wgpu::BindGroup {
-    let uniform = |size: usize| {
-        let size = wgpu::BufferSize::new(size as u64);
-        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: uniforms, offset: 0, size })
-    };
-    let [sampler, sunlight, sky_light, scattered, mie] = air;
-    device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("frame"),
-        layout,
-        entries: &[
-            wgpu::BindGroupEntry { binding: 0, resource: uniform(size_of::<FrameUniform>()) },
-            wgpu::BindGroupEntry { binding: 1, resource: leaves.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 2, resource: uniform(size_of::<StageUniform>()) },
-            sampler,
-            sunlight,
-            sky_light,
-            scattered,
-            mie,
-            shadow_maps,
-            shadow_sampler,
-        ],
-    })
 }
 
 impl Renderer {
@@ -375,49 +336,6 @@ impl Renderer {
         self.pipelines.created() + self.spread.as_ref().map_or(0, Spread::created)
     }
 
-    fn upload(&mut self, ctx: &GraphicsContext) {
-        let device = ctx.device();
-        let bytes: &[u8] = bytemuck::cast_slice(self.batch.leaves());
-        let mut is_new = self.groups.finish(ctx, &self.pipelines) | std::mem::take(&mut self.binds_shadows);
-        if bytes.len() as u64 > self.leaf_buffer.size() {
-            let leaves = self.batch.leaves().len().next_power_of_two().min(self.most_leaves);
-            self.leaf_buffer = leaf_buffer(device, leaves);
-            is_new = true;
-        }
-        if is_new || self.frame_bind_groups.len() != self.atmosphere.set_count() {
-            let layout = &self.pipelines.frame_layout;
-            let bind_group = |is_drawn, air| {
-                let (shadows, air) = (self.shadow_maps.entries(is_drawn), self.atmosphere.entries(air));
-                frame_bind_group(device, layout, self.groups.buffer(), &self.leaf_buffer, air, shadows)
-            };
-            self.caster_bind_group = bind_group(true, 0);
-            self.frame_bind_groups = (0..self.atmosphere.set_count()).map(|air| bind_group(false, air)).collect();
-        }
-        if !bytes.is_empty() {
-            ctx.queue().write_buffer(&self.leaf_buffer, 0, bytes);
-        }
-        // Without runs to draw by one call nothing reads it.
-        let has_multi_draw = |same: &[Run]| same.len() >= LEAST_MULTI_DRAW;
-        let is_read = self.batch.runs.chunk_by(|a, b| a.bucket == b.bucket).any(has_multi_draw);
-        if let Some(indirect) = self.indirect.as_mut().filter(|_| is_read) {
-            self.indirect_bytes.clear();
-            for run in &self.batch.runs {
-                let arguments = wgpu::util::DrawIndexedIndirectArgs {
-                    index_count: run.index_count,
-                    instance_count: run.leaf_count,
-                    first_index: run.first_index,
-                    base_vertex: run.base_vertex,
-                    first_instance: run.first_leaf,
-                };
-                self.indirect_bytes.extend_from_slice(arguments.as_bytes());
-            }
-            if self.indirect_bytes.len() as u64 > indirect.size() {
-                *indirect = indirect_buffer(device, self.batch.runs.len().next_power_of_two());
-            }
-            ctx.queue().write_buffer(indirect, 0, &self.indirect_bytes);
-        }
-    }
-
     /// Copies what a camera has drawn to whoever wants it.
     fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
         let Some(camera) = stage.target.camera.as_ref().filter(|_| !stage.target.is_shared) else { return };
@@ -449,15 +367,6 @@ impl Renderer {
         let _span = crate::timeline::span("read back");
         ctx.read_back()
     }
-}
-
-fn indirect_buffer(device: &wgpu::Device, runs: usize) -> wgpu::Buffer {
-    device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("runs"),
-        size: runs as u64 * INDIRECT_BYTES,
-        usage: wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
 }
 
 #[cfg(test)]
@@ -510,7 +419,7 @@ mod tests {
                 }
                 if random(3) == 0 {
                     let sort = [SortMode::ByState, SortMode::BackToFront, SortMode::FrontToBack][random(3) as usize];
-                    set.bin = Some(BinDetails { number: random(3) as i32 - 1, sort });
+                    set.bin = Some(BinDetails::new(random(3) as i32 - 1, sort));
                 }
                 Arc::new(set)
             })
