@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::cull::RenderStage;
-use crate::draw::answers::{PictureReads, Queries};
+use crate::draw::answers::{PictureReads, Queries, Read};
 use crate::draw::atmosphere::Atmosphere;
 use crate::draw::batch::Batch;
 use crate::draw::composite::Composite;
@@ -76,6 +76,9 @@ pub struct DrawStats {
     pub passes: u32,
     /// Eyes with air of their own beyond the most there may be: they have that of the eye at nearly the same height.
     pub airs_refused: u32,
+    /// Stages that were not drawn: what they draw into cannot be, which [`Renderer::take_errors`] says. The picture's own
+    /// is the whole frame.
+    pub stages_refused: u32,
     /// Pipelines made in this draw; each takes long at its first use. What a drawable of the application's own makes for
     /// a target counts as one.
     pub pipelines_created: u32,
@@ -141,6 +144,7 @@ pub struct Renderer {
     /// Leaves that may still cast shadows in this frame.
     caster_room: usize,
     airs_refused: u32,
+    stages_refused: u32,
     indirect: Option<wgpu::Buffer>,
     indirect_bytes: Vec<u8>,
     most_leaves: usize,
@@ -203,6 +207,7 @@ impl Renderer {
             shadow_leaves_dropped: 0,
             caster_room: 0,
             airs_refused: 0,
+            stages_refused: 0,
             atmosphere,
             pipelines,
             groups,
@@ -314,7 +319,7 @@ impl Renderer {
         stats.unsampled_leaves = self.batch.unsampled;
         stats.shadow_leaves = self.shadow_leaves;
         (stats.leaves_dropped, stats.shadow_leaves_dropped) = (self.leaves_dropped, self.shadow_leaves_dropped);
-        stats.airs_refused = self.airs_refused;
+        (stats.airs_refused, stats.stages_refused) = (self.airs_refused, self.stages_refused);
         stats.pipelines_created += self.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
@@ -339,15 +344,17 @@ impl Renderer {
     /// Copies what a camera has drawn to whoever wants it.
     fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
         let Some(camera) = stage.target.camera.as_ref().filter(|_| !stage.target.is_shared) else { return };
-        let frame = stage.camera.frame;
-        for (location, sink) in camera.read_backs() {
-            let Some(attachment) = camera.colors.get(location) else {
-                self.complain(format!("a camera without colour {location}, which is to be read back"));
-                continue;
+        for (part, sink) in camera.read_backs() {
+            let read = match Read::of(camera, part) {
+                Ok(read) => read,
+                Err(error) => {
+                    self.complain(error.to_string());
+                    continue;
+                }
             };
             // What is wrong with it has been said.
-            let Some(texture) = self.groups.textures.texture(&attachment.texture) else { continue };
-            self.pictures.copy(ctx.device(), encoder, texture, attachment, sink, frame);
+            let Some(texture) = self.groups.textures.texture(&read.attachment.texture) else { continue };
+            self.pictures.copy(ctx.device(), encoder, texture, read, sink, &stage.camera);
         }
     }
 
