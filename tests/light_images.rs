@@ -9,7 +9,7 @@ use std::sync::Arc;
 use fixed_support::*;
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec3};
-use gpu_support::{Rig, count, pixel, plain, quad, rig, unit_camera};
+use gpu_support::{Rig, Terrain, camera, count, pixel, plain, quad, rig, unit_camera};
 use terrane::cull::CullCamera;
 use terrane::scene::{
     Drawable, Geometry, LightSource, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, Topology,
@@ -288,4 +288,38 @@ fn parallel_rays_see_the_same_highlight_all_over_a_plane() {
         .with(Attribute::Texture(0, nearest(TextureObject::image("dot", [9, 9], texels))))
         .with(Attribute::TexGen(0, TexGen::SphereMap));
     assert_eq!(seen(vec![node(square(WHITE), map)]), [RED; 3]);
+}
+
+#[test]
+fn height_tiles_have_two_sides() {
+    let Some(mut rig) = rig("height_tiles_have_two_sides") else { return };
+    let rig = &mut *rig;
+    let terrain = Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 10.0, root_error_m: 1.0, textured: false };
+    let up = terrain.up(0.5, 0.5);
+    let [target, sideways] =
+        [terrain.world(0.5, 0.5, 0.0), terrain.world(0.5, 0.6, 0.0) - terrain.world(0.5, 0.5, 0.0)];
+    let green = SurfaceMaterial { diffuse: [0.0, 1.0, 0.0, 1.0], ..SurfaceMaterial::default() };
+    let sides = Attribute::SurfaceMaterials { front: SurfaceMaterial::default(), back: green };
+    let mut seen = |eye_m: f64, light_from: DVec3, two_sided: bool| {
+        let set = only_light_1()
+            .with(sides.clone())
+            .with(Attribute::LightModel(LightModel { two_sided, ..LightModel::default() }))
+            .with_mode(Mode::CullFace, StateValue::OFF);
+        let lamp = light(Light { position: light_from.extend(0.0).to_array(), ..Light::default() });
+        let tile = Node::group(vec![terrain.tile(0, 0, 0)]).with_state_set(Arc::new(set));
+        let scene = rig.scene(Node::group(vec![lamp, tile]));
+        let view = camera([SIDE; 2], target + eye_m * up, target, sideways);
+        let picture = rig.picture(&scene, &view, &plain());
+        rig.release(scene);
+        assert!(rig.renderer.take_errors().is_empty());
+        // Nearly level, nearly straight light: without what the hills take.
+        pixel(&picture, 32, 32).map(|channel| channel > 230)
+    };
+    let (dark, white, green) = ([false; 3], [true; 3], [false, true, false]);
+    for two_sided in [false, true] {
+        assert_eq!(seen(9_000.0, up, two_sided), white, "{two_sided}");
+        assert_eq!(seen(9_000.0, -up, two_sided), dark, "{two_sided}");
+    }
+    assert_eq!([false, true].map(|two_sided| seen(-9_000.0, up, two_sided)), [white, dark]);
+    assert_eq!([false, true].map(|two_sided| seen(-9_000.0, -up, two_sided)), [dark, green]);
 }

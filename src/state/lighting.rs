@@ -41,7 +41,7 @@ pub enum ColorControl {
 pub struct LightModel {
     /// Linear colour of light that comes from everywhere.
     pub ambient: [f32; 3],
-    /// Highlights are those that are seen from the eye's place; else as if it were infinitely far behind the picture, so
+    /// Highlights are as the eye sees them from its own place; otherwise as from infinitely far along the view axis, so
     /// that a plane under a far light shines alike all over.
     pub local_viewer: bool,
     /// Back faces are lit on their own side, and reflect as the back of [`Attribute::SurfaceMaterials`]; else light falls
@@ -60,7 +60,8 @@ impl Default for LightModel {
     }
 }
 
-/// A light in OpenGL's terms, linear colours.
+/// A light in OpenGL's terms, linear colours. One that says anything that is not finite does not shine; the renderer says
+/// so once.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
     /// 0 to 7, see [`Mode::Light`](super::Mode::Light).
