@@ -17,7 +17,7 @@ fn grid(criterion: &mut Criterion) {
         let mut group = criterion.benchmark_group(format!("grid/{sort:?}"));
         for cells in [1_000, 10_000, 100_000] {
             let grid = Grid::new(cells);
-            let set = StateSet { bin: Some(BinDetails { number: 0, sort }), ..StateSet::default() };
+            let set = StateSet { bin: Some(BinDetails::new(0, sort)), ..StateSet::default() };
             let mut scene = Scene::new();
             scene.add_root(page(grid.build(&state_sets(64, &set)), 0));
             for view in ["tenth", "all", "tilted"] {

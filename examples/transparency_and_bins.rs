@@ -51,7 +51,7 @@ fn build(viewer: &mut Viewer) -> Result<(), terrane::viewer::ViewerError> {
     let outline = Mesh::polyline(&corners.map(|(x, z)| DVec3::new(1.5 * x, 0.0, 1.5 * z)));
     let orange = Material { base_color: [1.0, 0.35, 0.0, 1.0], unlit: true, ..Material::default() };
     let last = StateSet {
-        bin: Some(BinDetails { number: 20, sort: SortMode::ByState }),
+        bin: Some(BinDetails::new(20, SortMode::ByState)),
         ..StateSet::default().with_mode(Mode::DepthTest, StateValue::OFF)
     };
     let mark = Node::geode(vec![Drawable::new(outline.into(), orange)]).with_state_set(Arc::new(last));

@@ -1,4 +1,4 @@
-//! What cameras in the graph draw into: depth alone, and one texture by several cameras. Needs a GPU (a software one will
+//! What cameras in the graph draw into: depth alone, and one texture by several cameras; depth and stencil read back. Needs a GPU (a software one will
 //! do).
 #![allow(clippy::unwrap_used, reason = "test code")]
 
@@ -8,9 +8,13 @@ mod gpu_support;
 use std::sync::Arc;
 
 use camera_support::{no_errors, picture};
+use glam::dcamera::rh::proj::directx as proj;
 use gpu_support::{Rig, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
-use terrane::scene::{AlphaMode, Attachment, CameraNode, CameraTarget, Drawable, Node, RenderOrder};
+use terrane::cull::CullCamera;
+use terrane::scene::{
+    AlphaMode, Attachment, CameraNode, CameraTarget, Drawable, Node, Picture, PictureSink, RenderOrder,
+};
 use terrane::state::{
     AlphaFunc, Attribute, BinDetails, ColorMask, CompareFunction, Depth, Fog, FogMode, Mode, Program, Sampler,
     SortMode, StateSet, StateValue, Stencil, StencilFace, StencilOperation, TextureBinding, TextureDimension,
@@ -230,7 +234,7 @@ fn depth_textures_may_have_a_stencil() {
     let has_float = rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
     let face = |function, pass| StencilFace { function, pass, ..StencilFace::default() };
     let in_bin = |number, name: &str, face| {
-        let bin = Some(BinDetails { number, sort: SortMode::ByState });
+        let bin = Some(BinDetails::new(number, SortMode::ByState));
         let set = StateSet { bin, name: name.into(), ..StateSet::default() };
         set.with(Attribute::Stencil(Stencil::both(face, 3)))
     };
@@ -288,4 +292,121 @@ fn depth_textures_may_have_a_stencil() {
         );
         assert_eq!([32, 12].map(|x| pixel(&picture, x, 32)), [GREEN, BLACK], "{format:?}");
     }
+}
+
+/// The pictures that come of a scene, in the order of the sinks, and what is said meanwhile.
+fn read<const N: usize>(
+    rig: &mut Rig,
+    node: Node,
+    sinks: [&Arc<PictureSink>; N],
+) -> ([Option<Picture>; N], Vec<String>) {
+    let scene = rig.scene(node);
+    let mut came = [const { None }; N];
+    let mut said = Vec::new();
+    for frame in 1..20 {
+        rig.draw(&scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+        for (came, sink) in came.iter_mut().zip(sinks) {
+            *came = sink.take().or(came.take());
+        }
+        said.extend(rig.renderer.take_errors());
+    }
+    rig.release(scene);
+    (came, said)
+}
+
+#[test]
+fn depth_and_stencil_come_back() {
+    let Some(mut rig) = rig("depth_and_stencil_come_back") else { return };
+    let rig = &mut *rig;
+    let has_float = rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
+    let own = unit_camera(SIDE);
+    let perspective = proj::perspective(2.0 * 0.1f64.atan(), 1.0, 1000.0, 0.5);
+    let parallel = proj::orthographic(-1.0, 1.0, -1.0, 1.0, 1000.0, 0.5);
+    // Rows are not as long as those of copies.
+    let size = [SIDE - 2, SIDE];
+    for (projection, far) in [(own.clip_from_eye, f64::INFINITY), (perspective, 1000.0), (parallel, 1000.0)] {
+        for format in [TextureFormat::Depth32, TextureFormat::Depth32Stencil8, TextureFormat::Depth24Stencil8] {
+            if format == TextureFormat::Depth32Stencil8 && !has_float {
+                continue;
+            }
+            let [depth_sink, stencil_sink] = [(); 2].map(|()| Arc::new(PictureSink::default()));
+            let target = CameraTarget {
+                depth: Some(Attachment::new(TextureObject::target("deep", size, format))),
+                read_back_depth: Some(depth_sink.clone()),
+                read_back_stencil: Some(stencil_sink.clone()),
+                ..CameraTarget::default()
+            };
+            let mut camera = to(target, 0);
+            camera.projection = Some(projection);
+            let face = StencilFace {
+                function: CompareFunction::Always,
+                pass: StencilOperation::Replace,
+                ..StencilFace::default()
+            };
+            let set = StateSet::default().with(Attribute::Stencil(Stencil::both(face, 77)));
+            // The eye is 10 m before the origin.
+            let square = Node::geode(vec![quad([0.0, 0.0, -2.5], [0.5; 2], [1.0; 4])]).with_state_set(Arc::new(set));
+            let ([depth, stencil], said) = read(rig, Node::camera(camera, vec![square]), [&depth_sink, &stencil_sink]);
+            let mut wanted = Vec::new();
+            if format == TextureFormat::Depth24Stencil8 {
+                assert_eq!(depth, None);
+                wanted.push("texture \"deep\" holds depth in 24 bits");
+            } else {
+                let depth = depth.unwrap();
+                assert_eq!((depth.size_px, depth.format), (size, TextureFormat::Depth32));
+                assert_eq!(depth.clip_from_eye, projection);
+                let [middle, corner] = [(31, 32), (0, 0)].map(|(x, y)| depth.distance_m(x, y).unwrap());
+                assert!((middle - 12.5).abs() < 1e-2, "{format:?} {far}: {middle}");
+                assert!(corner == far || (corner - far).abs() < 1.0, "{format:?} {far}: {corner}");
+                assert_eq!(depth.depth(0, 0), Some(0.0));
+                let nearer = (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (x, y)));
+                let seen = nearer.filter(|(x, y)| depth.depth(*x, *y).unwrap() > 0.0).count();
+                // Less by perspective: 12.5 m instead of 10.
+                let side = if projection == parallel { 31 * 32 } else { 25 * 26 };
+                assert!(seen.abs_diff(side) <= 60, "{seen}");
+                assert_eq!((depth.depth(size[0], 0), depth.depth(0, size[1])), (None, None));
+            }
+            if format.has_stencil() {
+                let stencil = stencil.unwrap();
+                assert_eq!((stencil.size_px, stencil.format), (size, TextureFormat::R8));
+                let at = |x: usize, y: usize| stencil.texels[y * size[0] as usize + x];
+                assert_eq!((at(31, 32), at(0, 0), stencil.depth(0, 0)), (77, 0, None));
+            } else {
+                assert_eq!(stencil, None);
+                wanted.push("texture \"deep\" has no stencil");
+                wanted.push("texture \"deep\" has no stencil");
+            }
+            let is_of = |(error, wanted): (&String, &&str)| error.contains(*wanted);
+            assert!(said.len() == wanted.len() && said.iter().zip(&wanted).all(is_of), "{format:?}: {said:?}");
+        }
+        // Of the next projection it is another texture of the same name.
+        rig.renderer = terrane::draw::Renderer::new(&mut rig.ctx);
+    }
+}
+
+#[test]
+fn depth_that_cannot_come_back_is_said_once() {
+    let Some(mut rig) = rig("depth_that_cannot_come_back_is_said_once") else { return };
+    let rig = &mut *rig;
+    let color = || Attachment::new(TextureObject::target("color", [SIDE; 2], TextureFormat::Rgba8Srgb));
+    let [color_sink, depth_sink] = [(); 2].map(|()| Arc::new(PictureSink::default()));
+    let without = CameraTarget {
+        colors: vec![color()],
+        read_back: Some(color_sink.clone()),
+        read_back_depth: Some(depth_sink.clone()),
+        ..CameraTarget::default()
+    };
+    let (came, said) = read(rig, Node::camera(to(without, 0), vec![]), [&color_sink, &depth_sink]);
+    assert!(matches!(came, [Some(_), None]), "the colour comes: {came:?}");
+    assert!(matches!(&said[..], [error] if error.contains("without a depth texture")), "{said:?}");
+    // Depth of several samples cannot be kept, nor so be read.
+    let several = CameraTarget {
+        depth: Some(Attachment::new(TextureObject::target("several", [SIDE; 2], TextureFormat::Depth32))),
+        read_back_depth: Some(depth_sink.clone()),
+        samples: 4,
+        ..CameraTarget::default()
+    };
+    let (came, said) = read(rig, Node::camera(to(several, 0), vec![]), [&depth_sink]);
+    assert_eq!(came, [None]);
+    assert!(matches!(&said[..], [error] if error.contains("\"several\": depth of several samples")), "{said:?}");
 }

@@ -94,7 +94,7 @@ fn a_steady_cull_allocates_nothing() {
     ] {
         let grid = Grid::new(10_000);
         let sets: Vec<_> = (0..64)
-            .map(|i| Arc::new(StateSet { bin: Some(BinDetails { number: i % 3, sort }), ..StateSet::default() }))
+            .map(|i| Arc::new(StateSet { bin: Some(BinDetails::new(i % 3, sort)), ..StateSet::default() }))
             .collect();
         let mut scene = Scene::new();
         scene.add_root(page(grid.build(&sets), 0));
@@ -142,6 +142,6 @@ fn a_steady_cull_allocates_nothing() {
 }
 
 fn sets_of(count: i32) -> Vec<Arc<StateSet>> {
-    let set = |number| StateSet { bin: Some(BinDetails { number, sort: SortMode::ByState }), ..StateSet::default() };
+    let set = |number| StateSet { bin: Some(BinDetails::new(number, SortMode::ByState)), ..StateSet::default() };
     (0..count).map(|number| Arc::new(set(number))).collect()
 }

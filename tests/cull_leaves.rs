@@ -378,7 +378,7 @@ fn unusable_bounds_are_drawn_and_poison_nothing() {
     ];
     let good = Aabb { min: -DVec3::ONE, max: DVec3::ONE };
     for sort in [SortMode::ByStateThenFrontToBack, SortMode::BackToFront, SortMode::FrontToBack] {
-        let set = Arc::new(StateSet { bin: Some(BinDetails { number: 3, sort }), ..StateSet::default() });
+        let set = Arc::new(StateSet { bin: Some(BinDetails::new(3, sort)), ..StateSet::default() });
         let mut boxes: Vec<_> = odd.iter().map(|b| drawable(*b)).collect();
         boxes.extend((0..300).map(|_| drawable(good)));
         let mut scene = Scene::new();
@@ -405,7 +405,7 @@ fn a_camera_of_nan_does_not_panic() {
 
 /// Leaves of a scene with depths and states spread, for one sort mode.
 fn sorted(sort: SortMode, cells: u32) -> RenderStage {
-    let set = StateSet { bin: Some(BinDetails { number: 0, sort }), ..StateSet::default() };
+    let set = StateSet { bin: Some(BinDetails::new(0, sort)), ..StateSet::default() };
     let grid = Grid::new(cells);
     let mut scene = Scene::new();
     scene.add_root(page(grid.build(&state_sets(7, &set)), 0));
@@ -484,8 +484,7 @@ fn blended_drawables_go_to_the_transparent_bin() {
         d.material.alpha = AlphaMode::Blend;
         d
     };
-    let own =
-        Arc::new(StateSet { bin: Some(BinDetails { number: -1, sort: SortMode::ByState }), ..StateSet::default() });
+    let own = Arc::new(StateSet { bin: Some(BinDetails::new(-1, SortMode::ByState)), ..StateSet::default() });
     let mut scene = Scene::new();
     scene.add_root(page(
         Node::group(vec![

@@ -17,7 +17,7 @@ use terrane::scene::{
     ConvexPlanarOccluder, CullAction, CullCallback, CullSettings, Inherit, LightSource, Node, NodeKind, NormalCone,
     OcclusionQueryNode, ReferenceFrame, RenderOrder, Scene, TexGenNode,
 };
-use terrane::state::{BinDetails, Light, Mode, SortMode, StateSet, StateValue, TexGen, TextureFormat, TextureObject};
+use terrane::state::{Light, Mode, StateSet, TexGen, TextureFormat, TextureObject};
 
 fn cube(center: DVec3) -> Node {
     Node::geode(vec![drawable(Aabb { min: center - 0.5, max: center + 0.5 })])
@@ -658,39 +658,4 @@ fn a_far_plane_culls_where_asked() {
     assert_eq!(slots(&cull(root(), &camera)), [0]);
     camera.clip_from_eye = proj::perspective_infinite_reverse(1.0, 1.0, 0.1);
     assert_eq!(slots(&cull(root(), &camera)), [0, 1], "infinitely far: no such plane");
-}
-
-#[test]
-fn bins_nest_and_give_way_to_overrides() {
-    let with = |number, nest_bins, bin_value, child: Node| {
-        let bin = Some(BinDetails { number, sort: SortMode::ByState });
-        Node::group(vec![child]).with_state_set(Arc::new(StateSet { bin, nest_bins, bin_value, ..StateSet::default() }))
-    };
-    let (on, over, protect) = (StateValue::ON, StateValue::OVERRIDE, StateValue::PROTECTED);
-    let it = || cube(DVec3::ZERO);
-    let root = Node::group(vec![
-        it(),
-        with(3, true, on, with(-1, true, on, it())),
-        with(3, true, on, it()),
-        with(3, true, on, with(-1, false, on, it())),
-        with(2, true, on | over, with(9, true, on, it())),
-        with(2, true, on | over, with(9, true, on | protect, it())),
-    ]);
-    let stage = cull(root, &camera());
-    let bins: Vec<_> = stage
-        .bins
-        .iter()
-        .map(|b| {
-            (b.path.iter().map(|p| p.number).collect::<Vec<_>>(), b.leaves.iter().map(|l| l.slot.0).collect::<Vec<_>>())
-        })
-        .collect();
-    let expected: Vec<(Vec<i32>, Vec<u32>)> = vec![
-        (vec![-1], vec![3]),
-        (vec![], vec![0]),
-        (vec![2], vec![4]),
-        (vec![2, 9], vec![5]),
-        (vec![3, -1], vec![1]),
-        (vec![3], vec![2]),
-    ];
-    assert_eq!(bins, expected);
 }

@@ -116,7 +116,7 @@ fn a_steady_frame_allocates_nothing_of_its_own() {
     // Meshes under state sets of three bins, some of them blended, near the terrain's middle.
     let up = terrain.world(0.5, 0.5, 1_000.0);
     nodes.extend((0..200u32).map(|i| {
-        let bin = Some(BinDetails { number: i as i32 % 3 - 1, sort: SortMode::ByState });
+        let bin = Some(BinDetails::new(i as i32 % 3 - 1, SortMode::ByState));
         let set = StateSet { bin, color: Some([1.0, 0.5, 0.2, 1.0]), ..StateSet::default() };
         let offset = up + 100.0 * DVec3::new(f64::from(i % 20), f64::from(i / 20), 0.0);
         let alpha = if i % 7 == 0 { 0.5 } else { 1.0 };

@@ -1,155 +1,20 @@
-//! The fixed function's pixels: lights, materials, fog, clip planes, alpha test, texture units and their coordinates.
+//! The fixed function's pixels: fog, clip planes, alpha test, texture units and their coordinates.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
+mod fixed_support;
 mod gpu_support;
 
 use std::sync::Arc;
 
-use glam::dcamera::rh::proj::directx as proj;
+use fixed_support::*;
 use glam::{DAffine3, DVec3, DVec4};
-use gpu_support::{MAGENTA, Rig, Terrain, camera, count, pixel, plain, quad, rig, unit_camera};
+use gpu_support::{MAGENTA, Terrain, camera, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
-use terrane::cull::CullCamera;
-use terrane::scene::{
-    ClipNode, Drawable, Geometry, LightSource, Material, Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, TexGenNode,
-    Topology,
-};
+use terrane::scene::{ClipNode, LightSource, Node, NodeKind, ReferenceFrame, TexGenNode};
 use terrane::state::{
-    AlphaFunc, Attribute, CompareFunction, FilterMode, Fog, FogMode, Light, LightModel, Mode, Sampler, StateSet,
-    StateValue, SurfaceMaterial, TexGen, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode,
+    AlphaFunc, Attribute, CompareFunction, FilterMode, Fog, FogMode, Light, Mode, Sampler, StateSet, StateValue,
+    SurfaceMaterial, TexGen, TextureBinding, TextureDimension, TextureFormat, TextureObject, WrapMode,
 };
-
-const SIDE: u32 = 64;
-const RED: [u8; 3] = [255, 0, 0];
-const GREEN: [u8; 3] = [0, 255, 0];
-const BLUE: [u8; 3] = [0, 0, 255];
-
-/// A square over the middle half, facing the eye, lit.
-fn square(color: [f32; 4]) -> Drawable {
-    let mut drawable = quad([0.0, 0.0, 0.0], [0.5, 0.5], color);
-    drawable.material.unlit = false;
-    drawable
-}
-
-fn node(drawable: Drawable, set: StateSet) -> Node {
-    Node::geode(vec![drawable]).with_state_set(Arc::new(set))
-}
-
-fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
-    let scene = rig.scene(Node::group(nodes));
-    let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
-    rig.release(scene);
-    let errors = rig.renderer.take_errors();
-    assert!(errors.is_empty(), "{errors:?}");
-    picture
-}
-
-fn middle(rig: &mut Rig, nodes: Vec<Node>) -> [u8; 3] {
-    let [r, g, b, _] = draw(rig, nodes).get_pixel(SIDE / 2, SIDE / 2).0;
-    [r, g, b]
-}
-
-/// sRGB of a linear value.
-fn srgb(linear: f32) -> u8 {
-    let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
-    (s * 255.0).round() as u8
-}
-
-fn assert_near(got: [u8; 3], linear: [f32; 3], what: &str) {
-    let want = linear.map(srgb);
-    assert!(got.iter().zip(want).all(|(g, w)| g.abs_diff(w) <= 2), "{what}: {got:?} instead of {want:?}");
-}
-
-/// No sun: only light 1, and what a test adds.
-fn only_light_1() -> StateSet {
-    StateSet::default().with_mode(Mode::Light(0), StateValue::OFF).with_mode(Mode::Light(1), StateValue::ON)
-}
-
-fn light(light: Light) -> Node {
-    let light = Light { number: 1, ..light };
-    Node::new(NodeKind::LightSource(Box::new(LightSource { light, frame: ReferenceFrame::Relative })))
-}
-
-const WHITE: [f32; 4] = [1.0; 4];
-
-/// A camera of parallel rays, 1 m before what is drawn, that sees the same as the tests' own.
-fn parallel_camera() -> CullCamera {
-    CullCamera {
-        eye_from_world: DAffine3::from_translation(DVec3::new(0.0, 0.0, -1.0)),
-        clip_from_eye: proj::orthographic(-1.0, 1.0, -1.0, 1.0, 100.0, 0.0),
-        ..unit_camera(SIDE)
-    }
-}
-
-#[test]
-fn lights_shine_from_their_side() {
-    let Some(mut rig) = rig("lights_shine_from_their_side") else { return };
-    let rig = &mut *rig;
-    let mut lit = |l: Light| middle(rig, vec![light(l), node(square(WHITE), only_light_1())]);
-    let toward = |x: f64, z: f64| Light { position: [x, 0.0, z, 0.0], ..Light::default() };
-    assert_near(lit(toward(0.0, 1.0)), [1.0; 3], "straight");
-    assert_near(lit(toward(3f64.sqrt(), 1.0)), [0.5; 3], "60 degrees aside");
-    assert_near(lit(toward(0.0, -1.0)), [0.0; 3], "from behind");
-    assert_near(lit(Light { ambient: [0.25; 3], ..toward(0.0, -1.0) }), [0.25; 3], "ambient");
-    let lamp = Light { position: [0.0, 0.0, 2.0, 1.0], attenuation: [0.0, 1.0, 0.0], ..Light::default() };
-    assert_near(lit(lamp), [0.5; 3], "2 m away, falling off linearly");
-    let quadratic = Light { attenuation: [0.0, 0.0, 1.0], ..lamp };
-    assert_near(lit(quadratic), [0.25; 3], "and with the square");
-    let spot = |direction, exponent| Light {
-        position: [0.0, 0.0, 2.0, 1.0],
-        direction,
-        spot_cutoff: 0.3,
-        spot_exponent: exponent,
-        ..Light::default()
-    };
-    assert_near(lit(spot([0.0, 0.0, -1.0], 0.0)), [1.0; 3], "in the cone");
-    assert_near(lit(spot([0.5, 0.0, -1.0], 0.0)), [0.0; 3], "beside the cone");
-    let cosine = 1.0 / (1.0f32 + 0.04).sqrt();
-    assert_near(lit(spot([0.2, 0.0, -1.0], 8.0)), [cosine.powi(8); 3], "falling off to the rim");
-    assert_near(lit(Light { position: [f64::NAN, 0.0, 0.0, 0.0], ..Light::default() }), [0.0; 3], "no light at all");
-}
-
-#[test]
-fn lights_move_with_what_they_hang_in_and_can_be_switched() {
-    let Some(mut rig) = rig("lights_move_with_what_they_hang_in_and_can_be_switched") else { return };
-    let rig = &mut *rig;
-    let from_x = Light { position: [1.0, 0.0, 0.0, 0.0], ..Light::default() };
-    let turned = Node::transform(DAffine3::from_rotation_y(-std::f64::consts::FRAC_PI_2), vec![light(from_x)]);
-    assert_near(middle(rig, vec![turned, node(square(WHITE), only_light_1())]), [1.0; 3], "turned to z");
-    // Without lighting a surface has its own colour; unlit materials give way to an override only.
-    let unlit = quad([0.0; 3], [0.5; 2], WHITE);
-    let off = only_light_1().with_mode(Mode::Lighting, StateValue::OFF);
-    assert_eq!(middle(rig, vec![node(square([0.0, 1.0, 0.0, 1.0]), off)]), GREEN);
-    assert_eq!(middle(rig, vec![node(unlit.clone(), only_light_1())]), [255; 3]);
-    let forced = only_light_1().with_mode(Mode::Lighting, StateValue::ON | StateValue::OVERRIDE);
-    assert_eq!(middle(rig, vec![node(unlit, forced)]), [0; 3]);
-    // A light 0 in the graph is instead of the sun, for everybody.
-    let blue = Light { number: 0, position: [0.0, 0.0, 1.0, 0.0], diffuse: [0.0, 0.0, 1.0], ..Light::default() };
-    let source = LightSource { light: blue, frame: ReferenceFrame::Relative };
-    let nodes = vec![Node::new(NodeKind::LightSource(Box::new(source))), Node::geode(vec![square(WHITE)])];
-    assert_eq!(middle(rig, nodes), BLUE);
-}
-
-#[test]
-fn materials_reflect() {
-    let Some(mut rig) = rig("materials_reflect") else { return };
-    let rig = &mut *rig;
-    let front = Light { position: [0.0, 0.0, 1.0, 0.0], ambient: [0.5; 3], ..Light::default() };
-    let mut with = |material: SurfaceMaterial, model: [f32; 3]| {
-        let set = only_light_1()
-            .with(Attribute::SurfaceMaterial(material))
-            .with(Attribute::LightModel(LightModel { ambient: model }));
-        middle(rig, vec![light(Light { diffuse: [0.5; 3], ..front }), node(square(WHITE), set)])
-    };
-    let dark = SurfaceMaterial { ambient: [0.0; 3], diffuse: [0.0, 0.0, 0.0, 1.0], ..SurfaceMaterial::default() };
-    assert_near(with(SurfaceMaterial { ambient: [0.0, 0.5, 0.0], ..dark }, [0.0; 3]), [0.0, 0.25, 0.0], "ambient");
-    assert_near(with(SurfaceMaterial { ambient: [0.5; 3], ..dark }, [1.0; 3]), [0.75; 3], "light from everywhere");
-    assert_near(with(SurfaceMaterial { diffuse: [1.0, 0.0, 0.0, 1.0], ..dark }, [0.0; 3]), [0.5, 0.0, 0.0], "diffuse");
-    assert_near(with(SurfaceMaterial { emission: [0.1, 0.0, 0.3], ..dark }, [0.0; 3]), [0.1, 0.0, 0.3], "emission");
-    let shiny = SurfaceMaterial { specular: [0.5, 0.25, 0.0], shininess: 20.0, ..dark };
-    // Seen along the normal: the highlight itself (the middle pixel's ray is off by a fraction of a degree).
-    assert_near(with(shiny, [0.0; 3]), [0.5, 0.25, 0.0], "specular");
-}
 
 #[test]
 fn fog_thickens_with_distance() {
@@ -222,21 +87,6 @@ fn alpha_decides_what_is_drawn() {
         let got = [0.25, 0.5, 0.75].map(|alpha| passes(function, alpha));
         assert_eq!(got, [below, equal, above], "{function:?}");
     }
-}
-
-/// Texels in four quarters: red, green, blue, white; rows from the top.
-fn quarters() -> Arc<TextureObject> {
-    let texels = [[255, 0, 0, 255], [0, 255, 0, 255], [0, 0, 255, 255], [255; 4]].concat();
-    TextureObject::image("quarters", [2, 2], texels)
-}
-
-fn nearest(texture: Arc<TextureObject>) -> TextureBinding {
-    let sampler = Sampler { min_filter: FilterMode::Nearest, mag_filter: FilterMode::Nearest, ..Sampler::default() };
-    TextureBinding { texture, sampler }
-}
-
-fn unlit() -> StateSet {
-    StateSet::default().with_mode(Mode::Lighting, StateValue::OFF)
 }
 
 #[test]
@@ -483,32 +333,6 @@ fn of_cubes_volumes_and_layers_there_is_one_each() {
     }
 }
 
-/// They had the normal of level ground.
-#[test]
-fn lines_are_lit_by_their_normals() {
-    let Some(mut rig) = rig("lines_are_lit_by_their_normals") else { return };
-    let rig = &mut *rig;
-    let lines = |normal: [i8; 4]| {
-        let end = |i: i16| MeshVertex {
-            position: [if i % 2 == 0 { -0.5 } else { 0.5 }, f32::from(i / 2) / 16.0 - 0.5, 0.0],
-            uv: [0.0; 2],
-            normal,
-            color: [255; 4],
-        };
-        let lines = gpu_support::mesh((0..32).map(end).collect(), (0..32).collect());
-        let mesh = Mesh { topology: Topology::Lines, ..lines };
-        Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
-    };
-    let mut white = |normal, from: [f64; 3]| {
-        let sun = light(Light { position: [from[0], from[1], from[2], 0.0], ..Light::default() });
-        let picture = draw(rig, vec![sun, node(lines(normal), only_light_1())]);
-        [count(&picture, [255; 3]), count(&picture, [0; 3])].map(|pixels| pixels > 300)
-    };
-    assert_eq!(white([127, 0, 0, 0], [1.0, 0.0, 0.0]), [true, false], "towards the light");
-    assert_eq!(white([-127, 0, 0, 0], [1.0, 0.0, 0.0]), [false, true], "away from it");
-    assert_eq!(white([0; 4], [0.0, 0.0, 1.0]), [true, false], "without a normal they face up");
-}
-
 #[test]
 fn height_tiles_have_lights_and_fog_too() {
     let Some(mut rig) = rig("height_tiles_have_lights_and_fog_too") else { return };
@@ -539,59 +363,6 @@ fn height_tiles_have_lights_and_fog_too() {
     let fog = Fog { mode: FogMode::Linear { start_m: 5_000.0, end_m: 30_000.0 }, color: [0.0, 0.0, 1.0] };
     let foggy = with(StateSet::default().with(Attribute::Fog(fog)));
     assert!(mean(&foggy, 2) > mean(&sunny, 2) + 20.0);
-}
-
-/// A sun that nothing took the place of was off.
-#[test]
-fn a_light_that_is_nowhere_leaves_the_sun_on() {
-    let Some(mut rig) = rig("a_light_that_is_nowhere_leaves_the_sun_on") else { return };
-    let rig = &mut *rig;
-    let material = SurfaceMaterial { diffuse: [0.6, 0.5, 0.4, 1.0], ..SurfaceMaterial::default() };
-    let sets = [StateSet::default(), StateSet::default().with(Attribute::SurfaceMaterial(material))];
-    for set in sets {
-        let sunlit = middle(rig, vec![node(square(WHITE), set.clone())]);
-        assert!(sunlit.iter().any(|c| *c > 20), "{sunlit:?}");
-        for position in [[f64::NAN, 0.0, 1.0, 0.0], [0.0, 0.0, 1e300, 1.0], [0.0; 4]] {
-            let light = Light { number: 0, position, ..Light::default() };
-            let source = LightSource { light, frame: ReferenceFrame::Relative };
-            let source = Node::new(NodeKind::LightSource(Box::new(source)));
-            assert_eq!(middle(rig, vec![source, node(square(WHITE), set.clone())]), sunlit, "{position:?}");
-        }
-    }
-}
-
-/// The highlight and what is mirrored lay where rays from one point would have put them.
-#[test]
-fn parallel_rays_see_the_same_highlight_all_over_a_plane() {
-    let Some(mut rig) = rig("parallel_rays_see_the_same_highlight_all_over_a_plane") else { return };
-    let rig = &mut *rig;
-    let dark = SurfaceMaterial { ambient: [0.0; 3], diffuse: [0.0, 0.0, 0.0, 1.0], ..SurfaceMaterial::default() };
-    let shiny = SurfaceMaterial { specular: [0.5, 0.25, 0.0], shininess: 20.0, ..dark };
-    let front = light(Light { position: [0.0, 0.0, 1.0, 0.0], ..Light::default() });
-    let mut seen = |nodes: Vec<Node>| {
-        let scene = rig.scene(Node::group(nodes));
-        let picture = rig.picture(&scene, &parallel_camera(), &plain());
-        rig.release(scene);
-        [(32, 32), (18, 18), (46, 20)].map(|(x, y)| pixel(&picture, x, y))
-    };
-    for got in seen(vec![front.clone(), node(square(WHITE), only_light_1().with(Attribute::SurfaceMaterial(shiny)))]) {
-        assert_near(got, [0.5, 0.25, 0.0], "a highlight");
-    }
-    // Where the eye is, too.
-    let near = Node::transform(
-        DAffine3::from_translation(DVec3::Z),
-        vec![node(square(WHITE), only_light_1().with(Attribute::SurfaceMaterial(shiny)))],
-    );
-    for got in seen(vec![front, near]) {
-        assert_near(got, [0.5, 0.25, 0.0], "in the eye's own plane");
-    }
-    // Red where what is behind the eye is mirrored, the middle of a sphere map.
-    let mut texels = [0u8, 0, 255, 255].repeat(81);
-    texels[40 * 4..41 * 4].copy_from_slice(&[255, 0, 0, 255]);
-    let map = unlit()
-        .with(Attribute::Texture(0, nearest(TextureObject::image("dot", [9, 9], texels))))
-        .with(Attribute::TexGen(0, TexGen::SphereMap));
-    assert_eq!(seen(vec![node(square(WHITE), map)]), [RED; 3]);
 }
 
 /// They counted as the last ones.

@@ -9,7 +9,9 @@ use gpu_support::{MAGENTA, Rig, count, pixel, plain, quad, rig, unit_camera};
 use image::RgbaImage;
 use terrane::draw::{BinCallback, BinDrawing, RenderInfo};
 use terrane::scene::{Drawable, Geometry, Node};
-use terrane::state::{Attribute, BinDetails, BlendFunc, ColorMask, DrawHook, SortMode, StateSet};
+use terrane::state::{
+    Attribute, BinDetails, BinPrototype, BlendFunc, ColorMask, DrawHook, Mode, SortMode, StateSet, StateValue,
+};
 
 const SIZE: u32 = 64;
 const ALL: usize = (SIZE * SIZE) as usize;
@@ -20,7 +22,7 @@ const BLUE: [f32; 4] = [0.0, 0.0, 1.0, 1.0];
 type Said = Arc<Mutex<Vec<String>>>;
 
 fn bin(number: i32, callback: Option<DrawHook>) -> Arc<StateSet> {
-    let bin = Some(BinDetails { number, sort: SortMode::ByState });
+    let bin = Some(BinDetails::new(number, SortMode::ByState));
     Arc::new(StateSet { bin, bin_callback: callback, ..StateSet::default() })
 }
 
@@ -158,6 +160,44 @@ fn bins_that_blend_are_called_after_what_is_opaque() {
     let without = draw(rig, nodes(Some(hook(&said, "none", |_, _| {}))));
     assert_eq!((count(&without, [255, 0, 0]), count(&without, MAGENTA)), (ALL / 2, ALL / 2));
     assert_eq!(said.lock().unwrap().len(), 4);
+}
+
+/// What the prototype of their name says, once for each bin: two with the same number are two.
+#[test]
+fn bins_are_drawn_by_the_prototype_of_their_name() {
+    let Some(mut rig) = rig("bins_are_drawn_by_the_prototype_of_their_name") else { return };
+    let rig = &mut *rig;
+    let said = Said::default();
+    for name in ["gpu_bins: first", "gpu_bins: second"] {
+        let draw = Some(hook(&said, name, |_, bin| bin.draw()));
+        BinPrototype::register(name, BinPrototype { sort: SortMode::BackToFront, draw });
+    }
+    let named = |name: &str| {
+        let mut set = StateSet::default().with_mode(Mode::DepthTest, StateValue::OFF);
+        set.set_render_bin_details(5, name).unwrap();
+        Arc::new(set)
+    };
+    let picture = draw(
+        rig,
+        vec![
+            square(true, true, 0.2, GREEN).with_state_set(named("gpu_bins: second")),
+            square(false, true, 0.1, BLUE).with_state_set(named("gpu_bins: first")),
+            Node::group(vec![
+                square(true, true, 0.0, BLUE),
+                square(true, false, 0.1, RED).with_state_set(bin(-1, None)),
+            ])
+            .with_state_set(named("gpu_bins: first")),
+            square(true, true, 0.3, RED).with_state_set(bin(5, None)),
+        ],
+    );
+    assert_eq!(count(&picture, [0, 255, 0]), ALL, "the second is drawn last, whatever was met first");
+    let expected = [
+        "gpu_bins: first begins [-1, 5] with 3",
+        "gpu_bins: first ends",
+        "gpu_bins: second begins [5] with 1",
+        "gpu_bins: second ends",
+    ];
+    assert_eq!(*said.lock().unwrap(), expected);
 }
 
 /// Of many indices or few, which other calls draw.

@@ -201,7 +201,7 @@ fn draw(rig: &mut Rig, nodes: Vec<Node>) -> RgbaImage {
 }
 
 fn in_bin(number: i32, set: StateSet) -> Arc<StateSet> {
-    Arc::new(StateSet { bin: Some(BinDetails { number, sort: SortMode::ByState }), ..set })
+    Arc::new(StateSet { bin: Some(BinDetails::new(number, SortMode::ByState)), ..set })
 }
 
 #[test]

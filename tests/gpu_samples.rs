@@ -59,7 +59,7 @@ fn left_out(rig: &mut Rig, scene: &Scene, camera: &CullCamera) -> u32 {
 #[test]
 fn what_no_pixel_shows_is_left_out_and_nothing_else() {
     let Some(mut rig) = rig("what_no_pixel_shows_is_left_out_and_nothing_else") else { return };
-    for bin in [None, Some(BinDetails { number: 0, sort: SortMode::BackToFront })] {
+    for bin in [None, Some(BinDetails::new(0, SortMode::BackToFront))] {
         let scene =
             rig.scene(dust(Topology::Triangles).with_state_set(Arc::new(StateSet { bin, ..StateSet::default() })));
         for eye in [DVec3::new(30.0, 5.0, 40.0), DVec3::new(-90.0, 200.0, 10.0), DVec3::new(1.0, 2.0, 3.0)] {

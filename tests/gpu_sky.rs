@@ -23,7 +23,7 @@ fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
     // Sorted and blended by its state set alone, which leaves it its depth.
     let sorted = quad([0.5, 0.6, 0.0], [0.25, 0.25], [1.0, 0.0, 0.0, 0.5]);
     let blends = BlendFunc::new(BlendFactor::SrcAlpha, BlendFactor::OneMinusSrcAlpha);
-    let bin = Some(BinDetails { number: 10, sort: SortMode::BackToFront });
+    let bin = Some(BinDetails::new(10, SortMode::BackToFront));
     let set = StateSet { bin, ..StateSet::default() }.with(Attribute::BlendFunc(blends));
     let scene = rig.scene(Node::group(vec![
         Node::geode(vec![sorted]).with_state_set(Arc::new(set)),

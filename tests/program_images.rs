@@ -152,11 +152,11 @@ fn programs_have_uniforms_and_defines() {
 fn uniforms_of_every_type_reach_programs() {
     let Some(mut rig) = rig("uniforms_of_every_type_reach_programs") else { return };
     let rig = &mut *rig;
-    use UniformValue::{
-        Float, IVec2, IVec3, IVec4, Int, Mat2, Mat3, Mat4, UVec2, UVec3, UVec4, Uint, Vec2, Vec3, Vec4, Vec4Array,
-    };
+    use UniformValue::*;
     let columns = [[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0], [9.0, 10.0, 11.0, 12.0], [13.0, 14.0, 15.0, 16.0]];
     let of_three = [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5], [7.5, 8.5, 9.5]];
+    let of_two = [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0], [7.0, 8.0]];
+    let in_three = [[1.0, 2.0, 3.0], [5.0, 6.0, 7.0], [9.0, 10.0, 11.0], [13.0, 14.0, 15.0]];
     // Types that are smaller than the place of the next, so that each begins where WGSL says.
     let given = [
         ("f32", Float(-0.25), "all(V == -0.25)"),
@@ -181,6 +181,70 @@ fn uniforms_of_every_type_reach_programs() {
             "mat4x4<f32>",
             Mat4(columns),
             "all(V[1] == vec4(5.0, 6.0, 7.0, 8.0)) && all(V * vec4(0.0, 0.0, 0.0, 1.0) == V[3]) && V[3].w == 16.0",
+        ),
+        (
+            "mat2x3<f32>",
+            Mat2x3([in_three[0], in_three[1]]),
+            "all(V[0] == vec3(1.0, 2.0, 3.0)) && all(V[1] == vec3(5.0, 6.0, 7.0))",
+        ),
+        (
+            "mat2x4<f32>",
+            Mat2x4([columns[0], columns[1]]),
+            "all(V[0] == vec4(1.0, 2.0, 3.0, 4.0)) && all(V[1] == vec4(5.0, 6.0, 7.0, 8.0))",
+        ),
+        (
+            "mat3x2<f32>",
+            Mat3x2([of_two[0], of_two[1], of_two[2]]),
+            "all(V[0] == vec2(1.0, 2.0)) && all(V[1] == vec2(3.0, 4.0)) && all(V[2] == vec2(5.0, 6.0))",
+        ),
+        (
+            "mat3x4<f32>",
+            Mat3x4([columns[0], columns[1], columns[2]]),
+            "all(V[0] == vec4(1.0, 2.0, 3.0, 4.0)) && all(V[2] == vec4(9.0, 10.0, 11.0, 12.0))",
+        ),
+        ("mat4x2<f32>", Mat4x2(of_two), "all(V[1] == vec2(3.0, 4.0)) && all(V[3] == vec2(7.0, 8.0))"),
+        ("mat4x3<f32>", Mat4x3(in_three), "all(V[1] == vec3(5.0, 6.0, 7.0)) && all(V[3] == vec3(13.0, 14.0, 15.0))"),
+        // A column for each of three, of which the last is 0.
+        ("array<vec3<f32>, 3>", Vec3Array(in_three[..2].into()), "V[1].z == 7.0 && all(V[2] == vec3(0.0))"),
+        ("array<vec3<i32>, 2>", IVec3Array([[1, 2, 3], [-4, -5, -6]].into()), "all(V[1] == vec3(-4, -5, -6))"),
+        ("array<vec4<i32>, 2>", IVec4Array([[1, 2, 3, 4], [5, 6, 7, -8]].into()), "all(V[1] == vec4(5, 6, 7, -8))"),
+        ("array<vec3<u32>, 2>", UVec3Array([[1, 2, 3], [4, 5, 6]].into()), "all(V[1] == vec3(4u, 5u, 6u))"),
+        ("array<vec4<u32>, 2>", UVec4Array([[1, 2, 3, 4], [5, 6, 7, 8]].into()), "all(V[1] == vec4(5u, 6u, 7u, 8u))"),
+        (
+            "array<mat2x2<f32>, 2>",
+            Mat2Array([[of_two[0], of_two[1]], [of_two[2], of_two[3]]].into()),
+            "V[0][1].x == 3.0 && all(V[1][1] == vec2(7.0, 8.0))",
+        ),
+        (
+            "array<mat2x3<f32>, 2>",
+            Mat2x3Array([[in_three[0], in_three[1]], [in_three[2], in_three[3]]].into()),
+            "V[0][1].x == 5.0 && all(V[1][1] == vec3(13.0, 14.0, 15.0))",
+        ),
+        (
+            "array<mat2x4<f32>, 2>",
+            Mat2x4Array([[columns[0], columns[1]], [columns[2], columns[3]]].into()),
+            "V[0][1].x == 5.0 && all(V[1][1] == vec4(13.0, 14.0, 15.0, 16.0))",
+        ),
+        ("array<mat3x3<f32>, 2>", Mat3Array([of_three; 2].into()), "all(V[1][2] == vec3(7.5, 8.5, 9.5))"),
+        (
+            "array<mat3x4<f32>, 2>",
+            Mat3x4Array([[columns[3]; 3], [columns[0], columns[1], columns[2]]].into()),
+            "V[0][2].x == 13.0 && all(V[1][2] == vec4(9.0, 10.0, 11.0, 12.0))",
+        ),
+        (
+            "array<mat4x2<f32>, 2>",
+            Mat4x2Array([[of_two[3]; 4], of_two].into()),
+            "V[0][3].x == 7.0 && all(V[1][2] == vec2(5.0, 6.0))",
+        ),
+        (
+            "array<mat4x3<f32>, 2>",
+            Mat4x3Array([[in_three[3]; 4], in_three].into()),
+            "V[0][3].x == 13.0 && all(V[1][2] == vec3(9.0, 10.0, 11.0))",
+        ),
+        (
+            "array<mat4x4<f32>, 2>",
+            Mat4Array([[columns[3]; 4], columns].into()),
+            "all(V[1][1] == vec4(5.0, 6.0, 7.0, 8.0))",
         ),
         ("array<vec4<f32>, 4>", Vec4Array(columns.into()), "all(V[0] == vec4(1.0, 2.0, 3.0, 4.0)) && V[3].x == 13.0"),
     ];

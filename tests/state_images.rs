@@ -35,7 +35,7 @@ fn node(drawable: Drawable, set: StateSet) -> Node {
 
 /// A state set whose leaves are drawn after those of bin 0.
 fn later() -> StateSet {
-    StateSet { bin: Some(BinDetails { number: 1, sort: SortMode::ByState }), ..StateSet::default() }
+    StateSet { bin: Some(BinDetails::new(1, SortMode::ByState)), ..StateSet::default() }
 }
 
 /// The color in the middle.
@@ -391,7 +391,7 @@ fn stencils_mark_and_test() {
     let face = |function, pass| StencilFace { function, pass, ..StencilFace::default() };
     let stencil = |set: StateSet, s: Stencil| set.with(Attribute::Stencil(s));
     let mark = Stencil::both(face(CompareFunction::Always, StencilOperation::Replace), 3);
-    let bin = |number| StateSet { bin: Some(BinDetails { number, sort: SortMode::ByState }), ..StateSet::default() };
+    let bin = |number| StateSet { bin: Some(BinDetails::new(number, SortMode::ByState)), ..StateSet::default() };
     // A small mark without color, then a square that is drawn where the mark is (or is not).
     let mut drawn = |test: Stencil, mark: Stencil| {
         let mut invisible = stencil(bin(1), mark).with(Attribute::ColorMask(ColorMask([false; 3])));

@@ -101,7 +101,7 @@ fn check(rig: &mut Rig, cases: &[Case]) {
     let center = |place: usize| f64::from(2 * place as u32 + 1) / ACROSS as f64 - 1.0;
     let half = 0.6 / ACROSS as f32;
     let square = |at: usize, z: f64, is_turned: bool, number: i32, set: StateSet| {
-        let set = StateSet { bin: Some(BinDetails { number, sort: SortMode::ByState }), ..set };
+        let set = StateSet { bin: Some(BinDetails::new(number, SortMode::ByState)), ..set };
         let turn = DAffine3::from_rotation_y(if is_turned { std::f64::consts::PI } else { 0.0 });
         let place = DAffine3::from_translation(DVec3::new(center(at % ACROSS), -center(at / ACROSS), z)) * turn;
         let white = Node::geode(vec![quad([0.0; 3], [half; 2], [1.0; 4])]).with_state_set(Arc::new(set));

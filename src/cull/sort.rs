@@ -35,16 +35,12 @@ pub(super) struct Sorter {
     parts: Vec<Vec<RenderLeaf>>,
 }
 
-/// True for the paths of one bin.
-fn is_same_bin(a: &[BinDetails], b: &[BinDetails]) -> bool {
-    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.number == b.number)
-}
-
 /// The order in which bins are drawn: a bin's own leaves stand between its negative bins and the others.
 fn bin_order(a: &[BinDetails], b: &[BinDetails]) -> Ordering {
     for depth in 0..a.len().max(b.len()) {
         let number = |path: &[BinDetails]| path.get(depth).map_or((0, false), |bin| (bin.number, true));
-        match number(a).cmp(&number(b)) {
+        let place = |path: &[BinDetails]| path.get(depth).map(BinDetails::place);
+        match number(a).cmp(&number(b)).then_with(|| place(a).cmp(&place(b))) {
             Ordering::Equal => {}
             order => return order,
         }
@@ -71,7 +67,7 @@ impl Sorter {
     pub fn fill_bins(&mut self, leaves: &mut Vec<RenderLeaf>, stage: &mut RenderStage) {
         stage.spare.bins.append(&mut stage.bins);
         for state in &stage.state_sets {
-            let known = stage.bins.iter_mut().find(|b| is_same_bin(&b.path, &state.bins));
+            let known = stage.bins.iter_mut().find(|b| b.path == state.bins);
             if let Some(bin) = known {
                 bin.called_by(&state.bin_callbacks);
             } else {
@@ -97,7 +93,7 @@ impl Sorter {
         }
         self.bin_of_state.clear();
         for state in &stage.state_sets {
-            let bin = stage.bins.iter().position(|b| is_same_bin(&b.path, &state.bins));
+            let bin = stage.bins.iter().position(|b| b.path == state.bins);
             self.bin_of_state.push(bin.unwrap_or(0) as u32);
         }
         if self.parts.len() < stage.bins.len() {
@@ -360,7 +356,7 @@ mod tests {
     #[test]
     fn bins_nest_between_the_negative_and_the_others() {
         let bin = |numbers: &[i32]| -> Vec<BinDetails> {
-            numbers.iter().map(|n| BinDetails { number: *n, sort: SortMode::ByState }).collect()
+            numbers.iter().map(|n| BinDetails::new(*n, SortMode::ByState)).collect()
         };
         let drawn: Vec<_> =
             [&[-2][..], &[-1, -5], &[-1], &[-1, 3], &[], &[0], &[3, -1], &[3], &[3, 0], &[3, 7], &[10]].map(bin).into();

@@ -4,8 +4,10 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-use crate::cull::OcclusionQuery;
-use crate::scene::{Attachment, OcclusionResults, Picture, PictureSink};
+use glam::DMat4;
+
+use crate::cull::{CullCamera, OcclusionQuery};
+use crate::scene::{Attachment, CameraTarget, OcclusionResults, Picture, PictureSink, ReadBack};
 use crate::state::TextureFormat;
 
 const IDLE: u8 = 0;
@@ -126,12 +128,66 @@ impl Queries {
     }
 }
 
+/// Why a part of a camera's target is not read back.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum ReadBackError {
+    #[error("a camera without colour {0}, which is to be read back")]
+    NoColor(usize),
+    #[error("a camera without a depth texture, which is to be read back")]
+    NoDepth,
+    #[error("texture {name:?} holds depth in 24 bits, which cannot be copied to be read back; Depth32Stencil8 can")]
+    Uncopied { name: String },
+    #[error("texture {name:?} has no stencil, which is to be read back")]
+    NoStencil { name: String },
+}
+
+/// A part of a camera's target, and what it is read as.
+#[derive(Clone, Copy)]
+pub(super) struct Read<'a> {
+    pub(super) attachment: &'a Attachment,
+    aspect: wgpu::TextureAspect,
+    format: TextureFormat,
+}
+
+impl<'a> Read<'a> {
+    /// A colour as it is.
+    fn color(attachment: &'a Attachment) -> Self {
+        Self { attachment, aspect: wgpu::TextureAspect::All, format: attachment.texture.format }
+    }
+
+    pub(super) fn of(camera: &'a CameraTarget, part: ReadBack) -> Result<Self, ReadBackError> {
+        let depth = || camera.depth.as_ref().ok_or(ReadBackError::NoDepth);
+        match part {
+            ReadBack::Color(location) => {
+                camera.colors.get(location).map(Self::color).ok_or(ReadBackError::NoColor(location))
+            }
+            ReadBack::Depth => {
+                let attachment = depth()?;
+                let texture = &attachment.texture;
+                if texture.format == TextureFormat::Depth24Stencil8 {
+                    return Err(ReadBackError::Uncopied { name: texture.name.clone() });
+                }
+                Ok(Self { attachment, aspect: wgpu::TextureAspect::DepthOnly, format: TextureFormat::Depth32 })
+            }
+            ReadBack::Stencil => {
+                let attachment = depth()?;
+                let texture = &attachment.texture;
+                if !texture.format.has_stencil() {
+                    return Err(ReadBackError::NoStencil { name: texture.name.clone() });
+                }
+                Ok(Self { attachment, aspect: wgpu::TextureAspect::StencilOnly, format: TextureFormat::R8 })
+            }
+        }
+    }
+}
+
 struct PictureSlot {
     buffer: wgpu::Buffer,
     sink: Arc<PictureSink>,
     size_px: [u32; 2],
     format: TextureFormat,
     frame: u32,
+    clip_from_eye: DMat4,
     is_new: bool,
     state: Arc<AtomicU8>,
 }
@@ -165,20 +221,22 @@ impl PictureReads {
         has_room
     }
 
-    /// Copies an attachment from its texture to where it can be read; false while too many are under way.
+    /// Copies a part of a camera's target from its texture to where it can be read; false while too many are under way.
     pub(super) fn copy(
         &mut self,
         device: &wgpu::Device,
         encoder: &mut wgpu::CommandEncoder,
         texture: &wgpu::Texture,
-        of: &Attachment,
+        read: Read<'_>,
         sink: &Arc<PictureSink>,
-        frame: u32,
+        camera: &CullCamera,
     ) -> bool {
         if !self.has_room(sink) {
             return false;
         }
-        let (format, level, layer) = (of.texture.format, of.level, of.layer);
+        let Read { attachment: Attachment { level, layer, .. }, aspect, format } = read;
+        let (level, layer) = (*level, *layer);
+        let CullCamera { frame, clip_from_eye, .. } = *camera;
         let size_px = [texture.width(), texture.height()].map(|side| (side >> level).max(1));
         let row_bytes = (size_px[0] * format.texel_bytes() as u32).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let size = u64::from(row_bytes) * u64::from(size_px[1]);
@@ -201,6 +259,7 @@ impl PictureReads {
                 size_px,
                 format,
                 frame,
+                clip_from_eye,
                 is_new: true,
                 state: Arc::new(AtomicU8::new(IDLE)),
             };
@@ -212,12 +271,13 @@ impl PictureReads {
         }
         let slot = &mut self.slots[place];
         (slot.sink, slot.size_px, slot.format) = (sink.clone(), size_px, format);
-        (slot.frame, slot.is_new) = (frame, true);
+        (slot.frame, slot.clip_from_eye, slot.is_new) = (frame, clip_from_eye, true);
         encoder.copy_texture_to_buffer(
             wgpu::TexelCopyTextureInfo {
                 mip_level: level,
                 origin: wgpu::Origin3d { x: 0, y: 0, z: layer },
-                ..texture.as_image_copy()
+                aspect,
+                texture,
             },
             wgpu::TexelCopyBufferInfo {
                 buffer: &slot.buffer,
@@ -250,8 +310,8 @@ impl PictureReads {
                         for row in view.chunks_exact(padded) {
                             texels.extend_from_slice(&row[..row_bytes]);
                         }
-                        let PictureSlot { size_px, format, frame, .. } = *slot;
-                        slot.sink.put(Picture { size_px, frame, format, texels });
+                        let PictureSlot { size_px, format, frame, clip_from_eye, .. } = *slot;
+                        slot.sink.put(Picture { size_px, frame, clip_from_eye, format, texels });
                     }
                     slot.buffer.unmap();
                     slot.state.store(IDLE, Ordering::Release);
@@ -292,7 +352,8 @@ mod tests {
             let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             // The last one asks no more after the first frames.
             for sink in &sinks[..if frame < 2 { 20 } else { 19 }] {
-                reads.copy(ctx.device(), &mut encoder, &texture, &of, sink, frame);
+                let camera = CullCamera { frame, ..CullCamera::default() };
+                reads.copy(ctx.device(), &mut encoder, &texture, Read::color(&of), sink, &camera);
             }
             ctx.queue().submit([encoder.finish()]);
             reads.submitted();

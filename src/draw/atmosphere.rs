@@ -12,8 +12,8 @@ use std::f64::consts::PI;
 
 use crate::cull::CullCamera;
 use crate::draw::uniforms::frame::{eye_height_m, sun_height};
-use crate::gpu::{FrameTimer, GraphicsContext};
-use crate::scene::Environment;
+use crate::gpu::{FrameTimer, GraphicsContext, watched};
+use crate::scene::{Environment, Sky};
 
 /// Source of the compute shaders.
 pub(super) const ATMOSPHERE_WGSL: &str =
@@ -113,6 +113,9 @@ fn table(device: &wgpu::Device, label: &str, size: [u32; 3]) -> wgpu::TextureVie
     texture.create_view(&wgpu::TextureViewDescriptor::default())
 }
 
+/// A clear day's, where the tables cannot be computed.
+pub(super) const PLAIN_SKY: Sky = Sky::Background([0x87, 0xae, 0xd6]);
+
 /// Sets of tables, each 0.8 MB; eyes beyond share the one that is nearest to theirs.
 const MOST_SETS: usize = 8;
 /// Draws after which a set that none of them needed is given back.
@@ -123,8 +126,11 @@ pub(super) struct Atmosphere {
     sampler: wgpu::Sampler,
     /// One at least.
     sets: Vec<Tables>,
-    /// What computes the tables, in the order run; the last one is run for each eye. Made when there first is an atmosphere.
-    passes: Option<[Pass; 4]>,
+    /// What computes the tables, in the order run; the last one is run for each eye. Made when there first is an atmosphere;
+    /// `Some(None)` where the device refused.
+    passes: Option<Option<[Pass; 4]>>,
+    /// What could not be made since it was last asked.
+    pub(super) errors: Vec<String>,
     draw: u32,
     /// Draws of a frame: one for each context of the device. What one of them needs it needs again in the next frame.
     draws_of_frame: u32,
@@ -183,6 +189,7 @@ impl Atmosphere {
             }),
             sets: vec![Tables::new(device)],
             passes: None,
+            errors: Vec::new(),
             draw: 0,
             draws_of_frame: 1,
         }
@@ -204,8 +211,20 @@ impl Atmosphere {
         self.sets.len()
     }
 
+    /// True where the device can compute tables.
+    pub(super) fn can_be_made(&mut self, ctx: &GraphicsContext) -> bool {
+        let errors = &mut self.errors;
+        let made = self.passes.get_or_insert_with(|| {
+            let (made, error) = watched(ctx.device(), || passes(ctx.device(), ctx.pipeline_cache()));
+            let Some(error) = error else { return Some(made) };
+            errors.push(format!("the air cannot be computed, the sky is plain: {error}"));
+            None
+        });
+        made.is_some()
+    }
+
     /// The set for an eye, made in this draw unless it is there.
-    pub(super) fn find(&mut self, device: &wgpu::Device, air: &Air) -> FoundAir {
+    pub(super) fn find(&mut self, ctx: &GraphicsContext, air: &Air) -> FoundAir {
         let draw = self.draw;
         let same = self.sets.iter().position(|set| set.wanted.as_ref() == Some(air));
         let age = |set: &Tables| draw.wrapping_sub(set.used);
@@ -216,7 +235,13 @@ impl Atmosphere {
         let place = match same.or_else(free) {
             Some(place) => place,
             None if self.sets.len() < MOST_SETS => {
-                self.sets.push(Tables::new(device));
+                match ctx.memory().make("air", Tables::bytes(), Tables::new) {
+                    Ok(set) => self.sets.push(set),
+                    Err(error) => {
+                        self.errors.push(error);
+                        return self.nearest(air);
+                    }
+                }
                 self.sets.len() - 1
             }
             None => {
@@ -265,17 +290,25 @@ impl Atmosphere {
         if !self.sets.iter().any(needs) {
             return;
         }
-        let passes = self.passes.get_or_insert_with(|| passes(ctx.device(), ctx.pipeline_cache()));
+        let Some(Some(passes)) = &self.passes else { return };
         let timestamp_writes = timer.and_then(|timer| timer.compute_pass("air"));
         let mut pass =
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("air"), timestamp_writes });
         for set in self.sets.iter_mut().filter(|set| needs(set)) {
-            set.record(ctx, &mut pass, passes, &self.sampler);
+            if let Err(error) = set.record(ctx, &mut pass, passes, &self.sampler) {
+                self.errors.push(error);
+            }
         }
     }
 }
 
 impl Tables {
+    /// Of a set.
+    fn bytes() -> u64 {
+        let texels = [SUNLIGHT_SIZE, MULTIPLE_SIZE, SKY_LIGHT_SIZE, AIR_SIZE, AIR_SIZE];
+        texels.map(|size| 8 * size.map(u64::from).iter().product::<u64>()).iter().sum()
+    }
+
     fn new(device: &wgpu::Device) -> Self {
         let table = |label, size| table(device, label, size);
         Self {
@@ -297,13 +330,14 @@ impl Tables {
         pass: &mut wgpu::ComputePass<'_>,
         passes: &[Pass; 4],
         sampler: &wgpu::Sampler,
-    ) {
-        let Some(air) = self.wanted else { return };
+    ) -> Result<(), String> {
+        let Some(air) = self.wanted else { return Ok(()) };
         let same_aerosol = self.made_for.is_some_and(|made| made.aerosol_per_km == air.aerosol_per_km);
         if self.maker.is_none() {
-            self.maker = Some(self.maker(ctx.device(), passes, sampler));
+            let made = ctx.memory().make("air", UNIFORM_BYTES, |device| self.maker(device, passes, sampler))?;
+            self.maker = Some(made);
         }
-        let Some(maker) = &self.maker else { return };
+        let Some(maker) = &self.maker else { return Ok(()) };
         let words =
             [air.eye_km, air.horizon_cosine, air.limb_cosine, air.sun_cosine, air.aerosol_per_km, 0.0, 0.0, 0.0];
         ctx.queue().write_buffer(&maker.uniform, 0, bytemuck::cast_slice(&words));
@@ -315,6 +349,7 @@ impl Tables {
             pass.dispatch_workgroups(of.size[0].div_ceil(8), of.size[1].div_ceil(8), 1);
         }
         self.made_for = Some(air);
+        Ok(())
     }
 
     fn maker(&self, device: &wgpu::Device, passes: &[Pass; 4], sampler: &wgpu::Sampler) -> Maker {
@@ -421,7 +456,7 @@ mod tests {
                     atmosphere.start_draw(draws_of_frame);
                     // Eyes move.
                     let air = Air::at(height_km + 0.01 * f64::from(frame), 0.5, 0.1);
-                    found.push(atmosphere.find(ctx.device(), &air).place);
+                    found.push(atmosphere.find(&ctx, &air).place);
                 }
             }
             found
@@ -432,8 +467,34 @@ mod tests {
         let mut atmosphere = Atmosphere::new(ctx.device());
         for draw in 0..40 {
             atmosphere.start_draw(20);
-            let found = atmosphere.find(ctx.device(), &Air::at(1.0 + f64::from(draw), 0.5, 0.1));
+            let found = atmosphere.find(&ctx, &Air::at(1.0 + f64::from(draw), 0.5, 0.1));
             assert!(!found.is_refused && atmosphere.set_count() <= MOST_SETS, "draw {draw}");
         }
+    }
+
+    /// The device's handler had it, and with the tables all that was drawn was invalid.
+    #[test]
+    fn eyes_that_there_is_no_memory_for_share_the_air_of_others() {
+        let traits = ContextTraits { adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut atmosphere = Atmosphere::new(ctx.device());
+        assert!(atmosphere.can_be_made(&ctx));
+        ctx.pretend_frame_memory(Some(Tables::bytes() + UNIFORM_BYTES));
+        atmosphere.start_draw(1);
+        let eyes = [1.0, 5.0, 9.0].map(|height_km| Air::at(height_km, 0.5, 0.1));
+        let found = eyes.map(|air| atmosphere.find(&ctx, &air));
+        assert_eq!(found.map(|f| (f.place, f.is_refused)), [(0, false), (1, false), (1, true)]);
+        assert!(matches!(&atmosphere.errors[..], [e] if e.starts_with("out of graphics memory: air of")));
+        // And of the two there is room for one uniform.
+        let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        atmosphere.errors.clear();
+        atmosphere.record(&ctx, &mut encoder, None);
+        assert_eq!(atmosphere.errors.len(), 1, "{:?}", atmosphere.errors);
+        assert_eq!(atmosphere.sets.iter().map(|set| set.made_for).collect::<Vec<_>>(), [Some(eyes[0]), None]);
+        ctx.pretend_frame_memory(None);
+        atmosphere.record(&ctx, &mut encoder, None);
+        assert!(atmosphere.sets[1].made_for == Some(eyes[1]) && atmosphere.errors.len() == 1);
+        ctx.queue().submit([encoder.finish()]);
+        assert!(ctx.take_device_errors().is_empty());
     }
 }

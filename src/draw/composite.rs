@@ -2,7 +2,7 @@
 
 use crate::cull::StereoMode;
 use crate::draw::pipelines::TargetFormats;
-use crate::gpu::GraphicsContext;
+use crate::gpu::{GraphicsContext, watched};
 
 const COMPOSITE_WGSL: &str = include_str!("shaders/composite.wgsl");
 
@@ -13,7 +13,8 @@ pub(super) struct Composite {
     /// One for each stage of the frame that has two eyes.
     uniforms: Vec<wgpu::Buffer>,
     used: usize,
-    pipelines: Vec<(TargetFormats, wgpu::RenderPipeline)>,
+    /// `None` where the device refused.
+    pipelines: Vec<(TargetFormats, Option<wgpu::RenderPipeline>)>,
 }
 
 /// The number of a mode in composite.wgsl.
@@ -68,7 +69,7 @@ impl Composite {
     }
 
     /// Makes the pipeline for a target unless it is there, and says what to do in a part of it that begins at an origin;
-    /// where [`Self::draw`] finds that.
+    /// where [`Self::draw`] finds that. What the device refuses, of a pipeline only the first time.
     pub(super) fn prepare(
         &mut self,
         ctx: &GraphicsContext,
@@ -76,22 +77,31 @@ impl Composite {
         mode: StereoMode,
         gap_px: u32,
         [x, y]: [u32; 2],
-    ) -> usize {
-        let device = ctx.device();
+    ) -> Result<usize, String> {
         let place = self.used;
-        self.used += 1;
         if place == self.uniforms.len() {
-            self.uniforms.push(device.create_buffer(&wgpu::BufferDescriptor {
+            let descriptor = wgpu::BufferDescriptor {
                 label: Some("composite"),
                 size: 16,
                 usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
                 mapped_at_creation: false,
-            }));
+            };
+            let buffer = ctx.memory().make("composite", descriptor.size, |device| device.create_buffer(&descriptor))?;
+            self.uniforms.push(buffer);
         }
+        self.used += 1;
         ctx.queue().write_buffer(&self.uniforms[place], 0, bytemuck::cast_slice(&[code(mode), gap_px, x, y]));
         if self.pipelines.iter().any(|(key, _)| key == target) {
-            return place;
+            return Ok(place);
         }
+        let (pipeline, error) = watched(ctx.device(), || self.pipeline(ctx, target));
+        self.pipelines.push((*target, error.is_none().then_some(pipeline)));
+        error.map_or(Ok(place), |error| Err(format!("the pictures of two eyes cannot be put together: {error}")))
+    }
+
+    /// Whatever the device says of it.
+    fn pipeline(&self, ctx: &GraphicsContext, target: &TargetFormats) -> wgpu::RenderPipeline {
+        let device = ctx.device();
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("composite"),
             bind_group_layouts: &[Some(&self.layout)],
@@ -100,7 +110,7 @@ impl Composite {
         let states = target.colors.map(|format| {
             format.map(|format| wgpu::ColorTargetState { format, blend: None, write_mask: wgpu::ColorWrites::COLOR })
         });
-        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
             label: Some("composite"),
             layout: Some(&layout),
             vertex: wgpu::VertexState {
@@ -126,9 +136,7 @@ impl Composite {
             }),
             multiview_mask: None,
             cache: ctx.pipeline_cache(),
-        });
-        self.pipelines.push((*target, pipeline));
-        place
+        })
     }
 
     /// Draws the eyes' pictures over the pass's viewport.
@@ -140,7 +148,7 @@ impl Composite {
         [left, right]: [&wgpu::TextureView; 2],
         place: usize,
     ) {
-        let Some((_, pipeline)) = self.pipelines.iter().find(|(key, _)| key == target) else { return };
+        let Some((_, Some(pipeline))) = self.pipelines.iter().find(|(key, _)| key == target) else { return };
         let Some(uniforms) = self.uniforms.get(place) else { return };
         let view = |binding, view| wgpu::BindGroupEntry { binding, resource: wgpu::BindingResource::TextureView(view) };
         let eyes = device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -160,6 +168,32 @@ impl Composite {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits, DEPTH_FORMAT, MOST_COLORS};
+
+    /// The device's handler had it, and the frame was lost.
+    #[test]
+    fn a_pipeline_that_is_refused_is_said_once() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut colors = [None; MOST_COLORS];
+        colors[0] = Some(wgpu::TextureFormat::Rgba8Unorm);
+        let good = TargetFormats { colors, depth: DEPTH_FORMAT, samples: 1, keeps_alpha: false };
+        // No adapter has as many.
+        let bad = TargetFormats { samples: 7, ..good };
+        let mut composite = Composite::new(ctx.device());
+        let mut prepare = |target| {
+            composite.start_frame();
+            composite.prepare(&ctx, target, StereoMode::Anaglyphic, 0, [0; 2])
+        };
+        assert!(prepare(&bad).unwrap_err().contains("two eyes cannot be put together"));
+        assert_eq!([prepare(&bad), prepare(&good)], [Ok(0), Ok(0)]);
+        ctx.pretend_frame_memory(Some(0));
+        let second = composite.prepare(&ctx, &good, StereoMode::Anaglyphic, 0, [0; 2]);
+        assert!(second.unwrap_err().starts_with("out of graphics memory: composite of 16 bytes"));
+        assert!(ctx.take_device_errors().is_empty());
+    }
+
     #[test]
     fn the_shader_is_valid() {
         let module = naga::front::wgsl::parse_str(super::COMPOSITE_WGSL).unwrap();

@@ -156,7 +156,7 @@ impl Targets {
         let mut colors = [const { None }; MOST_COLORS];
         let mut resolves = [const { None }; MOST_COLORS];
         if samples > 1 {
-            colors[0] = Some(self.transients.view(ctx.device(), size_px, format, samples, 0));
+            colors[0] = Some(self.transients.view(ctx.memory(), size_px, format, samples, 0)?);
             resolves[0] = Some(view);
         } else {
             colors[0] = Some(view);
@@ -165,7 +165,7 @@ impl Targets {
             colors,
             resolves,
             is_apart: [false; MOST_COLORS],
-            depth: self.transients.view(ctx.device(), size_px, depth, samples, 0),
+            depth: self.transients.view(ctx.memory(), size_px, depth, samples, 0)?,
             has_stencil: self.has_stencil,
             keeps_depth: self.has_followers,
             size_px,
@@ -252,7 +252,7 @@ impl Targets {
             let owner = self.owner((Arc::as_ptr(texture) as usize, *level, *layer));
             owners[location] = Some(owner);
             if samples > 1 {
-                colors[location] = Some(self.transients.view(device, size_px, format, samples, owner));
+                colors[location] = Some(self.transients.view(ctx.memory(), size_px, format, samples, owner)?);
                 resolves[location] = Some(into);
             } else {
                 colors[location] = Some(into);
@@ -270,7 +270,7 @@ impl Targets {
                 key.depth = texture_format(attachment.texture.format);
                 view(attachment)?
             }
-            None => self.transients.view(device, size_px, key.depth, samples, owner),
+            None => self.transients.view(ctx.memory(), size_px, key.depth, samples, owner)?,
         };
         let index = pipelines.target(&key).ok_or("more different targets than there can be")?;
         let mut is_apart = [false; MOST_COLORS];

@@ -1,7 +1,7 @@
 //! Puts what a texture holds into the multisampled buffer that is resolved into it: a camera that does not clear its
 //! colours goes on with them, though the buffer was another's since. Draw thread.
 
-use crate::gpu::{FrameTimer, GraphicsContext};
+use crate::gpu::{FrameTimer, GraphicsContext, watched};
 
 const SPREAD_WGSL: &str = include_str!("shaders/spread.wgsl");
 
@@ -20,7 +20,8 @@ pub(super) type SpreadKind = (wgpu::TextureFormat, u32);
 pub(super) struct Spread {
     module: wgpu::ShaderModule,
     layout: wgpu::BindGroupLayout,
-    pipelines: Vec<(SpreadKind, wgpu::RenderPipeline)>,
+    /// `None` where the device refused.
+    pipelines: Vec<(SpreadKind, Option<wgpu::RenderPipeline>)>,
 }
 
 impl Spread {
@@ -52,19 +53,25 @@ impl Spread {
         self.pipelines.len() as u32
     }
 
-    /// Makes the pipeline of a kind unless it is there.
-    pub(super) fn ensure(&mut self, ctx: &GraphicsContext, kind: SpreadKind) {
+    /// Makes the pipeline of a kind unless it is there; what the device refuses only the first time.
+    pub(super) fn ensure(&mut self, ctx: &GraphicsContext, kind: SpreadKind) -> Result<(), String> {
         if self.pipelines.iter().any(|(known, _)| *known == kind) {
-            return;
+            return Ok(());
         }
+        let (pipeline, error) = watched(ctx.device(), || self.pipeline(ctx, kind));
+        self.pipelines.push((kind, error.is_none().then_some(pipeline)));
+        error.map_or(Ok(()), |error| Err(format!("cameras cannot go on with multisampled colours: {error}")))
+    }
+
+    /// Whatever the device says of it.
+    fn pipeline(&self, ctx: &GraphicsContext, (format, count): SpreadKind) -> wgpu::RenderPipeline {
         let device = ctx.device();
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("spread"),
             bind_group_layouts: &[Some(&self.layout)],
             immediate_size: 0,
         });
-        let (format, count) = kind;
-        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
             label: Some("spread"),
             layout: Some(&layout),
             vertex: wgpu::VertexState {
@@ -84,8 +91,7 @@ impl Spread {
             }),
             multiview_mask: None,
             cache: ctx.pipeline_cache(),
-        });
-        self.pipelines.push((kind, pipeline));
+        })
     }
 
     /// Records the passes before one that goes on with its colours.
@@ -97,7 +103,8 @@ impl Spread {
         mut timer: Option<&mut FrameTimer>,
     ) {
         for Spreading { texture, samples, kind } in all {
-            let Some((_, pipeline)) = self.pipelines.iter().find(|(known, _)| *known == kind) else { continue };
+            let known = self.pipelines.iter().find(|(known, _)| *known == kind);
+            let Some((_, Some(pipeline))) = known else { continue };
             let held = device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("spread"),
                 layout: &self.layout,
@@ -129,6 +136,22 @@ impl Spread {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+    use crate::gpu::{AdapterChoice, ContextTraits};
+
+    /// The device's handler had it, and the frame was lost.
+    #[test]
+    fn a_pipeline_that_is_refused_is_said_once() {
+        let traits = ContextTraits { size_px: [4, 4], adapter: AdapterChoice::Noop, ..ContextTraits::default() };
+        let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut spread = Spread::new(ctx.device());
+        // No adapter has as many samples.
+        let kind = (wgpu::TextureFormat::Rgba8Unorm, 7);
+        assert!(spread.ensure(&ctx, kind).unwrap_err().contains("multisampled colours"));
+        assert_eq!(spread.ensure(&ctx, kind), Ok(()));
+        assert!(ctx.take_device_errors().is_empty());
+    }
+
     #[test]
     fn the_shader_is_valid() {
         let module = naga::front::wgsl::parse_str(super::SPREAD_WGSL).unwrap();

@@ -14,6 +14,7 @@ use super::budget::CompileBudget;
 use super::compile_thread::CompileThread;
 use super::custom::{CompileInfo, CustomCompile};
 use super::drawable::{DrawableTable, Extent, Pools, Shape};
+use super::memory::Memory;
 use super::mesh_pool::MeshUploads;
 use super::packing::VertexFormat;
 use super::staging::{Filling, Stagings};
@@ -114,6 +115,9 @@ pub(super) struct CompileQueue {
     /// Staging buffers whose commands were submitted.
     submitted: Vec<wgpu::Buffer>,
     unflushed_bytes: u64,
+    /// Why uploads wait, and whether that was said: once, until they go on.
+    refusal: Option<String>,
+    is_refused: bool,
     /// For bytes that are made on their way.
     scratch: Vec<u8>,
     /// A frame was drawn since uploads were last flushed on their own.
@@ -151,8 +155,8 @@ impl CompileQueue {
     }
 
     /// With a thread of its own to carry uploads.
-    pub(super) fn threaded(device: &wgpu::Device) -> std::io::Result<Self> {
-        Ok(Self { thread: Some(CompileThread::start(device)?), ..Self::default() })
+    pub(super) fn threaded(memory: &Memory) -> std::io::Result<Self> {
+        Ok(Self { thread: Some(CompileThread::start(memory)?), ..Self::default() })
     }
 
     /// False once its thread has stopped although nobody told it to.
@@ -179,7 +183,7 @@ impl CompileQueue {
 
     pub(super) fn run(
         &mut self,
-        device: &wgpu::Device,
+        memory: &Memory,
         queue: &wgpu::Queue,
         pools: &mut Pools,
         drawables: &mut DrawableTable,
@@ -187,6 +191,7 @@ impl CompileQueue {
         budget: &CompileBudget,
     ) -> CompileStats {
         let start = Instant::now();
+        let device = memory.device();
         // As it was made: another borrow than that of the pools.
         let frame_layout = pools.layouts.frame.clone();
         let info = CompileInfo { device, queue, frame_layout: &frame_layout, pipeline_cache };
@@ -196,7 +201,7 @@ impl CompileQueue {
                 self.thread = Some(thread);
                 stats
             }
-            None => self.run_here(&info, pools, drawables, budget),
+            None => self.run_here(memory, &info, pools, drawables, budget),
         };
         self.unflushed_bytes += stats.bytes;
         let most = if self.drawing { FLUSH_BYTES_DRAWING } else { FLUSH_BYTES };
@@ -235,11 +240,23 @@ impl CompileQueue {
         }
     }
 
-    /// Writes the next units of the first upload, at most `count`: as many as the staging buffer has room for.
-    fn write_staged(&mut self, info: &CompileInfo<'_>, count: usize) -> u64 {
+    /// Why uploads wait, when they begin to.
+    pub(super) fn take_refusal(&mut self) -> Option<String> {
+        self.refusal.take()
+    }
+
+    fn refused(&mut self, error: String) {
+        if !std::mem::replace(&mut self.is_refused, true) {
+            self.refusal = Some(error);
+        }
+    }
+
+    /// Writes the next units of the first upload, at most `count`: as many as the staging buffer has room for. `None`
+    /// where there is no memory for a buffer: it is tried again in the next frame.
+    fn write_staged(&mut self, memory: &Memory, info: &CompileInfo<'_>, count: usize) -> Option<u64> {
         let Self { uploads, filling, stagings, scratch, .. } = self;
         let Some((upload, (_, unit_bytes))) = uploads.front_mut().and_then(|u| u.left().map(|left| (u, left))) else {
-            return 0;
+            return Some(0);
         };
         let room = |filling: &Filling| filling.room(unit_bytes, upload.has_rows());
         // A part of an image begins in a new buffer where it fits no more: wgpu clears an image that is written in parts.
@@ -249,22 +266,30 @@ impl CompileQueue {
                 self.flush(info.device, info.queue);
                 self.stagings.submitted(&mut self.submitted);
             }
-            return 0;
+            return Some(0);
         }
         if filling.is_none() {
-            *filling = stagings.fill(info.device, unit_bytes);
+            match stagings.fill(memory, unit_bytes) {
+                Ok(made) => *filling = made,
+                Err(error) => {
+                    self.refused(error);
+                    return None;
+                }
+            }
+            self.is_refused = false;
         }
-        match filling {
+        Some(match filling {
             Some(filling) => {
                 let count = count.min(room(filling));
                 upload.write(filling, scratch, count)
             }
             None => upload.write(&mut QueueSink(info.queue), scratch, count),
-        }
+        })
     }
 
     fn run_here(
         &mut self,
+        memory: &Memory,
         info: &CompileInfo<'_>,
         pools: &mut Pools,
         drawables: &mut DrawableTable,
@@ -290,7 +315,7 @@ impl CompileQueue {
                 if count == 0 {
                     break;
                 }
-                let bytes = self.write_staged(info, count);
+                let Some(bytes) = self.write_staged(memory, info, count) else { break };
                 stats.bytes += bytes;
                 stats.slices += u32::from(bytes > 0);
                 if self.uploads.front().is_some_and(|upload| upload.left().is_none()) {
@@ -349,6 +374,10 @@ impl CompileQueue {
             self.finished.extend(batch.finished);
             self.commands.extend(batch.commands);
             self.recorded.extend(batch.staging);
+            match batch.refusal {
+                Some(error) => self.refused(error),
+                None => self.is_refused = false,
+            }
         }
         // Nobody else may submit and poll meanwhile, and the thread may wait for staging memory.
         let is_dry = stats.slices == 0 && thread.operations > 0;
@@ -404,6 +433,10 @@ impl CompileQueue {
                 self.finished.extend(batch.finished);
                 self.commands.extend(batch.commands);
                 self.recorded.extend(batch.staging);
+                match batch.refusal {
+                    Some(error) => self.refused(error),
+                    None => self.is_refused = false,
+                }
             }
             self.flush(device, queue);
             self.submitted.drain(..).for_each(|staging| thread.submitted(staging));

@@ -15,6 +15,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 
 use super::Compiled;
+use super::memory::Memory;
 use super::staging::{self, Filling, Mapping};
 use super::uploads::Upload;
 use crate::timeline;
@@ -25,6 +26,9 @@ const STAGING_BYTES: u64 = 2 << 20;
 const MOST_STAGINGS: usize = 8;
 /// Those that are kept while there is nothing to do.
 const KEPT_STAGINGS: usize = 2;
+
+/// Until memory is asked for again that there was none of.
+const RETRY: Duration = Duration::from_millis(50);
 
 /// What the thread is given.
 enum Work {
@@ -41,6 +45,8 @@ pub(super) struct Batch {
     /// Operations that are complete with this batch.
     pub(super) finished: Vec<Compiled>,
     pub(super) bytes: u64,
+    /// Why there is no staging buffer; then there is nothing else.
+    pub(super) refusal: Option<String>,
 }
 
 /// The draw thread's end.
@@ -62,13 +68,13 @@ pub(super) struct CompileThread {
 }
 
 impl CompileThread {
-    pub(super) fn start(device: &wgpu::Device) -> std::io::Result<Self> {
+    pub(super) fn start(memory: &Memory) -> std::io::Result<Self> {
         // Bounded by what the draw thread lets be in flight.
         let (work, work_in) = crossbeam_channel::unbounded();
         let (batches_out, batches) = crossbeam_channel::unbounded();
         let (free, free_in) = crossbeam_channel::unbounded();
         let worker = Worker {
-            device: device.clone(),
+            memory: memory.clone(),
             work: work_in,
             batches: batches_out,
             free: free_in,
@@ -161,7 +167,7 @@ impl Drop for CompileThread {
 }
 
 struct Worker {
-    device: wgpu::Device,
+    memory: Memory,
     work: Receiver<Work>,
     batches: Sender<Batch>,
     free: Receiver<wgpu::Buffer>,
@@ -219,7 +225,8 @@ impl Worker {
     /// Sends what there is; false where nobody takes it any more.
     fn send(&self, filling: &mut Option<Filling>, bytes: &mut u64, finished: &mut Vec<Compiled>) -> bool {
         let (commands, staging) = filling.take().map(Filling::finish).unzip();
-        let batch = Batch { commands, staging, finished: std::mem::take(finished), bytes: std::mem::take(bytes) };
+        let (finished, bytes) = (std::mem::take(finished), std::mem::take(bytes));
+        let batch = Batch { commands, staging, finished, bytes, refusal: None };
         self.batches.send(batch).is_ok()
     }
 
@@ -228,16 +235,36 @@ impl Worker {
         self.idle.extend(self.free.try_iter());
         let staging = match self.idle.pop() {
             Some(staging) => staging,
-            None if self.made < MOST_STAGINGS => {
-                self.made += 1;
-                staging::make(&self.device, STAGING_BYTES)
-            }
+            None if self.made < MOST_STAGINGS => self.another()?,
             None => {
                 let _span = timeline::span("wait for staging");
                 self.free.recv().ok()?
             }
         };
-        Filling::new(&self.device, staging)
+        Filling::new(self.memory.device(), staging)
+    }
+
+    /// One more staging buffer; where there is no memory for it, one that comes back, or one after a while.
+    fn another(&mut self) -> Option<wgpu::Buffer> {
+        loop {
+            match staging::make(&self.memory, STAGING_BYTES) {
+                Ok(staging) => {
+                    self.made += 1;
+                    return Some(staging);
+                }
+                Err(error) => {
+                    let refusal = Some(error);
+                    let batch = Batch { commands: None, staging: None, finished: Vec::new(), bytes: 0, refusal };
+                    self.batches.send(batch).ok()?;
+                }
+            }
+            let _span = timeline::span("wait for staging");
+            match self.free.recv_timeout(RETRY) {
+                Ok(staging) => return Some(staging),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return None,
+            }
+        }
     }
 
     /// Frees what is too much while nothing is to be done.

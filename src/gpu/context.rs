@@ -11,6 +11,7 @@ use super::compile::{self, CompileOperation, CompileQueue, CompileStats, Compile
 use super::drawable::{DrawableTable, Pools};
 use super::faces::{Face, surface_maker};
 use super::layouts::Layouts;
+use super::memory::Memory;
 use super::pipeline_cache::PipelineCache;
 use super::target::{Acquired, Target};
 use super::{BindClass, DrawableEntry, GpuError, TargetFormats};
@@ -86,6 +87,8 @@ pub struct GraphicsContext {
     lost: Arc<Mutex<Option<String>>>,
     /// Written by wgpu's error callback on the draw thread, emptied by [`Self::take_device_errors`].
     errors: Arc<Mutex<Vec<String>>>,
+    /// Of targets, staging buffers and what else frames need.
+    memory: Memory,
     bytes_peak: u64,
     /// Written when it is dropped.
     pipeline_cache: Option<PipelineCache>,
@@ -214,6 +217,7 @@ impl GraphicsContext {
         for ((traits, make_surface), surface) in wanted.into_iter().zip(surfaces) {
             faces.push(Face { target: Target::new(&adapter, &device, surface, &traits)?, traits, make_surface });
         }
+        let memory = Memory::new(&device);
         let mut pools = Pools::new(&device, Layouts::new(&device));
         for face in &faces {
             let target = face.formats();
@@ -222,7 +226,7 @@ impl GraphicsContext {
             }
         }
         let compiles = match traits.compile_thread {
-            true => CompileQueue::threaded(&device).map_err(|e| GpuError::Thread { reason: e.to_string() })?,
+            true => CompileQueue::threaded(&memory).map_err(|e| GpuError::Thread { reason: e.to_string() })?,
             false => CompileQueue::default(),
         };
         Ok(Self {
@@ -238,6 +242,7 @@ impl GraphicsContext {
             retires: MOST_RETIRED,
             lost,
             errors,
+            memory,
             bytes_peak: 0,
             pipeline_cache: None,
             device,
@@ -306,6 +311,17 @@ impl GraphicsContext {
     #[doc(hidden)]
     pub fn pretend_memory(&mut self, left_bytes: Option<u64>) {
         self.pools.memory.pretend(left_bytes);
+    }
+
+    /// The same for what frames need besides: targets, staging buffers, tables of the air.
+    #[doc(hidden)]
+    pub fn pretend_frame_memory(&self, left_bytes: Option<u64>) {
+        self.memory.pretend(left_bytes);
+    }
+
+    /// Where frames get memory for what they need besides the pools.
+    pub(crate) fn memory(&self) -> &Memory {
+        &self.memory
     }
 
     /// Lets the window's surface answer so when it is asked for its next images, for tests of what comes after.
@@ -405,7 +421,16 @@ impl GraphicsContext {
             self.retire(usize::MAX);
         }
         let cache = self.pipeline_cache.as_ref().map(PipelineCache::cache);
-        let stats = self.compiles.run(&self.device, &self.queue, &mut self.pools, &mut self.drawables, cache, budget);
+        let compiles = &mut self.compiles;
+        let stats = compiles.run(&self.memory, &self.queue, &mut self.pools, &mut self.drawables, cache, budget);
+        if let Some(error) = compiles.take_refusal() {
+            log::error!("uploads wait: {error}");
+            if let Ok(mut errors) = self.errors.lock()
+                && errors.len() < MOST_ERRORS
+            {
+                errors.push(error);
+            }
+        }
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
         stats
     }

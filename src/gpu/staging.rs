@@ -7,6 +7,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
+use super::memory::Memory;
 use super::texture_pool::Rows;
 use super::uploads::Sink;
 
@@ -19,14 +20,15 @@ const IN_FLIGHT: u8 = 0;
 const MAPPED: u8 = 1;
 const FAILED: u8 = 2;
 
-/// A new staging buffer, mapped.
-pub(super) fn make(device: &wgpu::Device, bytes: u64) -> wgpu::Buffer {
-    device.create_buffer(&wgpu::BufferDescriptor {
+/// A new staging buffer, mapped; why there is none.
+pub(super) fn make(memory: &Memory, bytes: u64) -> Result<wgpu::Buffer, String> {
+    let descriptor = wgpu::BufferDescriptor {
         label: Some("staging"),
         size: bytes,
         usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
         mapped_at_creation: true,
-    })
+    };
+    memory.make("staging buffer", bytes, |device| device.create_buffer(&descriptor))
 }
 
 /// A staging buffer that is being filled.
@@ -154,15 +156,16 @@ impl Stagings {
         self.free.extend(self.mapping.mapped());
     }
 
-    /// A buffer to fill, for units of so many bytes. As many are made as are on their way: nobody waits for one.
-    pub(super) fn fill(&mut self, device: &wgpu::Device, unit_bytes: usize) -> Option<Filling> {
+    /// A buffer to fill, for units of so many bytes. As many are made as are on their way: nobody waits for one. `None`
+    /// where it cannot be written; why none can be made.
+    pub(super) fn fill(&mut self, memory: &Memory, unit_bytes: usize) -> Result<Option<Filling>, String> {
         self.free.extend(self.mapping.mapped());
         let least = padded(unit_bytes as u64);
         let staging = match self.free.pop() {
             Some(staging) if staging.size() >= least => staging,
-            _ => make(device, least.max(STAGING_BYTES)),
+            _ => make(memory, least.max(STAGING_BYTES))?,
         };
-        Filling::new(device, staging)
+        Ok(Filling::new(memory.device(), staging))
     }
 
     /// Frees what is too much while nothing is to be done.

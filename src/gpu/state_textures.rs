@@ -51,6 +51,7 @@ pub(crate) fn texture_format(format: TextureFormat) -> wgpu::TextureFormat {
         TextureFormat::Rgba8Srgb => wgpu::TextureFormat::Rgba8UnormSrgb,
         TextureFormat::Rgba8 => wgpu::TextureFormat::Rgba8Unorm,
         TextureFormat::Rgba16Float => wgpu::TextureFormat::Rgba16Float,
+        TextureFormat::R8 => wgpu::TextureFormat::R8Unorm,
         TextureFormat::R32Float => wgpu::TextureFormat::R32Float,
         TextureFormat::Depth32 => wgpu::TextureFormat::Depth32Float,
         TextureFormat::Depth24Stencil8 => wgpu::TextureFormat::Depth24PlusStencil8,

@@ -1,6 +1,8 @@
 //! Depth buffers and multisampled colour that live for a pass: kept by size and format, freed when long unused, and
 //! sooner where targets of another size come each frame. Draw thread only.
 
+use super::memory::Memory;
+
 /// Frames after which an unused one is freed.
 const KEPT_FRAMES: u32 = 120;
 
@@ -60,23 +62,23 @@ impl Transients {
         }
     }
 
-    /// A buffer for a target: passes with the same `owner` get the same one.
+    /// A buffer for a target: passes with the same `owner` get the same one. Why there is none.
     pub(crate) fn view(
         &mut self,
-        device: &wgpu::Device,
+        memory: &Memory,
         size_px: [u32; 2],
         format: wgpu::TextureFormat,
         samples: u32,
         owner: u32,
-    ) -> wgpu::TextureView {
+    ) -> Result<wgpu::TextureView, String> {
         let kind = Kind { size_px, format, samples };
         let frame = self.frame;
         let found = self.all.iter_mut().find(|t| t.kind == kind && (t.used != frame || t.owner == owner));
         if let Some(found) = found {
             (found.used, found.owner) = (frame, owner);
-            return found.view.clone();
+            return Ok(found.view.clone());
         }
-        let texture = device.create_texture(&wgpu::TextureDescriptor {
+        let descriptor = wgpu::TextureDescriptor {
             label: Some("transient"),
             size: wgpu::Extent3d { width: size_px[0], height: size_px[1], depth_or_array_layers: 1 },
             mip_level_count: 1,
@@ -85,10 +87,12 @@ impl Transients {
             format,
             usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
             view_formats: &[],
-        });
+        };
+        let what = "depth and samples of a target";
+        let texture = memory.make(what, kind.bytes(), |device| device.create_texture(&descriptor))?;
         let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
         self.all.push(Transient { kind, view: view.clone(), used: frame, owner });
-        view
+        Ok(view)
     }
 }
 
@@ -116,7 +120,7 @@ mod tests {
                 let width = 100 + if wider { step } else { 200 - step };
                 transients.start_frame(1);
                 for (owner, format) in [DEPTH_FORMAT, wgpu::TextureFormat::Rgba8Unorm].into_iter().enumerate() {
-                    transients.view(ctx.device(), [width, 100], format, 4, owner as u32);
+                    transients.view(ctx.memory(), [width, 100], format, 4, owner as u32).unwrap();
                 }
                 let largest = 2 * 300 * 100 * 4 * 4;
                 assert!(bytes(&transients) <= 3 * largest, "{} bytes at width {width}", bytes(&transients));
@@ -125,7 +129,7 @@ mod tests {
         // Once they stand still, what is left of the others goes with time.
         for _ in 0..2 * KEPT_FRAMES {
             transients.start_frame(1);
-            transients.view(ctx.device(), [100, 100], DEPTH_FORMAT, 1, 0);
+            transients.view(ctx.memory(), [100, 100], DEPTH_FORMAT, 1, 0).unwrap();
         }
         assert_eq!(transients.all.len(), 1);
     }
@@ -138,7 +142,7 @@ mod tests {
             let mut transients = Transients::default();
             let mut draw = |width: u32| {
                 transients.start_frame(targets);
-                transients.view(ctx.device(), [width, 100], DEPTH_FORMAT, 1, 0)
+                transients.view(ctx.memory(), [width, 100], DEPTH_FORMAT, 1, 0).unwrap()
             };
             let first: Vec<_> = widths.iter().map(|width| draw(*width)).collect();
             for _ in 0..100 {

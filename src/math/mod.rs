@@ -3,12 +3,14 @@
 //! World positions are `f64`; what is stored per node is `f32` relative to a page's frame.
 
 mod bounds;
+mod depth;
 mod frustum;
 mod geodesy;
 mod ray;
 
 pub(crate) use bounds::max_scale;
 pub use bounds::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region};
+pub use depth::distance_of_depth;
 pub use frustum::Frustum;
 pub use geodesy::{Ellipsoid, Geodetic, WGS84};
 pub use ray::Ray;

@@ -8,8 +8,9 @@ use glam::{DAffine3, DMat3, DMat4, DQuat, DVec3, DVec4};
 use super::cull_settings::{CullSettings, Inherit};
 use super::environment::{CameraEnvironment, CameraShadows};
 use super::geometry::Drawable;
+use super::pictures::{PictureSink, ReadBack};
 use crate::math::Aabb;
-use crate::state::{Light, TexGen, TextureFormat, TextureObject};
+use crate::state::{Light, TexGen, TextureObject};
 
 /// Whether what a node holds is given in the frame it hangs in or in the eye's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -148,6 +149,11 @@ pub struct CameraTarget {
     pub read_back: Option<Arc<PictureSink>>,
     /// The same of other colour attachments, with their locations.
     pub read_back_of: Vec<(usize, Arc<PictureSink>)>,
+    /// The same of [`Self::depth`], whose pictures have [`Depth32`](crate::state::TextureFormat::Depth32): see
+    /// [`Picture::depth`](super::Picture::depth). Depth of `Depth24Stencil8` cannot be copied.
+    pub read_back_depth: Option<Arc<PictureSink>>,
+    /// The same of the stencil in [`Self::depth`], whose pictures have [`R8`](crate::state::TextureFormat::R8).
+    pub read_back_stencil: Option<Arc<PictureSink>>,
 }
 
 impl CameraTarget {
@@ -158,10 +164,13 @@ impl CameraTarget {
         Some([width, height])
     }
 
-    /// Where colours are copied to, with their locations.
-    pub(crate) fn read_backs(&self) -> impl Iterator<Item = (usize, &Arc<PictureSink>)> {
-        let others = self.read_back_of.iter().map(|(location, sink)| (*location, sink));
-        self.read_back.iter().map(|sink| (0, sink)).chain(others)
+    /// What is copied, and where to.
+    pub(crate) fn read_backs(&self) -> impl Iterator<Item = (ReadBack, &Arc<PictureSink>)> {
+        let first = self.read_back.iter().map(|sink| (ReadBack::Color(0), sink));
+        let others = self.read_back_of.iter().map(|(location, sink)| (ReadBack::Color(*location), sink));
+        let depth = self.read_back_depth.iter().map(|sink| (ReadBack::Depth, sink));
+        let stencil = self.read_back_stencil.iter().map(|sink| (ReadBack::Stencil, sink));
+        first.chain(others).chain(depth).chain(stencil)
     }
 }
 
@@ -180,48 +189,6 @@ impl Attachment {
     /// Level 0, layer 0 of a texture.
     pub fn new(texture: Arc<TextureObject>) -> Self {
         Self { texture, level: 0, layer: 0 }
-    }
-}
-
-/// Receives pictures from the draw thread, some frames after they were drawn.
-#[derive(Debug, Default)]
-pub struct PictureSink {
-    /// Written by the draw thread, taken by anybody; the newest replaces an older one.
-    latest: std::sync::Mutex<Option<Picture>>,
-    /// The frame of the last one that came, for drawing on demand.
-    came: AtomicU32,
-}
-
-/// A picture read back: rows top to bottom, without gaps.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Picture {
-    /// Width and height.
-    pub size_px: [u32; 2],
-    /// Frame it shows.
-    pub frame: u32,
-    /// What a pixel holds.
-    pub format: TextureFormat,
-    /// Bytes of the pixels, [`TextureFormat::texel_bytes`] each; numbers are little-endian.
-    pub texels: Vec<u8>,
-}
-
-impl PictureSink {
-    /// The newest picture that has not been taken.
-    pub fn take(&self) -> Option<Picture> {
-        self.latest.lock().map_or(None, |mut latest| latest.take())
-    }
-
-    /// Puts a picture there for whoever takes it.
-    pub fn put(&self, picture: Picture) {
-        self.came.store(picture.frame, Ordering::Release);
-        if let Ok(mut latest) = self.latest.lock() {
-            *latest = Some(picture);
-        }
-    }
-
-    /// The frames since the one of the last picture that came.
-    pub(crate) fn age(&self, frame: u32) -> u32 {
-        frame.saturating_sub(self.came.load(Ordering::Acquire))
     }
 }
 

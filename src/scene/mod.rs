@@ -20,6 +20,7 @@ mod node;
 mod occluders;
 mod page;
 mod page_bounds;
+mod pictures;
 mod shapes;
 mod shared;
 mod slots;
@@ -53,10 +54,12 @@ pub use intersect::{
 pub use kinds::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
     ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, DrawHook, LightSource, NormalCone, OcclusionQueryNode,
-    OcclusionResults, Picture, PictureSink, ReferenceFrame, RenderOrder, TexGenNode,
+    OcclusionResults, ReferenceFrame, RenderOrder, TexGenNode,
 };
 pub use node::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 pub use page::{DrawSlot, Page};
+pub(crate) use pictures::ReadBack;
+pub use pictures::{Picture, PictureSink};
 pub use shared::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use slots::{SlotInfo, SlotState};
 pub use sun_shadows::{MOST_CASCADES, ShadowError, SunShadows};

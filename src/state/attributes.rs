@@ -3,6 +3,7 @@
 use std::ops::{BitAnd, BitOr};
 use std::sync::Arc;
 
+use super::lighting::{Fog, LightModel, SurfaceMaterial};
 use super::program::Program;
 use super::texture::TextureBinding;
 
@@ -399,113 +400,6 @@ pub struct Viewport {
     pub height: f32,
 }
 
-/// Reflection of light in OpenGL's terms, linear colours. With one, textures and vertex colours are factors of
-/// `diffuse` and `ambient`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfaceMaterial {
-    /// Of ambient light.
-    pub ambient: [f32; 3],
-    /// Of light from a direction; w is alpha.
-    pub diffuse: [f32; 4],
-    /// Of mirrored light.
-    pub specular: [f32; 3],
-    /// Shines by itself.
-    pub emission: [f32; 3],
-    /// Exponent of the highlight.
-    pub shininess: f32,
-}
-
-impl Default for SurfaceMaterial {
-    /// White and dull.
-    fn default() -> Self {
-        Self { ambient: [1.0; 3], diffuse: [1.0; 4], specular: [0.0; 3], emission: [0.0; 3], shininess: 0.0 }
-    }
-}
-
-/// Light that comes from everywhere.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LightModel {
-    /// Linear colour.
-    pub ambient: [f32; 3],
-}
-
-impl Default for LightModel {
-    fn default() -> Self {
-        Self { ambient: [0.0; 3] }
-    }
-}
-
-/// A light in OpenGL's terms, linear colours.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Light {
-    /// 0 to 7, see [`Mode::Light`].
-    pub number: u8,
-    /// x, y, z and 1 for a place, or the direction towards the light and 0.
-    pub position: [f64; 4],
-    /// Where a spot shines to.
-    pub direction: [f64; 3],
-    /// Reaches every surface.
-    pub ambient: [f32; 3],
-    /// Reaches surfaces that face it.
-    pub diffuse: [f32; 3],
-    /// Mirrored.
-    pub specular: [f32; 3],
-    /// Divided by `c + l * d + q * d * d` at `d` metres.
-    pub attenuation: [f32; 3],
-    /// Half angle of a spot's cone in radians; pi shines all around.
-    pub spot_cutoff: f32,
-    /// How the spot falls off towards its rim.
-    pub spot_exponent: f32,
-}
-
-impl Default for Light {
-    /// A white light from above the eye's back.
-    fn default() -> Self {
-        Self {
-            number: 0,
-            position: [0.0, 0.0, 1.0, 0.0],
-            direction: [0.0, 0.0, -1.0],
-            ambient: [0.0; 3],
-            diffuse: [1.0; 3],
-            specular: [1.0; 3],
-            attenuation: [1.0, 0.0, 0.0],
-            spot_cutoff: std::f32::consts::PI,
-            spot_exponent: 0.0,
-        }
-    }
-}
-
-/// How fog thickens with the distance `d` in front of the eye.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum FogMode {
-    /// From none at `start_m` to all at `end_m`.
-    Linear {
-        /// Metres.
-        start_m: f32,
-        /// Metres.
-        end_m: f32,
-    },
-    /// `1 - exp(-density d)`.
-    Exp {
-        /// Per metre.
-        density_per_m: f32,
-    },
-    /// `1 - exp(-(density d)^2)`.
-    Exp2 {
-        /// Per metre.
-        density_per_m: f32,
-    },
-}
-
-/// Fog instead of the environment's haze.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Fog {
-    /// How it thickens.
-    pub mode: FogMode,
-    /// Linear colour.
-    pub color: [f32; 3],
-}
-
 /// Where texture coordinates come from; OpenGL's `glTexGen`.
 ///
 /// Planes are those of s, t, r and q. Planes and volumes are read at the others divided by q, so that a picture can be
@@ -549,7 +443,13 @@ pub enum Attribute {
     Stencil(Stencil),
     Scissor(Scissor),
     Viewport(Viewport),
+    /// Of both sides.
     SurfaceMaterial(SurfaceMaterial),
+    /// Of each side, in place of one for both: the back has its own where light falls on both ([`LightModel::two_sided`]).
+    SurfaceMaterials {
+        front: SurfaceMaterial,
+        back: SurfaceMaterial,
+    },
     LightModel(LightModel),
     Fog(Fog),
     /// Of a unit.
@@ -578,6 +478,7 @@ impl Attribute {
             | Self::ColorMask(_)
             | Self::Viewport(_)
             | Self::SurfaceMaterial(_)
+            | Self::SurfaceMaterials { .. }
             | Self::LightModel(_)
             | Self::Program(_) => None,
         }
@@ -586,6 +487,10 @@ impl Attribute {
     /// Two attributes of which a state set holds only one.
     pub(super) fn is_same_kind(&self, other: &Self) -> bool {
         match (self, other) {
+            (
+                Self::SurfaceMaterial(_) | Self::SurfaceMaterials { .. },
+                Self::SurfaceMaterial(_) | Self::SurfaceMaterials { .. },
+            ) => true,
             (Self::TexGen(a, _), Self::TexGen(b, _)) | (Self::Texture(a, _), Self::Texture(b, _)) => a == b,
             _ => std::mem::discriminant(self) == std::mem::discriminant(other),
         }

@@ -5,7 +5,9 @@
 //! of what comes out. Knows no wgpu.
 
 mod attributes;
+mod bins;
 mod hook;
+mod lighting;
 mod program;
 mod resolved;
 mod texture;
@@ -13,10 +15,12 @@ mod variance;
 
 pub use attributes::{
     AlphaFunc, Attribute, BlendEquation, BlendFactor, BlendFunc, CLIP_PLANES, ColorMask, CompareFunction, CullFace,
-    Depth, Fog, FogMode, FrontFace, LIGHTS, Light, LightModel, Mode, NumberError, PolygonMode, PolygonOffset, Scissor,
-    StateValue, Stencil, StencilFace, StencilOperation, SurfaceMaterial, TEXTURE_UNITS, TexGen, Viewport,
+    Depth, FrontFace, LIGHTS, Mode, NumberError, PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, StencilFace,
+    StencilOperation, TEXTURE_UNITS, TexGen, Viewport,
 };
+pub use bins::{BinDetails, BinName, BinPrototype, SortKey, SortLeaf, SortMode, UnknownBin};
 pub use hook::DrawHook;
+pub use lighting::{ColorControl, Fog, FogMode, Light, LightModel, SurfaceMaterial};
 pub use program::{Program, Uniform, UniformValue};
 pub use resolved::ResolvedState;
 pub(crate) use texture::CLAMPED;
@@ -28,7 +32,7 @@ pub use variance::DataVariance;
 pub struct StateSet {
     /// For people, and for errors; may be empty.
     pub name: String,
-    /// Bin the leaves go to; `None` inherits.
+    /// Bin the leaves go to; `None` inherits. By the name of a prototype: [`Self::set_render_bin_details`].
     pub bin: Option<BinDetails>,
     /// With [`StateValue::OVERRIDE`] bins given below do not count, unless they are [`StateValue::PROTECTED`].
     pub bin_value: StateValue,
@@ -114,68 +118,4 @@ impl StateSet {
         self.set_attribute_and_modes(attribute, StateValue::ON);
         self
     }
-}
-
-/// A render bin: number and sort.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct BinDetails {
-    /// Bins are drawn in the order of their numbers; opaque 0, transparent 10.
-    pub number: i32,
-    /// Order of the leaves.
-    pub sort: SortMode,
-}
-
-/// Order of the leaves in a bin.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum SortMode {
-    /// Leaves of one state together, states in the order first met. Those of which the nearer hides the farther, whichever
-    /// is drawn first, may change places, so that fewer calls draw them; others are as traversed inside a state.
-    #[default]
-    ByState,
-    /// As `ByState`, nearest first inside a state and states by their nearest leaf.
-    ByStateThenFrontToBack,
-    /// Nearest first.
-    FrontToBack,
-    /// Farthest first.
-    BackToFront,
-    /// As traversed: depth first, and what hangs in the tiles of a page after the page.
-    TraversalOrder,
-    /// By a key that the application computes; equal keys as traversed.
-    ByKey(SortKey),
-}
-
-/// What a [`SortKey`] may know of a leaf.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SortLeaf {
-    /// Metres in front of the eye, of the bound's centre.
-    pub depth: f32,
-    /// Number of its state in the order first met.
-    pub state: u32,
-    /// Its place in traversal order.
-    pub order: u32,
-}
-
-/// A sort callback: smaller keys are drawn first.
-#[derive(Clone, Copy, Debug)]
-pub struct SortKey(pub fn(&SortLeaf) -> u64);
-
-impl PartialEq for SortKey {
-    fn eq(&self, other: &Self) -> bool {
-        std::ptr::fn_addr_eq(self.0, other.0)
-    }
-}
-
-impl Eq for SortKey {}
-
-impl std::hash::Hash for SortKey {
-    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
-        (self.0 as usize).hash(state);
-    }
-}
-
-impl BinDetails {
-    /// Bin 0, sorted by state.
-    pub const OPAQUE: Self = Self { number: 0, sort: SortMode::ByState };
-    /// Bin 10, back to front.
-    pub const TRANSPARENT: Self = Self { number: 10, sort: SortMode::BackToFront };
 }

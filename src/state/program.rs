@@ -38,73 +38,82 @@ impl Program {
     }
 }
 
-/// The value of a uniform; vectors and matrices (by columns) of f32, i32 and u32.
-#[allow(missing_docs, reason = "WGSL's types")]
-#[derive(Clone, Debug, PartialEq)]
-pub enum UniformValue {
-    Float(f32),
-    Vec2([f32; 2]),
-    Vec3([f32; 3]),
-    Vec4([f32; 4]),
-    Int(i32),
-    IVec2([i32; 2]),
-    IVec3([i32; 3]),
-    IVec4([i32; 4]),
-    Uint(u32),
-    UVec2([u32; 2]),
-    UVec3([u32; 3]),
-    UVec4([u32; 4]),
-    Mat2([[f32; 2]; 2]),
-    Mat3([[f32; 3]; 3]),
-    Mat4([[f32; 4]; 4]),
-    /// For `array<vec4<f32>, N>`.
-    Vec4Array(Arc<[[f32; 4]]>),
+/// Declares the values: each with its type in WGSL, and by columns of a matrix or elements of an array their bytes and
+/// the distance to the next, as WGSL lays them out in a uniform.
+macro_rules! uniform_values {
+    (values { $($value:ident($ty:ty) $wgsl:literal $column:literal $stride:literal,)+ }
+     arrays { $($array:ident($of:ty) $of_wgsl:literal $of_column:literal $of_stride:literal,)+ }) => {
+        /// The value of a uniform: scalars, vectors and matrices (by columns; `Mat2x3` has two of three) of f32, i32 and
+        /// u32, and arrays of them.
+        ///
+        /// Arrays are those that WGSL lets uniforms have: their elements take a multiple of 16 bytes. One that is shorter
+        /// than it is declared leaves zeros, of a longer one the end is left out.
+        #[allow(missing_docs, reason = "WGSL's types")]
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum UniformValue {
+            $($value($ty),)+
+            $($array(Arc<[$of]>),)+
+        }
+
+        impl UniformValue {
+            /// Its bytes by columns or elements: those of one, and the distance to the next.
+            pub(crate) fn columns(&self) -> (&[u8], usize, usize) {
+                match self {
+                    $(Self::$value(v) => (bytemuck::bytes_of(v), $column, $stride),)+
+                    $(Self::$array(v) => (bytemuck::cast_slice(v), $of_column, $of_stride),)+
+                }
+            }
+
+            /// WGSL's name of the type, of arrays without their length.
+            pub(crate) fn type_name(&self) -> &'static str {
+                match self {
+                    $(Self::$value(_) => $wgsl,)+
+                    $(Self::$array(_) => concat!("array<", $of_wgsl, ">"),)+
+                }
+            }
+        }
+    };
 }
 
-impl UniformValue {
-    /// Its bytes as WGSL lays the type out in a uniform, by columns of a matrix or elements of an array: the bytes of
-    /// a column and the distance to the next.
-    pub(crate) fn columns(&self) -> (&[u8], usize, usize) {
-        match self {
-            Self::Float(v) => (bytemuck::bytes_of(v), 4, 4),
-            Self::Int(v) => (bytemuck::bytes_of(v), 4, 4),
-            Self::Uint(v) => (bytemuck::bytes_of(v), 4, 4),
-            Self::Vec2(v) => (bytemuck::cast_slice(v), 8, 8),
-            Self::IVec2(v) => (bytemuck::cast_slice(v), 8, 8),
-            Self::UVec2(v) => (bytemuck::cast_slice(v), 8, 8),
-            Self::Vec3(v) => (bytemuck::cast_slice(v), 12, 12),
-            Self::IVec3(v) => (bytemuck::cast_slice(v), 12, 12),
-            Self::UVec3(v) => (bytemuck::cast_slice(v), 12, 12),
-            Self::Vec4(v) => (bytemuck::cast_slice(v), 16, 16),
-            Self::IVec4(v) => (bytemuck::cast_slice(v), 16, 16),
-            Self::UVec4(v) => (bytemuck::cast_slice(v), 16, 16),
-            Self::Mat2(v) => (bytemuck::cast_slice(v), 8, 8),
-            Self::Mat3(v) => (bytemuck::cast_slice(v), 12, 16),
-            Self::Mat4(v) => (bytemuck::cast_slice(v), 16, 16),
-            Self::Vec4Array(v) => (bytemuck::cast_slice(v), 16, 16),
-        }
+uniform_values! {
+    values {
+        Float(f32) "f32" 4 4,
+        Vec2([f32; 2]) "vec2<f32>" 8 8,
+        Vec3([f32; 3]) "vec3<f32>" 12 12,
+        Vec4([f32; 4]) "vec4<f32>" 16 16,
+        Int(i32) "i32" 4 4,
+        IVec2([i32; 2]) "vec2<i32>" 8 8,
+        IVec3([i32; 3]) "vec3<i32>" 12 12,
+        IVec4([i32; 4]) "vec4<i32>" 16 16,
+        Uint(u32) "u32" 4 4,
+        UVec2([u32; 2]) "vec2<u32>" 8 8,
+        UVec3([u32; 3]) "vec3<u32>" 12 12,
+        UVec4([u32; 4]) "vec4<u32>" 16 16,
+        Mat2([[f32; 2]; 2]) "mat2x2<f32>" 8 8,
+        Mat2x3([[f32; 3]; 2]) "mat2x3<f32>" 12 16,
+        Mat2x4([[f32; 4]; 2]) "mat2x4<f32>" 16 16,
+        Mat3x2([[f32; 2]; 3]) "mat3x2<f32>" 8 8,
+        Mat3([[f32; 3]; 3]) "mat3x3<f32>" 12 16,
+        Mat3x4([[f32; 4]; 3]) "mat3x4<f32>" 16 16,
+        Mat4x2([[f32; 2]; 4]) "mat4x2<f32>" 8 8,
+        Mat4x3([[f32; 3]; 4]) "mat4x3<f32>" 12 16,
+        Mat4([[f32; 4]; 4]) "mat4x4<f32>" 16 16,
     }
-
-    /// WGSL's name of the type.
-    pub(crate) fn type_name(&self) -> &'static str {
-        match self {
-            Self::Float(_) => "f32",
-            Self::Int(_) => "i32",
-            Self::Uint(_) => "u32",
-            Self::Vec2(_) => "vec2<f32>",
-            Self::Vec3(_) => "vec3<f32>",
-            Self::Vec4(_) => "vec4<f32>",
-            Self::IVec2(_) => "vec2<i32>",
-            Self::IVec3(_) => "vec3<i32>",
-            Self::IVec4(_) => "vec4<i32>",
-            Self::UVec2(_) => "vec2<u32>",
-            Self::UVec3(_) => "vec3<u32>",
-            Self::UVec4(_) => "vec4<u32>",
-            Self::Mat2(_) => "mat2x2<f32>",
-            Self::Mat3(_) => "mat3x3<f32>",
-            Self::Mat4(_) => "mat4x4<f32>",
-            Self::Vec4Array(_) => "array<vec4<f32>>",
-        }
+    arrays {
+        Vec3Array([f32; 3]) "vec3<f32>" 12 16,
+        Vec4Array([f32; 4]) "vec4<f32>" 16 16,
+        IVec3Array([i32; 3]) "vec3<i32>" 12 16,
+        IVec4Array([i32; 4]) "vec4<i32>" 16 16,
+        UVec3Array([u32; 3]) "vec3<u32>" 12 16,
+        UVec4Array([u32; 4]) "vec4<u32>" 16 16,
+        Mat2Array([[f32; 2]; 2]) "mat2x2<f32>" 8 8,
+        Mat2x3Array([[f32; 3]; 2]) "mat2x3<f32>" 12 16,
+        Mat2x4Array([[f32; 4]; 2]) "mat2x4<f32>" 16 16,
+        Mat3Array([[f32; 3]; 3]) "mat3x3<f32>" 12 16,
+        Mat3x4Array([[f32; 4]; 3]) "mat3x4<f32>" 16 16,
+        Mat4x2Array([[f32; 2]; 4]) "mat4x2<f32>" 8 8,
+        Mat4x3Array([[f32; 3]; 4]) "mat4x3<f32>" 12 16,
+        Mat4Array([[f32; 4]; 4]) "mat4x4<f32>" 16 16,
     }
 }
 

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::attributes::{
-    AlphaFunc, Attribute, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, Fog, FrontFace, LightModel, Mode,
-    NumberError, PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, SurfaceMaterial, TEXTURE_UNITS, TexGen,
-    Viewport,
+    AlphaFunc, Attribute, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, FrontFace, Mode, NumberError,
+    PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, TEXTURE_UNITS, TexGen, Viewport,
 };
+use super::lighting::{Fog, LightModel, SurfaceMaterial};
 use super::{BinDetails, DrawHook, Program, StateSet, TextureBinding, Uniform};
 
 /// A value as the chain above left it.
@@ -98,8 +98,9 @@ pub struct ResolvedState {
     stencil: Stated<Stencil>,
     scissor: Stated<Scissor>,
     viewport: Stated<Option<Viewport>>,
-    material: Stated<Option<SurfaceMaterial>>,
-    light_model: Stated<LightModel>,
+    /// Front and back.
+    materials: Stated<Option<[SurfaceMaterial; 2]>>,
+    light_model: Stated<Option<LightModel>>,
     fog: Stated<Option<Fog>>,
     texgens: [Stated<Option<TexGen>>; TEXTURE_UNITS],
     textures: [Stated<Option<TextureBinding>>; TEXTURE_UNITS],
@@ -138,7 +139,7 @@ impl Default for ResolvedState {
             stencil: Stated::default(),
             scissor: Stated::default(),
             viewport: Stated::default(),
-            material: Stated::default(),
+            materials: Stated::default(),
             light_model: Stated::default(),
             fog: Stated::default(),
             texgens: Default::default(),
@@ -233,8 +234,9 @@ impl ResolvedState {
             Attribute::Stencil(v) => self.stencil.state(*v, how),
             Attribute::Scissor(v) => self.scissor.state(*v, how),
             Attribute::Viewport(v) => self.viewport.state(Some(*v), how),
-            Attribute::SurfaceMaterial(v) => self.material.state(Some(*v), how),
-            Attribute::LightModel(v) => self.light_model.state(*v, how),
+            Attribute::SurfaceMaterial(v) => self.materials.state(Some([*v; 2]), how),
+            Attribute::SurfaceMaterials { front, back } => self.materials.state(Some([*front, *back]), how),
+            Attribute::LightModel(v) => self.light_model.state(Some(*v), how),
             Attribute::Fog(v) => self.fog.state(Some(*v), how),
             Attribute::TexGen(unit, v) => {
                 if let Some(texgen) = self.texgens.get_mut(usize::from(*unit)) {
@@ -329,9 +331,9 @@ impl ResolvedState {
     pub(crate) fn is_fixed_function(&self) -> bool {
         let of_modes = self.modes.on ^ Mode::ON_BY_DEFAULT;
         of_modes & Mode::OF_FIXED_FUNCTION != 0
-            || self.material.value.is_some()
+            || self.materials.value.is_some()
             || self.fog.value.is_some()
-            || self.light_model.given
+            || self.light_model.value.is_some()
     }
 
     /// Bits of the lights (or clip planes) that are on, by number.
@@ -379,13 +381,13 @@ impl ResolvedState {
         self.viewport.value
     }
 
-    /// The reflection that stands for that of the drawables, where one is given.
-    pub fn material(&self) -> Option<SurfaceMaterial> {
-        self.material.value
+    /// The reflection that stands for that of the drawables, where one is given: of front and back faces.
+    pub fn materials(&self) -> Option<[SurfaceMaterial; 2]> {
+        self.materials.value
     }
 
-    /// Light from everywhere.
-    pub fn light_model(&self) -> LightModel {
+    /// How lights are reckoned with, where it is given.
+    pub fn light_model(&self) -> Option<LightModel> {
         self.light_model.value
     }
 

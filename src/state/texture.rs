@@ -31,6 +31,8 @@ pub enum TextureFormat {
     Rgba8Srgb,
     /// Four bytes, linear.
     Rgba8,
+    /// One byte, linear.
+    R8,
     /// Four half floats.
     Rgba16Float,
     /// One float.
@@ -48,6 +50,7 @@ impl TextureFormat {
     /// Bytes of a texel.
     pub const fn texel_bytes(self) -> usize {
         match self {
+            Self::R8 => 1,
             Self::Rgba16Float | Self::Depth32Stencil8 => 8,
             _ => 4,
         }

@@ -13,10 +13,10 @@ use terrane::scene::{
     Mesh, MeshVertex, Node, NodeKind, ReferenceFrame, RenderOrder, Scene, TexGenNode, Topology,
 };
 use terrane::state::{
-    AlphaFunc, Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorMask, CompareFunction, CullFace,
-    DataVariance, Depth, Fog, FogMode, FrontFace, Light, LightModel, Mode, PolygonOffset, Scissor, SortMode, StateSet,
-    StateValue, Stencil, StencilFace, StencilOperation, SurfaceMaterial, TexGen, TextureBinding, TextureFormat,
-    TextureObject,
+    AlphaFunc, Attribute, BinDetails, BlendEquation, BlendFactor, BlendFunc, ColorControl, ColorMask, CompareFunction,
+    CullFace, DataVariance, Depth, Fog, FogMode, FrontFace, Light, LightModel, Mode, PolygonOffset, Scissor, SortMode,
+    StateSet, StateValue, Stencil, StencilFace, StencilOperation, SurfaceMaterial, TexGen, TextureBinding,
+    TextureFormat, TextureObject,
 };
 
 use super::gpu_support::{Rig, Terrain, with_mips};
@@ -283,7 +283,7 @@ impl Maker {
         }
         if random.percent(35) {
             let number = if self.is_opaque { 0 } else { random.one_of(&[-2, -1, 0, 1, 5, 10, 11]) };
-            set.bin = Some(BinDetails { number, sort: self.sort_mode() });
+            set.bin = Some(BinDetails::new(number, self.sort_mode()));
             set.nest_bins = self.random.percent(80);
         }
         let always = self.of_opaque();
@@ -327,7 +327,12 @@ impl Maker {
                 shininess: 8.0,
                 ..SurfaceMaterial::default()
             }),
-            Attribute::LightModel(LightModel { ambient: random.color() }),
+            Attribute::LightModel(LightModel {
+                ambient: random.color(),
+                local_viewer: random.percent(50),
+                two_sided: random.percent(50),
+                color_control: random.one_of(&[ColorControl::SingleColor, ColorControl::SeparateSpecularColor]),
+            }),
             Attribute::Fog(Fog {
                 mode: random.one_of(&[
                     FogMode::Linear { start_m: 5.0, end_m: 60.0 },

@@ -1,14 +1,14 @@
 //! The arguments of every subcommand.
 
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use clap::{Args as ClapArgs, Parser, Subcommand};
 use terrane::cull::StereoMode;
 use terrane::io::is_remote;
-use terrane::viewer::{ThreadingModel, ViewFrom};
+use terrane::viewer::ThreadingModel;
 
 use crate::net::NetArgs;
+use crate::values::{NotNegative, Positive, Rgb, Size, SunFrom, View, finite, not_negative, pace, samples, secs};
 
 /// Streams terrain that is larger than memory, and draws it without a hitch.
 #[derive(Debug, Parser)]
@@ -399,175 +399,6 @@ pub enum PageContent {
     Height,
 }
 
-/// Width and height in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Size(pub [u32; 2]);
-
-impl Default for Size {
-    fn default() -> Self {
-        Self([1280, 720])
-    }
-}
-
-impl FromStr for Size {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
-        match sides {
-            Some(size) if size.iter().all(|side| (1..=8192).contains(side)) => Ok(Self(size)),
-            Some(_) => Err("each side is 1 to 8192 pixels".to_owned()),
-            None => Err("expected WIDTHxHEIGHT, as 1280x720".to_owned()),
-        }
-    }
-}
-
-/// A number above zero.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Positive(pub f64);
-
-impl FromStr for Positive {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.parse::<f64>() {
-            Ok(value) if value.is_finite() && value > 0.0 => Ok(Self(value)),
-            _ => Err("expected a number above zero".to_owned()),
-        }
-    }
-}
-
-/// A number that is not below zero.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NotNegative(pub f64);
-
-impl Default for NotNegative {
-    /// As the command line's.
-    fn default() -> Self {
-        Self(0.25)
-    }
-}
-
-impl FromStr for NotNegative {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.parse::<f64>() {
-            Ok(value) if value.is_finite() && value >= 0.0 => Ok(Self(value)),
-            _ => Err("expected a number that is not below zero".to_owned()),
-        }
-    }
-}
-
-/// Longest time that a case may be measured.
-const MOST_SECS: f64 = 3600.0;
-
-/// A number from 0 on.
-pub fn not_negative(text: &str) -> Result<f64, String> {
-    let number = text.parse().ok().filter(|n: &f64| n.is_finite() && *n >= 0.0);
-    number.ok_or_else(|| "no number from 0 on".to_owned())
-}
-
-/// A part of all: 0 to 1.
-pub fn share(text: &str) -> Result<f64, String> {
-    not_negative(text).ok().filter(|n| *n <= 1.0).ok_or_else(|| "no number from 0 to 1".to_owned())
-}
-
-/// Milliseconds, or bytes a second: 0, or a number that makes sense.
-pub fn amount(text: &str) -> Result<f64, String> {
-    let number = not_negative(text).ok().filter(|n| *n == 0.0 || (1e-3..=1e12).contains(n));
-    number.ok_or_else(|| "neither 0 nor a number from 0.001 to 1e12".to_owned())
-}
-
-/// Minutes to go on for.
-pub fn minutes(text: &str) -> Result<f64, String> {
-    let number = not_negative(text).ok().filter(|n| *n > 0.0 && *n <= 1e6);
-    number.ok_or_else(|| "no number above 0, up to 1000000".to_owned())
-}
-
-/// Time to measure for.
-fn secs(text: &str) -> Result<f64, String> {
-    let secs = not_negative(text).ok().filter(|n| *n <= MOST_SECS);
-    secs.ok_or_else(|| format!("no number of seconds from 0 to {MOST_SECS}"))
-}
-
-/// Frames a second; 0 for no pace.
-fn pace(text: &str) -> Result<f64, String> {
-    let pace = not_negative(text).ok().filter(|n| *n == 0.0 || (0.01..=100_000.0).contains(n));
-    pace.ok_or_else(|| "neither 0 nor a number from 0.01 to 100000".to_owned())
-}
-
-fn finite(text: &str) -> Result<f32, String> {
-    text.parse().ok().filter(|n: &f32| n.is_finite()).ok_or_else(|| "no number".to_owned())
-}
-
-fn samples(text: &str) -> Result<u32, String> {
-    text.parse().ok().filter(|n| matches!(n, 1 | 4)).ok_or_else(|| "neither 1 nor 4".to_owned())
-}
-
-/// The first camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct View(pub ViewFrom);
-
-impl FromStr for View {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
-        match numbers.as_deref() {
-            Some([heading, pitch, range_m])
-                if heading.is_finite() && (-90.0..=90.0).contains(pitch) && range_m.is_finite() && *range_m > 0.0 =>
-            {
-                let (heading, pitch) = (heading.to_radians(), pitch.to_radians());
-                Ok(Self(ViewFrom { heading, pitch, range_m: Some(*range_m) }))
-            }
-            _ => Err("expected HEADING_DEG,PITCH_DEG,RANGE_M with a pitch of -90 to 90 and a range above zero".into()),
-        }
-    }
-}
-
-/// Where the sun stands, radians.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SunFrom {
-    /// Clockwise from north.
-    pub azimuth: f64,
-    /// Above the horizon.
-    pub height: f64,
-}
-
-impl FromStr for SunFrom {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let angles: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-        match angles.as_deref() {
-            Some(&[azimuth, height]) if azimuth.is_finite() && (-90.0..=90.0).contains(&height) => {
-                Ok(Self { azimuth: azimuth.to_radians(), height: height.to_radians() })
-            }
-            _ => Err(format!("`{text}` is not AZIMUTH,HEIGHT in degrees, the height -90 to 90")),
-        }
-    }
-}
-
-/// A colour as six hexadecimal digits.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Rgb(pub [u8; 3]);
-
-impl FromStr for Rgb {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let digits = text.trim_start_matches('#');
-        match u32::from_str_radix(digits, 16) {
-            Ok(value) if digits.len() == 6 && !digits.starts_with('+') => {
-                let [_, r, g, b] = value.to_be_bytes();
-                Ok(Self([r, g, b]))
-            }
-            _ => Err("expected six hexadecimal digits, as 1a334d".to_owned()),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory as _;
@@ -577,27 +408,5 @@ mod tests {
     #[test]
     fn the_arguments_are_consistent() {
         Args::command().debug_assert();
-    }
-
-    #[test]
-    fn values() {
-        assert_eq!("640x360".parse(), Ok(Size([640, 360])));
-        for bad in ["", "640", "0x5", "9999x5", "axb", "-1x5"] {
-            assert!(bad.parse::<Size>().is_err(), "{bad}");
-        }
-        assert_eq!("FF8000".parse(), Ok(Rgb([255, 128, 0])));
-        for bad in ["", "fff", "gggggg", "+12345"] {
-            assert!(bad.parse::<Rgb>().is_err(), "{bad}");
-        }
-        let View(view) = "90,-35,1000".parse().unwrap();
-        assert!((view.heading.to_degrees() - 90.0).abs() < 1e-9 && view.range_m == Some(1000.0));
-        for bad in ["", "1,2", "0,-95,10", "0,0,0", "0,0,nan"] {
-            assert!(bad.parse::<View>().is_err(), "{bad}");
-        }
-        let SunFrom { azimuth, height } = "180, 30".parse().unwrap();
-        assert!((azimuth.to_degrees() - 180.0).abs() < 1e-9 && (height.to_degrees() - 30.0).abs() < 1e-9);
-        for bad in ["", "180", "180,x,30", "180,30,", "180,30,high", "nan,30", "180,91"] {
-            assert!(bad.parse::<SunFrom>().is_err(), "{bad}");
-        }
     }
 }

@@ -11,6 +11,7 @@ mod pictures;
 mod serve;
 mod stress;
 mod summary;
+mod values;
 mod views;
 
 use std::ffi::OsString;

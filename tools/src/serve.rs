@@ -16,7 +16,7 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 use anyhow::{Context as _, Error, Result, ensure};
 use clap::Args as ClapArgs;
 
-use crate::args::{amount, share};
+use crate::values::{amount, share};
 
 /// Longest request head.
 const MOST_HEAD_BYTES: u64 = 16 << 10;

@@ -46,9 +46,9 @@ impl<'a> Bins<'a> {
 
     /// How many of the first bins are inside the same one at a depth.
     fn nested(self, depth: usize) -> usize {
-        let number = |bin: &RenderBin| bin.path.get(depth).map(|details| details.number);
-        match self.bins.first().and_then(number) {
-            Some(first) => self.bins.iter().take_while(|bin| number(bin) == Some(first)).count(),
+        let bin_at = |bin: &RenderBin| bin.path.get(depth).copied();
+        match self.bins.first().and_then(bin_at) {
+            Some(first) => self.bins.iter().take_while(|bin| bin_at(bin) == Some(first)).count(),
             None => 1,
         }
     }

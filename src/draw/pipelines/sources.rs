@@ -65,7 +65,7 @@ pub(super) fn fading(fragment: &'static str) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::draw::uniforms::fixed::{FixedUniform, StageLight, StageUniform};
+    use crate::draw::uniforms::fixed::{FixedUniform, Reflection, StageLight, StageUniform};
     use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
     use crate::gpu::VertexFormat;
 
@@ -143,9 +143,12 @@ mod tests {
                 assert_eq!(span as usize, size_of::<FixedUniform>(), "{name}");
                 assert_eq!(
                     fields,
-                    offsets!(FixedUniform: ambient, diffuse, specular, emission, fog_color, fog, model_ambient, flags,
-                        units, texgens, bias, planes)
+                    offsets!(FixedUniform: front, back, fog_color, fog, model_ambient, model, flags, units, texgens,
+                        bias, planes)
                 );
+                let (span, fields) = members(&module, "Reflection");
+                assert_eq!(span as usize, size_of::<Reflection>(), "{name}");
+                assert_eq!(fields, offsets!(Reflection: ambient, diffuse, specular, emission));
             }
         }
     }

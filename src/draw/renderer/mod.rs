@@ -12,6 +12,7 @@ mod foresee;
 pub(super) mod prepare;
 mod record;
 pub(super) mod shadows;
+mod upload;
 mod views;
 
 use std::collections::{HashSet, VecDeque};
@@ -19,17 +20,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::cull::RenderStage;
-use crate::draw::answers::{PictureReads, Queries};
+use crate::draw::answers::{PictureReads, Queries, Read};
 use crate::draw::atmosphere::Atmosphere;
-use crate::draw::batch::{Batch, Run};
+use crate::draw::batch::Batch;
 use crate::draw::composite::Composite;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{StagePlan, Targets};
 use crate::draw::shadow_maps::ShadowMaps;
 use crate::draw::spread::Spread;
-use crate::draw::state::{INDIRECT_BYTES, LEAST_MULTI_DRAW, Statics};
-use crate::draw::uniforms::fixed::StageUniform;
-use crate::draw::uniforms::frame::{FrameUniform, LeafUniform};
+use crate::draw::state::Statics;
+use crate::draw::uniforms::frame::LeafUniform;
 use crate::draw::uniforms::groups::Groups;
 use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
@@ -37,6 +37,7 @@ use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 use shadows::CasterPlan;
+use upload::{frame_bind_group, indirect_buffer, leaf_buffer};
 use views::{LitView, ViewFrame};
 
 /// Frames the processor may be ahead of the adapter, in each target.
@@ -75,6 +76,9 @@ pub struct DrawStats {
     pub passes: u32,
     /// Eyes with air of their own beyond the most there may be: they have that of the eye at nearly the same height.
     pub airs_refused: u32,
+    /// Stages that were not drawn: what they draw into cannot be, which [`Renderer::take_errors`] says. The picture's own
+    /// is the whole frame.
+    pub stages_refused: u32,
     /// Pipelines made in this draw; each takes long at its first use. What a drawable of the application's own makes for
     /// a target counts as one.
     pub pipelines_created: u32,
@@ -140,6 +144,7 @@ pub struct Renderer {
     /// Leaves that may still cast shadows in this frame.
     caster_room: usize,
     airs_refused: u32,
+    stages_refused: u32,
     indirect: Option<wgpu::Buffer>,
     indirect_bytes: Vec<u8>,
     most_leaves: usize,
@@ -176,46 +181,6 @@ pub struct Renderer {
     said: HashSet<String>,
 }
 
-fn leaf_buffer(device: &wgpu::Device, leaves: usize) -> wgpu::Buffer {
-    device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("leaves"),
-        size: (leaves * size_of::<LeafUniform>()) as u64,
-        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
-}
-
-fn frame_bind_group(
-    device: &wgpu::Device,
-    layout: &wgpu::BindGroupLayout,
-    uniforms: &wgpu::Buffer,
-    leaves: &wgpu::Buffer,
-    air: [wgpu::BindGroupEntry<'_>; 5],
-    [shadow_maps, shadow_sampler]: [wgpu::BindGroupEntry<'_>; 2],
-) -> wgpu::BindGroup {
-    let uniform = |size: usize| {
-        let size = wgpu::BufferSize::new(size as u64);
-        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: uniforms, offset: 0, size })
-    };
-    let [sampler, sunlight, sky_light, scattered, mie] = air;
-    device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("frame"),
-        layout,
-        entries: &[
-            wgpu::BindGroupEntry { binding: 0, resource: uniform(size_of::<FrameUniform>()) },
-            wgpu::BindGroupEntry { binding: 1, resource: leaves.as_entire_binding() },
-            wgpu::BindGroupEntry { binding: 2, resource: uniform(size_of::<StageUniform>()) },
-            sampler,
-            sunlight,
-            sky_light,
-            scattered,
-            mie,
-            shadow_maps,
-            shadow_sampler,
-        ],
-    })
-}
-
 impl Renderer {
     /// A renderer for a context; makes no pipeline yet.
     pub fn new(ctx: &mut GraphicsContext) -> Self {
@@ -242,6 +207,7 @@ impl Renderer {
             shadow_leaves_dropped: 0,
             caster_room: 0,
             airs_refused: 0,
+            stages_refused: 0,
             atmosphere,
             pipelines,
             groups,
@@ -353,7 +319,7 @@ impl Renderer {
         stats.unsampled_leaves = self.batch.unsampled;
         stats.shadow_leaves = self.shadow_leaves;
         (stats.leaves_dropped, stats.shadow_leaves_dropped) = (self.leaves_dropped, self.shadow_leaves_dropped);
-        stats.airs_refused = self.airs_refused;
+        (stats.airs_refused, stats.stages_refused) = (self.airs_refused, self.stages_refused);
         stats.pipelines_created += self.created() - created_before;
         let wait = crate::timeline::span("wait for adapter");
         self.throttle(ctx)?;
@@ -375,61 +341,20 @@ impl Renderer {
         self.pipelines.created() + self.spread.as_ref().map_or(0, Spread::created)
     }
 
-    fn upload(&mut self, ctx: &GraphicsContext) {
-        let device = ctx.device();
-        let bytes: &[u8] = bytemuck::cast_slice(self.batch.leaves());
-        let mut is_new = self.groups.finish(ctx, &self.pipelines) | std::mem::take(&mut self.binds_shadows);
-        if bytes.len() as u64 > self.leaf_buffer.size() {
-            let leaves = self.batch.leaves().len().next_power_of_two().min(self.most_leaves);
-            self.leaf_buffer = leaf_buffer(device, leaves);
-            is_new = true;
-        }
-        if is_new || self.frame_bind_groups.len() != self.atmosphere.set_count() {
-            let layout = &self.pipelines.frame_layout;
-            let bind_group = |is_drawn, air| {
-                let (shadows, air) = (self.shadow_maps.entries(is_drawn), self.atmosphere.entries(air));
-                frame_bind_group(device, layout, self.groups.buffer(), &self.leaf_buffer, air, shadows)
-            };
-            self.caster_bind_group = bind_group(true, 0);
-            self.frame_bind_groups = (0..self.atmosphere.set_count()).map(|air| bind_group(false, air)).collect();
-        }
-        if !bytes.is_empty() {
-            ctx.queue().write_buffer(&self.leaf_buffer, 0, bytes);
-        }
-        // Without runs to draw by one call nothing reads it.
-        let has_multi_draw = |same: &[Run]| same.len() >= LEAST_MULTI_DRAW;
-        let is_read = self.batch.runs.chunk_by(|a, b| a.bucket == b.bucket).any(has_multi_draw);
-        if let Some(indirect) = self.indirect.as_mut().filter(|_| is_read) {
-            self.indirect_bytes.clear();
-            for run in &self.batch.runs {
-                let arguments = wgpu::util::DrawIndexedIndirectArgs {
-                    index_count: run.index_count,
-                    instance_count: run.leaf_count,
-                    first_index: run.first_index,
-                    base_vertex: run.base_vertex,
-                    first_instance: run.first_leaf,
-                };
-                self.indirect_bytes.extend_from_slice(arguments.as_bytes());
-            }
-            if self.indirect_bytes.len() as u64 > indirect.size() {
-                *indirect = indirect_buffer(device, self.batch.runs.len().next_power_of_two());
-            }
-            ctx.queue().write_buffer(indirect, 0, &self.indirect_bytes);
-        }
-    }
-
     /// Copies what a camera has drawn to whoever wants it.
     fn copy_picture(&mut self, ctx: &GraphicsContext, encoder: &mut wgpu::CommandEncoder, stage: &RenderStage) {
         let Some(camera) = stage.target.camera.as_ref().filter(|_| !stage.target.is_shared) else { return };
-        let frame = stage.camera.frame;
-        for (location, sink) in camera.read_backs() {
-            let Some(attachment) = camera.colors.get(location) else {
-                self.complain(format!("a camera without colour {location}, which is to be read back"));
-                continue;
+        for (part, sink) in camera.read_backs() {
+            let read = match Read::of(camera, part) {
+                Ok(read) => read,
+                Err(error) => {
+                    self.complain(error.to_string());
+                    continue;
+                }
             };
             // What is wrong with it has been said.
-            let Some(texture) = self.groups.textures.texture(&attachment.texture) else { continue };
-            self.pictures.copy(ctx.device(), encoder, texture, attachment, sink, frame);
+            let Some(texture) = self.groups.textures.texture(&read.attachment.texture) else { continue };
+            self.pictures.copy(ctx.device(), encoder, texture, read, sink, &stage.camera);
         }
     }
 
@@ -449,15 +374,6 @@ impl Renderer {
         let _span = crate::timeline::span("read back");
         ctx.read_back()
     }
-}
-
-fn indirect_buffer(device: &wgpu::Device, runs: usize) -> wgpu::Buffer {
-    device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("runs"),
-        size: runs as u64 * INDIRECT_BYTES,
-        usage: wgpu::BufferUsages::INDIRECT | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    })
 }
 
 #[cfg(test)]
@@ -510,7 +426,7 @@ mod tests {
                 }
                 if random(3) == 0 {
                     let sort = [SortMode::ByState, SortMode::BackToFront, SortMode::FrontToBack][random(3) as usize];
-                    set.bin = Some(BinDetails { number: random(3) as i32 - 1, sort });
+                    set.bin = Some(BinDetails::new(random(3) as i32 - 1, sort));
                 }
                 Arc::new(set)
             })

@@ -15,9 +15,9 @@ use crate::draw::pipelines::programs::Builtins;
 use crate::draw::plan::{PassTarget, StagePlan, color};
 use crate::draw::spread::Spread;
 use crate::draw::state::{Dynamics, Statics};
-use crate::draw::uniforms::fixed::{FixedUniform, replaces_sun};
+use crate::draw::uniforms::fixed::{FixedUniform, position_of, replaces_sun};
 use crate::draw::uniforms::frame::LeafUniform;
-use crate::gpu::GraphicsContext;
+use crate::gpu::{GraphicsContext, watched};
 use crate::scene::{CullingMode, Sky};
 use crate::state::{Mode, NumberError, PolygonMode, ResolvedState, Scissor, TEXTURE_UNITS, TextureObject, Viewport};
 
@@ -45,16 +45,18 @@ impl Renderer {
         if let Some(composite) = &mut self.composite {
             composite.start_frame();
         }
-        (self.shadow_leaves, self.shadow_leaves_dropped, self.airs_refused) = (0, 0, 0);
+        (self.shadow_leaves, self.shadow_leaves_dropped) = (0, 0);
+        (self.airs_refused, self.stages_refused) = (0, 0);
         let own: usize = pictures.clone().map(|picture| leaves_of(picture.stage)).sum();
         self.caster_room = self.most_leaves.saturating_sub(own);
         self.binds_shadows |= self.atmosphere.start_draw(ctx.face_count());
         self.prepare_shadow_maps(ctx, pictures.clone());
         let mut dropped = 0;
         for Picture { stage, environment } in pictures {
-            let air = self.air_of(ctx, &stage.camera, environment);
+            let mut environment = *environment;
+            let air = self.air_of(ctx, &stage.camera, &mut environment);
             let shadows = environment.shadows;
-            let around = Surroundings { environment: *environment, shadows, air, is_outermost: true, is_whole: true };
+            let around = Surroundings { environment, shadows, air, is_outermost: true, is_whole: true };
             dropped += self.prepare_all(ctx, stage, &around);
         }
         for (bucket, _) in self.batch.buckets.iter().filter(|(b, _)| b.stride > 0) {
@@ -72,7 +74,8 @@ impl Renderer {
                 "there are more leaves than the adapter's largest buffer holds; some are not drawn".to_owned(),
             );
         }
-        for error in std::mem::take(&mut self.pipelines.errors) {
+        let refused = std::mem::take(&mut self.atmosphere.errors);
+        for error in std::mem::take(&mut self.pipelines.errors).into_iter().chain(refused) {
             self.complain(error);
         }
     }
@@ -102,6 +105,7 @@ impl Renderer {
             Ok(target) => target,
             Err(problem) => {
                 self.complain(problem);
+                self.stages_refused += 1;
                 self.plans.push(StagePlan::default());
                 return 0;
             }
@@ -121,6 +125,9 @@ impl Renderer {
         self.statics.push(base);
         for (node, error) in wrong_numbers(stage) {
             self.complain(format!("{node}: {error}"));
+        }
+        for error in stage.lights.iter().filter_map(|l| position_of(&l.light).err()) {
+            self.complain(format!("a LightSource: {error}"));
         }
         let has_own_light = replaces_sun(stage);
         // An empty stage has none; what comes will.
@@ -218,11 +225,13 @@ impl Renderer {
         if target.clear_color(stage, &plan).is_none()
             && let Some(formats) = self.pipelines.target_key(target.index).copied()
         {
+            let mut refused = Vec::new();
             for spreading in target.spreading(&formats) {
-                let spread = self.spread.get_or_insert_with(|| Spread::new(ctx.device()));
-                spread.ensure(ctx, spreading.kind);
+                let spread = self.spread.get_or_insert_with(|| watched(ctx.device(), || Spread::new(ctx.device())).0);
+                refused.extend(spread.ensure(ctx, spreading.kind).err());
                 plan.spreads = true;
             }
+            refused.into_iter().for_each(|error| self.complain(error));
         }
         self.plans.push(StagePlan { target: Some(target), ..plan });
         dropped
@@ -327,9 +336,16 @@ impl Renderer {
     ) -> Option<([Arc<TextureObject>; 2], usize)> {
         let mode = stage.stereo?;
         let key = *self.pipelines.target_key(target.index)?;
-        let composite = self.composite.get_or_insert_with(|| Composite::new(ctx.device()));
+        // What is wrong with it its pipelines say.
+        let composite = self.composite.get_or_insert_with(|| watched(ctx.device(), || Composite::new(ctx.device())).0);
         let origin = [dynamics.viewport[0] as u32, dynamics.viewport[1] as u32];
-        let place = composite.prepare(ctx, &key, mode, stage.stereo_gap_px, origin);
+        let place = match composite.prepare(ctx, &key, mode, stage.stereo_gap_px, origin) {
+            Ok(place) => place,
+            Err(error) => {
+                self.complain(error);
+                return None;
+            }
+        };
         let eye = |of: &RenderStage| Some(of.target.camera.as_ref()?.colors.first()?.texture.clone());
         Some(([eye(stage.pre_render.first()?)?, eye(stage.pre_render.get(1)?)?], place))
     }

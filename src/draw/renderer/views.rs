@@ -5,7 +5,7 @@ use glam::{DAffine3, DMat4};
 use super::Renderer;
 use super::shadows::Casting;
 use crate::cull::{CullCamera, MOST_CASCADES, RenderStage, StageShadows};
-use crate::draw::atmosphere::{Air, FoundAir};
+use crate::draw::atmosphere::{Air, FoundAir, PLAIN_SKY};
 use crate::draw::pipelines::key::AirKind;
 use crate::draw::plan::PassTarget;
 use crate::draw::shadow_maps::ShadowMaps;
@@ -55,13 +55,21 @@ pub(super) fn clip_of_view(stage: &RenderStage, view: u32) -> &DMat4 {
 }
 
 impl Renderer {
-    /// The tables of the air as a camera's eye sees it.
-    pub(super) fn air_of(&mut self, ctx: &GraphicsContext, camera: &CullCamera, environment: &Environment) -> FoundAir {
+    /// The tables of the air as a camera's eye sees it. Where they cannot be computed there is a plain sky instead.
+    pub(super) fn air_of(
+        &mut self,
+        ctx: &GraphicsContext,
+        camera: &CullCamera,
+        environment: &mut Environment,
+    ) -> FoundAir {
         let air = Air::of(camera, environment);
+        if environment.sky == Sky::Atmosphere && !self.atmosphere.can_be_made(ctx) {
+            environment.sky = PLAIN_SKY;
+        }
         if environment.sky != Sky::Atmosphere {
             return FoundAir { place: 0, air, is_refused: false };
         }
-        let found = self.atmosphere.find(ctx.device(), &air);
+        let found = self.atmosphere.find(ctx, &air);
         self.airs_refused += u32::from(found.is_refused);
         found
     }
@@ -75,8 +83,8 @@ impl Renderer {
         above: &Surroundings,
     ) -> Surroundings {
         let eye_in_world = camera.eye_from_world.inverse().translation;
-        let environment = said.of_camera(Some(&above.environment), eye_in_world).unwrap_or(above.environment);
-        let air = if said.is_whole() { self.air_of(ctx, camera, &environment) } else { above.air };
+        let mut environment = said.of_camera(Some(&above.environment), eye_in_world).unwrap_or(above.environment);
+        let air = if said.is_whole() { self.air_of(ctx, camera, &mut environment) } else { above.air };
         Surroundings { shadows: None, air, environment, is_outermost: false, is_whole: false }
     }
 

@@ -1,13 +1,20 @@
 // The fixed function: lights, material, fog, clip planes, alpha test and texture units, in OpenGL's terms.
 
-struct Fixed {
-    ambient: vec4<f32>,        // of the material; w: 1 where there is one
+// How a side of a surface reflects.
+struct Reflection {
+    ambient: vec4<f32>,
     diffuse: vec4<f32>,
     specular: vec4<f32>,       // w: shininess
-    emission: vec4<f32>,       // w: reference of the alpha test
+    emission: vec4<f32>,
+}
+
+struct Fixed {
+    front: Reflection,
+    back: Reflection,
     fog_color: vec4<f32>,      // w: 0 none, 1 the environment's haze, 2 linear, 3 exp, 4 exp2
     fog: vec4<f32>,            // linear: end and 1 / (end - start); else the density
-    model_ambient: vec4<f32>,
+    model_ambient: vec4<f32>,  // w: reference of the alpha test
+    model: vec4<u32>,          // 1 for a local viewer; faces (below); 1 for highlights that are added to textures
     flags: vec4<u32>,          // lights, clip planes, alpha test, 1 where the sun is replaced
     units: vec4<u32>,          // 0 off, 1 plane, 2 cube, 3 volume, 4 layers
     texgens: vec4<u32>,        // 0 the mesh's, 1 object linear, 2 eye linear, 3 sphere, 4 normal, 5 reflection
@@ -17,6 +24,15 @@ struct Fixed {
 
 @group(2) @binding(0) var<uniform> fixed_state: Fixed;
 
+// Faces without a light model are lit on the side that is seen; with one that has one side, on the front; else on both.
+const FRONT_ONLY: u32 = 1u;
+const BOTH_SIDES: u32 = 2u;
+
+// True for what is lit on its back.
+fn is_back(is_front: bool) -> bool {
+    return fixed_state.model.y == BOTH_SIDES && !is_front;
+}
+
 // A point to be shaded; all but `object` and `uv` in eye space.
 struct Surface {
     in_eye: vec3<f32>,
@@ -25,8 +41,10 @@ struct Surface {
     up: vec3<f32>,
     object: vec3<f32>,
     uv: vec2<f32>,
-    base: vec4<f32>,
+    texel: vec4<f32>,   // of the drawable's own texture
+    color: vec4<f32>,
     is_lit: bool,
+    is_back: bool,
     alpha_cutoff: f32,
 }
 
@@ -37,10 +55,15 @@ fn towards_eye(in_eye: vec3<f32>) -> vec3<f32> {
     return select(-in_eye * inverseSqrt(square), vec3<f32>(0.0, 0.0, 1.0), is_along);
 }
 
-fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {
-    let ambient = base.rgb * fixed_state.ambient.rgb;
-    let diffuse = base.rgb * fixed_state.diffuse.rgb;
-    var color = fixed_state.emission.rgb + fixed_state.model_ambient.rgb * ambient;
+fn lit(s: Surface, textures: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
+    var side = fixed_state.front;
+    if s.is_back {
+        side = fixed_state.back;
+    }
+    let ambient = base * side.ambient.rgb;
+    let diffuse = base * side.diffuse.rgb;
+    let specular = side.specular.rgb * select(textures, vec3<f32>(1.0), fixed_state.model.z == 1u);
+    var color = textures * side.emission.rgb + fixed_state.model_ambient.rgb * ambient;
     if (fixed_state.flags.x & 1u) != 0u && fixed_state.flags.w == 0u {
         var sun = light_of_sun(s.normal, s.up, above_ground(s.in_eye).w);
         if dot(s.normal, frame.sun_direction.xyz) > 0.0 {
@@ -48,7 +71,7 @@ fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {
         }
         color += diffuse * (sun + light_of_sky(s.normal, s.up));
     }
-    let to_eye = towards_eye(s.in_eye);
+    let to_eye = select(vec3<f32>(0.0, 0.0, 1.0), towards_eye(s.in_eye), fixed_state.model.x == 1u);
     for (var i = 0u; i < 8u; i++) {
         let l = stage.lights[i];
         if (fixed_state.flags.x >> i & 1u) == 0u || l.diffuse.w < 0.5 {
@@ -68,10 +91,10 @@ fn lit(s: Surface, base: vec4<f32>) -> vec3<f32> {
         }
         let facing = max(dot(s.normal, to_light), 0.0);
         var reflected = l.ambient.rgb * ambient + facing * l.diffuse.rgb * diffuse;
-        if facing > 0.0 && fixed_state.specular.w > 0.0 {
+        if facing > 0.0 && side.specular.w > 0.0 {
             let half_way = normalize(to_light + to_eye);
-            let shine = pow(max(dot(s.normal, half_way), 0.0), fixed_state.specular.w);
-            reflected += shine * l.specular.rgb * fixed_state.specular.rgb;
+            let shine = pow(max(dot(s.normal, half_way), 0.0), side.specular.w);
+            reflected += shine * l.specular.rgb * specular;
         }
         color += strength * reflected;
     }
@@ -105,7 +128,7 @@ fn fogged(s: Surface, color: vec3<f32>) -> vec3<f32> {
 }
 
 fn passes_alpha_test(alpha: f32) -> bool {
-    let reference = fixed_state.emission.w;
+    let reference = fixed_state.model_ambient.w;
     switch fixed_state.flags.z {
         case 0u: { return false; }
         case 1u: { return alpha < reference; }
@@ -128,13 +151,19 @@ fn is_clipped(in_eye: vec3<f32>) -> bool {
     return false;
 }
 
-// The colour before light. All samples are taken before anything is dropped: the mip levels need the neighbours.
-fn fixed_base(s: Surface) -> vec4<f32> {
-    var base = s.base;
+// What all textures come to. All samples are taken before anything is dropped: the mip levels need the neighbours.
+fn all_textures(s: Surface) -> vec4<f32> {
+    var color = s.texel;
     for (var unit = 0u; unit < 4u; unit++) {
-        base *= unit_color(unit, s);
+        color *= unit_color(unit, s);
     }
-    base.a *= fixed_state.diffuse.a;
+    return color;
+}
+
+// The colour before light.
+fn fixed_base(s: Surface, textures: vec4<f32>) -> vec4<f32> {
+    var base = textures * s.color;
+    base.a *= select(fixed_state.front.diffuse.a, fixed_state.back.diffuse.a, s.is_back);
     return base;
 }
 
@@ -142,11 +171,17 @@ fn is_dropped(s: Surface, base: vec4<f32>) -> bool {
     return is_clipped(s.in_eye) || base.a < s.alpha_cutoff || !passes_alpha_test(base.a);
 }
 
+// True where it casts no shadow.
+fn is_hole(s: Surface) -> bool {
+    return is_dropped(s, fixed_base(s, all_textures(s)));
+}
+
 fn fixed_color(s: Surface) -> vec4<f32> {
-    let base = fixed_base(s);
+    let textures = all_textures(s);
+    let base = fixed_base(s, textures);
     var color = base.rgb;
     if s.is_lit {
-        color = lit(s, base);
+        color = lit(s, textures.rgb, base.rgb);
     }
     if is_dropped(s, base) {
         discard;

@@ -29,30 +29,32 @@ fn vs_fixed_height(@builtin(vertex_index) index: u32, @builtin(instance_index) i
     );
 }
 
-fn fixed_height_surface(in: FixedHeightFragment) -> Surface {
-    let base = texel(textureSample(color_layers, color_sampler, in.uv, in.layer), in.flags) * in.color;
+fn fixed_height_surface(in: FixedHeightFragment, is_front: bool) -> Surface {
+    let texel = texel(textureSample(color_layers, color_sampler, in.uv, in.layer), in.flags);
     let is_lit = (in.flags & FLAG_UNLIT) == 0u;
-    let normal = normalize(in.normal);
+    let is_back = is_back(is_front);
+    let smooth_normal = normalize(in.normal);
+    let normal = select(smooth_normal, -smooth_normal, is_back);
     let facing = towards_sun(normal, facet_normal(in.in_eye));
-    return Surface(in.in_eye, normal, facing, normalize(in.up), in.in_tile, in.uv, base, is_lit, 0.0);
+    let up = normalize(in.up);
+    return Surface(in.in_eye, normal, facing, up, in.in_tile, in.uv, texel, in.color, is_lit, is_back, 0.0);
 }
 
 @fragment
-fn fs_fixed_height_caster(in: FixedHeightFragment) {
-    let surface = fixed_height_surface(in);
-    if is_dropped(surface, fixed_base(surface)) {
+fn fs_fixed_height_caster(in: FixedHeightFragment, @builtin(front_facing) is_front: bool) {
+    if is_hole(fixed_height_surface(in, is_front)) {
         discard;
     }
 }
 
 @fragment
-fn fs_fixed_height(in: FixedHeightFragment) -> @location(0) vec4<f32> {
-    return fixed_color(fixed_height_surface(in));
+fn fs_fixed_height(in: FixedHeightFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    return fixed_color(fixed_height_surface(in, is_front));
 }
 
 @fragment
-fn fs_fixed_height_fading(in: FixedHeightFragment) -> @location(0) vec4<f32> {
-    let color = fixed_color(fixed_height_surface(in));
+fn fs_fixed_height_fading(in: FixedHeightFragment, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    let color = fixed_color(fixed_height_surface(in, is_front));
     if is_faded_out(in.position.xy, in.flags) {
         discard;
     }

@@ -26,19 +26,31 @@ fn vs_fixed_mesh_pulled(@builtin(vertex_index) index: u32, @builtin(instance_ind
     return fixed_mesh_fragment(pulled_vertex(leaf, index % stride), leaf, 0u);
 }
 
-fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>, facing: vec3<f32>) -> Surface {
+fn mesh_surface(in: FixedMeshFragment, normal: vec3<f32>, facing: vec3<f32>, is_front: bool) -> Surface {
     let uv = vec2<f32>(in.in_eye_u.w, in.normal_v.w);
-    let base = texel(textureSample(color_layers, color_sampler, uv, in.leaf.x), in.leaf.y) * in.color;
+    let texel = texel(textureSample(color_layers, color_sampler, uv, in.leaf.x), in.leaf.y);
     let is_lit = (in.leaf.y & FLAG_UNLIT) == 0u;
     let cutoff = bitcast<f32>(in.leaf.z);
-    let up = above_ground(in.in_eye_u.xyz).xyz;
-    return Surface(in.in_eye_u.xyz, normal, facing, up, in.object, uv, base, is_lit, cutoff);
+    let in_eye = in.in_eye_u.xyz;
+    let up = above_ground(in_eye).xyz;
+    return Surface(in_eye, normal, facing, up, in.object, uv, texel, in.color, is_lit, is_back(is_front), cutoff);
+}
+
+// The normal of the side that light falls on.
+fn lit_normal(smooth_normal: vec3<f32>, is_front: bool, facet: vec3<f32>) -> vec3<f32> {
+    if fixed_state.model.y != FRONT_ONLY {
+        return surface_normal(smooth_normal, is_front, facet);
+    }
+    if dot(smooth_normal, smooth_normal) <= 1e-12 {
+        return select(-facet, facet, is_front);
+    }
+    return normalize(smooth_normal);
 }
 
 fn fixed_mesh_color(in: FixedMeshFragment, is_front: bool) -> vec4<f32> {
     let facet = facet_normal(in.in_eye_u.xyz);
-    let normal = surface_normal(in.normal_v.xyz, is_front, facet);
-    return fixed_color(mesh_surface(in, normal, towards_sun(normal, facet)));
+    let normal = lit_normal(in.normal_v.xyz, is_front, facet);
+    return fixed_color(mesh_surface(in, normal, towards_sun(normal, facet), is_front));
 }
 
 @fragment
@@ -58,7 +70,7 @@ fn fs_fixed_mesh_fading(in: FixedMeshFragment, @builtin(front_facing) is_front: 
 // Lines and points have no facets: without a normal they face up.
 fn fixed_thin_color(in: FixedMeshFragment) -> vec4<f32> {
     let normal = surface_normal(in.normal_v.xyz, true, frame.up.xyz);
-    return fixed_color(mesh_surface(in, normal, towards_sun(normal, frame.up.xyz)));
+    return fixed_color(mesh_surface(in, normal, towards_sun(normal, frame.up.xyz), true));
 }
 
 @fragment
@@ -69,8 +81,7 @@ fn fs_fixed_thin(in: FixedMeshFragment) -> @location(0) vec4<f32> {
 @fragment
 fn fs_fixed_mesh_caster(in: FixedMeshFragment, @builtin(front_facing) is_front: bool) {
     let facet = facet_normal(in.in_eye_u.xyz);
-    let surface = mesh_surface(in, surface_normal(in.normal_v.xyz, is_front, facet), facet);
-    if is_dropped(surface, fixed_base(surface)) {
+    if is_hole(mesh_surface(in, lit_normal(in.normal_v.xyz, is_front, facet), facet, is_front)) {
         discard;
     }
 }

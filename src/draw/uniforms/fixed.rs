@@ -7,8 +7,8 @@ use glam::DAffine3;
 
 use crate::cull::{RenderStage, moved, plane_moved};
 use crate::state::{
-    CLIP_PLANES, CompareFunction, FogMode, LIGHTS, Light, Mode, ResolvedState, Sampler, TEXTURE_UNITS, TexGen,
-    TextureBinding, TextureDimension,
+    CLIP_PLANES, ColorControl, CompareFunction, FogMode, LIGHTS, Light, Mode, ResolvedState, Sampler, SurfaceMaterial,
+    TEXTURE_UNITS, TexGen, TextureBinding, TextureDimension,
 };
 
 /// A light; `StageLight` in frame.wgsl.
@@ -49,8 +49,7 @@ impl StageUniform {
             let Some(slot) = uniform.lights.get_mut(usize::from(light.number)) else { continue };
             let [x, y, z] = light.direction;
             let direction = glam::DVec3::new(x, y, z).normalize_or(glam::DVec3::NEG_Z).as_vec3();
-            let rgb = |c: [f32; 3], w: f32| [c[0], c[1], c[2], w];
-            let Some(position) = position_of(light) else { continue };
+            let Ok(position) = position_of(light) else { continue };
             let is_spot = light.spot_cutoff < std::f32::consts::FRAC_PI_2;
             *slot = StageLight {
                 position,
@@ -79,34 +78,79 @@ fn eye_from(stage: &RenderStage, to: u32, from: u32) -> DAffine3 {
     if to_from.is_finite() { to_from } else { DAffine3::IDENTITY }
 }
 
-/// Where a light shines from; `None` where that cannot be said, and it does not shine.
-fn position_of(light: &Light) -> Option<[f32; 4]> {
+/// Why a light does not shine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("light {number} does not shine: its {what}")]
+pub(in crate::draw) struct DarkLight {
+    number: u8,
+    what: &'static str,
+}
+
+/// Where a light shines from; with anything that is not a number it does not shine.
+pub(in crate::draw) fn position_of(light: &Light) -> Result<[f32; 4], DarkLight> {
+    let dark = |what| Err(DarkLight { number: light.number, what });
     let position = light.position.map(|p| p as f32);
     let is_somewhere = position.iter().all(|p| p.is_finite()) && position.iter().any(|p| *p != 0.0);
-    is_somewhere.then_some(position)
+    let is_finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
+    if !is_somewhere {
+        dark("position is nowhere")
+    } else if ![light.ambient, light.diffuse, light.specular].iter().all(|color| is_finite(color)) {
+        dark("color is not finite")
+    } else if !is_finite(&light.attenuation) {
+        dark("attenuation is not finite")
+    } else if !is_finite(&[light.spot_cutoff, light.spot_exponent]) || light.direction.iter().any(|d| !d.is_finite()) {
+        dark("spot is not finite")
+    } else {
+        Ok(position)
+    }
 }
 
 /// True when a LightSource has taken the place of the environment's sun.
 pub(in crate::draw) fn replaces_sun(stage: &RenderStage) -> bool {
-    stage.lights.iter().any(|l| l.light.number == 0 && position_of(&l.light).is_some())
+    stage.lights.iter().any(|l| l.light.number == 0 && position_of(&l.light).is_ok())
+}
+
+/// How a side of a surface reflects; `Reflection` in fixed.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+pub(in crate::draw) struct Reflection {
+    pub(in crate::draw) ambient: [f32; 4],
+    pub(in crate::draw) diffuse: [f32; 4],
+    /// w: shininess.
+    pub(in crate::draw) specular: [f32; 4],
+    pub(in crate::draw) emission: [f32; 4],
+}
+
+impl Reflection {
+    fn new(material: &SurfaceMaterial) -> Self {
+        Self {
+            ambient: rgb(material.ambient, 0.0),
+            diffuse: material.diffuse,
+            specular: rgb(material.specular, material.shininess),
+            emission: rgb(material.emission, 0.0),
+        }
+    }
+}
+
+fn rgb(color: [f32; 3], w: f32) -> [f32; 4] {
+    [color[0], color[1], color[2], w]
 }
 
 /// Per state; `Fixed` in fixed.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub(in crate::draw) struct FixedUniform {
-    /// w: 1 where the state gives a material.
-    pub(in crate::draw) ambient: [f32; 4],
-    pub(in crate::draw) diffuse: [f32; 4],
-    /// w: shininess.
-    pub(in crate::draw) specular: [f32; 4],
-    /// w: reference of the alpha test.
-    pub(in crate::draw) emission: [f32; 4],
+    pub(in crate::draw) front: Reflection,
+    pub(in crate::draw) back: Reflection,
     /// w: 0 none, 1 the environment's haze, 2 linear, 3 exp, 4 exp2.
     pub(in crate::draw) fog_color: [f32; 4],
     /// Linear: end and 1 / (end - start); else the density.
     pub(in crate::draw) fog: [f32; 4],
+    /// w: reference of the alpha test.
     pub(in crate::draw) model_ambient: [f32; 4],
+    /// 1 for a local viewer; faces: 0 lit on the side that is seen, 1 on the front, 2 on both; 1 for highlights that are
+    /// added to textures.
+    pub(in crate::draw) model: [u32; 4],
     /// Bits of lights, bits of clip planes, alpha test (7 passes all), 1 where the sun is replaced.
     pub(in crate::draw) flags: [u32; 4],
     /// By unit: 0 off, 1 plane, 2 cube, 3 volume, 4 layers.
@@ -138,9 +182,11 @@ pub(in crate::draw) fn taken_by(state: &ResolvedState, unit: usize) -> Option<us
 impl FixedUniform {
     /// Of a state in a view of a stage.
     pub(in crate::draw) fn new(state: &ResolvedState, stage: &RenderStage, view: u32) -> Self {
-        let rgb = |c: [f32; 3], w: f32| [c[0], c[1], c[2], w];
-        let material = state.material();
-        let given = material.unwrap_or_default();
+        let [front, back] = state.materials().unwrap_or_default();
+        let given = state.light_model();
+        let faces = given.map_or(0, |model| if model.two_sided { 2 } else { 1 });
+        let model = given.unwrap_or_default();
+        let is_separate = model.color_control == ColorControl::SeparateSpecularColor;
         let alpha = state.alpha_func();
         let (fog_color, fog) = match state.fog() {
             _ if !state.mode(Mode::Fog) => ([0.0; 4], [0.0; 4]),
@@ -156,13 +202,12 @@ impl FixedUniform {
             },
         };
         let mut uniform = Self {
-            ambient: rgb(given.ambient, if material.is_some() { 1.0 } else { 0.0 }),
-            diffuse: given.diffuse,
-            specular: rgb(given.specular, given.shininess),
-            emission: rgb(given.emission, alpha.map_or(0.0, |a| a.reference)),
+            front: Reflection::new(&front),
+            back: Reflection::new(&back),
             fog_color,
             fog,
-            model_ambient: rgb(state.light_model().ambient, 0.0),
+            model_ambient: rgb(model.ambient, alpha.map_or(0.0, |a| a.reference)),
+            model: [u32::from(model.local_viewer), faces, u32::from(is_separate), 0],
             flags: [
                 state.mode_bits(Mode::Light(0), LIGHTS),
                 state.mode_bits(Mode::ClipPlane(0), CLIP_PLANES),

@@ -131,7 +131,7 @@ pub fn triangle(center: DVec3) -> Drawable {
 
 fn measure(cells: u32, state_sets: u32, view: View, name: &str, sort: SortMode, time: Duration) -> serde_json::Value {
     let grid = Grid::new(cells);
-    let bin = Some(BinDetails { number: 0, sort });
+    let bin = Some(BinDetails::new(0, sort));
     let sets: Vec<_> = (0..state_sets)
         .map(|i| {
             let color = [f64::from(i % 8) as f32 / 8.0, f64::from(i / 8) as f32 / 8.0, 0.5, 1.0];

@@ -3,7 +3,7 @@
 use std::str::FromStr;
 
 use super::plan::Faults;
-use crate::args::{amount, share};
+use crate::values::{amount, share};
 
 /// As `error=0.1,latency-ms=20`, or `none`.
 #[derive(Clone, Debug, PartialEq)]

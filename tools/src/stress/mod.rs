@@ -34,7 +34,7 @@ use terrane::io::{is_remote, shown};
 
 use self::flight::Outcome;
 use self::plan::{Plan, Way};
-use crate::args::minutes;
+use crate::values::minutes;
 
 #[derive(Clone, Debug, ClapArgs)]
 pub struct StressArgs {
