@@ -8,15 +8,16 @@
 //! Pools, tables and the queue stay the draw thread's: this one gets textures and buffers whose places no frame reads yet,
 //! and never calls the queue (writing by it while another thread submits deadlocks in wgpu 30.0.1, upstream issue 9460).
 //! All goes through one FIFO, so that what shares an earlier operation's place is told to be there after it.
+//!
+//! `tests/compile_models.rs` runs this very file under thousands of schedules.
 
-use std::thread::JoinHandle;
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError};
-
 use super::Compiled;
-use super::staging::{self, Filling, Mapping};
+use super::staging::{self, Buffer, CommandBuffer, Device, Filling, Mapping};
 use super::uploads::Upload;
+use crate::sync::primitives::channel::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
+use crate::sync::primitives::{Builder, JoinHandle};
 use crate::timeline;
 
 /// Bytes of a staging buffer.
@@ -35,9 +36,9 @@ enum Work {
 
 /// What comes back: one staging buffer's worth.
 pub(super) struct Batch {
-    pub(super) commands: Option<wgpu::CommandBuffer>,
+    pub(super) commands: Option<CommandBuffer>,
     /// To be mapped again once the commands were submitted.
-    pub(super) staging: Option<wgpu::Buffer>,
+    pub(super) staging: Option<Buffer>,
     /// Operations that are complete with this batch.
     pub(super) finished: Vec<Compiled>,
     pub(super) bytes: u64,
@@ -49,7 +50,7 @@ pub(super) struct CompileThread {
     work: Option<Sender<Work>>,
     batches: Receiver<Batch>,
     /// Mapped staging buffers on their way back.
-    free: Option<Sender<wgpu::Buffer>>,
+    free: Option<Sender<Buffer>>,
     /// Submitted, and asked to be mapped.
     mapping: Mapping,
     thread: Option<JoinHandle<()>>,
@@ -62,11 +63,11 @@ pub(super) struct CompileThread {
 }
 
 impl CompileThread {
-    pub(super) fn start(device: &wgpu::Device) -> std::io::Result<Self> {
+    pub(super) fn start(device: &Device) -> std::io::Result<Self> {
         // Bounded by what the draw thread lets be in flight.
-        let (work, work_in) = crossbeam_channel::unbounded();
-        let (batches_out, batches) = crossbeam_channel::unbounded();
-        let (free, free_in) = crossbeam_channel::unbounded();
+        let (work, work_in) = channel::unbounded();
+        let (batches_out, batches) = channel::unbounded();
+        let (free, free_in) = channel::unbounded();
         let worker = Worker {
             device: device.clone(),
             work: work_in,
@@ -75,7 +76,7 @@ impl CompileThread {
             idle: Vec::new(),
             made: 0,
         };
-        let thread = std::thread::Builder::new().name("compile".to_owned()).spawn(move || worker.run())?;
+        let thread = Builder::new().name("compile".to_owned()).spawn(move || worker.run())?;
         Ok(Self {
             work: Some(work),
             batches,
@@ -134,7 +135,7 @@ impl CompileThread {
     }
 
     /// Asks for a staging buffer to be mapped again, after its commands were submitted.
-    pub(super) fn submitted(&mut self, staging: wgpu::Buffer) {
+    pub(super) fn submitted(&mut self, staging: Buffer) {
         self.mapping.ask(staging);
     }
 
@@ -161,12 +162,12 @@ impl Drop for CompileThread {
 }
 
 struct Worker {
-    device: wgpu::Device,
+    device: Device,
     work: Receiver<Work>,
     batches: Sender<Batch>,
-    free: Receiver<wgpu::Buffer>,
+    free: Receiver<Buffer>,
     /// Mapped.
-    idle: Vec<wgpu::Buffer>,
+    idle: Vec<Buffer>,
     /// Staging buffers that there are.
     made: usize,
 }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::DatabasePager;
 use super::config::{CompileContext, PagerError};
-use super::list::Above;
+use super::job::Above;
 use crate::io::{self, Content, IoError, ReadOptions};
 #[cfg(feature = "http")]
 use crate::io::{HttpClient, HttpConfig};
