@@ -14,10 +14,13 @@
 //! room is not asked for, or once more. Two scenes with a pager each that ask for the same tile at the same moment are
 //! told apart by who comes first.
 
+mod archive;
 mod check;
+mod extras;
 mod faults;
 mod flight;
 mod fresh;
+mod happen;
 mod plan;
 mod random;
 mod runner;
