@@ -17,6 +17,7 @@ use pager_support::Run;
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{HttpConfig, IoError, Limits, ReadOptions, root_uri};
 use terrane::pager::{DatabasePager, ErrorRecord, PagerConfig};
+use terrane::scene::{NodeId, SlotState};
 
 /// What the server does with a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -532,4 +533,45 @@ fn a_root_that_cannot_be_read_says_why() {
     // A port that was free a moment ago.
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     assert!(matches!(root_error(&format!("http://127.0.0.1:{port}/set/")), IoError::Network { .. }));
+}
+
+/// It ended the program's start, or one scene of it.
+#[test]
+fn a_root_that_was_changed_on_its_way_is_asked_for_again() {
+    let url = "/set/tileset.json";
+    for answer in [Answer::Rubbish, Answer::Page] {
+        let server =
+            Server::start(set(), move |path, nth| if path == url && nth == 0 { answer } else { Answer::Whole });
+        let mut run = run_of(&server, impatient());
+        assert_eq!(server.requests(url), 2);
+        run.settle(NEAR);
+        assert_eq!(run.stage.counters.tiles_drawn, CHILDREN as u32);
+    }
+    let server = Server::start(set(), |_, _| Answer::Rubbish);
+    assert!(matches!(root_error(&format!("{}/set/", server.url)), IoError::Invalid { .. }));
+    assert_eq!(server.requests(url), 2, "as often as what does not come at all");
+}
+
+/// Nothing came of it: the request rested with the tries that were made, and no camera met it.
+#[test]
+fn what_was_given_up_is_loaded_for_the_application() {
+    let url = "/set/child2.glb";
+    let server = Server::start(set(), move |path, nth| match nth {
+        0 if path == url => Answer::Status(503),
+        1 if path == url => Answer::Silent,
+        _ => Answer::Whole,
+    });
+    let http = HttpConfig { max_retries: 0, ..patient().http };
+    let retry_after = Duration::from_millis(20);
+    let mut run = run_of(&server, PagerConfig { max_tries: None, retry_after, http, ..impatient() });
+    run.until(NEAR, "is not read again", |_| server.requests(url) == 2);
+    run.until(FAR, "is not given up", |r| r.pager.stats().cancelled == 1);
+    let root = run.scene.roots()[0];
+    let is_it = |slot: &NodeId| run.scene.slot(*slot).is_some_and(|slot| slot.uri.ends_with(url));
+    let slot = run.scene.slots_of_page(root).find(is_it).unwrap();
+    assert_eq!(run.scene.slot(slot).unwrap().state, SlotState::Empty);
+    run.scene.load_proxy(slot).unwrap();
+    let is_there = |r: &Run| matches!(r.scene.slot(slot).unwrap().state, SlotState::Resident(_));
+    run.until(FAR, "does not come", is_there);
+    assert_eq!((server.requests(url), run.pager.stats().failed), (3, 1));
 }

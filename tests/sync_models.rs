@@ -12,28 +12,18 @@ mod operation;
 #[path = "../src/sync/operation_thread.rs"]
 mod operation_thread;
 
-mod primitives {
-    pub use shuttle::sync::{Arc, Condvar, Mutex, MutexGuard};
-    pub use shuttle::thread::{Builder, JoinHandle};
-}
+mod model_support;
 
 use std::sync::atomic::Ordering;
 
 use barrier::Barrier;
 use block::{Block, BlockCount};
+use model_support::{check, primitives};
 use operation::{Operation, OperationQueue};
 use operation_thread::OperationThread;
 use shuttle::sync::Arc;
 use shuttle::sync::atomic::{AtomicBool, AtomicUsize};
 use shuttle::thread;
-
-/// Schedules tried of each model; half of them with few, well placed switches.
-const SCHEDULES: usize = 1500;
-
-fn check(model: impl Fn() + Send + Sync + Clone + 'static) {
-    shuttle::check_random(model.clone(), SCHEDULES);
-    shuttle::check_pct(model, SCHEDULES, 3);
-}
 
 #[test]
 fn a_block_holds_until_released_and_again_after_a_reset() {

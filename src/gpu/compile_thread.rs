@@ -8,16 +8,17 @@
 //! Pools, tables and the queue stay the draw thread's: this one gets textures and buffers whose places no frame reads yet,
 //! and never calls the queue (writing by it while another thread submits deadlocks in wgpu 30.0.1, upstream issue 9460).
 //! All goes through one FIFO, so that what shares an earlier operation's place is told to be there after it.
+//!
+//! `tests/compile_models.rs` runs this very file under thousands of schedules.
 
-use std::thread::JoinHandle;
 use std::time::Duration;
-
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 
 use super::Compiled;
 use super::memory::Memory;
-use super::staging::{self, Filling, Mapping};
+use super::staging::{self, Buffer, CommandBuffer, Filling, Mapping};
 use super::uploads::Upload;
+use crate::sync::primitives::channel::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
+use crate::sync::primitives::{Builder, JoinHandle};
 use crate::timeline;
 
 /// Bytes of a staging buffer.
@@ -39,9 +40,9 @@ enum Work {
 
 /// What comes back: one staging buffer's worth.
 pub(super) struct Batch {
-    pub(super) commands: Option<wgpu::CommandBuffer>,
+    pub(super) commands: Option<CommandBuffer>,
     /// To be mapped again once the commands were submitted.
-    pub(super) staging: Option<wgpu::Buffer>,
+    pub(super) staging: Option<Buffer>,
     /// Operations that are complete with this batch.
     pub(super) finished: Vec<Compiled>,
     pub(super) bytes: u64,
@@ -55,7 +56,7 @@ pub(super) struct CompileThread {
     work: Option<Sender<Work>>,
     batches: Receiver<Batch>,
     /// Mapped staging buffers on their way back.
-    free: Option<Sender<wgpu::Buffer>>,
+    free: Option<Sender<Buffer>>,
     /// Submitted, and asked to be mapped.
     mapping: Mapping,
     thread: Option<JoinHandle<()>>,
@@ -70,9 +71,9 @@ pub(super) struct CompileThread {
 impl CompileThread {
     pub(super) fn start(memory: &Memory) -> std::io::Result<Self> {
         // Bounded by what the draw thread lets be in flight.
-        let (work, work_in) = crossbeam_channel::unbounded();
-        let (batches_out, batches) = crossbeam_channel::unbounded();
-        let (free, free_in) = crossbeam_channel::unbounded();
+        let (work, work_in) = channel::unbounded();
+        let (batches_out, batches) = channel::unbounded();
+        let (free, free_in) = channel::unbounded();
         let worker = Worker {
             memory: memory.clone(),
             work: work_in,
@@ -81,7 +82,7 @@ impl CompileThread {
             idle: Vec::new(),
             made: 0,
         };
-        let thread = std::thread::Builder::new().name("compile".to_owned()).spawn(move || worker.run())?;
+        let thread = Builder::new().name("compile".to_owned()).spawn(move || worker.run())?;
         Ok(Self {
             work: Some(work),
             batches,
@@ -140,7 +141,7 @@ impl CompileThread {
     }
 
     /// Asks for a staging buffer to be mapped again, after its commands were submitted.
-    pub(super) fn submitted(&mut self, staging: wgpu::Buffer) {
+    pub(super) fn submitted(&mut self, staging: Buffer) {
         self.mapping.ask(staging);
     }
 
@@ -170,9 +171,9 @@ struct Worker {
     memory: Memory,
     work: Receiver<Work>,
     batches: Sender<Batch>,
-    free: Receiver<wgpu::Buffer>,
+    free: Receiver<Buffer>,
     /// Mapped.
-    idle: Vec<wgpu::Buffer>,
+    idle: Vec<Buffer>,
     /// Staging buffers that there are.
     made: usize,
 }
@@ -245,7 +246,7 @@ impl Worker {
     }
 
     /// One more staging buffer; where there is no memory for it, one that comes back, or one after a while.
-    fn another(&mut self) -> Option<wgpu::Buffer> {
+    fn another(&mut self) -> Option<Buffer> {
         loop {
             match staging::make(&self.memory, STAGING_BYTES) {
                 Ok(staging) => {

@@ -7,6 +7,9 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 
+// What the compile thread names of wgpu; model tests put others in their place.
+pub(super) use wgpu::{Buffer, CommandBuffer};
+
 use super::memory::Memory;
 use super::texture_pool::Rows;
 use super::uploads::Sink;

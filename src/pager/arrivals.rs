@@ -7,8 +7,9 @@ use std::time::Instant;
 
 use super::DatabasePager;
 use super::config::CompileContext;
+use super::entry::{Arrived, Entry, Payload, Progress};
 use super::expiry::EXPIRY_TENTHS;
-use super::list::{Above, Answer, Arrived, Entry, Job, Payload, Progress};
+use super::job::{Above, Answer, Job};
 use super::residents::Resident;
 use super::scenes::Scenes;
 use super::shares::Held;

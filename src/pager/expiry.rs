@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::DatabasePager;
 use super::config::CompileContext;
-use super::list::{Entry, Progress};
+use super::entry::{Entry, Progress};
 use super::residents::Unused;
 use super::scenes::Scenes;
 use crate::io;

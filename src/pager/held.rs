@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use super::DatabasePager;
 use super::config::CompileContext;
+use super::entry::{Arrived, Entry, Payload, Progress};
 use super::expiry::{EXPIRY_LOOKS, UNSEEN};
-use super::list::{Arrived, Entry, Payload, Progress};
 use super::scenes::Scenes;
 use super::shares::Held;
 use crate::gpu::{CompileBudget, CompileOperation};

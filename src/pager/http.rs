@@ -8,8 +8,8 @@ use crossbeam_channel::Sender;
 use tokio::task::{AbortHandle, JoinSet};
 
 use super::flow::{Answered, Flows, Range};
-use super::list::{Answer, Job, Loaded, RequestList};
-use super::threads::SERVERS_AT_ONCE;
+use super::job::{Answer, Job, Loaded};
+use super::list::{RequestList, Taken, most_in_flight};
 use super::threads::read_bytes;
 use crate::io::{self, HttpBody, HttpClient, IoError, Limits, server};
 use crate::timeline;
@@ -17,35 +17,16 @@ use crate::timeline;
 /// At the end, bodies on their way to the cache have so long.
 const LAST_STORES: Duration = Duration::from_secs(2);
 
-/// A request to begin with.
-struct Start {
-    job: Job,
-    servers: Vec<String>,
-}
-
 /// A request under way.
 struct Running {
     handle: AbortHandle,
     job: Job,
-    servers: Vec<String>,
 }
 
 impl Running {
     fn asks(&self, of: &str) -> bool {
-        self.servers.iter().any(|server| server == of)
+        self.job.servers().iter().any(|server| server == of)
     }
-}
-
-/// The servers that a content and what comes with it are asked of: the content's first, each once.
-fn servers_of(job: &Job) -> Vec<String> {
-    let mut servers = vec![server(&job.uri).to_owned()];
-    for companion in io::companions(&job.uri, job.reader_data.as_ref()) {
-        let of = server(&companion);
-        if !servers.iter().any(|known| known == of) {
-            servers.push(of.to_owned());
-        }
-    }
-    servers
 }
 
 /// The way to the HTTP thread for what cannot wait for the request list: a root.
@@ -87,8 +68,8 @@ pub(super) fn run(
         let mut tasks: JoinSet<(Loaded, Vec<(String, Answered)>)> = JoinSet::new();
         let mut running: HashMap<u64, Running> = HashMap::new();
         loop {
-            let (jobs, aborts, closed) = take(list, &running, &flows, most_in_flight(range));
-            if closed {
+            let under_way = running.values().map(|running| &running.job);
+            let Some(Taken { jobs, aborts }) = list.take_of_servers(under_way, &flows, most_in_flight(range)) else {
                 // What came is worth keeping, but nobody waits long for it.
                 let clients = std::mem::take(&mut list.lock().clients);
                 let flushed = async {
@@ -98,23 +79,23 @@ pub(super) fn run(
                 };
                 let _ = tokio::time::timeout(LAST_STORES, flushed).await;
                 return;
-            }
+            };
             for ticket in aborts {
-                if let Some(Running { handle, job, .. }) = running.remove(&ticket) {
+                if let Some(Running { handle, job }) = running.remove(&ticket) {
                     handle.abort();
                     if answers.send(Answer { job, page: None, bytes_read: 0, bytes_http: 0 }).is_err() {
                         return;
                     }
                 }
             }
-            for Start { job, servers } in jobs {
+            for job in jobs {
                 let (client, limits, ticket, copy) = (job.scope.client.clone(), *limits, job.ticket, job.clone());
                 let source = list.ticket_source;
                 let work = async move {
                     let _span = timeline::request_span("fetch", source | ticket);
                     fetch(&client, job, &limits).await
                 };
-                running.insert(ticket, Running { handle: tasks.spawn(work), job: copy, servers });
+                running.insert(ticket, Running { handle: tasks.spawn(work), job: copy });
             }
             tokio::select! {
                 () = list.http_bell.notified() => {}
@@ -145,61 +126,6 @@ pub(super) fn run(
             }
         }
     });
-}
-
-/// Requests to all servers together: several as they start, and one as far as it may go.
-pub(super) fn most_in_flight(range: Range) -> usize {
-    SERVERS_AT_ONCE * range.start + range.most.saturating_sub(range.start)
-}
-
-/// Jobs to start with the servers that they ask, as many as each of these may have and `most` together; the tickets to
-/// abort, and whether to stop. Update waits for the lock meanwhile: what waits for a server that has all it may is passed
-/// over.
-fn take(
-    list: &RequestList,
-    running: &HashMap<u64, Running>,
-    flows: &Flows,
-    most: usize,
-) -> (Vec<Start>, Vec<u64>, bool) {
-    let mut at_server: HashMap<String, usize> = HashMap::new();
-    for server in running.values().flat_map(|running| &running.servers) {
-        *at_server.entry(server.clone()).or_default() += 1;
-    }
-    let mut waiting = list.lock();
-    let mut jobs = Vec::new();
-    // Servers of which nothing more can be taken.
-    let mut full: Vec<String> = Vec::new();
-    // The most urgent are last.
-    let mut next = waiting.http.len();
-    while next > 0 && running.len() + jobs.len() < most {
-        next -= 1;
-        let count = |of: &str| at_server.get(of).copied().unwrap_or(0);
-        let left = most - running.len() - jobs.len();
-        let has_place = |of: &str| count(of) < flows.limit(of) && flows.leaves_enough(count(of), left);
-        let job = &waiting.http[next];
-        let own = server(&job.uri);
-        if full.iter().any(|of| of == own) {
-            continue;
-        }
-        if !waiting.may_take(job, count(own), flows.limit(own)) || !has_place(own) {
-            // Places and room only grow fewer; too many that are wanted later say nothing of what is wanted now.
-            if !job.is_ahead || !has_place(own) {
-                full.push(own.to_owned());
-            }
-            continue;
-        }
-        let servers = job.stage.servers.get_or_init(|| servers_of(job));
-        if servers.iter().all(|of| has_place(of)) {
-            let servers = servers.clone();
-            let job = waiting.http.remove(next);
-            waiting.took(&job);
-            for of in &servers {
-                *at_server.entry(of.clone()).or_default() += 1;
-            }
-            jobs.push(Start { job, servers });
-        }
-    }
-    (jobs, std::mem::take(&mut waiting.abort), waiting.closed)
 }
 
 /// The content and its companions at the same time: what a tile needs is known before its bytes. What each server's
@@ -243,8 +169,13 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Vec<(
 
 #[cfg(test)]
 mod tests {
-    use super::super::list::tests::job;
+    use super::super::job::tests::job;
     use super::*;
+
+    /// What the thread takes that has nothing under way.
+    fn taken(list: &RequestList, flows: &Flows, most: usize) -> Vec<Job> {
+        list.take_of_servers([].iter(), flows, most).unwrap().jobs
+    }
 
     /// Only the content's server was counted: the pictures' one got as many requests as that one may have.
     #[test]
@@ -266,8 +197,8 @@ mod tests {
             flows.learn("http://heights", 16, Answered::After(0.1));
         }
         assert_eq!((flows.limit("http://heights"), flows.limit("http://pictures")), (16, 4));
-        let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
-        let at_pictures = jobs.iter().filter(|start| start.servers.len() == 2).count();
+        let jobs = taken(&list, &flows, 1000);
+        let at_pictures = jobs.iter().filter(|job| job.servers().len() == 2).count();
         assert_eq!((jobs.len(), at_pictures), (16, 4), "others have the places meanwhile");
     }
 
@@ -283,8 +214,8 @@ mod tests {
         (waiting.ahead_room, waiting.ahead_allowed) = (1000, 1000);
         drop(waiting);
         let flows = Flows::new(Range { start: 4, most: 4 });
-        let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
-        let taken: Vec<u64> = jobs.iter().map(|start| start.job.ticket).collect();
+        let jobs = taken(&list, &flows, 1000);
+        let taken: Vec<u64> = jobs.iter().map(|job| job.ticket).collect();
         assert_eq!(taken, [10_001, 10_000, 9_999, 9_998, 1]);
         let waiting = list.lock();
         let looked_at = waiting.http.iter().filter(|job| job.stage.servers.get().is_some()).count();
@@ -302,8 +233,8 @@ mod tests {
         waiting.http.extend((9..18).map(|ticket| job(ticket, "http://hangs/a.glb")));
         drop(waiting);
         let flows = Flows::new(Range { start: 16, most: 16 });
-        let (jobs, ..) = take(&list, &HashMap::new(), &flows, 1000);
-        assert_eq!(jobs.iter().map(|start| start.job.ticket).collect::<Vec<_>>(), [17, 16, 15, 14, 8]);
+        let jobs = taken(&list, &flows, 1000);
+        assert_eq!(jobs.iter().map(|job| job.ticket).collect::<Vec<_>>(), [17, 16, 15, 14, 8]);
     }
 
     /// Seven that hung had all places of all servers until their time was over.
@@ -319,10 +250,10 @@ mod tests {
                 |server: u64| (0..99).map(move |k| job(9 + 99 * server + k, &format!("http://h{server}/a.glb")));
             waiting.http.extend((0..hung).flat_map(of_hung));
             drop(waiting);
-            let (jobs, ..) = take(&list, &HashMap::new(), &Flows::new(range), most_in_flight(range));
-            assert!(jobs.iter().any(|start| start.job.ticket < 9), "{hung}");
+            let jobs = taken(&list, &Flows::new(range), most_in_flight(range));
+            assert!(jobs.iter().any(|job| job.ticket < 9), "{hung}");
             // Few servers have all that they may.
-            let of = |server: &str| jobs.iter().filter(|start| start.servers == [server]).count();
+            let of = |server: &str| jobs.iter().filter(|job| job.servers() == [server]).count();
             assert!((2..=7).all(|server| of(&format!("http://h{}", hung - server + 1)) >= 8), "{hung}");
             assert_eq!((of(&format!("http://h{}", hung - 1)), of(&format!("http://h{}", hung - 2))), (32, 32));
         }
@@ -345,7 +276,7 @@ mod tests {
             waiting.http.extend((40..40 + busy).map(|ticket| job(ticket, "http://far/a.glb")));
             drop(waiting);
             let flows = Flows::new(Range { start: 32, most: 32 });
-            take(&list, &HashMap::new(), &flows, 1000).0.iter().filter(|start| start.job.is_ahead).count()
+            taken(&list, &flows, 1000).iter().filter(|job| job.is_ahead).count()
         };
         assert_eq!((started(0, 1000), started(20, 1000)), (24, 4), "all but a quarter of its places");
         assert_eq!(started(24, 1000), 2, "a few beside others");

@@ -1,73 +1,29 @@
 //! The request list: what the file and HTTP threads take their work from.
 //!
-//! One mutex, two condition variables' worth of waiting. Update rewrites the waiting jobs each frame in order of
-//! priority; a thread takes the last one. At most `capacity` jobs are outstanding (taken and not yet answered),
+//! One mutex, and a bell for the file threads and for the HTTP thread each. Update rewrites the waiting jobs each frame in
+//! order of priority; a thread takes the last one. At most `capacity` jobs are outstanding (taken and not yet answered),
 //! and the channels behind the threads hold as many, so no send ever blocks; but file threads wait for decoders. Within
 //! that every server, and the disk, may have one, however few the budgets allow: one that hangs takes no other's place.
+//!
+//! `tests/pager_models.rs` runs this very file under thousands of schedules.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+#[cfg(feature = "http")]
+use std::collections::HashMap;
+use std::sync::PoisonError;
 
-use glam::DAffine3;
+#[cfg(feature = "http")]
+use super::flow::{Flows, Range};
+use super::job::Job;
+use crate::io::is_remote;
+#[cfg(feature = "http")]
+use crate::io::server;
+use crate::sync::primitives::{Condvar, Mutex, MutexGuard};
 
-use super::scenes::Scope;
-use super::shares::Held;
-use super::states::Stage;
-use super::tries::Tries;
-use crate::io::{Fetched, IoError, is_remote};
-use crate::scene::{DrawKind, Drawable, NodeId, Page, PagingOptions};
+/// Servers that may each have as many requests as one may.
+pub(super) const SERVERS_AT_ONCE: usize = 4;
 
 /// Of a server's places one in so many is kept free of what is wanted only later.
 const KEPT_FREE: usize = 4;
-
-/// What is wanted in so many frames takes the place of what no picture shows any more, as what is missing in one does: it
-/// would make room for it by then.
-const SOON_FRAMES: u32 = 3;
-
-/// One content to load.
-#[derive(Clone, Debug)]
-pub(super) struct Job {
-    /// Names this load; an answer with another number is late.
-    pub ticket: u64,
-    pub slot: NodeId,
-    pub uri: Arc<str>,
-    pub reader_data: Option<Arc<str>>,
-    /// Tilesets above.
-    pub above: Above,
-    /// Its scene's.
-    pub scope: Arc<Scope>,
-    /// Wanted later, when it was listed.
-    pub is_ahead: bool,
-    /// Where the threads are with it; clones of the job have the same.
-    pub stage: Arc<Stage>,
-}
-
-/// The tilesets above what is in a page.
-#[derive(Clone, Debug)]
-pub(super) struct Above {
-    /// Their URIs, for cycles; empty where the page is no tileset's.
-    pub chain: Arc<[Arc<str>]>,
-    /// The product of their tiles' transforms.
-    pub set_from_page: DAffine3,
-}
-
-/// Bytes on their way to a decode worker.
-pub(super) struct Loaded {
-    pub job: Job,
-    pub bytes: Result<Vec<u8>, IoError>,
-    pub companions: Vec<Fetched>,
-    pub bytes_read: u64,
-    pub bytes_http: u64,
-}
-
-/// The answer to a job.
-pub(super) struct Answer {
-    pub job: Job,
-    /// `None` when the job was aborted.
-    pub page: Option<Result<Page, IoError>>,
-    pub bytes_read: u64,
-    pub bytes_http: u64,
-}
 
 /// What the mutex guards.
 #[derive(Default)]
@@ -83,7 +39,7 @@ pub(super) struct Waiting {
     /// Taken and not yet answered; raised by takers, lowered by update.
     pub outstanding: usize,
     /// Of those outstanding, files.
-    files_outstanding: usize,
+    pub files_outstanding: usize,
     /// Most that may be outstanding in any case.
     capacity: usize,
     /// Most that may be outstanding; written by update from the budgets.
@@ -142,10 +98,25 @@ impl Waiting {
     }
 
     /// A file may be taken.
-    fn has_file_for(&self, most: usize) -> bool {
+    pub fn has_file_for(&self, most: usize) -> bool {
         let files = self.files_outstanding;
         files < most && self.file.last().is_some_and(|job| self.may_take(job, files, 0))
     }
+}
+
+/// Requests to all servers together: several as they start, and one as far as it may go.
+#[cfg(feature = "http")]
+pub(super) fn most_in_flight(range: Range) -> usize {
+    SERVERS_AT_ONCE * range.start + range.most.saturating_sub(range.start)
+}
+
+/// What the HTTP thread is to do.
+#[cfg(feature = "http")]
+pub(super) struct Taken {
+    /// To be asked for.
+    pub jobs: Vec<Job>,
+    /// Tickets of those under way that nobody wants any more.
+    pub aborts: Vec<u64>,
 }
 
 /// The list and its bell.
@@ -231,162 +202,59 @@ impl RequestList {
     }
 }
 
-/// A page that waits for its contexts, or for its turn to merge.
-pub(super) struct Arrived {
-    pub page: Box<Page>,
-    /// By context.
-    pub gpu_bytes: Vec<(u32, u64)>,
-    /// Contexts that still compile.
-    pub contexts_left: usize,
-    /// In memory, shared contents left out.
-    pub counts: Held,
-    /// What uploads that have begun may take besides.
-    pub reserved_gpu: u64,
-    /// Until its uploads begin.
-    pub payload: Option<Payload>,
-}
-
-/// What is to be uploaded of a page.
-pub(super) struct Payload {
-    pub drawables: Vec<Drawable>,
-    pub kinds: Arc<[DrawKind]>,
-    pub bytes: u64,
-}
-
-impl Arrived {
-    /// Contexts have it and have not told how large it is.
-    pub fn is_uploading(&self) -> bool {
-        self.contexts_left > 0 && self.payload.is_none()
-    }
-}
-
-/// How far a request is.
-pub(super) enum Progress {
-    Waiting,
-    Loading,
-    Arrived(Arrived),
-    /// Not before this moment.
-    Failed {
-        retry_at: Option<Instant>,
-    },
-}
-
-/// A request and what became of it.
-pub(super) struct Entry {
-    pub job: Job,
-    pub priority: f32,
-    /// Frame in which it was first asked for.
-    pub asked_frame: u32,
-    /// Frame in which cull last asked.
-    pub wanted_frame: u32,
-    /// Frames until a picture will lack it, as it was last asked for; 0 where one does.
-    pub ahead_frames: u32,
-    pub since: Instant,
-    pub tries: Tries,
-    /// Bytes that it takes, where it was loaded and found no room: it is not loaded again before it has.
-    pub needs: Option<Held>,
-    pub progress: Progress,
-    pub paging: PagingOptions,
-}
-
-impl Entry {
-    /// Wanted later, by no picture yet.
-    pub fn is_ahead(&self) -> bool {
-        self.ahead_frames > 0
-    }
-
-    /// Wanted later, but in one of the next frames.
-    pub fn is_soon(&self) -> bool {
-        (1..=SOON_FRAMES).contains(&self.ahead_frames)
-    }
-
-    /// It waits for a thread, or one has it.
-    pub fn is_under_way(&self) -> bool {
-        matches!(self.progress, Progress::Waiting | Progress::Loading)
-    }
-
-    /// It failed, in passing.
-    pub fn will_be_tried(&self) -> bool {
-        matches!(self.progress, Progress::Failed { retry_at: Some(_) })
-    }
-
-    /// Nobody wants it any longer. False where it can be forgotten: tries that failed are not, so that whoever comes back
-    /// does not make them again.
-    pub fn rests(&mut self) -> bool {
-        self.progress = Progress::Failed { retry_at: Some(Instant::now()) };
-        !self.tries.is_none()
-    }
-}
-
-#[cfg(test)]
-pub(super) mod tests {
-    use super::*;
-    use std::sync::LazyLock;
-
-    use crate::io::{Limits, ReadOptions};
-    use crate::scene::{Node, PageId, Scene};
-
-    static PAGE: LazyLock<PageId> =
-        LazyLock::new(|| Scene::new().add_root(Page::from_node(Node::group(Vec::new())).unwrap()));
-    static SCOPE: LazyLock<Arc<Scope>> = LazyLock::new(|| {
-        Arc::new(Scope {
-            options: ReadOptions::for_root("/set/tileset.json", Limits::default()),
-            #[cfg(feature = "http")]
-            client: crate::io::HttpClient::new(&crate::io::HttpConfig::default()).unwrap(),
-        })
-    });
-
-    pub(in crate::pager) fn job(ticket: u64, uri: &str) -> Job {
-        Job {
-            ticket,
-            slot: NodeId { page: *PAGE, index: ticket as u32 },
-            scope: SCOPE.clone(),
-            uri: uri.into(),
-            reader_data: None,
-            above: Above { chain: Arc::new([]), set_from_page: DAffine3::IDENTITY },
-            is_ahead: false,
-            stage: Arc::default(),
+#[cfg(feature = "http")]
+impl RequestList {
+    /// What the HTTP thread is to do next, which has these jobs under way: of each server as many as it may have and `most`
+    /// together. `None` once closed. Update waits for the lock meanwhile: what waits for a server that has all it may is
+    /// passed over.
+    pub fn take_of_servers<'a>(
+        &self,
+        under_way: impl Iterator<Item = &'a Job>,
+        flows: &Flows,
+        most: usize,
+    ) -> Option<Taken> {
+        let (mut at_server, mut running) = (HashMap::<String, usize>::new(), 0);
+        for job in under_way {
+            running += 1;
+            for of in job.servers() {
+                *at_server.entry(of.clone()).or_default() += 1;
+            }
         }
-    }
-
-    /// Files were read only while few requests of servers were under way.
-    #[test]
-    fn requests_of_servers_take_no_files_places() {
-        let list = RequestList::new(100, 18);
-        let asked: Vec<Job> = (0..30).map(|ticket| job(ticket, "http://h/a.glb")).collect();
-        let mut waiting = list.lock();
-        asked.iter().for_each(|job| waiting.took(job));
-        waiting.file = (30..50).map(|ticket| job(ticket, "/set/a.glb")).collect();
-        let mut read = Vec::new();
-        while waiting.has_file_for(list.for_files)
-            && let Some(job) = waiting.file.pop()
-        {
-            waiting.took(&job);
-            read.push(job);
+        let mut waiting = self.lock();
+        if waiting.closed {
+            return None;
         }
-        assert_eq!(read.len(), 18);
-        waiting.answered(&read[0], false);
-        waiting.answered(&asked[0], false);
-        assert_eq!((waiting.outstanding, waiting.files_outstanding), (46, 17));
-    }
-
-    /// All that the budgets allow may be with a server that hangs.
-    #[test]
-    fn the_disk_has_a_place_in_any_case() {
-        let list = RequestList::new(6, 18);
-        let mut waiting = list.lock();
-        waiting.allowed = 4;
-        (0..4).for_each(|ticket| waiting.took(&job(ticket, "http://h/a.glb")));
-        waiting.file = (4..6).map(|ticket| job(ticket, "/set/a.glb")).collect();
-        assert!(waiting.has_file_for(list.for_files));
-        let first = waiting.file.pop().unwrap();
-        waiting.took(&first);
-        assert!(!waiting.has_file_for(list.for_files), "but one");
-        waiting.answered(&first, false);
-        waiting.allowed = 0;
-        assert!(!waiting.has_file_for(list.for_files), "no room at all, or paused");
-        waiting.allowed = 4;
-        (6..8).for_each(|ticket| waiting.took(&job(ticket, "http://h/a.glb")));
-        assert!(!waiting.has_file_for(list.for_files), "the channels hold no more");
+        let mut jobs: Vec<Job> = Vec::new();
+        // Servers of which nothing more can be taken.
+        let mut full: Vec<String> = Vec::new();
+        // The most urgent are last.
+        let mut next = waiting.http.len();
+        while next > 0 && running + jobs.len() < most {
+            next -= 1;
+            let count = |of: &str| at_server.get(of).copied().unwrap_or(0);
+            let left = most - running - jobs.len();
+            let has_place = |of: &str| count(of) < flows.limit(of) && flows.leaves_enough(count(of), left);
+            let job = &waiting.http[next];
+            let own = server(&job.uri);
+            if full.iter().any(|of| of == own) {
+                continue;
+            }
+            if !waiting.may_take(job, count(own), flows.limit(own)) || !has_place(own) {
+                // Places and room only grow fewer; too many that are wanted later say nothing of what is wanted now.
+                if !job.is_ahead || !has_place(own) {
+                    full.push(own.to_owned());
+                }
+                continue;
+            }
+            if job.servers().iter().all(|of| has_place(of)) {
+                let job = waiting.http.remove(next);
+                waiting.took(&job);
+                for of in job.servers() {
+                    *at_server.entry(of.clone()).or_default() += 1;
+                }
+                jobs.push(job);
+            }
+        }
+        Some(Taken { jobs, aborts: std::mem::take(&mut waiting.abort) })
     }
 }

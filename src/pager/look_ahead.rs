@@ -132,7 +132,7 @@ pub fn frames_until(seconds: f64, frame_s: f64) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::list::tests::job;
+    use super::super::job::tests::job;
     use super::*;
 
     /// Slots of one page.

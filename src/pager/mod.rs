@@ -12,6 +12,7 @@
 
 mod arrivals;
 mod config;
+mod entry;
 mod expiry;
 #[cfg(feature = "http")]
 mod flow;
@@ -19,6 +20,7 @@ mod held;
 #[cfg(feature = "http")]
 mod http;
 mod images;
+mod job;
 mod list;
 mod look_ahead;
 mod motion;

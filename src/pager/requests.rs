@@ -5,8 +5,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use super::DatabasePager;
+use super::entry::{Entry, Progress};
 use super::expiry::{AHEAD_MARGIN, EXPIRY_TENTHS};
-use super::list::{Entry, Job, Progress, Waiting};
+use super::job::Job;
+use super::list::Waiting;
 use super::scenes::Scenes;
 use super::shares::Held;
 use super::tries::Tries;

@@ -1,10 +1,12 @@
 //! The scenes that a pager fills, and what each of them may read. Update thread; a scope goes with its jobs to the threads.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::DatabasePager;
 use super::config::{CompileContext, PagerError};
-use super::list::Above;
+use super::job::Above;
+use super::tries::Tries;
 use crate::io::{self, Content, IoError, ReadOptions};
 #[cfg(feature = "http")]
 use crate::io::{HttpClient, HttpConfig};
@@ -253,16 +255,38 @@ impl DatabasePager {
     fn read_in(&mut self, scope: Option<&Arc<Scope>>, uri: &Arc<str>) -> Result<Page, IoError> {
         let unserved = || IoError::Uri { uri: uri.to_string(), reason: "its scene is not served".to_owned() };
         let scope = scope.ok_or_else(unserved)?;
-        let bytes = self.fetch(scope, uri)?;
-        self.stats.bytes_read += bytes.len() as u64;
-        let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
-        // A root is the application's.
-        let page = io::decode(content, &ReadOptions { sharing: None, ..scope.options.clone() });
-        if page.as_ref().is_err_and(IoError::is_no_content) {
-            // An error page, say: asked for again next time.
-            scope.forget(uri);
+        let mut tries = Tries::default();
+        loop {
+            let bytes = self.fetch(scope, uri)?;
+            self.stats.bytes_read += bytes.len() as u64;
+            let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };
+            // A root is the application's.
+            let error = match io::decode(content, &ReadOptions { sharing: None, ..scope.options.clone() }) {
+                Ok(page) => return Ok(page),
+                Err(error) => error,
+            };
+            if error.is_no_content() {
+                // An error page, say: no cache keeps it.
+                scope.forget(uri);
+            }
+            match self.wait_for_root(&mut tries, &error) {
+                Some(wait) => std::thread::sleep(wait),
+                None => return Err(error),
+            }
         }
-        page
+    }
+
+    /// How long to wait before a root is asked for once more whose bytes were not what they should be: with as many tries
+    /// and such waits as an answer that does not come.
+    fn wait_for_root(&self, _tries: &mut Tries, _error: &IoError) -> Option<Duration> {
+        #[cfg(feature = "http")]
+        {
+            let http = &self.config.http;
+            let most = http.max_retries.saturating_add(1);
+            _tries.fail(_error, http.retry_backoff, Some(most)).map(|wait| wait.min(http.max_wait))
+        }
+        #[cfg(not(feature = "http"))]
+        None
     }
 
     fn fetch(&mut self, scope: &Scope, uri: &str) -> Result<Vec<u8>, IoError> {

@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicU8, Ordering};
 
 use super::DatabasePager;
-use super::list::{Entry, Progress};
+use super::entry::{Entry, Progress};
 use crate::io;
 use crate::scene::NodeId;
 
@@ -95,8 +95,9 @@ impl DatabasePager {
 mod tests {
     use std::time::Instant;
 
-    use super::super::list::tests::job;
-    use super::super::list::{Arrived, RequestList};
+    use super::super::entry::Arrived;
+    use super::super::job::tests::job;
+    use super::super::list::RequestList;
     use super::super::shares::Held;
     use super::super::tries::Tries;
     use super::*;

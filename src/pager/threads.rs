@@ -11,7 +11,8 @@ use super::config::{PagerConfig, PagerError};
 use super::flow::Range;
 #[cfg(feature = "http")]
 use super::http::Door;
-use super::list::{Above, Answer, Job, Loaded, RequestList};
+use super::job::{Above, Answer, Job, Loaded};
+use super::list::{RequestList, SERVERS_AT_ONCE};
 use crate::io::{self, Content, ReadOptions};
 use crate::scene::{Page, SharedStateManager};
 use crate::timeline;
@@ -25,9 +26,6 @@ const DECODED_AHEAD: usize = 12;
 
 /// Of each decode thread, files that may be read and not yet decoded: bytes that wait are memory, and disks are quick.
 const READ_AHEAD: usize = 2;
-
-/// Servers that may each have as many requests as one may.
-pub(super) const SERVERS_AT_ONCE: usize = 4;
 
 /// All threads of a pager; dropping it stops and joins them.
 pub(super) struct Threads {
@@ -233,7 +231,7 @@ mod tests {
     use std::sync::Mutex;
     use std::time::Duration;
 
-    use super::super::list::tests::job;
+    use super::super::job::tests::job;
     use super::*;
     use crate::scene::{CullAction, CullCallback, Node};
 
@@ -280,5 +278,49 @@ mod tests {
         let dropped = dropped.lock().unwrap();
         assert_eq!(dropped.len(), 5000);
         assert!(dropped.iter().all(|name| name == "pager-reaper"), "{:?}", dropped.last());
+    }
+
+    /// Files that may be outstanding.
+    const FOR_FILES: usize = 18;
+
+    /// Files were read only while few requests of servers were under way.
+    #[test]
+    fn requests_of_servers_take_no_files_places() {
+        let list = RequestList::new(100, FOR_FILES);
+        let asked: Vec<Job> = (0..30).map(|ticket| job(ticket, "http://h/a.glb")).collect();
+        let mut waiting = list.lock();
+        asked.iter().for_each(|job| waiting.took(job));
+        waiting.file = (30..50).map(|ticket| job(ticket, "/set/a.glb")).collect();
+        let mut read = Vec::new();
+        while waiting.has_file_for(FOR_FILES)
+            && let Some(job) = waiting.file.pop()
+        {
+            waiting.took(&job);
+            read.push(job);
+        }
+        assert_eq!(read.len(), 18);
+        waiting.answered(&read[0], false);
+        waiting.answered(&asked[0], false);
+        assert_eq!((waiting.outstanding, waiting.files_outstanding), (46, 17));
+    }
+
+    /// All that the budgets allow may be with a server that hangs.
+    #[test]
+    fn the_disk_has_a_place_in_any_case() {
+        let list = RequestList::new(6, FOR_FILES);
+        let mut waiting = list.lock();
+        waiting.allowed = 4;
+        (0..4).for_each(|ticket| waiting.took(&job(ticket, "http://h/a.glb")));
+        waiting.file = (4..6).map(|ticket| job(ticket, "/set/a.glb")).collect();
+        assert!(waiting.has_file_for(FOR_FILES));
+        let first = waiting.file.pop().unwrap();
+        waiting.took(&first);
+        assert!(!waiting.has_file_for(FOR_FILES), "but one");
+        waiting.answered(&first, false);
+        waiting.allowed = 0;
+        assert!(!waiting.has_file_for(FOR_FILES), "no room at all, or paused");
+        waiting.allowed = 4;
+        (6..8).for_each(|ticket| waiting.took(&job(ticket, "http://h/a.glb")));
+        assert!(!waiting.has_file_for(FOR_FILES), "the channels hold no more");
     }
 }

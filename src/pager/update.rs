@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::config::{CompileContext, PagerConfig, PagerError};
+use super::entry::{Entry, Progress};
 use super::held::ArrivedSum;
-use super::list::{Above, Entry, Progress};
+use super::job::Above;
 use super::requests::AheadShort;
 use super::residents::Residents;
 use super::scenes::{Scenes, Scope, Served};

@@ -7,15 +7,17 @@
 //! this module are held at once.
 //!
 //! `tests/sync_models.rs` compiles these very files against shuttle's mutexes and runs them under thousands of
-//! schedules; this is why they take theirs from `primitives`.
+//! schedules; this is why they take theirs from `primitives`. So do the pagers' request lists and the compile thread
+//! (`tests/pager_models.rs`, `tests/compile_models.rs`).
 
 mod barrier;
 mod block;
 mod operation;
 mod operation_thread;
 
-/// Where the files of this folder take their primitives from; the model checker puts its own in their place.
-mod primitives {
+/// Where what is model-checked takes its primitives from; the model checker puts its own in their place.
+pub(crate) mod primitives {
+    pub use crossbeam_channel as channel;
     pub use std::sync::{Arc, Condvar, Mutex, MutexGuard};
     pub use std::thread::{Builder, JoinHandle};
 }

@@ -143,6 +143,38 @@ fn chance_is_the_same_for_the_same_seed() {
     }
 }
 
+/// Parts of one file had the chance of whoever came first.
+#[test]
+fn files_and_parts_meet_the_same_in_any_order() {
+    let folder = tempfile::tempdir().unwrap();
+    (0..8).for_each(|k| std::fs::write(folder.path().join(format!("{k}")), vec![b'x'; 1000]).unwrap());
+    let whole = (0..8).map(|k| (format!("/{k}"), String::new()));
+    let part = |k: usize| ("/0".to_owned(), format!("Range: bytes={}-{}\r\n", 100 * k, 100 * k + 99));
+    let all: Vec<(String, String)> = whole.chain((0..10).map(part)).collect();
+    let rates = ["--error-rate", "0.2", "--truncate-rate", "0.2", "--corrupt-rate", "0.2", "--page-rate", "0.2"];
+    // What each meets the first time and so on, asked for in an order that differs from time to time.
+    let fates = |order: &dyn Fn(usize, usize) -> usize| {
+        let server = Server::start(folder.path(), &rates);
+        let mut met = vec![Vec::new(); all.len()];
+        for time in 0..6 {
+            for nth in 0..all.len() {
+                let place = order(time, nth);
+                let (path, range) = &all[place];
+                met[place].push(server.ask("GET", path, range));
+            }
+        }
+        met
+    };
+    let count = all.len();
+    let first = fates(&|_, nth| nth);
+    assert_eq!(first, fates(&|_, nth| count - 1 - nth));
+    // 18 and 5 have no divisor in common.
+    assert_eq!(first, fates(&|time, nth| (5 * nth + 7 * time) % count));
+    let well = |(status, _, body): &(u16, String, Vec<u8>)| *status < 300 && body.iter().all(|b| *b == b'x');
+    let again = first.iter().filter(|met| !well(&met[0]) && met[1..].iter().any(well)).count();
+    assert!(again > 4, "what failed comes later: {again}");
+}
+
 #[test]
 fn pages_and_silence_and_how_long_answers_hold() {
     let folder = tempfile::tempdir().unwrap();

@@ -2,12 +2,15 @@
 //!
 //! Update writes it anew each frame, the most urgent last. Files are read by the threads that decode; servers are asked by
 //! a thread of its own, so that those that hang take nobody's.
+//!
+//! `tests/pager_models.rs` runs this very file under thousands of schedules.
 
 #[cfg(feature = "http")]
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 
 use crate::io::{self, IoError};
+use crate::sync::primitives::{Condvar, Mutex, MutexGuard};
 
 /// The answer of a server; `None` where it was given up.
 pub(super) type Bytes = Option<Result<Vec<u8>, IoError>>;
@@ -52,7 +55,7 @@ pub(super) struct List {
     /// Rings the HTTP thread.
     #[cfg(feature = "http")]
     pub http_bell: tokio::sync::Notify,
-    /// Rung when the list closes or something is unwanted, for requests under way.
+    /// Rung when something is unwanted, for requests under way.
     #[cfg(feature = "http")]
     given_up: tokio::sync::Notify,
 }
@@ -84,8 +87,6 @@ impl List {
     pub fn close(&self) {
         self.lock().closed = true;
         self.ring();
-        #[cfg(feature = "http")]
-        self.given_up.notify_waiters();
     }
 
     /// What a thread is to do next: what came, or the most urgent file. Waits for it, `None` once closed.
@@ -157,48 +158,15 @@ impl List {
         }
     }
 
-    /// Waits until nobody wants an image that is under way, or the list closes.
+    /// Waits until nobody wants an image that is under way.
     pub async fn is_given_up(&self, uri: &Arc<str>) {
         loop {
+            // Rung from here on, before it is looked.
             let rung = self.given_up.notified();
-            tokio::pin!(rung);
-            rung.as_mut().enable();
-            {
-                let waiting = self.lock();
-                if waiting.closed || waiting.unwanted.contains(uri) {
-                    return;
-                }
+            if self.lock().unwanted.contains(uri) {
+                return;
             }
             rung.await;
         }
-    }
-}
-
-#[cfg(all(test, feature = "http"))]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn each_server_has_its_places_and_files_need_none() {
-        let list = List::new(2);
-        let uris = ["http://b/1", "/files/2.png", "http://a/3", "/files/1.png", "http://a/2", "http://a/1"];
-        list.lock().uris = uris.map(Arc::from).to_vec();
-        let begun = || list.take_of_servers().unwrap().iter().map(|uri| uri.to_string()).collect::<Vec<_>>();
-        assert_eq!(begun(), ["http://a/1", "http://a/2", "http://b/1"]);
-        let read = || match list.take() {
-            Some(Work::Read(uri)) => uri.to_string(),
-            other => panic!("{other:?}"),
-        };
-        assert_eq!([read(), read()], ["/files/1.png", "/files/2.png"]);
-        assert!(begun().is_empty());
-        // Until it is taken up it has its place: what came is memory.
-        let first = list.lock().taken[0].clone();
-        list.has_come(first, Some(Ok(vec![1])));
-        assert!(begun().is_empty());
-        assert!(matches!(list.take(), Some(Work::Came(uri, Some(Ok(_)))) if &*uri == "http://a/1"));
-        assert_eq!(begun(), ["http://a/3"]);
-        assert!(list.lock().uris.is_empty() && list.lock().taken.len() == 6);
-        list.close();
-        assert!(list.take_of_servers().is_none() && list.take().is_none());
     }
 }

@@ -51,3 +51,33 @@ async fn fetch(list: Arc<List>, client: HttpClient, uri: Arc<str>, limits: Limit
         () = list.is_given_up(&uri) => None,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::list::Work;
+    use super::*;
+
+    #[test]
+    fn each_server_has_its_places_and_files_need_none() {
+        let list = List::new(2);
+        let uris = ["http://b/1", "/files/2.png", "http://a/3", "/files/1.png", "http://a/2", "http://a/1"];
+        list.lock().uris = uris.map(Arc::from).to_vec();
+        let begun = || list.take_of_servers().unwrap().iter().map(|uri| uri.to_string()).collect::<Vec<_>>();
+        assert_eq!(begun(), ["http://a/1", "http://a/2", "http://b/1"]);
+        let read = || match list.take() {
+            Some(Work::Read(uri)) => uri.to_string(),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!([read(), read()], ["/files/1.png", "/files/2.png"]);
+        assert!(begun().is_empty());
+        // Until it is taken up it has its place: what came is memory.
+        let first = list.lock().taken[0].clone();
+        list.has_come(first, Some(Ok(vec![1])));
+        assert!(begun().is_empty());
+        assert!(matches!(list.take(), Some(Work::Came(uri, Some(Ok(_)))) if &*uri == "http://a/1"));
+        assert_eq!(begun(), ["http://a/3"]);
+        assert!(list.lock().uris.is_empty() && list.lock().taken.len() == 6);
+        list.close();
+        assert!(list.take_of_servers().is_none() && list.take().is_none());
+    }
+}

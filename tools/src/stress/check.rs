@@ -90,8 +90,8 @@ pub fn pages_in(scene: &Scene) -> u64 {
 
 /// The coarsest contents are there: from now on no pixel that must show terrain may lack it.
 pub fn has_ground(scene: &Scene) -> bool {
-    scene.roots().iter().all(|root| {
-        // Depth first: the first slot is the top tile's.
+    // The set's root is the first; of its slots, depth first, the first is the top tile's.
+    scene.roots().first().is_some_and(|root| {
         let top = scene.slots_of_page(*root).next().and_then(|slot| scene.slot(slot));
         top.is_none_or(|slot| slot.depth == 0 && !slot.is_proxy && matches!(slot.state, SlotState::Resident(_)))
     })

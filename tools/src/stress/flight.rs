@@ -4,21 +4,21 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result, ensure};
-use glam::{DMat4, DVec3};
+use anyhow::{Context as _, Result};
+use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
 use terrane::io::{CacheConfig, is_remote};
 use terrane::pager::PagerConfig;
 use terrane::viewer::{
-    CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, Slave, SlaveId, ViewId, ViewerConfig,
-    world_from_eye,
+    self, CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, SlaveId, ViewId, ViewerConfig,
 };
 
 use super::check::{self, Asked, Failures, Pictures};
-use super::plan::{Drawing, Event, Faults, MOST_CONTEXTS, MOST_VIEWS, Plan, Pose, Way};
-use super::{fresh, watch};
+use super::extras::{Proxies, Sign};
+use super::plan::{Drawing, Faults, MOST_CONTEXTS, Plan, Pose, Slides, Way};
+use super::{extras, fresh, watch};
 use crate::serve::{Background, ServeArgs};
 
 /// Frames within which everything comes to rest once faults have ceased.
@@ -31,6 +31,8 @@ const MOST_CLEARING: u32 = 100;
 pub const SETTLING_FRAME: Duration = Duration::from_millis(5);
 /// A pager with budgets that are too small is at rest once nothing has changed for so many frames.
 const AT_REST: u32 = 60;
+/// A white texel.
+const WHITE_BYTES: u64 = 4;
 /// The end of a viewer, its threads and requests included.
 const MOST_CLOSING: Duration = Duration::from_secs(10);
 
@@ -76,33 +78,33 @@ impl Drop for Scratch {
     }
 }
 
-struct Flight<'a> {
-    plan: &'a Plan,
+pub(super) struct Flight<'a> {
+    pub(super) plan: &'a Plan,
     // Dropped in this order: the server outlives its clients.
-    viewer: Option<CompositeViewer>,
+    pub(super) viewer: Option<CompositeViewer>,
+    sign: Option<Sign>,
     server: Option<Background>,
     /// The set is on a server of somebody else: what does not come from there is no fault of ours.
     is_elsewhere: bool,
     /// The set, where no server of ours is in between.
     files: &'a str,
-    _scratch: Scratch,
+    scratch: Scratch,
     pager: PagerConfig,
     config: ViewerConfig,
-    scenes: Vec<SceneId>,
+    pub(super) scenes: Vec<SceneId>,
     /// The scenes of each pager.
     pagers: Vec<Vec<SceneId>>,
     /// The first stays in the first context, all of it.
-    views: Vec<(ViewId, ContextId)>,
-    slaves: Vec<(ViewId, SlaveId, ContextId)>,
-    contexts: Vec<ContextId>,
-    bounds: SetBounds,
+    pub(super) views: Vec<(ViewId, ContextId)>,
+    pub(super) slaves: Vec<(ViewId, SlaveId, ContextId)>,
+    pub(super) contexts: Vec<ContextId>,
+    pub(super) bounds: SetBounds,
+    pub(super) proxies: Option<Proxies>,
     pictures: Pictures,
-    failures: Failures,
+    pub(super) failures: Failures,
     /// The plan's frames so far; the viewer's own count begins at one.
-    frame: u32,
+    pub(super) frame: u32,
     outcome: Outcome,
-    /// Bytes in the pools before anything was loaded.
-    empty_gpu_bytes: u64,
 }
 
 fn faulty(folder: &Path, faults: &Faults, seed: u64) -> ServeArgs {
@@ -120,6 +122,23 @@ fn faulty(folder: &Path, faults: &Faults, seed: u64) -> ServeArgs {
         seed,
         ..ServeArgs::new(folder)
     }
+}
+
+/// A synthetic clock: what is animated is the same in each run.
+pub(super) fn time_s(frame: u32) -> f64 {
+    f64::from(frame) / 60.0
+}
+
+/// Where a camera over a set is.
+pub(super) fn world_from_eye(bounds: &SetBounds, pose: &Pose) -> DAffine3 {
+    let frame = bounds.frame;
+    let local = DVec3::new(
+        bounds.middle_m.x + pose.east * bounds.half_size_m.x,
+        bounds.middle_m.y + pose.north * bounds.half_size_m.y,
+        bounds.middle_m.z + bounds.half_size_m.z + pose.height * bounds.sphere.radius_m,
+    );
+    let eye = frame.world_from_local.transform_point3(local);
+    viewer::world_from_eye(eye, frame.direction(pose.heading, pose.pitch), frame.up())
 }
 
 /// A local source as the folder to serve and the path in it.
@@ -157,6 +176,9 @@ impl<'a> Flight<'a> {
             validation: false,
             pager: pager.clone(),
             max_sse_px: plan.sse_px,
+            skip_sse_factor: plan.skip_sse_factor,
+            look_ahead_s: plan.look_ahead_s,
+            compile_contexts: plan.compile_contexts,
             compile_budget: plan.compile_budget,
             history_frames: 64,
             max_contexts: MOST_CONTEXTS,
@@ -165,10 +187,12 @@ impl<'a> Flight<'a> {
         let mut flight = Self {
             plan,
             viewer: None,
+            sign: None,
+            proxies: None,
             server,
             is_elsewhere,
             files,
-            _scratch: scratch,
+            scratch,
             pager,
             config,
             scenes: Vec::new(),
@@ -181,14 +205,13 @@ impl<'a> Flight<'a> {
             failures: Failures::default(),
             frame: 0,
             outcome: Outcome::default(),
-            empty_gpu_bytes: 0,
         };
         flight.open(&source)?;
         Ok(flight)
     }
 
     /// A context of the seed's adapter, or of none where there is no adapter.
-    fn context(&mut self) -> Result<GraphicsContext> {
+    pub(super) fn context(&mut self) -> Result<GraphicsContext> {
         match GraphicsContext::new_offscreen(&self.config.traits()) {
             Ok(context) => Ok(context),
             Err(GpuError::NoAdapter { .. }) => {
@@ -205,9 +228,7 @@ impl<'a> Flight<'a> {
         let mut viewer = CompositeViewer::new(&self.config)?;
         self.contexts.push(viewer.open_context(first)?);
         // The root must come; what is below it may not.
-        if let Some(server) = &self.server {
-            server.set_faulty(false);
-        }
+        self.set_faulty(false);
         for _ in 0..self.plan.scenes {
             let shared = self.pagers.first_mut().filter(|_| self.plan.share_pager);
             let scene = match &shared {
@@ -221,10 +242,14 @@ impl<'a> Flight<'a> {
             }
             self.scenes.push(scene);
         }
-        if let Some(server) = &self.server {
-            server.set_faulty(true);
-        }
+        self.set_faulty(true);
         self.bounds = *viewer.bounds(self.scenes[0])?.context("the set has no bounds")?;
+        if self.plan.has_proxies {
+            self.proxies = Proxies::hang(&mut viewer, self.scenes[0], &self.bounds)?;
+        }
+        if let Some(slides) = &self.plan.slides {
+            self.sign = Some(self.sign(slides, &mut viewer)?);
+        }
         self.viewer = Some(viewer);
         self.add_view(0, 0, false)?;
         if self.plan.drawing == Drawing::Holes && self.config.adapter != AdapterChoice::Noop {
@@ -233,7 +258,33 @@ impl<'a> Flight<'a> {
         Ok(())
     }
 
-    fn viewer(&mut self) -> Result<&mut CompositeViewer> {
+    /// A sign, whose images come as the set does: from the disk, or from a server with the same faults.
+    fn sign(&self, slides: &Slides, viewer: &mut CompositeViewer) -> Result<Sign> {
+        let folder = self.scratch.0.join("images");
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        let names = extras::write_images(slides, &folder)?;
+        let server = match &self.server {
+            Some(_) => Some(Background::start(faulty(&folder, &self.plan.faults, self.plan.seed))?),
+            None => None,
+        };
+        let uri = |name: &String| match &server {
+            Some(server) => format!("{}{name}", server.url()),
+            None => folder.join(name).display().to_string(),
+        };
+        let uris = names.iter().map(uri).collect();
+        Sign::hang(viewer, self.scenes[0], &self.bounds, slides, uris, server)
+    }
+
+    fn set_faulty(&self, is_faulty: bool) {
+        if let Some(server) = &self.server {
+            server.set_faulty(is_faulty);
+        }
+        if let Some(sign) = &self.sign {
+            sign.set_faulty(is_faulty);
+        }
+    }
+
+    pub(super) fn viewer(&mut self) -> Result<&mut CompositeViewer> {
         self.viewer.as_mut().context("the viewer is gone")
     }
 
@@ -241,7 +292,7 @@ impl<'a> Flight<'a> {
         self.plan.drawing != Drawing::None && self.config.adapter != AdapterChoice::Noop
     }
 
-    fn add_view(&mut self, scene: usize, context: usize, part: bool) -> Result<()> {
+    pub(super) fn add_view(&mut self, scene: usize, context: usize, part: bool) -> Result<()> {
         let (scene, context) = (self.scenes[scene % self.scenes.len()], self.contexts[context % self.contexts.len()]);
         let part = part.then_some([3, 5, 40, 30]);
         let on_key = self.plan.drawing == Drawing::Holes;
@@ -282,15 +333,7 @@ impl<'a> Flight<'a> {
 
     fn place_camera(&mut self, view: ViewId, pose: &Pose) -> Result<()> {
         let bounds = self.bounds;
-        let frame = bounds.frame;
-        let local = DVec3::new(
-            bounds.middle_m.x + pose.east * bounds.half_size_m.x,
-            bounds.middle_m.y + pose.north * bounds.half_size_m.y,
-            bounds.middle_m.z + bounds.half_size_m.z + pose.height * bounds.sphere.radius_m,
-        );
-        let eye = frame.world_from_local.transform_point3(local);
-        let pose = world_from_eye(eye, frame.direction(pose.heading, pose.pitch), frame.up());
-        self.viewer()?.view_mut(view)?.camera.world_from_eye = pose;
+        self.viewer()?.view_mut(view)?.camera.world_from_eye = world_from_eye(&bounds, pose);
         Ok(())
     }
 
@@ -305,8 +348,7 @@ impl<'a> Flight<'a> {
         if wants_picture {
             viewer.want_picture(first_context);
         }
-        // A synthetic clock: what is animated is the same in each run.
-        viewer.frame_at(f64::from(number) / 60.0)?;
+        viewer.frame_at(time_s(number))?;
         let (frame, camera) = (viewer.frame_stamp().frame, viewer.view_mut(first_view)?.camera);
         let pictures = viewer.take_pictures(first_context);
         // As cull has seen it: nothing is merged or expired between cull and here.
@@ -343,6 +385,12 @@ impl<'a> Flight<'a> {
             let says = || format!("{:?}", pager.errors());
             self.failures.check(!lost, "a good file that failed", number, says);
         }
+        if let Some(proxies) = &self.proxies {
+            proxies.check(&mut self.failures, number, viewer)?;
+        }
+        if let Some(sign) = &self.sign {
+            sign.check(&mut self.failures, number, viewer)?;
+        }
         let errors = viewer.draw_errors();
         self.failures.check(errors.is_empty(), "an error of the device", number, || format!("{errors:?}"));
         let said = watch::take_said();
@@ -355,101 +403,15 @@ impl<'a> Flight<'a> {
         self.plan.is_tiny
     }
 
-    fn happen(&mut self, event: Event) -> Result<()> {
-        let (scenes, scene_count) = (self.scenes.clone(), self.scenes.len());
-        let at = |list: usize, any: usize| any % list.max(1);
-        match event {
-            Event::Model(model) => self.viewer()?.set_threading_model(model)?,
-            Event::StopThreads => self.viewer()?.stop_threading()?,
-            Event::Resize { context, size_px } => {
-                let context = self.contexts[at(self.contexts.len(), context)];
-                self.viewer()?.resize_context(context, size_px)?;
-            }
-            Event::OpenContext if self.contexts.len() < MOST_CONTEXTS => {
-                let context = self.context()?;
-                let opened = self.viewer()?.open_context(context)?;
-                self.contexts.push(opened);
-            }
-            // The first one stays, for the pictures.
-            Event::CloseContext(any) if self.contexts.len() > 1 => {
-                let place = 1 + at(self.contexts.len() - 1, any);
-                let closed = self.contexts.remove(place);
-                ensure!(self.viewer()?.close_context(closed)?, "an open context is not there");
-                self.slaves.retain(|(_, _, context)| *context != closed);
-                for (view, context) in self.views.clone() {
-                    if context == closed {
-                        self.viewer()?.remove_view(view)?;
-                        self.views.retain(|(of, _)| *of != view);
-                        self.slaves.retain(|(of, _, _)| *of != view);
-                    }
-                }
-            }
-            Event::AddView { context, scene, part } if self.views.len() < MOST_VIEWS => {
-                self.add_view(scene, context, part)?;
-            }
-            Event::RemoveView(any) if self.views.len() > 1 => {
-                let (view, _) = self.views.remove(1 + at(self.views.len() - 1, any));
-                self.slaves.retain(|(of, _, _)| *of != view);
-                self.viewer()?.remove_view(view)?;
-            }
-            Event::AddSlave { view, context, shift } if self.slaves.len() < MOST_VIEWS => {
-                let view = self.views[at(self.views.len(), view)].0;
-                let context = self.contexts[at(self.contexts.len(), context)];
-                let offset = DMat4::from_translation(DVec3::new(shift, 0.0, 0.0));
-                let slave = Slave { projection_offset: offset, ..Slave::new(context) };
-                let id = self.viewer()?.add_slave(view, slave)?;
-                self.slaves.push((view, id, context));
-            }
-            Event::RemoveSlave(any) if !self.slaves.is_empty() => {
-                let (view, slave, _) = self.slaves.remove(at(self.slaves.len(), any));
-                ensure!(self.viewer()?.remove_slave(view, slave)?, "a slave is not there");
-            }
-            Event::Pause { scene, is_paused } => {
-                if let Some(pager) = self.viewer()?.pager_mut(scenes[at(scene_count, scene)])? {
-                    pager.set_paused(is_paused);
-                }
-            }
-            Event::TakeRequests { scene, takes } => {
-                if let Some(pager) = self.viewer()?.pager_mut(scenes[at(scene_count, scene)])? {
-                    pager.set_takes_requests(takes);
-                }
-            }
-            Event::Clear(scene) => {
-                let place = at(scene_count, scene);
-                let mut left = self.pages_in_each()?;
-                left[place] = 0;
-                self.viewer()?.clear_pages(scenes[place])?;
-                let there = self.pages_in_each()?;
-                let says = || format!("{there:?} instead of {left:?}");
-                self.failures.check(there == left, "a clear took what is another scene's", self.frame, says);
-            }
-            Event::Sse { view, px } => {
-                let view = self.views[at(self.views.len(), view)].0;
-                self.viewer()?.view_mut(view)?.camera.settings.max_sse_px = px;
-            }
-            Event::Sleep(ms) => std::thread::sleep(Duration::from_millis(ms)),
-            Event::Finish => self.viewer()?.finish()?,
-            Event::OpenContext
-            | Event::CloseContext(_)
-            | Event::AddView { .. }
-            | Event::RemoveView(_)
-            | Event::AddSlave { .. }
-            | Event::RemoveSlave(_) => {}
-        }
-        Ok(())
-    }
-
     /// Pages that hang in each scene.
-    fn pages_in_each(&self) -> Result<Vec<u64>> {
+    pub(super) fn pages_in_each(&self) -> Result<Vec<u64>> {
         let viewer = self.viewer.as_ref().context("the viewer is gone")?;
         self.scenes.iter().map(|scene| Ok(check::pages_in(viewer.scene(*scene)?))).collect()
     }
 
     /// Faults cease and cameras stay: everything comes to rest.
     fn settle(&mut self) -> Result<()> {
-        if let Some(server) = &self.server {
-            server.set_faulty(false);
-        }
+        self.set_faulty(false);
         for scene in self.scenes.clone() {
             if let Some(pager) = self.viewer()?.pager_mut(scene)? {
                 pager.set_paused(false);
@@ -459,6 +421,7 @@ impl<'a> Flight<'a> {
         for (place, (view, _)) in self.views.clone().into_iter().enumerate() {
             let pose = self.plan.last_poses[place % self.plan.last_poses.len()];
             self.place_camera(view, &pose)?;
+            self.viewer()?.view_mut(view)?.announced = None;
         }
         let (mut quiet, mut last) = (0, Vec::new());
         for settling in 0..MOST_SETTLING {
@@ -474,7 +437,11 @@ impl<'a> Flight<'a> {
             let in_flight: u64 = stats.iter().map(|s| s.in_flight).sum();
             quiet = if now == last && in_flight == 0 { quiet + 1 } else { 0 };
             last = now;
-            if (viewer.is_settled() && quiet > 4) || (self.plan.is_tiny && quiet >= AT_REST) {
+            let sign_shows = self.sign.as_ref().map_or(Ok(true), |sign| sign.has_shown(viewer))?;
+            if (viewer.is_settled() && quiet > 4 && sign_shows) || (self.plan.is_tiny && quiet >= AT_REST) {
+                if let Some(proxies) = self.proxies.as_ref().filter(|_| !self.plan.is_tiny) {
+                    proxies.check_at_rest(&mut self.failures, self.frame, viewer)?;
+                }
                 return Ok(());
             }
         }
@@ -501,6 +468,8 @@ impl<'a> Flight<'a> {
         for (view, _) in self.views.split_off(1) {
             self.viewer()?.remove_view(view)?;
         }
+        let first = self.views[0].0;
+        self.viewer()?.view_mut(first)?.camera.settings.cull_mask &= !extras::MASK;
         self.settle()?;
         for _ in 0..fresh::LAST_FRAMES {
             self.frame += 1;
@@ -528,6 +497,9 @@ impl<'a> Flight<'a> {
     /// Nothing is left of what was loaded.
     fn clear(&mut self) -> Result<()> {
         watch::step(format_args!("clear"));
+        if let (Some(sign), Some(viewer)) = (self.sign.take(), &mut self.viewer) {
+            sign.take_down(viewer)?;
+        }
         for (place, scenes) in self.pagers.clone().into_iter().enumerate() {
             let viewer = self.viewer()?;
             let Some(pager) = viewer.pager_mut(scenes[0])? else { continue };
@@ -549,7 +521,9 @@ impl<'a> Flight<'a> {
             let says = || format!("pager {place}: {s:?}");
             self.failures.check(left == [0; 6], "something is left after a clear", self.frame, says);
         }
-        let empty = self.empty_gpu_bytes;
+        // The texel of drawables without a texture, such as the sign's, stays in each device.
+        let of_each = if self.plan.slides.is_some() { WHITE_BYTES } else { 0 };
+        let empty = of_each * self.contexts.len() as u64;
         let mut bytes = 0;
         for frames in 1..=MOST_CLEARING {
             self.frame += 1;
@@ -563,7 +537,7 @@ impl<'a> Flight<'a> {
                 break;
             }
         }
-        let says = || format!("{bytes} bytes, {empty} before anything was loaded");
+        let says = || format!("{bytes} bytes, {empty} of what is never freed");
         self.failures.check(bytes <= empty, "GPU memory is left after a clear", self.frame, says);
         Ok(())
     }
@@ -576,9 +550,7 @@ impl<'a> Flight<'a> {
         for (frame, picture) in self.viewer()?.take_pictures(first) {
             self.pictures.look(&mut self.failures, frame, &picture);
         }
-        if let Some(server) = &self.server {
-            server.set_faulty(true);
-        }
+        self.set_faulty(true);
         let start = Instant::now();
         self.viewer = None;
         let took = start.elapsed();

@@ -9,13 +9,18 @@
 //! ```
 //! A seed is a process: what panics, hangs or leaks takes no other seed with it. The plan is drawn before anything
 //! begins, so that a seed's flight, events and settings are the same each time, and so is what the server does to the
-//! first, second and third request for a file. How many requests there are by some frame depends on how quick threads
-//! and network are, and with it which of them meets what.
+//! first, second and third request for each file and each part of an archive, in whatever order they come. What depends
+//! on how quick threads and network are is how many requests there are by some frame: what is stale, aborted or found no
+//! room is not asked for, or once more. Two scenes with a pager each that ask for the same tile at the same moment are
+//! told apart by who comes first.
 
+mod archive;
 mod check;
+mod extras;
 mod faults;
 mod flight;
 mod fresh;
+mod happen;
 mod plan;
 mod random;
 mod runner;

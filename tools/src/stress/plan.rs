@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use terrane::gpu::CompileBudget;
-use terrane::pager::PagerConfig;
+use terrane::pager::{LoopingMode, PagerConfig, SequenceMode};
 use terrane::viewer::ThreadingModel;
 
 use super::random::Random;
@@ -161,9 +161,48 @@ pub enum Event {
         view: usize,
         px: f64,
     },
+    /// Tells the pager the way that a view goes, or another view's, which it does not go.
+    Announce {
+        view: usize,
+        way_of: usize,
+    },
+    /// Nobody knows where it goes.
+    Conceal(usize),
+    /// One of the proxies is to be loaded.
+    LoadProxy(usize),
     /// Milliseconds without a frame.
     Sleep(u64),
     Finish,
+}
+
+/// A sequence of images beside the set.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Slides {
+    pub images: u32,
+    pub length_s: f64,
+    pub looping: LoopingMode,
+    pub mode: SequenceMode,
+    /// Images loaded ahead.
+    pub ahead: usize,
+    /// How fast time passes, 1 as the simulation's.
+    pub multiplier: f64,
+}
+
+impl Slides {
+    fn random(random: &mut Random) -> Self {
+        Self {
+            images: random.whole(1, 12) as u32,
+            length_s: random.between(0.1, 3.0),
+            looping: random.one_of(&[LoopingMode::NoLooping, LoopingMode::Looping, LoopingMode::Swing]),
+            mode: random.one_of(&[
+                SequenceMode::PreLoadAllImages,
+                SequenceMode::PageAndRetainImages,
+                SequenceMode::PageAndDiscardUsedImages,
+            ]),
+            ahead: random.whole(0, 12) as usize,
+            multiplier: random.one_of(&[1.0, 1.0, -1.0, 5.0]),
+        }
+    }
 }
 
 /// All of a seed.
@@ -195,6 +234,15 @@ pub struct Plan {
     pub picture_every: u32,
     /// All scenes have one pager.
     pub share_pager: bool,
+    /// Levels are skipped whose error is so many times that of what is wanted; 1: none.
+    pub skip_sse_factor: f64,
+    /// Contexts have a thread that fills staging memory.
+    pub compile_contexts: bool,
+    pub look_ahead_s: f64,
+    /// The first scene has proxies beside its set.
+    pub has_proxies: bool,
+    /// The first scene has a sequence of images.
+    pub slides: Option<Slides>,
 }
 
 impl Plan {
@@ -241,8 +289,12 @@ impl Plan {
             events,
             between_us: r.one_of(&[0, 300, 2000, 5000]),
             picture_every: r.whole(1, 6) as u32,
-            // Drawn last: plans of before are the same but for it.
             share_pager: r.percent(60),
+            skip_sse_factor: r.one_of(&[1.0, 1.0, 2.0, 4.0, 16.0]),
+            compile_contexts: r.percent(40),
+            look_ahead_s: r.one_of(&[0.0, 1.0, 3.0]),
+            has_proxies: r.percent(60),
+            slides: if r.percent(40) { Some(Slides::random(r)) } else { None },
         }
     }
 
@@ -328,7 +380,7 @@ fn events(r: &mut Random, frames: u32) -> Vec<(u32, Event)> {
             continue;
         }
         let any = r.whole(0, 99) as usize;
-        let event = match r.whole(0, 21) {
+        let event = match r.whole(0, 26) {
             0..=3 => Event::Model(r.one_of(&ThreadingModel::ALL)),
             4 => Event::StopThreads,
             5 | 6 => Event::Resize { context: any, size_px: [r.whole(1, 200) as u32, r.whole(1, 150) as u32] },
@@ -343,6 +395,12 @@ fn events(r: &mut Random, frames: u32) -> Vec<(u32, Event)> {
             17 => Event::Clear(any),
             18 => Event::Sse { view: any, px: 10f64.powf(r.between(-0.7, 1.5)) },
             19 | 20 => Event::Sleep(r.whole(1, 30)),
+            21 | 22 => {
+                let way_of = if r.percent(70) { any } else { r.whole(0, 99) as usize };
+                Event::Announce { view: any, way_of }
+            }
+            23 => Event::Conceal(any),
+            24 | 25 => Event::LoadProxy(any),
             _ => Event::Finish,
         };
         events.push((frame, event));
@@ -376,5 +434,9 @@ mod tests {
         let events: Vec<Event> = plans.iter().flat_map(|p| p.events.iter().map(|(_, e)| *e)).collect();
         assert!(events.iter().filter(|e| matches!(e, Event::Model(_))).count() > 100);
         assert!(events.iter().any(|e| matches!(e, Event::CloseContext(_))));
+        assert!(events.iter().filter(|e| matches!(e, Event::Announce { .. })).count() > 50);
+        assert!(events.iter().filter(|e| matches!(e, Event::LoadProxy(_))).count() > 50);
+        assert!(count(&|p| p.skip_sse_factor > 1.0) > 60 && count(&|p| p.compile_contexts) > 50);
+        assert!(count(&|p| p.has_proxies) > 80 && count(&|p| p.slides.is_some()) > 50);
     }
 }

@@ -1,5 +1,5 @@
-//! The sets that are flown over where none is given: heights, meshes, and meshes in tilesets within tilesets, in a
-//! temporary folder.
+//! The sets that are flown over where none is given: heights, meshes, meshes in tilesets within tilesets, meshes that are
+//! only wanted from near, and archives, in a temporary folder.
 
 use std::path::{Path, PathBuf};
 
@@ -7,8 +7,20 @@ use anyhow::{Context as _, Result};
 use serde_json::{Value, json};
 use terrane_data_gen::{ContentKind, GenArgs};
 
+use super::archive;
+
 /// Every so many levels a tileset of its own begins.
 const NESTED_LEVELS: u32 = 2;
+
+/// From this level on tiles have a volume from within which they are wanted: as many of their own sides around them.
+const VOLUMES_FROM_LEVEL: u32 = 2;
+const VOLUME_SIDES: f64 = 1.5;
+
+/// Metres of a radian on the ground.
+const RADIAN_M: f64 = 6.4e6;
+
+/// The sets by seed, and what they come as.
+const SETS: [&str; 7] = ["mesh", "height", "mesh/nested.json", "height.3tz", "mesh/volumes.json", "height", "mesh.3tz"];
 
 /// Small sets; their folder goes with them.
 pub struct Sets {
@@ -30,14 +42,18 @@ impl Sets {
                 ..GenArgs::new(out)
             })?;
         }
-        nest(&sets.folder.join("mesh")).context("tilesets within tilesets")?;
+        let mesh = sets.folder.join("mesh");
+        nest(&mesh).context("tilesets within tilesets")?;
+        bound(&mesh).context("volumes of requests")?;
+        for name in ["height", "mesh"] {
+            archive::write(&sets.folder.join(name), &sets.folder.join(format!("{name}.3tz")))?;
+        }
         Ok(sets)
     }
 
     /// The set of a seed.
     pub fn of(&self, seed: u64) -> String {
-        let name = ["mesh", "height", "height", "mesh/nested.json"][(seed % 4) as usize];
-        self.folder.join(name).display().to_string()
+        self.folder.join(SETS[(seed % SETS.len() as u64) as usize]).display().to_string()
     }
 }
 
@@ -76,4 +92,35 @@ fn nest_below(tile: &mut Value, level: u32, folder: &Path, asset: &Value, writte
         }
     }
     Ok(())
+}
+
+/// Writes the set in a folder once more as `volumes.json`, its lower levels wanted only from near. They are added to what
+/// is above them: what would replace it leaves a hole for eyes outside of the volumes.
+fn bound(folder: &Path) -> Result<()> {
+    let mut whole: Value = serde_json::from_slice(&std::fs::read(folder.join("tileset.json"))?)?;
+    bound_below(&mut whole["root"], 0)?;
+    std::fs::write(folder.join("volumes.json"), whole.to_string())?;
+    Ok(())
+}
+
+fn bound_below(tile: &mut Value, level: u32) -> Result<()> {
+    tile["refine"] = if level + 1 >= VOLUMES_FROM_LEVEL { "ADD" } else { "REPLACE" }.into();
+    if level >= VOLUMES_FROM_LEVEL {
+        let of = tile["boundingVolume"]["region"].as_array().context("a region")?;
+        let [west, south, east, north, low, high] = numbers(of).context("a region of six numbers")?;
+        let (across, along) = (VOLUME_SIDES * (east - west), VOLUME_SIDES * (north - south));
+        let up_m = RADIAN_M * across.max(along);
+        tile["viewerRequestVolume"] = json!({
+            "region": [west - across, south - along, east + across, north + along, low - up_m, high + up_m]
+        });
+    }
+    for child in tile.get_mut("children").and_then(Value::as_array_mut).into_iter().flatten() {
+        bound_below(child, level + 1)?;
+    }
+    Ok(())
+}
+
+fn numbers(values: &[Value]) -> Option<[f64; 6]> {
+    let numbers: Option<Vec<f64>> = values.iter().map(Value::as_f64).collect();
+    numbers?.try_into().ok()
 }

@@ -3,19 +3,21 @@
 //!
 //! A thread a connection, which is enough for one client; for many use a real web server.
 
-use std::collections::HashMap;
+mod chance;
+
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, ErrorKind, Read, Seek as _, SeekFrom, Write};
 use std::net::SocketAddr;
 use std::net::{TcpListener, TcpStream};
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use anyhow::{Context as _, Error, Result, ensure};
 use clap::Args as ClapArgs;
 
+use self::chance::{Chance, Fate, Turns};
 use crate::values::{amount, share};
 
 /// Longest request head.
@@ -77,22 +79,9 @@ pub struct ServeArgs {
     /// Seconds for which clients may take answers without asking again (`Cache-Control`); without it they have to ask
     #[arg(long, value_name = "SECONDS")]
     pub max_age: Option<u32>,
-    /// Chance is the same for the same seed, path and number of the request for that path
+    /// Chance is the same for the same seed, path, range and number of the request for these
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-}
-
-/// What happens to an answer.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Fate {
-    Whole,
-    Error,
-    Truncated,
-    Corrupted,
-    Stalled,
-    Reset,
-    Silent,
-    Page,
 }
 
 impl ServeArgs {
@@ -143,8 +132,7 @@ impl ServeArgs {
 struct Server {
     args: ServeArgs,
     folder: PathBuf,
-    /// Requests so far by path.
-    counts: Mutex<HashMap<String, u64>>,
+    turns: Turns,
     /// Answers meet what chance has for them; set by whoever runs the server, read by its connections.
     is_faulty: AtomicBool,
     /// Set when the server is dropped, read where connections are taken.
@@ -167,7 +155,7 @@ impl Listening {
         let listener = TcpListener::bind(&address).with_context(|| format!("cannot listen on {address}"))?;
         let address = listener.local_addr()?;
         let (is_faulty, is_over) = (AtomicBool::new(true), AtomicBool::new(false));
-        let server = Arc::new(Server { args, folder, counts: Mutex::default(), is_faulty, is_over });
+        let server = Arc::new(Server { args, folder, turns: Turns::default(), is_faulty, is_over });
         Ok(Self { server, listener, address })
     }
 
@@ -251,6 +239,12 @@ struct Request {
 }
 
 impl Request {
+    /// What chance knows it by: all that says which bytes are wanted.
+    fn wanted(&self) -> String {
+        let method = if self.is_head { "HEAD " } else { "" };
+        format!("{method}{} {}", self.path, self.range.as_deref().unwrap_or_default())
+    }
+
     /// What the client has is what there is (RFC 9110, 13.2.2): the tag counts, and the date where no tag is given.
     fn holds(&self, tag: &str, date: &str) -> bool {
         match &self.if_none_match {
@@ -292,14 +286,12 @@ impl Server {
 
     /// False when the connection ends with it.
     fn answer(&self, stream: &mut TcpStream, request: &Request) -> std::io::Result<bool> {
-        let number = {
-            let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
-            let count = counts.entry(request.path.clone()).or_insert(0);
-            *count += 1;
-            *count
-        };
-        let mut chance = Chance::new(self.args.seed, &request.path, number);
-        let fate = self.fate(&mut chance);
+        let is_faulty = self.is_faulty.load(Ordering::Acquire);
+        let wanted = request.wanted();
+        // What is asked for before the faults begin, or after they end, shifts nothing.
+        let number = if is_faulty { self.turns.next(&wanted) } else { 0 };
+        let mut chance = Chance::new(self.args.seed, &wanted, number);
+        let fate = if is_faulty { chance.fate(&self.args.rates()) } else { Fate::Whole };
         let wait_ms = self.args.latency_ms + self.args.jitter_ms * chance.share();
         std::thread::sleep(Duration::from_secs_f64(wait_ms / 1e3));
         match fate {
@@ -424,20 +416,6 @@ impl Server {
         Ok(())
     }
 
-    fn fate(&self, chance: &mut Chance) -> Fate {
-        let mut share = chance.share();
-        if !self.is_faulty.load(Ordering::Acquire) {
-            return Fate::Whole;
-        }
-        for (rate, fate) in self.args.rates() {
-            if share < rate {
-                return fate;
-            }
-            share -= rate;
-        }
-        Fate::Whole
-    }
-
     /// The file, and whether it is gzip of what was asked for. Nothing outside the folder, links included.
     fn open(&self, request: &Request) -> Option<(File, bool)> {
         let relative = Path::new(request.path.trim_start_matches('/'));
@@ -544,27 +522,6 @@ fn kind(path: &str) -> &'static str {
     }
 }
 
-/// Chance that is the same each time (SplitMix64 over a hash of what is asked for).
-struct Chance(u64);
-
-impl Chance {
-    fn new(seed: u64, path: &str, number: u64) -> Self {
-        // FNV-1a.
-        let hash =
-            path.bytes().fold(0xcbf2_9ce4_8422_2325u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
-        Self(hash ^ seed.rotate_left(32) ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15))
-    }
-
-    /// From 0, below 1.
-    fn share(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -580,17 +537,5 @@ mod tests {
         for unknown in ["bytes=5-4", "bytes=", "rows=1-2", "bytes=a-b", "bytes=0-0,5-6"] {
             assert_eq!(range(unknown, 100), None, "{unknown}");
         }
-    }
-
-    #[test]
-    fn chance_is_even_and_repeats() {
-        let mut a = Chance::new(7, "/x", 1);
-        let mut b = Chance::new(7, "/x", 1);
-        let shares: Vec<f64> = (0..1000).map(|_| a.share()).collect();
-        assert!(shares.iter().all(|s| *s == b.share() && (0.0..1.0).contains(s)));
-        let mean = shares.iter().sum::<f64>() / 1000.0;
-        assert!((0.45..0.55).contains(&mean), "{mean}");
-        assert_ne!(Chance::new(7, "/x", 2).share(), shares[0]);
-        assert_ne!(Chance::new(8, "/x", 1).share(), shares[0]);
     }
 }

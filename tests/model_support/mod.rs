@@ -1,0 +1,22 @@
+//! Models of threads: schedules in which they are switched at every step, and what stands in the place of the standard
+//! library's locks and of crossbeam's channels in files of the library that a model runs.
+#![allow(clippy::unwrap_used, reason = "test code")]
+#![allow(dead_code, unused_imports, unreachable_pub, reason = "each test program uses a part of it")]
+
+pub mod channel;
+
+/// What `terrane::sync::primitives` names.
+pub mod primitives {
+    pub use super::channel;
+    pub use shuttle::sync::{Arc, Condvar, Mutex, MutexGuard};
+    pub use shuttle::thread::{Builder, JoinHandle};
+}
+
+/// Schedules tried of each model; half of them with few, well placed switches.
+const SCHEDULES: usize = 1500;
+
+/// A deadlock, a lost wake-up or a failed assertion in any schedule fails.
+pub fn check(model: impl Fn() + Send + Sync + Clone + 'static) {
+    shuttle::check_random(model.clone(), SCHEDULES);
+    shuttle::check_pct(model, SCHEDULES, 3);
+}
