@@ -155,7 +155,7 @@ fn lines_and_points_count_and_what_has_no_tree_has_bounds() {
         let vertices: Vec<_> = corners.iter().map(|p| MeshVertex { position: *p, ..MeshVertex::default() }).collect();
         let indices: Vec<u32> = (0..vertices.len() as u32).collect();
         let bounds = mesh(vertices.clone(), indices.clone()).bounds;
-        let mesh = Mesh { vertices, indices: indices.into(), topology, bounds };
+        let mesh = Mesh { vertices, indices: indices.into(), topology, bounds, ..Mesh::default() };
         Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())])
     };
     // A line from far on the left, nearer than where it is seen; points of which the nearest is outside.

@@ -14,7 +14,7 @@ use gpu_support::{Rig, Terrain, camera, quad};
 use terrane::cull::{CullVisitor, RenderStage, SunShadows};
 use terrane::draw::{Environment, Renderer};
 use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
-use terrane::scene::{Node, NodeKind, OcclusionQueryNode};
+use terrane::scene::{AttributeFormat, Geometry, Mesh, Node, NodeKind, OcclusionQueryNode};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
 thread_local! {
@@ -120,7 +120,11 @@ fn a_steady_frame_allocates_nothing_of_its_own() {
         let set = StateSet { bin, color: Some([1.0, 0.5, 0.2, 1.0]), ..StateSet::default() };
         let offset = up + 100.0 * DVec3::new(f64::from(i % 20), f64::from(i / 20), 0.0);
         let alpha = if i % 7 == 0 { 0.5 } else { 1.0 };
-        let drawable = quad([0.0; 3], [20.0 + (i % 5) as f32, 20.0], [1.0, 1.0, 1.0, alpha]);
+        let mut drawable = quad([0.0; 3], [20.0 + (i % 5) as f32, 20.0], [1.0, 1.0, 1.0, alpha]);
+        if let (0, Geometry::Mesh(mesh)) = (i % 3, &mut drawable.geometry) {
+            let plain = Mesh::clone(mesh);
+            *mesh = Arc::new(plain.with_attribute("heat", AttributeFormat::Float32, &[0.5f32; 4]).unwrap());
+        }
         Node::transform(DAffine3::from_translation(offset), vec![Node::geode(vec![drawable])])
             .with_state_set(Arc::new(set))
     }));

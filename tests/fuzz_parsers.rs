@@ -30,6 +30,7 @@ fn content(bytes: &[u8], reader_data: Option<&str>, companions: Vec<Fetched>) {
         Content { uri: "/set/tile".into(), bytes: bytes.to_vec(), reader_data: reader_data.map(Arc::from), companions };
     let mut options = ReadOptions::for_root("/set/tileset.json", limits());
     options.build_kd_trees = true;
+    options.vertex_attributes = ["POSITION", "TEXCOORD_0", "TANGENT", "_HEAT"].map(Arc::from).into();
     match decode(content, &options) {
         Ok(page) => assert!(page.size_bytes() < 1 << 30),
         Err(error) => is_told(&error),

@@ -30,6 +30,7 @@ fn square() -> Drawable {
         indices: Arc::from([0, 1, 2, 0, 2, 3]),
         topology: Topology::Triangles,
         bounds: Aabb { min: DVec3::new(-1.0, 0.0, -1.0), max: DVec3::new(1.0, 0.0, 1.0) },
+        ..Mesh::default()
     };
     let material = Material { base_color: [1.0, 0.2, 0.1, 1.0], unlit: true, ..Material::default() };
     Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)

@@ -48,7 +48,7 @@ fn sheet() -> Mesh {
         vertices: vec![MeshVertex::default(); (SIDE * SIDE) as usize],
         indices: quads.flat_map(|[a, b, c, d]| [a, b, c, a, c, d]).collect::<Vec<_>>().into(),
         topology: Topology::Triangles,
-        bounds: Aabb::EMPTY,
+        ..Mesh::default()
     };
     write_waves(&mut mesh, 0);
     mesh

@@ -13,7 +13,7 @@ use super::DrawableEntry;
 use super::budget::CompileBudget;
 use super::compile_thread::CompileThread;
 use super::custom::{CompileInfo, CustomCompile};
-use super::drawable::{DrawableTable, Extent, Pools, Shape};
+use super::drawable::{DrawableTable, Pools, Shape};
 use super::memory::Memory;
 use super::mesh_pool::MeshUploads;
 use super::packing::VertexFormat;
@@ -468,7 +468,7 @@ pub(super) fn rewrite(
             upload.write(&mut QueueSink(queue), &mut scratch, units);
         }
     }
-    let shape = Shape::Mesh { place: placed.place, topology: mesh.topology, texture, extent: Extent::of_small(mesh) };
+    let shape = Shape::of_mesh(mesh, placed.place, texture);
     table.replace(slot, DrawableEntry { shape, ..entry });
     // Free at once: later uploads run after the draws already submitted.
     pools.meshes.release(&old);
@@ -589,5 +589,5 @@ fn place_mesh(
     {
         uploads.push_back(Upload::new(Source::Image(image.clone()), into));
     }
-    Ok(Shape::Mesh { place: placed.place, topology: mesh.topology, texture, extent: Extent::of_small(mesh) })
+    Ok(Shape::of_mesh(mesh, placed.place, texture))
 }

@@ -15,7 +15,7 @@ use super::memory::Memory;
 use super::pipeline_cache::PipelineCache;
 use super::target::{Acquired, Target};
 use super::{BindClass, DrawableEntry, GpuError, TargetFormats};
-use crate::scene::{DrawSlot, Mesh};
+use crate::scene::{AttributeLayout, DrawSlot, Mesh};
 
 /// Which adapter to draw with.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -527,6 +527,11 @@ impl GraphicsContext {
 
     fn target(&self) -> &Target {
         &self.faces[self.face].target
+    }
+
+    /// The place of a layout of further attributes, see [`MeshPool`](super::mesh_pool::MeshPool).
+    pub(crate) fn layout_place(&mut self, layout: &Arc<AttributeLayout>) -> Option<u32> {
+        self.pools.meshes.layout_place(layout)
     }
 
     pub(crate) fn pools(&self) -> &Pools {

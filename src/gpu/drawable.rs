@@ -19,11 +19,20 @@ pub(crate) enum Shape {
         place: MeshPlace,
         topology: Topology,
         texture: TextureLayer,
-        /// Where its triangles are, of small meshes.
+        /// Shaders fetch the vertices of several such meshes in one call.
+        is_small: bool,
+        /// Where its triangles are, where they are few.
         extent: Option<Extent>,
     },
     /// By its place among the custom shapes.
     Custom(u32),
+}
+
+impl Shape {
+    pub(super) fn of_mesh(mesh: &Mesh, place: MeshPlace, texture: TextureLayer) -> Self {
+        let (topology, is_small, extent) = (mesh.topology, mesh.is_small(), Extent::of_few(mesh));
+        Self::Mesh { place, topology, texture, is_small, extent }
+    }
 }
 
 /// A box in a drawable's frame, metres.
@@ -35,8 +44,8 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// Around the triangles of a mesh that is small; `None` for others, and where a vertex is not finite.
-    pub(super) fn of_small(mesh: &Mesh) -> Option<Self> {
+    /// Around the triangles of a mesh that has few; `None` for others, and where a vertex is not finite.
+    fn of_few(mesh: &Mesh) -> Option<Self> {
         if mesh.topology != Topology::Triangles || mesh.indices.len() > SMALL_MESH_INDICES as usize {
             return None;
         }

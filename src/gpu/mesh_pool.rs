@@ -3,7 +3,7 @@
 //!
 //! Draw thread only. A buffer holds places of a single size, so it cannot fragment, and meshes of like size
 //! (all tiles of a set) draw from one buffer without changing state. Vertices and indices lie as they come, or in fewer
-//! bytes where nothing is lost (`packing.rs`), each format in buffers of its own.
+//! bytes where nothing is lost (`packing.rs`), each format in buffers of its own, as is each layout of further attributes.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
@@ -13,7 +13,7 @@ use super::packing::{VertexFormat, WHITE, is_short};
 use super::slots::{Identity, SlotAllocator, block_capacity, size_class};
 use super::table::Table;
 use super::uploads::Destination;
-use crate::scene::{Mesh, SharedParts};
+use crate::scene::{AttributeLayout, Mesh, SharedParts, added_stride};
 
 /// Bytes a buffer aims at.
 const CHUNK_BYTES: u64 = 8 << 20;
@@ -21,9 +21,11 @@ const CHUNK_BYTES: u64 = 8 << 20;
 const CHUNK_PLACES: u32 = 4096;
 
 /// Bits of a chunk's number that say in which arena it is.
-const ARENA_SHIFT: u32 = 30;
-/// The arenas of vertices, one for each format.
+const ARENA_SHIFT: u32 = 27;
+/// The first arenas of vertices, one for each format; behind them is one for each layout of further attributes.
 const FORMATS: [VertexFormat; 3] = [VertexFormat::Full, VertexFormat::Packed, VertexFormat::Quantized];
+/// Most layouts of further attributes at once: a pipeline's key has four bits for them, and one value for none.
+pub(crate) const MOST_LAYOUTS: usize = 15;
 /// The arena of indices of 16 bits; 0 is that of 32.
 const SHORT: u32 = 1;
 
@@ -69,6 +71,10 @@ struct Arena {
 impl Arena {
     fn new(label: &'static str, usage: wgpu::BufferUsages, element_bytes: u64) -> Self {
         Self { label, usage, element_bytes, chunks: Table::default(), bytes_in_use: 0, bytes_allocated: 0 }
+    }
+
+    fn of_vertices(stride: usize) -> Self {
+        Self::new("vertices", wgpu::BufferUsages::VERTEX, stride as u64)
     }
 
     fn allocate(&mut self, memory: &mut Memory, length: usize) -> Result<Range, String> {
@@ -134,10 +140,10 @@ impl Arena {
     }
 }
 
-/// Buffers of elements of `N` formats.
-struct Arenas<const N: usize>([Arena; N]);
+/// Buffers of elements of some formats.
+struct Arenas(Vec<Arena>);
 
-impl<const N: usize> Arenas<N> {
+impl Arenas {
     fn allocate(&mut self, arena: u32, memory: &mut Memory, length: usize) -> Result<Range, String> {
         let of = self.0.get_mut(arena as usize).ok_or("a format without buffers")?;
         let range = of.allocate(memory, length)?;
@@ -217,8 +223,10 @@ pub(super) struct MeshUploads {
 
 /// All meshes of a context.
 pub(crate) struct MeshPool {
-    vertices: Arenas<3>,
-    indices: Arenas<2>,
+    vertices: Arenas,
+    indices: Arenas,
+    /// Of the arenas behind those of [`FORMATS`].
+    layouts: Vec<Arc<AttributeLayout>>,
     /// The color of packed and quantized vertices, once there are some.
     white: Option<wgpu::Buffer>,
     meshes: Table<MeshRecord>,
@@ -230,12 +238,12 @@ pub(crate) struct MeshPool {
 
 impl Default for MeshPool {
     fn default() -> Self {
-        let vertices =
-            |format: VertexFormat| Arena::new("vertices", wgpu::BufferUsages::VERTEX, format.stride() as u64);
+        let vertices = |format: VertexFormat| Arena::of_vertices(format.stride());
         let indices = |bytes| Arena::new("indices", wgpu::BufferUsages::INDEX, bytes);
         Self {
-            vertices: Arenas(FORMATS.map(vertices)),
-            indices: Arenas([4, 2].map(indices)),
+            vertices: Arenas(FORMATS.map(vertices).into()),
+            indices: Arenas([4, 2].map(indices).into()),
+            layouts: Vec::new(),
             white: None,
             meshes: Table::default(),
             index_lists: Table::default(),
@@ -277,6 +285,7 @@ impl MeshPool {
         if mesh.vertices.is_empty() || mesh.indices.is_empty() {
             return Err("a mesh without vertices or indices".into());
         }
+        let arena = self.arena_of(mesh, format)?;
         let (index_list, new_indices) = self.allocate_indices(memory, mesh, shared)?;
         let white = match format == VertexFormat::Full || self.white.is_some() {
             true => Ok(()),
@@ -284,7 +293,7 @@ impl MeshPool {
                 .make_filled("white vertex", wgpu::BufferUsages::VERTEX, &WHITE)
                 .map(|white| self.white = Some(white)),
         };
-        let vertices = white.and_then(|()| self.vertices.allocate(format as u32, memory, mesh.vertices.len()));
+        let vertices = white.and_then(|()| self.vertices.allocate(arena, memory, mesh.vertices.len()));
         let vertices = match vertices {
             Ok(range) => range,
             Err(e) => {
@@ -298,6 +307,38 @@ impl MeshPool {
         let place_bytes = [self.vertices.bytes_of(vertices), self.index_bytes(index_list)];
         let place = self.place(id, vertices, index_list, mesh)?;
         Ok(MeshUploads { place, vertices: Some(vertices), indices: new_indices, place_bytes })
+    }
+
+    /// Where the vertices of a mesh lie.
+    fn arena_of(&mut self, mesh: &Mesh, format: VertexFormat) -> Result<u32, String> {
+        if mesh.attributes.is_empty() {
+            return Ok(format as u32);
+        }
+        mesh.attributes.check(mesh.vertices.len()).map_err(|error| error.to_string())?;
+        let place = self.layout_place(mesh.attributes.layout()).ok_or_else(|| {
+            let names: Vec<&str> = mesh.attributes.iter().map(|(name, ..)| name).collect();
+            format!("a mesh with the attributes {names:?}: there are {MOST_LAYOUTS} other lists of attributes in use")
+        })?;
+        Ok(FORMATS.len() as u32 - 1 + place)
+    }
+
+    /// The place, from 1 on, of a layout of further attributes: its own while vertices lie in it, of others until it is
+    /// needed for another. `None` where all are in use.
+    pub(crate) fn layout_place(&mut self, layout: &Arc<AttributeLayout>) -> Option<u32> {
+        if let Some(known) = self.layouts.iter().position(|known| known == layout) {
+            return Some(known as u32 + 1);
+        }
+        let arena = Arena::of_vertices(VertexFormat::Full.stride() + added_stride(layout));
+        if self.layouts.len() < MOST_LAYOUTS {
+            self.layouts.push(layout.clone());
+            self.vertices.0.push(arena);
+            return Some(self.layouts.len() as u32);
+        }
+        let arenas = self.vertices.0.iter_mut().skip(FORMATS.len());
+        let (unused, place) = arenas.zip(0..).find(|(arena, _)| arena.bytes_in_use == 0)?;
+        *unused = arena;
+        self.layouts[place] = layout.clone();
+        Some(place as u32 + 1)
     }
 
     fn place(&self, mesh_id: u32, vertices: Range, index_list: u32, mesh: &Mesh) -> Result<MeshPlace, String> {
@@ -400,6 +441,12 @@ impl MeshPool {
     /// How vertices lie in a chunk.
     pub(crate) fn format_of(&self, vertex_chunk: u32) -> VertexFormat {
         FORMATS.get(parts(vertex_chunk).0 as usize).copied().unwrap_or_default()
+    }
+
+    /// The further attributes of what lies in a chunk, with the place of their layout.
+    pub(crate) fn layout_of(&self, vertex_chunk: u32) -> Option<(u32, &Arc<AttributeLayout>)> {
+        let place = (parts(vertex_chunk).0 as usize + 1).checked_sub(FORMATS.len())?;
+        Some((place as u32, self.layouts.get(place.checked_sub(1)?)?))
     }
 
     /// One white vertex.

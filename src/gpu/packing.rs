@@ -8,10 +8,11 @@
 //! Packed are meshes that are white and whose texture coordinates lie in 0..1 (a step of unorm16 is a sixteenth of a texel
 //! of an image 4,096 texels wide); quantized those of them that were read from positions of normalized 16 bits, which a
 //! transform above makes metres. The formats of KHR_mesh_quantization; the vertex stage makes floats of them, so that
-//! shaders see no difference. Small meshes, which shaders fetch themselves, are full. Indices are 16 bits where they fit.
+//! shaders see no difference. Small meshes, which shaders fetch themselves, are full. Further attributes of a mesh lie
+//! behind its full vertices. Indices are 16 bits where they fit.
 
 pub(crate) use crate::scene::VertexFormat;
-use crate::scene::{MeshVertex, SMALL_MESH_INDICES};
+use crate::scene::{Mesh, MeshVertex, SMALL_MESH_INDICES, added_stride};
 
 /// The color of packed meshes.
 pub(crate) const WHITE: [u8; 4] = [255; 4];
@@ -72,14 +73,36 @@ fn converted<'a, T: bytemuck::Pod>(
     scratch: &'a mut Vec<u8>,
     make: impl Fn(&MeshVertex) -> T,
 ) -> &'a [u8] {
-    let bytes = vertices.len() * size_of::<T>();
-    // What is there of earlier calls is written over.
+    let scratch = room(scratch, vertices.len() * size_of::<T>());
+    for (vertex, place) in vertices.iter().zip(scratch.chunks_exact_mut(size_of::<T>())) {
+        place.copy_from_slice(bytemuck::bytes_of(&make(vertex)));
+    }
+    scratch
+}
+
+/// So many bytes of what is there of earlier calls, to be written over.
+fn room(scratch: &mut Vec<u8>, bytes: usize) -> &mut [u8] {
     if scratch.len() < bytes {
         scratch.resize(bytes, 0);
     }
-    let scratch = &mut scratch[..bytes];
-    for (vertex, place) in vertices.iter().zip(scratch.chunks_exact_mut(size_of::<T>())) {
-        place.copy_from_slice(bytemuck::bytes_of(&make(vertex)));
+    &mut scratch[..bytes]
+}
+
+/// The bytes of some vertices of a mesh, the further attributes of each behind it.
+pub(super) fn interleaved<'a>(mesh: &Mesh, part: std::ops::Range<usize>, scratch: &'a mut Vec<u8>) -> &'a [u8] {
+    let mut at = size_of::<MeshVertex>();
+    let stride = at + added_stride(mesh.attributes.layout());
+    let scratch = room(scratch, part.len() * stride);
+    let first = part.start;
+    for (vertex, place) in mesh.vertices[part].iter().zip(scratch.chunks_exact_mut(stride)) {
+        place[..at].copy_from_slice(bytemuck::bytes_of(vertex));
+    }
+    for (_, format, elements) in mesh.attributes.iter() {
+        let elements = elements.chunks_exact(format.size_bytes()).skip(first);
+        for (element, place) in elements.zip(scratch.chunks_exact_mut(stride)) {
+            place[at..][..element.len()].copy_from_slice(element);
+        }
+        at += format.size_bytes();
     }
     scratch
 }
@@ -103,7 +126,7 @@ pub(super) fn short_indices<'a>(indices: &[u32], scratch: &'a mut Vec<u8>) -> &'
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Drawable, Material, Mesh, Topology};
+    use crate::scene::{AttributeFormat, Drawable, Material, Topology};
 
     fn mesh(change: impl Fn(&mut MeshVertex)) -> Mesh {
         let mut vertices: Vec<MeshVertex> = (0..30)
@@ -128,6 +151,8 @@ mod tests {
         let mut small = mesh(|_| {});
         small.indices = (0..30).collect();
         assert_eq!(Drawable::new(small.into(), Material::default()).vertex_format(), VertexFormat::Full);
+        let further = mesh(|_| {}).with_attribute("id", AttributeFormat::Uint32, &[7u32; 30]).unwrap();
+        assert_eq!(Drawable::new(further.into(), Material::default()).vertex_format(), VertexFormat::Full);
     }
 
     #[test]
@@ -146,6 +171,24 @@ mod tests {
         let bytes = VertexFormat::Packed.bytes(&ends, &mut scratch);
         let uv = |i: usize| bytemuck::pod_read_unaligned::<PackedVertex>(&bytes[20 * i..20 * i + 20]).uv;
         assert_eq!([uv(0), uv(1)], [[0, u16::MAX], [u16::MAX, 0]]);
+    }
+
+    #[test]
+    fn attributes_lie_behind_their_vertices() {
+        let ids: Vec<u32> = (100..130).collect();
+        let tangents: Vec<[f32; 2]> = (0..30).map(|i| [i as f32, -1.0]).collect();
+        let mesh = mesh(|_| {})
+            .with_attribute("id", AttributeFormat::Uint32, &ids)
+            .and_then(|mesh| mesh.with_attribute("tangent", AttributeFormat::Float32x2, &tangents))
+            .unwrap();
+        let mut scratch = vec![7; 5000];
+        let bytes = interleaved(&mesh, 10..13, &mut scratch);
+        assert_eq!(bytes.len(), 3 * 40);
+        for (i, bytes) in (10..).zip(bytes.chunks_exact(40)) {
+            assert_eq!(bytemuck::pod_read_unaligned::<MeshVertex>(&bytes[..28]), mesh.vertices[i]);
+            assert_eq!(bytemuck::pod_read_unaligned::<u32>(&bytes[28..32]), ids[i]);
+            assert_eq!(bytemuck::pod_read_unaligned::<[f32; 2]>(&bytes[32..]), tangents[i]);
+        }
     }
 
     #[test]

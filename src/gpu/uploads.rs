@@ -4,9 +4,9 @@
 use std::sync::Arc;
 
 use super::height_pool::{table_vectors, table_words};
-use super::packing::{VertexFormat, short_indices};
+use super::packing::{VertexFormat, interleaved, short_indices};
 use super::texture_pool::{Rows, write_rows};
-use crate::scene::{HeightTile, Mesh, Texture};
+use crate::scene::{HeightTile, Mesh, Texture, added_stride};
 
 /// What carries bytes to the adapter.
 pub(super) trait Sink {
@@ -113,6 +113,9 @@ impl Upload {
                 let offset = offset + (part.start * unit_bytes) as u64;
                 match &self.source {
                     Source::Tables(tile) => sink.write_bytes(buffer, offset, bytemuck::cast_slice(&table_words(tile))),
+                    Source::Vertices(mesh, _) if !mesh.attributes.is_empty() => {
+                        sink.write_bytes(buffer, offset, interleaved(mesh, part, scratch));
+                    }
                     Source::Vertices(mesh, format) => {
                         sink.write_bytes(buffer, offset, format.bytes(&mesh.vertices[part], scratch));
                     }
@@ -151,7 +154,9 @@ impl Source {
             Self::Heights(tile) => Some((tile.side as usize + 2, (tile.side as usize + 2) * 4)),
             Self::Tables(tile) => Some((1, table_vectors(tile.side) as usize * 16)),
             Self::White => Some((1, 4)),
-            Self::Vertices(mesh, format) => Some((mesh.vertices.len(), format.stride())),
+            Self::Vertices(mesh, format) => {
+                Some((mesh.vertices.len(), format.stride() + added_stride(mesh.attributes.layout())))
+            }
             Self::ShortIndices(mesh) => Some((mesh.indices.len().div_ceil(2), 4)),
             Self::Indices(mesh) => Some((mesh.indices.len(), 4)),
         }

@@ -11,13 +11,14 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::Semantic;
 
+use super::gltf_elements::{Elements, attribute_format};
 use super::gltf_json::Document;
-use super::index_lists::{Listed, assemble, assembled, list_key_of, shared};
-use super::{IoError, Limits, image, occluder};
+use super::index_lists::{Listed, list_key_of, mode, shared};
+use super::{IoError, Limits, ReadOptions, image, occluder};
 use crate::math::Aabb;
 use crate::scene::{
     AlphaMode, ContentKey, Drawable, Geometry, Material, Mesh, MeshVertex, Node, NodeKind, SharedParts,
-    SharedStateManager, VertexFormat,
+    SharedStateManager, VertexAttributes, VertexFormat,
 };
 use crate::state::WrapMode;
 
@@ -36,8 +37,7 @@ pub(crate) fn read_glb(
     uri: &str,
     bytes: &[u8],
     rtc_center: Option<DVec3>,
-    limits: &Limits,
-    sharing: Option<&SharedStateManager>,
+    options: &ReadOptions,
 ) -> Result<Node, IoError> {
     let bad = |reason: &str| IoError::invalid(uri, format!("glb: {reason}"));
     let u32_at = |at: usize| -> Option<u32> { Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?)) };
@@ -66,17 +66,12 @@ pub(crate) fn read_glb(
         }
         at = end.next_multiple_of(4);
     }
-    read(uri, json.ok_or_else(|| bad("no JSON chunk"))?, binary, rtc_center, limits, sharing)
+    read(uri, json.ok_or_else(|| bad("no JSON chunk"))?, binary, rtc_center, options)
 }
 
 /// A glTF in JSON; its buffers and images must be data: URIs.
-pub(crate) fn read_gltf(
-    uri: &str,
-    json: &[u8],
-    limits: &Limits,
-    sharing: Option<&SharedStateManager>,
-) -> Result<Node, IoError> {
-    read(uri, json, None, None, limits, sharing)
+pub(crate) fn read_gltf(uri: &str, json: &[u8], options: &ReadOptions) -> Result<Node, IoError> {
+    read(uri, json, None, None, options)
 }
 
 fn read(
@@ -84,8 +79,7 @@ fn read(
     json: &[u8],
     binary: Option<&[u8]>,
     rtc_center: Option<DVec3>,
-    limits: &Limits,
-    sharing: Option<&SharedStateManager>,
+    options: &ReadOptions,
 ) -> Result<Node, IoError> {
     let refused = |required: &[String]| {
         let unknown = required.iter().find(|name| !KNOWN_EXTENSIONS.contains(&name.as_str()));
@@ -114,7 +108,7 @@ fn read(
             return Err(IoError::invalid(uri, reason));
         }
     }
-    // Attributes of other purposes (batch and feature ids, whatever their names) are not drawn and not judged.
+    // Attributes of unknown names are not drawn and not judged.
     for primitive in root.meshes.iter_mut().flat_map(|m| m.primitives.iter_mut()) {
         primitive.attributes.retain(|semantic, _| matches!(semantic, gltf::json::validation::Checked::Valid(_)));
     }
@@ -124,8 +118,9 @@ fn read(
     let mut reader = Reader {
         uri,
         buffers: Vec::new(),
-        limits,
-        sharing,
+        limits: &options.limits,
+        sharing: options.sharing.as_deref(),
+        kept: &options.vertex_attributes,
         is_met: vec![false; document.nodes().len()],
         places,
         primitives: 0,
@@ -190,6 +185,8 @@ struct Reader<'a> {
     buffers: Vec<std::borrow::Cow<'a, [u8]>>,
     limits: &'a Limits,
     sharing: Option<&'a SharedStateManager>,
+    /// Names of attributes that meshes keep.
+    kept: &'a [Arc<str>],
     places: Document,
     /// By node: it hangs somewhere.
     is_met: Vec<bool>,
@@ -204,61 +201,6 @@ struct Reader<'a> {
     textures: HashMap<(usize, [WrapMode; 2]), image::Shared>,
     /// Index accessors shared by primitives.
     indices: HashMap<usize, (Listed, ContentKey)>,
-}
-
-/// A checked view of an accessor's elements.
-struct Elements<'a> {
-    bytes: &'a [u8],
-    stride: usize,
-    count: usize,
-    components: usize,
-    data_type: DataType,
-    normalized: bool,
-}
-
-impl Elements<'_> {
-    fn is_unorm16(&self) -> bool {
-        self.data_type == DataType::U16 && self.normalized
-    }
-
-    /// Component `c` of element `i`, converted as the accessor says. Both are in range by construction.
-    fn value(&self, i: usize, c: usize) -> f32 {
-        let at = i * self.stride + c * self.data_type.size();
-        let b = |n: usize| self.bytes.get(at + n).copied().unwrap_or(0);
-        let (raw, max) = match self.data_type {
-            DataType::F32 => return f32::from_le_bytes([b(0), b(1), b(2), b(3)]),
-            DataType::I8 => (f32::from(b(0) as i8), 127.0),
-            DataType::U8 => (f32::from(b(0)), 255.0),
-            DataType::I16 => (f32::from(i16::from_le_bytes([b(0), b(1)])), 32767.0),
-            DataType::U16 => (f32::from(u16::from_le_bytes([b(0), b(1)])), 65535.0),
-            DataType::U32 => (u32::from_le_bytes([b(0), b(1), b(2), b(3)]) as f32, 4_294_967_295.0),
-        };
-        if self.normalized { (raw / max).max(-1.0) } else { raw }
-    }
-
-    /// Gives each vertex its element of `N` components; as many as there are of both.
-    fn read_into<const N: usize>(&self, vertices: &mut [MeshVertex], mut set: impl FnMut(&mut MeshVertex, [f32; N])) {
-        let elements = vertices.iter_mut().zip(self.bytes.chunks(self.stride.max(1)));
-        match self.data_type {
-            // A loop for each of what most are.
-            DataType::F32 => elements.for_each(|(vertex, bytes)| {
-                let parts = bytes.as_chunks().0.first_chunk::<N>().copied();
-                set(vertex, parts.unwrap_or([[0; 4]; N]).map(f32::from_le_bytes));
-            }),
-            DataType::U16 => {
-                let max = if self.normalized { 65535.0 } else { 1.0 };
-                elements.for_each(|(vertex, bytes)| {
-                    let parts = bytes.as_chunks().0.first_chunk::<N>().copied();
-                    set(vertex, parts.unwrap_or([[0; 2]; N]).map(|part| f32::from(u16::from_le_bytes(part)) / max));
-                });
-            }
-            _ => {
-                for (i, (vertex, _)) in elements.enumerate() {
-                    set(vertex, std::array::from_fn(|k| self.value(i, k)));
-                }
-            }
-        }
-    }
 }
 
 impl<'a> Reader<'a> {
@@ -311,10 +253,7 @@ impl<'a> Reader<'a> {
     fn primitive(&mut self, primitive: &gltf::Primitive<'_>) -> Result<Drawable, IoError> {
         let positions = primitive.get(&Semantic::Positions).ok_or_else(|| self.bad("primitive without POSITION"))?;
         let count = positions.count();
-        self.vertices = self.vertices.saturating_add(count);
-        if self.vertices > self.limits.max_elements {
-            return Err(self.bad(format!("{} vertices", self.vertices)));
-        }
+        self.count_vertices(count)?;
         let material = primitive.material();
         let pbr = material.pbr_metallic_roughness();
         let base_texture = pbr.base_color_texture();
@@ -367,14 +306,16 @@ impl<'a> Reader<'a> {
             true => VertexFormat::Packed,
             false => VertexFormat::Full,
         };
+        let attributes = self.kept_attributes(primitive, count)?;
         // Now, while they are in the cache.
-        let vertices_key = self.sharing.map(|_| ContentKey::of(&[bytemuck::cast_slice(&vertices)]));
+        let vertices_key = self.sharing.map(|_| ContentKey::of_vertices(&vertices, &attributes));
         let (listed, list_key) = match primitive.indices() {
             Some(accessor) => self.indices(&accessor, count).map(|(listed, key)| (listed.list, Some(key)))?,
             None => ((0..count as u32).collect(), None),
         };
-        self.count_listed(assembled(primitive.mode(), listed.len()))?;
-        let (topology, indices) = assemble(primitive.mode(), listed.clone());
+        let mode = mode(primitive.mode());
+        self.count_listed(mode.assembled(listed.len()))?;
+        let (topology, indices) = mode.assemble(listed.clone());
         let list_key = list_key.filter(|_| Arc::ptr_eq(&listed, &indices));
         let bounds = if count == 0 { Aabb::EMPTY } else { Aabb { min: min.as_dvec3(), max: max.as_dvec3() } };
         let (texture, shared_texture) = match base_texture {
@@ -392,7 +333,7 @@ impl<'a> Reader<'a> {
             double_sided: material.double_sided(),
             unlit: material.unlit(),
         };
-        let mut mesh = Arc::new(Mesh { vertices, indices, topology, bounds });
+        let mut mesh = Arc::new(Mesh { vertices, indices, topology, bounds, attributes });
         let (geometry, indices) = match (self.sharing, vertices_key) {
             (Some(sharing), Some(vertices_key)) => {
                 let list_key = list_key.unwrap_or_else(|| list_key_of(&mesh.indices));
@@ -403,6 +344,39 @@ impl<'a> Reader<'a> {
         let mut drawable = Drawable::new(Geometry::Mesh(mesh), material);
         drawable.shared = SharedParts { geometry, indices, texture: shared_texture };
         Ok(drawable.with_vertex_format(format))
+    }
+
+    /// Counts vertices before there is memory for them.
+    fn count_vertices(&mut self, count: usize) -> Result<(), IoError> {
+        self.vertices = self.vertices.saturating_add(count);
+        if self.vertices > self.limits.max_elements {
+            return Err(self.bad(format!("{} vertices", self.vertices)));
+        }
+        Ok(())
+    }
+
+    /// The attributes that are to be kept, in the order asked for. Those of matrices are not.
+    fn kept_attributes(
+        &mut self,
+        primitive: &gltf::Primitive<'_>,
+        vertices: usize,
+    ) -> Result<VertexAttributes, IoError> {
+        let mut attributes = VertexAttributes::default();
+        for name in self.kept {
+            let named = |(semantic, _): &(Semantic, gltf::Accessor<'_>)| semantic.to_string() == **name;
+            let Some((_, accessor)) = primitive.attributes().find(named) else { continue };
+            let (count, dimensions) = (accessor.count(), accessor.dimensions());
+            let Some(format) = attribute_format(accessor.data_type(), accessor.normalized(), dimensions) else {
+                continue;
+            };
+            if count != vertices {
+                return Err(self.bad(format!("{name} has {count} elements for {vertices} vertices")));
+            }
+            self.count_vertices(vertices.saturating_mul(format.size_bytes()).div_ceil(size_of::<MeshVertex>()))?;
+            let elements = self.elements(&accessor, dimensions)?.padded(format.size_bytes());
+            attributes.push(vertices, name, format, elements).map_err(|error| self.bad(error.to_string()))?;
+        }
+        Ok(attributes)
     }
 
     fn attribute(

@@ -1,4 +1,4 @@
-//! Lists of indices: equal ones once, strips and fans as triangles. Decode workers.
+//! Lists of indices: equal ones once, and what they form. Decode workers.
 
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 use gltf::mesh::Mode;
 use lru::LruCache;
 
-use crate::scene::{ContentKey, Topology};
+use crate::scene::{ContentKey, PrimitiveMode};
 
 /// A list of indices and the largest.
 #[derive(Clone)]
@@ -42,43 +42,15 @@ pub(super) fn list_key_of(list: &[u32]) -> ContentKey {
     ContentKey::of(&[bytemuck::cast_slice(list)])
 }
 
-/// Indices, at most, that [`assemble`] makes of so many; none where it takes the list as it is.
-pub(super) fn assembled(mode: Mode, count: usize) -> usize {
+/// The mode of a glTF's primitive.
+pub(super) fn mode(mode: Mode) -> PrimitiveMode {
     match mode {
-        Mode::Points => 0,
-        Mode::Lines if count.is_multiple_of(2) => 0,
-        Mode::Triangles if count.is_multiple_of(3) => 0,
-        Mode::Lines | Mode::Triangles => count,
-        Mode::LineStrip | Mode::LineLoop => count.saturating_mul(2),
-        Mode::TriangleStrip | Mode::TriangleFan => count.saturating_mul(3),
-    }
-}
-
-/// Strips, fans and loops as lists.
-pub(super) fn assemble(mode: Mode, i: Arc<[u32]>) -> (Topology, Arc<[u32]>) {
-    let whole = |n: usize| -> Arc<[u32]> {
-        if i.len().is_multiple_of(n) { i.clone() } else { i[..i.len() - i.len() % n].into() }
-    };
-    match mode {
-        Mode::Points => (Topology::Points, i.clone()),
-        Mode::Lines => (Topology::Lines, whole(2)),
-        Mode::LineStrip | Mode::LineLoop => {
-            let mut out: Vec<u32> = i.windows(2).flatten().copied().collect();
-            if let (Mode::LineLoop, Some(first), Some(last)) = (mode, i.first(), i.last()) {
-                out.extend([*last, *first]);
-            }
-            (Topology::Lines, out.into())
-        }
-        Mode::Triangles => (Topology::Triangles, whole(3)),
-        Mode::TriangleStrip => {
-            let flip = |(k, t): (usize, &[u32])| if k % 2 == 0 { [t[0], t[1], t[2]] } else { [t[1], t[0], t[2]] };
-            (Topology::Triangles, i.windows(3).enumerate().flat_map(flip).collect())
-        }
-        Mode::TriangleFan => {
-            let fan = i.first().map_or(Vec::new(), |first| {
-                i.get(1..).unwrap_or(&[]).windows(2).flat_map(|t| [*first, t[0], t[1]]).collect()
-            });
-            (Topology::Triangles, fan.into())
-        }
+        Mode::Points => PrimitiveMode::Points,
+        Mode::Lines => PrimitiveMode::Lines,
+        Mode::LineStrip => PrimitiveMode::LineStrip,
+        Mode::LineLoop => PrimitiveMode::LineLoop,
+        Mode::Triangles => PrimitiveMode::Triangles,
+        Mode::TriangleStrip => PrimitiveMode::TriangleStrip,
+        Mode::TriangleFan => PrimitiveMode::TriangleFan,
     }
 }

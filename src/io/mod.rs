@@ -15,6 +15,7 @@ mod file;
 #[cfg(feature = "http")]
 mod fill;
 mod gltf;
+mod gltf_elements;
 mod gltf_json;
 mod height;
 #[cfg(feature = "http")]

@@ -105,7 +105,7 @@ pub(crate) fn read(uri: &str, bytes: &[u8], limits: &Limits) -> Result<Node, IoE
         });
     }
     let indices: Arc<[u32]> = (0..count as u32).collect();
-    let mesh = Mesh { vertices, indices, topology: Topology::Points, bounds };
+    let mesh = Mesh { vertices, indices, topology: Topology::Points, bounds, ..Mesh::default() };
     let alpha = match mesh.vertices.iter().all(|vertex| vertex.color[3] == u8::MAX) {
         true => AlphaMode::Opaque,
         false => AlphaMode::Blend,

@@ -22,6 +22,11 @@ pub struct ReadOptions {
     /// Pages get a [`KdTree`](crate::scene::KdTree) for each drawable, so that lines and volumes can be intersected with
     /// them after their payloads went to the GPU. Off by default: it costs memory and time of the decode workers.
     pub build_kd_trees: bool,
+    /// Attributes of a glTF's primitives that meshes keep under these names beside those of every mesh, for
+    /// [`Program`](crate::state::Program)s: `TANGENT`, `TEXCOORD_1`, `_HEAT`. None by default, as they take memory. Those of
+    /// matrices are not kept. A glTF in which a mesh would have more than
+    /// [`MOST_ATTRIBUTES`](crate::scene::MOST_ATTRIBUTES) fails.
+    pub vertex_attributes: Arc<[Arc<str>]>,
     /// Shares what is equal between contents; `None` by default. A pager has one of its own.
     pub sharing: Option<Arc<SharedStateManager>>,
 }
@@ -35,6 +40,7 @@ impl ReadOptions {
             chain: Arc::new([]),
             set_from_content: DAffine3::IDENTITY,
             build_kd_trees: false,
+            vertex_attributes: Arc::default(),
             sharing: None,
         }
     }
@@ -105,11 +111,11 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
     let bytes = file::gunzip(&uri, bytes, limits)?;
     let (text, first) = first_of_text(&bytes);
     if bytes.starts_with(b"glTF") {
-        return gltf::read_glb(&uri, &bytes, None, limits, sharing);
+        return gltf::read_glb(&uri, &bytes, None, options);
     }
     if bytes.starts_with(b"b3dm") {
         let (glb, center) = b3dm::unwrap(&uri, &bytes)?;
-        return gltf::read_glb(&uri, glb, center, limits, sharing);
+        return gltf::read_glb(&uri, glb, center, options);
     }
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
         return height::read(&uri, &bytes, reader_data.as_deref(), companions, limits, sharing);
@@ -131,7 +137,7 @@ pub fn decode_node(content: Content, options: &ReadOptions) -> Result<Node, IoEr
         return if is_tileset_text(&uri, text)? {
             tileset::read(&uri, text, options)
         } else {
-            gltf::read_gltf(&uri, text, limits, sharing)
+            gltf::read_gltf(&uri, text, options)
         };
     }
     refuse_markup(&uri, &bytes)?;

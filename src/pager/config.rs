@@ -84,6 +84,9 @@ pub struct PagerConfig {
     /// The decode workers build k-d trees, for intersections with what is paged; see
     /// [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees).
     pub build_kd_trees: bool,
+    /// Attributes that meshes of glTFs keep, where a scene's own options name none; see
+    /// [`ReadOptions::vertex_attributes`](crate::io::ReadOptions::vertex_attributes).
+    pub vertex_attributes: Arc<[Arc<str>]>,
     /// What equal contents of different tiles share, see [`SharedStateManager`](crate::scene::SharedStateManager).
     pub sharing: ShareModes,
 }
@@ -113,6 +116,7 @@ impl Default for PagerConfig {
             http: crate::io::HttpConfig::default(),
             blocking: false,
             build_kd_trees: false,
+            vertex_attributes: Arc::default(),
             sharing: ShareModes::default(),
         }
     }

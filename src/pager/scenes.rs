@@ -4,13 +4,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::DatabasePager;
-use super::config::{CompileContext, PagerError};
+use super::config::{CompileContext, PagerConfig, PagerError};
 use super::job::Above;
 use super::tries::Tries;
 use crate::io::{self, Content, IoError, ReadOptions};
 #[cfg(feature = "http")]
 use crate::io::{HttpClient, HttpConfig};
-use crate::scene::{NodeId, Page, Scene, SceneNumber, SlotInfo};
+use crate::scene::{NodeId, Page, Scene, SceneNumber, SharedStateManager, SlotInfo};
 
 /// The scenes that a [`DatabasePager`] serves, all of them at each call: a [`Scene`] alone, or several in a vector or an
 /// array.
@@ -100,6 +100,20 @@ impl Scope {
     }
 }
 
+/// What a scene's contents are read with, under the configuration of the pager that reads them.
+pub(super) fn fitted(
+    options: ReadOptions,
+    config: &PagerConfig,
+    sharing: Option<Arc<SharedStateManager>>,
+) -> ReadOptions {
+    let vertex_attributes = match options.vertex_attributes.is_empty() {
+        true => config.vertex_attributes.clone(),
+        false => options.vertex_attributes.clone(),
+    };
+    let build_kd_trees = config.build_kd_trees || options.build_kd_trees;
+    ReadOptions { limits: config.limits, build_kd_trees, vertex_attributes, sharing, ..options }
+}
+
 /// A scene that is served.
 #[derive(Debug)]
 pub(super) struct Served {
@@ -153,12 +167,7 @@ impl DatabasePager {
 
     /// Limits are the pager's, and so is what is shared.
     fn fit(&self, options: ReadOptions) -> ReadOptions {
-        ReadOptions {
-            limits: self.config.limits,
-            build_kd_trees: self.config.build_kd_trees || options.build_kd_trees,
-            sharing: self.sharing.clone(),
-            ..options
-        }
+        fitted(options, &self.config, self.sharing.clone())
     }
 
     fn serve(&mut self, scene: SceneNumber, served: Served) {

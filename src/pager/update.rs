@@ -10,7 +10,7 @@ use super::held::ArrivedSum;
 use super::job::Above;
 use super::requests::AheadShort;
 use super::residents::Residents;
-use super::scenes::{Scenes, Scope, Served};
+use super::scenes::{Scenes, Scope, Served, fitted};
 use super::shares::{Held, Shares};
 use super::states::RequestState;
 use super::stats::{ErrorRecord, Errors, PagerStats};
@@ -96,11 +96,10 @@ impl DatabasePager {
     /// Starts the threads. `options` is the scope of the tile set that is paged: that of the first scene that the pager is
     /// given and that was not added. Others that were not added get nothing.
     pub fn new(config: PagerConfig, options: ReadOptions) -> Result<Self, PagerError> {
-        let build_kd_trees = config.build_kd_trees || options.build_kd_trees;
         let sharing = options.sharing.clone();
         let sharing =
             sharing.or_else(|| config.sharing.any().then(|| Arc::new(SharedStateManager::new(config.sharing))));
-        let options = ReadOptions { limits: config.limits, build_kd_trees, sharing: sharing.clone(), ..options };
+        let options = fitted(options, &config, sharing.clone());
         #[cfg(feature = "http")]
         let client = io::HttpClient::new(&config.http).map_err(PagerError::Http)?;
         let threads = Threads::start(&config, sharing.clone())?;

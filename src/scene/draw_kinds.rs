@@ -7,6 +7,7 @@ use super::NodeId;
 use super::geometry::{AlphaMode, Geometry, Topology, VertexFormat};
 use super::graph::Scene;
 use super::page::{BLEND, NONE, Page, VIEW};
+use super::vertex_attributes::AttributeLayout;
 use crate::state::ResolvedState;
 
 /// Triangles of so few indices are drawn many meshes at once.
@@ -27,10 +28,20 @@ pub struct DrawKind {
     pub double_sided: bool,
     /// Its transform mirrors.
     pub mirrored: bool,
-    /// A mesh of a few triangles.
+    /// A mesh of a few triangles without further attributes.
     pub is_small: bool,
     /// Of a mesh's vertices.
     pub vertex_format: VertexFormat,
+    /// Further attributes of a mesh's vertices.
+    pub(crate) attributes: Arc<AttributeLayout>,
+}
+
+impl DrawKind {
+    /// The same, the state apart.
+    fn is_like(&self, other: &Self) -> bool {
+        let flags = |k: &Self| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small, k.vertex_format);
+        flags(self) == flags(other) && self.attributes == other.attributes
+    }
 }
 
 impl Scene {
@@ -40,37 +51,34 @@ impl Scene {
         let above = slot.map_or_else(Arc::default, |slot| self.state_above(slot));
         let world_from_page =
             slot.map_or(1.0, |slot| self.world_from_slot(slot).map_or(1.0, |map| map.matrix3.determinant()));
-        let mut states = Resolving::new(page, above);
+        let mut states = Resolving::new(page, above.clone());
         let mut met: Vec<(u32, DrawKind)> = Vec::new();
         for (drawable, of) in page.drawables.iter().zip(&page.drawable_refs) {
-            let (topology, indices) = match &drawable.geometry {
-                Geometry::Height(_) => (None, 0),
-                Geometry::Mesh(mesh) => (Some(mesh.topology), mesh.indices.len()),
+            let mesh = match &drawable.geometry {
+                Geometry::Height(_) => None,
+                Geometry::Mesh(mesh) => Some(mesh),
                 // Its pipelines are its own.
                 Geometry::Custom(_) => continue,
             };
-            let is_small = (3..=SMALL_MESH_INDICES as usize).contains(&indices);
             let linear = page.transforms.page_from_node(of.transform).matrix3;
-            let kind = (
-                topology,
-                matches!(drawable.material.alpha, AlphaMode::Mask(_)),
-                drawable.material.double_sided,
-                world_from_page * linear.determinant() < 0.0,
-                is_small,
-                drawable.vertex_format(),
-            );
-            let of_kind =
-                |k: &DrawKind| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small, k.vertex_format);
-            if met.iter().rev().any(|(path, known)| *path == of.state_path && of_kind(known) == kind) {
+            let kind = DrawKind {
+                // Resolved where the kind is a new one.
+                state: above.clone(),
+                topology: mesh.map(|mesh| mesh.topology),
+                is_masked: matches!(drawable.material.alpha, AlphaMode::Mask(_)),
+                double_sided: drawable.material.double_sided,
+                mirrored: world_from_page * linear.determinant() < 0.0,
+                is_small: mesh.is_some_and(|mesh| mesh.is_small()),
+                vertex_format: drawable.vertex_format(),
+                attributes: mesh.map_or_else(Arc::default, |mesh| mesh.attributes.layout().clone()),
+            };
+            if met.iter().rev().any(|(path, known)| *path == of.state_path && known.is_like(&kind)) {
                 continue;
             }
             if met.len() >= MOST_KINDS {
                 break;
             }
-            let (topology, is_masked, double_sided, mirrored, is_small, vertex_format) = kind;
-            let state = states.at(of.state_path);
-            let kind = DrawKind { state, topology, is_masked, double_sided, mirrored, is_small, vertex_format };
-            met.push((of.state_path, kind));
+            met.push((of.state_path, DrawKind { state: states.at(of.state_path), ..kind }));
         }
         met.into_iter().map(|(_, kind)| kind).collect()
     }

@@ -1,6 +1,6 @@
 //! What can go wrong when a scene is built or changed.
 
-use super::{NodeId, PageId};
+use super::{AttributeFormat, NodeId, PageId};
 
 /// Why a scene operation was refused. Nothing was changed when one is returned.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -89,4 +89,43 @@ pub enum SceneError {
     /// A transform with NaN or infinite entries.
     #[error("the transform is not finite")]
     NotFinite,
+}
+
+/// Why a mesh was refused.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MeshError {
+    /// Not one element of an attribute for each vertex.
+    #[error("attribute {name:?} of {format:?} has {bytes} bytes for {vertices} vertices of {} each", .format.size_bytes())]
+    AttributeLength {
+        /// Of the attribute.
+        name: String,
+        /// Given for its elements.
+        format: AttributeFormat,
+        /// Of the mesh.
+        vertices: usize,
+        /// Given.
+        bytes: usize,
+    },
+    /// A name that the mesh or all meshes have.
+    #[error("a mesh has an attribute {name:?} already")]
+    AttributeTwice {
+        /// Of the attribute.
+        name: String,
+    },
+    /// More than [`MOST_ATTRIBUTES`](super::MOST_ATTRIBUTES).
+    #[error("attribute {name:?} is one more than the {limit} that a mesh can have")]
+    TooManyAttributes {
+        /// Of the attribute.
+        name: String,
+        /// The limit.
+        limit: usize,
+    },
+    /// An index of no vertex.
+    #[error("index {index} of {vertices} vertices")]
+    IndexOutside {
+        /// The first such index.
+        index: u32,
+        /// Of the mesh.
+        vertices: usize,
+    },
 }

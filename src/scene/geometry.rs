@@ -8,6 +8,7 @@ use std::sync::{Arc, Weak};
 use super::draw_kinds::SMALL_MESH_INDICES;
 use super::kinds::NormalCone;
 use super::shared::SharedParts;
+use super::vertex_attributes::VertexAttributes;
 use crate::math::Aabb;
 use crate::state::{DrawHook, WrapMode};
 
@@ -38,7 +39,7 @@ impl MeshVertex {
 /// How the vertices of a mesh lie on the adapter: in as few bytes as lose nothing visible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum VertexFormat {
-    /// As a [`MeshVertex`]. Small meshes always do.
+    /// As a [`MeshVertex`]. Small meshes, and those with further attributes, always do.
     #[default]
     Full,
     /// White, with texture coordinates of 0 to 1: 20 bytes.
@@ -70,9 +71,31 @@ pub struct Mesh {
     pub topology: Topology,
     /// Box around the positions.
     pub bounds: Aabb,
+    /// What vertices have beside a [`MeshVertex`], for programs; mostly nothing.
+    pub attributes: VertexAttributes,
+}
+
+impl Default for Mesh {
+    /// Nothing at all.
+    fn default() -> Self {
+        Self {
+            vertices: Vec::new(),
+            indices: Arc::default(),
+            topology: Topology::Triangles,
+            bounds: Aabb::EMPTY,
+            attributes: VertexAttributes::default(),
+        }
+    }
 }
 
 impl Mesh {
+    /// Of so few triangles that shaders fetch the vertices of many such meshes in one call; with further attributes they
+    /// do not.
+    pub(crate) fn is_small(&self) -> bool {
+        let is_short = (3..=SMALL_MESH_INDICES as usize).contains(&self.indices.len());
+        is_short && self.topology == Topology::Triangles && self.attributes.is_empty()
+    }
+
     /// The directions in which the triangles look; `None` without triangles, or where they look apart by 90 degrees
     /// or more from their mean.
     pub fn normal_cone(&self) -> Option<NormalCone> {
@@ -265,7 +288,7 @@ impl Drawable {
     /// How the vertices of a mesh are to lie on the adapter. They are all looked at where no reader has.
     pub(crate) fn vertex_format(&self) -> VertexFormat {
         let Geometry::Mesh(mesh) = &self.geometry else { return VertexFormat::Full };
-        if mesh.indices.len() <= SMALL_MESH_INDICES as usize {
+        if mesh.indices.len() <= SMALL_MESH_INDICES as usize || !mesh.attributes.is_empty() {
             return VertexFormat::Full;
         }
         match &self.vertex_format {
@@ -294,7 +317,9 @@ impl Drawable {
         let texture_bytes =
             |t: &Option<Arc<Texture>>| -> u64 { t.iter().flat_map(|t| t.mips.iter()).map(|m| m.len() as u64).sum() };
         let shape = match &self.geometry {
-            Geometry::Mesh(m) => (m.vertices.len() * size_of::<MeshVertex>() + m.indices.len() * 4) as u64,
+            Geometry::Mesh(m) => {
+                (m.vertices.len() * size_of::<MeshVertex>() + m.indices.len() * 4) as u64 + m.attributes.size_bytes()
+            }
             Geometry::Height(t) => {
                 (t.heights.len() * 4 + t.rows.len() * 16 + t.columns.len() * 8) as u64 + texture_bytes(&t.texture)
             }

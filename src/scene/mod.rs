@@ -21,6 +21,7 @@ mod occluders;
 mod page;
 mod page_bounds;
 mod pictures;
+mod primitive_modes;
 mod shapes;
 mod shared;
 mod slots;
@@ -31,6 +32,7 @@ mod tile_bounds;
 mod tiles;
 mod transforms;
 mod variance;
+mod vertex_attributes;
 mod world;
 
 pub use callbacks::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
@@ -38,7 +40,7 @@ pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMAL
 pub use draw_kinds::DrawKind;
 pub(crate) use environment::is_over_globe;
 pub use environment::{CameraEnvironment, CameraShadows, Environment, Fog, Sky, Water};
-pub use error::SceneError;
+pub use error::{MeshError, SceneError};
 pub use flatten::MAX_DEPTH;
 pub use geometry::{
     AlphaMode, CustomGeometry, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology,
@@ -60,11 +62,13 @@ pub use node::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode,
 pub use page::{DrawSlot, Page};
 pub(crate) use pictures::ReadBack;
 pub use pictures::{Picture, PictureSink};
+pub use primitive_modes::PrimitiveMode;
 pub use shared::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use slots::{SlotInfo, SlotState};
 pub use sun_shadows::{MOST_CASCADES, ShadowError, SunShadows};
 #[cfg(feature = "text")]
 pub use text::Font;
+pub use vertex_attributes::{AttributeFormat, MOST_ATTRIBUTES, VertexAttributes};
 pub use world::TileInfo;
 
 pub use crate::state::DataVariance;
@@ -77,3 +81,4 @@ pub(crate) use page::{BLEND, CALLBACK, INACTIVE, LARGE, NONE, PLAIN, Special, UN
 pub(crate) use shared::{SharedContent, SharedParts};
 pub(crate) use tile_bounds::{TileBounds, TileEye};
 pub(crate) use tiles::{TileRecord, TileRoot, Tiles, flag};
+pub(crate) use vertex_attributes::{AttributeLayout, added_stride};

@@ -17,7 +17,7 @@ impl Mesh {
     /// Vertices and indices with the box around them.
     pub fn new(vertices: Vec<MeshVertex>, indices: Vec<u32>, topology: Topology) -> Self {
         let bounds = Aabb::from_points(vertices.iter().map(|v| DVec3::from_array(v.position.map(f64::from))));
-        Self { vertices, indices: indices.into(), topology, bounds }
+        Self { vertices, indices: indices.into(), topology, bounds, ..Self::default() }
     }
 
     /// A rectangle from a corner along two edges; it faces `right x up`, the image upright on it.

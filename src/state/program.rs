@@ -17,6 +17,16 @@ use std::sync::Arc;
 /// The members `osg_FrameNumber` (u32), `osg_FrameTime`, `osg_DeltaFrameTime`, `osg_SimulationTime` (f32, seconds),
 /// `osg_ViewMatrix` and `osg_ViewMatrixInverse` (mat4x4) are filled without being given.
 ///
+/// What the vertices of a mesh have besides ([`Mesh::with_attribute`](crate::scene::Mesh::with_attribute)) `vs_main` reads
+/// by name at any location from 4 on, in arguments or in members of a struct:
+/// ```text
+/// @vertex fn vs_main(vertex: MeshVertex, @location(4) TANGENT: vec4<f32>, @location(5) _HEAT: f32, ...)
+/// ```
+/// Their scalars are those of the attribute's format
+/// ([`AttributeFormat::scalar`](crate::scene::AttributeFormat::scalar)); of a vector with more components than the
+/// attribute those that lack are 0, 0 and 1. Meshes that have no such attribute, or one of other scalars, are drawn in
+/// magenta, and said once.
+///
 /// Of a height tile, `vs_main` is called with its displaced and morphed vertices: position and normal in the tile's
 /// frame, texture coordinates of its image, white. It may take `MeshVertex`, the vertex's index and the instance's, and
 /// `@vertex` stands right before `fn vs_main`; a program that cannot be used so is said, and height tiles are plain.

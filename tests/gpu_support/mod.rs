@@ -172,7 +172,7 @@ pub fn quad(center: [f32; 3], half: [f32; 2], color: [f32; 4]) -> Drawable {
 
 pub fn mesh(vertices: Vec<MeshVertex>, indices: Vec<u32>) -> Mesh {
     let bounds = Aabb::from_points(vertices.iter().map(|v| DVec3::from_array(v.position.map(f64::from))));
-    Mesh { vertices, indices: indices.into(), topology: Topology::Triangles, bounds }
+    Mesh { vertices, indices: indices.into(), topology: Topology::Triangles, bounds, ..Mesh::default() }
 }
 
 /// Smooth hash noise on a unit lattice, 0 to 1.

@@ -15,7 +15,8 @@ use terrane::state::StateSet;
 
 /// A drawable without vertices: cull reads only its bound.
 pub fn drawable(bounds: Aabb) -> Drawable {
-    let mesh = Mesh { vertices: Vec::new(), indices: Arc::new([]), topology: Topology::Triangles, bounds };
+    let mesh =
+        Mesh { vertices: Vec::new(), indices: Arc::new([]), topology: Topology::Triangles, bounds, ..Mesh::default() };
     Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
 }
 

@@ -17,7 +17,7 @@ use crate::draw::pipelines::Pipelines;
 use crate::draw::pipelines::key::{PipelineKey, StateKey};
 use crate::draw::uniforms::frame::{BAND_SHIFT, FLAG_UNLIT, FLAG_UNTEXTURED, INDEX_COUNT_SHIFT, LeafUniform};
 use crate::gpu::{BindClass, DrawableEntry, GraphicsContext, Shape};
-use crate::scene::{AlphaMode, SMALL_MESH_INDICES, Topology};
+use crate::scene::{AlphaMode, Topology};
 use crate::state::{ResolvedState, SortMode};
 
 /// What has to be bound for a run: leaves with one bucket differ in geometry alone.
@@ -144,11 +144,8 @@ pub(in crate::draw) struct Batch {
 #[inline]
 fn stride_code(entry: &DrawableEntry, state: &StateEntry) -> u32 {
     match &entry.shape {
-        Shape::Mesh { place, topology: Topology::Triangles, .. }
-            if state.key.can_pull
-                && place.index_count <= SMALL_MESH_INDICES
-                && place.index_count >= 3
-                && !matches!(entry.alpha, AlphaMode::Mask(_)) =>
+        Shape::Mesh { place, is_small: true, .. }
+            if state.key.can_pull && !matches!(entry.alpha, AlphaMode::Mask(_)) =>
         {
             1 + (place.index_count.div_ceil(3).next_power_of_two()).trailing_zeros()
         }
@@ -448,7 +445,7 @@ impl Batch {
             let is_mesh = !is_height && !is_custom;
             let pipeline = match () {
                 _ if stride > 0 => pipeline.pulled(),
-                _ if is_mesh => pipeline.with_vertices(ctx.pools().meshes.format_of(vertex_chunk)),
+                _ if is_mesh => pipelines.with_vertices(pipeline, &ctx.pools().meshes, vertex_chunk),
                 _ => pipeline,
             };
             let statics = state.statics;

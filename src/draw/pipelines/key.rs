@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! bits 0-1 kind   2-3 alpha   4-5 culled faces   6 depth write   7-9 depth compare   10 clockwise front faces
-//! 11-12 polygon mode   13-15 color mask   16-21 blending   22-23 air   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58-59 vertices   60 texture units   61 fading   62 receives shadows   63 casts
+//! 11-12 polygon mode   13-15 color mask   16-21 blending   22-23 air   24-27 further attributes   28-33 offset   34-39 stencil   40 fixed function   41 alpha to coverage   42-47 target   48-57 program   58-59 vertices   60 texture units   61 fading   62 receives shadows   63 casts
 //! ```
 
 use crate::scene::{Environment, Sky, Topology, VertexFormat};
@@ -37,6 +37,7 @@ const CLOCKWISE: u64 = 1 << 10;
 /// What triangles alone have: culled faces, polygon mode, offset.
 const OF_TRIANGLES: u64 = 3 << 4 | 3 << 11 | 0x3f << 28;
 const AIR_SHIFT: u32 = 22;
+const LAYOUT_SHIFT: u32 = 24;
 const FIXED: u64 = 1 << 40;
 const ALPHA_TO_COVERAGE: u64 = 1 << 41;
 const PROGRAM: u64 = 0x3ff << 48;
@@ -299,6 +300,16 @@ impl PipelineKey {
         Self(self.0 | (format as u64) << VERTICES_SHIFT)
     }
 
+    /// The same for meshes whose vertices have further attributes, full ones then: the place of their layout.
+    pub fn with_layout(self, place: u32) -> Self {
+        Self(self.0 | u64::from(place & 15) << LAYOUT_SHIFT)
+    }
+
+    /// The place of the layout of further attributes; 0 where there are none.
+    pub fn layout(self) -> u32 {
+        self.field(LAYOUT_SHIFT, 4) as u32
+    }
+
     /// `None` for those that fetch them themselves.
     pub fn vertices(self) -> Option<VertexFormat> {
         use VertexFormat::{Full, Packed, Quantized};
@@ -470,6 +481,12 @@ mod tests {
             assert_eq!((of_format.vertices(), of_format.is_pulled()), (Some(format), false));
             assert_eq!(of_format.is_white(), format != VertexFormat::Full);
         }
+        for place in [1, 15] {
+            let further = key.with_layout(place);
+            assert_eq!((further.layout(), further.vertices()), (place, Some(VertexFormat::Full)));
+            assert_eq!((further.fallback().layout(), further.offset(), further.air()), (place, 50, key.air()));
+        }
+        assert_eq!(key.layout(), 0);
         assert!(key.pulled().is_pulled() && key.pulled().vertices().is_none() && !key.pulled().is_white());
         let mirrored = PipelineKey::mesh(&state, Topology::Triangles, false, true, true);
         assert_eq!((mirrored.is_clockwise(), mirrored.culled()), (false, 0));

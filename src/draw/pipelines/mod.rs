@@ -2,6 +2,7 @@
 
 mod bare;
 pub(in crate::draw) mod convert;
+mod further;
 pub(in crate::draw) mod key;
 mod of_key;
 pub(in crate::draw) mod programs;
@@ -12,6 +13,7 @@ use std::collections::HashMap;
 
 use bare::BARE;
 pub(in crate::draw) use bare::Bare;
+use further::Layouts;
 use key::{MOST_TARGETS, PartIndices, Parts, PipelineKey, Shading, StateKey};
 use programs::Programs;
 pub use sources::DRAWABLE_PRELUDE;
@@ -51,6 +53,7 @@ pub(in crate::draw) struct Pipelines {
     /// Only looked up, never walked while anything is drawn.
     index_of: HashMap<PipelineKey, u32>,
     parts: Parts,
+    layouts: Layouts,
     targets: Vec<TargetFormats>,
     /// Of each target, in the order of [`Bare`]; of what was tried, `None` where it cannot be made.
     bare: Vec<[Option<Option<wgpu::RenderPipeline>>; BARE]>,
@@ -117,6 +120,7 @@ impl Pipelines {
             frame: 0,
             index_of: HashMap::new(),
             parts: Parts::default(),
+            layouts: Layouts::default(),
             targets: Vec::new(),
             bare: Vec::new(),
             modules: Vec::new(),

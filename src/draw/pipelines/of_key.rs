@@ -7,6 +7,7 @@ use super::programs::HEIGHT_ENTRY;
 use super::sources::*;
 use super::variant::Variant;
 use crate::gpu::{GraphicsContext, VertexFormat};
+use crate::scene::added_stride;
 use crate::state::PolygonMode;
 
 /// Attributes of vertices of each format, and of the one white that packed and quantized ones share.
@@ -25,6 +26,7 @@ impl Pipelines {
         let target = self.targets.get(key.target()).copied()?;
         let layouts = ctx.layouts();
         let (fixed_layout, textured_layout) = (self.fixed_layout.clone(), self.textured_layout.clone());
+        let further = self.further_attributes(key).map_err(|problem| self.errors.push(problem)).ok()?;
         let pull_layout = key.is_pulled().then(|| self.pull_layout.clone());
         let (is_caster, has_shadows) = (key.is_caster(), key.has_shadows());
         // Where there are no colours, only what drops parts of what it draws has a fragment shader.
@@ -129,7 +131,8 @@ impl Pipelines {
             Some(wgpu::VertexBufferLayout { array_stride, step_mode: wgpu::VertexStepMode::Vertex, attributes })
         };
         let of = |format: VertexFormat, attributes| layout(format.stride() as u64, attributes);
-        let full = [of(VertexFormat::Full, &OF_FULL)];
+        let of_full = [&OF_FULL[..], &further].concat();
+        let full = [layout((VertexFormat::Full.stride() + added_stride(self.layouts.of(key))) as u64, &of_full[..])];
         // The color is one for all.
         let packed = [of(VertexFormat::Packed, &OF_PACKED), layout(0, &OF_WHITE)];
         let quantized = [of(VertexFormat::Quantized, &OF_QUANTIZED), layout(0, &OF_WHITE)];

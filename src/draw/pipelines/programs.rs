@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Weak};
 
+use crate::draw::pipelines::further::{Input, inputs_of};
 use crate::draw::pipelines::key::MOST_PROGRAMS;
 use crate::draw::pipelines::{HEIGHT_PROGRAM_PRELUDE, PROGRAM_PRELUDE};
 use crate::gpu::watched;
@@ -40,6 +41,8 @@ pub(in crate::draw) struct Compiled {
     pub(in crate::draw) heights: Option<wgpu::ShaderModule>,
     pub(in crate::draw) layout: wgpu::BindGroupLayout,
     members: Vec<Member>,
+    /// Further attributes that it reads.
+    pub(super) inputs: Vec<Input>,
     pub(in crate::draw) uniform_bytes: usize,
     pub(in crate::draw) units: [Option<UnitLayout>; TEXTURE_UNITS],
     /// Values of overrides.
@@ -156,9 +159,12 @@ fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String>
         .iter()
         .find(|e| e.name == "fs_main" && e.stage == naga::ShaderStage::Fragment)
         .ok_or("no fragment entry point fs_main")?;
-    if !module.entry_points.iter().any(|e| e.name == "vs_main" && e.stage == naga::ShaderStage::Vertex) {
-        return Err("no vertex entry point vs_main".into());
-    }
+    let vertex = module
+        .entry_points
+        .iter()
+        .find(|e| e.name == "vs_main" && e.stage == naga::ShaderStage::Vertex)
+        .ok_or("no vertex entry point vs_main")?;
+    let inputs = inputs_of(&module, vertex);
     let mut layouter = naga::proc::Layouter::default();
     layouter.update(module.to_ctx()).map_err(|e| e.to_string())?;
     let mut members = Vec::new();
@@ -234,7 +240,7 @@ fn compile(device: &wgpu::Device, program: &Program) -> Result<Compiled, String>
     });
     // In comments they only cost a little.
     let discards = ["discard", "frag_depth"].iter().any(|word| program.wgsl.contains(word));
-    Ok(Compiled { module, heights: None, layout, members, uniform_bytes, units, constants, outputs, discards })
+    Ok(Compiled { module, heights: None, layout, members, inputs, uniform_bytes, units, constants, outputs, discards })
 }
 
 fn checked(source: &str) -> Result<naga::Module, String> {
@@ -372,7 +378,7 @@ impl UnitLayout {
     }
 }
 
-fn scalar_name(scalar: naga::Scalar) -> &'static str {
+pub(super) fn scalar_name(scalar: naga::Scalar) -> &'static str {
     match scalar.kind {
         naga::ScalarKind::Float => "f32",
         naga::ScalarKind::Sint => "i32",
@@ -381,7 +387,7 @@ fn scalar_name(scalar: naga::Scalar) -> &'static str {
     }
 }
 
-fn type_name(module: &naga::Module, ty: naga::Handle<naga::Type>) -> String {
+pub(super) fn type_name(module: &naga::Module, ty: naga::Handle<naga::Type>) -> String {
     match &module.types[ty].inner {
         naga::TypeInner::Scalar(scalar) => scalar_name(*scalar).into(),
         naga::TypeInner::Vector { size, scalar } => format!("vec{}<{}>", *size as u8, scalar_name(*scalar)),

@@ -21,7 +21,7 @@ pub(super) struct DrawnInto {
 impl Renderer {
     /// Makes the pipelines, those of fades and of shadows too, that drawables of some kinds will need where the last
     /// frame drew; before the first frame, in the context's own target. Between frames, so that no draw has to.
-    pub fn foresee(&mut self, ctx: &GraphicsContext, kinds: &[DrawKind]) {
+    pub fn foresee(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
         if self.drawn_into.is_empty()
             && let Some(target) = self.own_target(ctx)
         {
@@ -52,7 +52,7 @@ impl Renderer {
         }
     }
 
-    fn foresee_in(&mut self, ctx: &GraphicsContext, kind: &DrawKind, drawn: DrawnInto) -> Result<(), String> {
+    fn foresee_in(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, drawn: DrawnInto) -> Result<(), String> {
         let found = self.shading_of(ctx, &kind.state, drawn.has_own_light);
         let shading = *found.as_ref().unwrap_or(&Shading::Fallback);
         let whole = self.pipelines.state_key(&kind.state, shading, drawn.target);
@@ -63,7 +63,7 @@ impl Renderer {
     }
 
     /// What it casts its shadow with.
-    fn foresee_caster(&mut self, ctx: &GraphicsContext, kind: &DrawKind) -> Result<(), String> {
+    fn foresee_caster(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind) -> Result<(), String> {
         if matches!(kind.topology, Some(Topology::Lines | Topology::Points)) {
             return Ok(());
         }
@@ -73,14 +73,20 @@ impl Renderer {
         Ok(())
     }
 
-    fn foresee_key(&mut self, ctx: &GraphicsContext, kind: &DrawKind, state: &StateKey) {
+    fn foresee_key(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, state: &StateKey) {
         let key = match kind.topology {
             None => PipelineKey::height(state, kind.mirrored),
             Some(topology) => PipelineKey::mesh(state, topology, kind.is_masked, kind.double_sided, kind.mirrored),
         };
-        let is_pulled =
-            kind.is_small && state.can_pull && !kind.is_masked && kind.topology == Some(Topology::Triangles);
-        let key = if is_pulled { key.pulled() } else { key.with_vertices(kind.vertex_format) };
+        let key = if kind.is_small && state.can_pull && !kind.is_masked {
+            key.pulled()
+        } else if kind.attributes.is_empty() {
+            key.with_vertices(kind.vertex_format)
+        } else {
+            // Where there is no place for its layout it is not uploaded either.
+            let Some(place) = ctx.layout_place(&kind.attributes) else { return };
+            self.pipelines.with_layout(key, place, &kind.attributes)
+        };
         self.pipelines.ensure_for(ctx, key, &kind.state);
     }
 

@@ -283,6 +283,7 @@ impl Fill<'_> {
             // Regions are wanted as they are.
             set_from_content: DAffine3::IDENTITY,
             build_kd_trees: false,
+            vertex_attributes: Arc::default(),
             sharing: None,
         };
         let content = Content { uri: uri.clone(), bytes, reader_data: None, companions: Vec::new() };

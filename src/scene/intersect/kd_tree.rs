@@ -462,14 +462,12 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::math::Aabb;
     use crate::scene::geometry::{Mesh, MeshVertex, Topology};
 
     fn mesh(corners: &[[f32; 3]]) -> Geometry {
         let vertices: Vec<_> = corners.iter().map(|p| MeshVertex { position: *p, ..MeshVertex::default() }).collect();
-        let bounds = Aabb::from_points(corners.iter().map(|p| Vec3::from_array(*p).as_dvec3()));
         let indices = (0..corners.len() as u32 / 3 * 3).collect();
-        Geometry::Mesh(Arc::new(Mesh { vertices, indices, topology: Topology::Triangles, bounds }))
+        Geometry::Mesh(Arc::new(Mesh::new(vertices, indices, Topology::Triangles)))
     }
 
     /// Every triangle, one after the other.

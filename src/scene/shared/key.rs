@@ -9,6 +9,9 @@ use std::sync::OnceLock;
 
 use highway::{HighwayHash as _, HighwayHasher, Key};
 
+use crate::scene::geometry::MeshVertex;
+use crate::scene::vertex_attributes::VertexAttributes;
+
 /// Stands for content: equal where the content is, in this process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ContentKey([u64; 4]);
@@ -22,6 +25,18 @@ impl ContentKey {
             hasher.append(part);
         }
         Self(hasher.finalize256())
+    }
+
+    /// The key of a mesh's vertices with all that they have.
+    pub(crate) fn of_vertices(vertices: &[MeshVertex], attributes: &VertexAttributes) -> Self {
+        let vertices = bytemuck::cast_slice(vertices);
+        if attributes.is_empty() {
+            return Self::of(&[vertices]);
+        }
+        // As Debug writes it, quoted: no two layouts are written alike.
+        let layout = format!("{:?}", attributes.layout());
+        let elements = attributes.iter().map(|(_, _, elements)| elements);
+        Self::of(&[vertices, layout.as_bytes()].into_iter().chain(elements).collect::<Vec<_>>())
     }
 
     /// As bytes, to be part of another key.

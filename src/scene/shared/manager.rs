@@ -381,7 +381,7 @@ impl SharedStateManager {
         match &mut drawable.geometry {
             Geometry::Mesh(mesh) => {
                 let indices = ContentKey::of(&[bytemuck::cast_slice(&mesh.indices)]);
-                let vertices = ContentKey::of(&[bytemuck::cast_slice(&mesh.vertices)]);
+                let vertices = ContentKey::of_vertices(&mesh.vertices, &mesh.attributes);
                 (drawable.shared.geometry, drawable.shared.indices) = self.mesh(mesh, &vertices, &indices);
             }
             Geometry::Height(tile) => {
@@ -460,7 +460,8 @@ impl SharedStateManager {
         let key = ContentKey::of(&[&vertices.bytes(), &indices.bytes(), shape, bytemuck::cast_slice(&bounds)]);
         let interned = self.meshes.intern(key, mesh.clone());
         self.count(&self.counters.geometry_hits, &interned, mesh, |m| {
-            size_of_val::<[_]>(&m.vertices) as u64 + size_of_val::<[u32]>(&m.indices) as u64
+            let vertices = size_of_val::<[_]>(&m.vertices) as u64 + m.attributes.size_bytes();
+            vertices + size_of_val::<[u32]>(&m.indices) as u64
         });
         *mesh = interned.value;
         (Some(interned.content), Some(list))

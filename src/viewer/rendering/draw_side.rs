@@ -282,7 +282,7 @@ impl DrawSide {
 
     pub(super) fn execute(&mut self, command: DrawCommand) {
         let reply = match command {
-            DrawCommand::Foresee(kinds) => return self.renderer.foresee(&self.context, &kinds),
+            DrawCommand::Foresee(kinds) => return self.renderer.foresee(&mut self.context, &kinds),
             DrawCommand::Compile(operation) => return self.context.compile(operation),
             DrawCommand::CancelCompiles(tickets) => {
                 self.context.cancel_compiles(&tickets);

@@ -124,6 +124,7 @@ pub fn triangle(center: DVec3) -> Drawable {
             indices: Arc::new([0, 1, 2]),
             topology: Topology::Triangles,
             bounds,
+            ..Mesh::default()
         })),
         Material::default(),
     )

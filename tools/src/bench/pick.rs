@@ -77,7 +77,13 @@ fn ground(cells: u32, center: DVec3, half_m: f64) -> Geometry {
         })
         .collect();
     let bounds = Aabb::from_points(vertices.iter().map(|v| DVec3::from_array(v.position.map(f64::from))));
-    Geometry::Mesh(Arc::new(Mesh { vertices, indices: indices.into(), topology: Topology::Triangles, bounds }))
+    Geometry::Mesh(Arc::new(Mesh {
+        vertices,
+        indices: indices.into(),
+        topology: Topology::Triangles,
+        bounds,
+        ..Mesh::default()
+    }))
 }
 
 /// The same as heights, in steps of 1/128 m: x east, "polar" up.

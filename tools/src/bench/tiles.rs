@@ -70,7 +70,8 @@ fn quad(levels: u32, center: DVec3, half_m: f64, error_m: f64) -> Node {
 /// Content of a tile: a drawable without vertices, in whose place a context would have something.
 fn content(slot: u32) -> Result<Page, SceneError> {
     let bounds = Aabb { min: DVec3::splat(-50.0), max: DVec3::splat(50.0) };
-    let mesh = Mesh { vertices: Vec::new(), indices: [].into(), topology: Topology::Triangles, bounds };
+    let mesh =
+        Mesh { vertices: Vec::new(), indices: [].into(), topology: Topology::Triangles, bounds, ..Mesh::default() };
     let drawable = Drawable::new(Geometry::Mesh(mesh.into()), Material::default());
     let mut page = Page::from_node(Node::geode(vec![drawable]))?;
     page.take_drawables();

@@ -1,0 +1,100 @@
+//! Elements of a glTF's accessors: by slices, as the accessor says, or as they are. Decode workers.
+
+use std::sync::Arc;
+
+use gltf::accessor::{DataType, Dimensions};
+
+use crate::scene::{AttributeFormat, MeshVertex};
+
+/// A checked view of an accessor's elements.
+pub(super) struct Elements<'a> {
+    pub(super) bytes: &'a [u8],
+    pub(super) stride: usize,
+    pub(super) count: usize,
+    pub(super) components: usize,
+    pub(super) data_type: DataType,
+    pub(super) normalized: bool,
+}
+
+impl Elements<'_> {
+    pub(super) fn is_unorm16(&self) -> bool {
+        self.data_type == DataType::U16 && self.normalized
+    }
+
+    /// Component `c` of element `i`, converted as the accessor says. Both are in range by construction.
+    pub(super) fn value(&self, i: usize, c: usize) -> f32 {
+        let at = i * self.stride + c * self.data_type.size();
+        let b = |n: usize| self.bytes.get(at + n).copied().unwrap_or(0);
+        let (raw, max) = match self.data_type {
+            DataType::F32 => return f32::from_le_bytes([b(0), b(1), b(2), b(3)]),
+            DataType::I8 => (f32::from(b(0) as i8), 127.0),
+            DataType::U8 => (f32::from(b(0)), 255.0),
+            DataType::I16 => (f32::from(i16::from_le_bytes([b(0), b(1)])), 32767.0),
+            DataType::U16 => (f32::from(u16::from_le_bytes([b(0), b(1)])), 65535.0),
+            DataType::U32 => (u32::from_le_bytes([b(0), b(1), b(2), b(3)]) as f32, 4_294_967_295.0),
+        };
+        if self.normalized { (raw / max).max(-1.0) } else { raw }
+    }
+
+    /// The elements as they are, one behind the other, each with zeros up to so many bytes.
+    pub(super) fn padded(&self, size: usize) -> Arc<[u8]> {
+        let own = self.components * self.data_type.size();
+        let mut all = vec![0; self.count * size];
+        for (place, bytes) in all.chunks_exact_mut(size.max(1)).zip(self.bytes.chunks(self.stride.max(1))) {
+            let own = own.min(size).min(bytes.len());
+            place[..own].copy_from_slice(&bytes[..own]);
+        }
+        all.into()
+    }
+
+    /// Gives each vertex its element of `N` components; as many as there are of both.
+    pub(super) fn read_into<const N: usize>(
+        &self,
+        vertices: &mut [MeshVertex],
+        mut set: impl FnMut(&mut MeshVertex, [f32; N]),
+    ) {
+        let elements = vertices.iter_mut().zip(self.bytes.chunks(self.stride.max(1)));
+        match self.data_type {
+            // A loop for each of what most are.
+            DataType::F32 => elements.for_each(|(vertex, bytes)| {
+                let parts = bytes.as_chunks().0.first_chunk::<N>().copied();
+                set(vertex, parts.unwrap_or([[0; 4]; N]).map(f32::from_le_bytes));
+            }),
+            DataType::U16 => {
+                let max = if self.normalized { 65535.0 } else { 1.0 };
+                elements.for_each(|(vertex, bytes)| {
+                    let parts = bytes.as_chunks().0.first_chunk::<N>().copied();
+                    set(vertex, parts.unwrap_or([[0; 2]; N]).map(|part| f32::from(u16::from_le_bytes(part)) / max));
+                });
+            }
+            _ => {
+                for (i, (vertex, _)) in elements.enumerate() {
+                    set(vertex, std::array::from_fn(|k| self.value(i, k)));
+                }
+            }
+        }
+    }
+}
+
+/// How elements lie in a vertex, three of 8 or 16 bits in the place of four; `None` for matrices.
+pub(super) fn attribute_format(of: DataType, normalized: bool, dimensions: Dimensions) -> Option<AttributeFormat> {
+    use AttributeFormat::*;
+    if matches!(dimensions, Dimensions::Mat2 | Dimensions::Mat3 | Dimensions::Mat4) {
+        return None;
+    }
+    let components = dimensions.multiplicity();
+    let short = |two, four| if components <= 2 { two } else { four };
+    let long = |of: [AttributeFormat; 4]| of.get(components - 1).copied();
+    match (of, normalized) {
+        (DataType::U8, false) => Some(Uint8x4),
+        (DataType::I8, false) => Some(Sint8x4),
+        (DataType::U8, true) => Some(Unorm8x4),
+        (DataType::I8, true) => Some(Snorm8x4),
+        (DataType::U16, false) => Some(short(Uint16x2, Uint16x4)),
+        (DataType::I16, false) => Some(short(Sint16x2, Sint16x4)),
+        (DataType::U16, true) => Some(short(Unorm16x2, Unorm16x4)),
+        (DataType::I16, true) => Some(short(Snorm16x2, Snorm16x4)),
+        (DataType::U32, _) => long([Uint32, Uint32x2, Uint32x3, Uint32x4]),
+        (DataType::F32, _) => long([Float32, Float32x2, Float32x3, Float32x4]),
+    }
+}
