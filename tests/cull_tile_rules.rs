@@ -169,6 +169,41 @@ fn a_tile_is_for_eyes_in_its_request_volume() {
     assert_eq!(settle(&mut scene, &at(101.0)).counters.tiles_drawn, 0, "nor drawn when it is there");
 }
 
+/// Where one child is only for eyes near it, from farther away there would be a hole in its place; whatever was seen before.
+#[test]
+fn a_tile_is_not_replaced_from_outside_of_a_childs_volume() {
+    let scene_of = |refine| {
+        let mut parent = flat_tile(DVec3::ZERO, 100.0, 1e3);
+        let mut near = flat_tile(DVec3::new(50.0, 0.0, 0.0), 50.0, 0.0);
+        if let NodeKind::PagedLod(lod) = &mut near.kind {
+            lod.request_volume = Some(BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 500.0)));
+        }
+        if let NodeKind::PagedLod(lod) = &mut parent.kind {
+            lod.refine = refine;
+        }
+        parent.children = vec![flat_tile(DVec3::new(-50.0, 0.0, 0.0), 50.0, 0.0), near];
+        let mut scene = Scene::new();
+        scene.add_root(page(parent, 0));
+        scene
+    };
+    let at = |height_m: f64| look_at(DVec3::new(0.0, -10.0, height_m), DVec3::ZERO, DVec3::Z);
+    for (refine, inside, outside) in [(Refine::Replace, 2, 1), (Refine::Add, 3, 2)] {
+        let (mut flown, mut new) = (scene_of(refine), scene_of(refine));
+        assert_eq!(settle(&mut flown, &at(600.0)).counters.tiles_drawn, outside, "{refine:?}");
+        assert_eq!(settle(&mut flown, &at(400.0)).counters.tiles_drawn, inside, "{refine:?}");
+        let fading = |height_m| {
+            let mut camera = at(height_m);
+            camera.settings.lod_fade_s = 0.1;
+            camera
+        };
+        for camera in [at(600.0), fading(600.0)] {
+            let [flown, new] = [&mut flown, &mut new].map(|scene| settle(scene, &camera));
+            assert_eq!((flown.counters.tiles_drawn, flown.requests.len()), (outside, 0), "{refine:?}");
+            assert_eq!(flown.eye_from_drawable, new.eye_from_drawable, "{refine:?}");
+        }
+    }
+}
+
 /// Three levels of tiles, each named by its place depth-first; state sets make some of them grey.
 fn numbered_tiles(level: u32, center: DVec3, next: &mut u32, greys: &BTreeMap<u32, f32>) -> Node {
     let number = *next;
@@ -222,7 +257,8 @@ fn what_belongs_to_a_tile_stays_with_it() {
     }
     let camera = look_at(DVec3::new(0.0, -10.0, 700.0), DVec3::ZERO, DVec3::Z);
     let stage = settle(&mut scene, &camera);
-    // Tile 9 is not for this eye, and 16 is too far from its own centre to give way to its children.
+    // Tile 9 is not for this eye, so that 6 stays in its place and its siblings'; 16 is too far from its own centre to give
+    // way to its children.
     let drawn: BTreeMap<u32, f32> =
         stage.bins.iter().flat_map(|bin| &bin.leaves).fold(BTreeMap::new(), |mut all, leaf| {
             all.insert(leaf.slot.0, stage.state_sets[leaf.state as usize].color[0]);
@@ -230,7 +266,7 @@ fn what_belongs_to_a_tile_stays_with_it() {
         });
     let expected = (0..42).filter_map(|i| {
         let number = i % 21;
-        let is_drawn = number == 16 || (number % 5 != 1 && number < 16 && number != 0 && number != 9);
+        let is_drawn = matches!(number, 2..=6 | 12..=16);
         let grey = match number {
             _ if i < 21 => 1.0,
             3 => 0.5,

@@ -151,7 +151,8 @@ pub struct PagedLod {
     /// Opaque to the scene; handed back to the reader with the content's URI (height tile parameters and the like).
     pub reader_data: Option<Arc<str>>,
     /// Where the eye must be for the tile and what is below it to be drawn or asked for (3D Tiles'
-    /// `viewerRequestVolume`), in the frame of `bounds`; `None` is anywhere.
+    /// `viewerRequestVolume`), in the frame of `bounds`; `None` is anywhere. From outside of it the content that the tile
+    /// and its siblings would replace stays.
     pub request_volume: Option<BoundingVolume>,
     /// How the pager treats the content.
     pub paging: PagingOptions,

@@ -37,6 +37,8 @@ pub(crate) mod flag {
     pub const FAILED_BELOW: u16 = 2048;
     /// There is content below it, as far as the page tells.
     pub const CONTENT_BELOW: u16 = 4096;
+    /// Some of the children that replace its content are only for eyes inside volumes.
+    pub const VOLUMES_BELOW: u16 = 8192;
 }
 
 /// What the tile walk reads of every tile it meets, 16 bytes.
@@ -371,6 +373,12 @@ impl Tiles {
                     parent => self.records[parent as usize].flags |= flag::CONTENT_BELOW,
                 }
             }
+            if record.has(flag::REQUEST_VOLUME)
+                && let Some(parent) = self.records.get_mut(self.parents[i] as usize)
+                && parent.flags & (flag::CONTENT | flag::ADD) == flag::CONTENT
+            {
+                parent.flags |= flag::VOLUMES_BELOW;
+            }
             if !self.is_ready_without_page(i) {
                 match self.parents[i] {
                     NONE => self.not_ready_roots += 1,
@@ -415,6 +423,18 @@ impl Tiles {
     /// True when a tile has no request volume, or the eye is in it.
     pub fn may_be_requested(&self, tile: u32, eye: DVec3) -> bool {
         found(self.rare(|rare| &rare.request_volumes), tile).is_none_or(|volume| volume.contains(eye))
+    }
+
+    /// True when children may replace their tile's content: the eye is in the volumes of all of them. From outside of one
+    /// there would be a hole.
+    #[inline(always)]
+    pub fn may_be_replaced(&self, record: &TileRecord, eye: DVec3) -> bool {
+        !record.has(flag::VOLUMES_BELOW) || self.may_all_be_requested(record.first_child..record.end_of_children(), eye)
+    }
+
+    #[cold]
+    fn may_all_be_requested(&self, mut tiles: std::ops::Range<u32>, eye: DVec3) -> bool {
+        tiles.all(|tile| self.may_be_requested(tile, eye))
     }
 
     /// Squared distance at which a tile wants its children, and squared distance now; metres of the tile frame.

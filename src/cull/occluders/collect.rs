@@ -241,7 +241,7 @@ impl Collector<'_> {
         if !record.has(flag::CONTENT) {
             return to_range.1 < to_range.0;
         }
-        let is_refined = shows_children(record, to_range);
+        let is_refined = tiles.may_be_replaced(record, eye) && shows_children(record, to_range);
         let part = match below {
             true => TilePart::Below,
             false if record.has(flag::ADD) => TilePart::Added,

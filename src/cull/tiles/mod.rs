@@ -74,7 +74,7 @@ const PLAIN: u16 = flag::CONTENT;
 /// What else tiles may be.
 const KINDS: u16 = flag::CONTENT | flag::PROXY | flag::EXTERNAL | flag::ADD;
 /// What tiles may be, or have, that are met one by one.
-const ODD: u16 = KINDS | flag::OWN_PATH;
+const ODD: u16 = KINDS | flag::OWN_PATH | flag::VOLUMES_BELOW;
 
 impl Cull<'_> {
     /// Walks one tile tree of a page.
@@ -267,7 +267,7 @@ impl Cull<'_> {
     ) -> bool {
         let record = &walk.tiles.records[tile as usize];
         let resident = record.has(flag::RESIDENT);
-        if purpose == Purpose::Keep || !record.has_children() {
+        if purpose == Purpose::Keep || !record.has_children() || !walk.may_be_replaced(record) {
             if !resident {
                 self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
             }
@@ -300,8 +300,9 @@ impl Cull<'_> {
         let replaces = !record.has(flag::ADD);
         let ready = record.not_ready_children == 0;
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
-        let wants = record.has_children() && distance2 < range2;
-        let is_refined = shows_children(record, (range2, distance2));
+        let may_be_replaced = walk.may_be_replaced(record);
+        let wants = record.has_children() && distance2 < range2 && may_be_replaced;
+        let is_refined = may_be_replaced && shows_children(record, (range2, distance2));
         let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
         let (mut own, mut children) = (fade.band(), fade.band());
         if let Some(mark) = marks.get_mut(tile as usize)
@@ -499,6 +500,12 @@ impl Walk<'_> {
     #[inline]
     fn state_path(&self, tile: u32, record: &TileRecord) -> u32 {
         if record.has(flag::OWN_PATH) { self.tiles.state_path(tile, self.root) } else { self.root.state_path }
+    }
+
+    /// True of whatever has no content that children replace, too.
+    #[inline(always)]
+    fn may_be_replaced(&self, record: &TileRecord) -> bool {
+        self.tiles.may_be_replaced(record, self.view.eye.position)
     }
 
     #[inline]

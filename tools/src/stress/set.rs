@@ -94,8 +94,8 @@ fn nest_below(tile: &mut Value, level: u32, folder: &Path, asset: &Value, writte
     Ok(())
 }
 
-/// Writes the set in a folder once more as `volumes.json`, its lower levels wanted only from near. They are added to what
-/// is above them: what would replace it leaves a hole for eyes outside of the volumes.
+/// Writes the set in a folder once more as `volumes.json`, its lower levels wanted only from near, and the lowest of them
+/// added to what is above.
 fn bound(folder: &Path) -> Result<()> {
     let mut whole: Value = serde_json::from_slice(&std::fs::read(folder.join("tileset.json"))?)?;
     bound_below(&mut whole["root"], 0)?;
@@ -104,7 +104,7 @@ fn bound(folder: &Path) -> Result<()> {
 }
 
 fn bound_below(tile: &mut Value, level: u32) -> Result<()> {
-    tile["refine"] = if level + 1 >= VOLUMES_FROM_LEVEL { "ADD" } else { "REPLACE" }.into();
+    tile["refine"] = if level > VOLUMES_FROM_LEVEL { "ADD" } else { "REPLACE" }.into();
     if level >= VOLUMES_FROM_LEVEL {
         let of = tile["boundingVolume"]["region"].as_array().context("a region")?;
         let [west, south, east, north, low, high] = numbers(of).context("a region of six numbers")?;
