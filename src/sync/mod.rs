@@ -7,8 +7,8 @@
 //! this module are held at once.
 //!
 //! `tests/sync_models.rs` compiles these very files against shuttle's mutexes and runs them under thousands of
-//! schedules; this is why they take theirs from `primitives`. So do the pagers' request lists and the compile thread
-//! (`tests/pager_models.rs`, `tests/compile_models.rs`).
+//! schedules; this is why they take theirs from `primitives`. So do the pagers' request lists, the compile thread and
+//! the viewer's rendering stage (`tests/pager_models.rs`, `tests/compile_models.rs`, `tests/stage_models.rs`).
 
 mod barrier;
 mod block;

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::PoisonError;
 use std::time::Duration;
 
-pub use crossbeam_channel::{RecvError, RecvTimeoutError, SendError, TryRecvError};
+pub use crossbeam_channel::{RecvError, RecvTimeoutError, SendError, TryRecvError, TrySendError};
 use shuttle::sync::{Arc, Condvar, Mutex, MutexGuard};
 
 struct State<T> {
@@ -26,6 +26,14 @@ impl<T> Shared<T> {
 
     fn wait<'a>(&self, state: MutexGuard<'a, State<T>>) -> MutexGuard<'a, State<T>> {
         self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn push(&self, mut state: MutexGuard<'_, State<T>>, value: T) {
+        state.queue.push_back(value);
+        self.changed.notify_all();
+        drop(state);
+        // Who takes it may be far before the sender goes on.
+        drop(self.lock());
     }
 }
 
@@ -53,8 +61,19 @@ impl<T> Sender<T> {
         if state.receivers == 0 {
             return Err(SendError(value));
         }
-        state.queue.push_back(value);
-        self.0.changed.notify_all();
+        self.0.push(state, value);
+        Ok(())
+    }
+
+    pub fn try_send(&self, value: T) -> Result<(), TrySendError<T>> {
+        let state = self.0.lock();
+        if state.receivers == 0 {
+            return Err(TrySendError::Disconnected(value));
+        }
+        if state.queue.len() >= self.0.capacity {
+            return Err(TrySendError::Full(value));
+        }
+        self.0.push(state, value);
         Ok(())
     }
 
@@ -100,6 +119,11 @@ impl<T> Receiver<T> {
             TryRecvError::Empty => RecvTimeoutError::Timeout,
             TryRecvError::Disconnected => RecvTimeoutError::Disconnected,
         })
+    }
+
+    /// What waits to be taken.
+    pub fn len(&self) -> usize {
+        self.0.lock().queue.len()
     }
 
     pub fn try_iter(&self) -> impl Iterator<Item = T> + '_ {

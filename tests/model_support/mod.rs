@@ -4,12 +4,13 @@
 #![allow(dead_code, unused_imports, unreachable_pub, reason = "each test program uses a part of it")]
 
 pub mod channel;
+pub mod thread;
 
 /// What `terrane::sync::primitives` names.
 pub mod primitives {
     pub use super::channel;
+    pub use super::thread::{Builder, JoinHandle};
     pub use shuttle::sync::{Arc, Condvar, Mutex, MutexGuard};
-    pub use shuttle::thread::{Builder, JoinHandle};
 }
 
 /// Schedules tried of each model; half of them with few, well placed switches.
@@ -19,4 +20,10 @@ const SCHEDULES: usize = 1500;
 pub fn check(model: impl Fn() + Send + Sync + Clone + 'static) {
     shuttle::check_random(model.clone(), SCHEDULES);
     shuttle::check_pct(model, SCHEDULES, 3);
+}
+
+/// As [`check`], of threads that may go round and round until another tells them to end: in schedules that let all have
+/// their turns.
+pub fn check_fairly(model: impl Fn() + Send + Sync + 'static) {
+    shuttle::check_random(model, 2 * SCHEDULES);
 }

@@ -7,7 +7,6 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use crossbeam_channel::{Receiver, Sender, TryRecvError};
 use glam::DMat4;
 
 use super::millis;
@@ -16,6 +15,7 @@ use crate::draw::{BinCallback, CameraCallbacks, Environment};
 use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, DataVariance, DrawHook, Scene};
 use crate::state::StateSet;
 use crate::sync::BlockCount;
+use crate::sync::primitives::channel::{Receiver, Sender, TryRecvError};
 use crate::timeline;
 use crate::viewer::Camera;
 

@@ -4,13 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use image::RgbaImage;
 
 use super::draw_side::{DrawCommand, DrawSide, DrawSideEnds, FrameDone, FrameJob, Reply};
 use crate::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, GraphicsContext, SurfaceAnswer};
 use crate::pager::{CompileContext, ImageChange};
 use crate::scene::{DrawKind, DrawSlot, Drawable, Mesh};
+use crate::sync::primitives::channel::{self, Receiver, RecvTimeoutError, Sender};
 use crate::sync::{Operation, OperationThread};
 use crate::viewer::ViewerError;
 
@@ -85,9 +85,9 @@ impl DeviceHandle {
     pub(super) fn new(id: u32, context: GraphicsContext, blocking: bool, frame: u32) -> Self {
         let contexts = vec![ContextOnDevice { id, size_px: context.size_px(), done_frame: frame }];
         let adapter_name = context.adapter_name();
-        let (commands, to_do) = crossbeam_channel::bounded(COMMAND_QUEUE);
-        let (compiled_sender, compiled) = crossbeam_channel::unbounded();
-        let (reply_sender, replies) = crossbeam_channel::unbounded();
+        let (commands, to_do) = channel::bounded(COMMAND_QUEUE);
+        let (compiled_sender, compiled) = channel::unbounded();
+        let (reply_sender, replies) = channel::unbounded();
         let running_compiles = Arc::new(AtomicBool::new(false));
         let stopping = Arc::new(AtomicBool::new(false));
         let ends = DrawSideEnds {

@@ -9,7 +9,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender};
 use image::RgbaImage;
 
 use super::cull_side::{CullSide, Culled};
@@ -20,6 +19,7 @@ use crate::gpu::{CompileBudget, CompileOperation, Compiled, GpuError, GraphicsCo
 use crate::pager::ImageChange;
 use crate::scene::{DrawKind, DrawSlot, Mesh};
 use crate::sync::BlockCount;
+use crate::sync::primitives::channel::{Receiver, Sender};
 use crate::timeline;
 
 /// One frame's work in one context.

@@ -13,6 +13,7 @@
 //! end of dynamic draws      DrawThreadPerContext and CullThreadPerCamera...
 //! ```
 //! Whichever thread culls has dropped the scene by then, so that between two frames it is the main thread's alone.
+//! `tests/stage_models.rs` runs these very files under thousands of schedules.
 
 mod cull_side;
 mod device;
@@ -23,8 +24,6 @@ mod threads;
 
 use std::sync::Arc;
 use std::time::Duration;
-
-use crossbeam_channel::{Receiver, Sender};
 
 use self::device::{DeviceHandle, DeviceOfScene};
 pub(super) use cull_side::{CullOutcome, CullTask, Lens, Sight};
@@ -39,6 +38,7 @@ use crate::cull::{CullVisitor, RenderStage};
 use crate::gpu::{Compiled, ContextTraits, GpuError, GraphicsContext};
 use crate::pager::CompileContext;
 use crate::scene::{DrawSlot, Drawable};
+use crate::sync::primitives::channel::{self, Receiver, Sender};
 use crate::sync::{Barrier, BlockCount, OperationThread};
 use crate::timeline;
 
@@ -307,10 +307,10 @@ impl Rendering {
         let device = self.device_of(context)?;
         let device_id = device.number();
         let drawn = device.here()?.drawn_mut(context)?;
-        let (tasks, tasks_in) = crossbeam_channel::bounded(1);
-        let (outcomes_out, outcomes) = crossbeam_channel::bounded(1);
-        let (culled_out, culled) = crossbeam_channel::bounded(SCENE_VIEWS);
-        let (available, available_in) = crossbeam_channel::bounded(SCENE_VIEWS);
+        let (tasks, tasks_in) = channel::bounded(1);
+        let (outcomes_out, outcomes) = channel::bounded(1);
+        let (culled_out, culled) = channel::bounded(SCENE_VIEWS);
+        let (available, available_in) = channel::bounded(SCENE_VIEWS);
         for _ in 0..SCENE_VIEWS {
             // There is room for as many.
             let _ = available.try_send(RenderStage::new());

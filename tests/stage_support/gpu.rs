@@ -1,0 +1,121 @@
+//! A device to which nothing is uploaded.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+pub use terrane::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, SurfaceAnswer};
+use terrane::scene::{DrawSlot, Mesh};
+
+use super::Seen;
+
+pub struct Device;
+
+/// What is only passed on.
+pub struct Handle;
+
+impl Device {
+    pub fn poll(&self, _how: wgpu::PollType) -> bool {
+        true
+    }
+}
+
+pub struct GraphicsContext {
+    pub seen: Arc<Seen>,
+    /// Drawn last.
+    pub frame: u32,
+    pub faces: usize,
+}
+
+impl GraphicsContext {
+    pub fn new(seen: &Arc<Seen>) -> Self {
+        Self { seen: seen.clone(), frame: 0, faces: 1 }
+    }
+
+    /// Contexts show a frame together: each has drawn it.
+    pub fn present(&mut self) {
+        let is_torn = self.seen.drawn_in(self.frame) < self.seen.cameras;
+        assert!(!is_torn || self.seen.is_ending.load(Ordering::SeqCst), "shown before others have drawn");
+    }
+
+    pub fn face_count(&self) -> usize {
+        self.faces
+    }
+
+    pub fn select_face(&mut self, place: usize) {
+        assert!(place < self.faces);
+    }
+
+    pub fn remove_face(&mut self, _place: usize) {
+        self.faces -= 1;
+    }
+
+    pub fn size_px(&self) -> [u32; 2] {
+        [1, 1]
+    }
+
+    pub fn adapter_name(&self) -> String {
+        "none".to_owned()
+    }
+
+    pub fn compile(&mut self, _operation: CompileOperation) {}
+
+    pub fn cancel_compiles(&mut self, _tickets: &[u64]) {}
+
+    pub fn run_compiles(&mut self, _budget: &CompileBudget) {}
+
+    pub fn pending_compiles(&self) -> usize {
+        0
+    }
+
+    pub fn take_compiled(&mut self) -> Vec<Compiled> {
+        Vec::new()
+    }
+
+    pub fn rewrite(&mut self, _slot: DrawSlot, _mesh: &Mesh) -> Result<(), GpuError> {
+        Ok(())
+    }
+
+    pub fn release(&mut self, _slots: &[DrawSlot]) {}
+
+    pub fn resize(&mut self, _size_px: [u32; 2]) -> Result<(), GpuError> {
+        Ok(())
+    }
+
+    pub fn set_vsync(&mut self, _vsync: bool) {}
+
+    pub fn lose_device(&mut self) {}
+
+    pub fn pretend_surface(&mut self, _answers: &[SurfaceAnswer]) {}
+
+    pub fn is_lost(&self) -> bool {
+        false
+    }
+
+    pub fn reopen(&mut self) -> Result<(), GpuError> {
+        Ok(())
+    }
+
+    pub fn bytes_in_use(&self) -> u64 {
+        0
+    }
+
+    pub fn bytes_peak(&self) -> u64 {
+        0
+    }
+
+    pub fn device(&self) -> &Device {
+        &Device
+    }
+
+    pub fn queue(&self) -> Handle {
+        Handle
+    }
+
+    pub fn color_view(&self) -> Handle {
+        Handle
+    }
+
+    pub fn color_format(&self) -> Handle {
+        Handle
+    }
+}

@@ -1,0 +1,102 @@
+//! What stands in the place of the scene, of cull, of the renderer and of the device under the library's own hand-over of
+//! stages. Each looks whether it has what it should have just then.
+
+pub mod cull;
+pub mod draw;
+pub mod gpu;
+pub mod pager;
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What draw reads of what update changes in place.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Reads {
+    Nothing,
+    /// In all stages of a frame.
+    InTheFrame,
+    /// In callbacks of the stage.
+    InCallbacks,
+}
+
+/// A thread that panics.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Panics {
+    Never,
+    /// While it culls a camera in a frame.
+    InCull {
+        camera: u32,
+        frame: u32,
+    },
+    /// While it draws a camera in a frame.
+    InDraw {
+        camera: u32,
+        frame: u32,
+    },
+}
+
+/// What all threads of a viewer are seen to do.
+pub struct Seen {
+    pub reads: Reads,
+    pub panics: Panics,
+    /// Cameras of all contexts.
+    pub cameras: usize,
+    /// What update changes in place: its frame.
+    pub changed: AtomicU32,
+    /// Cameras and frames, in the order drawn.
+    drawn: Mutex<Vec<(u32, u32)>>,
+    /// Cameras and frames that are being drawn.
+    drawing: Mutex<Vec<(u32, u32)>>,
+    /// In some schedule a camera was culled while an earlier frame of it was drawn.
+    pub overlapped: Arc<AtomicBool>,
+    /// Threads end, and let others go on: these neither wait for what is drawn no more nor show their frame together.
+    pub is_ending: AtomicBool,
+}
+
+impl Seen {
+    pub fn new(reads: Reads, panics: Panics, cameras: usize, overlapped: &Arc<AtomicBool>) -> Self {
+        Self {
+            reads,
+            panics,
+            cameras,
+            changed: AtomicU32::new(0),
+            drawn: Mutex::default(),
+            drawing: Mutex::default(),
+            overlapped: overlapped.clone(),
+            is_ending: AtomicBool::new(panics != Panics::Never),
+        }
+    }
+
+    /// Frames of a camera in the order drawn.
+    pub fn drawn(&self, camera: u32) -> Vec<u32> {
+        let drawn = self.drawn.lock().unwrap_or_else(PoisonError::into_inner);
+        drawn.iter().filter(|(of, _)| *of == camera).map(|(_, frame)| *frame).collect()
+    }
+
+    /// Cameras that were drawn in a frame.
+    fn drawn_in(&self, frame: u32) -> usize {
+        self.drawn.lock().unwrap_or_else(PoisonError::into_inner).iter().filter(|(_, f)| *f == frame).count()
+    }
+
+    fn draws(&self, camera: u32, frame: u32) {
+        self.drawing.lock().unwrap_or_else(PoisonError::into_inner).push((camera, frame));
+    }
+
+    fn has_drawn(&self, camera: u32, frame: u32) {
+        self.drawing.lock().unwrap_or_else(PoisonError::into_inner).retain(|drawn| *drawn != (camera, frame));
+        self.drawn.lock().unwrap_or_else(PoisonError::into_inner).push((camera, frame));
+    }
+
+    fn culls(&self, camera: u32, frame: u32) {
+        let drawing = self.drawing.lock().unwrap_or_else(PoisonError::into_inner);
+        if drawing.iter().any(|(of, earlier)| *of == camera && *earlier < frame) {
+            self.overlapped.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Changed by update, which is alone with it then.
+pub struct Scene {
+    pub frame: u32,
+    pub seen: Arc<Seen>,
+}

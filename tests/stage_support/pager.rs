@@ -1,0 +1,12 @@
+//! Of the pagers, what goes through the draw thread's commands.
+
+use std::sync::Arc;
+
+pub use terrane::pager::CompileContext;
+use terrane::scene::Texture;
+use terrane::state::TextureObject;
+
+pub struct ImageChange {
+    pub texture: Arc<TextureObject>,
+    pub image: Arc<Texture>,
+}
