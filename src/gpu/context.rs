@@ -67,6 +67,8 @@ impl Default for ContextTraits {
 /// Contexts of a viewer that share a device are targets of one of these, drawn one after the other by its thread: what
 /// is uploaded is there for all of them.
 pub struct GraphicsContext {
+    /// Dropped first: its thread ends then, and begins no commands where the queue is gone.
+    compiles: CompileQueue,
     pub(super) instance: wgpu::Instance,
     pub(super) adapter: wgpu::Adapter,
     pub(super) device: wgpu::Device,
@@ -78,7 +80,6 @@ pub struct GraphicsContext {
     pub(super) face: usize,
     pools: Pools,
     drawables: DrawableTable,
-    compiles: CompileQueue,
     /// Released, and not yet retired.
     retiring: VecDeque<DrawSlot>,
     /// How many more this frame retires.

@@ -237,11 +237,13 @@ impl Collector<'_> {
             return true;
         }
         let bounds = &tiles.bounds[tile as usize];
-        let to_range = tiles.range_and_distance(tile, record, bounds, &tiles.grid.eye(eye), &self.view.ranges);
+        let (range2, distance2) =
+            tiles.range_and_distance(tile, record, bounds, &tiles.grid.eye(eye), &self.view.ranges);
+        let is_near = distance2 < range2 && tiles.may_be_replaced(record, eye);
         if !record.has(flag::CONTENT) {
-            return to_range.1 < to_range.0;
+            return is_near;
         }
-        let is_refined = tiles.may_be_replaced(record, eye) && shows_children(record, to_range);
+        let is_refined = shows_children(record, is_near);
         let part = match below {
             true => TilePart::Below,
             false if record.has(flag::ADD) => TilePart::Added,

@@ -167,7 +167,10 @@ impl Cull<'_> {
             if walk.is_hidden(tile) {
                 seen = Some(kept?);
             }
-            if record.has(flag::REQUEST_VOLUME) && !walk.tiles.may_be_requested(tile, walk.view.eye.position) {
+            // What stands for its parent's content, which is not there or fades in, goes on to.
+            let stands_in = above.required && above.purpose == Purpose::Draw;
+            let has_volume = record.has(flag::REQUEST_VOLUME) && !stands_in;
+            if has_volume && !walk.tiles.may_be_requested(tile, walk.view.eye.position) {
                 return None;
             }
         }
@@ -267,7 +270,7 @@ impl Cull<'_> {
     ) -> bool {
         let record = &walk.tiles.records[tile as usize];
         let resident = record.has(flag::RESIDENT);
-        if purpose == Purpose::Keep || !record.has_children() || !walk.may_be_replaced(record) {
+        if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
                 self.request_missing(walk, tile, purpose, above.shown_px2, above.fade);
             }
@@ -275,7 +278,7 @@ impl Cull<'_> {
             return draws && self.fade_tile(walk, tile, mask, above, marks);
         }
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
-        let wants = distance2 < range2;
+        let wants = distance2 < range2 && walk.may_be_replaced(record);
         let is_refined = purpose == Purpose::Draw && record.not_ready_children == 0 && (wants || !resident);
         let mut above_px2 = above.shown_px2;
         let is_skipped = wants && !resident && walk.skips(record, (range2, distance2), above_px2);
@@ -300,9 +303,9 @@ impl Cull<'_> {
         let replaces = !record.has(flag::ADD);
         let ready = record.not_ready_children == 0;
         let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
-        let may_be_replaced = walk.may_be_replaced(record);
-        let wants = record.has_children() && distance2 < range2 && may_be_replaced;
-        let is_refined = may_be_replaced && shows_children(record, (range2, distance2));
+        let is_near = distance2 < range2 && walk.may_be_replaced(record);
+        let wants = record.has_children() && is_near;
+        let is_refined = shows_children(record, is_near);
         let (mut shows_own, mut shows_children) = (!replaces || !is_refined, is_refined);
         let (mut own, mut children) = (fade.band(), fade.band());
         if let Some(mark) = marks.get_mut(tile as usize)
@@ -465,13 +468,12 @@ impl TileView {
     }
 }
 
-/// Whether a tile with content that is met to be drawn shows its children: in its own place also where its content is
-/// not there.
-pub(super) fn shows_children(record: &TileRecord, (range2, distance2): (f32, f32)) -> bool {
-    let wants = distance2 < range2;
+/// Whether a tile with content that is met to be drawn shows its children, where it `is_near` enough for them: in its own
+/// place also where its content is not there.
+pub(super) fn shows_children(record: &TileRecord, is_near: bool) -> bool {
     let replaces = !record.has(flag::ADD);
     let may = !replaces || record.not_ready_children == 0;
-    record.has_children() && may && (wants || (replaces && !record.has(flag::RESIDENT)))
+    record.has_children() && may && (is_near || (replaces && !record.has(flag::RESIDENT)))
 }
 
 /// True for a tile that is what it is to be.

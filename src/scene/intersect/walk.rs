@@ -456,7 +456,7 @@ impl<P: Probe> Walk<'_, P> {
             let may_be_replaced = eye.is_none_or(|eye| tiles.may_be_replaced(record, eye.position));
             let wants =
                 record.has_children() && may_be_replaced && self.wants_children(tiles, tile, eye.as_ref(), base_depth);
-            let ready = record.not_ready_children == 0 && may_be_replaced;
+            let ready = record.not_ready_children == 0;
             let (draws, descends) = if record.has(flag::PROXY | flag::EXTERNAL) {
                 (resident, true)
             } else if !record.has(flag::CONTENT) {
