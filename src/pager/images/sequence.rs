@@ -68,6 +68,8 @@ struct Control {
     position_s: f64,
     /// Simulation time at which `position_s` held; set by update.
     since_s: Option<f64>,
+    /// Simulation time between the last two updates.
+    frame_s: f64,
 }
 
 #[derive(Debug)]
@@ -117,6 +119,7 @@ impl ImageSequence {
             status: StreamStatus::Invalid,
             position_s: 0.0,
             since_s: None,
+            frame_s: 0.0,
         };
         Self { inner: Arc::new(Inner { texture, control: Mutex::new(control) }) }
     }
@@ -150,7 +153,8 @@ impl ImageSequence {
         self.control().mode = mode;
     }
 
-    /// How many images ahead are loaded before their time; 8 unless set.
+    /// How many images ahead are loaded before their time; 8 unless set. Where two or more images pass between frames
+    /// these are the images of coming frames, not all of those between them.
     pub fn set_pre_load_frames(&self, frames: usize) {
         self.control().pre_load_frames = frames;
     }
@@ -253,8 +257,12 @@ impl Control {
         if count == 0 || !now_s.is_finite() {
             return Moment::default();
         }
+        let mut between_frames_s = 0.0;
         if let (StreamStatus::Playing, Some(since_s)) = (self.status, self.since_s) {
-            self.position_s += (now_s - since_s) * self.time_multiplier;
+            let frame_s = now_s - since_s;
+            self.position_s += frame_s * self.time_multiplier;
+            // One long frame says nothing of the next.
+            between_frames_s = frame_s.min(std::mem::replace(&mut self.frame_s, frame_s)) * self.time_multiplier.abs();
         }
         self.since_s = Some(now_s);
         if self.looping == LoopingMode::NoLooping {
@@ -270,7 +278,9 @@ impl Control {
             SequenceMode::PreLoadAllImages => 2 * count,
             _ => self.pre_load_frames.min(2 * count),
         };
-        let step_s = self.length_s / count as f64;
+        let image_s = self.length_s / count as f64;
+        let skips = self.mode != SequenceMode::PreLoadAllImages && between_frames_s >= 2.0 * image_s;
+        let step_s = if skips { between_frames_s } else { image_s };
         let direction = if self.time_multiplier < 0.0 { -1.0 } else { 1.0 };
         let rate = self.time_multiplier.abs().max(1e-3);
         let mut seen = vec![false; count];
@@ -370,6 +380,22 @@ mod tests {
         sequence.rewind();
         sequence.play();
         assert_eq!(shown(&sequence, &[9.0, 10.0]), [0, 1]);
+    }
+
+    #[test]
+    fn images_that_pass_between_frames_are_not_loaded_ahead() {
+        let sequence = ImageSequence::from_files("test", (0..20).map(|i| format!("{i}.png")));
+        sequence.set_length(20.0);
+        sequence.set_pre_load_frames(3);
+        sequence.play();
+        let ahead = |time_s| sequence.advance(time_s).wanted.iter().map(|w| w.index).collect::<Vec<_>>();
+        assert_eq!(ahead(0.0), [0, 1, 2, 3]);
+        assert_eq!(ahead(3.1), [3, 4, 5, 6], "one long frame");
+        assert_eq!(ahead(6.2), [6, 9, 12, 15]);
+        assert_eq!(ahead(8.1), [8, 9, 10, 11], "as slow as images");
+        sequence.set_mode(SequenceMode::PreLoadAllImages);
+        sequence.advance(11.2);
+        assert_eq!(sequence.advance(14.3).wanted.len(), 20);
     }
 
     #[test]

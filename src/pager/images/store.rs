@@ -31,6 +31,9 @@ struct Track {
     is_playing: bool,
     /// The image of the moment is not there, and may come.
     is_late: bool,
+    /// The image of an earlier moment that is still to come: shown where that of its moment is not there yet. Without it
+    /// a sequence that is faster than its images come would show none.
+    overdue: Option<usize>,
 }
 
 enum State {
@@ -76,6 +79,16 @@ pub struct ImagePager {
     errors: Errors,
 }
 
+/// What is due before the images of this moment.
+const OVERDUE_S: f64 = -1.0;
+
+/// The images that a sequence could show now: that of the moment, and one of a moment before that was still to come.
+struct Present {
+    track: usize,
+    now: (usize, SequenceImage),
+    overdue: Option<(usize, SequenceImage)>,
+}
+
 impl Slot {
     /// Nobody wants it in this update, nor will it be kept for later.
     fn is_expired(&self, updates: u64, expiry: Duration, now: Instant) -> bool {
@@ -110,7 +123,7 @@ impl ImagePager {
         let known = |t: &Track| Arc::ptr_eq(t.sequence.shared_texture(), sequence.shared_texture());
         if !self.tracks.iter().any(known) {
             let sequence = sequence.clone();
-            self.tracks.push(Track { sequence, shown: None, is_playing: false, is_late: true });
+            self.tracks.push(Track { sequence, shown: None, is_playing: false, is_late: true, overdue: None });
         }
     }
 
@@ -155,7 +168,7 @@ impl ImagePager {
         self.admit();
         self.page_out(now);
         self.request(now);
-        while self.config.blocking && present.iter().any(|(_, image)| self.is_coming(image)) {
+        while self.config.blocking && present.iter().any(|present| self.is_coming(&present.now)) {
             if let Some(loaded) = self.threads.wait_loaded(Duration::from_millis(20)) {
                 self.arrive(loaded);
                 // Of another size than was thought: two that do not fit together would take turns for ever.
@@ -169,8 +182,8 @@ impl ImagePager {
         changes
     }
 
-    /// Moves time on and notes which files it needs; the present image of each used sequence.
-    fn want(&mut self, simulation_time_s: f64, now: Instant) -> Vec<(usize, (usize, SequenceImage))> {
+    /// Moves time on and notes which files it needs; what each used sequence could show.
+    fn want(&mut self, simulation_time_s: f64, now: Instant) -> Vec<Present> {
         let mut present = Vec::with_capacity(self.tracks.len());
         for slot in self.slots.values_mut() {
             slot.due_s = f64::INFINITY;
@@ -181,8 +194,8 @@ impl ImagePager {
             if !track.sequence.is_used() {
                 continue;
             }
-            for (k, wanted) in moment.wanted.iter().enumerate() {
-                let Some(image) = track.sequence.image(wanted.index) else { continue };
+            let mut need = |index: usize, due_s: f64| {
+                let image = track.sequence.image(index)?;
                 if let SequenceImage::File(uri) = &image {
                     let slot = self.slots.entry(uri.clone()).or_insert_with(|| Slot {
                         state: State::Waiting,
@@ -195,13 +208,18 @@ impl ImagePager {
                         admitted: false,
                     });
                     (slot.wanted, slot.wanted_at) = (self.updates, now);
-                    slot.due_s = slot.due_s.min(wanted.due_s);
+                    slot.due_s = slot.due_s.min(due_s);
                     slot.discards = moment.discards;
                 }
-                if k == 0 {
-                    present.push((place, (wanted.index, image)));
-                }
+                Some((index, image))
+            };
+            let overdue = track.overdue.and_then(|index| need(index, OVERDUE_S));
+            let mut now = None;
+            for wanted in &moment.wanted {
+                let image = need(wanted.index, wanted.due_s);
+                now = now.or(image);
             }
+            present.extend(now.map(|now| Present { track: place, now, overdue }));
         }
         present
     }
@@ -392,32 +410,44 @@ impl ImagePager {
         self.slots.get(uri).is_some_and(|s| s.admitted && matches!(s.state, State::Waiting | State::Loading))
     }
 
-    fn changes(&mut self, present: &[(usize, (usize, SequenceImage))]) -> Vec<ImageChange> {
+    /// The image, where it is there.
+    fn found(&self, (_, image): &(usize, SequenceImage)) -> Option<Arc<Texture>> {
+        match image {
+            SequenceImage::Image(image) => Some(image.clone()),
+            SequenceImage::File(uri) => match &self.slots.get(uri)?.state {
+                State::Loaded(image) => Some(image.clone()),
+                _ => None,
+            },
+        }
+    }
+
+    fn changes(&mut self, present: &[Present]) -> Vec<ImageChange> {
         let mut changes = Vec::new();
         for track in &mut self.tracks {
             track.is_late = false;
         }
-        for (place, image_now) in present {
-            let (index, image) = image_now;
-            let found = match image {
-                SequenceImage::Image(image) => Some(image.clone()),
-                SequenceImage::File(uri) => match self.slots.get(uri).map(|s| &s.state) {
-                    Some(State::Loaded(image)) => Some(image.clone()),
-                    _ => None,
-                },
-            };
-            let is_coming = self.is_coming(image_now);
-            let Some(track) = self.tracks.get_mut(*place).filter(|t| t.shown != Some(*index)) else { continue };
-            match found {
-                Some(image) => {
-                    track.shown = Some(*index);
-                    self.stats.shown += 1;
-                    changes.push(ImageChange { texture: track.sequence.texture(), image });
-                }
-                None => {
-                    track.is_late = is_coming;
+        for Present { track, now, overdue } in present {
+            let shown = self.tracks[*track].shown;
+            let (mut is_late, mut still_overdue, mut shows) = (false, None, None);
+            if shown != Some(now.0) {
+                shows = self.found(now).map(|image| (now.0, image));
+                if shows.is_none() {
                     self.stats.late += 1;
+                    is_late = self.is_coming(now);
+                    still_overdue = overdue.as_ref().filter(|image| self.is_coming(image)).map(|image| image.0);
+                    if still_overdue.is_none() {
+                        let before = overdue.as_ref().filter(|image| shown != Some(image.0));
+                        shows = before.and_then(|image| Some((image.0, self.found(image)?)));
+                        still_overdue = is_late.then_some(now.0);
+                    }
                 }
+            }
+            let track = &mut self.tracks[*track];
+            (track.is_late, track.overdue) = (is_late, still_overdue);
+            if let Some((index, image)) = shows {
+                track.shown = Some(index);
+                self.stats.shown += 1;
+                changes.push(ImageChange { texture: track.sequence.texture(), image });
             }
         }
         changes
@@ -526,6 +556,53 @@ mod tests {
         });
         update_until(&|stats| stats.shown == 2, &mut pager);
         assert_eq!(pager.stats.failed, 0);
+    }
+
+    /// Each was let go before it came, and none was shown.
+    #[test]
+    fn a_sequence_faster_than_its_images_come_shows_some_of_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |k: u32| {
+            let file = folder.path().join(format!("{k}.png"));
+            image::RgbImage::from_pixel(8, 8, image::Rgb([k as u8, 0, 0])).save(&file).unwrap();
+            file.display().to_string()
+        };
+        let sequence = ImageSequence::from_files("test", (0..60).map(write));
+        sequence.set_mode(crate::pager::SequenceMode::PageAndDiscardUsedImages);
+        sequence.set_pre_load_frames(0);
+        sequence.set_length(60.0);
+        sequence.set_looping_mode(crate::pager::LoopingMode::NoLooping);
+        sequence.play();
+        let _used = sequence.texture();
+        let mut pager = ImagePager::new(ImagePagerConfig::default()).unwrap();
+        pager.add(&sequence);
+        // An update asks for the image of its moment, and those before it come.
+        let update = |pager: &mut ImagePager, time_s: f64| {
+            let loaded = pager.stats.loaded;
+            let until = Instant::now() + Duration::from_secs(60);
+            let changes = pager.update(time_s);
+            while pager.stats.loaded == loaded {
+                assert!(Instant::now() < until, "{:?}", pager.stats);
+                if let Some(loaded) = pager.threads.wait_loaded(Duration::from_millis(20)) {
+                    pager.arrive(loaded);
+                }
+            }
+            changes.into_iter().map(|change| change.image.mips[0][0]).collect::<Vec<_>>()
+        };
+        let shown: Vec<_> = (0..20).map(|k| update(&mut pager, f64::from(k))).collect();
+        let order: Vec<_> = shown.concat();
+        assert!(order.len() >= 10 && order.is_sorted(), "{shown:?}");
+        assert!(shown.iter().all(|shown| shown.len() <= 1), "{shown:?}");
+        // Where it stands, the image of the moment is the last.
+        sequence.pause();
+        let (mut last, until) = (order[order.len() - 1], Instant::now() + Duration::from_secs(60));
+        while pager.needs_frame() {
+            assert!(Instant::now() < until, "{:?}", pager.stats);
+            last = pager.update(20.0).last().map_or(last, |change| change.image.mips[0][0]);
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert_eq!(u32::from(last), 19, "{shown:?}");
+        assert_eq!(pager.stats.images, 1);
     }
 
     #[test]
