@@ -26,6 +26,7 @@ use crate::draw::batch::Batch;
 use crate::draw::composite::Composite;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{StagePlan, Targets};
+use crate::draw::resolve::DepthResolve;
 use crate::draw::shadow_maps::ShadowMaps;
 use crate::draw::spread::Spread;
 use crate::draw::state::Statics;
@@ -173,6 +174,8 @@ pub struct Renderer {
     composite: Option<Composite>,
     /// Made for the first camera that goes on with multisampled colours.
     spread: Option<Spread>,
+    /// Made for the first camera that keeps multisampled depth.
+    resolve: Option<DepthResolve>,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
     /// Recorded by a compile thread; submitted before the frame.
     uploads: Vec<wgpu::CommandBuffer>,
@@ -228,6 +231,7 @@ impl Renderer {
             pictures: PictureReads::default(),
             composite: None,
             spread: None,
+            resolve: None,
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
             uploads: Vec::new(),
             clock: FrameClock::default(),
@@ -339,7 +343,8 @@ impl Renderer {
 
     /// Pipelines made so far.
     fn created(&self) -> u32 {
-        self.pipelines.created() + self.spread.as_ref().map_or(0, Spread::created)
+        let of_spread = self.spread.as_ref().map_or(0, Spread::created);
+        self.pipelines.created() + of_spread + self.resolve.as_ref().map_or(0, DepthResolve::created)
     }
 
     /// Copies what a camera has drawn to whoever wants it.

@@ -13,6 +13,7 @@ use crate::draw::pipelines::Bare;
 use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
 use crate::draw::plan::{PassTarget, StagePlan, color};
+use crate::draw::resolve::DepthResolve;
 use crate::draw::spread::Spread;
 use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, position_of, replaces_sun};
@@ -235,6 +236,15 @@ impl Renderer {
                 plan.spreads = true;
             }
             refused.into_iter().for_each(|error| self.complain(error));
+        }
+        if target.resolving(stage).is_some()
+            && let Some(formats) = self.pipelines.target_key(target.index).copied()
+        {
+            let resolve =
+                self.resolve.get_or_insert_with(|| watched(ctx.device(), || DepthResolve::new(ctx.device())).0);
+            if let Err(error) = resolve.ensure(ctx, (formats.depth, formats.samples)) {
+                self.complain(error);
+            }
         }
         self.plans.push(StagePlan { target: Some(target), ..plan });
         dropped
