@@ -143,6 +143,7 @@ impl Scene {
         self.touched_records += 1;
         self.spread_busy(entry, tile, true);
         self.spread_readiness(entry, tile, was_ready);
+        self.note_external_volumes(entry, tile);
         Ok(id)
     }
 
