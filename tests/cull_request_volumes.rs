@@ -215,7 +215,7 @@ fn a_volume_stays_known_when_its_tileset_expires() {
     assert_eq!(settle(&mut scene, &from_above(600.0), &other), ["left", "right"]);
 }
 
-/// Nor is there a hole while the tile fades in again, or has to be loaded again.
+/// Nor is there a hole while the tile fades in again, or has to be loaded again; what is drawn is met.
 #[test]
 fn children_stand_in_for_a_tile_from_outside_of_a_volume() {
     for with_a_near_one in [with_a_near_child, with_a_tileset] {
@@ -238,5 +238,6 @@ fn children_stand_in_for_a_tile_from_outside_of_a_volume() {
         scene.detach(page).unwrap();
         let standing_in = (vec!["parent".into()], vec!["left".into(), "right".into()]);
         assert_eq!(cull(&scene, &from_above(600.0)), standing_in);
+        assert_eq!(met(&scene, &from_above(600.0)), ["left", "right"]);
     }
 }
