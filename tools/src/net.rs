@@ -29,6 +29,9 @@ pub struct NetArgs {
     /// PEM file of an authority to trust besides the system's
     #[arg(long, value_name = "FILE")]
     pub ca_file: Vec<PathBuf>,
+    /// Speak HTTP/2 to servers whose connections are not encrypted, without asking; encrypted ones agree on it
+    #[arg(long)]
+    pub http2: bool,
 }
 
 impl NetArgs {
@@ -45,8 +48,13 @@ impl NetArgs {
             let (name, value) = text.split_once('=').context("--query needs NAME=VALUE")?;
             credentials.push(Credential::query(source, name, value)?);
         }
-        let root_certificates = self.ca_file.clone();
-        Ok(HttpConfig { root_certificates, credentials, cache: self.cache()?, ..HttpConfig::default() })
+        Ok(HttpConfig {
+            http2_only: self.http2,
+            root_certificates: self.ca_file.clone(),
+            credentials,
+            cache: self.cache()?,
+            ..HttpConfig::default()
+        })
     }
 
     /// The cache, where one is asked for.

@@ -2,55 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+mod serve_support;
+
+use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use serve_support::Server;
 use terrane::io::IoError;
-
-struct Server {
-    child: Child,
-    address: String,
-}
-
-impl Server {
-    fn start(folder: &Path, options: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_terrane"))
-            .args(["serve", folder.to_str().unwrap(), "--port", "0"])
-            .args(options)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().rsplit("http://").next().unwrap().trim_end_matches('/').to_owned();
-        Self { child, address }
-    }
-
-    /// Status, head and body of one request on a connection of its own; status 0 when there is no answer.
-    fn ask(&self, method: &str, path: &str, headers: &str) -> (u16, String, Vec<u8>) {
-        let mut stream = TcpStream::connect(&self.address).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-        write!(stream, "{method} {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n{headers}\r\n").unwrap();
-        let mut answer = Vec::new();
-        // A reset is no answer.
-        let _ = stream.read_to_end(&mut answer);
-        let Some(end) = answer.windows(4).position(|w| w == b"\r\n\r\n") else { return (0, String::new(), answer) };
-        let head = String::from_utf8(answer[..end].to_vec()).unwrap();
-        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-        (status, head, answer[end + 4..].to_vec())
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
 
 /// The last byte comes no sooner than the bandwidth lets it, of a small file too.
 #[test]
@@ -284,34 +245,34 @@ fn a_flight_over_a_bad_server_ends_whole() {
         .output()
         .unwrap();
     assert!(made.status.success());
-    let rates = [
-        "--error-rate",
-        "0.1",
-        "--truncate-rate",
-        "0.1",
-        "--reset-rate",
-        "0.1",
-        "--latency-ms",
-        "5",
-        "--jitter-ms",
-        "10",
-    ];
-    let server = Server::start(&set, &rates);
-    let report = folder.path().join("report.json");
-    let url = format!("http://{}/tileset.json", server.address);
-    let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
-        .args(["fly", &url, "--offscreen", "--settle", "--size", "160x90", "--sse", "0.02"])
-        .args(["--report", report.to_str().unwrap()])
-        .current_dir(folder.path())
-        .output()
-        .unwrap();
-    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
-    let report: Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
-    let (loaded, failed) = (report["tiles"]["loaded"].as_u64().unwrap(), report["tiles"]["failed"].as_u64().unwrap());
-    assert!(loaded > 10, "{report}");
-    assert_eq!(report["errors"].as_array().unwrap().iter().map(|e| e["count"].as_u64().unwrap()).sum::<u64>(), failed);
-    let coverage = report["settled"]["coverage"].as_f64().unwrap();
-    assert!(coverage > 0.1, "{report}");
+    let rates = ["--error-rate", "0.1", "--truncate-rate", "0.1", "--reset-rate", "0.1"];
+    let waits = ["--latency-ms", "5", "--jitter-ms", "10"];
+    let certificate = folder.path().join("certificate.pem").to_str().unwrap().to_owned();
+    let trusted = ["--ca-file", &certificate];
+    for (speaks, asks) in [
+        (&[][..], &[][..]),
+        (&["--http2"], &["--http2"]),
+        (&["--tls", &certificate], &trusted),
+        (&["--tls", &certificate, "--http1"], &trusted),
+    ] {
+        let server = Server::start(&set, &[&rates[..], &waits, speaks].concat());
+        let report = folder.path().join("report.json");
+        let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
+            .args(["fly", &format!("{}tileset.json", server.url), "--offscreen", "--settle"])
+            .args(["--size", "160x90", "--sse", "0.02", "--report", report.to_str().unwrap()])
+            .args(asks)
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        assert!(out.status.success(), "{speaks:?}: {}", String::from_utf8_lossy(&out.stderr));
+        let report: Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
+        let tiles = &report["tiles"];
+        let (loaded, failed) = (tiles["loaded"].as_u64().unwrap(), tiles["failed"].as_u64().unwrap());
+        assert!(loaded > 10, "{speaks:?}: {report}");
+        let errors = report["errors"].as_array().unwrap();
+        assert_eq!(errors.iter().map(|e| e["count"].as_u64().unwrap()).sum::<u64>(), failed, "{speaks:?}");
+        assert!(report["settled"]["coverage"].as_f64().unwrap() > 0.1, "{speaks:?}: {report}");
+    }
 }
 
 #[test]
