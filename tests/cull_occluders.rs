@@ -125,7 +125,7 @@ fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
     scene.add_root(page(cube(DVec3::ZERO), 7));
     let transforms = [1, 2, 4, 7].map(|index| NodeId { page: root, index });
     let (here, away) = (DVec3::new(0.0, -6.0, 0.0) - far, DVec3::ZERO);
-    let mut set = |scene: &mut Scene, which: &[usize], to: DVec3| {
+    let set = |scene: &mut Scene, which: &[usize], to: DVec3| {
         for which in which {
             (0..100).for_each(|i| {
                 let on_the_way = DAffine3::from_translation(to * f64::from(i) / 100.0);
