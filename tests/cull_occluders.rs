@@ -113,6 +113,51 @@ fn an_occluder_that_is_moved_hides_what_is_behind_it_then() {
     }
 }
 
+/// Each change went over all occluders of its page.
+#[test]
+fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
+    let mut scene = Scene::new();
+    let still = |nodes| Node::transform(DAffine3::IDENTITY, nodes);
+    // Of the page's transforms the second and the third have walls.
+    let far = DVec3::new(0.0, 0.0, 100.0);
+    let hung = vec![still(vec![]), still(vec![wall_at(far)]), still(vec![still(vec![wall_at(far)])]), still(vec![])];
+    let root = scene.add_root(page(Node::group(hung), 0));
+    scene.add_root(page(cube(DVec3::ZERO), 7));
+    let transforms = [1, 2, 4, 7].map(|index| NodeId { page: root, index });
+    let (here, away) = (DVec3::new(0.0, -6.0, 0.0) - far, DVec3::ZERO);
+    let set = |scene: &mut Scene, which: &[usize], to: DVec3| {
+        for which in which {
+            (0..100).for_each(|i| {
+                let on_the_way = DAffine3::from_translation(to * f64::from(i) / 100.0);
+                scene.set_transform(transforms[*which], on_the_way).unwrap();
+            });
+            scene.set_transform(transforms[*which], DAffine3::from_translation(to)).unwrap();
+        }
+    };
+    // What has none below it is no matter of theirs.
+    set(&mut scene, &[0, 3], here);
+    scene.compute_bounds();
+    assert_eq!((scene.fitted_occluders(), seen(&scene, &camera())), (0, vec![7]));
+    for (round, which) in [&[1][..], &[2], &[1, 2]].into_iter().enumerate() {
+        // It holds at once, and as well when it is fitted.
+        set(&mut scene, which, here);
+        assert_eq!(seen(&scene, &camera()), [0; 0], "{which:?}");
+        scene.compute_bounds();
+        scene.compute_bounds();
+        assert_eq!(scene.fitted_occluders(), 4 * round as u64 + 2, "{which:?}");
+        assert_eq!(seen(&scene, &camera()), [0; 0], "{which:?}");
+        set(&mut scene, which, away);
+        scene.compute_bounds();
+        assert_eq!((scene.fitted_occluders(), seen(&scene, &camera())), (4 * round as u64 + 4, vec![7]), "{which:?}");
+    }
+    // A page that goes while it waits takes its occluders along, and another may come in its place.
+    set(&mut scene, &[1], here);
+    scene.remove_root(root).unwrap();
+    scene.add_root(page(Node::group(vec![wall_at(DVec3::new(0.0, -6.0, 0.0))]), 0));
+    scene.compute_bounds();
+    assert_eq!((scene.fitted_occluders(), seen(&scene, &camera())), (12, vec![]));
+}
+
 #[test]
 fn an_occluder_holds_while_its_level_is_shown() {
     let shown = |refine, range_m, child_is_there: bool| {

@@ -100,6 +100,29 @@ fn render_to_texture() {
 }
 
 #[test]
+fn vertex_attributes() {
+    let Some(picture) = run("vertex_attributes", &[], 1000) else { return };
+    let count = |from: [u32; 2], to: [u32; 2], is: fn(i32, i32, i32) -> bool| {
+        let places = (from[1]..to[1]).flat_map(|y| (from[0]..to[0]).map(move |x| (x, y)));
+        places
+            .filter(|(x, y)| {
+                let [r, g, b] = picture.get_pixel(*x, *y).0.map(i32::from);
+                is(r, g, b)
+            })
+            .count()
+    };
+    let is_green = |r, g, b| g > r + 40 && g > b;
+    assert!(count([370, 320], [470, 400], is_green) > 4000, "rain on a hill");
+    assert_eq!(count([900, 400], [1250, 640], is_green), 0, "and none behind it");
+    let is_red: fn(i32, i32, i32) -> bool = |r, g, b| r > g + 100 && r > b + 100;
+    let is_blue: fn(i32, i32, i32) -> bool = |r, g, b| b > r + 80 && b > g + 60;
+    assert!(count([440, 250], [570, 310], is_red) > 150, "wind between hills");
+    assert!(count([320, 360], [450, 430], is_blue) > 40, "and in front of one");
+    let [red, blue] = [is_red, is_blue].map(|is| count([600, 560], [1250, 700], is));
+    assert_eq!((red, blue), (0, 0), "and far from them");
+}
+
+#[test]
 fn transparency_and_bins() {
     let Some(picture) = run("transparency_and_bins", &[], 100) else { return };
     // Beside the panes the background, then each alone, then one over the other: the nearer comes last. A pane keeps the

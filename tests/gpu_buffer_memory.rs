@@ -46,7 +46,7 @@ fn a_renderer_starts_without_memory_and_draws_once_there_is_some() {
     let scene = rig.scene(Node::geode(squares(1)));
     let camera = unit_camera(SIDE);
     let mut said = Vec::new();
-    for left_bytes in (0..8).map(|step| step * 16 << 10) {
+    for left_bytes in (0..8).map(|step| step * (16 << 10)) {
         rig.ctx.pretend_frame_memory(Some(left_bytes));
         let stats = rig.draw(&scene, &camera, &plain());
         let refused = (stats.stages_refused, stats.passes, stats.leaves) == (1, 0, 0);

@@ -56,6 +56,7 @@ pub struct Scene {
     pub(super) callback_pages: CallbackPages,
     /// Pages that have OccluderNodes, in no order.
     occluder_pages: Vec<OccluderPage>,
+    fitted_occluders: u64,
     /// Meshes that were changed and have not been sent to be drawn.
     pub(super) rewritten: Vec<Rewritten>,
     /// Places of pages that have bounds to be fitted, in no order.
@@ -77,6 +78,7 @@ impl Default for Scene {
             touched_records: 0,
             callback_pages: CallbackPages::default(),
             occluder_pages: Vec::new(),
+            fitted_occluders: 0,
             rewritten: Vec::new(),
             stale_pages: Vec::new(),
             asked: Vec::new(),
@@ -245,12 +247,24 @@ impl Scene {
         if !page.set_transform(node.index, parent_from_child)? {
             return Err(SceneError::NotATransform { node });
         }
-        if !page.occluders.is_empty() {
-            let moved = OccluderPage::new(node.page.slot, page);
-            self.occluder_pages[self.entries[node.page.slot as usize].occluders_at as usize] = moved;
+        let moves_occluders = page.has_occluders_below(node.index);
+        if let Some(occluders) = self.occluders_of(node.page.slot).filter(|_| moves_occluders) {
+            occluders.outdate();
         }
         self.note_stale(node.page);
         Ok(())
+    }
+
+    /// The entry of a page in the list of those with OccluderNodes.
+    fn occluders_of(&mut self, place: u32) -> Option<&mut OccluderPage> {
+        let at = self.entries.get(place as usize)?.occluders_at as usize;
+        self.occluder_pages.get_mut(at).filter(|of| of.place == place)
+    }
+
+    /// OccluderNodes that spheres were fitted around so far, because some of their page were moved: the measure that many
+    /// changes in a frame cost what they touch.
+    pub fn fitted_occluders(&self) -> u64 {
+        self.fitted_occluders
     }
 
     /// Fits the bounds above what has changed, children before parents, each once. Viewers call it in every update;
@@ -260,16 +274,22 @@ impl Scene {
         while let Some(place) = self.stale_pages.pop() {
             let Some(entry) = self.entries.get_mut(place as usize) else { continue };
             entry.is_stale = false;
-            if let Some(page) = &mut entry.page {
-                page.compute_bounds();
+            let Some(page) = &mut entry.page else { continue };
+            page.compute_bounds();
+            let occluders = self.occluder_pages.get_mut(entry.occluders_at as usize);
+            if let Some(stale) = occluders.filter(|of| of.place == place && of.is_stale) {
+                *stale = OccluderPage::new(place, page);
+                self.fitted_occluders += page.occluders.len() as u64;
             }
         }
     }
 
     /// A page was changed: what is above the change is fitted later.
     pub(super) fn note_stale(&mut self, page: PageId) {
+        let has_moved_occluders = self.occluders_of(page.slot).is_some_and(|of| of.is_stale);
         let Some(entry) = self.entries.get_mut(page.slot as usize) else { return };
-        if !entry.is_stale && entry.page.as_ref().is_some_and(|page| !page.stale.is_empty()) {
+        let has_stale = |page: &Page| has_moved_occluders || !page.stale.is_empty();
+        if !entry.is_stale && entry.page.as_deref().is_some_and(has_stale) {
             entry.is_stale = true;
             self.stale_pages.push(page.slot);
         }

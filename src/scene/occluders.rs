@@ -1,4 +1,5 @@
-//! The scene's list of pages with OccluderNodes: kept up as pages come and go, read by culls.
+//! The scene's list of pages with OccluderNodes: kept up as pages come and go, read by culls. Spheres of pages in which
+//! some were moved are fitted once for all changes of a frame, as the bounds of nodes are; until then they are endless.
 
 use super::page::{Page, Special};
 use crate::math::{Aabb, BoundingSphere};
@@ -10,6 +11,8 @@ pub(crate) struct OccluderPage {
     pub place: u32,
     /// Around its occluders, in its frame; endless where some of them move with the eye.
     pub sphere: BoundingSphere,
+    /// Some were moved.
+    pub is_stale: bool,
 }
 
 impl OccluderPage {
@@ -24,6 +27,21 @@ impl OccluderPage {
         if moves {
             sphere.radius_m = f64::INFINITY;
         }
-        Self { place, sphere }
+        Self { place, sphere, is_stale: false }
+    }
+
+    /// Some were moved: they are looked at one by one.
+    pub(super) fn outdate(&mut self) {
+        (self.sphere.radius_m, self.is_stale) = (f64::INFINITY, true);
+    }
+}
+
+impl Page {
+    /// Whether there are OccluderNodes below a node.
+    pub(super) fn has_occluders_below(&self, node: u32) -> bool {
+        let end = node + self.nodes[node as usize].skip;
+        // They are in the order of nodes.
+        let first = self.occluders.partition_point(|(of, ..)| *of < node);
+        self.occluders.get(first).is_some_and(|(of, ..)| *of < end)
     }
 }

@@ -41,7 +41,7 @@ impl Occluders {
         let sight = Sight::new(&view.clip_from_eye, view.planes);
         let mut chain = std::mem::take(&mut self.chain);
         chain.clear();
-        for OccluderPage { place, sphere } in collector.scene.occluder_pages() {
+        for OccluderPage { place, sphere, .. } in collector.scene.occluder_pages() {
             if !collector.find_chain(*place, &mut chain) {
                 continue;
             }
