@@ -149,7 +149,8 @@ fn frames_go_on_in_another_model() {
     }
 }
 
-/// It is an error of a frame soon after, and of all that follow; the scene can be changed, and what is left ends.
+/// It is an error of a frame soon after, and of all that follow; the scene can be changed, which no draw reads any more, and
+/// what is left ends.
 #[test]
 fn a_thread_that_panics_is_seen_and_nothing_waits_for_it() {
     let in_draw = Panics::InDraw { camera: 1, frame: 2 };

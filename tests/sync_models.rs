@@ -68,7 +68,7 @@ fn a_block_count_opens_with_the_last_completion_in_every_frame() {
                     })
                 })
                 .collect();
-            block.block();
+            assert!(block.block());
             assert_eq!(done.load(Ordering::SeqCst), 2 * frame);
             for worker in workers {
                 worker.join().unwrap();
@@ -79,7 +79,7 @@ fn a_block_count_opens_with_the_last_completion_in_every_frame() {
         let waits = block.clone();
         let waiter = thread::spawn(move || waits.block());
         block.release();
-        waiter.join().unwrap();
+        assert!(!waiter.join().unwrap());
     });
 }
 

@@ -63,6 +63,8 @@ struct Count {
     full: usize,
     /// Completions still to come.
     left: usize,
+    /// Let go since the last reset.
+    released: bool,
 }
 
 /// Threads wait at it until others have completed something so many times.
@@ -76,7 +78,7 @@ pub struct BlockCount {
 impl BlockCount {
     /// Opens after `count` completions; at once for 0.
     pub fn new(count: usize) -> Self {
-        Self { count: Mutex::new(Count { full: count, left: count }), changed: Condvar::new() }
+        Self { count: Mutex::new(Count { full: count, left: count, released: false }), changed: Condvar::new() }
     }
 
     fn count(&self) -> MutexGuard<'_, Count> {
@@ -95,24 +97,26 @@ impl BlockCount {
         }
     }
 
-    /// Waits until nothing is left to be completed.
-    pub fn block(&self) {
+    /// Waits until nothing is left to be completed; false when it was let go without the rest.
+    pub fn block(&self) -> bool {
         let mut count = self.count();
         while count.left > 0 {
             count = self.changed.wait(count).unwrap_or_else(PoisonError::into_inner);
         }
+        !count.released
     }
 
     /// Lets go on without waiting for the rest.
     pub fn release(&self) {
-        self.count().left = 0;
+        let mut count = self.count();
+        (count.left, count.released) = (0, true);
         self.changed.notify_all();
     }
 
     /// Starts counting anew.
     pub fn reset(&self) {
         let mut count = self.count();
-        count.left = count.full;
+        (count.left, count.released) = (count.full, false);
         if count.left == 0 {
             self.changed.notify_all();
         }

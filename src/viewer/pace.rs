@@ -16,12 +16,15 @@ pub(super) struct Pace {
     /// Frames a second at most.
     max_rate: Option<f64>,
     last_frame: Instant,
+    /// The last frame is over since.
+    idle_since: Instant,
 }
 
 impl Pace {
     pub fn new(on_demand: bool, max_rate: Option<f64>) -> Self {
         let max_rate = max_rate.filter(|rate| *rate > 0.0);
-        Self { on_demand, max_rate, last_frame: Instant::now() }
+        let now = Instant::now();
+        Self { on_demand, max_rate, last_frame: now, idle_since: now }
     }
 
     /// Draws only what is asked for.
@@ -40,8 +43,14 @@ impl Pace {
         self.max_rate.map(|rate| self.last_frame + Duration::from_secs_f64(1.0 / rate.max(1.0)))
     }
 
+    /// Frames follow each other, and none was asked for in a while: window systems ask hidden windows for none.
+    pub fn is_overdue(&self) -> bool {
+        !self.on_demand && self.idle_since.elapsed() > IDLE_FRAME
+    }
+
     /// After a frame: true where the next one is wanted at once.
-    pub fn plan_next(&self, event_loop: &ActiveEventLoop, needs_frame: bool) -> bool {
+    pub fn plan_next(&mut self, event_loop: &ActiveEventLoop, needs_frame: bool) -> bool {
+        self.idle_since = Instant::now();
         let is_wanted = !self.on_demand || needs_frame;
         event_loop.set_control_flow(if is_wanted {
             ControlFlow::Poll
@@ -81,6 +90,15 @@ mod tests {
             assert_eq!(gap(none), None, "{none:?}");
         }
         assert_eq!(gap(Some(f64::INFINITY)), Some(Duration::ZERO));
+    }
+
+    #[test]
+    fn where_none_is_asked_for_a_frame_is_overdue_after_a_second() {
+        for (on_demand, ago, is_overdue) in [(false, 0, false), (false, 1, true), (true, 1, false)] {
+            let mut pace = Pace::new(on_demand, None);
+            pace.idle_since -= ago * (IDLE_FRAME + Duration::from_millis(1));
+            assert_eq!(pace.is_overdue(), is_overdue, "{on_demand} {ago}");
+        }
     }
 
     #[test]

@@ -73,7 +73,8 @@ pub struct WindowOptions {
     pub on_demand: bool,
     /// Frames a second at most; the time that is left goes to what the pager has.
     pub max_frame_rate: Option<f64>,
-    /// Called before each frame; returning false closes the window.
+    /// Called before each frame; returning false closes the window. Where nobody moves the camera, a hidden window has a
+    /// frame a second too, also where its window system asks for none.
     pub before_frame: BeforeFrame,
     /// Called after each frame.
     pub after_frame: AfterFrame,
@@ -204,6 +205,17 @@ impl App {
         event_loop.exit();
     }
 
+    /// A frame, and what comes after it.
+    fn draw(&mut self, event_loop: &ActiveEventLoop) -> Result<(), ViewerError> {
+        let Some(open) = &mut self.open else { return Ok(()) };
+        if open.frame(&mut self.options)? {
+            open.plan_next(event_loop);
+        } else {
+            event_loop.exit();
+        }
+        Ok(())
+    }
+
     fn handle(
         &mut self,
         event_loop: &ActiveEventLoop,
@@ -218,14 +230,7 @@ impl App {
             return Ok(()); // the last events of one that was closed
         }
         match event {
-            WindowEvent::RedrawRequested => {
-                if open.frame(&mut self.options)? {
-                    open.plan_next(event_loop);
-                } else {
-                    event_loop.exit();
-                }
-                return Ok(());
-            }
+            WindowEvent::RedrawRequested => return self.draw(event_loop),
             WindowEvent::Resized(size) => open.viewer.resize([size.width, size.height])?,
             WindowEvent::Destroyed => {
                 event_loop.exit();
@@ -281,6 +286,11 @@ impl ApplicationHandler for App {
                 None => {}
             }
             open.pace.rest(event_loop);
+            // A flight comes to its end in a hidden window too.
+            let is_overdue = !self.options.manipulated && open.pace.is_overdue() && !event_loop.exiting();
+            if is_overdue && let Err(error) = self.draw(event_loop) {
+                self.fail(event_loop, error);
+            }
         }
     }
 

@@ -15,6 +15,8 @@ use crate::model_support::thread::panic_on_purpose;
 
 /// Turns that others may have while a picture is drawn.
 const TURNS: usize = 3;
+/// The same where a thread panics: more than it takes to let go of what it has, and to be seen.
+const TURNS_BESIDE_A_PANIC: usize = 100;
 
 pub struct CameraCallbacks;
 
@@ -59,9 +61,10 @@ impl Renderer {
             assert_eq!(stage.camera.frame, frame, "the stage of this frame");
             let camera = stage.camera.context;
             seen.draws(camera, frame);
-            for _ in 0..TURNS {
+            let is_beside_a_panic = matches!(seen.panics, Panics::InDraw { camera: of, .. } if of != camera);
+            for _ in 0..if is_beside_a_panic { TURNS_BESIDE_A_PANIC } else { TURNS } {
                 thread::yield_now();
-                if seen.reads != Reads::Nothing && !seen.is_ending.load(Ordering::SeqCst) {
+                if seen.reads != Reads::Nothing {
                     assert_eq!(seen.changed.load(Ordering::SeqCst), frame, "what update has changed meanwhile");
                 }
             }

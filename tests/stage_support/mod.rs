@@ -49,7 +49,7 @@ pub struct Seen {
     drawing: Mutex<Vec<(u32, u32)>>,
     /// In some schedule a camera was culled while an earlier frame of it was drawn.
     pub overlapped: Arc<AtomicBool>,
-    /// Threads end, and let others go on: these neither wait for what is drawn no more nor show their frame together.
+    /// Threads end, and let others go on, which do not show their frame together.
     pub is_ending: AtomicBool,
 }
 

@@ -35,6 +35,8 @@ const DEFAULT_OUTPUT: &str = "terrane-fly";
 pub const HEIGHT_SSE_PX: f64 = 3.0;
 /// Limit in pixels for all other sets: CesiumJS's default.
 pub const FOREIGN_SSE_PX: f64 = 16.0;
+/// A window that is hidden for so long when its settled picture is to be taken is taken as never shown.
+const HIDDEN_AFTER: Duration = Duration::from_secs(10);
 /// Without any progress of the pager for so long, a picture is taken as never complete.
 const STALLED_AFTER: Duration = Duration::from_secs(60);
 
@@ -254,6 +256,7 @@ struct Flight {
     hole_check: Option<HoleCheck>,
     holes: u64,
     settled: Option<Settled>,
+    hidden: Hidden,
     /// Cameras of the frames whose pictures are still to come.
     cameras: VecDeque<(u32, Camera)>,
     last_picture: Option<RgbaImage>,
@@ -294,6 +297,7 @@ impl Flight {
             hole_check: None,
             holes: 0,
             settled: None,
+            hidden: Hidden::default(),
             cameras: VecDeque::new(),
             last_picture: None,
             screenshot_done: false,
@@ -362,8 +366,17 @@ impl Flight {
         let mut last = false;
         if let Phase::Settling { last_progress } = &mut self.phase {
             if viewer.is_settled() && viewer.frame_stamp().frame > 0 {
-                self.take_settled(viewer)?;
-                self.phase = if self.args.interactive { Phase::Free } else { Phase::Flying(0) };
+                match self.take_settled(viewer) {
+                    Ok(()) => self.phase = if self.args.interactive { Phase::Free } else { Phase::Flying(0) },
+                    // Somebody who moves in it may have it hidden as long as he likes.
+                    Err(error) if is_hidden(&error) => {
+                        if self.hidden.is_for_long(Instant::now()) && !self.args.interactive {
+                            self.hidden.ended = true;
+                            return Ok(false);
+                        }
+                    }
+                    Err(error) => return Err(error),
+                }
             } else {
                 check_progress(viewer, last_progress)?;
             }
@@ -458,8 +471,33 @@ impl Flight {
             pictures: (pictures > 0).then_some((pictures, self.frames_dir.as_deref())),
             report_file: self.report_file.as_deref(),
         };
-        std::io::stdout().write_all(summary::lines(&report, &notes).as_bytes()).context("stdout")
+        std::io::stdout().write_all(summary::lines(&report, &notes).as_bytes()).context("stdout")?;
+        if self.hidden.ended {
+            let seconds = HIDDEN_AFTER.as_secs();
+            bail!("no settled picture: the window has been hidden for {seconds} s; show it, or draw with --offscreen");
+        }
+        Ok(())
     }
+}
+
+/// A window that shows nothing while its settled picture is to be taken.
+#[derive(Default)]
+struct Hidden {
+    since: Option<Instant>,
+    /// The flight has ended for it.
+    ended: bool,
+}
+
+impl Hidden {
+    /// It is hidden now; true where it has been for [`HIDDEN_AFTER`].
+    fn is_for_long(&mut self, now: Instant) -> bool {
+        now - *self.since.get_or_insert(now) >= HIDDEN_AFTER
+    }
+}
+
+/// True of the error that a window shows nothing.
+fn is_hidden(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(ViewerError::HiddenWindow))
 }
 
 /// Fails when nothing has moved for too long.
@@ -490,4 +528,18 @@ fn write_text(file: &Path, text: &str) -> Result<()> {
         std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     }
     std::fs::write(file, text).with_context(|| file.display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_that_is_hidden_is_waited_for_and_not_for_ever() {
+        let (mut hidden, now) = (Hidden::default(), Instant::now());
+        assert!(!hidden.is_for_long(now) && !hidden.is_for_long(now + HIDDEN_AFTER / 2));
+        assert!(hidden.is_for_long(now + HIDDEN_AFTER));
+        assert!(is_hidden(&ViewerError::HiddenWindow.into()));
+        assert!(!is_hidden(&ViewerError::DrawThreadStopped.into()) && !is_hidden(&anyhow!("no window")));
+    }
 }

@@ -362,13 +362,16 @@ impl Rendering {
         rendered
     }
 
-    /// Goes through all steps whatever fails, so that no thread is left waiting and no cull has the scene.
+    /// Goes through all steps whatever fails, so that no thread is left waiting and no cull has the scene. A thread that
+    /// dies lets go whoever waits for it: that is an error of this very frame, which ends the threads, as the others may
+    /// still read what the next update changes.
     fn dispatch(
         &mut self,
         mut job: impl FnMut(u32) -> FrameJob,
         mut task: impl FnMut(u32, CullOutcome) -> Option<CullTask>,
     ) -> Result<(), ViewerError> {
         let mut result = Ok(());
+        let unless_dead = |is_there: bool| if is_there { Ok(()) } else { Err(ViewerError::DrawThreadStopped) };
         let Some(running) = &self.running else { return Err(ViewerError::DrawThreadStopped) };
         for camera in &mut self.cameras {
             camera.next = task(camera.number, std::mem::take(&mut camera.outcome));
@@ -387,7 +390,7 @@ impl Rendering {
         for camera in &mut self.cameras {
             let Some(task) = camera.next.take() else { continue };
             let sent = camera.tasks.as_ref().is_some_and(|tasks| tasks.send(task).is_ok());
-            result = result.and(if sent { Ok(()) } else { Err(ViewerError::DrawThreadStopped) });
+            result = result.and(unless_dead(sent));
         }
         for device in &mut self.devices {
             for place in 0..device.context_ids().count() {
@@ -397,7 +400,7 @@ impl Rendering {
         }
         if let Some(barrier) = &running.start {
             let _span = timeline::span("start barrier");
-            barrier.block();
+            result = result.and(unless_dead(barrier.block()));
         }
         for camera in &mut self.cameras {
             if let CameraSide::Here(side) = &mut camera.side {
@@ -416,11 +419,11 @@ impl Rendering {
         }
         if let Some(barrier) = &running.end {
             let _span = timeline::span("end barrier");
-            barrier.block();
+            result = result.and(unless_dead(barrier.block()));
         }
         if let Some(block) = &running.end_of_dynamic {
             let _span = timeline::span("end of dynamic draws");
-            block.block();
+            result = result.and(unless_dead(block.block()));
         }
         let _span = timeline::span("wait for culls");
         for camera in &mut self.cameras {
