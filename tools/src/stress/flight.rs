@@ -17,12 +17,13 @@ use terrane::viewer::{
 
 use super::check::{self, Asked, Failures, Pictures};
 use super::extras::{Proxies, Sign};
-use super::plan::{Drawing, Faults, MOST_CONTEXTS, Plan, Pose, Slides, Way};
+use super::plan::{Drawing, MOST_CONTEXTS, Plan, Pose, Slides, Way, Wire};
 use super::{extras, fresh, watch};
 use crate::serve::{Background, ServeArgs};
 
-/// Frames within which everything comes to rest once faults have ceased.
-const MOST_SETTLING: u32 = 3000;
+/// Frames within which everything comes to rest once faults have ceased. Latency and bandwidth stay, and all requests of
+/// HTTP/2 share a line that may be narrow.
+const MOST_SETTLING: u32 = 6000;
 /// Frames after a clear: those that are drawn in any case, and those that the smallest budget needs for the upload that
 /// was under way.
 const LEAST_CLEARING: u32 = 4;
@@ -61,7 +62,7 @@ pub fn fly(plan: &Plan, source: &str) -> Result<Outcome> {
     flight.all()
 }
 
-/// A folder for the cache of a seed; goes with it.
+/// A folder for the cache, images and certificates of a seed; goes with it.
 struct Scratch(PathBuf);
 
 impl Scratch {
@@ -69,6 +70,13 @@ impl Scratch {
         let folder = std::env::temp_dir().join(format!("terrane-stress-{}-{seed}", std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         Ok(Self(folder))
+    }
+
+    /// Where images of sequences are.
+    fn images(&self) -> Result<PathBuf> {
+        let folder = self.0.join("images");
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        Ok(folder)
     }
 }
 
@@ -84,6 +92,8 @@ pub(super) struct Flight<'a> {
     pub(super) viewer: Option<CompositeViewer>,
     sign: Option<Sign>,
     server: Option<Background>,
+    /// Of the sign's images, until there is one.
+    image_server: Option<Background>,
     /// The set is on a server of somebody else: what does not come from there is no fault of ours.
     is_elsewhere: bool,
     /// The set, where no server of ours is in between.
@@ -107,8 +117,13 @@ pub(super) struct Flight<'a> {
     outcome: Outcome,
 }
 
-fn faulty(folder: &Path, faults: &Faults, seed: u64) -> ServeArgs {
-    ServeArgs {
+/// A server of the plan for a folder. Where its connections are encrypted, its certificate becomes that file.
+fn serve(plan: &Plan, folder: &Path, certificate: &Path) -> Result<Background> {
+    let Plan { faults, wire, .. } = plan;
+    Background::start(ServeArgs {
+        http1: *wire == Wire::Tls1,
+        http2: *wire == Wire::Http2,
+        tls: plan.wire.is_encrypted().then(|| certificate.to_owned()),
         latency_ms: faults.latency_ms,
         jitter_ms: faults.jitter_ms,
         bandwidth: faults.bandwidth,
@@ -119,9 +134,9 @@ fn faulty(folder: &Path, faults: &Faults, seed: u64) -> ServeArgs {
         reset_rate: faults.reset,
         silent_rate: faults.silent,
         page_rate: faults.page,
-        seed,
+        seed: plan.seed,
         ..ServeArgs::new(folder)
-    }
+    })
 }
 
 /// A synthetic clock: what is animated is the same in each run.
@@ -161,14 +176,23 @@ impl<'a> Flight<'a> {
             pager.http.cache = Some(CacheConfig::new(scratch.0.join("cache")));
         }
         let is_elsewhere = is_remote(files);
-        let (server, source) = if plan.way == Way::Http && !is_elsewhere {
+        let (mut server, mut image_server, mut source) = (None, None, files.to_owned());
+        if plan.way == Way::Http && !is_elsewhere {
+            pager.http.http2_only = plan.wire == Wire::Http2;
+            let mut start = |folder: &Path, certificate: &str| {
+                let certificate = scratch.0.join(certificate);
+                let server = serve(plan, folder, &certificate)?;
+                pager.http.root_certificates.extend(plan.wire.is_encrypted().then_some(certificate));
+                anyhow::Ok(server)
+            };
             let (folder, name) = served(files)?;
-            let server = Background::start(faulty(&folder, &plan.faults, plan.seed))?;
-            let url = format!("{}{name}", server.url());
-            (Some(server), url)
-        } else {
-            (None, files.to_owned())
-        };
+            let started = start(&folder, "set.pem")?;
+            source = format!("{}{name}", started.url());
+            server = Some(started);
+            if plan.slides.is_some() {
+                image_server = Some(start(&scratch.images()?, "images.pem")?);
+            }
+        }
         let config = ViewerConfig {
             size_px: plan.size_px,
             threading: plan.model,
@@ -190,6 +214,7 @@ impl<'a> Flight<'a> {
             sign: None,
             proxies: None,
             server,
+            image_server,
             is_elsewhere,
             files,
             scratch,
@@ -259,14 +284,10 @@ impl<'a> Flight<'a> {
     }
 
     /// A sign, whose images come as the set does: from the disk, or from a server with the same faults.
-    fn sign(&self, slides: &Slides, viewer: &mut CompositeViewer) -> Result<Sign> {
-        let folder = self.scratch.0.join("images");
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+    fn sign(&mut self, slides: &Slides, viewer: &mut CompositeViewer) -> Result<Sign> {
+        let folder = self.scratch.images()?;
         let names = extras::write_images(slides, &folder)?;
-        let server = match &self.server {
-            Some(_) => Some(Background::start(faulty(&folder, &self.plan.faults, self.plan.seed))?),
-            None => None,
-        };
+        let server = self.image_server.take();
         let uri = |name: &String| match &server {
             Some(server) => format!("{}{name}", server.url()),
             None => folder.join(name).display().to_string(),

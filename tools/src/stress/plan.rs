@@ -22,6 +22,31 @@ pub enum Way {
     Http,
 }
 
+/// What our own server speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wire {
+    Http1,
+    Http2,
+    /// Encrypted.
+    Tls1,
+    Tls2,
+}
+
+impl Wire {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Http1 => "http/1.1",
+            Self::Http2 => "h2c",
+            Self::Tls1 => "tls/1.1",
+            Self::Tls2 => "h2",
+        }
+    }
+
+    pub fn is_encrypted(self) -> bool {
+        matches!(self, Self::Tls1 | Self::Tls2)
+    }
+}
+
 /// What is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drawing {
@@ -243,6 +268,7 @@ pub struct Plan {
     pub has_proxies: bool,
     /// The first scene has a sequence of images.
     pub slides: Option<Slides>,
+    pub wire: Wire,
 }
 
 impl Plan {
@@ -295,6 +321,8 @@ impl Plan {
             look_ahead_s: r.one_of(&[0.0, 1.0, 3.0]),
             has_proxies: r.percent(60),
             slides: if r.percent(40) { Some(Slides::random(r)) } else { None },
+            // What is new is drawn last: seeds keep all else that they had.
+            wire: r.one_of(&[Wire::Http1, Wire::Http2, Wire::Tls1, Wire::Tls2]),
         }
     }
 
@@ -438,5 +466,8 @@ mod tests {
         assert!(events.iter().filter(|e| matches!(e, Event::LoadProxy(_))).count() > 50);
         assert!(count(&|p| p.skip_sse_factor > 1.0) > 60 && count(&|p| p.compile_contexts) > 50);
         assert!(count(&|p| p.has_proxies) > 80 && count(&|p| p.slides.is_some()) > 50);
+        for wire in [Wire::Http1, Wire::Http2, Wire::Tls1, Wire::Tls2] {
+            assert!(count(&|p| p.way == Way::Http && p.wire == wire) > 20, "{wire:?}");
+        }
     }
 }
