@@ -199,6 +199,24 @@ fn programs_read_members_of_structs_and_what_is_not_given_of_a_vector() {
     assert_eq!(pixel(&picture, 32, 32), GREEN);
 }
 
+/// As glTF's `_BASIS` comes.
+#[test]
+fn programs_put_matrices_together_from_their_columns() {
+    let Some(mut rig) = rig("programs_put_matrices_together_from_their_columns") else { return };
+    let square = with(quad([0.0; 3], [0.5; 2], [1.0; 4]), |mesh| {
+        let columns = [[0.0f32, 0.0], [1.0, 0.0]].into_iter().zip(["_BASIS_0", "_BASIS_1"]);
+        columns.fold(mesh, |mesh, (column, name)| mesh.with_attribute(name, Float32x2, &[column; 4]).unwrap())
+    });
+    let inputs = "@location(4) _BASIS_0: vec2<f32>, @location(5) _BASIS_1: vec2<f32>";
+    let color = "vec3<f32>(0.0, mat2x2<f32>(_BASIS_0, _BASIS_1) * vec2<f32>(0.0, 1.0))";
+    let set = StateSet::default().with(program("basis", inputs, color));
+    let scene = rig.scene(Node::geode(vec![square]).with_state_set(Arc::new(set)));
+    let picture = rig.picture(&scene, &unit_camera(SIDE), &black());
+    assert_eq!((pixel(&picture, 32, 32), pixel(&picture, 2, 2)), (GREEN, BLACK));
+    rig.release(scene);
+    assert_no_errors(&mut rig);
+}
+
 #[test]
 fn attributes_that_are_missing_or_of_another_type_are_seen_and_said_once() {
     let Some(mut rig) = rig("attributes_that_are_missing_or_of_another_type_are_seen_and_said_once") else { return };

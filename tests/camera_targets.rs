@@ -1,5 +1,5 @@
-//! What cameras in the graph draw into: depth alone, and one texture by several cameras; depth and stencil read back. Needs a GPU (a software one will
-//! do).
+//! What cameras in the graph draw into: depth alone, and one texture by several cameras; depth and stencil read back.
+//! Needs a GPU (a software one will do).
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 mod camera_support;
@@ -325,7 +325,8 @@ fn depth_and_stencil_come_back() {
     // Rows are not as long as those of copies.
     let size = [SIDE - 2, SIDE];
     for (projection, far) in [(own.clip_from_eye, f64::INFINITY), (perspective, 1000.0), (parallel, 1000.0)] {
-        for format in [TextureFormat::Depth32, TextureFormat::Depth32Stencil8, TextureFormat::Depth24Stencil8] {
+        let formats = [TextureFormat::Depth32, TextureFormat::Depth32Stencil8, TextureFormat::Depth24Stencil8];
+        for (format, samples) in formats.into_iter().flat_map(|format| [(format, 1), (format, 4)]) {
             if format == TextureFormat::Depth32Stencil8 && !has_float {
                 continue;
             }
@@ -334,6 +335,7 @@ fn depth_and_stencil_come_back() {
                 depth: Some(Attachment::new(TextureObject::target("deep", size, format))),
                 read_back_depth: Some(depth_sink.clone()),
                 read_back_stencil: Some(stencil_sink.clone()),
+                samples,
                 ..CameraTarget::default()
             };
             let mut camera = to(target, 0);
@@ -373,14 +375,14 @@ fn depth_and_stencil_come_back() {
                 assert_eq!((at(31, 32), at(0, 0), stencil.depth(0, 0)), (77, 0, None));
             } else {
                 assert_eq!(stencil, None);
-                wanted.push("texture \"deep\" has no stencil");
-                wanted.push("texture \"deep\" has no stencil");
+                wanted.push("texture \"deep\" has no stencil; the stencil test");
+                wanted.push("texture \"deep\" has no stencil, which is to be read");
             }
             let is_of = |(error, wanted): (&String, &&str)| error.contains(*wanted);
             assert!(said.len() == wanted.len() && said.iter().zip(&wanted).all(is_of), "{format:?}: {said:?}");
+            // The next one is another texture of the same name.
+            rig.renderer = terrane::draw::Renderer::new(&mut rig.ctx);
         }
-        // Of the next projection it is another texture of the same name.
-        rig.renderer = terrane::draw::Renderer::new(&mut rig.ctx);
     }
 }
 
@@ -399,14 +401,93 @@ fn depth_that_cannot_come_back_is_said_once() {
     let (came, said) = read(rig, Node::camera(to(without, 0), vec![]), [&color_sink, &depth_sink]);
     assert!(matches!(came, [Some(_), None]), "the colour comes: {came:?}");
     assert!(matches!(&said[..], [error] if error.contains("without a depth texture")), "{said:?}");
-    // Depth of several samples cannot be kept, nor so be read.
-    let several = CameraTarget {
-        depth: Some(Attachment::new(TextureObject::target("several", [SIDE; 2], TextureFormat::Depth32))),
-        read_back_depth: Some(depth_sink.clone()),
-        samples: 4,
-        ..CameraTarget::default()
+}
+
+/// They could not be kept: the camera was not drawn.
+#[test]
+fn depth_of_several_samples_is_that_of_the_first() {
+    let Some(mut rig) = rig("depth_of_several_samples_is_that_of_the_first") else { return };
+    let rig = &mut *rig;
+    let (texture, sink) = (TextureObject::target("deep", [SIDE; 2], TextureFormat::Depth32), Arc::default());
+    let camera = |order, viewport_px| {
+        let target = CameraTarget {
+            depth: Some(Attachment::new(texture.clone())),
+            read_back_depth: Some(Arc::clone(&sink)),
+            samples: 4,
+            ..CameraTarget::default()
+        };
+        CameraNode { viewport_px, ..to(target, order) }
     };
-    let (came, said) = read(rig, Node::camera(to(several, 0), vec![]), [&depth_sink]);
-    assert_eq!(came, [None]);
-    assert!(matches!(&said[..], [error] if error.contains("\"several\": depth of several samples")), "{said:?}");
+    // Edges go through pixels; each of these is of one square, at 10, 10.5 or 12 m, or of none.
+    let squares =
+        [(0.0, 0.433), (-0.5, 0.667), (-2.0, 0.933)].map(|(z, half)| quad([0.0, 0.0, z], [half; 2], [1.0; 4]));
+    let over = |z: f32| vec![Node::geode(vec![quad([0.0, 0.0, z], [0.9; 2], [1.0; 4])])];
+    let all = Node::camera(camera(0, None), vec![Node::geode(squares.to_vec())]);
+    let ([depth], said) = read(rig, all, [&sink]);
+    assert!(said.is_empty(), "{said:?}");
+    let depth = depth.unwrap();
+    let mut seen = [0; 4];
+    for (x, y) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (x, y))) {
+        let distance = depth.distance_m(x, y).unwrap();
+        let is_of = |at: &f64| at.is_infinite() && distance.is_infinite() || (distance - at).abs() < 1e-3;
+        let which = [10.0, 10.5, 12.0, f64::INFINITY].iter().position(is_of);
+        seen[which.unwrap_or_else(|| panic!("({x}, {y}) is {distance} m away"))] += 1;
+    }
+    assert!(seen.iter().all(|count| *count > 500), "{seen:?}");
+    // Later cameras sample it.
+    let picture = draw(rig, vec![shown(&texture)]);
+    assert_eq!((pixel(&picture, 32, 32), pixel(&picture, 1, 1)), (GREEN, BLACK));
+    // Cameras with a part each leave the other's.
+    let (left, right) = ([0, 0, SIDE / 2, SIDE], [SIDE / 2, 0, SIDE / 2, SIDE]);
+    let [nearer, farther] = [(0, left, 1.0), (1, right, -5.0)].map(|(order, part, z)| {
+        let camera = camera(order, Some(part));
+        Node::camera(
+            CameraNode { projection: Some(proj::orthographic(-1.0, 1.0, -1.0, 1.0, 1000.0, 0.5)), ..camera },
+            over(z),
+        )
+    });
+    let at = |depth: &Picture, x| depth.distance_m(x, SIDE / 2).unwrap();
+    let ([depth], _) = read(rig, Node::group(vec![nearer, farther]), [&sink]);
+    let depth = depth.unwrap();
+    assert!(
+        (at(&depth, 16) - 9.0).abs() < 0.01 && (at(&depth, 48) - 15.0).abs() < 0.01,
+        "{:?}",
+        [16, 48].map(|x| at(&depth, x))
+    );
+    let again =
+        CameraNode { projection: Some(proj::orthographic(-1.0, 1.0, -1.0, 1.0, 1000.0, 0.5)), ..camera(0, Some(left)) };
+    let ([depth], _) = read(rig, Node::camera(again, over(3.0)), [&sink]);
+    let depth = depth.unwrap();
+    assert!(
+        (at(&depth, 16) - 7.0).abs() < 0.01 && (at(&depth, 48) - 15.0).abs() < 0.01,
+        "{:?}",
+        [16, 48].map(|x| at(&depth, x))
+    );
+}
+
+/// What is drawn over it by a camera that does not clear it is compared with it, in the frame.
+#[test]
+fn cameras_with_several_samples_share_a_depth_texture() {
+    let Some(mut rig) = rig("cameras_with_several_samples_share_a_depth_texture") else { return };
+    let rig = &mut *rig;
+    let (texture, sink) = (TextureObject::target("deep", [SIDE; 2], TextureFormat::Depth32), Arc::default());
+    let camera = |order, z: f32, half: f32| {
+        let target = CameraTarget {
+            depth: Some(Attachment::new(texture.clone())),
+            read_back_depth: (order == 1).then(|| Arc::clone(&sink)),
+            samples: 4,
+            ..CameraTarget::default()
+        };
+        let camera = CameraNode { clear_depth: order == 0, ..to(target, order) };
+        Node::camera(camera, vec![Node::geode(vec![quad([0.0, 0.0, z], [half; 2], [1.0; 4])])])
+    };
+    let both = Node::group(vec![camera(0, 0.0, 0.4), camera(1, -1.0, 0.9)]);
+    let ([depth], said) = read(rig, both, [&sink]);
+    assert!(said.is_empty(), "{said:?}");
+    let depth = depth.unwrap();
+    let at = |x, y| depth.distance_m(x, y).unwrap();
+    assert!((at(32, 32) - 10.0).abs() < 1e-3 && (at(12, 32) - 11.0).abs() < 1e-3, "{} {}", at(32, 32), at(12, 32));
+    // Alone it finds nothing there.
+    let ([depth], _) = read(rig, camera(1, -1.0, 0.9), [&sink]);
+    assert!((depth.unwrap().distance_m(32, 32).unwrap() - 11.0).abs() < 1e-3);
 }

@@ -1,4 +1,4 @@
-//! What hides a tile or keeps it: the earth, a camera's mask, small-feature culling, a request volume. No GPU.
+//! What hides a tile or keeps it: the earth, a camera's mask, small-feature culling. No GPU.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 mod scenes;
@@ -152,80 +152,6 @@ fn near_and_far_of_a_nested_view_follow_its_tiles() {
     };
     assert!(depth(999.0) < 1.0 && depth(970.0) > 1.0 && depth(1001.0) > 0.0 && depth(1030.0) < 0.0);
     assert!(stage.near_m > 5000.0, "what another view shows does not count: {}", stage.near_m);
-}
-
-#[test]
-fn a_tile_is_for_eyes_in_its_request_volume() {
-    let mut tile = flat_tile(DVec3::ZERO, 10.0, 0.0);
-    if let NodeKind::PagedLod(lod) = &mut tile.kind {
-        lod.request_volume = Some(BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 100.0)));
-    }
-    let mut scene = Scene::new();
-    scene.add_root(page(tile, 0));
-    let at = |distance_m: f64| look_at(DVec3::new(0.0, -distance_m, 0.0), DVec3::ZERO, DVec3::Z);
-    let outside = settle(&mut scene, &at(101.0));
-    assert_eq!((outside.counters.tiles_drawn, outside.counters.tiles_visited), (0, 0), "not even asked for");
-    assert_eq!(settle(&mut scene, &at(99.0)).counters.tiles_drawn, 1);
-    assert_eq!(settle(&mut scene, &at(101.0)).counters.tiles_drawn, 0, "nor drawn when it is there");
-}
-
-/// A tile with two children, one of them only for eyes within 500 m.
-fn with_a_near_child(refine: Refine) -> Scene {
-    let mut parent = flat_tile(DVec3::ZERO, 100.0, 1e3);
-    let mut near = flat_tile(DVec3::new(50.0, 0.0, 0.0), 50.0, 0.0);
-    if let NodeKind::PagedLod(lod) = &mut near.kind {
-        lod.request_volume = Some(BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 500.0)));
-    }
-    if let NodeKind::PagedLod(lod) = &mut parent.kind {
-        lod.refine = refine;
-    }
-    parent.children = vec![flat_tile(DVec3::new(-50.0, 0.0, 0.0), 50.0, 0.0), near];
-    let mut scene = Scene::new();
-    scene.add_root(page(parent, 0));
-    scene
-}
-
-fn from_above(height_m: f64) -> CullCamera {
-    look_at(DVec3::new(0.0, -10.0, height_m), DVec3::ZERO, DVec3::Z)
-}
-
-/// From farther away there would be a hole in the near child's place; whatever was seen before.
-#[test]
-fn a_tile_is_not_replaced_from_outside_of_a_childs_volume() {
-    for (refine, inside, outside) in [(Refine::Replace, 2, 1), (Refine::Add, 3, 2)] {
-        let (mut flown, mut new) = (with_a_near_child(refine), with_a_near_child(refine));
-        let [far, near] = [600.0, 400.0].map(from_above);
-        assert_eq!(settle(&mut flown, &far).counters.tiles_drawn, outside, "{refine:?}");
-        assert_eq!(settle(&mut flown, &near).counters.tiles_drawn, inside, "{refine:?}");
-        let [flown, new] = [&mut flown, &mut new].map(|scene| settle(scene, &far));
-        assert_eq!((flown.counters.tiles_drawn, flown.requests.len()), (outside, 0), "{refine:?}");
-        assert_eq!(flown.eye_from_drawable, new.eye_from_drawable, "{refine:?}");
-    }
-}
-
-/// Nor is there a hole while the tile fades in again, or has to be loaded again.
-#[test]
-fn children_stand_in_for_a_tile_from_outside_of_a_volume() {
-    let mut scene = with_a_near_child(Refine::Replace);
-    let slots: Vec<NodeId> = scene.slots_of_page(scene.roots()[0]).collect();
-    let pages: Vec<_> = slots.iter().map(|slot| scene.attach(*slot, content(50.0, 0)).unwrap()).collect();
-    let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
-    let mut drawn = |scene: &Scene, frame: u32, height_m: f64, simulation_time_s: f64| {
-        let mut camera = CullCamera { frame, simulation_time_s, ..from_above(height_m) };
-        camera.settings.lod_fade_s = 0.1;
-        visitor.cull(scene, &camera, &mut stage);
-        (stage.counters.tiles_drawn, stage.requests.iter().map(|r| r.slot).collect::<Vec<_>>())
-    };
-    assert_eq!(drawn(&scene, 1, 400.0, 0.0), (2, vec![]));
-    assert_eq!(drawn(&scene, 2, 400.0, 0.02), (2, vec![]));
-    assert_eq!(drawn(&scene, 3, 600.0, 0.04), (3, vec![]), "the tile and both children, each in its part");
-    assert_eq!(drawn(&scene, 4, 600.0, 0.20), (1, vec![]));
-    scene.detach(pages[0]).unwrap();
-    let mut new = CullVisitor::new();
-    let mut stage = RenderStage::new();
-    new.cull(&scene, &CullCamera { frame: 5, ..from_above(600.0) }, &mut stage);
-    assert_eq!((stage.counters.tiles_drawn, stage.requests.len()), (2, 1));
-    assert_eq!(stage.requests[0].slot, slots[0]);
 }
 
 /// Three levels of tiles, each named by its place depth-first; state sets make some of them grey.

@@ -82,14 +82,13 @@ fn tangents(w: f32) -> Given<'static> {
 #[test]
 fn what_is_asked_for_is_kept_under_its_name() {
     use AttributeFormat::*;
-    let given: [Given<'_>; 7] = [
+    let given: [Given<'_>; 6] = [
         tangents(1.0),
         ("TEXCOORD_1", UNSIGNED_SHORT, true, "VEC2", (0..12).collect()),
         ("_HEAT", FLOAT, false, "SCALAR", floats(&[1.0, 2.0, 3.0])),
         ("_RGB", UNSIGNED_BYTE, true, "VEC3", (0..9).collect()),
         ("_STEPS", BYTE, false, "SCALAR", vec![255, 1, 2]),
         ("_ID", UNSIGNED_INT, false, "SCALAR", (0..12).collect()),
-        ("_BASIS", FLOAT, false, "MAT2", floats(&[0.0; 12])),
     ];
     for gap in [0, 4] {
         let bytes = triangle(&given, gap);
@@ -97,7 +96,7 @@ fn what_is_asked_for_is_kept_under_its_name() {
         let plain = read(bytes.clone(), &options(&[])).unwrap();
         let plain_bytes = plain.size_bytes();
         assert!(mesh(&drawable(&mut { plain })).attributes.is_empty());
-        let names = ["_HEAT", "TANGENT", "TEXCOORD_1", "_RGB", "_STEPS", "_ID", "_BASIS", "_NOT_THERE"];
+        let names = ["_HEAT", "TANGENT", "TEXCOORD_1", "_RGB", "_STEPS", "_ID", "_NOT_THERE"];
         let mut page = read(bytes, &options(&names)).unwrap();
         assert_eq!(page.size_bytes() - plain_bytes, 3 * (4 + 16 + 4 + 4 + 4 + 4));
         let drawable = drawable(&mut page);
@@ -105,7 +104,7 @@ fn what_is_asked_for_is_kept_under_its_name() {
         let padded = |bytes: &[u8], size: usize| -> Vec<u8> {
             bytes.chunks(size).flat_map(|e| e.iter().copied().chain(std::iter::repeat(0)).take(4)).collect()
         };
-        let [tangents, texcoords, heat, rgb, steps, ids, _] = given.clone().map(|(.., bytes)| bytes);
+        let [tangents, texcoords, heat, rgb, steps, ids] = given.clone().map(|(.., bytes)| bytes);
         let (rgb, steps) = (padded(&rgb, 3), padded(&steps, 1));
         let expected: [(&str, AttributeFormat, &[u8]); 6] = [
             ("_HEAT", Float32, &heat),
@@ -117,6 +116,71 @@ fn what_is_asked_for_is_kept_under_its_name() {
         ];
         assert_eq!(kept, expected, "{gap} bytes between elements");
     }
+}
+
+/// Of a view that says nothing of its stride, and of none but the last element's last bytes.
+fn tight(gltf: Vec<u8>, stride: usize, spare: usize) -> Vec<u8> {
+    let text = String::from_utf8(gltf).unwrap();
+    let whole = 3 * stride;
+    let (from, to) =
+        (format!(r#""byteLength":{whole},"byteStride":{stride}}}"#), format!(r#""byteLength":{}}}"#, whole - spare));
+    assert_eq!(text.matches(&from).count(), 1, "{text}");
+    text.replace(&from, &to).into_bytes()
+}
+
+#[test]
+fn matrices_are_kept_as_their_columns() {
+    use AttributeFormat::*;
+    // A type, its bytes in an element with what fills its columns up, columns and rows.
+    let cases = [
+        (FLOAT, false, "MAT2", 2, 2, 4, Float32x2),
+        (FLOAT, false, "MAT3", 3, 3, 4, Float32x3),
+        (FLOAT, false, "MAT4", 4, 4, 4, Float32x4),
+        (UNSIGNED_BYTE, true, "MAT2", 2, 2, 1, Unorm8x4),
+        (BYTE, true, "MAT3", 3, 3, 1, Snorm8x4),
+        (UNSIGNED_BYTE, false, "MAT4", 4, 4, 1, Uint8x4),
+        (UNSIGNED_SHORT, true, "MAT2", 2, 2, 2, Unorm16x2),
+        (UNSIGNED_SHORT, false, "MAT3", 3, 3, 2, Uint16x4),
+    ];
+    for (component, normalized, ty, columns, rows, size, format) in cases {
+        let column = usize::next_multiple_of(rows * size, 4);
+        // Of each column, numbers of its own; what fills it up is noise.
+        let byte = |element: usize, c: usize, at: usize| (100 * element + 16 * c + at) as u8;
+        let element = |e| {
+            (0..columns)
+                .flat_map(move |c| (0..column).map(move |at| if at < rows * size { byte(e, c, at) } else { 0xee }))
+        };
+        let bytes: Vec<u8> = (0..3).flat_map(element).collect();
+        let given = |gap| triangle(&[("_BASIS", component, normalized, ty, bytes.clone())], gap);
+        let spare = column - rows * size;
+        for gltf in [given(0), given(4), tight(given(0), columns * column, 0), tight(given(0), columns * column, spare)]
+        {
+            let mut page = read(gltf, &options(&["_BASIS"])).unwrap();
+            let drawable = drawable(&mut page);
+            let kept: Vec<_> = mesh(&drawable).attributes.iter().collect();
+            assert_eq!(kept.len(), columns, "{ty}");
+            for (c, (name, of, elements)) in kept.into_iter().enumerate() {
+                let own = |e| (0..format.size_bytes()).map(move |at| if at < rows * size { byte(e, c, at) } else { 0 });
+                assert_eq!((name, of), (&*format!("_BASIS_{c}"), format), "{ty}");
+                assert_eq!(elements, (0..3).flat_map(own).collect::<Vec<u8>>(), "{ty} {component} column {c}");
+            }
+        }
+        // A view that ends within the last column.
+        let error = read(tight(given(0), columns * column, spare + 1), &options(&["_BASIS"])).unwrap_err().to_string();
+        assert!(error.contains("accessor reaches beyond its buffer"), "{ty}: {error}");
+        let error = read(
+            triangle(
+                &[("_A", component, normalized, ty, bytes.clone()), ("_A_1", BYTE, false, "SCALAR", vec![1, 2, 3])],
+                0,
+            ),
+            &options(&["_A", "_A_1"]),
+        );
+        assert!(error.unwrap_err().to_string().contains("\"_A_1\""), "{ty}");
+    }
+    // Sixteen columns are more than there can be.
+    let four: Vec<_> = ["_A", "_B", "_C", "_D"].map(|name| (name, FLOAT, false, "MAT4", floats(&[0.0; 48]))).into();
+    let error = read(triangle(&four, 0), &options(&["_A", "_B", "_C", "_D"])).unwrap_err().to_string();
+    assert!(error.contains("\"_D_0\"") && error.contains("one more than the 12"), "{error}");
 }
 
 #[test]

@@ -8,9 +8,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use gpu_support::{MAGENTA, count, new_rig, pixel, plain, quad, unit_camera, with_mips};
-use terrane::draw::Environment;
+use terrane::draw::{Environment, Sky};
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
-use terrane::scene::{CameraNode, Drawable, Node};
+use terrane::scene::{CameraNode, Drawable, Material, Node};
 use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding, TextureFormat, TextureObject};
 
 const SIDE: u32 = 64;
@@ -26,6 +26,8 @@ fn a_frame_without_memory_for_its_target_is_left_out_and_said() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let scene = rig.scene(square([1.0, 0.0, 0.0, 1.0]));
     let camera = unit_camera(SIDE);
+    // All else is there, of a smaller one.
+    rig.draw(&scene, &unit_camera(SIDE / 2), &plain());
     rig.ctx.pretend_frame_memory(Some(0));
     for _ in 0..3 {
         let stats = rig.draw(&scene, &camera, &plain());
@@ -78,21 +80,30 @@ fn a_camera_without_memory_for_its_target_leaves_the_others() {
     rig.release(scene);
 }
 
+/// Its tables were made whether there was memory for them or not. A clear day's sky is in their place, and all that is lit
+/// is as under one.
 #[test]
-fn air_without_memory_is_said_and_computed_once_there_is_room() {
+fn air_without_memory_is_a_plain_sky_and_computed_once_there_is_room() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
-    let scene = rig.scene(square([1.0; 4]));
+    let mut lit = quad([0.0; 3], [0.5; 2], [1.0; 4]);
+    lit.material = Material::default();
+    let scene = rig.scene(Node::geode(vec![lit]));
     let sky = Environment::default();
-    // The target is there, and the air's uniform is not.
-    rig.draw(&scene, &unit_camera(SIDE), &plain());
+    let clear = Environment { sky: Sky::Background([0x87, 0xae, 0xd6]), ..sky };
+    // The target is there, and the air's tables are not.
+    let under_clear = rig.picture(&scene, &unit_camera(SIDE), &clear);
     rig.ctx.pretend_frame_memory(Some(0));
-    for _ in 0..2 {
-        rig.draw(&scene, &unit_camera(SIDE), &sky);
+    for _ in 0..3 {
+        let picture = rig.picture(&scene, &unit_camera(SIDE), &sky);
+        assert!(picture == under_clear);
+        assert_eq!(pixel(&picture, 2, 2), [0x87, 0xae, 0xd6]);
+        assert!(pixel(&picture, 32, 32).iter().all(|channel| *channel > 60), "{:?}", pixel(&picture, 32, 32));
     }
     let errors = rig.renderer.take_errors();
     assert!(matches!(&errors[..], [error] if error.starts_with("out of graphics memory: air of ")), "{errors:?}");
     rig.ctx.pretend_frame_memory(None);
     let picture = rig.picture(&scene, &unit_camera(SIDE), &sky);
+    assert_ne!(pixel(&picture, 2, 2), [0x87, 0xae, 0xd6]);
     assert_ne!(pixel(&picture, 2, 2), [0; 3], "the air is computed once there is room");
     rig.release(scene);
 }

@@ -406,10 +406,9 @@ fn the_threads_share_a_client() {
     assert_eq!((directories, server.count()), (1, 9));
 }
 
-/// It held a thread until the server's time was over.
+/// Three images that come discarded, one thread, and a server that says nothing to the first who asks for the second.
 #[cfg(feature = "http")]
-#[test]
-fn an_image_that_nobody_wants_any_more_is_given_up() {
+fn with_a_silent_server(check: impl FnOnce(&mut Theatre, &ImageSequence, &dyn Fn(usize) -> bool)) {
     use http_support::{How, Reply, Server};
     use terrane::io::HttpConfig;
     let folder = tempfile::tempdir().unwrap();
@@ -421,27 +420,56 @@ fn an_image_that_nobody_wants_any_more_is_given_up() {
     let sequence = playing((0..3).map(|k| format!("{}/{k}.png", server.url)).collect(), LoopingMode::Looping, 3.0);
     sequence.set_mode(SequenceMode::PageAndDiscardUsedImages);
     sequence.set_pre_load_frames(0);
-    sequence.pause();
     let long = Duration::from_secs(600);
     let http = HttpConfig { first_byte_timeout: long, total_timeout: long, ..HttpConfig::default() };
     // The only one.
     let config = ImagePagerConfig { threads: 1, http, ..ImagePagerConfig::default() };
     let Some(mut theatre) = Theatre::open(&[&sequence], config, ThreadingModel::default()) else { return };
     let asked = |nth: usize| server.seen().iter().filter(|r| r.path() == "/1.png").count() == nth;
-    let mut until = |position_s: f64, is_so: &dyn Fn(&mut Theatre) -> bool| {
-        sequence.seek(position_s);
-        let end = Instant::now() + Duration::from_secs(30);
-        while !is_so(&mut theatre) {
-            assert!(Instant::now() < end, "{:?} {:?}", theatre.pager().stats(), theatre.pager().errors());
-            std::thread::sleep(Duration::from_millis(2));
-        }
-    };
-    until(0.5, &|t| t.shown(1.0, 3) == Some(0));
-    until(1.5, &|t| t.shown(1.0, 3) == Some(0) && asked(1));
-    until(2.5, &|t| t.shown(1.0, 3) == Some(2));
-    until(1.5, &|t| t.shown(1.0, 3) == Some(1) && asked(2));
-    let stats = theatre.pager().stats();
-    assert_eq!((stats.cancelled, stats.failed, stats.loaded), (1, 0, 3), "{:?}", theatre.pager().errors());
+    check(&mut theatre, &sequence, &asked);
+}
+
+/// Draws frames at a time until something is so.
+#[cfg(feature = "http")]
+fn frames_until(theatre: &mut Theatre, time_s: f64, is_so: impl Fn(Option<usize>) -> bool) {
+    let end = Instant::now() + Duration::from_secs(30);
+    while !is_so(theatre.shown(time_s, 3)) {
+        assert!(Instant::now() < end, "{:?} {:?}", theatre.pager().stats(), theatre.pager().errors());
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// It held a thread until the server's time was over.
+#[cfg(feature = "http")]
+#[test]
+fn an_image_that_nobody_wants_any_more_is_given_up() {
+    with_a_silent_server(|theatre, sequence, asked| {
+        let mut until = |position_s: f64, is_so: &dyn Fn(Option<usize>) -> bool| {
+            sequence.seek(position_s);
+            frames_until(theatre, 1.0, is_so);
+        };
+        sequence.pause();
+        until(0.5, &|shown| shown == Some(0));
+        until(1.5, &|shown| shown == Some(0) && asked(1));
+        until(2.5, &|shown| shown == Some(2));
+        until(1.5, &|shown| shown == Some(1) && asked(2));
+        let stats = theatre.pager().stats();
+        assert_eq!((stats.cancelled, stats.failed, stats.loaded), (1, 0, 3), "{:?}", theatre.pager().errors());
+    });
+}
+
+/// A sequence waits for an image that comes late, but not for ever.
+#[cfg(feature = "http")]
+#[test]
+fn an_image_that_is_overdue_for_long_is_given_up() {
+    with_a_silent_server(|theatre, _, asked| {
+        frames_until(theatre, 0.5, |shown| shown == Some(0));
+        frames_until(theatre, 1.5, |shown| shown == Some(0) && asked(1));
+        frames_until(theatre, 2.5, |shown| shown == Some(2));
+        frames_until(theatre, 4.5, |shown| shown == Some(1) && asked(2));
+        let stats = theatre.pager().stats();
+        assert_eq!((stats.cancelled, stats.failed, stats.loaded), (1, 0, 3), "{:?}", theatre.pager().errors());
+    });
 }
 
 #[test]

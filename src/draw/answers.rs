@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use glam::DMat4;
 
 use crate::cull::{CullCamera, OcclusionQuery};
+use crate::gpu::Memory;
 use crate::scene::{Attachment, CameraTarget, OcclusionResults, Picture, PictureSink, ReadBack};
 use crate::state::TextureFormat;
 
@@ -46,9 +47,17 @@ pub(super) struct Queries {
 }
 
 impl Queries {
-    pub(super) fn new(device: &wgpu::Device) -> Self {
+    /// Bytes of the samples of a frame's queries.
+    const FRAME_BYTES: u64 = 8 * MOST_QUERIES as u64;
+
+    /// Those of a renderer; why there is no memory for them.
+    pub(super) fn new(memory: &Memory) -> Result<Self, String> {
+        memory.make("occlusion queries", Self::FRAME_BYTES * (1 + RING as u64), Self::of_device)
+    }
+
+    fn of_device(device: &wgpu::Device) -> Self {
         let buffer = |label, usage| {
-            let size = 8 * u64::from(MOST_QUERIES);
+            let size = Self::FRAME_BYTES;
             device.create_buffer(&wgpu::BufferDescriptor { label: Some(label), size, usage, mapped_at_creation: false })
         };
         Self {
@@ -90,6 +99,13 @@ impl Queries {
                 query.results.was_not_asked(room == Some(false), query.frame);
                 None
             }
+        }
+    }
+
+    /// Takes back what was asked in a frame that is not drawn: it counts as seen.
+    pub(super) fn forget_asked(&mut self) {
+        if let Some(slot) = self.current.take().and_then(|current| self.slots.get_mut(current)) {
+            slot.asked.drain(..).for_each(|(results, _, frame)| results.was_not_asked(true, frame));
         }
     }
 
@@ -221,18 +237,19 @@ impl PictureReads {
         has_room
     }
 
-    /// Copies a part of a camera's target from its texture to where it can be read; false while too many are under way.
+    /// Copies a part of a camera's target from its texture to where it can be read; not while too many are under way. Why
+    /// it cannot be.
     pub(super) fn copy(
         &mut self,
-        device: &wgpu::Device,
+        memory: &Memory,
         encoder: &mut wgpu::CommandEncoder,
         texture: &wgpu::Texture,
         read: Read<'_>,
         sink: &Arc<PictureSink>,
         camera: &CullCamera,
-    ) -> bool {
+    ) -> Result<(), String> {
         if !self.has_room(sink) {
-            return false;
+            return Ok(());
         }
         let Read { attachment: Attachment { level, layer, .. }, aspect, format } = read;
         let (level, layer) = (*level, *layer);
@@ -244,17 +261,19 @@ impl PictureReads {
         let fitting = self.slots.iter().position(|s| is_idle(s) && s.buffer.size() == size);
         let place = match fitting.or_else(|| self.slots.iter().position(is_idle)) {
             Some(place) => place,
-            None if self.slots.len() >= MOST_PICTURES => return false,
+            None if self.slots.len() >= MOST_PICTURES => return Ok(()),
             None => self.slots.len(),
         };
         if fitting.is_none() {
+            let descriptor = wgpu::BufferDescriptor {
+                label: Some("picture"),
+                size,
+                usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                mapped_at_creation: false,
+            };
+            let what = "picture to be read back";
             let slot = PictureSlot {
-                buffer: device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some("picture"),
-                    size,
-                    usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
-                    mapped_at_creation: false,
-                }),
+                buffer: memory.make(what, size, |device| device.create_buffer(&descriptor))?,
                 sink: sink.clone(),
                 size_px,
                 format,
@@ -285,7 +304,7 @@ impl PictureReads {
             },
             wgpu::Extent3d { width: size_px[0], height: size_px[1], depth_or_array_layers: 1 },
         );
-        true
+        Ok(())
     }
 
     pub(super) fn submitted(&mut self) {
@@ -353,7 +372,7 @@ mod tests {
             // The last one asks no more after the first frames.
             for sink in &sinks[..if frame < 2 { 20 } else { 19 }] {
                 let camera = CullCamera { frame, ..CullCamera::default() };
-                reads.copy(ctx.device(), &mut encoder, &texture, Read::color(&of), sink, &camera);
+                reads.copy(ctx.memory(), &mut encoder, &texture, Read::color(&of), sink, &camera).unwrap();
             }
             ctx.queue().submit([encoder.finish()]);
             reads.submitted();

@@ -124,7 +124,10 @@ const KEPT_DRAWS: u32 = 120;
 /// The tables of a renderer, and what computes them.
 pub(super) struct Atmosphere {
     sampler: wgpu::Sampler,
-    /// One at least.
+    /// One texel, bound in place 0: for pictures without air.
+    none: wgpu::TextureView,
+    no_volume: wgpu::TextureView,
+    /// In the places from 1 on.
     sets: Vec<Tables>,
     /// What computes the tables, in the order run; the last one is run for each eye. Made when there first is an atmosphere;
     /// `Some(None)` where the device refused.
@@ -143,8 +146,9 @@ struct Tables {
     sky_light: wgpu::TextureView,
     scattered: wgpu::TextureView,
     mie: wgpu::TextureView,
-    /// Made when they are first computed.
-    maker: Option<Maker>,
+    uniform: wgpu::Buffer,
+    /// Of the passes; made when they are first computed.
+    groups: Option<[wgpu::BindGroup; 4]>,
     /// What they hold.
     made_for: Option<Air>,
     /// What this draw's eyes need, or the last one's that did.
@@ -156,12 +160,6 @@ struct Tables {
 /// `struct Air` of atmosphere.wgsl.
 const UNIFORM_BYTES: u64 = 32;
 
-/// What a set is computed with: the bind groups of the passes.
-struct Maker {
-    uniform: wgpu::Buffer,
-    groups: [wgpu::BindGroup; 4],
-}
-
 /// A compute pass.
 struct Pass {
     pipeline: wgpu::ComputePipeline,
@@ -169,9 +167,10 @@ struct Pass {
     size: [u32; 3],
 }
 
-/// A place among the sets.
+/// The tables for an eye.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct FoundAir {
+    /// 0 without any.
     pub(super) place: u8,
     /// What the set is for: another eye's where there were too many.
     pub(super) air: Air,
@@ -187,7 +186,9 @@ impl Atmosphere {
                 min_filter: wgpu::FilterMode::Linear,
                 ..Default::default()
             }),
-            sets: vec![Tables::new(device)],
+            none: table(device, "no air", [1; 3]),
+            no_volume: table(device, "no air", [1, 1, 2]),
+            sets: Vec::new(),
             passes: None,
             errors: Vec::new(),
             draw: 0,
@@ -201,14 +202,15 @@ impl Atmosphere {
         self.draws_of_frame = draws_of_frame.clamp(1, KEPT_DRAWS as usize) as u32;
         let had = self.sets.len();
         let draw = self.draw;
-        while self.sets.len() > 1 && self.sets.last().is_some_and(|set| draw.wrapping_sub(set.used) > KEPT_DRAWS) {
+        while self.sets.last().is_some_and(|set| draw.wrapping_sub(set.used) > KEPT_DRAWS) {
             self.sets.pop();
         }
         self.sets.len() < had
     }
 
-    pub(super) fn set_count(&self) -> usize {
-        self.sets.len()
+    /// Places that a set may have, that of none among them.
+    pub(super) fn place_count(&self) -> usize {
+        1 + self.sets.len()
     }
 
     /// True where the device can compute tables.
@@ -223,8 +225,8 @@ impl Atmosphere {
         made.is_some()
     }
 
-    /// The set for an eye, made in this draw unless it is there.
-    pub(super) fn find(&mut self, ctx: &GraphicsContext, air: &Air) -> FoundAir {
+    /// The set for an eye, made in this draw unless it is there; `None` where there is no memory even for one.
+    pub(super) fn find(&mut self, ctx: &GraphicsContext, air: &Air) -> Option<FoundAir> {
         let draw = self.draw;
         let same = self.sets.iter().position(|set| set.wanted.as_ref() == Some(air));
         let age = |set: &Tables| draw.wrapping_sub(set.used);
@@ -232,8 +234,8 @@ impl Atmosphere {
         // Of another eye of the frame before, or none's; the first of them, so that the last ones can be given back.
         let is_free = |set: &Tables| set.wanted.is_none() || age(set) >= self.draws_of_frame;
         let free = || self.sets.iter().position(|set| is_free(set) && fits(set));
-        let place = match same.or_else(free) {
-            Some(place) => place,
+        let index = match same.or_else(free) {
+            Some(index) => index,
             None if self.sets.len() < MOST_SETS => {
                 match ctx.memory().make("air", Tables::bytes(), Tables::new) {
                     Ok(set) => self.sets.push(set),
@@ -247,34 +249,37 @@ impl Atmosphere {
             None => {
                 let others = self.sets.iter().enumerate().filter(|(_, set)| age(set) > 0);
                 match others.max_by_key(|(_, set)| (fits(set), age(set))) {
-                    Some((place, _)) => place,
+                    Some((index, _)) => index,
                     None => return self.nearest(air),
                 }
             }
         };
-        let set = &mut self.sets[place];
+        let set = &mut self.sets[index];
         (set.wanted, set.used) = (Some(*air), draw);
-        FoundAir { place: place as u8, air: *air, is_refused: false }
+        Some(FoundAir { place: 1 + index as u8, air: *air, is_refused: false })
     }
 
     /// The set of this draw whose eye is at nearly the same height.
-    fn nearest(&self, air: &Air) -> FoundAir {
-        let found = self.sets.iter().enumerate().filter_map(|(place, set)| Some((place, set.wanted?)));
+    fn nearest(&self, air: &Air) -> Option<FoundAir> {
+        let found = (1..).zip(&self.sets).filter_map(|(place, set)| Some((place, set.wanted?)));
         let away = |other: &Air| (other.eye_km - air.eye_km).abs();
-        let (place, air) = found.min_by(|(_, a), (_, b)| away(a).total_cmp(&away(b))).unwrap_or((0, *air));
-        FoundAir { place: place as u8, air, is_refused: true }
+        let (place, air) = found.min_by(|(_, a), (_, b)| away(a).total_cmp(&away(b)))?;
+        Some(FoundAir { place, air, is_refused: true })
     }
 
     /// What shaders read of a set, from binding 3 of group 0 on.
     pub(super) fn entries(&self, place: usize) -> [wgpu::BindGroupEntry<'_>; 5] {
         let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
-        let set = &self.sets[place.min(self.sets.len() - 1)];
+        let set = place.checked_sub(1).and_then(|index| self.sets.get(index));
+        let (plane, volume) = ([&self.none; 2], [&self.no_volume; 2]);
+        let [sunlight, sky_light] = set.map_or(plane, |set| [&set.sunlight, &set.sky_light]);
+        let [scattered, mie] = set.map_or(volume, |set| [&set.scattered, &set.mie]);
         [
             entry(3, wgpu::BindingResource::Sampler(&self.sampler)),
-            entry(4, wgpu::BindingResource::TextureView(&set.sunlight)),
-            entry(5, wgpu::BindingResource::TextureView(&set.sky_light)),
-            entry(6, wgpu::BindingResource::TextureView(&set.scattered)),
-            entry(7, wgpu::BindingResource::TextureView(&set.mie)),
+            entry(4, wgpu::BindingResource::TextureView(sunlight)),
+            entry(5, wgpu::BindingResource::TextureView(sky_light)),
+            entry(6, wgpu::BindingResource::TextureView(scattered)),
+            entry(7, wgpu::BindingResource::TextureView(mie)),
         ]
     }
 
@@ -295,9 +300,7 @@ impl Atmosphere {
         let mut pass =
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("air"), timestamp_writes });
         for set in self.sets.iter_mut().filter(|set| needs(set)) {
-            if let Err(error) = set.record(ctx, &mut pass, passes, &self.sampler) {
-                self.errors.push(error);
-            }
+            set.record(ctx, &mut pass, passes, &self.sampler);
         }
     }
 }
@@ -306,7 +309,7 @@ impl Tables {
     /// Of a set.
     fn bytes() -> u64 {
         let texels = [SUNLIGHT_SIZE, MULTIPLE_SIZE, SKY_LIGHT_SIZE, AIR_SIZE, AIR_SIZE];
-        texels.map(|size| 8 * size.map(u64::from).iter().product::<u64>()).iter().sum()
+        texels.map(|size| 8 * size.map(u64::from).iter().product::<u64>()).iter().sum::<u64>() + UNIFORM_BYTES
     }
 
     fn new(device: &wgpu::Device) -> Self {
@@ -317,7 +320,13 @@ impl Tables {
             sky_light: table("sky light", SKY_LIGHT_SIZE),
             scattered: table("air", AIR_SIZE),
             mie: table("aerosols", AIR_SIZE),
-            maker: None,
+            uniform: device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("air"),
+                size: UNIFORM_BYTES,
+                usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            }),
+            groups: None,
             made_for: None,
             wanted: None,
             used: 0,
@@ -330,38 +339,27 @@ impl Tables {
         pass: &mut wgpu::ComputePass<'_>,
         passes: &[Pass; 4],
         sampler: &wgpu::Sampler,
-    ) -> Result<(), String> {
-        let Some(air) = self.wanted else { return Ok(()) };
+    ) {
+        let Some(air) = self.wanted else { return };
         let same_aerosol = self.made_for.is_some_and(|made| made.aerosol_per_km == air.aerosol_per_km);
-        if self.maker.is_none() {
-            let made = ctx.memory().make("air", UNIFORM_BYTES, |device| self.maker(device, passes, sampler))?;
-            self.maker = Some(made);
-        }
-        let Some(maker) = &self.maker else { return Ok(()) };
+        let groups = self.groups.take().unwrap_or_else(|| self.bind_groups(ctx.device(), passes, sampler));
         let words =
             [air.eye_km, air.horizon_cosine, air.limb_cosine, air.sun_cosine, air.aerosol_per_km, 0.0, 0.0, 0.0];
-        ctx.queue().write_buffer(&maker.uniform, 0, bytemuck::cast_slice(&words));
+        ctx.queue().write_buffer(&self.uniform, 0, bytemuck::cast_slice(&words));
         let first = if same_aerosol { passes.len() - 1 } else { 0 };
-        for (of, group) in passes.iter().zip(&maker.groups).skip(first) {
+        for (of, group) in passes.iter().zip(&groups).skip(first) {
             pass.set_pipeline(&of.pipeline);
             pass.set_bind_group(0, group, &[]);
             // One invocation a column of the table.
             pass.dispatch_workgroups(of.size[0].div_ceil(8), of.size[1].div_ceil(8), 1);
         }
-        self.made_for = Some(air);
-        Ok(())
+        (self.groups, self.made_for) = (Some(groups), Some(air));
     }
 
-    fn maker(&self, device: &wgpu::Device, passes: &[Pass; 4], sampler: &wgpu::Sampler) -> Maker {
-        let uniform = device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some("air"),
-            size: UNIFORM_BYTES,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
+    fn bind_groups(&self, device: &wgpu::Device, passes: &[Pass; 4], sampler: &wgpu::Sampler) -> [wgpu::BindGroup; 4] {
         let group = |pass: usize, tables: &[(u32, &wgpu::TextureView)]| {
             let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
-            let ends = [entry(0, uniform.as_entire_binding()), entry(1, wgpu::BindingResource::Sampler(sampler))];
+            let ends = [entry(0, self.uniform.as_entire_binding()), entry(1, wgpu::BindingResource::Sampler(sampler))];
             let tables =
                 tables.iter().map(|(binding, table)| entry(*binding, wgpu::BindingResource::TextureView(table)));
             device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -371,13 +369,12 @@ impl Tables {
             })
         };
         let (sunlight, multiple) = ((2, &self.sunlight), (3, &self.multiple));
-        let groups = [
+        [
             group(0, &[(4, &self.sunlight)]),
             group(1, &[sunlight, (4, &self.multiple)]),
             group(2, &[sunlight, multiple, (4, &self.sky_light)]),
             group(3, &[sunlight, multiple, (5, &self.scattered), (6, &self.mie)]),
-        ];
-        Maker { uniform, groups }
+        ]
     }
 }
 
@@ -456,20 +453,23 @@ mod tests {
                     atmosphere.start_draw(draws_of_frame);
                     // Eyes move.
                     let air = Air::at(height_km + 0.01 * f64::from(frame), 0.5, 0.1);
-                    found.push(atmosphere.find(&ctx, &air).place);
+                    found.push(atmosphere.find(&ctx, &air).unwrap().place);
                 }
             }
             found
         };
-        assert_eq!(places(2, [1.0, 9.0]), [0, 1, 0, 1, 0, 1, 0, 1]);
-        assert_eq!(places(1, [1.0, 9.0]), [0; 8], "one after the other");
+        assert_eq!(places(2, [1.0, 9.0]), [1, 2, 1, 2, 1, 2, 1, 2]);
+        assert_eq!(places(1, [1.0, 9.0]), [1; 8], "one after the other");
         // More than there can be sets: the longest unused go.
         let mut atmosphere = Atmosphere::new(ctx.device());
         for draw in 0..40 {
             atmosphere.start_draw(20);
-            let found = atmosphere.find(&ctx, &Air::at(1.0 + f64::from(draw), 0.5, 0.1));
-            assert!(!found.is_refused && atmosphere.set_count() <= MOST_SETS, "draw {draw}");
+            let found = atmosphere.find(&ctx, &Air::at(1.0 + f64::from(draw), 0.5, 0.1)).unwrap();
+            assert!(!found.is_refused && atmosphere.sets.len() <= MOST_SETS, "draw {draw}");
         }
+        // None is kept for pictures without air.
+        let given_back = (0..2 * KEPT_DRAWS).filter(|_| atmosphere.start_draw(1)).count();
+        assert!(given_back > 0 && atmosphere.place_count() == 1);
     }
 
     /// The device's handler had it, and with the tables all that was drawn was invalid.
@@ -479,21 +479,19 @@ mod tests {
         let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
         let mut atmosphere = Atmosphere::new(ctx.device());
         assert!(atmosphere.can_be_made(&ctx));
-        ctx.pretend_frame_memory(Some(Tables::bytes() + UNIFORM_BYTES));
-        atmosphere.start_draw(1);
         let eyes = [1.0, 5.0, 9.0].map(|height_km| Air::at(height_km, 0.5, 0.1));
+        atmosphere.start_draw(1);
+        ctx.pretend_frame_memory(Some(Tables::bytes() - 1));
+        assert_eq!(atmosphere.find(&ctx, &eyes[0]), None);
+        ctx.pretend_frame_memory(Some(3 * Tables::bytes() - 1));
         let found = eyes.map(|air| atmosphere.find(&ctx, &air));
-        assert_eq!(found.map(|f| (f.place, f.is_refused)), [(0, false), (1, false), (1, true)]);
-        assert!(matches!(&atmosphere.errors[..], [e] if e.starts_with("out of graphics memory: air of")));
-        // And of the two there is room for one uniform.
+        let places = found.map(|f| f.map(|f| (f.place, f.is_refused)));
+        assert_eq!(places, [Some((1, false)), Some((2, false)), Some((2, true))]);
+        let is_of_air = |e: &String| e.starts_with("out of graphics memory: air of");
+        assert!(atmosphere.errors.len() == 2 && atmosphere.errors.iter().all(is_of_air), "{:?}", atmosphere.errors);
         let mut encoder = ctx.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        atmosphere.errors.clear();
         atmosphere.record(&ctx, &mut encoder, None);
-        assert_eq!(atmosphere.errors.len(), 1, "{:?}", atmosphere.errors);
-        assert_eq!(atmosphere.sets.iter().map(|set| set.made_for).collect::<Vec<_>>(), [Some(eyes[0]), None]);
-        ctx.pretend_frame_memory(None);
-        atmosphere.record(&ctx, &mut encoder, None);
-        assert!(atmosphere.sets[1].made_for == Some(eyes[1]) && atmosphere.errors.len() == 1);
+        assert_eq!(atmosphere.sets.iter().map(|set| set.made_for).collect::<Vec<_>>(), [Some(eyes[0]), Some(eyes[1])]);
         ctx.queue().submit([encoder.finish()]);
         assert!(ctx.take_device_errors().is_empty());
     }

@@ -19,6 +19,7 @@ mod composite;
 mod pipelines;
 mod plan;
 mod renderer;
+mod resolve;
 mod shadow_maps;
 mod spread;
 mod state;

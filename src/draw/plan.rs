@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::cull::{RenderStage, StageTarget};
 use crate::draw::pipelines::{Bare, MOST_COLORS, Pipelines, TargetFormats};
+use crate::draw::resolve::Resolving;
 use crate::draw::spread::Spreading;
 use crate::draw::state::Dynamics;
 use crate::gpu::{GraphicsContext, StateTextures, Transients, texture_format};
@@ -50,6 +51,10 @@ pub(super) struct PassTarget {
     /// Of those, which hold what the multisampled buffer does not.
     is_apart: [bool; MOST_COLORS],
     depth: wgpu::TextureView,
+    /// The texture that multisampled depth is resolved to.
+    depth_resolve: Option<wgpu::TextureView>,
+    /// Which holds what the multisampled buffer does not.
+    depth_is_apart: bool,
     has_stencil: bool,
     /// Its depth is sampled later, or later stages go on with it.
     keeps_depth: bool,
@@ -78,7 +83,7 @@ pub(super) struct Targets {
     /// Addresses of the targets met in this frame, each of which has a depth buffer of its own, and of attachments with
     /// level and layer, each of which has one for its samples.
     owners: Vec<(usize, u32, u32)>,
-    /// Owners of multisampled colours that were resolved in this frame, last of all that was drawn there.
+    /// Owners of multisampled colours and depths that were resolved in this frame, last of all that was drawn there.
     resolved: Vec<u32>,
 }
 
@@ -166,6 +171,8 @@ impl Targets {
             resolves,
             is_apart: [false; MOST_COLORS],
             depth: self.transients.view(ctx.memory(), size_px, depth, samples, 0)?,
+            depth_resolve: None,
+            depth_is_apart: false,
             has_stencil: self.has_stencil,
             keeps_depth: self.has_followers,
             size_px,
@@ -184,6 +191,17 @@ impl Targets {
             self.owners.len() - 1
         });
         place as u32 + 1
+    }
+
+    /// Whether the multisampled buffer of an owner lacks what its texture holds; notes that it is drawn into.
+    fn is_apart(&mut self, owner: u32, samples: u32) -> bool {
+        let known = self.resolved.iter().position(|resolved| *resolved == owner);
+        match (samples > 1, known) {
+            (true, None) => self.resolved.push(owner),
+            (false, Some(place)) => drop(self.resolved.swap_remove(place)),
+            _ => {}
+        }
+        samples > 1 && known.is_none()
     }
 
     fn of_camera(
@@ -258,39 +276,40 @@ impl Targets {
                 colors[location] = Some(into);
             }
         }
+        let mut depth_owner = None;
+        let mut depth_resolve = None;
         let depth = match &camera.depth {
             Some(attachment) if !attachment.texture.format.is_depth() => {
                 return Err(format!("texture {:?} holds colour and is attached as depth", attachment.texture.name));
             }
-            Some(attachment) if samples > 1 => {
-                let name = &attachment.texture.name;
-                return Err(format!("texture {name:?}: depth of several samples cannot be kept in a texture"));
-            }
             Some(attachment) => {
-                key.depth = texture_format(attachment.texture.format);
-                view(attachment)?
+                let Attachment { texture, level, layer } = attachment;
+                key.depth = texture_format(texture.format);
+                let into = view(attachment)?;
+                let owner = self.owner((Arc::as_ptr(texture) as usize, *level, *layer));
+                depth_owner = Some(owner);
+                if samples > 1 {
+                    depth_resolve = Some(into);
+                    self.transients.readable_view(ctx.memory(), size_px, key.depth, samples, owner)?
+                } else {
+                    into
+                }
             }
             None => self.transients.view(ctx.memory(), size_px, key.depth, samples, owner)?,
         };
         let index = pipelines.target(&key).ok_or("more different targets than there can be")?;
         let mut is_apart = [false; MOST_COLORS];
         for (is_apart, owner) in is_apart.iter_mut().zip(owners) {
-            let Some(owner) = owner else { continue };
-            let known = self.resolved.iter().position(|resolved| *resolved == owner);
-            match (samples > 1, known) {
-                (true, None) => {
-                    *is_apart = true;
-                    self.resolved.push(owner);
-                }
-                (false, Some(place)) => drop(self.resolved.swap_remove(place)),
-                _ => {}
-            }
+            *is_apart = owner.is_some_and(|owner| self.is_apart(owner, samples));
         }
+        let depth_is_apart = depth_owner.is_some_and(|owner| self.is_apart(owner, samples));
         Ok(PassTarget {
             colors,
             resolves,
             is_apart,
             depth,
+            depth_resolve,
+            depth_is_apart,
             has_stencil: key.depth.has_stencil_aspect(),
             keeps_depth: true,
             size_px,
@@ -388,6 +407,15 @@ impl PassTarget {
         })
     }
 
+    /// Multisampled depth that a texture gets once a stage is drawn.
+    pub(super) fn resolving(&self, stage: &RenderStage) -> Option<Resolving<'_>> {
+        let [width, height] = self.size_px;
+        let [left, top, across, down] = stage.target.viewport_px.unwrap_or([0, 0, width, height]);
+        let (x, y) = (left.min(width), top.min(height));
+        let part_px = [x, y, across.min(width - x), down.min(height - y)];
+        self.depth_resolve.as_ref().map(|texture| Resolving { samples: &self.depth, texture, part_px })
+    }
+
     pub(super) fn color_attachments<'a>(
         &'a self,
         stage: &RenderStage,
@@ -408,8 +436,8 @@ impl PassTarget {
     }
 
     pub(super) fn depth_attachment(&self, stage: &RenderStage) -> wgpu::RenderPassDepthStencilAttachment<'_> {
-        // The depth of a part is filled.
-        let clears = self.is_outermost || stage.target.clear_depth && !self.is_part(stage);
+        // The depth of a part is filled. Several samples begin anew in each frame.
+        let clears = self.is_outermost || self.depth_is_apart || stage.target.clear_depth && !self.is_part(stage);
         let store = if self.keeps_depth { wgpu::StoreOp::Store } else { wgpu::StoreOp::Discard };
         // Reversed-Z: infinitely far is 0.
         let load = if clears { wgpu::LoadOp::Clear(0.0) } else { wgpu::LoadOp::Load };

@@ -5,6 +5,7 @@
 //! shadows for a while, and made smaller when none wanted that much.
 
 use crate::cull::{MOST_CASCADES, RenderStage, StageShadows};
+use crate::gpu::Memory;
 
 /// Draws without shadows after which the texture is given back, and with less of them after which it shrinks.
 const KEPT_DRAWS: u32 = 120;
@@ -48,6 +49,10 @@ impl Wanted {
             layers = (layers + shadows.cascades.len().min(MOST_CASCADES)).min(MOST_LAYERS);
             *self = self.max(Self { size_px: shadows.settings.resolution_px, layers });
         }
+    }
+
+    fn bytes(&self) -> u64 {
+        4 * u64::from(self.size_px) * u64::from(self.size_px) * self.layers as u64
     }
 
     fn max(self, other: Self) -> Self {
@@ -105,14 +110,18 @@ impl ShadowMaps {
         }
     }
 
-    /// Makes room for the shadows of a draw's pictures, if any; true when the texture is another one than before.
-    pub(super) fn ensure(&mut self, device: &wgpu::Device, wanted: Wanted) -> bool {
-        let changes = self.sizing.want(wanted);
-        if changes {
-            let has = self.sizing.has;
-            self.maps = (has.size_px > 0).then(|| maps(device, has));
+    /// Makes room for the shadows of a draw's pictures, if any; true when the texture is another one than before. Where
+    /// there is no memory for it, it stays as it is, and what it has no room for throws no shadows.
+    pub(super) fn ensure(&mut self, memory: &Memory, wanted: Wanted) -> Result<bool, String> {
+        let had = self.sizing.has;
+        if !self.sizing.want(wanted) {
+            return Ok(false);
         }
-        changes
+        let has = std::mem::replace(&mut self.sizing.has, had);
+        let make = || memory.make("shadow maps", has.bytes(), |device| maps(device, has));
+        self.maps = (has.size_px > 0).then(make).transpose()?;
+        self.sizing.has = has;
+        Ok(true)
     }
 
     /// What a cascade is drawn into.

@@ -1,6 +1,6 @@
 //! The adapter's memory. Asked for under an error scope: where there is none, what needed it cannot be made, and all else
-//! goes on. The draw thread asks while a pool grows or a frame needs another target, the compile thread for its staging
-//! buffers.
+//! goes on. The draw thread asks while a pool grows or a frame needs another target or a larger buffer, the compile
+//! thread for its staging buffers.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -52,6 +52,7 @@ pub(crate) use custom::{CustomCompile, CustomShape, MOST_COLORS};
 pub(crate) use drawable::{BindClass, DrawableEntry, Extent, Shape};
 #[cfg(test)]
 pub(crate) use height_pool::{HEADER_VECTORS as TABLE_HEADER_VECTORS, MORPH_LEVELS};
+pub(crate) use memory::Memory;
 pub(crate) use mesh_pool::{MOST_LAYOUTS, MeshPool};
 pub(crate) use packing::VertexFormat;
 pub(crate) use state_textures::{StateTextures, White, compare_function, texture_format, view_dimension};

@@ -11,6 +11,8 @@ struct Kind {
     size_px: [u32; 2],
     format: wgpu::TextureFormat,
     samples: u32,
+    /// By a shader, once it is drawn.
+    is_read: bool,
 }
 
 impl Kind {
@@ -71,13 +73,30 @@ impl Transients {
         samples: u32,
         owner: u32,
     ) -> Result<wgpu::TextureView, String> {
-        let kind = Kind { size_px, format, samples };
+        self.of_kind(memory, Kind { size_px, format, samples, is_read: false }, owner)
+    }
+
+    /// The same of one that a shader reads.
+    pub(crate) fn readable_view(
+        &mut self,
+        memory: &Memory,
+        size_px: [u32; 2],
+        format: wgpu::TextureFormat,
+        samples: u32,
+        owner: u32,
+    ) -> Result<wgpu::TextureView, String> {
+        self.of_kind(memory, Kind { size_px, format, samples, is_read: true }, owner)
+    }
+
+    fn of_kind(&mut self, memory: &Memory, kind: Kind, owner: u32) -> Result<wgpu::TextureView, String> {
+        let Kind { size_px, format, samples, is_read } = kind;
         let frame = self.frame;
         let found = self.all.iter_mut().find(|t| t.kind == kind && (t.used != frame || t.owner == owner));
         if let Some(found) = found {
             (found.used, found.owner) = (frame, owner);
             return Ok(found.view.clone());
         }
+        let attached = wgpu::TextureUsages::RENDER_ATTACHMENT;
         let descriptor = wgpu::TextureDescriptor {
             label: Some("transient"),
             size: wgpu::Extent3d { width: size_px[0], height: size_px[1], depth_or_array_layers: 1 },
@@ -85,7 +104,7 @@ impl Transients {
             sample_count: samples,
             dimension: wgpu::TextureDimension::D2,
             format,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+            usage: if is_read { attached | wgpu::TextureUsages::TEXTURE_BINDING } else { attached },
             view_formats: &[],
         };
         let what = "depth and samples of a target";

@@ -11,7 +11,7 @@ use glam::{DAffine3, DMat3, DVec3, Vec3};
 use gltf::accessor::{DataType, Dimensions};
 use gltf::mesh::Semantic;
 
-use super::gltf_elements::{Elements, attribute_format};
+use super::gltf_elements::{Elements, attribute_format, columns_and_rows, element_bytes};
 use super::gltf_json::Document;
 use super::index_lists::{Listed, list_key_of, mode, shared};
 use super::{IoError, Limits, ReadOptions, image, occluder};
@@ -355,7 +355,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// The attributes that are to be kept, in the order asked for. Those of matrices are not.
+    /// The attributes that are to be kept, in the order asked for. Matrices are kept column by column.
     fn kept_attributes(
         &mut self,
         primitive: &gltf::Primitive<'_>,
@@ -366,15 +366,18 @@ impl<'a> Reader<'a> {
             let named = |(semantic, _): &(Semantic, gltf::Accessor<'_>)| semantic.to_string() == **name;
             let Some((_, accessor)) = primitive.attributes().find(named) else { continue };
             let (count, dimensions) = (accessor.count(), accessor.dimensions());
-            let Some(format) = attribute_format(accessor.data_type(), accessor.normalized(), dimensions) else {
-                continue;
-            };
+            let (columns, rows) = columns_and_rows(dimensions);
+            let Some(format) = attribute_format(accessor.data_type(), accessor.normalized(), rows) else { continue };
             if count != vertices {
                 return Err(self.bad(format!("{name} has {count} elements for {vertices} vertices")));
             }
-            self.count_vertices(vertices.saturating_mul(format.size_bytes()).div_ceil(size_of::<MeshVertex>()))?;
-            let elements = self.elements(&accessor, dimensions)?.padded(format.size_bytes());
-            attributes.push(vertices, name, format, elements).map_err(|error| self.bad(error.to_string()))?;
+            let bytes = columns * format.size_bytes();
+            self.count_vertices(vertices.saturating_mul(bytes).div_ceil(size_of::<MeshVertex>()))?;
+            for column in 0..columns {
+                let elements = self.elements(&accessor, dimensions)?.column(column, rows).padded(format.size_bytes());
+                let name = if columns > 1 { format!("{name}_{column}") } else { name.to_string() };
+                attributes.push(vertices, &name, format, elements).map_err(|error| self.bad(error.to_string()))?;
+            }
         }
         Ok(attributes)
     }
@@ -403,8 +406,8 @@ impl<'a> Reader<'a> {
             return Err(IoError::unsupported(self.uri, "sparse accessor"));
         }
         let view = accessor.view().ok_or_else(|| IoError::unsupported(self.uri, "accessor without a bufferView"))?;
-        let (count, size) = (accessor.count(), accessor.size());
-        let stride = view.stride().unwrap_or(size);
+        let (count, (size, tight)) = (accessor.count(), element_bytes(accessor.data_type(), dimensions));
+        let stride = view.stride().unwrap_or(tight);
         let outside = || self.bad("accessor reaches beyond its buffer");
         if stride < size {
             return Err(self.bad("byteStride below the element's size"));

@@ -21,6 +21,12 @@ impl Elements<'_> {
         self.data_type == DataType::U16 && self.normalized
     }
 
+    /// A column of each element, of so many rows.
+    pub(super) fn column(&self, column: usize, rows: usize) -> Self {
+        let first = column * column_stride(self.data_type, rows);
+        Self { bytes: self.bytes.get(first..).unwrap_or_default(), components: rows, ..*self }
+    }
+
     /// Component `c` of element `i`, converted as the accessor says. Both are in range by construction.
     pub(super) fn value(&self, i: usize, c: usize) -> f32 {
         let at = i * self.stride + c * self.data_type.size();
@@ -76,13 +82,34 @@ impl Elements<'_> {
     }
 }
 
-/// How elements lie in a vertex, three of 8 or 16 bits in the place of four; `None` for matrices.
-pub(super) fn attribute_format(of: DataType, normalized: bool, dimensions: Dimensions) -> Option<AttributeFormat> {
-    use AttributeFormat::*;
-    if matches!(dimensions, Dimensions::Mat2 | Dimensions::Mat3 | Dimensions::Mat4) {
-        return None;
+/// Columns and rows of an element; a vector is one column.
+pub(super) fn columns_and_rows(of: Dimensions) -> (usize, usize) {
+    match of {
+        Dimensions::Mat2 => (2, 2),
+        Dimensions::Mat3 => (3, 3),
+        Dimensions::Mat4 => (4, 4),
+        vector => (1, vector.multiplicity()),
     }
-    let components = dimensions.multiplicity();
+}
+
+/// Bytes from one column of a matrix to the next: each begins at a whole word (glTF 2.0, 3.6.2.4).
+fn column_stride(of: DataType, rows: usize) -> usize {
+    (rows * of.size()).next_multiple_of(4)
+}
+
+/// Bytes of an element, and from one to the next where its view does not say: of matrices with what fills the columns
+/// up, which the last element's last may lack.
+pub(super) fn element_bytes(of: DataType, dimensions: Dimensions) -> (usize, usize) {
+    let (columns, rows) = columns_and_rows(dimensions);
+    match columns {
+        1 => (rows * of.size(), rows * of.size()),
+        _ => ((columns - 1) * column_stride(of, rows) + rows * of.size(), columns * column_stride(of, rows)),
+    }
+}
+
+/// How elements of so many components lie in a vertex, three of 8 or 16 bits in the place of four.
+pub(super) fn attribute_format(of: DataType, normalized: bool, components: usize) -> Option<AttributeFormat> {
+    use AttributeFormat::*;
     let short = |two, four| if components <= 2 { two } else { four };
     let long = |of: [AttributeFormat; 4]| of.get(components - 1).copied();
     match (of, normalized) {

@@ -9,7 +9,7 @@ use super::error::SceneError;
 use super::kinds::CameraNode;
 use super::lone::LoneDrawable;
 use super::occluders::OccluderPage;
-use super::page::{NONE, Page};
+use super::page::{DrawSlot, NONE, Page};
 use super::tiles::flag;
 use super::variance::Rewritten;
 use super::{NodeId, PageId, SceneNumber};
@@ -143,6 +143,7 @@ impl Scene {
         self.touched_records += 1;
         self.spread_busy(entry, tile, true);
         self.spread_readiness(entry, tile, was_ready);
+        self.note_external_volumes(entry, tile);
         Ok(id)
     }
 
@@ -197,6 +198,12 @@ impl Scene {
         for page in self.entries.iter_mut().filter_map(Entry::page_mut) {
             page.draw_slots.retain(|(of, _)| *of != context);
         }
+    }
+
+    /// Takes the slots of every page in every context, to be released.
+    pub(crate) fn take_draw_slots(&mut self) -> impl Iterator<Item = (u32, Vec<DrawSlot>)> {
+        self.revision += 1;
+        self.entries.iter_mut().filter_map(Entry::page_mut).flat_map(Page::take_draw_slots)
     }
 
     /// The slot in which a page hangs; `None` for root pages.

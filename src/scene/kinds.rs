@@ -140,10 +140,12 @@ pub struct CameraTarget {
     /// Colour attachments by location. Without any, and without depth, it is the target of the stage that the camera was met
     /// in.
     pub colors: Vec<Attachment>,
-    /// Depth, to be sampled later; without one a depth buffer of the camera's own is used.
+    /// Depth, to be sampled later; without one a depth buffer of the camera's own is used. Of several samples it gets the
+    /// first one's depth and stencil, a depth that something has, where the stage was drawn.
     pub depth: Option<Attachment>,
     /// Samples a pixel, 1 or 4; resolved into the colour attachments. A camera that does not clear its colours goes on
-    /// with what these hold, the same in all samples of a pixel where an earlier frame drew it.
+    /// with what these hold, the same in all samples of a pixel where an earlier frame drew it. One that does not clear its
+    /// depth goes on with what was drawn in this frame with as many samples; that of an earlier frame is cleared.
     pub samples: u32,
     /// Where the first colour attachment is copied to after each draw, with what cameras below draw over it; without waiting.
     pub read_back: Option<Arc<PictureSink>>,

@@ -8,6 +8,7 @@ mod cull_settings;
 mod draw_kinds;
 mod environment;
 mod error;
+mod external_volumes;
 mod flatten;
 mod geometry;
 mod graph;

@@ -3,11 +3,13 @@
 //! The children of a tile follow each other, and then comes what is below the first of them: a walk that turns back at
 //! some level meets tiles that lie side by side, of which a line of the cache holds several.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 
 use glam::{DAffine3, DVec3, Vec3, Vec4};
 
+use super::external_volumes::ExternalVolume;
 use super::lod_ranges::LodRanges;
 use super::node::{PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
 use super::page::NONE;
@@ -37,7 +39,8 @@ pub(crate) mod flag {
     pub const FAILED_BELOW: u16 = 2048;
     /// There is content below it, as far as the page tells.
     pub const CONTENT_BELOW: u16 = 4096;
-    /// Some of the children that replace its content are only for eyes inside volumes.
+    /// Some of the children that replace its content, or of the tilesets that hung in them, are only for eyes inside
+    /// volumes.
     pub const VOLUMES_BELOW: u16 = 8192;
 }
 
@@ -119,6 +122,8 @@ struct RareTiles {
     distance_centers: Vec<(u32, DVec3)>,
     /// Of tiles with [`flag::REQUEST_VOLUME`].
     request_volumes: Vec<(u32, BoundingVolume)>,
+    /// Of tilesets that hang in tiles, or did; by tile.
+    external_volumes: BTreeMap<u32, Vec<ExternalVolume>>,
     /// Of tiles with [`flag::OWN_PATH`].
     own_paths: Vec<(u32, u32)>,
     /// Where they are not the default.
@@ -348,7 +353,7 @@ impl Tiles {
         self.uris = taken(&self.uris, &order);
         self.reader_data = taken(&self.reader_data, &order);
         if let Some(rare) = &mut self.rare {
-            let RareTiles { distance_centers, request_volumes, own_paths, paging, immediate: _ } = &mut **rare;
+            let RareTiles { distance_centers, request_volumes, own_paths, paging, .. } = &mut **rare;
             let place_of = |tile: &mut u32| *tile = places[*tile as usize];
             distance_centers.iter_mut().for_each(|(tile, _)| place_of(tile));
             distance_centers.sort_unstable_by_key(|(tile, _)| *tile);
@@ -373,11 +378,8 @@ impl Tiles {
                     parent => self.records[parent as usize].flags |= flag::CONTENT_BELOW,
                 }
             }
-            if record.has(flag::REQUEST_VOLUME)
-                && let Some(parent) = self.records.get_mut(self.parents[i] as usize)
-                && parent.flags & (flag::CONTENT | flag::ADD) == flag::CONTENT
-            {
-                parent.flags |= flag::VOLUMES_BELOW;
+            if record.has(flag::REQUEST_VOLUME) {
+                self.note_volume_below(self.parents[i]);
             }
             if !self.is_ready_without_page(i) {
                 match self.parents[i] {
@@ -420,13 +422,41 @@ impl Tiles {
         found(self.rare(|rare| &rare.paging), tile).copied().unwrap_or_default()
     }
 
-    /// True when a tile has no request volume, or the eye is in it.
-    pub fn may_be_requested(&self, tile: u32, eye: DVec3) -> bool {
-        found(self.rare(|rare| &rare.request_volumes), tile).is_none_or(|volume| volume.contains(eye))
+    /// The volume in which a tile is asked for, if it has one.
+    pub(super) fn request_volume(&self, tile: u32) -> Option<&BoundingVolume> {
+        found(self.rare(|rare| &rare.request_volumes), tile)
     }
 
-    /// True when children may replace their tile's content: the eye is in the volumes of all of them. From outside of one
-    /// there would be a hole.
+    /// The volumes of the roots of what hangs in a tile, or did last.
+    pub(super) fn external_volumes(&self, tile: u32) -> &[ExternalVolume] {
+        let volumes = self.rare.as_deref().and_then(|rare| rare.external_volumes.get(&tile));
+        volumes.map_or(&[], Vec::as_slice)
+    }
+
+    pub(super) fn set_external_volumes(&mut self, tile: u32, volumes: Vec<ExternalVolume>) {
+        let known = &mut self.rare_mut().external_volumes;
+        match volumes.is_empty() {
+            true => known.remove(&tile),
+            false => known.insert(tile, volumes),
+        };
+    }
+
+    /// A child of a tile is only for eyes inside a volume, or what hangs in the child.
+    pub(super) fn note_volume_below(&mut self, parent: u32) {
+        if let Some(parent) = self.records.get_mut(parent as usize)
+            && parent.flags & (flag::CONTENT | flag::ADD) == flag::CONTENT
+        {
+            parent.flags |= flag::VOLUMES_BELOW;
+        }
+    }
+
+    /// True when a tile has no request volume, or the eye is in it.
+    pub fn may_be_requested(&self, tile: u32, eye: DVec3) -> bool {
+        self.request_volume(tile).is_none_or(|volume| volume.contains(eye))
+    }
+
+    /// True when children may replace their tile's content: the eye is in the volumes of all of them, and of the roots of
+    /// the tilesets in them. From outside of one there would be a hole.
     #[inline(always)]
     pub fn may_be_replaced(&self, record: &TileRecord, eye: DVec3) -> bool {
         !record.has(flag::VOLUMES_BELOW) || self.may_all_be_requested(record.first_child..record.end_of_children(), eye)
@@ -434,7 +464,9 @@ impl Tiles {
 
     #[cold]
     fn may_all_be_requested(&self, mut tiles: std::ops::Range<u32>, eye: DVec3) -> bool {
-        tiles.all(|tile| self.may_be_requested(tile, eye))
+        tiles.all(|tile| {
+            self.may_be_requested(tile, eye) && self.external_volumes(tile).iter().all(|volume| volume.contains(eye))
+        })
     }
 
     /// Squared distance at which a tile wants its children, and squared distance now; metres of the tile frame.

@@ -12,6 +12,7 @@ use super::home::{LoadedRoot, SetBounds};
 use super::input::{GuiActionAdapter, changes, needs_frame};
 use super::paged_scene::PagedScene;
 use super::rendering::ThreadingModel;
+use super::scene_pager::{MOST_SCENES, free_owner};
 use super::stats::StatsHistory;
 use super::view::{ContextId, Slave, SlaveId, View};
 use super::viewer::{FrameStamp, UpdateCallback, ViewerConfig};
@@ -21,22 +22,22 @@ use crate::gpu::{ContextTraits, GraphicsContext};
 use crate::pager::{DatabasePager, ImagePager, ImageSequence};
 use crate::scene::{Page, PageId, Scene};
 
-/// A scene of a [`CompositeViewer`].
+/// A scene of a [`CompositeViewer`]; never the same again once it was removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct SceneId(usize);
+pub struct SceneId(u32);
 
 /// A view of a [`CompositeViewer`]; never the same again once it was removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ViewId(u32);
-
-/// Scenes that a viewer may have: their numbers share the tickets of uploads with the pages'.
-const MOST_SCENES: usize = 1 << 15;
 
 /// Views, their scenes and their contexts: one frame for all of them.
 pub struct CompositeViewer {
     config: ViewerConfig,
     base: ViewerBase,
     scenes: Vec<PagedScene>,
+    /// By place in `scenes`.
+    scene_ids: Vec<SceneId>,
+    next_scene: u32,
     views: Vec<View>,
     /// By place in `views`.
     view_ids: Vec<ViewId>,
@@ -47,8 +48,16 @@ impl CompositeViewer {
     /// A viewer without contexts, scenes and views.
     pub fn new(config: &ViewerConfig) -> Result<Self, ViewerError> {
         let base = ViewerBase::new(config)?;
-        let (scenes, views, view_ids) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { config: config.clone(), base, scenes, views, view_ids, next_view: 0 })
+        Ok(Self {
+            config: config.clone(),
+            base,
+            scenes: Vec::new(),
+            scene_ids: Vec::new(),
+            next_scene: 0,
+            views: Vec::new(),
+            view_ids: Vec::new(),
+            next_view: 0,
+        })
     }
 
     /// Takes a context to draw views in; at most [`ViewerConfig::max_contexts`]. What scenes have is uploaded to it.
@@ -96,19 +105,51 @@ impl CompositeViewer {
 
     fn push_scene(&mut self, shared: Option<usize>) -> Result<SceneId, ViewerError> {
         let place = self.scenes.len();
-        let owner = u16::try_from(place).ok().filter(|_| place < MOST_SCENES);
+        let owner = free_owner(self.scenes.iter().map(PagedScene::owner));
         let owner = owner.ok_or(ViewerError::TooManyScenes { limit: MOST_SCENES })?;
         let pager = self.base.add_pager(place, shared);
         self.scenes.push(PagedScene::new(owner, pager, self.config.pager.clone(), self.config.keep_drawables));
-        Ok(SceneId(place))
+        let id = SceneId(self.next_scene);
+        self.next_scene += 1;
+        self.scene_ids.push(id);
+        Ok(id)
+    }
+
+    /// Takes a scene out, with all that it has on devices, its image pager, and its pager with the threads of both; a pager
+    /// that others share goes on with their pages alone. As in OSG a view keeps its scene: while some show it, that is
+    /// [`ViewerError::SceneInUse`], and nothing happens. Blocks until all frames are drawn and all uploads under way are
+    /// done; memory of adapters is free when the frames that may still read it are over.
+    pub fn remove_scene(&mut self, id: SceneId) -> Result<(), ViewerError> {
+        let place = self.scene_place(id)?;
+        let views = self.views.iter().filter(|view| view.scene == place).count();
+        if views > 0 {
+            return Err(ViewerError::SceneInUse { scene: id, views });
+        }
+        self.base.absorb_all()?;
+        self.base.remove_scene(&mut self.scenes, place);
+        self.scene_ids.remove(place);
+        for view in self.views.iter_mut().filter(|view| view.scene > place) {
+            view.scene -= 1;
+        }
+        Ok(())
+    }
+
+    /// The scenes, in the order added.
+    pub fn scenes(&self) -> impl Iterator<Item = SceneId> {
+        self.scene_ids.iter().copied()
+    }
+
+    fn scene_place(&self, id: SceneId) -> Result<usize, ViewerError> {
+        self.scene_ids.iter().position(|of| *of == id).ok_or(ViewerError::NoScene(id))
     }
 
     fn paged(&self, id: SceneId) -> Result<&PagedScene, ViewerError> {
-        self.scenes.get(id.0).ok_or(ViewerError::NoScene(id))
+        Ok(&self.scenes[self.scene_place(id)?])
     }
 
     fn paged_mut(&mut self, id: SceneId) -> Result<&mut PagedScene, ViewerError> {
-        self.scenes.get_mut(id.0).ok_or(ViewerError::NoScene(id))
+        let place = self.scene_place(id)?;
+        Ok(&mut self.scenes[place])
     }
 
     /// Loads a root tile set into a scene that shows none, and places the cameras of its views at the first view of it.
@@ -118,26 +159,27 @@ impl CompositeViewer {
 
     /// As [`Self::load`], with a root that was read before there was a viewer.
     pub fn set_root(&mut self, scene: SceneId, root: LoadedRoot) -> Result<PageId, ViewerError> {
-        self.paged(scene)?;
-        let root = self.base.set_root(&mut self.scenes, scene.0, root)?;
-        self.first_sight(scene);
+        let place = self.scene_place(scene)?;
+        let root = self.base.set_root(&mut self.scenes, place, root)?;
+        self.first_sight(place);
         Ok(root)
     }
 
     /// Adds a page made by the application as a root of a scene. The first root places the cameras of its views.
     pub fn add_root(&mut self, scene: SceneId, page: Page) -> Result<PageId, ViewerError> {
-        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
+        let place = self.scene_place(scene)?;
+        let paged = &mut self.scenes[place];
         let is_first = paged.bounds.is_none();
         let root = paged.add_root(page, &mut self.base.rendering)?;
         if is_first {
-            self.first_sight(scene);
+            self.first_sight(place);
         }
         Ok(root)
     }
 
-    fn first_sight(&mut self, scene: SceneId) {
+    fn first_sight(&mut self, place: usize) {
         self.for_each_view(|mut view| {
-            if view.view.scene == scene.0 {
+            if view.view.scene == place {
                 view.first_sight();
             }
         });
@@ -146,14 +188,15 @@ impl CompositeViewer {
     /// Takes a root out of a scene; `None` when it is not a root, or while pages hang in it. What comes back is as
     /// [`Viewer::remove_root`](super::Viewer::remove_root) has it.
     pub fn remove_root(&mut self, scene: SceneId, id: PageId) -> Result<Option<Page>, ViewerError> {
-        let paged = self.scenes.get_mut(scene.0).ok_or(ViewerError::NoScene(scene))?;
-        Ok(paged.remove_root(id, &mut self.base.rendering))
+        let place = self.scene_place(scene)?;
+        Ok(self.scenes[place].remove_root(id, &mut self.base.rendering))
     }
 
     /// Pages files in a folder and below, for a scene made by hand.
     pub fn page_files_in(&mut self, scene: SceneId, folder: &Path) -> Result<(), ViewerError> {
-        let pager = self.paged(scene)?.pager_of_files(folder)?;
-        self.base.set_pager(&mut self.scenes, scene.0, pager)
+        let place = self.scene_place(scene)?;
+        let pager = self.scenes[place].pager_of_files(folder)?;
+        self.base.set_pager(&mut self.scenes, place, pager)
     }
 
     /// A scene; pages may be added and transforms set between frames.
@@ -185,8 +228,8 @@ impl CompositeViewer {
     /// Takes every page that the pager of a scene merged out of it and forgets what was asked for; what is wanted is
     /// loaded anew from the next frame on. Scenes that share its pager keep theirs.
     pub fn clear_pages(&mut self, scene: SceneId) -> Result<(), ViewerError> {
-        self.paged(scene)?;
-        self.base.clear_pages(&mut self.scenes, scene.0);
+        let place = self.scene_place(scene)?;
+        self.base.clear_pages(&mut self.scenes, place);
         Ok(())
     }
 
@@ -233,10 +276,11 @@ impl CompositeViewer {
         context: ContextId,
         viewport: impl Into<Viewport>,
     ) -> Result<ViewId, ViewerError> {
-        let bounds = self.paged(scene)?.bounds;
+        let of = self.scene_place(scene)?;
+        let bounds = self.scenes[of].bounds;
         let place = self.base.add_camera(context, viewport.into())?;
         let ViewerConfig { size_px, samples, .. } = self.config;
-        let mut view = View::new(scene.0, self.config.cull_settings(), size_px, samples);
+        let mut view = View::new(of, self.config.cull_settings(), size_px, samples);
         view.master = Some(place);
         view.set_stereo(self.config.stereo);
         view.prepare(&self.base.rendering, bounds.as_ref());
@@ -252,7 +296,7 @@ impl CompositeViewer {
 
     /// The scene of a view.
     pub fn scene_of(&self, view: ViewId) -> Result<SceneId, ViewerError> {
-        Ok(SceneId(self.views[self.place_of(view)?].scene))
+        Ok(self.scene_ids[self.views[self.place_of(view)?].scene])
     }
 
     fn place_of(&self, id: ViewId) -> Result<usize, ViewerError> {

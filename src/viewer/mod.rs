@@ -121,9 +121,17 @@ pub enum ViewerError {
         /// How many.
         limit: usize,
     },
-    /// The viewer has no such scene.
+    /// The viewer has no such scene, or not any more.
     #[error("the viewer has no such scene: {0:?}")]
     NoScene(SceneId),
+    /// A scene that is to go is shown.
+    #[error("{scene:?} is shown by {views} views; remove them first")]
+    SceneInUse {
+        /// Which.
+        scene: SceneId,
+        /// How many show it.
+        views: usize,
+    },
     /// The viewer has no such view, or not any more.
     #[error("the viewer has no such view: {0:?}")]
     NoView(ViewId),

@@ -88,6 +88,10 @@ impl PagedScene {
         }
     }
 
+    pub(super) fn owner(&self) -> u16 {
+        self.owner
+    }
+
     pub(super) fn scene(&self) -> &Scene {
         &self.scene
     }
@@ -199,6 +203,14 @@ impl PagedScene {
             page.put_drawables(own.drawables);
         }
         Some(page)
+    }
+
+    /// Gives back what all its pages have on devices, with no upload for them under way.
+    pub(super) fn close(mut self, rendering: &mut Rendering) {
+        rendering.release_compiled(self.owner, true);
+        for (device, slots) in self.scene_mut().take_draw_slots() {
+            rendering.release(device, slots);
+        }
     }
 
     /// A pager of files in a folder and below.

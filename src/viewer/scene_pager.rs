@@ -1,6 +1,7 @@
 //! [`ScenePager`]: a pager with the scenes of a viewer that it fills, its turns in a frame, and whether it is at rest. Main
 //! thread, with all scenes to itself.
 
+use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::time::Instant;
 
@@ -19,6 +20,15 @@ use crate::scene::{PageId, Scene};
 const QUIET_FRAMES: u32 = 4;
 /// Rounds of cull and load in one frame of the blocking mode: the deepest tree of tilesets that is followed.
 const MAX_BLOCKING_ROUNDS: u32 = 256;
+
+/// Scenes that a viewer may have at once, and pagers: their numbers share the tickets of uploads with the pages'.
+pub(super) const MOST_SCENES: usize = 1 << 15;
+
+/// The least number that nobody's uploads have.
+pub(super) fn free_owner(taken: impl Iterator<Item = u16>) -> Option<u16> {
+    let taken: HashSet<u16> = taken.collect();
+    (0..MOST_SCENES as u16).find(|owner| !taken.contains(owner))
+}
 
 /// A pager, and the scenes that have it.
 pub(super) struct ScenePager {
@@ -253,6 +263,21 @@ impl ScenePager {
         }
     }
 
+    /// A scene goes, with its pages and what was asked for it; those behind it change their places. False where no scene
+    /// is left.
+    fn remove_scene(&mut self, scenes: &mut [PagedScene], place: usize, rendering: &mut Rendering) -> bool {
+        if let Some(at) = self.members.iter().position(|of| *of == place) {
+            self.members.remove(at);
+            (self.is_idle, self.quiet_frames) = (false, 0);
+            if let Some(pager) = &mut self.pager {
+                let scene = scenes[place].scene_mut();
+                rendering.compile_for(self.owner, |contexts| pager.remove_scene(scene, contexts));
+            }
+        }
+        self.members.iter_mut().filter(|of| **of > place).for_each(|of| *of -= 1);
+        !self.members.is_empty()
+    }
+
     /// Takes every paged page out that can go, to be loaded and uploaded again.
     pub(super) fn page_anew(&mut self, scenes: &mut [PagedScene], rendering: &mut Rendering) {
         (self.is_idle, self.quiet_frames) = (false, 0);
@@ -269,7 +294,7 @@ impl ViewerBase {
     pub(super) fn add_pager(&mut self, place: usize, shared: Option<usize>) -> usize {
         let of = shared.unwrap_or_else(|| {
             // No more than there are scenes, which are few enough.
-            let owner = u16::try_from(self.pagers.len()).unwrap_or(u16::MAX);
+            let owner = free_owner(self.pagers.iter().map(|pager| pager.owner)).unwrap_or(u16::MAX);
             self.pagers.push(ScenePager::new(owner, self.blocking));
             self.pagers.len() - 1
         });
@@ -315,6 +340,25 @@ impl ViewerBase {
     pub(super) fn clear_pages(&mut self, scenes: &mut [PagedScene], place: usize) {
         let of = scenes[place].pager;
         self.pagers[of].clear_pages(scenes, place, &mut self.rendering);
+    }
+
+    /// Takes a scene out with what it has on devices, and its pager where no other scene has that. No frame is under way.
+    pub(super) fn remove_scene(&mut self, scenes: &mut Vec<PagedScene>, place: usize) {
+        let of = scenes[place].pager;
+        let mut stays = true;
+        for (at, pager) in self.pagers.iter_mut().enumerate() {
+            let has_scenes = pager.remove_scene(scenes, place, &mut self.rendering);
+            stays &= has_scenes || at != of;
+        }
+        let scene = scenes.remove(place);
+        // What is on its way would come when its number is another's. A pager that stays takes its own.
+        self.rendering.finish_compiles();
+        scene.close(&mut self.rendering);
+        if !stays {
+            let gone = self.pagers.remove(of);
+            self.rendering.release_compiled(gone.owner, false);
+            scenes.iter_mut().filter(|scene| scene.pager > of).for_each(|scene| scene.pager -= 1);
+        }
     }
 
     /// Uploads everything to a device that was opened after others.

@@ -299,6 +299,10 @@ pub enum Bench {
         /// Shortest time to measure each case, seconds
         #[arg(long, default_value_t = 1.0, value_parser = secs)]
         secs: f64,
+        /// Drawables of the scenes
+        #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1_000, 10_000, 100_000],
+            value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+        drawables: Vec<u32>,
     },
     /// The walk of a tile tree, without a GPU
     Tiles {

@@ -26,6 +26,7 @@ use crate::draw::batch::Batch;
 use crate::draw::composite::Composite;
 use crate::draw::pipelines::Pipelines;
 use crate::draw::plan::{StagePlan, Targets};
+use crate::draw::resolve::DepthResolve;
 use crate::draw::shadow_maps::ShadowMaps;
 use crate::draw::spread::Spread;
 use crate::draw::state::Statics;
@@ -37,7 +38,6 @@ use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
 use foresee::DrawnInto;
 use shadows::CasterPlan;
-use upload::{frame_bind_group, indirect_buffer, leaf_buffer};
 use views::{LitView, ViewFrame};
 
 /// Frames the processor may be ahead of the adapter, in each target.
@@ -56,7 +56,7 @@ pub struct DrawStats {
     pub unsampled_leaves: u32,
     /// Leaves drawn into shadow maps, once for each cascade.
     pub shadow_leaves: u32,
-    /// Leaves that the adapter's largest buffer had no room for; those that cast shadows give way first.
+    /// Leaves that the adapter's largest buffer had no room for, or its memory; those that cast shadows give way first.
     pub leaves_dropped: u32,
     /// The same of those that cast shadows, once for each cascade.
     pub shadow_leaves_dropped: u32,
@@ -76,8 +76,8 @@ pub struct DrawStats {
     pub passes: u32,
     /// Eyes with air of their own beyond the most there may be: they have that of the eye at nearly the same height.
     pub airs_refused: u32,
-    /// Stages that were not drawn: what they draw into cannot be, which [`Renderer::take_errors`] says. The picture's own
-    /// is the whole frame.
+    /// Stages that were not drawn: what they draw into cannot be, or what all of them are drawn from, which
+    /// [`Renderer::take_errors`] says. The picture's own is the whole frame.
     pub stages_refused: u32,
     /// Pipelines made in this draw; each takes long at its first use. What a drawable of the application's own makes for
     /// a target counts as one.
@@ -129,14 +129,15 @@ pub struct Renderer {
     groups: Groups,
     targets: Targets,
     atmosphere: Atmosphere,
-    leaf_buffer: wgpu::Buffer,
-    /// By set of the air's tables.
+    /// Made for the first frame, as what binds it.
+    leaf_buffer: Option<wgpu::Buffer>,
+    /// By place of the air's tables.
     frame_bind_groups: Vec<wgpu::BindGroup>,
     /// The same for passes that draw into the shadow maps.
-    caster_bind_group: wgpu::BindGroup,
+    caster_bind_group: Option<wgpu::BindGroup>,
     shadow_maps: ShadowMaps,
-    /// The bind groups have another shadow map.
-    binds_shadows: bool,
+    /// Something that the bind groups have is another one.
+    binds_anew: bool,
     /// Of this frame.
     shadow_leaves: u32,
     leaves_dropped: u32,
@@ -145,9 +146,13 @@ pub struct Renderer {
     caster_room: usize,
     airs_refused: u32,
     stages_refused: u32,
+    has_indirect: bool,
+    /// Made when there first are runs to be drawn by one call.
     indirect: Option<wgpu::Buffer>,
     indirect_bytes: Vec<u8>,
+    /// In the adapter's largest buffer, and in this frame's.
     most_leaves: usize,
+    leaf_room: usize,
     batch: Batch,
     pulls: Pulls,
     statics: Vec<Statics>,
@@ -169,6 +174,8 @@ pub struct Renderer {
     composite: Option<Composite>,
     /// Made for the first camera that goes on with multisampled colours.
     spread: Option<Spread>,
+    /// Made for the first camera that keeps multisampled depth.
+    resolve: Option<DepthResolve>,
     in_flight: VecDeque<wgpu::SubmissionIndex>,
     /// Recorded by a compile thread; submitted before the frame.
     uploads: Vec<wgpu::CommandBuffer>,
@@ -182,39 +189,33 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// A renderer for a context; makes no pipeline yet.
+    /// A renderer for a context; makes no pipeline yet, and takes no memory but for some texels.
     pub fn new(ctx: &mut GraphicsContext) -> Self {
         let groups = Groups::new(ctx);
         let device = ctx.device();
         let pipelines = Pipelines::new(ctx);
-        let leaf_buffer = leaf_buffer(device, 256);
         let limits = device.limits();
         let most_bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-        let has_indirect = device.features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE);
-        let atmosphere = Atmosphere::new(device);
-        let shadow_maps = ShadowMaps::new(device);
-        let layout = &pipelines.frame_layout;
-        let none = shadow_maps.entries(true);
-        let air = atmosphere.entries(0);
-        let frame_bind_group = frame_bind_group(device, layout, groups.buffer(), &leaf_buffer, air, none);
         Self {
-            caster_bind_group: frame_bind_group.clone(),
-            frame_bind_groups: vec![frame_bind_group],
-            shadow_maps,
-            binds_shadows: false,
+            caster_bind_group: None,
+            frame_bind_groups: Vec::new(),
+            shadow_maps: ShadowMaps::new(device),
+            binds_anew: false,
             shadow_leaves: 0,
             leaves_dropped: 0,
             shadow_leaves_dropped: 0,
             caster_room: 0,
             airs_refused: 0,
             stages_refused: 0,
-            atmosphere,
+            atmosphere: Atmosphere::new(device),
             pipelines,
             groups,
             targets: Targets::new(device),
-            leaf_buffer,
-            indirect: has_indirect.then(|| indirect_buffer(device, 64)),
+            leaf_buffer: None,
+            has_indirect: device.features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE),
+            indirect: None,
             indirect_bytes: Vec::new(),
+            leaf_room: 0,
             most_leaves: usize::try_from(most_bytes / size_of::<LeafUniform>() as u64).unwrap_or(usize::MAX),
             batch: Batch::default(),
             pulls: Pulls::default(),
@@ -230,6 +231,7 @@ impl Renderer {
             pictures: PictureReads::default(),
             composite: None,
             spread: None,
+            resolve: None,
             in_flight: VecDeque::with_capacity(FRAMES_IN_FLIGHT + 1),
             uploads: Vec::new(),
             clock: FrameClock::default(),
@@ -311,7 +313,10 @@ impl Renderer {
         let ctx = &*ctx;
         let created_before = self.created();
         self.prepare(ctx, pictures.clone());
-        self.upload(ctx);
+        if let Err(error) = self.upload(ctx) {
+            self.complain(error);
+            self.leave_out();
+        }
         let mut stats = self.record(ctx, pictures);
         let fills = self.plans.iter().filter(|plan| plan.fill.is_some()).count();
         let others = self.shadow_leaves as usize + self.query_boxes.len() + fills;
@@ -338,7 +343,8 @@ impl Renderer {
 
     /// Pipelines made so far.
     fn created(&self) -> u32 {
-        self.pipelines.created() + self.spread.as_ref().map_or(0, Spread::created)
+        let of_spread = self.spread.as_ref().map_or(0, Spread::created);
+        self.pipelines.created() + of_spread + self.resolve.as_ref().map_or(0, DepthResolve::created)
     }
 
     /// Copies what a camera has drawn to whoever wants it.
@@ -354,7 +360,9 @@ impl Renderer {
             };
             // What is wrong with it has been said.
             let Some(texture) = self.groups.textures.texture(&read.attachment.texture) else { continue };
-            self.pictures.copy(ctx.device(), encoder, texture, read, sink, &stage.camera);
+            if let Err(error) = self.pictures.copy(ctx.memory(), encoder, texture, read, sink, &stage.camera) {
+                self.complain(error);
+            }
         }
     }
 

@@ -13,6 +13,7 @@ use crate::draw::pipelines::Bare;
 use crate::draw::pipelines::key::Shading;
 use crate::draw::pipelines::programs::Builtins;
 use crate::draw::plan::{PassTarget, StagePlan, color};
+use crate::draw::resolve::DepthResolve;
 use crate::draw::spread::Spread;
 use crate::draw::state::{Dynamics, Statics};
 use crate::draw::uniforms::fixed::{FixedUniform, position_of, replaces_sun};
@@ -47,9 +48,11 @@ impl Renderer {
         }
         (self.shadow_leaves, self.shadow_leaves_dropped) = (0, 0);
         (self.airs_refused, self.stages_refused) = (0, 0);
-        let own: usize = pictures.clone().map(|picture| leaves_of(picture.stage)).sum();
-        self.caster_room = self.most_leaves.saturating_sub(own);
-        self.binds_shadows |= self.atmosphere.start_draw(ctx.face_count());
+        let own: usize = pictures.clone().map(|picture| leaves_of(picture.stage, &own_leaves)).sum();
+        let casters: usize = pictures.clone().map(|picture| leaves_of(picture.stage, &casters_of)).sum();
+        self.reserve_leaves(ctx, own + casters);
+        self.caster_room = self.leaf_room.saturating_sub(own);
+        self.binds_anew |= self.atmosphere.start_draw(ctx.face_count());
         self.prepare_shadow_maps(ctx, pictures.clone());
         let mut dropped = 0;
         for Picture { stage, environment } in pictures {
@@ -63,13 +66,14 @@ impl Renderer {
             self.pulls.ensure(ctx, &self.pipelines.pull_layout, (bucket.vertex_chunk, bucket.index_chunk));
         }
         self.leaves_dropped = dropped as u32;
-        // Without their number, which is another one in each frame.
-        if self.shadow_leaves_dropped > 0 {
+        // Without their number, which is another one in each frame. Where memory is short that has been said.
+        let is_full = self.leaf_room == self.most_leaves;
+        if is_full && self.shadow_leaves_dropped > 0 {
             self.complain(
                 "there are more leaves than the adapter's largest buffer holds; some cast no shadow".to_owned(),
             );
         }
-        if dropped > 0 {
+        if is_full && dropped > 0 {
             self.complain(
                 "there are more leaves than the adapter's largest buffer holds; some are not drawn".to_owned(),
             );
@@ -173,7 +177,7 @@ impl Renderer {
         }
         self.batch.states = states;
         let (first_run, first_bin) = (self.batch.runs.len(), self.batch.bin_starts.len());
-        let (dropped, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.most_leaves);
+        let (dropped, see_through) = self.batch.build(ctx, &mut self.pipelines, stage, self.leaf_room);
         let runs = first_run..self.batch.runs.len();
         let is_called = stage.bins.iter().any(|bin| !bin.callbacks.is_empty());
         let bin_starts = is_called.then_some(first_bin..self.batch.bin_starts.len());
@@ -232,6 +236,15 @@ impl Renderer {
                 plan.spreads = true;
             }
             refused.into_iter().for_each(|error| self.complain(error));
+        }
+        if target.resolving(stage).is_some()
+            && let Some(formats) = self.pipelines.target_key(target.index).copied()
+        {
+            let resolve =
+                self.resolve.get_or_insert_with(|| watched(ctx.device(), || DepthResolve::new(ctx.device())).0);
+            if let Err(error) = resolve.ensure(ctx, (formats.depth, formats.samples)) {
+                self.complain(error);
+            }
         }
         self.plans.push(StagePlan { target: Some(target), ..plan });
         dropped
@@ -317,7 +330,7 @@ impl Renderer {
         bare: Bare,
     ) -> Option<(u32, Bare)> {
         let leaf = self.batch.leaves().len();
-        if leaf >= self.most_leaves {
+        if leaf >= self.leaf_room {
             return None;
         }
         self.pipelines.ensure_bare(ctx, bare, target.index);
@@ -363,15 +376,20 @@ impl Renderer {
         if stage.queries.is_empty() {
             return first..first;
         }
-        let queries = self.queries.get_or_insert_with(|| {
-            let mut queries = Queries::new(ctx.device());
-            queries.start_frame();
-            queries
-        });
+        if self.queries.is_none() {
+            let made = Queries::new(ctx.memory());
+            self.queries = made.map_err(|error| self.complain(error)).ok();
+            self.queries.iter_mut().for_each(Queries::start_frame);
+        }
+        let Some(queries) = &mut self.queries else {
+            // What nobody can ask for counts as seen.
+            stage.queries.iter().for_each(|query| query.results.was_not_asked(true, query.frame));
+            return first..first;
+        };
         self.pipelines.ensure_bare(ctx, Bare::Query, target.index);
         for query in &stage.queries {
             let Some(rows) = stage.eye_from_drawable.get(query.matrix as usize) else { continue };
-            if self.batch.leaves().len() >= self.most_leaves {
+            if self.batch.leaves().len() >= self.leaf_room {
                 query.results.was_not_asked(true, query.frame);
                 continue;
             }
@@ -450,8 +468,19 @@ fn apply_state(dynamics: &mut Dynamics, state: &ResolvedState, view: Option<[u32
     }
 }
 
-/// Leaves of a stage and of those before and after it, with boxes and a background: what may go into the buffer.
-fn leaves_of(stage: &RenderStage) -> usize {
+/// Leaves of a stage and of those before and after it.
+fn leaves_of(stage: &RenderStage, of_one: &impl Fn(&RenderStage) -> usize) -> usize {
     let around = stage.pre_render.iter().chain(&stage.post_render);
-    stage.leaf_count() + stage.queries.len() + 1 + around.map(leaves_of).sum::<usize>()
+    of_one(stage) + around.map(|other| leaves_of(other, of_one)).sum::<usize>()
+}
+
+/// With boxes and a background: what may go into the buffer.
+fn own_leaves(stage: &RenderStage) -> usize {
+    stage.leaf_count() + stage.queries.len() + 1
+}
+
+/// The same of what casts shadows, once for each cascade.
+fn casters_of(stage: &RenderStage) -> usize {
+    let all = std::iter::once(&stage.shadows).chain(stage.views.iter().map(|view| &view.shadows));
+    all.flat_map(|shadows| &shadows.cascades).map(|cascade| cascade.stage.leaf_count()).sum()
 }

@@ -177,6 +177,12 @@ impl Renderer {
         }
         let State { stats, errors, .. } = state;
         drop(pass);
+        if let (Some(resolving), Some(resolve), Some(formats)) =
+            (target.resolving(stage), &self.resolve, self.pipelines.target_key(target.index))
+        {
+            let kind = (formats.depth, formats.samples);
+            resolve.record(ctx.device(), encoder, kind, &resolving, self.timer.as_mut());
+        }
         for error in errors {
             self.complain(error);
         }

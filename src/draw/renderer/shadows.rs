@@ -63,7 +63,10 @@ impl Renderer {
             look(stage, environment.shadows);
             look_around(stage, &mut look);
         }
-        self.binds_shadows |= self.shadow_maps.ensure(ctx.device(), wanted);
+        match self.shadow_maps.ensure(ctx.memory(), wanted) {
+            Ok(is_new) => self.binds_anew |= is_new,
+            Err(error) => self.complain(error),
+        }
     }
 
     /// Prepares what casts shadows into a stage, or into a view inside it: in the room that the pictures' own
@@ -175,7 +178,7 @@ impl Renderer {
                 occlusion_query_set: None,
                 multiview_mask: None,
             });
-            let from = self.sources(ctx, std::slice::from_ref(&self.caster_bind_group));
+            let from = self.sources(ctx, self.caster_bind_group.as_slice());
             let mut state = State::new(&mut pass, of_map(self.shadow_maps.size_px()));
             state.draw_runs(&from, runs.clone());
             stats.shadow_draw_calls += state.stats.draw_calls;

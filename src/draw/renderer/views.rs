@@ -55,7 +55,7 @@ pub(super) fn clip_of_view(stage: &RenderStage, view: u32) -> &DMat4 {
 }
 
 impl Renderer {
-    /// The tables of the air as a camera's eye sees it. Where they cannot be computed there is a plain sky instead.
+    /// The tables of the air as a camera's eye sees it. Where they cannot be there is a plain sky instead.
     pub(super) fn air_of(
         &mut self,
         ctx: &GraphicsContext,
@@ -63,13 +63,15 @@ impl Renderer {
         environment: &mut Environment,
     ) -> FoundAir {
         let air = Air::of(camera, environment);
-        if environment.sky == Sky::Atmosphere && !self.atmosphere.can_be_made(ctx) {
-            environment.sky = PLAIN_SKY;
-        }
+        let none = FoundAir { place: 0, air, is_refused: false };
         if environment.sky != Sky::Atmosphere {
-            return FoundAir { place: 0, air, is_refused: false };
+            return none;
         }
-        let found = self.atmosphere.find(ctx, &air);
+        let can_be_made = self.atmosphere.can_be_made(ctx);
+        let Some(found) = can_be_made.then(|| self.atmosphere.find(ctx, &air)).flatten() else {
+            environment.sky = PLAIN_SKY;
+            return none;
+        };
         self.airs_refused += u32::from(found.is_refused);
         found
     }

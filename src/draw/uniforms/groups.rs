@@ -34,7 +34,8 @@ pub(in crate::draw) struct Groups {
     pub(in crate::draw) textures: StateTextures,
     white: White,
     white_sampler: u32,
-    buffer: wgpu::Buffer,
+    /// Made for the first frame.
+    buffer: Option<wgpu::Buffer>,
     pub(in crate::draw) bytes: Vec<u8>,
     align: usize,
     groups: Vec<Group>,
@@ -44,10 +45,13 @@ pub(in crate::draw) struct Groups {
     pending: Vec<(u32, Arc<ResolvedState>)>,
 }
 
-fn buffer(device: &wgpu::Device, size: usize) -> wgpu::Buffer {
+/// Bytes of uniforms that there is room for at first.
+const LEAST_BYTES: u64 = 64 << 10;
+
+fn buffer(device: &wgpu::Device, size: u64) -> wgpu::Buffer {
     device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("uniforms"),
-        size: size as u64,
+        size,
         usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     })
@@ -62,7 +66,7 @@ impl Groups {
             textures,
             white: White::new(device, ctx.queue()),
             white_sampler,
-            buffer: buffer(device, 64 << 10),
+            buffer: None,
             bytes: Vec::new(),
             align: device.limits().min_uniform_buffer_offset_alignment.max(16) as usize,
             groups: Vec::new(),
@@ -187,19 +191,21 @@ impl Groups {
         group
     }
 
-    /// Uploads the uniforms and makes the groups that are not there; true when the buffer is another one.
-    pub(in crate::draw) fn finish(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines) -> bool {
+    /// Uploads the uniforms and makes the groups that are not there; true when the buffer is another one. Where there is
+    /// no memory for it, nothing can be drawn.
+    pub(in crate::draw) fn finish(&mut self, ctx: &GraphicsContext, pipelines: &Pipelines) -> Result<bool, String> {
         // Bindings are of fixed sizes: the last one must lie inside too.
         let needed = self.bytes.len().next_multiple_of(4);
         self.bytes.resize(needed, 0);
-        let grows = needed as u64 > self.buffer.size();
+        let grows = self.buffer.as_ref().is_none_or(|buffer| buffer.size() < needed as u64);
         if grows {
-            self.buffer = buffer(ctx.device(), needed.next_power_of_two());
-            for group in &mut self.groups {
-                group.bind_group = None;
-            }
+            let size = (needed as u64).next_power_of_two().max(LEAST_BYTES);
+            self.buffer = Some(ctx.memory().make("uniforms", size, |device| buffer(device, size))?);
+            self.groups.iter_mut().for_each(|group| group.bind_group = None);
         }
-        ctx.queue().write_buffer(&self.buffer, 0, &self.bytes);
+        if let Some(buffer) = &self.buffer {
+            ctx.queue().write_buffer(buffer, 0, &self.bytes);
+        }
         let pending = std::mem::take(&mut self.pending);
         for (group, state) in &pending {
             self.groups[*group as usize].is_pending = false;
@@ -210,7 +216,7 @@ impl Groups {
         }
         self.pending = pending;
         self.pending.clear();
-        grows
+        Ok(grows)
     }
 
     fn make(
@@ -263,10 +269,10 @@ impl Groups {
             }
         };
         if uniform_bytes > 0 {
-            let size = wgpu::BufferSize::new(uniform_bytes as u64);
+            let (buffer, size) = (self.buffer.as_ref()?, wgpu::BufferSize::new(uniform_bytes as u64));
             entries.push(wgpu::BindGroupEntry {
                 binding: 0,
-                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset: 0, size }),
+                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: 0, size }),
             });
         }
         Some(ctx.device().create_bind_group(&wgpu::BindGroupDescriptor {
@@ -280,8 +286,8 @@ impl Groups {
         self.groups.get(group as usize)?.bind_group.as_ref()
     }
 
-    pub(in crate::draw) fn buffer(&self) -> &wgpu::Buffer {
-        &self.buffer
+    pub(in crate::draw) fn buffer(&self) -> Option<&wgpu::Buffer> {
+        self.buffer.as_ref()
     }
 }
 

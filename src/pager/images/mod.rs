@@ -15,9 +15,10 @@ mod sequence;
 mod servers;
 mod store;
 mod threads;
+mod tracks;
 
 pub use config::{ImagePagerConfig, ImagePagerStats};
 pub use sequence::{ImageSequence, LoopingMode, SequenceImage, SequenceMode, StreamStatus};
 pub use store::ImagePager;
 
-pub(crate) use store::ImageChange;
+pub(crate) use tracks::ImageChange;

@@ -102,6 +102,8 @@ pub(super) struct Moment {
     pub wanted: Vec<Wanted>,
     pub discards: bool,
     pub is_playing: bool,
+    /// Time has passed since the moment before, and did not jump.
+    pub goes_on: bool,
 }
 
 impl ImageSequence {
@@ -258,6 +260,7 @@ impl Control {
             return Moment::default();
         }
         let mut between_frames_s = 0.0;
+        let goes_on = self.status == StreamStatus::Playing && self.since_s.is_some();
         if let (StreamStatus::Playing, Some(since_s)) = (self.status, self.since_s) {
             let frame_s = now_s - since_s;
             self.position_s += frame_s * self.time_multiplier;
@@ -292,7 +295,8 @@ impl Control {
             }
         }
         let is_playing = self.status == StreamStatus::Playing && self.time_multiplier != 0.0;
-        Moment { wanted, discards: self.mode == SequenceMode::PageAndDiscardUsedImages, is_playing }
+        let discards = self.mode == SequenceMode::PageAndDiscardUsedImages;
+        Moment { wanted, discards, is_playing, goes_on }
     }
 
     /// The image of a time in the sequence; there is one.

@@ -7,36 +7,17 @@ use std::time::{Duration, Instant};
 use super::config::{ImagePagerConfig, ImagePagerStats};
 use super::sequence::{ImageSequence, SequenceImage};
 use super::threads::{Loaded, Threads};
+use super::tracks::{ImageChange, Track};
 use crate::io::IoError;
 use crate::pager::stats::Errors;
 use crate::pager::tries::Tries;
 use crate::pager::{ErrorRecord, PagerError};
 use crate::scene::Texture;
-use crate::state::TextureObject;
 
 /// Failures that are remembered; with more, those that nobody wants are forgotten.
 const MOST_FAILURES: usize = 4096;
 
-/// Another image for a texture, for every context.
-#[derive(Clone, Debug)]
-pub(crate) struct ImageChange {
-    pub(crate) texture: Arc<TextureObject>,
-    pub(crate) image: Arc<Texture>,
-}
-
-/// A sequence, and which of its images its texture shows.
-struct Track {
-    sequence: ImageSequence,
-    shown: Option<usize>,
-    is_playing: bool,
-    /// The image of the moment is not there, and may come.
-    is_late: bool,
-    /// The image of an earlier moment that is still to come: shown where that of its moment is not there yet. Without it
-    /// a sequence that is faster than its images come would show none.
-    overdue: Option<usize>,
-}
-
-enum State {
+pub(super) enum State {
     Waiting,
     Loading,
     Loaded(Arc<Texture>),
@@ -47,17 +28,17 @@ enum State {
 }
 
 /// An image from a file, for all sequences that name it.
-struct Slot {
-    state: State,
+pub(super) struct Slot {
+    pub(super) state: State,
     tries: Tries,
     /// Of the image when it was last there; `None` before.
     size_bytes: Option<u64>,
     /// Number of the update that last wanted it.
-    wanted: u64,
-    wanted_at: Instant,
-    due_s: f64,
+    pub(super) wanted: u64,
+    pub(super) wanted_at: Instant,
+    pub(super) due_s: f64,
     /// Goes as soon as it is not wanted.
-    discards: bool,
+    pub(super) discards: bool,
     /// Within the budgets of this update.
     admitted: bool,
 }
@@ -66,30 +47,34 @@ struct Slot {
 pub struct ImagePager {
     config: ImagePagerConfig,
     threads: Threads,
-    tracks: Vec<Track>,
+    pub(super) tracks: Vec<Track>,
     /// By URI.
-    slots: HashMap<Arc<str>, Slot>,
+    pub(super) slots: HashMap<Arc<str>, Slot>,
     /// Of decoded images.
     bytes: u64,
     images: usize,
     /// Of the last images.
     mean_bytes: u64,
-    updates: u64,
-    stats: ImagePagerStats,
+    pub(super) updates: u64,
+    pub(super) stats: ImagePagerStats,
     errors: Errors,
 }
 
-/// What is due before the images of this moment.
-const OVERDUE_S: f64 = -1.0;
-
-/// The images that a sequence could show now: that of the moment, and one of a moment before that was still to come.
-struct Present {
-    track: usize,
-    now: (usize, SequenceImage),
-    overdue: Option<(usize, SequenceImage)>,
-}
-
 impl Slot {
+    /// Of an image that nobody wanted before.
+    pub(super) fn new(now: Instant) -> Self {
+        Self {
+            state: State::Waiting,
+            tries: Tries::default(),
+            size_bytes: None,
+            wanted: 0,
+            wanted_at: now,
+            due_s: f64::INFINITY,
+            discards: true,
+            admitted: false,
+        }
+    }
+
     /// Nobody wants it in this update, nor will it be kept for later.
     fn is_expired(&self, updates: u64, expiry: Duration, now: Instant) -> bool {
         self.wanted != updates && (self.discards || now.saturating_duration_since(self.wanted_at) > expiry)
@@ -122,8 +107,7 @@ impl ImagePager {
     pub fn add(&mut self, sequence: &ImageSequence) {
         let known = |t: &Track| Arc::ptr_eq(t.sequence.shared_texture(), sequence.shared_texture());
         if !self.tracks.iter().any(known) {
-            let sequence = sequence.clone();
-            self.tracks.push(Track { sequence, shown: None, is_playing: false, is_late: true, overdue: None });
+            self.tracks.push(Track::new(sequence.clone()));
         }
     }
 
@@ -177,51 +161,9 @@ impl ImagePager {
                 self.request(now);
             }
         }
-        let changes = self.changes(&present);
+        let changes = self.changes(&present, now);
         self.count();
         changes
-    }
-
-    /// Moves time on and notes which files it needs; what each used sequence could show.
-    fn want(&mut self, simulation_time_s: f64, now: Instant) -> Vec<Present> {
-        let mut present = Vec::with_capacity(self.tracks.len());
-        for slot in self.slots.values_mut() {
-            slot.due_s = f64::INFINITY;
-        }
-        for (place, track) in self.tracks.iter_mut().enumerate() {
-            let moment = track.sequence.advance(simulation_time_s);
-            track.is_playing = moment.is_playing && track.sequence.image_count() > 1;
-            if !track.sequence.is_used() {
-                continue;
-            }
-            let mut need = |index: usize, due_s: f64| {
-                let image = track.sequence.image(index)?;
-                if let SequenceImage::File(uri) = &image {
-                    let slot = self.slots.entry(uri.clone()).or_insert_with(|| Slot {
-                        state: State::Waiting,
-                        tries: Tries::default(),
-                        size_bytes: None,
-                        wanted: 0,
-                        wanted_at: now,
-                        due_s: f64::INFINITY,
-                        discards: true,
-                        admitted: false,
-                    });
-                    (slot.wanted, slot.wanted_at) = (self.updates, now);
-                    slot.due_s = slot.due_s.min(due_s);
-                    slot.discards = moment.discards;
-                }
-                Some((index, image))
-            };
-            let overdue = track.overdue.and_then(|index| need(index, OVERDUE_S));
-            let mut now = None;
-            for wanted in &moment.wanted {
-                let image = need(wanted.index, wanted.due_s);
-                now = now.or(image);
-            }
-            present.extend(now.map(|now| Present { track: place, now, overdue }));
-        }
-        present
     }
 
     /// Chooses among the wanted files those that the budgets have room for, the most urgent first.
@@ -405,52 +347,9 @@ impl ImagePager {
     }
 
     /// Not there, but asked for and not failed.
-    fn is_coming(&self, (_, image): &(usize, SequenceImage)) -> bool {
+    pub(super) fn is_coming(&self, (_, image): &(usize, SequenceImage)) -> bool {
         let SequenceImage::File(uri) = image else { return false };
         self.slots.get(uri).is_some_and(|s| s.admitted && matches!(s.state, State::Waiting | State::Loading))
-    }
-
-    /// The image, where it is there.
-    fn found(&self, (_, image): &(usize, SequenceImage)) -> Option<Arc<Texture>> {
-        match image {
-            SequenceImage::Image(image) => Some(image.clone()),
-            SequenceImage::File(uri) => match &self.slots.get(uri)?.state {
-                State::Loaded(image) => Some(image.clone()),
-                _ => None,
-            },
-        }
-    }
-
-    fn changes(&mut self, present: &[Present]) -> Vec<ImageChange> {
-        let mut changes = Vec::new();
-        for track in &mut self.tracks {
-            track.is_late = false;
-        }
-        for Present { track, now, overdue } in present {
-            let shown = self.tracks[*track].shown;
-            let (mut is_late, mut still_overdue, mut shows) = (false, None, None);
-            if shown != Some(now.0) {
-                shows = self.found(now).map(|image| (now.0, image));
-                if shows.is_none() {
-                    self.stats.late += 1;
-                    is_late = self.is_coming(now);
-                    still_overdue = overdue.as_ref().filter(|image| self.is_coming(image)).map(|image| image.0);
-                    if still_overdue.is_none() {
-                        let before = overdue.as_ref().filter(|image| shown != Some(image.0));
-                        shows = before.and_then(|image| Some((image.0, self.found(image)?)));
-                        still_overdue = is_late.then_some(now.0);
-                    }
-                }
-            }
-            let track = &mut self.tracks[*track];
-            (track.is_late, track.overdue) = (is_late, still_overdue);
-            if let Some((index, image)) = shows {
-                track.shown = Some(index);
-                self.stats.shown += 1;
-                changes.push(ImageChange { texture: track.sequence.texture(), image });
-            }
-        }
-        changes
     }
 
     fn count(&mut self) {

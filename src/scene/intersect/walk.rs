@@ -11,7 +11,7 @@ use crate::scene::page::{NONE, Page, Special, UNBOUNDED, kind};
 use crate::scene::tile_bounds::{TileBounds, TileEye};
 use crate::scene::tiles::{Tiles, flag};
 use crate::scene::{
-    CameraNode, ComputeNearFar, INACTIVE, Inherit, ReferenceFrame, RenderOrder, Scene, has_parallel_rays,
+    CameraNode, ComputeNearFar, INACTIVE, Inherit, PageId, ReferenceFrame, RenderOrder, Scene, has_parallel_rays,
 };
 
 /// A shape in the world that can be moved into other frames.
@@ -70,6 +70,16 @@ struct InPage<'a, L> {
     world_from_page: DAffine3,
     /// `None` where the view does not hold the place: other views below may.
     local: Option<L>,
+    stands_in: bool,
+}
+
+/// A page that is still to be visited.
+struct Visit {
+    place: u32,
+    world_from_page: DAffine3,
+    view: View,
+    /// It takes the place of content above it: as cull, its top tiles are met from outside of their request volumes too.
+    stands_in: bool,
 }
 
 /// Number of a view that the shape is not in.
@@ -103,7 +113,7 @@ struct Walk<'a, P: Probe> {
     scene: &'a Scene,
     view: View,
     probe: &'a mut P,
-    pages: Vec<(u32, DAffine3, View)>,
+    pages: Vec<Visit>,
     /// Number 0 is the picture itself.
     stages: Vec<Stage>,
     views: usize,
@@ -114,15 +124,15 @@ struct Walk<'a, P: Probe> {
 pub fn candidates<P: Probe>(scene: &Scene, rules: &Rules, probe: &mut P, found: &mut Vec<Candidate>) {
     found.clear();
     let view = View { rules: *rules, window: probe.window(), shape: 0, stage: 0, in_scene_camera: false };
-    let pages = scene.roots().iter().rev().map(|root| (root.slot, DAffine3::IDENTITY, view)).collect();
     let stages = vec![Stage { above: 0, is_after: false, order: 0 }];
-    let mut walk = Walk { scene, view, probe, pages, stages, views: 1, found };
-    while let Some((place, world_from_page, view)) = walk.pages.pop() {
+    let mut walk = Walk { scene, view, probe, pages: Vec::new(), stages, views: 1, found };
+    walk.roots(DAffine3::IDENTITY);
+    while let Some(Visit { place, world_from_page, view, stands_in }) = walk.pages.pop() {
         let Some(page) = scene.page_at(place) else { continue };
         walk.view = view;
         let local = walk.probe.local(view.shape, &world_from_page);
         if local.is_some() {
-            walk.nodes(&InPage { page, place, world_from_page, local }, 0, page.node_count() as u32);
+            walk.nodes(&InPage { page, place, world_from_page, local, stands_in }, 0, page.node_count() as u32);
         }
     }
     if walk.stages.len() > 1 {
@@ -366,7 +376,9 @@ impl<P: Probe> Walk<'_, P> {
     fn roots(&mut self, world_from_root: DAffine3) {
         if world_from_root.is_finite() {
             let view = self.view;
-            self.pages.extend(self.scene.roots().iter().rev().map(|root| (root.slot, world_from_root, view)));
+            let visit =
+                |root: &PageId| Visit { place: root.slot, world_from_page: world_from_root, view, stands_in: false };
+            self.pages.extend(self.scene.roots().iter().rev().map(visit));
         }
     }
 
@@ -428,7 +440,8 @@ impl<P: Probe> Walk<'_, P> {
         let local = self.probe.local(self.view.shape, &world_from_page);
         if local.is_some() || self.view.shape == NOWHERE {
             let end = node + here.page.nodes[node as usize].skip;
-            self.nodes(&InPage { page: here.page, place: here.place, world_from_page, local }, node + 1, end);
+            let below = InPage { page: here.page, place: here.place, world_from_page, local, stands_in: false };
+            self.nodes(&below, node + 1, end);
         }
     }
 
@@ -446,8 +459,9 @@ impl<P: Probe> Walk<'_, P> {
             let (record, bounds) = (&tiles.records[index], &tiles.bounds[index]);
             let hidden =
                 here.page.masks.get(tiles.nodes[index] as usize).is_some_and(|m| m & self.view.rules.mask == 0);
-            let outside_request =
-                record.has(flag::REQUEST_VOLUME) && eye.is_some_and(|eye| !tiles.may_be_requested(tile, eye.position));
+            let outside_request = record.has(flag::REQUEST_VOLUME)
+                && eye.is_some_and(|eye| !tiles.may_be_requested(tile, eye.position))
+                && !stands_in(tiles, tile, here.stands_in);
             if hidden || outside_request || !enters_tile::<P>(&local, tiles, bounds) {
                 tile = tiles.behind(tile);
                 continue;
@@ -470,11 +484,12 @@ impl<P: Probe> Walk<'_, P> {
                 (resident, !resident && (ready || self.view.rules.lods != LodSelection::AsSeen))
             };
             if draws {
-                self.pages.push((
-                    tiles.contents[index].resident,
-                    world_from_tile * tiles.content_transform(index),
-                    self.view,
-                ));
+                self.pages.push(Visit {
+                    place: tiles.contents[index].resident,
+                    world_from_page: world_from_tile * tiles.content_transform(index),
+                    view: self.view,
+                    stands_in: stands_in(tiles, tile, here.stands_in),
+                });
             }
             tile = if descends && record.has_children() { record.first_child } else { tiles.behind(tile) };
         }
@@ -490,6 +505,17 @@ impl<P: Probe> Walk<'_, P> {
                 distance2 < range2
             }
             _ => true,
+        }
+    }
+}
+
+/// Whether a tile that is met takes the place of content above it. `page_stands_in` where the page does.
+fn stands_in(tiles: &Tiles, mut tile: u32, page_stands_in: bool) -> bool {
+    loop {
+        tile = tiles.parents[tile as usize];
+        let Some(above) = tiles.records.get(tile as usize) else { return page_stands_in };
+        if above.has(flag::CONTENT | flag::PROXY | flag::EXTERNAL) {
+            return !above.has(flag::PROXY | flag::EXTERNAL | flag::ADD);
         }
     }
 }

@@ -335,15 +335,18 @@ impl DeviceHandle {
         }
     }
 
+    /// Waits until all that was sent to be uploaded is, unless a frame is in flight.
+    pub(super) fn end_compiles(&mut self) {
+        // Answers come in order, so frames in flight would have to be taken first; the blocking mode has none.
+        if self.compiling > 0 && self.in_flight == 0 && self.send(DrawCommand::FinishCompiles).is_ok() {
+            self.is_dead |= self.replies.recv().is_err();
+        }
+    }
+
     /// What was uploaded for a scene: for its own pages, with their numbers, or for its pager.
     pub(super) fn take_compiled(&mut self, owner: u16, is_own: bool) -> Vec<Compiled> {
-        // Answers come in order, so frames in flight would have to be taken first; the blocking mode has none.
-        if self.finish_compiles
-            && self.compiling > 0
-            && self.in_flight == 0
-            && self.send(DrawCommand::FinishCompiles).is_ok()
-        {
-            self.is_dead |= self.replies.recv().is_err();
+        if self.finish_compiles {
+            self.end_compiles();
         }
         let before = self.arrived.len();
         self.arrived.extend(self.compiled.try_iter());

@@ -213,6 +213,20 @@ impl Rendering {
         self.devices.iter_mut().flat_map(of_device).collect()
     }
 
+    /// Waits until all that was sent to be uploaded is. No frame is under way.
+    pub(super) fn finish_compiles(&mut self) {
+        self.devices.iter_mut().for_each(DeviceHandle::end_compiles);
+    }
+
+    /// Releases what was uploaded for somebody who is gone.
+    pub(super) fn release_compiled(&mut self, owner: u16, is_own: bool) {
+        for device in &mut self.devices {
+            for compiled in device.take_compiled(owner, is_own) {
+                device.release(compiled.slots);
+            }
+        }
+    }
+
     fn numbered(&mut self, device: u32) -> Option<&mut DeviceHandle> {
         self.devices.iter_mut().find(|d| d.number() == device)
     }

@@ -19,8 +19,8 @@ use crate::args::{Bench, BenchArgs};
 
 pub fn run(args: &BenchArgs) -> Result<()> {
     match &args.bench {
-        Bench::Cull { secs } => {
-            cull::run(*secs);
+        Bench::Cull { secs, drawables } => {
+            cull::run(*secs, drawables);
             Ok(())
         }
         Bench::Tiles { secs } => {
