@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
 use terrane::io::{CacheConfig, is_remote};
-use terrane::pager::PagerConfig;
+use terrane::pager::{PagerConfig, PagerStats};
 use terrane::viewer::{
     self, CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, SlaveId, ViewId, ViewerConfig,
 };
@@ -98,12 +98,14 @@ pub(super) struct Flight<'a> {
     is_elsewhere: bool,
     /// The set, where no server of ours is in between.
     files: &'a str,
+    /// The set, as the viewer loads it.
+    source: String,
     scratch: Scratch,
     pager: PagerConfig,
     config: ViewerConfig,
     pub(super) scenes: Vec<SceneId>,
     /// The scenes of each pager.
-    pagers: Vec<Vec<SceneId>>,
+    pub(super) pagers: Vec<Vec<SceneId>>,
     /// The first stays in the first context, all of it.
     pub(super) views: Vec<(ViewId, ContextId)>,
     pub(super) slaves: Vec<(ViewId, SlaveId, ContextId)>,
@@ -217,6 +219,7 @@ impl<'a> Flight<'a> {
             image_server,
             is_elsewhere,
             files,
+            source,
             scratch,
             pager,
             config,
@@ -231,7 +234,7 @@ impl<'a> Flight<'a> {
             frame: 0,
             outcome: Outcome::default(),
         };
-        flight.open(&source)?;
+        flight.open()?;
         Ok(flight)
     }
 
@@ -247,7 +250,7 @@ impl<'a> Flight<'a> {
         }
     }
 
-    fn open(&mut self, source: &str) -> Result<()> {
+    fn open(&mut self) -> Result<()> {
         let first = self.context()?;
         self.outcome.adapter = first.adapter_name();
         let mut viewer = CompositeViewer::new(&self.config)?;
@@ -255,17 +258,7 @@ impl<'a> Flight<'a> {
         // The root must come; what is below it may not.
         self.set_faulty(false);
         for _ in 0..self.plan.scenes {
-            let shared = self.pagers.first_mut().filter(|_| self.plan.share_pager);
-            let scene = match &shared {
-                Some(scenes) => viewer.add_scene_with_pager_of(scenes[0])?,
-                None => viewer.add_scene()?,
-            };
-            viewer.load(scene, source)?;
-            match shared {
-                Some(scenes) => scenes.push(scene),
-                None => self.pagers.push(vec![scene]),
-            }
-            self.scenes.push(scene);
+            self.add_scene(&mut viewer)?;
         }
         self.set_faulty(true);
         self.bounds = *viewer.bounds(self.scenes[0])?.context("the set has no bounds")?;
@@ -283,6 +276,22 @@ impl<'a> Flight<'a> {
         Ok(())
     }
 
+    /// Another scene of the same set. Its root must come: faults have to be off.
+    pub(super) fn add_scene(&mut self, viewer: &mut CompositeViewer) -> Result<()> {
+        let shared = self.pagers.first_mut().filter(|_| self.plan.share_pager);
+        let scene = match &shared {
+            Some(scenes) => viewer.add_scene_with_pager_of(scenes[0])?,
+            None => viewer.add_scene()?,
+        };
+        viewer.load(scene, &self.source)?;
+        match shared {
+            Some(scenes) => scenes.push(scene),
+            None => self.pagers.push(vec![scene]),
+        }
+        self.scenes.push(scene);
+        Ok(())
+    }
+
     /// A sign, whose images come as the set does: from the disk, or from a server with the same faults.
     fn sign(&mut self, slides: &Slides, viewer: &mut CompositeViewer) -> Result<Sign> {
         let folder = self.scratch.images()?;
@@ -296,7 +305,7 @@ impl<'a> Flight<'a> {
         Sign::hang(viewer, self.scenes[0], &self.bounds, slides, uris, server)
     }
 
-    fn set_faulty(&self, is_faulty: bool) {
+    pub(super) fn set_faulty(&self, is_faulty: bool) {
         if let Some(server) = &self.server {
             server.set_faulty(is_faulty);
         }
@@ -515,6 +524,15 @@ impl<'a> Flight<'a> {
         Ok(())
     }
 
+    /// Counts what a pager did that ends.
+    pub(super) fn sum_up(&mut self, stats: &PagerStats) {
+        self.outcome.requested += stats.requested;
+        self.outcome.merged += stats.merged;
+        self.outcome.failed += stats.failed;
+        self.outcome.cancelled += stats.cancelled;
+        self.outcome.expired += stats.expired;
+    }
+
     /// Nothing is left of what was loaded.
     fn clear(&mut self) -> Result<()> {
         watch::step(format_args!("clear"));
@@ -526,11 +544,7 @@ impl<'a> Flight<'a> {
             let Some(pager) = viewer.pager_mut(scenes[0])? else { continue };
             pager.set_takes_requests(false);
             let before = *pager.stats();
-            self.outcome.requested += before.requested;
-            self.outcome.merged += before.merged;
-            self.outcome.failed += before.failed;
-            self.outcome.cancelled += before.cancelled;
-            self.outcome.expired += before.expired;
+            self.sum_up(&before);
             let mut there = 0;
             for scene in &scenes {
                 let viewer = self.viewer()?;

@@ -13,6 +13,8 @@ use super::random::Random;
 pub const MOST_VIEWS: usize = 4;
 /// Contexts that may be open at once.
 pub const MOST_CONTEXTS: usize = 3;
+/// Scenes of a flight.
+pub const MOST_SCENES: usize = 2;
 
 /// How tiles come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -198,6 +200,9 @@ pub enum Event {
     /// Milliseconds without a frame.
     Sleep(u64),
     Finish,
+    /// The second scene goes, with its views.
+    RemoveScene,
+    AddScene,
 }
 
 /// A sequence of images beside the set.
@@ -296,7 +301,7 @@ impl Plan {
         let poses = (0..MOST_VIEWS).map(|_| flight(r, frames)).collect();
         let last_poses = (0..MOST_VIEWS).map(|_| Pose::over_it(r)).collect();
         let events = events(r, frames);
-        Self {
+        let mut plan = Self {
             seed,
             way,
             drawing,
@@ -323,7 +328,12 @@ impl Plan {
             slides: if r.percent(40) { Some(Slides::random(r)) } else { None },
             // What is new is drawn last: seeds keep all else that they had.
             wire: r.one_of(&[Wire::Http1, Wire::Http2, Wire::Tls1, Wire::Tls2]),
+        };
+        if r.percent(40) {
+            let event = |r: &mut Random| (r.whole(2, 120) as u32, r.one_of(&[Event::RemoveScene, Event::AddScene]));
+            plan.events.extend((0..r.whole(1, 6)).map(|_| event(r)));
         }
+        plan
     }
 
     /// A number that is the same where the plan is.
@@ -464,6 +474,8 @@ mod tests {
         assert!(events.iter().any(|e| matches!(e, Event::CloseContext(_))));
         assert!(events.iter().filter(|e| matches!(e, Event::Announce { .. })).count() > 50);
         assert!(events.iter().filter(|e| matches!(e, Event::LoadProxy(_))).count() > 50);
+        assert!(events.iter().filter(|e| matches!(e, Event::RemoveScene)).count() > 50);
+        assert!(events.iter().filter(|e| matches!(e, Event::AddScene)).count() > 50);
         assert!(count(&|p| p.skip_sse_factor > 1.0) > 60 && count(&|p| p.compile_contexts) > 50);
         assert!(count(&|p| p.has_proxies) > 80 && count(&|p| p.slides.is_some()) > 50);
         for wire in [Wire::Http1, Wire::Http2, Wire::Tls1, Wire::Tls2] {
