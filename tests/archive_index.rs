@@ -99,6 +99,34 @@ fn without_directory(mut bytes: Vec<u8>) -> Vec<u8> {
     bytes
 }
 
+/// A bit of a file's name in the directory is another.
+fn with_changed_name(mut bytes: Vec<u8>, name: &str) -> Vec<u8> {
+    let at = bytes.windows(name.len()).rposition(|w| w == name.as_bytes()).unwrap();
+    bytes[at] ^= 2;
+    bytes
+}
+
+fn is_damaged(error: &IoError) -> bool {
+    matches!(error, IoError::Invalid { reason, .. } if reason.contains("damaged archive"))
+}
+
+/// It was said not to be there.
+#[test]
+fn a_file_whose_name_was_changed_is_not_missing() {
+    let files = BTreeMap::from(["a.glb", "b.glb", "tileset.json"].map(|name| (name.to_owned(), b"content".to_vec())));
+    let (folder, reader) = written(&with_changed_name(archive(&files, &Making::default()), "b.glb"));
+    let error = read(&folder, &reader, "b.glb").unwrap_err();
+    assert!(is_damaged(&error) && !error.is_transient(), "{error:?}");
+    assert_eq!(read(&folder, &reader, "a.glb").unwrap(), b"content");
+    assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
+    // Where the index is what files are found by it does not matter.
+    let files = many();
+    let (name, content) = files.first_key_value().unwrap();
+    let (folder, reader) = written(&with_changed_name(archive(&files, &Making::default()), name));
+    assert_eq!(read(&folder, &reader, name).as_ref(), Ok(content));
+    assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
+}
+
 #[test]
 fn files_are_found_without_the_directory() {
     let files = many();
@@ -179,6 +207,8 @@ proptest! {
 
 #[cfg(feature = "http")]
 mod over_http {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
     use super::http_support::{Reply, Server};
     use super::*;
     use terrane::io::{HttpClient, HttpConfig};
@@ -241,5 +271,30 @@ mod over_http {
         assert!(server.count() <= 4 + names.len(), "{}", server.count());
         let missing = "none.glb".to_owned();
         assert!(matches!(get(&server, &[&missing]).0[0], Err(IoError::NotFound { .. })));
+    }
+
+    /// It was remembered as missing for as long as the directory was kept.
+    #[test]
+    fn a_name_that_was_changed_on_its_way_is_read_anew() {
+        let files = BTreeMap::from(["a.glb", "b.glb", "c.glb"].map(|name| (name.to_owned(), b"content".to_vec())));
+        let (name, none) = ("b.glb".to_owned(), "none.glb".to_owned());
+        // With an index, and without one as a plain zip is.
+        for is_last in [true, false] {
+            let good = archive(&files, &Making { is_last, ..Making::default() });
+            let bent = with_changed_name(good.clone(), &name);
+            let count = AtomicUsize::new(0);
+            let server = Server::start(move |r| {
+                let is_first = count.fetch_add(1, Ordering::Relaxed) == 0;
+                Reply::ok(if is_first { bent.clone() } else { good.clone() }).with("ETag", "\"1\"").ranged(r)
+            });
+            let (got, _) = get(&server, &[&name, &name, &none, &none]);
+            let error = got[0].as_ref().unwrap_err();
+            assert!(is_damaged(error) && error.is_doubtful(), "{error:?}");
+            assert_eq!(got[1].as_deref(), Ok(&b"content"[..]));
+            assert!(got[2..].iter().all(|got| matches!(got, Err(IoError::NotFound { .. }))), "{got:?}");
+            // End, anew, and the file. Without an index directories are read twice before a file is missing.
+            let requests = if is_last { 3 } else { 5 };
+            assert_eq!(server.count(), requests, "{:?}", server.seen());
+        }
     }
 }

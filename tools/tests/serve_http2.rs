@@ -174,30 +174,23 @@ fn what_stops_leaves_the_connection_to_others() {
         let mut builder = Builder::new();
         builder.initial_window_size(20_000).initial_connection_window_size(65_535);
         let sender = connect(&server, &builder).await;
-        let mut asked = tokio::task::JoinSet::new();
-        for k in 0..100 {
-            let sender = sender.clone();
-            asked.spawn(async move { ask(&sender, "GET", &format!("/{k}"), &[]).await.body.len() });
-        }
-        let mut whole = 0;
-        while let Ok(Some(ended)) = tokio::time::timeout(Duration::from_secs(2), asked.join_next()).await {
-            assert_eq!(ended.unwrap(), 50_000);
-            whole += 1;
-        }
-        // Those that stop are there still.
-        assert!((25..=55).contains(&whole) && asked.len() == 100 - whole, "{whole}");
-        // Once the client gives them up there is room for as many more: a connection has 128.
-        asked.abort_all();
-        let mut more = tokio::task::JoinSet::new();
+        // What the client gives up makes room: a connection has 128 at once, and more than that stop in all.
+        let mut stopped = 0;
         for _ in 0..3 {
+            let mut asked = tokio::task::JoinSet::new();
             for k in 0..100 {
                 let sender = sender.clone();
-                let got = async move { ask(&sender, "GET", &format!("/{k}"), &[]).await };
-                more.spawn(async { tokio::time::timeout(Duration::from_millis(500), got).await });
+                asked.spawn(async move { ask(&sender, "GET", &format!("/{k}"), &[]).await.body.len() });
             }
+            let mut whole = 0;
+            while let Ok(Some(ended)) = tokio::time::timeout(Duration::from_secs(2), asked.join_next()).await {
+                assert_eq!(ended.unwrap(), 50_000);
+                whole += 1;
+            }
+            assert!((25..=55).contains(&whole) && asked.len() == 100 - whole, "{whole}");
+            stopped += asked.len();
         }
-        let all = more.join_all().await;
-        assert!(all.iter().flatten().filter(|got| got.body.len() == 50_000).count() > 75, "of 300");
+        assert!(stopped > 128, "{stopped}");
     });
 }
 

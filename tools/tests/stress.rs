@@ -33,6 +33,9 @@ fn some_seeds_hold() {
     let seeds = report["seeds"].as_array().unwrap();
     assert_eq!((seeds.len(), report["failed"].as_u64()), (12, Some(0)));
     assert!(seeds.iter().all(|s| s["frames"].as_u64().unwrap() > 50), "{report}");
+    // From disk, and over all that a server speaks.
+    let ways: std::collections::BTreeSet<&str> = seeds.iter().map(|s| s["way"].as_str().unwrap()).collect();
+    assert_eq!(ways.into_iter().collect::<Vec<_>>(), ["disk", "h2", "h2c", "http/1.1", "tls/1.1"]);
     assert!(seeds.iter().map(|s| s["merged"].as_u64().unwrap()).sum::<u64>() > 50, "{report}");
 }
 

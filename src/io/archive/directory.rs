@@ -6,6 +6,9 @@ use crate::io::{IoError, Limits};
 /// for the whole directory of a small archive.
 pub(crate) const TAIL_BYTES: u64 = 128 << 10;
 
+/// What is said where a file's name is not in a directory that should have it.
+pub(crate) const DAMAGED: &str = "damaged archive: names in its directory are not those of its files";
+
 const END: u32 = 0x0605_4b50;
 const END_64: u32 = 0x0606_4b50;
 const LOCATOR_64: u32 = 0x0706_4b50;
@@ -144,6 +147,12 @@ impl Directory {
         // Stable: of two with one name the later is last.
         headers.sort_by(|a, b| name(a).cmp(name(b)));
         Ok(Self { bytes, headers })
+    }
+
+    /// These bytes are those of this one.
+    #[cfg(feature = "http")]
+    pub fn is_of(&self, bytes: &[u8]) -> bool {
+        self.bytes == bytes
     }
 
     /// Bytes that it takes.

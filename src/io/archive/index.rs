@@ -78,6 +78,11 @@ impl Index {
         self.hashes.len() * size_of::<u128>() + (self.offsets.len() + self.ends.len()) * size_of::<u64>()
     }
 
+    /// It has a file of that name.
+    pub fn has(&self, wanted: &str) -> bool {
+        self.find(wanted).is_some()
+    }
+
     /// Where a file may be: its header and content, and perhaps more.
     pub fn find(&self, wanted: &str) -> Option<Span> {
         let hash = key(&Md5::digest(wanted.as_bytes()))?;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::SystemTime;
 
-use super::directory::{Directory, End, Member, Span, TAIL_BYTES};
+use super::directory::{DAMAGED, Directory, End, Member, Span, TAIL_BYTES};
 use super::index::{Index, own_header};
 use super::member::{SLACK_BYTES, check, data_of, piece_of, unpack};
 use crate::io::{IoError, Limits};
@@ -48,7 +48,6 @@ impl LocalArchive {
             Self { path: path.to_path_buf(), place, index: None, directory: OnceLock::new(), length, modified };
         if let Some(bytes) = place.of(&tail, start) {
             let _ = archive.directory.set(Directory::read(&uri, bytes.to_vec(), place.offset, limits)?);
-            return Ok(archive);
         }
         let own = Index::place(&tail, start, place);
         if let Some((own, piece)) = own.and_then(|own| Some((own, Index::piece(&own, place)?)))
@@ -121,7 +120,11 @@ impl LocalArchive {
 
     fn find(&self, uri: &str, name: &str, limits: &Limits) -> Result<Member, IoError> {
         let directory = self.directory(uri, limits)?;
-        directory.find(name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })
+        directory.find(name).ok_or_else(|| match &self.index {
+            // A name was changed: the index has a checksum, the directory none.
+            Some(index) if index.has(name) => IoError::invalid(uri, DAMAGED),
+            _ => IoError::NotFound { uri: uri.to_owned() },
+        })
     }
 
     fn directory(&self, uri: &str, limits: &Limits) -> Result<&Directory, IoError> {

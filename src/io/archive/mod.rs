@@ -21,7 +21,7 @@ use lru::LruCache;
 use super::{IoError, Limits};
 
 #[cfg(feature = "http")]
-pub(crate) use directory::{Directory, End, Member, Span, TAIL_BYTES};
+pub(crate) use directory::{DAMAGED, Directory, End, Member, Span, TAIL_BYTES};
 pub use index::fuzz_index;
 #[cfg(feature = "http")]
 pub(crate) use index::{Index, own_header};

@@ -13,7 +13,7 @@ use super::once::Once;
 use super::tiles::RemoteTiles;
 use super::{DECODED_HERE_BYTES, HttpBody, HttpClient, blocking, exchange};
 use crate::io::archive::{
-    self, Directory, End, Index, KEPT_ARCHIVES, KEPT_BYTES, Member, SLACK_BYTES, Span, TAIL_BYTES, is_pmtiles,
+    self, DAMAGED, Directory, End, Index, KEPT_ARCHIVES, KEPT_BYTES, Member, SLACK_BYTES, Span, TAIL_BYTES, is_pmtiles,
 };
 use crate::io::cache::{Entry, Freshness};
 use crate::io::read::refuse_markup;
@@ -69,7 +69,7 @@ impl RemoteArchive {
 /// An archive of either kind.
 #[derive(Debug)]
 pub(super) enum Inside {
-    Zip(RemoteZip),
+    Zip(Box<RemoteZip>),
     Tiles(RemoteTiles),
 }
 
@@ -80,6 +80,8 @@ pub(super) struct RemoteZip {
     index: Option<Index>,
     /// Read when there is no index, or when what it says is not enough.
     directory: Once<Directory>,
+    /// Done once the directory came twice the same.
+    confirmed: Once<()>,
 }
 
 impl Archives {
@@ -252,7 +254,10 @@ impl HttpClient {
             read_directory(url, part.bytes, zip.place, limits).await
         };
         let directory = zip.directory.get_or_read(read).await?;
-        let member = directory.find(name).ok_or_else(|| IoError::NotFound { uri: uri.to_owned() })?;
+        let Some(member) = directory.find(name) else {
+            self.confirm(directory, (url, name), (archive, zip), limits, network_bytes).await?;
+            return Err(IoError::NotFound { uri: uri.to_owned() });
+        };
         let span = archive::piece_of(uri, &member, zip.place.offset, limits)?;
         let mut part = self.member_part(url, archive, span, limits, network_bytes).await?;
         let data = archive::data_of(uri, &member, &part.bytes)?;
@@ -261,6 +266,38 @@ impl HttpClient {
             part = self.member_part(url, archive, Span { size, ..span }, limits, network_bytes).await?;
         }
         Ok((member, part))
+    }
+
+    /// Makes sure that a file is missing, and that its name was not changed on the way here: a directory has no checksum.
+    /// The index, which has one, says so; without one the directory is believed that came twice the same.
+    async fn confirm(
+        &self,
+        directory: &Directory,
+        (url, name): (&str, &str),
+        (archive, zip): (&RemoteArchive, &RemoteZip),
+        limits: &Limits,
+        network_bytes: &AtomicU64,
+    ) -> Result<(), IoError> {
+        let is_same = match &zip.index {
+            Some(index) => !index.has(name),
+            None if zip.place.size == 0 => true,
+            None => {
+                let read = async || {
+                    let part = self.member_part(url, archive, zip.place, limits, network_bytes).await?;
+                    if directory.is_of(&part.bytes) { Ok(()) } else { Err(IoError::invalid(url, DAMAGED)) }
+                };
+                match zip.confirmed.get_or_read(read).await {
+                    Err(IoError::Invalid { .. }) => false,
+                    other => other.map(|()| true)?,
+                }
+            }
+        };
+        if is_same {
+            return Ok(());
+        }
+        // The next one reads it anew.
+        self.inner.archives.forget(url, archive);
+        Err(IoError::invalid(url, DAMAGED))
     }
 
     async fn keep_member(&self, cache: &Arc<DiskCache>, uri: &str, part: &Part, bytes: &[u8]) {
@@ -313,9 +350,10 @@ impl HttpClient {
         };
         let is_here = place.of(&tail.bytes, tail.offset).is_some();
         let mut index = None;
-        if !is_here
-            && let Some(own) = Index::place(&tail.bytes, tail.offset, place)
+        // Beside a directory that is here it costs no request.
+        if let Some(own) = Index::place(&tail.bytes, tail.offset, place)
             && let Some(piece) = Index::piece(&own, place)
+            && (!is_here || piece.of(&tail.bytes, tail.offset).is_some())
             && piece.size <= limits.max_file_bytes
             && files <= limits.max_elements as u64
         {
@@ -323,13 +361,14 @@ impl HttpClient {
             index = blocking(url, move || Index::read(&own, &piece, place, files)).await?;
         }
         let directory = Once::default();
-        if index.is_none() {
+        if index.is_none() || is_here {
             check_directory(url, place, limits)?;
             let bytes = if place.size == 0 { Vec::new() } else { at(place).await? };
             // Nobody else has it yet.
             directory.get_or_read(async || read_directory(url, bytes, place, limits).await).await?;
         }
-        Ok(Arc::new(RemoteArchive::of(&tail, Inside::Zip(RemoteZip { place, index, directory }))))
+        let zip = RemoteZip { place, index, directory, confirmed: Once::default() };
+        Ok(Arc::new(RemoteArchive::of(&tail, Inside::Zip(Box::new(zip)))))
     }
 
     /// A part of an archive that has to be the one whose beginning or end was read.
@@ -455,9 +494,14 @@ mod tests {
     fn an_archive_vouches_for_what_came_with_it_for_a_while() {
         let now = Instant::now();
         let archive = |etag: &str| {
-            let zip = RemoteZip { place: Span { offset: 0, size: 0 }, index: None, directory: Once::default() };
+            let zip = RemoteZip {
+                place: Span { offset: 0, size: 0 },
+                index: None,
+                directory: Once::default(),
+                confirmed: Once::default(),
+            };
             let (etag, seen) = (Some(etag.to_owned()), Mutex::new(now));
-            RemoteArchive { length: 9, etag, seen, inside: Inside::Zip(zip) }
+            RemoteArchive { length: 9, etag, seen, inside: Inside::Zip(Box::new(zip)) }
         };
         let kept = |etag: &str| Entry { etag: Some(etag.to_owned()), ..Entry::default() };
         let strong = archive("\"1\"");

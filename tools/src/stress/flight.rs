@@ -10,19 +10,20 @@ use serde::{Deserialize, Serialize};
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, GpuError, GraphicsContext};
 use terrane::io::{CacheConfig, is_remote};
-use terrane::pager::PagerConfig;
+use terrane::pager::{PagerConfig, PagerStats};
 use terrane::viewer::{
     self, CompositeViewer, ContextId, HoleCheck, KEY_COLOR, SceneId, SetBounds, SlaveId, ViewId, ViewerConfig,
 };
 
 use super::check::{self, Asked, Failures, Pictures};
 use super::extras::{Proxies, Sign};
-use super::plan::{Drawing, Faults, MOST_CONTEXTS, Plan, Pose, Slides, Way};
+use super::plan::{Drawing, MOST_CONTEXTS, Plan, Pose, Slides, Way, Wire};
 use super::{extras, fresh, watch};
 use crate::serve::{Background, ServeArgs};
 
-/// Frames within which everything comes to rest once faults have ceased.
-const MOST_SETTLING: u32 = 3000;
+/// Frames within which everything comes to rest once faults have ceased. Latency and bandwidth stay, and all requests of
+/// HTTP/2 share a line that may be narrow.
+const MOST_SETTLING: u32 = 6000;
 /// Frames after a clear: those that are drawn in any case, and those that the smallest budget needs for the upload that
 /// was under way.
 const LEAST_CLEARING: u32 = 4;
@@ -61,7 +62,7 @@ pub fn fly(plan: &Plan, source: &str) -> Result<Outcome> {
     flight.all()
 }
 
-/// A folder for the cache of a seed; goes with it.
+/// A folder for the cache, images and certificates of a seed; goes with it.
 struct Scratch(PathBuf);
 
 impl Scratch {
@@ -69,6 +70,13 @@ impl Scratch {
         let folder = std::env::temp_dir().join(format!("terrane-stress-{}-{seed}", std::process::id()));
         std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         Ok(Self(folder))
+    }
+
+    /// Where images of sequences are.
+    fn images(&self) -> Result<PathBuf> {
+        let folder = self.0.join("images");
+        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        Ok(folder)
     }
 }
 
@@ -84,16 +92,20 @@ pub(super) struct Flight<'a> {
     pub(super) viewer: Option<CompositeViewer>,
     sign: Option<Sign>,
     server: Option<Background>,
+    /// Of the sign's images, until there is one.
+    image_server: Option<Background>,
     /// The set is on a server of somebody else: what does not come from there is no fault of ours.
     is_elsewhere: bool,
     /// The set, where no server of ours is in between.
     files: &'a str,
+    /// The set, as the viewer loads it.
+    source: String,
     scratch: Scratch,
     pager: PagerConfig,
     config: ViewerConfig,
     pub(super) scenes: Vec<SceneId>,
     /// The scenes of each pager.
-    pagers: Vec<Vec<SceneId>>,
+    pub(super) pagers: Vec<Vec<SceneId>>,
     /// The first stays in the first context, all of it.
     pub(super) views: Vec<(ViewId, ContextId)>,
     pub(super) slaves: Vec<(ViewId, SlaveId, ContextId)>,
@@ -107,8 +119,13 @@ pub(super) struct Flight<'a> {
     outcome: Outcome,
 }
 
-fn faulty(folder: &Path, faults: &Faults, seed: u64) -> ServeArgs {
-    ServeArgs {
+/// A server of the plan for a folder. Where its connections are encrypted, its certificate becomes that file.
+fn serve(plan: &Plan, folder: &Path, certificate: &Path) -> Result<Background> {
+    let Plan { faults, wire, .. } = plan;
+    Background::start(ServeArgs {
+        http1: *wire == Wire::Tls1,
+        http2: *wire == Wire::Http2,
+        tls: plan.wire.is_encrypted().then(|| certificate.to_owned()),
         latency_ms: faults.latency_ms,
         jitter_ms: faults.jitter_ms,
         bandwidth: faults.bandwidth,
@@ -119,9 +136,9 @@ fn faulty(folder: &Path, faults: &Faults, seed: u64) -> ServeArgs {
         reset_rate: faults.reset,
         silent_rate: faults.silent,
         page_rate: faults.page,
-        seed,
+        seed: plan.seed,
         ..ServeArgs::new(folder)
-    }
+    })
 }
 
 /// A synthetic clock: what is animated is the same in each run.
@@ -161,14 +178,23 @@ impl<'a> Flight<'a> {
             pager.http.cache = Some(CacheConfig::new(scratch.0.join("cache")));
         }
         let is_elsewhere = is_remote(files);
-        let (server, source) = if plan.way == Way::Http && !is_elsewhere {
+        let (mut server, mut image_server, mut source) = (None, None, files.to_owned());
+        if plan.way == Way::Http && !is_elsewhere {
+            pager.http.http2_only = plan.wire == Wire::Http2;
+            let mut start = |folder: &Path, certificate: &str| {
+                let certificate = scratch.0.join(certificate);
+                let server = serve(plan, folder, &certificate)?;
+                pager.http.root_certificates.extend(plan.wire.is_encrypted().then_some(certificate));
+                anyhow::Ok(server)
+            };
             let (folder, name) = served(files)?;
-            let server = Background::start(faulty(&folder, &plan.faults, plan.seed))?;
-            let url = format!("{}{name}", server.url());
-            (Some(server), url)
-        } else {
-            (None, files.to_owned())
-        };
+            let started = start(&folder, "set.pem")?;
+            source = format!("{}{name}", started.url());
+            server = Some(started);
+            if plan.slides.is_some() {
+                image_server = Some(start(&scratch.images()?, "images.pem")?);
+            }
+        }
         let config = ViewerConfig {
             size_px: plan.size_px,
             threading: plan.model,
@@ -190,8 +216,10 @@ impl<'a> Flight<'a> {
             sign: None,
             proxies: None,
             server,
+            image_server,
             is_elsewhere,
             files,
+            source,
             scratch,
             pager,
             config,
@@ -206,7 +234,7 @@ impl<'a> Flight<'a> {
             frame: 0,
             outcome: Outcome::default(),
         };
-        flight.open(&source)?;
+        flight.open()?;
         Ok(flight)
     }
 
@@ -222,7 +250,7 @@ impl<'a> Flight<'a> {
         }
     }
 
-    fn open(&mut self, source: &str) -> Result<()> {
+    fn open(&mut self) -> Result<()> {
         let first = self.context()?;
         self.outcome.adapter = first.adapter_name();
         let mut viewer = CompositeViewer::new(&self.config)?;
@@ -230,17 +258,7 @@ impl<'a> Flight<'a> {
         // The root must come; what is below it may not.
         self.set_faulty(false);
         for _ in 0..self.plan.scenes {
-            let shared = self.pagers.first_mut().filter(|_| self.plan.share_pager);
-            let scene = match &shared {
-                Some(scenes) => viewer.add_scene_with_pager_of(scenes[0])?,
-                None => viewer.add_scene()?,
-            };
-            viewer.load(scene, source)?;
-            match shared {
-                Some(scenes) => scenes.push(scene),
-                None => self.pagers.push(vec![scene]),
-            }
-            self.scenes.push(scene);
+            self.add_scene(&mut viewer)?;
         }
         self.set_faulty(true);
         self.bounds = *viewer.bounds(self.scenes[0])?.context("the set has no bounds")?;
@@ -258,15 +276,27 @@ impl<'a> Flight<'a> {
         Ok(())
     }
 
-    /// A sign, whose images come as the set does: from the disk, or from a server with the same faults.
-    fn sign(&self, slides: &Slides, viewer: &mut CompositeViewer) -> Result<Sign> {
-        let folder = self.scratch.0.join("images");
-        std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        let names = extras::write_images(slides, &folder)?;
-        let server = match &self.server {
-            Some(_) => Some(Background::start(faulty(&folder, &self.plan.faults, self.plan.seed))?),
-            None => None,
+    /// Another scene of the same set. Its root must come: faults have to be off.
+    pub(super) fn add_scene(&mut self, viewer: &mut CompositeViewer) -> Result<()> {
+        let shared = self.pagers.first_mut().filter(|_| self.plan.share_pager);
+        let scene = match &shared {
+            Some(scenes) => viewer.add_scene_with_pager_of(scenes[0])?,
+            None => viewer.add_scene()?,
         };
+        viewer.load(scene, &self.source)?;
+        match shared {
+            Some(scenes) => scenes.push(scene),
+            None => self.pagers.push(vec![scene]),
+        }
+        self.scenes.push(scene);
+        Ok(())
+    }
+
+    /// A sign, whose images come as the set does: from the disk, or from a server with the same faults.
+    fn sign(&mut self, slides: &Slides, viewer: &mut CompositeViewer) -> Result<Sign> {
+        let folder = self.scratch.images()?;
+        let names = extras::write_images(slides, &folder)?;
+        let server = self.image_server.take();
         let uri = |name: &String| match &server {
             Some(server) => format!("{}{name}", server.url()),
             None => folder.join(name).display().to_string(),
@@ -275,7 +305,7 @@ impl<'a> Flight<'a> {
         Sign::hang(viewer, self.scenes[0], &self.bounds, slides, uris, server)
     }
 
-    fn set_faulty(&self, is_faulty: bool) {
+    pub(super) fn set_faulty(&self, is_faulty: bool) {
         if let Some(server) = &self.server {
             server.set_faulty(is_faulty);
         }
@@ -494,6 +524,15 @@ impl<'a> Flight<'a> {
         Ok(())
     }
 
+    /// Counts what a pager did that ends.
+    pub(super) fn sum_up(&mut self, stats: &PagerStats) {
+        self.outcome.requested += stats.requested;
+        self.outcome.merged += stats.merged;
+        self.outcome.failed += stats.failed;
+        self.outcome.cancelled += stats.cancelled;
+        self.outcome.expired += stats.expired;
+    }
+
     /// Nothing is left of what was loaded.
     fn clear(&mut self) -> Result<()> {
         watch::step(format_args!("clear"));
@@ -505,11 +544,7 @@ impl<'a> Flight<'a> {
             let Some(pager) = viewer.pager_mut(scenes[0])? else { continue };
             pager.set_takes_requests(false);
             let before = *pager.stats();
-            self.outcome.requested += before.requested;
-            self.outcome.merged += before.merged;
-            self.outcome.failed += before.failed;
-            self.outcome.cancelled += before.cancelled;
-            self.outcome.expired += before.expired;
+            self.sum_up(&before);
             let mut there = 0;
             for scene in &scenes {
                 let viewer = self.viewer()?;

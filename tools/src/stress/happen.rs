@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context as _, Result, ensure};
 use glam::{DMat4, DVec3};
 use terrane::viewer::{AnimationPath, ControlPoint, Slave};
 
 use super::flight::{Flight, time_s, world_from_eye};
-use super::plan::{Event, MOST_CONTEXTS, MOST_VIEWS};
+use super::plan::{Event, MOST_CONTEXTS, MOST_SCENES, MOST_VIEWS};
 
 /// Frames from one point of an announced way to the next.
 const FRAMES_OF_POINT: usize = 4;
@@ -98,6 +98,16 @@ impl Flight<'_> {
                     proxies.load(viewer, any)?;
                 }
             }
+            // The first one has the proxies, the sign, and the view of the pictures.
+            Event::RemoveScene if self.scenes.len() > 1 => self.remove_scene(1)?,
+            Event::AddScene if self.scenes.len() < MOST_SCENES => {
+                self.set_faulty(false);
+                let mut viewer = self.viewer.take().context("the viewer is gone")?;
+                let added = self.add_scene(&mut viewer);
+                self.viewer = Some(viewer);
+                self.set_faulty(true);
+                added?;
+            }
             Event::Sleep(ms) => std::thread::sleep(Duration::from_millis(ms)),
             Event::Finish => self.viewer()?.finish()?,
             Event::OpenContext
@@ -105,9 +115,31 @@ impl Flight<'_> {
             | Event::AddView { .. }
             | Event::RemoveView(_)
             | Event::AddSlave { .. }
-            | Event::RemoveSlave(_) => {}
+            | Event::RemoveSlave(_)
+            | Event::RemoveScene
+            | Event::AddScene => {}
         }
         Ok(())
+    }
+
+    fn remove_scene(&mut self, place: usize) -> Result<()> {
+        let scene = self.scenes.remove(place);
+        for (view, _) in self.views.clone() {
+            if self.viewer()?.scene_of(view)? == scene {
+                self.viewer()?.remove_view(view)?;
+                self.views.retain(|(of, _)| *of != view);
+                self.slaves.retain(|(of, _, _)| *of != view);
+            }
+        }
+        if let Some(own) = self.pagers.iter().position(|scenes| *scenes == [scene]) {
+            self.pagers.remove(own);
+            if let Some(pager) = self.viewer()?.pager(scene)? {
+                let stats = *pager.stats();
+                self.sum_up(&stats);
+            }
+        }
+        self.pagers.iter_mut().for_each(|scenes| scenes.retain(|of| *of != scene));
+        Ok(self.viewer()?.remove_scene(scene)?)
     }
 
     /// The rest of a way, from the next frame on.

@@ -106,7 +106,7 @@ impl StressArgs {
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub struct SeedReport {
     pub seed: u64,
-    /// Disk or server.
+    /// From disk, from the server that was named, or by what our own one speaks.
     pub way: String,
     /// Names the plan: the same plan, the same number.
     pub plan: String,
@@ -121,7 +121,7 @@ impl SeedReport {
     fn line(&self) -> String {
         let verdict = if self.outcome.failures.is_empty() { "ok    " } else { "FAILED" };
         format!(
-            "seed {:<5} {verdict} {:<4} {:<5} {:>4} frames, at rest after {:>4}, {:>3} pictures, {:>5} requests: {} merged, \
+            "seed {:<5} {verdict} {:<8} {:<5} {:>4} frames, at rest after {:>4}, {:>3} pictures, {:>5} requests: {} merged, \
              {} failed, {} cancelled, {} expired; {:.1} s",
             self.seed,
             self.way,
@@ -179,10 +179,14 @@ fn one(args: &StressArgs, seed: u64) -> Result<()> {
         Err(error) => Outcome { failures: vec![format!("{error:#}")], ..Outcome::default() },
     };
     outcome.failures.extend(watch::take_said());
-    let way = if is_remote(&source) { Way::Http } else { plan.way };
+    let way = match plan.way {
+        _ if is_remote(&source) => "server",
+        Way::Disk => "disk",
+        Way::Http => plan.wire.name(),
+    };
     let report = SeedReport {
         seed,
-        way: format!("{way:?}").to_lowercase(),
+        way: way.to_owned(),
         plan: format!("{:016x}", plan.digest()),
         drawing: format!("{:?}", plan.drawing).to_lowercase(),
         outcome,

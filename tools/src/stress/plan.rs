@@ -13,6 +13,8 @@ use super::random::Random;
 pub const MOST_VIEWS: usize = 4;
 /// Contexts that may be open at once.
 pub const MOST_CONTEXTS: usize = 3;
+/// Scenes of a flight.
+pub const MOST_SCENES: usize = 2;
 
 /// How tiles come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +22,31 @@ pub enum Way {
     Disk,
     /// From our own server.
     Http,
+}
+
+/// What our own server speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wire {
+    Http1,
+    Http2,
+    /// Encrypted.
+    Tls1,
+    Tls2,
+}
+
+impl Wire {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Http1 => "http/1.1",
+            Self::Http2 => "h2c",
+            Self::Tls1 => "tls/1.1",
+            Self::Tls2 => "h2",
+        }
+    }
+
+    pub fn is_encrypted(self) -> bool {
+        matches!(self, Self::Tls1 | Self::Tls2)
+    }
 }
 
 /// What is drawn.
@@ -173,6 +200,9 @@ pub enum Event {
     /// Milliseconds without a frame.
     Sleep(u64),
     Finish,
+    /// The second scene goes, with its views.
+    RemoveScene,
+    AddScene,
 }
 
 /// A sequence of images beside the set.
@@ -243,6 +273,7 @@ pub struct Plan {
     pub has_proxies: bool,
     /// The first scene has a sequence of images.
     pub slides: Option<Slides>,
+    pub wire: Wire,
 }
 
 impl Plan {
@@ -270,7 +301,7 @@ impl Plan {
         let poses = (0..MOST_VIEWS).map(|_| flight(r, frames)).collect();
         let last_poses = (0..MOST_VIEWS).map(|_| Pose::over_it(r)).collect();
         let events = events(r, frames);
-        Self {
+        let mut plan = Self {
             seed,
             way,
             drawing,
@@ -295,7 +326,14 @@ impl Plan {
             look_ahead_s: r.one_of(&[0.0, 1.0, 3.0]),
             has_proxies: r.percent(60),
             slides: if r.percent(40) { Some(Slides::random(r)) } else { None },
+            // What is new is drawn last: seeds keep all else that they had.
+            wire: r.one_of(&[Wire::Http1, Wire::Http2, Wire::Tls1, Wire::Tls2]),
+        };
+        if r.percent(40) {
+            let event = |r: &mut Random| (r.whole(2, 120) as u32, r.one_of(&[Event::RemoveScene, Event::AddScene]));
+            plan.events.extend((0..r.whole(1, 6)).map(|_| event(r)));
         }
+        plan
     }
 
     /// A number that is the same where the plan is.
@@ -436,7 +474,12 @@ mod tests {
         assert!(events.iter().any(|e| matches!(e, Event::CloseContext(_))));
         assert!(events.iter().filter(|e| matches!(e, Event::Announce { .. })).count() > 50);
         assert!(events.iter().filter(|e| matches!(e, Event::LoadProxy(_))).count() > 50);
+        assert!(events.iter().filter(|e| matches!(e, Event::RemoveScene)).count() > 50);
+        assert!(events.iter().filter(|e| matches!(e, Event::AddScene)).count() > 50);
         assert!(count(&|p| p.skip_sse_factor > 1.0) > 60 && count(&|p| p.compile_contexts) > 50);
         assert!(count(&|p| p.has_proxies) > 80 && count(&|p| p.slides.is_some()) > 50);
+        for wire in [Wire::Http1, Wire::Http2, Wire::Tls1, Wire::Tls2] {
+            assert!(count(&|p| p.way == Way::Http && p.wire == wire) > 20, "{wire:?}");
+        }
     }
 }
