@@ -249,7 +249,9 @@ impl ImagePager {
     fn request(&mut self, now: Instant) {
         let mut waiting = self.threads.lock();
         for uri in waiting.taken.drain(..) {
-            if let Some(slot) = self.slots.get_mut(&uri).filter(|s| matches!(s.state, State::Waiting)) {
+            // Also where nobody wants it since this update: it is on its way, and is not to be asked for beside that.
+            let slot = self.slots.entry(uri).or_insert_with(|| Slot::new(now));
+            if !matches!(slot.state, State::Loaded(_)) {
                 slot.state = State::Loading;
             }
         }
@@ -372,6 +374,31 @@ mod tests {
             Slot { state, tries, size_bytes, wanted: 0, wanted_at: now, due_s, discards: false, admitted: false };
         pager.slots.insert(uri.clone(), slot);
         pager
+    }
+
+    /// It was asked for a second time, and where that one failed the first one's image was counted for ever.
+    #[test]
+    fn what_a_thread_takes_while_nobody_wants_it_is_on_its_way() {
+        let uri: Arc<str> = "a.png".into();
+        let mut failed = Tries::default();
+        failed.fail(&IoError::NotFound { uri: uri.to_string() }, Duration::ZERO, None);
+        for tries in [Tries::default(), failed] {
+            let mut pager = pager_with(&uri, State::Waiting, tries);
+            let now = Instant::now();
+            pager.updates += 1;
+            pager.threads.lock().taken.push(uri.clone());
+            pager.page_out(now);
+            pager.request(now);
+            assert!(matches!(pager.slots[&uri].state, State::Loading));
+            let slot = pager.slots.get_mut(&uri).unwrap();
+            (slot.wanted, slot.admitted) = (pager.updates, true);
+            pager.request(now);
+            assert!(pager.threads.lock().uris.is_empty(), "once");
+            pager.updates += 1;
+            pager.arrive(Loaded { uri: uri.clone(), image: None, bytes_read: 0 });
+            pager.page_out(now);
+            assert_eq!(pager.slots.is_empty(), tries.is_none(), "given up; its tries are not forgotten");
+        }
     }
 
     #[test]
