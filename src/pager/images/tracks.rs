@@ -1,4 +1,4 @@
-//! Which image each sequence is to show, and which it shows.
+//! Which image each sequence is to show, and which it shows. Update thread, once a frame, before cull.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

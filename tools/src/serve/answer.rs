@@ -1,5 +1,5 @@
 //! What is answered, whatever the version of HTTP: a request, the file or part of it that is there, and what chance has
-//! for the answer.
+//! for the answer. Called on the connections' threads.
 
 use std::fs::File;
 use std::io::{ErrorKind, Read, Result, Seek as _, SeekFrom};

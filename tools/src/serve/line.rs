@@ -1,4 +1,4 @@
-//! How fast bytes go over a connection.
+//! How fast bytes go over a connection. Its thread alone: of HTTP/2, all answers are tasks on that thread.
 
 use std::time::{Duration, Instant};
 
