@@ -22,6 +22,10 @@ mod io {
         let end = uri.match_indices('/').nth(2).map_or(uri.len(), |(end, _)| end);
         &uri[..end]
     }
+
+    pub fn is_at(uri: &str, of: &str) -> bool {
+        server(uri) == of
+    }
 }
 
 mod timeline {

@@ -68,9 +68,9 @@ pub(crate) use source::Source;
 #[cfg(feature = "http")]
 #[doc(hidden)]
 pub use uri::fuzz_url;
-#[cfg(feature = "http")]
-pub(crate) use uri::server;
 pub use uri::{RootScope, is_http, is_remote, is_store, resolve, root_uri, shown};
+#[cfg(feature = "http")]
+pub(crate) use uri::{is_at, server};
 #[cfg(feature = "http")]
 pub use verify::verify_with;
 pub use verify::{Verified, verify};

@@ -62,6 +62,12 @@ pub(crate) fn server(uri: &str) -> &str {
     uri.get(..end).unwrap_or(uri)
 }
 
+/// Whether a URI is of the server that [`server`] says of another.
+#[cfg(feature = "http")]
+pub(crate) fn is_at(uri: &str, server: &str) -> bool {
+    uri.strip_prefix(server).is_some_and(|rest| rest.is_empty() || rest.starts_with(['/', '?', '#']))
+}
+
 /// A URI for errors, logs and reports: of a URL, the name and password and the values of the query are left out.
 pub fn shown(uri: &str) -> Cow<'_, str> {
     if !is_remote(uri) {
@@ -332,6 +338,11 @@ mod tests {
         assert_eq!(server("http://a.example?x#y"), "http://a.example");
         assert_eq!(server("gs://bucket/key"), "gs://bucket");
         assert_eq!(server("odd"), "odd");
+        for (uri, is_there) in
+            [("http://a:80/x", true), ("http://a:80", true), ("http://a:80?x", true), ("http://a:8080/x", false)]
+        {
+            assert_eq!((is_at(uri, "http://a:80"), server(uri) == "http://a:80"), (is_there, is_there), "{uri}");
+        }
     }
 
     #[test]

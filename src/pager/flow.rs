@@ -2,7 +2,8 @@
 //! fail. Written and read by the HTTP thread alone.
 //!
 //! Each answer in time adds one place, so that the number doubles in the time of an answer; waiting in a server's or a
-//! link's queue shows as longer answers (as in TCP Vegas) and takes places away again.
+//! link's queue shows as longer answers (as in TCP Vegas) and takes places away again. Where answers did not come in time
+//! at all, places come back one for each round of answers: a narrow line would be too narrow again at once.
 
 use std::collections::HashMap;
 
@@ -31,8 +32,10 @@ pub(super) struct Range {
 pub(super) enum Answered {
     /// After so many seconds, with bytes or without ("not modified").
     After(f64),
-    /// It was overloaded or did not answer.
+    /// It was overloaded or not there.
     Failed,
+    /// It did not answer in time.
+    TooLate,
     /// Nothing: from the cache, not found, or not as it should be.
     Else,
 }
@@ -41,6 +44,7 @@ impl Answered {
     pub fn of<T>(result: &Result<T, IoError>, asked: bool, seconds: f64) -> Self {
         match result {
             Ok(_) if asked => Self::After(seconds),
+            Err(IoError::Timeout { .. }) => Self::TooLate,
             Err(error) if error.is_transient() && !error.is_doubtful() => Self::Failed,
             _ => Self::Else,
         }
@@ -52,6 +56,29 @@ impl Answered {
 struct Flow {
     limit: usize,
     quickest_s: f64,
+    /// Answers since the last place came back, while places come back slowly.
+    slow_answers: Option<usize>,
+}
+
+impl Flow {
+    fn lose(&mut self, least: usize) {
+        self.limit = (self.limit - (self.limit / 8).max(1).min(self.limit)).max(least);
+    }
+
+    /// One more place, of those that there were at the start.
+    fn regain(&mut self, start: usize) {
+        if let Some(answers) = &mut self.slow_answers {
+            *answers += 1;
+            if *answers < self.limit {
+                return;
+            }
+            *answers = 0;
+        }
+        self.limit += 1;
+        if self.limit >= start {
+            self.slow_answers = None;
+        }
+    }
 }
 
 /// All servers, by scheme, name and port.
@@ -86,7 +113,7 @@ impl Flows {
             self.flows.clear();
         }
         let Range { start, most } = self.range;
-        let new = Flow { limit: start, quickest_s: f64::INFINITY };
+        let new = Flow { limit: start, quickest_s: f64::INFINITY, slow_answers: None };
         let flow = self.flows.entry(server.to_owned()).or_insert(new);
         match answered {
             Answered::After(seconds) => {
@@ -98,15 +125,18 @@ impl Flows {
                 }
                 // More is of use only where what it may have is used.
                 let is_used = 4 * running >= 3 * flow.limit;
-                if flow.limit < start || (seconds <= IN_TIME * flow.quickest_s && is_used) {
+                if flow.limit < start {
+                    flow.regain(start);
+                } else if seconds <= IN_TIME * flow.quickest_s && is_used {
                     flow.limit = (flow.limit + 1).min(most.max(start));
                 } else if seconds > QUEUED * flow.quickest_s && flow.limit > start {
                     flow.limit -= 1;
                 }
             }
-            Answered::Failed => {
-                let least = (start / 4).max(1);
-                flow.limit = (flow.limit - (flow.limit / 8).max(1).min(flow.limit)).max(least);
+            Answered::Failed => flow.lose((start / 4).max(1).min(flow.limit)),
+            Answered::TooLate => {
+                flow.lose(1);
+                flow.slow_answers = Some(0);
             }
             Answered::Else => {}
         }
@@ -161,6 +191,46 @@ mod tests {
             flows.learn("a", 1, Answered::After(9.0));
         }
         assert_eq!((flows.limit("a"), flows.limit("b")), (8, 8), "what it had at the start");
+    }
+
+    /// All came back at once, and all were too late again.
+    #[test]
+    fn a_line_that_was_too_narrow_gets_more_round_by_round() {
+        let mut flows = flows();
+        for _ in 0..6 {
+            flows.learn("a", 8, Answered::TooLate);
+        }
+        assert_eq!(flows.limit("a"), 2);
+        flows.learn("a", 2, Answered::Failed);
+        assert_eq!(flows.limit("a"), 2, "a failure takes places, and gives none");
+        let mut answers = 0;
+        for limit in 3..=8 {
+            while flows.limit("a") < limit {
+                flows.learn("a", 2, Answered::After(0.3));
+                answers += 1;
+            }
+        }
+        assert_eq!(answers, 2 + 3 + 4 + 5 + 6 + 7);
+        // As quick as before from then on.
+        flows.learn("a", 8, Answered::After(0.1));
+        assert_eq!(flows.limit("a"), 9);
+    }
+
+    /// Fewer than half did.
+    #[test]
+    fn most_answers_of_a_narrow_line_come_in_time() {
+        let mut flows = Flows::new(Range { start: 24, most: 64 });
+        let (mut in_time, mut too_late) = (0, 0);
+        for _ in 0..100 {
+            let limit = flows.limit("a");
+            // Six at once take until the time is over.
+            let answered = if limit < 6 { Answered::After(0.1 * limit as f64) } else { Answered::TooLate };
+            for _ in 0..limit {
+                flows.learn("a", limit, answered);
+            }
+            if limit < 6 { in_time += limit } else { too_late += limit }
+        }
+        assert!(in_time >= 2 * too_late, "{in_time} came, {too_late} did not");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Sender;
-use tokio::task::{AbortHandle, JoinSet};
+use tokio::task::{AbortHandle, JoinError, JoinSet};
 
 use super::flow::{Answered, Flows, Range};
 use super::job::{Answer, Job, Loaded};
@@ -65,7 +65,7 @@ pub(super) fn run(
 ) {
     runtime.block_on(async {
         let mut flows = Flows::new(range);
-        let mut tasks: JoinSet<(Loaded, Vec<(String, Answered)>)> = JoinSet::new();
+        let mut tasks: JoinSet<Fetched> = JoinSet::new();
         let mut running: HashMap<u64, Running> = HashMap::new();
         loop {
             let under_way = running.values().map(|running| &running.job);
@@ -99,38 +99,55 @@ pub(super) fn run(
             }
             tokio::select! {
                 () = list.http_bell.notified() => {}
-                Some(done) = tasks.join_next(), if !tasks.is_empty() => match done {
-                    // An aborted one was answered above.
-                    Ok((done, answered)) => {
-                        for (of, answered) in answered {
-                            let count = running.values().filter(|running| running.asks(&of)).count();
-                            flows.learn(&of, count, answered);
-                        }
-                        if running.remove(&done.job.ticket).is_some() && loaded.send(done).is_err() {
+                Some(ended) = tasks.join_next(), if !tasks.is_empty() => {
+                    // With all that ended meanwhile: what is taken next is reckoned once.
+                    let mut ended = Some(ended);
+                    while let Some(one) = ended {
+                        if !pass_on(one, &mut running, &mut flows, loaded) {
                             return;
                         }
+                        ended = tasks.try_join_next();
                     }
-                    Err(e) if e.is_cancelled() => {}
-                    Err(e) => {
-                        let ticket = running.iter().find(|(_, r)| r.handle.id() == e.id()).map(|(t, _)| *t);
-                        if let Some(Running { job, .. }) = ticket.and_then(|t| running.remove(&t)) {
-                            let reason = "the request panicked".to_owned();
-                            let bytes = Err(IoError::Network { uri: job.uri.to_string(), reason });
-                            let failed = Loaded { job, bytes, companions: Vec::new(), bytes_read: 0, bytes_http: 0 };
-                            if loaded.send(failed).is_err() {
-                                return;
-                            }
-                        }
-                    }
-                },
+                }
             }
         }
     });
 }
 
+/// What came of a request, and what that says of its servers.
+type Fetched = (Loaded, Vec<(String, Answered)>);
+
+/// Passes on what a request ended with; false when nobody takes it any more.
+fn pass_on(
+    ended: Result<Fetched, JoinError>,
+    running: &mut HashMap<u64, Running>,
+    flows: &mut Flows,
+    loaded: &Sender<Loaded>,
+) -> bool {
+    match ended {
+        // An aborted one was answered when it was aborted.
+        Ok((done, answered)) => {
+            for (of, answered) in answered {
+                let count = running.values().filter(|running| running.asks(&of)).count();
+                flows.learn(&of, count, answered);
+            }
+            running.remove(&done.job.ticket).is_none() || loaded.send(done).is_ok()
+        }
+        Err(e) if e.is_cancelled() => true,
+        Err(e) => {
+            let ticket = running.iter().find(|(_, r)| r.handle.id() == e.id()).map(|(t, _)| *t);
+            let Some(Running { job, .. }) = ticket.and_then(|t| running.remove(&t)) else { return true };
+            let reason = "the request panicked".to_owned();
+            let bytes = Err(IoError::Network { uri: job.uri.to_string(), reason });
+            let failed = Loaded { job, bytes, companions: Vec::new(), bytes_read: 0, bytes_http: 0 };
+            loaded.send(failed).is_ok()
+        }
+    }
+}
+
 /// The content and its companions at the same time: what a tile needs is known before its bytes. What each server's
 /// answers say of it.
-async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> (Loaded, Vec<(String, Answered)>) {
+async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> Fetched {
     let start = Instant::now();
     let own = server(&job.uri).to_owned();
     let mut of_others = Vec::new();

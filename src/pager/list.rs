@@ -7,8 +7,6 @@
 //!
 //! `tests/pager_models.rs` runs this very file under thousands of schedules.
 
-#[cfg(feature = "http")]
-use std::collections::HashMap;
 use std::sync::PoisonError;
 
 #[cfg(feature = "http")]
@@ -16,7 +14,7 @@ use super::flow::{Flows, Range};
 use super::job::Job;
 use crate::io::is_remote;
 #[cfg(feature = "http")]
-use crate::io::server;
+use crate::io::{is_at, server};
 use crate::sync::primitives::{Condvar, Mutex, MutexGuard};
 
 /// Servers that may each have as many requests as one may.
@@ -108,6 +106,27 @@ impl Waiting {
 #[cfg(feature = "http")]
 pub(super) fn most_in_flight(range: Range) -> usize {
     SERVERS_AT_ONCE * range.start + range.most.saturating_sub(range.start)
+}
+
+/// Requests under way at each server: a few.
+#[cfg(feature = "http")]
+#[derive(Default)]
+struct AtServers(Vec<(String, usize)>);
+
+#[cfg(feature = "http")]
+impl AtServers {
+    fn count(&self, of: &str) -> usize {
+        self.0.iter().find(|(server, _)| server == of).map_or(0, |(_, count)| *count)
+    }
+
+    fn add(&mut self, job: &Job) {
+        for of in job.servers() {
+            match self.0.iter_mut().find(|(server, _)| server == of) {
+                Some((_, count)) => *count += 1,
+                None => self.0.push((of.clone(), 1)),
+            }
+        }
+    }
 }
 
 /// What the HTTP thread is to do.
@@ -213,12 +232,10 @@ impl RequestList {
         flows: &Flows,
         most: usize,
     ) -> Option<Taken> {
-        let (mut at_server, mut running) = (HashMap::<String, usize>::new(), 0);
+        let (mut at_servers, mut running) = (AtServers::default(), 0);
         for job in under_way {
             running += 1;
-            for of in job.servers() {
-                *at_server.entry(of.clone()).or_default() += 1;
-            }
+            at_servers.add(job);
         }
         let mut waiting = self.lock();
         if waiting.closed {
@@ -231,14 +248,14 @@ impl RequestList {
         let mut next = waiting.http.len();
         while next > 0 && running + jobs.len() < most {
             next -= 1;
-            let count = |of: &str| at_server.get(of).copied().unwrap_or(0);
-            let left = most - running - jobs.len();
-            let has_place = |of: &str| count(of) < flows.limit(of) && flows.leaves_enough(count(of), left);
             let job = &waiting.http[next];
-            let own = server(&job.uri);
-            if full.iter().any(|of| of == own) {
+            if full.iter().any(|of| is_at(&job.uri, of)) {
                 continue;
             }
+            let count = |of: &str| at_servers.count(of);
+            let left = most - running - jobs.len();
+            let has_place = |of: &str| count(of) < flows.limit(of) && flows.leaves_enough(count(of), left);
+            let own = server(&job.uri);
             if !waiting.may_take(job, count(own), flows.limit(own)) || !has_place(own) {
                 // Places and room only grow fewer; too many that are wanted later say nothing of what is wanted now.
                 if !job.is_ahead || !has_place(own) {
@@ -249,9 +266,7 @@ impl RequestList {
             if job.servers().iter().all(|of| has_place(of)) {
                 let job = waiting.http.remove(next);
                 waiting.took(&job);
-                for of in job.servers() {
-                    *at_server.entry(of.clone()).or_default() += 1;
-                }
+                at_servers.add(&job);
                 jobs.push(job);
             }
         }

@@ -250,8 +250,10 @@ impl Server {
         if !relative.components().all(|c| matches!(c, Component::Normal(_))) {
             return None;
         }
+        // Most have no packed one: asking where a path leads takes longer than opening it.
         let open = |path: PathBuf| {
-            let path = path.canonicalize().ok().filter(|p| p.starts_with(&self.folder) && p.is_file())?;
+            path.is_file().then_some(())?;
+            let path = path.canonicalize().ok().filter(|path| path.starts_with(&self.folder))?;
             File::open(path).ok()
         };
         let path = self.folder.join(relative);

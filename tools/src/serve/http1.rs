@@ -36,13 +36,14 @@ pub(super) fn serve<S: Stream>(server: &Server, stream: S) -> Result<()> {
     stream.socket().set_read_timeout(Some(IDLE))?;
     let mut reader = BufReader::new(stream);
     let mut line = Line::new(server.args.bandwidth);
+    let mut piece = vec![0; line.piece()];
     while let Some(head) = read_head(&mut reader)? {
         let stream = reader.get_mut();
         let (request, keeps_alive) = match parse(&head) {
             Ok(parsed) => parsed,
             Err(status) => return stream.write_all(&head_of(&Answer::empty(status), false)),
         };
-        if !answer(server, stream, &request, &mut line)? || !keeps_alive {
+        if !answer(server, stream, &request, &mut line, &mut piece)? || !keeps_alive {
             break;
         }
     }
@@ -50,7 +51,13 @@ pub(super) fn serve<S: Stream>(server: &Server, stream: S) -> Result<()> {
 }
 
 /// False when the connection ends with it.
-fn answer<S: Stream>(server: &Server, stream: &mut S, request: &Request, line: &mut Line) -> Result<bool> {
+fn answer<S: Stream>(
+    server: &Server,
+    stream: &mut S,
+    request: &Request,
+    line: &mut Line,
+    piece: &mut [u8],
+) -> Result<bool> {
     let lot = server.lot(request);
     std::thread::sleep(lot.wait);
     let mut answer = match server.answer(request, lot)? {
@@ -58,9 +65,10 @@ fn answer<S: Stream>(server: &Server, stream: &mut S, request: &Request, line: &
         Outcome::Reset(_) => return reset(stream),
         Outcome::Answer(answer) => answer,
     };
-    stream.write_all(&head_of(&answer, true))?;
-    if let Some(content) = &mut answer.content {
-        send(stream, content, line)?;
+    let head = head_of(&answer, true);
+    match &mut answer.content {
+        Some(content) => send(stream, head, content, line, piece)?,
+        None => stream.write_all(&head)?,
     }
     match answer.end {
         End::Whole => Ok(true),
@@ -74,19 +82,30 @@ fn answer<S: Stream>(server: &Server, stream: &mut S, request: &Request, line: &
     }
 }
 
-fn send<S: Stream>(stream: &mut S, content: &mut Content, line: &mut Line) -> Result<()> {
-    let mut piece = vec![0; line.piece()];
+/// A head and its content, in pieces of up to so many bytes. What need not wait goes together: a client wakes once for it.
+fn send<S: Stream>(
+    stream: &mut S,
+    head: Vec<u8>,
+    content: &mut Content,
+    line: &mut Line,
+    piece: &mut [u8],
+) -> Result<()> {
     line.begin();
+    let mut unsent = head;
     loop {
-        let got = content.read(&mut piece)?;
+        let got = content.read(piece)?;
         if got == 0 {
-            return Ok(());
+            return stream.write_all(&unsent);
         }
         let wait = line.carry(got);
         if !wait.is_zero() {
+            stream.write_all(&unsent)?;
+            unsent.clear();
             std::thread::sleep(wait);
         }
-        stream.write_all(&piece[..got])?;
+        unsent.extend_from_slice(&piece[..got]);
+        stream.write_all(&unsent)?;
+        unsent.clear();
     }
 }
 

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 /// Most bytes between two looks at the clock.
-const PIECE: usize = 16 << 10;
+const PIECE: usize = 64 << 10;
 /// Pieces a second at least, where the bandwidth is bounded.
 const PIECES_PER_S: f64 = 50.0;
 
