@@ -7,11 +7,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use glam::dcamera::rh::proj::directx as proj;
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DMat4, DVec3};
 use scenes::{content, look_at, page, square_box};
 use terrane::cull::{CullCamera, CullSettings, CullVisitor, CullingMode, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume};
-use terrane::scene::{ComputeNearFar, Node, NodeId, NodeKind, PagedLod, PagingOptions, RangeMode, Refine, Scene};
+use terrane::scene::{
+    ComputeNearFar, CullAction, CullCallback, Node, NodeId, NodeKind, PagedLod, PagingOptions, RangeMode, Refine, Scene,
+};
 use terrane::state::StateSet;
 
 /// A globe of 6 x 12 tiles of 30 degrees: from 1,000 km up only what is on this side of the horizon is met.
@@ -102,6 +104,91 @@ fn a_hidden_child_does_not_hold_its_parent() {
     camera.settings.cull_mask = 3;
     let both = settle(&mut scene, &camera);
     assert_eq!(both.counters.tiles_drawn, 2);
+}
+
+/// They were in no picture, and so went for want of room, though what is above them gives way to them all: it came back,
+/// and asked for them.
+#[test]
+fn what_a_node_hides_is_kept_where_all_is_waited_for() {
+    let tile = |x: f64| flat_tile(DVec3::new(x, 0.0, 0.0), 20.0, 0.0);
+    let hiding: [fn(Vec<Node>) -> Node; 3] = [
+        |children| Node { children, ..Node::new(NodeKind::Switch(vec![false])) },
+        |children| {
+            let kind = NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[1e6, 1e7]] };
+            Node { children, ..Node::new(kind) }
+        },
+        |children| {
+            let skips = CullCallback(Arc::new(|_| CullAction::Skip));
+            Node { children, cull_callback: Some(skips), ..Node::group(Vec::new()) }
+        },
+    ];
+    for (kind, hide) in hiding.iter().enumerate() {
+        let mut parent = flat_tile(DVec3::ZERO, 100.0, 50.0);
+        parent.children = vec![flat_tile(DVec3::new(1.0, 0.0, 0.0), 100.0, 0.0)];
+        let mut scene = Scene::new();
+        scene.add_root(page(parent, 0));
+        let camera = look_at(DVec3::new(0.0, -10.0, 300.0), DVec3::ZERO, DVec3::Z);
+        let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+        let mut hidden = None;
+        for frame in 1..10 {
+            visitor.cull(&scene, &CullCamera { frame, ..camera }, &mut stage);
+            let wanted: Vec<NodeId> = stage.requests.iter().map(|r| r.slot).collect();
+            for slot in wanted {
+                let uri = scene.slot(slot).unwrap().uri.to_string();
+                let is = |x: f64| uri == format!("{}", DVec3::new(x, 0.0, 0.0));
+                let below = if is(1.0) {
+                    page(Node::group(vec![tile(-40.0), hide(vec![tile(40.0)])]), 5)
+                } else {
+                    content(20.0, 9)
+                };
+                hidden = if is(40.0) { Some(slot) } else { hidden };
+                assert!(scene.attach(slot, below).is_ok());
+            }
+        }
+        assert!(stage.requests.is_empty(), "{kind}: {:?}", stage.requests);
+        let hidden = hidden.unwrap_or_else(|| panic!("{kind}: never asked for"));
+        assert_eq!(scene.slot(hidden).unwrap().last_used_frame, 9, "{kind}");
+    }
+}
+
+/// A picture turned by a quarter had no pixels upwards, and nothing was refined.
+#[test]
+fn a_turned_picture_shows_as_much_detail() {
+    let mut parent = flat_tile(DVec3::ZERO, 100.0, 10.0);
+    parent.children = vec![flat_tile(DVec3::ZERO, 100.0, 0.0)];
+    let straight = look_at(DVec3::new(0.0, -10.0, 500.0), DVec3::ZERO, DVec3::Z);
+    for turn in [0.0, 0.25, 0.5, 1.0].map(|turns| turns * std::f64::consts::PI) {
+        let clip_from_eye = DMat4::from_rotation_z(turn) * straight.clip_from_eye;
+        let camera = CullCamera { clip_from_eye, ..straight };
+        assert!((camera.px_per_radian() - straight.px_per_radian()).abs() < 1e-6, "{turn}");
+        let mut scene = Scene::new();
+        scene.add_root(page(parent.clone(), 0));
+        settle(&mut scene, &camera);
+        assert_eq!(scene.page_count(), 3, "{turn}: the finer one");
+    }
+}
+
+/// Where only the coarsest is wanted, what has no content of its own opened no more: 0 times an endless error is no number.
+#[test]
+fn what_is_always_refined_is_so_whatever_error_is_allowed() {
+    let settings = [(f64::INFINITY, 1.0), (1e300, 1.0), (16.0, f64::INFINITY), (16.0, 1.0)];
+    for (max_sse_px, lod_scale) in settings {
+        let mut root = flat_tile(DVec3::ZERO, 100.0, f64::MAX / 1e6);
+        if let NodeKind::PagedLod(paged) = &mut root.kind {
+            paged.content = None;
+        }
+        let mut below = flat_tile(DVec3::ZERO, 100.0, 10.0);
+        below.children = vec![flat_tile(DVec3::ONE, 100.0, 0.0)];
+        root.children = vec![below];
+        let mut scene = Scene::new();
+        scene.add_root(page(root, 0));
+        let mut camera = look_at(DVec3::new(0.0, -10.0, 300.0), DVec3::ZERO, DVec3::Z);
+        (camera.settings.max_sse_px, camera.settings.lod_scale) = (max_sse_px, lod_scale);
+        let stage = settle(&mut scene, &camera);
+        assert_eq!(stage.counters.tiles_drawn, 1, "{max_sse_px} {lod_scale}");
+        let finest = max_sse_px * lod_scale < 100.0;
+        assert_eq!(scene.page_count(), if finest { 3 } else { 2 }, "{max_sse_px} {lod_scale}");
+    }
 }
 
 #[test]

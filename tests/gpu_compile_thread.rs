@@ -265,3 +265,32 @@ fn what_uploads_cost() {
         );
     }
 }
+
+/// The update waited for uploads that could not go on, for ever.
+#[test]
+fn the_blocking_mode_waits_for_nothing_that_cannot_come() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path(), terrane_data_gen::ContentKind::Mesh);
+    for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+        for compile_contexts in [false, true] {
+            let mut config = config(threading, compile_contexts);
+            config.pager.blocking = true;
+            let Some(dry) = context(compile_contexts) else { return };
+            dry.pretend_frame_memory(Some(0));
+            let mut viewer = Viewer::new(dry, &config).unwrap();
+            viewer.load(&set).unwrap();
+            // A frame without memory for its target may be an error.
+            let _ = viewer.frame();
+            assert_eq!(viewer.pager().unwrap().stats().merged, 0, "{threading} {compile_contexts}");
+
+            let mut viewer = Viewer::new(context(compile_contexts).unwrap(), &config).unwrap();
+            viewer.load(&set).unwrap();
+            let expected = picture(&mut viewer);
+            let context = viewer.contexts().next().unwrap();
+            viewer.clear_pages();
+            viewer.lose_device(context).unwrap();
+            viewer.frame().unwrap();
+            assert!(picture(&mut viewer) == expected, "{threading} {compile_contexts}: after the device was lost");
+        }
+    }
+}

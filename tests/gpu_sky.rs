@@ -46,6 +46,28 @@ fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
     rig.release(scene);
 }
 
+/// The sky's rays were endless in a picture turned by a quarter.
+#[test]
+fn a_turned_picture_shows_the_same_sky() {
+    let Some(mut rig) = rig("a_turned_picture_shows_the_same_sky") else { return };
+    let sun_direction = DVec3::new(0.6, 0.2, -0.7).normalize();
+    let environment = Environment { up_in_world: DVec3::Y, sun_direction, ..Environment::default() };
+    let mut sky = |camera: &CullCamera| {
+        let scene = rig.scene(Node::group(Vec::new()));
+        let picture = rig.picture(&scene, camera, &environment);
+        rig.release(scene);
+        picture
+    };
+    let straight = unit_camera(128);
+    let before = image::imageops::rotate270(&sky(&straight));
+    let turn = DMat4::from_rotation_z(std::f64::consts::FRAC_PI_2);
+    let after = sky(&CullCamera { clip_from_eye: turn * straight.clip_from_eye, ..straight });
+    let colors: std::collections::BTreeSet<_> = before.pixels().map(|p| p.0).collect();
+    assert!(colors.len() > 50, "a sky of {} colours", colors.len());
+    let most = before.iter().zip(after.iter()).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(most <= Some(2), "{most:?}");
+}
+
 /// From an eye to the origin, so wide to each side and from a metre on so far.
 fn parallel(eye: DVec3, up: DVec3, half_m: f64, far_m: f64) -> CullCamera {
     let depth = far_m - 1.0;

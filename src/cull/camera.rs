@@ -3,7 +3,7 @@
 use glam::{DAffine3, DMat4};
 
 use crate::math::Ellipsoid;
-use crate::scene::{CullSettings, EyePoint, has_parallel_rays};
+use crate::scene::{CullSettings, EyePoint, has_parallel_rays, px_per_radian};
 
 /// A camera for one cull.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,9 +68,4 @@ impl CullCamera {
             lod_scale: self.settings.lod_scale,
         }
     }
-}
-
-/// Pixels that one metre covers at a distance of one metre, or, where rays are parallel, at any.
-pub(super) fn px_per_radian(clip_from_eye: &DMat4, viewport_px: [u32; 2]) -> f64 {
-    0.5 * f64::from(viewport_px[1]) * clip_from_eye.y_axis.y.abs()
 }

@@ -76,6 +76,9 @@ impl Cull<'_> {
             // One test for the many nodes that are nothing special.
             if flags & (CALLBACK | INACTIVE) != 0 {
                 if !self.asks_to_visit(context, node) {
+                    if !may_leave {
+                        self.keep_tiles(context, node, next);
+                    }
                     node = next;
                     continue;
                 }
@@ -167,6 +170,8 @@ impl Cull<'_> {
         for (index, child) in children(page, node).enumerate() {
             if shown.get(index).copied().unwrap_or(false) {
                 self.scan_nodes(context, child.start, child.end, mask, matrix);
+            } else {
+                self.keep_required(context, child);
             }
         }
     }
@@ -185,7 +190,7 @@ impl Cull<'_> {
                 None if is_shown(index) => {
                     self.scan_nodes(context, child.start, child.end, mask, matrix);
                 }
-                None => {}
+                None => self.keep_required(context, child),
             }
         }
     }
@@ -228,16 +233,23 @@ impl Cull<'_> {
             (true, true) => return self.scan_nodes(context, nodes.start, nodes.end, mask, matrix),
             (true, false) => (old, true),
             (false, true) => (new, above.leaving()),
-            (false, false) => return,
+            (false, false) => return self.keep_required(context, nodes),
         };
         if band.is_empty() {
-            return;
+            return self.keep_required(context, nodes);
         }
         let mut below = *context;
         below.visit.fade = Fade::new(band, above.covered(), leaving);
         let outer = self.enter_band(band);
         self.scan_nodes(&below, nodes.start, nodes.end, mask, matrix);
         self.enter_band(outer);
+    }
+
+    /// Keeps the tiles of a subtree that is not shown, where what replaces the page's parent waits for them.
+    pub(super) fn keep_required(&mut self, context: &PageContext, nodes: Range<u32>) {
+        if context.visit.required {
+            self.keep_tiles(context, nodes.start, nodes.end);
+        }
     }
 
     /// Keeps the tiles of a culled subtree: the page can only replace what is above it as a whole.

@@ -60,7 +60,13 @@ impl Cull<'_> {
                 false
             }
             Special::Occluder => false,
-            Special::OcclusionQuery(query) => self.occlusion_query(context, node, query),
+            Special::OcclusionQuery(query) => {
+                let is_hidden = self.occlusion_query(context, node, query);
+                if is_hidden {
+                    self.keep_required(context, node..node + page.nodes[node as usize].skip);
+                }
+                is_hidden
+            }
             Special::Camera { camera, path } => {
                 self.camera_node(context, node, camera, *path, mask);
                 true

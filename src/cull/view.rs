@@ -3,12 +3,11 @@
 
 use glam::{DAffine3, DMat4, DVec3};
 
-use super::camera::px_per_radian;
 use super::planes::EyePlanes;
 use super::visitor::DepthRange;
 use super::{CullCamera, CullingMode};
 use crate::math::Ellipsoid;
-use crate::scene::{ClampProjection, ComputeNearFar, CullSettings, LodRanges, has_parallel_rays};
+use crate::scene::{ClampProjection, ComputeNearFar, CullSettings, LodRanges, has_parallel_rays, px_per_radian};
 
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {

@@ -245,6 +245,11 @@ impl CompileQueue {
         self.refusal.take()
     }
 
+    /// Uploads wait for memory.
+    pub(super) fn is_refused(&self) -> bool {
+        self.is_refused
+    }
+
     fn refused(&mut self, error: String) {
         if !std::mem::replace(&mut self.is_refused, true) {
             self.refusal = Some(error);
@@ -420,15 +425,16 @@ impl CompileQueue {
         }
     }
 
-    /// Ends all uploads that are under way, the thread's too: what shares their places may be drawn after that.
-    pub(super) fn end_uploads(&mut self, device: &wgpu::Device, queue: &wgpu::Queue) {
+    /// Ends all uploads that are under way, the thread's too: what shares their places may be drawn after that. A device
+    /// that is lost ends none.
+    pub(super) fn end_uploads(&mut self, device: &wgpu::Device, queue: &wgpu::Queue, is_lost: impl Fn() -> bool) {
         for mut upload in self.uploads.drain(..) {
             while let Some((units, _)) = upload.left() {
                 upload.write(&mut QueueSink(queue), &mut self.scratch, units);
             }
         }
         let Some(mut thread) = self.thread.take() else { return };
-        while thread.bytes_in_flight() > 0 && !thread.has_died {
+        while thread.bytes_in_flight() > 0 && !thread.has_died && !is_lost() {
             if let Some(batch) = thread.batch(POLL) {
                 self.finished.extend(batch.finished);
                 self.commands.extend(batch.commands);

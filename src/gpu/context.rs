@@ -436,6 +436,11 @@ impl GraphicsContext {
         stats
     }
 
+    /// There was no memory for what was to be uploaded last.
+    pub(crate) fn lacks_memory(&self) -> bool {
+        self.compiles.is_refused()
+    }
+
     /// Operations that are waiting or under way.
     pub fn pending_compiles(&self) -> usize {
         self.compiles.pending()
@@ -456,7 +461,8 @@ impl GraphicsContext {
         self.bytes_peak = self.bytes_peak.max(self.pools.bytes_allocated());
         if is_shared.map_err(|reason| GpuError::Rewrite { reason })? {
             // The mesh may be on its way.
-            self.compiles.end_uploads(&self.device, &self.queue);
+            let is_lost = || self.lost.lock().is_ok_and(|lost| lost.is_some());
+            self.compiles.end_uploads(&self.device, &self.queue, is_lost);
         }
         Ok(())
     }

@@ -25,7 +25,8 @@ pub trait CompileContext {
     fn take_compiled(&mut self) -> Vec<Compiled>;
     /// Gives slots back, after the last frame that may draw them was queued.
     fn release(&mut self, slots: Vec<DrawSlot>);
-    /// False once whoever compiles has ended before its time: what was queued is never compiled, and is not waited for.
+    /// False once whoever compiles has ended before its time, or where it can compile nothing now: what was queued is not
+    /// waited for.
     fn is_alive(&self) -> bool {
         true
     }

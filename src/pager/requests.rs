@@ -33,8 +33,8 @@ const MET_FRAMES: u32 = 2;
 /// After a page that was tried for its size had no room, the next is tried in so many frames; each time in twice as many.
 const TRY_ROOM_FRAMES: std::ops::RangeInclusive<u32> = 8..=128;
 
-/// Of what the application asked for: before all that errors in pixels ask for.
-const ASKED_PRIORITY: f32 = 1e9;
+/// Of what the application asked for: before all that cameras want, whatever options make of that.
+const ASKED_PRIORITY: f32 = f32::INFINITY;
 
 /// Failures that are remembered: frames look through them. With more, those are forgotten that nobody meets.
 const MOST_FAILURES: usize = 4096;

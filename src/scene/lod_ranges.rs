@@ -1,7 +1,7 @@
 //! The distances at which tiles give way to their children, by the error they have in pixels. Plain values, shared by cull,
 //! intersections and draw.
 
-use glam::{DMat4, DVec3};
+use glam::{DMat4, DVec2, DVec3};
 
 /// Share of a level's range at which the vertices of height tiles start to morph into the coarser level.
 pub(crate) const MORPH_START: f64 = 0.7;
@@ -30,10 +30,12 @@ impl LodRanges {
     pub fn new(px_per_metre: f64, max_sse_px: f64, lod_scale: f64, is_parallel: bool) -> Self {
         let (per_error, per_pixel) = (px_per_metre / (max_sse_px * lod_scale), px_per_metre / lod_scale);
         let (distance_m, least_distance2) = if is_parallel { (PARALLEL_M, PARALLEL_M.powi(2)) } else { (1.0, 1e-14) };
+        // Endless ranges stay so under a factor of 0, and what has none under an endless one.
+        let factor = |of: f64| (of as f32).clamp(f32::MIN_POSITIVE, f32::MAX);
         Self {
-            per_error: (per_error * distance_m) as f32,
-            per_metre: (1.0 / lod_scale) as f32,
-            per_pixel: (per_pixel * distance_m) as f32,
+            per_error: factor(per_error * distance_m),
+            per_metre: factor(1.0 / lod_scale),
+            per_pixel: factor(per_pixel * distance_m),
             least_distance2: least_distance2 as f32,
             is_parallel,
         }
@@ -90,6 +92,13 @@ impl LodRecord {
     pub fn shows(&self, child: usize, measure: f64) -> bool {
         self.ranges.get(child).is_some_and(|range| range[0] <= measure && measure < range[1])
     }
+}
+
+/// Pixels that one metre upwards covers at a distance of one metre, or, where rays are parallel, at any; a projection may
+/// turn the picture.
+pub(crate) fn px_per_radian(clip_from_eye: &DMat4, viewport_px: [u32; 2]) -> f64 {
+    let up = clip_from_eye.y_axis.truncate().truncate();
+    0.5 * (up * DVec2::from(viewport_px.map(f64::from))).length()
 }
 
 /// True for projections that are not perspective.

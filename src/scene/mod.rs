@@ -75,7 +75,7 @@ pub use world::TileInfo;
 pub use crate::state::DataVariance;
 
 pub(crate) use draw_kinds::SMALL_MESH_INDICES;
-pub(crate) use lod_ranges::{LodRanges, MORPH_START, has_parallel_rays};
+pub(crate) use lod_ranges::{LodRanges, MORPH_START, has_parallel_rays, px_per_radian};
 pub(crate) use lone::LoneDrawable;
 pub(crate) use occluders::OccluderPage;
 pub(crate) use page::{BLEND, CALLBACK, INACTIVE, LARGE, NONE, PLAIN, Special, UNBOUNDED, UNCULLED, VIEW, kind};

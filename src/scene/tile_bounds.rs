@@ -28,6 +28,12 @@ const SPHERE: i32 = -1;
 
 /// Places are so many steps from the grid's origin at most, so that the difference of two is no overflow.
 const MOST_STEPS: f64 = (1 << 30) as f64;
+/// Cosines of the angles between a box's axes, from which on they are not upright: what rounding leaves is less.
+const LEAST_SKEW: f64 = 1e-6;
+/// Steps up to this make no tile noticeably larger.
+const FINE_STEP_M: f64 = 1.0;
+/// Centres so many times farther from the middle than half of all are do not count, where steps would be longer than that.
+const FAR: f64 = 65536.0;
 /// Steps are no smaller: a micrometre.
 const LEAST_STEP_M: f64 = 1.0 / (1 << 20) as f64;
 
@@ -76,11 +82,29 @@ impl Default for TileGrid {
 }
 
 impl TileGrid {
-    /// A grid that holds all centres.
+    /// A grid that holds all centres; but where that takes long steps for the sake of a few that are far from all others,
+    /// one that does not hold those.
     pub(super) fn around(bounds: &[DeclaredBounds]) -> Self {
-        let ends = bounds.iter().fold(None, |ends: Option<(DVec3, DVec3)>, b| {
-            let (min, max) = ends.unwrap_or((b.center, b.center));
-            Some((min.min(b.center), max.max(b.center)))
+        let all = Self::of(bounds.iter().map(|b| b.center));
+        if all.step_m <= FINE_STEP_M {
+            return all;
+        }
+        // Numbers alone have a middle.
+        let mut axes: [Vec<f64>; 3] = std::array::from_fn(|k| bounds.iter().map(|b| b.center[k]).collect());
+        let mut middle = |k: usize| *axes[k].select_nth_unstable_by(bounds.len() / 2, f64::total_cmp).1;
+        let middle = DVec3::new(middle(0), middle(1), middle(2));
+        let distance_m = |b: &DeclaredBounds| (b.center * 0.5 - middle * 0.5).abs().max_element();
+        let mut distances: Vec<f64> = bounds.iter().map(distance_m).collect();
+        let half_m = *distances.select_nth_unstable_by(bounds.len() / 2, f64::total_cmp).1;
+        let most_m = (FAR * half_m).max(0.5 * FINE_STEP_M * MOST_STEPS);
+        Self::of(bounds.iter().filter(|b| distance_m(b) <= most_m).map(|b| b.center))
+    }
+
+    /// The finest grid that holds some points.
+    fn of(points: impl Iterator<Item = DVec3>) -> Self {
+        let ends = points.fold(None, |ends: Option<(DVec3, DVec3)>, point| {
+            let (min, max) = ends.unwrap_or((point, point));
+            Some((min.min(point), max.max(point)))
         });
         let Some((min, max)) = ends else { return Self::default() };
         // As a part of two differences, which overflow for no finite number.
@@ -102,9 +126,13 @@ impl TileGrid {
         self.origin + DVec3::from_array(place.map(f64::from)) * self.step_m
     }
 
-    /// A tile's volume on the grid.
+    /// A tile's volume on the grid; what lies beyond it is unbounded.
     pub(super) fn fit(&self, declared: &DeclaredBounds) -> TileBounds {
         let [x, y, z] = self.place(declared.center);
+        if (declared.center - self.origin).abs().max_element() > MOST_STEPS * self.step_m {
+            let extent = [UNBOUNDED, UNBOUNDED, UNBOUNDED, declared.metric_m];
+            return TileBounds { place: [x, y, z, SPHERE], extent };
+        }
         let moved = self.point([x, y, z]) != declared.center;
         let slack_m = if moved { self.step_m } else { 0.0 };
         let [a, b, c] = declared.half_m.map(|half_m| round_up(half_m + slack_m));
@@ -148,7 +176,8 @@ impl DeclaredBounds {
         }
         match oriented_box {
             Some(b) if b.half_axes != DMat3::ZERO => {
-                let (axes, half_m) = unit_axes(&b.half_axes);
+                let (axes, half_m) =
+                    if is_skewed(&b.half_axes) { box_around(&b.half_axes) } else { unit_axes(&b.half_axes) };
                 let axes = axes_index(axes.map(|axis| axis.as_vec3().to_array()));
                 Self { center: b.center, half_m, axes: axes.try_into().unwrap_or(ALONG), metric_m }
             }
@@ -238,6 +267,25 @@ fn round_up(length_m: f64) -> f32 {
     (length_m * (1.0 + 2.0 * f64::from(f32::EPSILON))) as f32
 }
 
+/// Axes that do not stand upright on each other, as below a transform that scales them unlike each other.
+fn is_skewed(half_axes: &DMat3) -> bool {
+    let [a, b, c] = [half_axes.x_axis, half_axes.y_axis, half_axes.z_axis];
+    [(a, b), (b, c), (c, a)].iter().any(|(a, b)| a.dot(*b).abs() > LEAST_SKEW * a.length() * b.length())
+}
+
+/// Directions and lengths of a box with upright axes around one whose are not: along the longest, and as near to the next
+/// as can be.
+fn box_around(half_axes: &DMat3) -> ([DVec3; 3], [f64; 3]) {
+    let given = [half_axes.x_axis, half_axes.y_axis, half_axes.z_axis];
+    let mut sorted = given;
+    sorted.sort_by(|a, b| b.length_squared().total_cmp(&a.length_squared()));
+    let first = sorted[0].normalize_or(DVec3::X);
+    let second = sorted[1].reject_from_normalized(first).try_normalize();
+    let second = second.unwrap_or_else(|| first.any_orthonormal_vector());
+    let axes = [first, second, first.cross(second)];
+    (axes, axes.map(|axis| given.iter().map(|half| axis.dot(*half).abs()).sum()))
+}
+
 /// Directions and lengths of half axes; axes of zero length get a direction perpendicular to the others.
 fn unit_axes(half_axes: &DMat3) -> ([DVec3; 3], [f64; 3]) {
     let given = [half_axes.x_axis, half_axes.y_axis, half_axes.z_axis];
@@ -313,6 +361,56 @@ mod tests {
         // No number is no panic.
         let offset = grid.eye(DVec3::NAN).offset_to(&grid.fit(&declared[0]));
         assert!(offset.truncate().is_nan());
+    }
+
+    /// All others were as large as the steps that it takes to reach it.
+    #[test]
+    fn a_tile_far_from_all_others_makes_them_no_larger() {
+        for far_m in [1e10, 1e14, 1e300] {
+            let mut declared: Vec<_> = (0..9).map(|k| sphere(DVec3::splat(f64::from(k) * 500.0), 1.0)).collect();
+            declared.push(sphere(DVec3::new(far_m, 0.0, 0.0), 1.0));
+            let grid = TileGrid::around(&declared);
+            for near in &declared[..9] {
+                let bounds = grid.fit(near);
+                assert!(bounds.radius_m() < 1.01, "{far_m}: {bounds:?}");
+                assert!((grid.center(&bounds) - near.center).length() < 1e-3, "{far_m}: {bounds:?}");
+            }
+            assert!(grid.fit(&declared[9]).radius_m() >= UNBOUNDED, "{far_m}");
+        }
+        // Where all are far from each other, none is left out.
+        let declared: Vec<_> = (0..9).map(|k| sphere(DVec3::splat(f64::from(k) * 1e13), 1.0)).collect();
+        let grid = TileGrid::around(&declared);
+        assert!(declared.iter().all(|declared| grid.fit(declared).radius_m() < 1e6));
+    }
+
+    /// Corners lay outside.
+    #[test]
+    fn a_skewed_box_is_held() {
+        let sheared =
+            DMat3::from_cols(DVec3::new(700.0, 0.0, -7000.0), DVec3::Y * 1000.0, DVec3::new(700.0, 0.0, 7000.0));
+        let flat = DMat3::from_cols(DVec3::X, DVec3::new(3.0, 1e-3, 0.0), DVec3::ZERO);
+        for half_axes in [sheared, flat, DMat3::from_cols(DVec3::X, DVec3::X, DVec3::X)] {
+            let oriented = OrientedBox { center: DVec3::new(10.0, -20.0, 30.0), half_axes };
+            let mut kept = ALONG_FRAME;
+            let around = oriented.bounding_sphere();
+            let declared = DeclaredBounds::new(&around, Some(&oriented), 1.0, |axes| {
+                kept = axes;
+                1
+            });
+            let bounds = TileGrid::around(&[declared]).fit(&declared);
+            let axes = kept.map(|axis| DVec3::from_array(axis.map(f64::from)));
+            let [a, b, c] = axes;
+            assert!([a.dot(b), b.dot(c), c.dot(a)].iter().all(|cosine| cosine.abs() < 1e-6), "upright: {axes:?}");
+            for corner in 0..8 {
+                let sign = |k: u32| if corner >> k & 1 == 0 { 1.0 } else { -1.0 };
+                let corner = half_axes * DVec3::new(sign(0), sign(1), sign(2));
+                for (axis, half_m) in axes.iter().zip(bounds.half_m()) {
+                    let reach_m = axis.dot(corner).abs();
+                    assert!(reach_m <= f64::from(half_m) * (1.0 + 1e-6) + 1e-9, "{half_axes} {reach_m} {half_m}");
+                }
+                assert!(corner.length() <= f64::from(bounds.radius_m()) * (1.0 + 1e-6), "{half_axes}");
+            }
+        }
     }
 
     #[test]

@@ -80,14 +80,16 @@ impl Camera {
     /// Vertical angle of view in radians for a picture of a size.
     pub fn fovy(&self, size_px: [u32; 2]) -> f64 {
         let aspect = shape(size_px);
-        let from_width = |angle: f64| 2.0 * ((0.5 * angle).tan() / aspect).atan();
+        let within = |angle: f64| angle.clamp(1e-4, 179f64.to_radians());
+        // Of more than half a circle the tangent is negative.
+        let from_width = |angle: f64| 2.0 * ((0.5 * within(angle)).tan() / aspect).atan();
         let angle = match self.field_of_view {
             FieldOfView::Vertical(fovy) | FieldOfView::Fixed { vertical: fovy, .. } => fovy,
             FieldOfView::Horizontal(fovx) => from_width(fovx),
             FieldOfView::LongerSide(angle) if aspect > 1.0 => from_width(angle),
             FieldOfView::LongerSide(angle) => angle,
         };
-        angle.clamp(1e-4, 179f64.to_radians())
+        within(angle)
     }
 
     /// Width by height, in tangents, of what is seen in a picture of a size.
@@ -183,6 +185,19 @@ mod tests {
                 let m = world_from_eye(DVec3::ZERO, direction, up).matrix3;
                 let off = (m.transpose() * m - DMat3::IDENTITY).to_cols_array();
                 assert!(off.iter().all(|v| v.abs() < 1e-14), "1e-{exponent}: {off:?}");
+            }
+        }
+    }
+
+    /// Half a circle and more was the narrowest.
+    #[test]
+    fn too_wide_a_view_is_the_widest() {
+        for angle in [3.2, 10.0, f64::INFINITY] {
+            for field_of_view in
+                [FieldOfView::Horizontal(angle), FieldOfView::LongerSide(angle), FieldOfView::Vertical(angle)]
+            {
+                let camera = Camera { field_of_view, ..Camera::default() };
+                assert!(camera.fovy([1280, 720]) > 3.0, "{field_of_view:?}");
             }
         }
     }

@@ -9,7 +9,8 @@ struct Frame {
     horizon_color: vec4<f32>,  // linear; w: 1 / height over which air thins to 1/e
     shape: vec4<f32>,          // 1 / radius of the ground, 0 when flat; exposure, 0 without tone mapping; 1 where there is
                                // an atmosphere; 1 where it is seen in front of things
-    ray: vec4<f32>,            // eye ray from clip position: scale xy, offset zw
+    ray: vec4<f32>,            // eye ray from clip position: the columns xy and zw,
+    middle_ray: vec4<f32>,     // and xy of the middle's
     water: vec4<f32>,          // linear colour of deep water; w: its height, metres
     air: vec4<f32>,            // of the eye: kilometres from the earth's centre, cosines of horizon and limb (air.wgsl); w: 1
                                // where rays are parallel

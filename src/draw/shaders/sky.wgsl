@@ -23,7 +23,7 @@ fn ray_of(ray: vec2<f32>) -> Ray {
 fn vs_sky(@builtin(vertex_index) index: u32) -> SkyVertex {
     let xy = vec2<f32>(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0);
     // Reversed-Z: depth 0 is infinitely far.
-    return SkyVertex(vec4<f32>(xy, 0.0, 1.0), xy * frame.ray.xy + frame.ray.zw);
+    return SkyVertex(vec4<f32>(xy, 0.0, 1.0), xy.x * frame.ray.xy + xy.y * frame.ray.zw + frame.middle_ray.xy);
 }
 
 // The sky's light from a direction of eye space, without the sun.

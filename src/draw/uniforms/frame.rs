@@ -1,6 +1,6 @@
 //! Mirrors of the shaders' structs, and how a frame's uniform is filled. A test compares them with naga's layout.
 
-use glam::{DMat4, DVec3, Mat4, Vec3};
+use glam::{DMat2, DMat4, DVec3, Mat4, Vec3};
 
 use crate::cull::{CullCamera, MOST_CASCADES, StageShadows};
 use crate::draw::atmosphere::Air;
@@ -28,9 +28,11 @@ pub(in crate::draw) struct FrameUniform {
     /// Curvature of the ground, 1 / radius (0 when flat); exposure, 0 without tone mapping; 1 where there is an
     /// atmosphere; 1 where it is seen in front of things.
     pub(in crate::draw) shape: [f32; 4],
-    /// Eye-space ray of a pixel from its clip position: x and y scale, x and y offset, in the plane one metre in front of
-    /// the eye; where rays are parallel, in the eye's own.
+    /// Eye-space ray of a pixel from its clip position, in the plane one metre in front of the eye; where rays are
+    /// parallel, in the eye's own: two columns,
     pub(in crate::draw) ray: [f32; 4],
+    /// and the ray of the middle.
+    pub(in crate::draw) middle_ray: [f32; 4],
     /// Linear colour of deep water; w: its height in metres.
     pub(in crate::draw) water: [f32; 4],
     /// Of the eye the air's tables were made for: kilometres from the earth's centre, cosines of horizon and limb; w: 1
@@ -143,6 +145,8 @@ impl FrameUniform {
         let p = clip_from_eye;
         let is_parallel = has_parallel_rays(p);
         let middle = if is_parallel { -p.w_axis } else { p.z_axis };
+        // A projection may turn the picture.
+        let eye_from_clip = DMat2::from_cols(p.x_axis.truncate().truncate(), p.y_axis.truncate().truncate()).inverse();
         let sse_scale = camera.px_per_radian() / (camera.settings.max_sse_px * camera.settings.lod_scale).max(1e-9);
         let has_atmosphere = environment.sky == Sky::Atmosphere;
         let switch = |on: bool| if on { 1.0 } else { 0.0 };
@@ -159,12 +163,8 @@ impl FrameUniform {
                 switch(has_atmosphere),
                 switch(has_atmosphere && fog.enabled),
             ],
-            ray: [
-                (1.0 / p.x_axis.x) as f32,
-                (1.0 / p.y_axis.y) as f32,
-                (middle.x / p.x_axis.x) as f32,
-                (middle.y / p.y_axis.y) as f32,
-            ],
+            ray: eye_from_clip.as_mat2().to_cols_array(),
+            middle_ray: vec4((eye_from_clip * middle.truncate().truncate()).extend(0.0).into(), 0.0),
             water: environment.water.map_or([0.0; 4], |w| with_w(w.color, w.height_m)),
             air: [air.eye_km, air.horizon_cosine, air.limb_cosine, switch(is_parallel)],
             sun_top: with_w(air.sun_irradiance(environment.sun_color), 0.0),

@@ -12,6 +12,7 @@ use crate::scene::tile_bounds::{TileBounds, TileEye};
 use crate::scene::tiles::{Tiles, flag};
 use crate::scene::{
     CameraNode, ComputeNearFar, INACTIVE, Inherit, PageId, ReferenceFrame, RenderOrder, Scene, has_parallel_rays,
+    px_per_radian,
 };
 
 /// A shape in the world that can be moved into other frames.
@@ -425,7 +426,8 @@ impl<P: Probe> Walk<'_, P> {
         if let Some(eye) = &mut view.rules.eye {
             eye.world_from_eye = window.world_from_eye;
             eye.is_parallel = has_parallel_rays(&window.clip_from_eye);
-            eye.px_per_radian = 0.5 * f64::from(window.viewport_px[3]) * window.clip_from_eye.y_axis.y.abs();
+            let [_, _, width, height] = window.viewport_px;
+            eye.px_per_radian = px_per_radian(&window.clip_from_eye, [width, height]);
         }
         let outer = std::mem::replace(&mut self.view, view);
         self.below(here, node, world_from_page);

@@ -62,6 +62,8 @@ pub(in crate::viewer) struct DeviceHandle {
     side: Side,
     /// It has failed to take a command, or to answer.
     is_dead: bool,
+    /// It could not upload what it was to finish.
+    is_stuck: bool,
     commands: Sender<DrawCommand>,
     replies: Receiver<Reply>,
     /// Read by the context's thread where it waits for a frame.
@@ -102,6 +104,7 @@ impl DeviceHandle {
             contexts,
             side: Side::Here(Box::new(DrawSide::new(context, id, ends))),
             is_dead: false,
+            is_stuck: false,
             commands,
             replies,
             stopping,
@@ -262,7 +265,7 @@ impl DeviceHandle {
                 Some(done)
             }
             // Images and finished compiles are taken by those who asked, once no frame is in flight before them.
-            Reply::Image(_) | Reply::CompilesFinished => None,
+            Reply::Image(_) | Reply::CompilesFinished { .. } => None,
         }
     }
 
@@ -335,18 +338,23 @@ impl DeviceHandle {
         }
     }
 
-    /// Waits until all that was sent to be uploaded is, unless a frame is in flight.
-    pub(super) fn end_compiles(&mut self) {
+    /// Waits until all that was sent to be uploaded is, unless a frame is in flight, or the device is lost.
+    pub(super) fn end_compiles(&mut self, waits_for_memory: bool) {
+        self.is_stuck = false;
         // Answers come in order, so frames in flight would have to be taken first; the blocking mode has none.
-        if self.compiling > 0 && self.in_flight == 0 && self.send(DrawCommand::FinishCompiles).is_ok() {
-            self.is_dead |= self.replies.recv().is_err();
+        let finish = DrawCommand::FinishCompiles { waits_for_memory };
+        if self.compiling > 0 && self.in_flight == 0 && self.send(finish).is_ok() {
+            match self.replies.recv() {
+                Ok(reply) => self.is_stuck = matches!(reply, Reply::CompilesFinished { all: false }),
+                Err(_) => self.is_dead = true,
+            }
         }
     }
 
     /// What was uploaded for a scene: for its own pages, with their numbers, or for its pager.
     pub(super) fn take_compiled(&mut self, owner: u16, is_own: bool) -> Vec<Compiled> {
         if self.finish_compiles {
-            self.end_compiles();
+            self.end_compiles(false);
         }
         let before = self.arrived.len();
         self.arrived.extend(self.compiled.try_iter());
@@ -486,6 +494,6 @@ impl CompileContext for DeviceOfScene<'_> {
     }
 
     fn is_alive(&self) -> bool {
-        !self.handle.is_dead
+        !self.handle.is_dead && !self.handle.is_stuck
     }
 }

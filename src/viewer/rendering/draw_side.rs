@@ -92,7 +92,10 @@ pub(super) enum DrawCommand {
     /// Upload within a budget, between two frames.
     RunCompiles(CompileBudget),
     /// Upload everything queued, whatever the time; answered by [`Reply::CompilesFinished`].
-    FinishCompiles,
+    FinishCompiles {
+        /// However long there is no memory for it.
+        waits_for_memory: bool,
+    },
     /// Upload within the budget and draw; answered by [`Reply::Frame`].
     Frame(Box<FrameJob>),
     /// The target of a context has a new size in pixels.
@@ -113,7 +116,10 @@ pub(super) enum DrawCommand {
 pub(super) enum Reply {
     Frame(Box<FrameDone>),
     Image(Result<RgbaImage, GpuError>),
-    CompilesFinished,
+    CompilesFinished {
+        /// False where the device was lost, or there was no memory.
+        all: bool,
+    },
 }
 
 /// Where a camera's stages come from and go back to.
@@ -305,9 +311,8 @@ impl DrawSide {
                 self.pass_on_compiled();
                 return self.running_compiles.store(false, Ordering::Release);
             }
-            DrawCommand::FinishCompiles => {
-                self.finish_compiles();
-                Reply::CompilesFinished
+            DrawCommand::FinishCompiles { waits_for_memory } => {
+                Reply::CompilesFinished { all: self.finish_compiles(waits_for_memory) }
             }
             DrawCommand::Frame(job) => return self.jobs.push(*job),
             DrawCommand::Resize { context, size_px } => {
@@ -371,13 +376,19 @@ impl DrawSide {
         }
     }
 
-    fn finish_compiles(&mut self) {
+    /// False where something is left that cannot be uploaded now.
+    fn finish_compiles(&mut self, waits_for_memory: bool) -> bool {
         let unlimited = CompileBudget { time: Duration::from_secs(3600), bytes: u64::MAX };
-        // Each run does at least one slice of what is pending, so this ends.
-        while self.context.pending_compiles() > 0 {
-            self.context.run_compiles(&unlimited);
+        let mut goes_on = true;
+        while goes_on && self.context.pending_compiles() > 0 {
+            let stats = self.context.run_compiles(&unlimited);
+            // Each run does at least one slice of what is pending, but where nothing can be done.
+            goes_on = stats.slices > 0
+                || stats.finished > 0
+                || !(self.context.is_lost() || (self.context.lacks_memory() && !waits_for_memory));
         }
         self.pass_on_compiled();
+        goes_on
     }
 
     /// Culls what this thread culls itself, and draws the frame it was told to draw, if any: the contexts of the device

@@ -213,9 +213,9 @@ impl Rendering {
         self.devices.iter_mut().flat_map(of_device).collect()
     }
 
-    /// Waits until all that was sent to be uploaded is. No frame is under way.
+    /// Waits until all that was sent to be uploaded is, but to devices that are lost. No frame is under way.
     pub(super) fn finish_compiles(&mut self) {
-        self.devices.iter_mut().for_each(DeviceHandle::end_compiles);
+        self.devices.iter_mut().for_each(|device| device.end_compiles(true));
     }
 
     /// Releases what was uploaded for somebody who is gone.
