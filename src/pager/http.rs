@@ -148,30 +148,35 @@ fn pass_on(
 /// The content and its companions at the same time: what a tile needs is known before its bytes. What each server's
 /// answers say of it.
 async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> Fetched {
-    let start = Instant::now();
     let own = server(&job.uri).to_owned();
-    let mut of_others = Vec::new();
+    let timed = async |uri: &str| {
+        let start = Instant::now();
+        let body = client.get(uri, limits).await;
+        (body, start.elapsed().as_secs_f64())
+    };
+    // Those of the content's own server answer together, others each for theirs.
+    let (mut of_others, mut beside_s, mut asked) = (Vec::new(), 0f64, false);
     let companions = async {
         let mut fetched = Vec::new();
         for uri in io::companions(&job.uri, job.reader_data.as_ref()) {
-            let start = Instant::now();
-            let body = client.get(&uri, limits).await;
+            let (body, seconds) = timed(&uri).await;
             let of = server(&uri);
-            // Those of one server answer together.
-            if of != own {
-                let asked = body.as_ref().is_ok_and(|body| body.asked);
-                of_others.push((of.to_owned(), Answered::of(&body, asked, start.elapsed().as_secs_f64())));
+            let is_asked = body.as_ref().is_ok_and(|body| body.asked);
+            if of == own {
+                (beside_s, asked) = (beside_s.max(seconds), asked || is_asked);
+            } else {
+                of_others.push((of.to_owned(), Answered::of(&body, is_asked, seconds)));
             }
             fetched.push((uri, body));
         }
         fetched
     };
-    let (body, companions) = tokio::join!(client.get(&job.uri, limits), companions);
-    let (mut bytes_http, mut asked) = (0, false);
+    let ((body, own_s), companions) = tokio::join!(timed(&job.uri), companions);
+    asked |= body.as_ref().is_ok_and(|body| body.asked);
+    let mut bytes_http = 0;
     let mut bytes_of = |body: Result<HttpBody, IoError>| {
         body.map(|body| {
             bytes_http += body.network_bytes;
-            asked |= body.asked;
             body.bytes
         })
     };
@@ -179,7 +184,7 @@ async fn fetch(client: &HttpClient, job: Job, limits: &Limits) -> Fetched {
     let companions: Vec<io::Fetched> = companions.into_iter().map(|(uri, body)| (uri, bytes_of(body))).collect();
     let bytes_read = read_bytes(&bytes, &companions);
     job.stage.decodes();
-    let answered = (own, Answered::of(&bytes, asked, start.elapsed().as_secs_f64()));
+    let answered = (own, Answered::of(&bytes, asked, own_s.max(beside_s)));
     let answered = [answered].into_iter().chain(of_others).collect();
     (Loaded { job, bytes, companions, bytes_read, bytes_http }, answered)
 }
