@@ -127,8 +127,14 @@ fn a_page_stays_as_long_as_its_options_say() {
     assert!(merged == 2 && later > frames, "{later} of {frames}");
     let (merged, _, took) = frames_until_second(PagingOptions { min_expiry_s: 0.3, ..Default::default() });
     assert!(merged == 2 && took > Duration::from_millis(300), "{took:?}");
-    let (merged, ..) = frames_until_second(PagingOptions { cannot_expire: true, ..Default::default() });
-    assert_eq!(merged, 1, "it stays, and the other has no room");
+    for stays in [
+        PagingOptions { cannot_expire: true, ..Default::default() },
+        // It went at once.
+        PagingOptions { min_expiry_s: f32::INFINITY, ..Default::default() },
+    ] {
+        let (merged, ..) = frames_until_second(stays);
+        assert_eq!(merged, 1, "it stays, and the other has no room");
+    }
 }
 
 #[test]

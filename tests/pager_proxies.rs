@@ -87,7 +87,7 @@ fn states_in(scene: &Scene, root: PageId) -> Vec<&'static str> {
 fn proxies_are_loaded_when_they_say() {
     for blocking in [false, true] {
         let folder = tempfile::tempdir().unwrap();
-        let (mut viewer, root) = proxies(folder.path(), blocking, 3);
+        let (mut viewer, root) = proxies(folder.path(), blocking, 2);
         settle(&mut viewer);
         assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "blocking {blocking}");
         let stats = *viewer.pager().unwrap().stats();

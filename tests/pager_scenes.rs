@@ -435,3 +435,103 @@ fn each_scene_asks_as_itself() {
         assert!(of.iter().all(|request| request.header("authorization") == key), "{set}: {of:?}");
     }
 }
+
+/// Each frame asked again for what had failed in the other scene, wherever that one's cameras looked.
+#[cfg(feature = "http")]
+#[test]
+fn clearing_one_asks_for_nothing_of_the_others() {
+    use http_support::{Reply, Server};
+    use terrane::io::HttpConfig;
+
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let root = folder.path().to_owned();
+    let server = Server::start(move |request| {
+        let name = request.path().rsplit('/').next().unwrap().to_owned();
+        match name.ends_with(".json") || !request.path().starts_with("/b/") {
+            true => std::fs::read(root.join(name)).map_or_else(|_| Reply::new(404, ""), Reply::ok),
+            false => Reply::new(503, ""),
+        }
+    });
+    let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
+    let config = PagerConfig { http, retry_after: Duration::from_millis(20), ..PagerConfig::default() };
+    let of_set = |set: &str| {
+        let uri = root_uri(&format!("{}/{set}/tileset.json", server.url)).unwrap();
+        (ReadOptions::for_root(&uri, Limits::default()), uri)
+    };
+    let (scope, uri) = of_set("a");
+    let mut pager = DatabasePager::new(config, scope).unwrap();
+    let mut scenes = vec![Scene::new(), Scene::new()];
+    scenes[0].add_root(pager.read_root(&uri).unwrap());
+    let (scope, uri) = of_set("b");
+    pager.add_scene(scenes[1].number(), scope);
+    let root = pager.read_root_of(scenes[1].number(), &uri).unwrap();
+    scenes[1].add_root(root);
+    let mut run = Several::with(scenes, pager);
+    let eye = Some(over_the_world(0.3, 900.0));
+    run.until(&[eye, eye], "nothing fails", |r| r.pager.stats().failed > 0 && r.pages()[0] > 4);
+    run.until(&[eye, None], "the others are not given up", |r| r.pager.is_idle());
+    run.pager.clear(&mut run.scenes[0], &mut [&mut run.context]);
+    let before = run.frame(&[None, None]);
+    for _ in 0..300 {
+        run.frame(&[None, None]);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let after = *run.pager.stats();
+    assert_eq!((after.retried, after.requested), (before.retried, before.requested));
+}
+
+/// What an application took out counted until the pager ended.
+#[test]
+fn what_somebody_takes_out_counts_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let eyes = [Some(over_the_world(0.3, 300.0))];
+    let mut run = Several::of_sets(&[folder.path()], PagerConfig::default());
+    run.settle(&eyes);
+    let mut open: Vec<PageId> = run.scenes[0].roots().to_vec();
+    let mut leaf = None;
+    while let Some(page) = open.pop() {
+        for slot in run.scenes[0].slots_of_page(page) {
+            if let Some(SlotState::Resident(content)) = run.scenes[0].slot(slot).map(|slot| slot.state) {
+                leaf = if run.scenes[0].is_expirable(content) { Some(content) } else { leaf };
+                open.push(content);
+            }
+        }
+    }
+    run.scenes[0].detach(leaf.unwrap()).unwrap();
+    run.pager.clear(&mut run.scenes[0], &mut [&mut run.context]);
+    let s = run.update(&[]);
+    assert_eq!((s.resident, s.cpu_bytes, s.gpu_bytes), (0, 0, 0));
+    run.settle(&eyes);
+}
+
+/// Sums of them overflowed, and channels of so many places were asked for.
+#[test]
+fn no_limit_is_a_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig {
+        http_in_flight: usize::MAX,
+        http_in_flight_max: usize::MAX,
+        ahead_in_flight: usize::MAX,
+        max_bytes_cpu: u64::MAX,
+        max_bytes_gpu: u64::MAX,
+        max_tiles: usize::MAX,
+        expiry_frames: u32::MAX,
+        expiry_time: Duration::MAX,
+        stale_frames: u32::MAX,
+        abort_frames: u32::MAX,
+        merge_time: Duration::MAX,
+        retry_after: Duration::MAX,
+        ..PagerConfig::default()
+    };
+    let mut run = Several::of_sets(&[folder.path()], config);
+    let eyes = [Some(over_the_world(0.3, 900.0))];
+    run.frame(&eyes);
+    let requests: Vec<PageRequest> = run.stages[0].requests.iter().map(|request| request.ahead(u32::MAX)).collect();
+    assert!(!requests.is_empty());
+    run.update(&requests);
+    run.settle(&eyes);
+    assert!(run.pages()[0] > 4);
+}

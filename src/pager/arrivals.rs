@@ -43,8 +43,12 @@ impl DatabasePager {
             None => {
                 self.stats.cancelled += 1;
                 timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "cancelled");
-                if !entry.rests() {
-                    self.entries.remove(&slot);
+                if !entry.rests()
+                    && let Some(entry) = self.entries.remove(&slot)
+                    && entry.wanted_frame == self.frame
+                {
+                    // Somebody wants it after all.
+                    self.ask_again(entry);
                 }
             }
             Some(Err(error)) => {
@@ -210,6 +214,7 @@ impl DatabasePager {
                 continue;
             }
             self.shares.merge(&page);
+            let shared = page.shared.iter().map(|used| used.content.key).collect();
             let tile_tree = page.is_tile_tree();
             let attached = match scenes.numbered_mut(slot.page.scene) {
                 Some(scene) => scene.attach(slot, *page),
@@ -233,7 +238,7 @@ impl DatabasePager {
                     timeline::request_ends(ticket, "merged");
                     self.stats.latency_sum_s += latency_s;
                     self.stats.latency_max_s = self.stats.latency_max_s.max(latency_s);
-                    self.residents.insert(id, Resident::new(slot, cpu_bytes, by_context, entry.paging));
+                    self.residents.insert(id, Resident::new(slot, cpu_bytes, by_context, entry.paging, shared));
                     if tile_tree {
                         let Above { chain, set_from_page } = entry.job.above;
                         let chain = chain.iter().cloned().chain([entry.job.uri.clone()]).collect();

@@ -37,7 +37,8 @@ pub trait CompileContext {
 pub struct PagerConfig {
     /// Threads that read local files. Two keep a disk busy while one waits.
     pub file_threads: usize,
-    /// Contents asked of one server at once (of all together four times as many); one with imagery of its own is two requests.
+    /// Contents asked of one server at once (of all together four times as many), 4,096 at most; one with imagery of its own is
+    /// two requests.
     pub http_in_flight: usize,
     /// A server that answers as quickly under more requests gets more, up to so many.
     pub http_in_flight_max: usize,

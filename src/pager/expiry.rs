@@ -22,6 +22,11 @@ pub(super) const AHEAD_MARGIN: u32 = 2;
 /// In want of room, the last two frames' tiles alone are safe.
 pub(super) const UNSEEN: Unused = Unused { frames: 2, time: Duration::ZERO };
 
+/// A budget without some tenths of it.
+pub(super) fn less_tenths(budget: u64, tenths: u64) -> u64 {
+    budget.saturating_sub(budget.div_ceil(10) * tenths)
+}
+
 impl DatabasePager {
     /// Of merged pages, what they share once.
     pub(super) fn cpu_bytes(&self) -> u64 {
@@ -40,7 +45,7 @@ impl DatabasePager {
 
     /// True while so many tenths of each budget are free.
     pub(super) fn has_free(&self, tenths: u64) -> bool {
-        let is_free = |used: u64, max: u64| used <= max / 10 * (10 - tenths);
+        let is_free = |used: u64, max: u64| used <= less_tenths(max, tenths);
         let held = self.held();
         is_free(held.cpu, self.config.max_bytes_cpu)
             && is_free(held.gpu, self.config.max_bytes_gpu)
@@ -54,7 +59,7 @@ impl DatabasePager {
         let config = &self.config;
         let mut unused = Unused { frames: config.expiry_frames, time: config.expiry_time };
         if let Some(ahead) = self.ahead_short {
-            unused.frames = unused.frames.min(ahead.frames + AHEAD_MARGIN);
+            unused.frames = unused.frames.min(ahead.frames.saturating_add(AHEAD_MARGIN));
         }
         if self.is_short || self.lacks.is_some() {
             unused = UNSEEN;
@@ -68,8 +73,20 @@ impl DatabasePager {
             let Some(id) = self.residents.pop_expired(scenes, self.frame, unused, &mut looks) else { break };
             self.detach(scenes, id, contexts);
         }
+        self.forget_gone(contexts);
         let next = if self.stats.expired > expired_before { 2 * self.expiry_looks } else { self.expiry_looks / 2 };
         self.expiry_looks = next.clamp(*EXPIRY_LOOKS.start(), *EXPIRY_LOOKS.end());
+    }
+
+    /// Pages that an application took out hold nothing any more.
+    fn forget_gone(&mut self, contexts: &mut [&mut dyn CompileContext]) {
+        for (id, shared) in std::mem::take(&mut self.residents.gone) {
+            self.stats.expired += 1;
+            self.shares.forget(&shared);
+            if self.above.remove(&id).is_some() {
+                self.drop_entries(contexts, |slot, _| slot.page == id);
+            }
+        }
     }
 
     /// Something is missing in a picture, and not one page of the mean size has room, or it is known to have none.
@@ -114,6 +131,8 @@ impl DatabasePager {
     pub fn page_anew(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         let number = scene.number();
         self.drop_uploads_if(contexts, |slot| slot.page.scene == number);
+        self.residents.drop_gone(|id| id.scene == number && scene.page(id).is_none());
+        self.forget_gone(contexts);
         // What hangs deepest goes first; each round takes a level.
         loop {
             let expirable = self.residents.take_if(|id| scene.is_expirable(id));
@@ -134,11 +153,13 @@ impl DatabasePager {
     /// frame. Those of other scenes stay.
     pub fn clear(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         self.page_anew(scene, contexts);
-        for (slot, _) in self.entries.iter().filter(|(_, e)| matches!(e.progress, Progress::Failed { .. })) {
+        let number = scene.number();
+        let has_failed =
+            |slot: &NodeId, e: &Entry| slot.page.scene == number && matches!(e.progress, Progress::Failed { .. });
+        for (slot, _) in self.entries.iter().filter(|(slot, e)| has_failed(slot, e)) {
             scene.set_failed(*slot, false);
             self.asked.push(*slot);
         }
-        let number = scene.number();
         self.asked
             .retain(|slot| slot.page.scene != number || scene.proxy_loading(*slot) == Some(ProxyLoading::Immediately));
         self.drop_entries(contexts, |slot, _| slot.page.scene == number);
@@ -198,7 +219,9 @@ impl DatabasePager {
                     self.retire(arrived.page, contexts);
                 }
                 // Aborted, unless its answer is there already.
-                Progress::Loading if io::is_remote(&job.uri) => self.threads.list.lock().abort.push(job.ticket),
+                Progress::Loading if cfg!(feature = "http") && io::is_remote(&job.uri) => {
+                    self.threads.list.lock().abort.push(job.ticket)
+                }
                 _ => {}
             }
         }

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use super::DatabasePager;
 use super::entry::{Entry, Progress};
-use super::expiry::{AHEAD_MARGIN, EXPIRY_TENTHS};
+use super::expiry::{AHEAD_MARGIN, EXPIRY_TENTHS, less_tenths};
 use super::job::Job;
 use super::list::Waiting;
 use super::scenes::Scenes;
@@ -112,10 +112,20 @@ impl DatabasePager {
 
     /// Takes up, and renews, what is to be loaded whatever cameras see.
     pub(super) fn accept_asked(&mut self, scenes: &mut dyn Scenes) {
+        let entries = &self.entries;
+        self.asked.retain(|slot| match scenes.slot(*slot).map(|slot| slot.state) {
+            Some(SlotState::Empty) => true,
+            Some(SlotState::Failed) => entries.get(slot).is_some_and(Entry::will_be_tried),
+            _ => false,
+        });
         for place in 0.. {
             let Some(scene) = scenes.at_mut(place) else { break };
             let asked = scene.take_asked();
-            for slot in asked {
+            if asked.is_empty() {
+                continue;
+            }
+            let mut known: HashSet<NodeId> = self.asked.iter().copied().collect();
+            for slot in asked.into_iter().filter(|slot| known.insert(*slot)) {
                 self.try_now(scenes, slot);
                 self.asked.push(slot);
             }
@@ -123,12 +133,6 @@ impl DatabasePager {
         if self.asked.is_empty() {
             return;
         }
-        let entries = &self.entries;
-        self.asked.retain(|slot| match scenes.slot(*slot).map(|slot| slot.state) {
-            Some(SlotState::Empty) => true,
-            Some(SlotState::Failed) => entries.get(slot).is_some_and(Entry::will_be_tried),
-            _ => false,
-        });
         let request =
             |slot: &NodeId| PageRequest { slot: *slot, priority: ASKED_PRIORITY, error_px: 0.0, ahead_frames: 0 };
         let requests: Vec<PageRequest> = self.asked.iter().map(request).collect();
@@ -200,7 +204,9 @@ impl DatabasePager {
                 }
             }
             // What is left was forgotten meanwhile.
-            waiting.abort.extend(taken);
+            if cfg!(feature = "http") {
+                waiting.abort.extend(taken);
+            }
         }
         let mut stale = 0;
         self.entries.retain(|_, e| {
@@ -225,7 +231,8 @@ impl DatabasePager {
                     Some(_) => {}
                 },
                 Progress::Loading
-                    if io::is_remote(&entry.job.uri)
+                    if cfg!(feature = "http")
+                        && io::is_remote(&entry.job.uri)
                         && frame.saturating_sub(entry.wanted_frame) > self.config.abort_frames =>
                 {
                     waiting.abort.push(entry.job.ticket);
@@ -259,14 +266,18 @@ impl DatabasePager {
         waiting.allowed = self.allowed_or_tried(allowed);
         self.full = waiting.allowed == 0 && !now.is_empty();
         self.is_short = !self.is_paused && allowed < list.capacity.min(waiting.outstanding + now.len());
-        jobs.retain(|(_, entry)| short.is_none_or(|soonest| entry.ahead_frames <= soonest + AHEAD_MARGIN));
+        jobs.retain(|(_, entry)| {
+            short.is_none_or(|soonest| entry.ahead_frames <= soonest.saturating_add(AHEAD_MARGIN))
+        });
         let ahead_short = short.map(|frames| AheadShort { frames, count: jobs.len() as u64 });
-        jobs.drain(..jobs.len().saturating_sub(AHEAD_LISTED * self.config.ahead_in_flight));
+        jobs.drain(..jobs.len().saturating_sub(AHEAD_LISTED.saturating_mul(self.config.ahead_in_flight)));
         jobs.extend(now);
         waiting.file.clear();
         waiting.http.clear();
         for (_, entry) in &jobs {
-            let to = if io::is_remote(&entry.job.uri) { &mut waiting.http } else { &mut waiting.file };
+            // Without a client the file threads say that there is none.
+            let is_remote = cfg!(feature = "http") && io::is_remote(&entry.job.uri);
+            let to = if is_remote { &mut waiting.http } else { &mut waiting.file };
             to.push(Job { is_ahead: entry.is_ahead(), ..entry.job.clone() });
         }
         self.allow_ahead(&mut waiting);
@@ -311,8 +322,7 @@ impl DatabasePager {
     /// Pages of the mean size that fit into the budgets less so many tenths, beside what is merged or will be.
     pub(super) fn room_within(&self, tenths: u64) -> u64 {
         let held = self.held();
-        let part = |max: u64| max / 10 * (10 - tenths) + if tenths == 0 { max % 10 } else { 0 };
-        let room = |max: u64, used: u64, mean: u64| part(max).saturating_sub(used) / mean.max(1);
+        let room = |max: u64, used: u64, mean: u64| less_tenths(max, tenths).saturating_sub(used) / mean.max(1);
         let cpu = room(self.config.max_bytes_cpu, held.cpu, self.mean_cpu_bytes);
         let gpu = room(self.config.max_bytes_gpu, held.gpu, self.mean_gpu_bytes);
         cpu.min(gpu).min(room(self.config.max_tiles as u64, self.pages_held(), 1))

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use lru::LruCache;
 
 use super::scenes::Scenes;
-use crate::scene::{NodeId, PageId, PagingOptions};
+use crate::scene::{ContentKey, NodeId, PageId, PagingOptions};
 
 /// What a merged page holds.
 #[derive(Clone, Debug)]
@@ -15,13 +15,21 @@ pub(super) struct Resident {
     /// By context.
     gpu_bytes: Box<[(u32, u64)]>,
     paging: PagingOptions,
+    /// What it shares with others.
+    shared: Box<[ContentKey]>,
     /// Frame in which it was last wanted and when that was noticed.
     noticed: Option<(u32, Instant)>,
 }
 
 impl Resident {
-    pub fn new(slot: NodeId, cpu_bytes: u64, gpu_bytes: Vec<(u32, u64)>, paging: PagingOptions) -> Self {
-        Self { slot, cpu_bytes, gpu_bytes: gpu_bytes.into_boxed_slice(), paging, noticed: None }
+    pub fn new(
+        slot: NodeId,
+        cpu_bytes: u64,
+        gpu_bytes: Vec<(u32, u64)>,
+        paging: PagingOptions,
+        shared: Box<[ContentKey]>,
+    ) -> Self {
+        Self { slot, cpu_bytes, gpu_bytes: gpu_bytes.into_boxed_slice(), paging, shared, noticed: None }
     }
 
     fn gpu(&self) -> u64 {
@@ -34,7 +42,10 @@ impl Resident {
         if self.paging.cannot_expire || frame.abs_diff(last_used) <= frames {
             return false;
         }
-        let own = Duration::try_from_secs_f32(self.paging.min_expiry_s).unwrap_or_default();
+        let own_s = self.paging.min_expiry_s;
+        // What is more than a duration holds is for ever.
+        let beyond = if own_s > 0.0 { Duration::MAX } else { Duration::ZERO };
+        let own = Duration::try_from_secs_f32(own_s).unwrap_or(beyond);
         let time = unused.time.max(own);
         if time.is_zero() {
             return true;
@@ -61,11 +72,13 @@ pub(super) struct Residents {
     pages: LruCache<PageId, Resident>,
     pub cpu_bytes: u64,
     pub gpu_bytes: u64,
+    /// Pages that somebody else took out of their scenes, with what they shared.
+    pub gone: Vec<(PageId, Box<[ContentKey]>)>,
 }
 
 impl Residents {
     pub fn new() -> Self {
-        Self { pages: LruCache::unbounded(), cpu_bytes: 0, gpu_bytes: 0 }
+        Self { pages: LruCache::unbounded(), cpu_bytes: 0, gpu_bytes: 0, gone: Vec::new() }
     }
 
     pub fn len(&self) -> usize {
@@ -81,11 +94,24 @@ impl Residents {
     /// Forgets all pages that something holds for, oldest first.
     pub fn take_if(&mut self, holds: impl Fn(PageId) -> bool) -> Vec<PageId> {
         let taken: Vec<PageId> = self.pages.iter().rev().map(|(id, _)| *id).filter(|id| holds(*id)).collect();
-        for resident in taken.iter().filter_map(|id| self.pages.pop(id)).collect::<Vec<_>>() {
-            self.cpu_bytes -= resident.cpu_bytes;
-            self.gpu_bytes -= resident.gpu();
-        }
+        taken.iter().for_each(|id| drop(self.pop(id)));
         taken
+    }
+
+    /// The same for those that are not in a scene any more though the pager did not take them out; see [`Self::gone`].
+    pub fn drop_gone(&mut self, is_gone: impl Fn(PageId) -> bool) {
+        let gone: Vec<PageId> = self.pages.iter().map(|(id, _)| *id).filter(|id| is_gone(*id)).collect();
+        for id in gone {
+            let shared = self.pop(&id).map(|resident| resident.shared);
+            self.gone.extend(shared.map(|shared| (id, shared)));
+        }
+    }
+
+    fn pop(&mut self, id: &PageId) -> Option<Resident> {
+        let resident = self.pages.pop(id)?;
+        self.cpu_bytes -= resident.cpu_bytes;
+        self.gpu_bytes -= resident.gpu();
+        Some(resident)
     }
 
     /// What pages hold in a context is gone with it.
@@ -111,13 +137,15 @@ impl Residents {
             let id = *self.pages.peek_lru()?.0;
             let resident = self.pages.peek_mut(&id)?;
             let scene = scenes.numbered(id.scene);
+            if scene.is_some_and(|scene| scene.page(id).is_none()) {
+                let resident = self.pop(&id)?;
+                self.gone.push((id, resident.shared));
+                continue;
+            }
             let last_used = scene.and_then(|scene| scene.slot(resident.slot)).map_or(0, |slot| slot.last_used_frame);
             let is_unused = resident.is_unused(last_used, frame, unused);
             if is_unused && scene.is_some_and(|scene| scene.is_expirable(id)) {
-                let resident = self.pages.pop(&id)?;
-                self.cpu_bytes -= resident.cpu_bytes;
-                self.gpu_bytes -= resident.gpu();
-                return Some(id);
+                return self.pop(&id).map(|_| id);
             }
             self.pages.promote(&id);
         }

@@ -171,7 +171,16 @@ impl DatabasePager {
     }
 
     fn serve(&mut self, scene: SceneNumber, served: Served) {
-        self.served.insert(scene, served);
+        self.removed.remove(&scene);
+        // What was asked for before goes on in the new scope.
+        for entry in self.entries.values_mut().filter(|entry| entry.job.slot.page.scene == scene) {
+            entry.job.scope = served.scope.clone();
+        }
+        let _replaced = self.served.insert(scene, served);
+        #[cfg(feature = "http")]
+        if let Some(replaced) = _replaced {
+            self.let_go(&replaced.scope.client);
+        }
         self.is_listed = false;
     }
 
@@ -209,6 +218,7 @@ impl DatabasePager {
         self.asked.retain(|slot| slot.page.scene != number);
         self.turns.forget(number);
         self.merge_turns.forget(number);
+        self.removed.insert(number);
         let _served = self.served.remove(&number);
         #[cfg(feature = "http")]
         if let Some(served) = _served {
@@ -233,7 +243,10 @@ impl DatabasePager {
     /// The first scene that was not added has the scope that the pager was made with.
     pub(super) fn claim_first(&mut self, scenes: &dyn Scenes) {
         if self.unclaimed.is_some()
-            && let Some(first) = scenes.all().map(Scene::number).find(|number| !self.served.contains_key(number))
+            && let Some(first) = scenes
+                .all()
+                .map(Scene::number)
+                .find(|number| !self.served.contains_key(number) && !self.removed.contains(number))
         {
             self.claim(first);
         }
@@ -330,6 +343,13 @@ mod tests {
             pager.add_scene_with_http(scene.number(), options(), http).unwrap();
         }
         assert_eq!(clients(&pager), 2, "equal ones are one");
+        // Added once more with another one, and back.
+        let last = scenes[2].number();
+        let third = HttpConfig { max_retries: own.max_retries + 2, ..own.clone() };
+        for (http, count) in [(&third, 3), (&own, 2)] {
+            pager.add_scene_with_http(last, options(), http).unwrap();
+            assert_eq!(clients(&pager), count);
+        }
         let left = scenes.iter_mut().map(|scene| {
             pager.remove_scene(scene, &mut []);
             clients(&pager)

@@ -122,8 +122,18 @@ impl Shares {
 
     /// The opposite of [`Self::merge`].
     pub fn unmerge(&mut self, page: &Page) {
-        for used in &page.shared {
-            let Some(share) = self.by_key.get_mut(&used.content.key) else { continue };
+        self.unmerge_all(keys(page));
+    }
+
+    /// A merged page is gone that shared these.
+    pub fn forget(&mut self, shared: &[ContentKey]) {
+        self.unmerge_all(shared.iter());
+        self.give_back_all(shared.iter());
+    }
+
+    fn unmerge_all<'a>(&mut self, keys: impl Iterator<Item = &'a ContentKey>) {
+        for key in keys {
+            let Some(share) = self.by_key.get_mut(key) else { continue };
             share.merged = share.merged.saturating_sub(1);
             let sum = if share.merged == 0 { &mut self.held } else { &mut self.saved };
             sum.cpu = sum.cpu.saturating_sub(share.cpu_bytes);
@@ -133,14 +143,22 @@ impl Shares {
 
     /// The opposite of [`Self::take`]: the page's places are given back.
     pub fn give_back(&mut self, page: &Page) {
-        for used in &page.shared {
-            let Some(share) = self.by_key.get_mut(&used.content.key) else { continue };
+        self.give_back_all(keys(page));
+    }
+
+    fn give_back_all<'a>(&mut self, keys: impl Iterator<Item = &'a ContentKey>) {
+        for key in keys {
+            let Some(share) = self.by_key.get_mut(key) else { continue };
             share.users = share.users.saturating_sub(1);
             if share.users == 0 {
                 self.all.cpu = self.all.cpu.saturating_sub(share.cpu_bytes);
                 self.all.gpu = self.all.gpu.saturating_sub(share.gpu());
-                self.by_key.remove(&used.content.key);
+                self.by_key.remove(key);
             }
         }
     }
+}
+
+fn keys(page: &Page) -> impl Iterator<Item = &ContentKey> {
+    page.shared.iter().map(|used| &used.content.key)
 }

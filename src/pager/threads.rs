@@ -27,6 +27,9 @@ const DECODED_AHEAD: usize = 12;
 /// Of each decode thread, files that may be read and not yet decoded: bytes that wait are memory, and disks are quick.
 const READ_AHEAD: usize = 2;
 
+/// Most requests that a server may have at once: each has a place in channels.
+const MOST_IN_FLIGHT: usize = 4096;
+
 /// All threads of a pager; dropping it stops and joins them.
 pub(super) struct Threads {
     pub list: Arc<RequestList>,
@@ -40,7 +43,8 @@ pub(super) struct Threads {
 
 impl Threads {
     pub fn start(config: &PagerConfig, sharing: Option<Arc<SharedStateManager>>) -> Result<Self, PagerError> {
-        let (start, most) = (config.http_in_flight.max(1), config.http_in_flight_max);
+        let (start, most) =
+            (config.http_in_flight.clamp(1, MOST_IN_FLIGHT), config.http_in_flight_max.min(MOST_IN_FLIGHT));
         let (readers, decoders) = (config.file_threads.max(1), config.decode_threads.max(1));
         let beside = 4 * readers + 2 * decoders;
         let capacity = SERVERS_AT_ONCE * start + beside + most.saturating_sub(start);
@@ -146,7 +150,10 @@ fn yield_to_frames() {
 fn read_files(list: &RequestList, sender: &Sender<Loaded>, files: &io::FileReader) {
     while let Some(job) = list.take_file() {
         let span = timeline::span_of("fetch", || job.uri.clone());
-        let bytes = files.read(&job.uri);
+        let bytes = match io::is_remote(&job.uri) {
+            true => Err(io::IoError::unsupported(&job.uri, "a server (built without the feature)")),
+            false => files.read(&job.uri),
+        };
         let companions: Vec<_> = match &bytes {
             Ok(_) => io::companions(&job.uri, job.reader_data.as_ref())
                 .into_iter()

@@ -1,6 +1,6 @@
 //! [`DatabasePager`]: the main thread's side, and its turn in a frame. Everything here runs in the update stage.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -33,6 +33,8 @@ pub struct DatabasePager {
     /// What it serves, and the scope that it was made with until a scene has it.
     pub(super) served: BTreeMap<SceneNumber, Served>,
     pub(super) unclaimed: Option<Served>,
+    /// Scenes that are served no more: the unclaimed scope is not theirs.
+    pub(super) removed: BTreeSet<SceneNumber>,
     /// The scene that has it.
     pub(super) first: Option<SceneNumber>,
     /// Which scene is to be loaded for next, and merged into.
@@ -114,6 +116,7 @@ impl DatabasePager {
             config,
             served: BTreeMap::new(),
             unclaimed: Some(Served::new(scope)),
+            removed: BTreeSet::new(),
             first: None,
             turns: Turns::default(),
             merge_turns: Turns::default(),

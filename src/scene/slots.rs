@@ -86,7 +86,9 @@ impl Scene {
     /// something is in it. What failed before is tried once more; what fails in passing goes on being tried, whoever looks.
     pub fn load_proxy(&mut self, node: NodeId) -> Result<(), SceneError> {
         self.free_slot(node)?;
-        self.asked.push(node);
+        if !self.asked.contains(&node) {
+            self.asked.push(node);
+        }
         Ok(())
     }
 

@@ -223,7 +223,7 @@ impl ImagePager {
             State::Failed { .. } => true,
         };
         self.slots.retain(|_, s| is_kept(s));
-        if self.slots.len() > MOST_FAILURES + self.config.max_images {
+        if self.slots.len() > MOST_FAILURES.saturating_add(self.config.max_images) {
             self.slots.retain(|_, s| s.wanted == updates || !matches!(s.state, State::Failed { .. }));
         }
     }
