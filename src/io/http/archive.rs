@@ -304,7 +304,7 @@ impl HttpClient {
         cache.count_miss();
         let freshness = part.freshness;
         if !freshness.store {
-            return;
+            return self.leave_out(cache, uri).await;
         }
         let mut entry = Entry { uri: shown(uri).into_owned(), ..Entry::default() };
         entry.checked(SystemTime::now(), freshness.fresh_for);
