@@ -40,6 +40,11 @@ fn in_order(entries: &mut Entries) {
 }
 
 fn archive(files: &BTreeMap<String, Vec<u8>>, making: &Making) -> Vec<u8> {
+    archive_named(files, making, str::to_owned)
+}
+
+/// One whose index has files by other names than the directory.
+fn archive_named(files: &BTreeMap<String, Vec<u8>>, making: &Making, in_index: impl Fn(&str) -> String) -> Vec<u8> {
     let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in files {
         writer.start_file(name, making.options).unwrap();
@@ -50,7 +55,7 @@ fn archive(files: &BTreeMap<String, Vec<u8>>, making: &Making) -> Vec<u8> {
     let mut entries: Entries = (0..zip.len())
         .map(|i| {
             let file = zip.by_index_raw(i).unwrap();
-            (Md5::digest(file.name().unwrap().as_bytes()).into(), file.header_start())
+            (Md5::digest(in_index(&file.name().unwrap()).as_bytes()).into(), file.header_start())
         })
         .collect();
     in_order(&mut entries);
@@ -125,6 +130,50 @@ fn a_file_whose_name_was_changed_is_not_missing() {
     let (folder, reader) = written(&with_changed_name(archive(&files, &Making::default()), name));
     assert_eq!(read(&folder, &reader, name).as_ref(), Ok(content));
     assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
+}
+
+/// Some programs write names with backslashes, or from the root: those files were said not to be there.
+#[test]
+fn names_of_other_systems_are_found() {
+    let plain = |name: &str| name.replace('\\', "/").trim_start_matches('/').to_owned();
+    // A directory at the end that is read first, and one that is larger than that.
+    for further in [0, 4000] {
+        let names = ["a\\b.glb", "/c/d.glb", "\\e.glb", "f.glb"].map(str::to_owned);
+        let further = (0..further).map(|i| format!("z/one of many files/{i}"));
+        let files: BTreeMap<String, Vec<u8>> =
+            names.iter().cloned().chain(further).map(|name| (name.clone(), plain(&name).into_bytes())).collect();
+        let of_index = archive_named(&files, &Making::default(), plain);
+        for bytes in [of_index, archive(&files, &Making { is_last: false, ..Making::default() })] {
+            let (folder, reader) = written(&bytes);
+            for name in &names {
+                assert_eq!(read(&folder, &reader, &plain(name)), Ok(plain(name).into_bytes()), "{name}");
+            }
+            assert!(matches!(read(&folder, &reader, "b.glb"), Err(IoError::NotFound { .. })));
+        }
+    }
+    let files = BTreeMap::from(["g/h.glb", "g\\h.glb"].map(|name| (name.to_owned(), name.as_bytes().to_vec())));
+    let (folder, reader) = written(&archive(&files, &Making { is_last: false, ..Making::default() }));
+    for (name, content) in &files {
+        assert_eq!(read(&folder, &reader, name).as_ref(), Ok(content), "a name as it is goes first");
+    }
+}
+
+/// Of two files with one name the index had the first and the directory the last.
+#[test]
+fn an_index_with_one_name_twice_is_not_needed() {
+    let files = many();
+    let twice = |entries: &mut Entries| {
+        // Another file's place under this one's name: which is meant the directory says.
+        let hash: [u8; 16] = Md5::digest("a/rather/long/name/of/a/tile/é 7.glb".as_bytes()).into();
+        let at = entries.iter().position(|e| e.0 == hash).unwrap();
+        entries[if at == 0 { 1 } else { at - 1 }].0 = hash;
+    };
+    let bytes = without_directory(archive(&files, &Making { change: twice, ..Making::default() }));
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("set.3tz"), bytes).unwrap();
+    let reader = FileReader::new(Limits::default());
+    let error = read(&folder, &reader, "tileset.json").unwrap_err();
+    assert!(error.to_string().contains("directory"), "the directory, which is broken, was asked: {error}");
 }
 
 #[test]

@@ -188,6 +188,21 @@ fn a_full_disk_stops_no_flight() {
     }
 }
 
+/// Room was made only after something had been written, which a full disk lets nobody do: what was there stayed for good.
+#[test]
+fn on_a_full_disk_the_cache_makes_room() {
+    let (server, disk) = (server(), tempfile::tempdir().unwrap());
+    let cache = disk.path().join("cache");
+    // Bodies that are used no more, and nothing else free.
+    let old = "mount -t tmpfs -o size=1m none $D && mkdir -p $D/cache/blobs/aa $D/cache/tmp && \
+        printf 'terrane cache 1\\n' > $D/cache/terrane-cache && \
+        for i in $(seq 300); do head -c 4096 /dev/zero > $D/cache/blobs/aa/$(printf 'aa%062d' $i) || break; done \
+        2>/dev/null; true";
+    let Some(flown) = flown(Privileges::Mounts, old, &server.url, disk.path(), &cache) else { return };
+    // A tenth of the disk at once.
+    assert!(flown.stored >= 5, "{} {}", flown.stored, flown.write_errors);
+}
+
 #[test]
 fn a_cache_that_may_only_be_read_is_read() {
     let server = server();

@@ -236,6 +236,30 @@ fn a_pause_holds_for_all_requests_to_the_server() {
     });
 }
 
+/// The server that redirects was held to have asked for it, and the one that had asked was asked on.
+#[test]
+fn a_pause_is_for_the_server_that_asked_for_it() {
+    let other = Server::start(|_| Reply::new(503, "").with("Retry-After", "600"));
+    let to_other = format!("{}/there", other.url);
+    let server = Server::start(move |r| match r.path() {
+        "/moved" => Reply::new(302, "").with("Location", &to_other),
+        _ => Reply::ok("body"),
+    });
+    let client = HttpClient::new(&quick()).unwrap();
+    runtime().block_on(async {
+        let limits = Limits::default();
+        let moved = format!("{}/moved", server.url);
+        assert!(client.get(&moved, &limits).await.is_err());
+        client.get(&format!("{}/own", server.url), &limits).await.unwrap();
+        let direct = client.get(&format!("{}/direct", other.url), &limits).await.unwrap_err();
+        let again = client.get(&moved, &limits).await.unwrap_err();
+        for error in [direct, again] {
+            assert!(error.retry_after().is_some_and(|left| left > Duration::from_secs(500)), "{error:?}");
+        }
+    });
+    assert_eq!((other.count(), server.count()), (1, 3), "the pause holds wherever the way there begins");
+}
+
 /// The pause was cut to what one request waits: then all that waited came at once, and so on.
 #[test]
 fn a_long_pause_is_kept_without_asking() {

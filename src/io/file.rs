@@ -106,9 +106,10 @@ pub(crate) fn gunzip(uri: &str, bytes: Vec<u8>, limits: &Limits) -> Result<Vec<u
     if !bytes.starts_with(&[0x1f, 0x8b]) {
         return Ok(bytes);
     }
-    let mut plain = Vec::with_capacity(bytes.len() * 3);
+    let most = limits.max_file_bytes.saturating_add(1);
+    let mut plain = Vec::with_capacity(most.min(bytes.len() as u64 * 3) as usize);
     flate2::read::MultiGzDecoder::new(bytes.as_slice())
-        .take(limits.max_file_bytes + 1)
+        .take(most)
         .read_to_end(&mut plain)
         .map_err(|e| IoError::invalid(uri, format!("gzip: {e}")))?;
     check(uri, plain.len() as u64, limits)?;

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::height::SetExtras;
 use super::tileset::{self, TileJson};
+use super::uri::path_of;
 use super::{IoError, Limits, ReadOptions, Source, is_remote, resolve, root_uri, shown};
 use crate::scene::Page;
 
@@ -171,7 +172,7 @@ impl Walk<'_> {
                     continue;
                 }
             };
-            if uri.split(['?', '#']).next().is_some_and(|path| path.ends_with(".json")) {
+            if path_of(&uri).ends_with(".json") {
                 if !self.meets() {
                     return false;
                 }
@@ -262,5 +263,31 @@ impl std::fmt::Display for Info {
             write!(f, "\n  {}: {}", e.uri, e.reason)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Its path was cut at the sign: tilesets below counted as contents.
+    #[test]
+    fn a_folder_may_have_the_signs_of_a_query() {
+        let tile = |uri: &str| {
+            format!(
+                r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{{"geometricError":0,
+                "boundingVolume":{{"sphere":[0,0,0,1]}},"content":{{"uri":"{uri}"}}}}}}"#
+            )
+        };
+        for name in ["c#", "what?"] {
+            let folder = tempfile::tempdir().unwrap();
+            let set = folder.path().join(name);
+            std::fs::create_dir(&set).unwrap();
+            for (file, content) in [("tileset.json", "below.json"), ("below.json", "a.glb"), ("a.glb", "")] {
+                std::fs::write(set.join(file), tile(content)).unwrap();
+            }
+            let info = inspect(set.to_str().unwrap(), &Limits::default()).unwrap();
+            assert_eq!((info.tiles, info.contents, info.failed), (2, 1, 0), "{name}: {:?}", info.errors);
+        }
     }
 }

@@ -11,6 +11,7 @@ use serde::de::IgnoredAny;
 
 use super::extras::Extras;
 use super::height::{HeightSet, SetExtras, TileExtras};
+use super::uri::path_of;
 use super::{IoError, ReadOptions, resolve};
 use crate::math::{BoundingSphere, BoundingVolume, OrientedBox, Region};
 use crate::scene::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
@@ -195,8 +196,7 @@ impl Reader<'_> {
         for content in json.content.iter().chain(&json.contents) {
             let reference = content.uri().ok_or_else(|| IoError::invalid(self.uri, "content without a uri"))?;
             let uri = resolve(self.uri, reference, &self.options.root)?;
-            let path = uri.split(['?', '#']).next().unwrap_or(&uri);
-            if path.ends_with(".json") {
+            if path_of(&uri).ends_with(".json") {
                 children.push(Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
                     uri,
                     bounds: bounds.bounding_sphere(),

@@ -96,6 +96,11 @@ pub fn shown(uri: &str) -> Cow<'_, str> {
     Cow::Owned(text)
 }
 
+/// A URI without its query. A file's name may have the same signs.
+pub(crate) fn path_of(uri: &str) -> &str {
+    if is_remote(uri) { uri.split(['?', '#']).next().unwrap_or(uri) } else { uri }
+}
+
 /// What a person typed, as a URI: a folder or an archive means its tileset.json, a file itself, a URL ending in `/` or
 /// in the name of an archive its tileset.json.
 pub fn root_uri(source: &str) -> Result<Arc<str>, IoError> {

@@ -3,7 +3,9 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-pub use terrane::gpu::{CompileBudget, CompileOperation, Compiled, ContextTraits, GpuError, SurfaceAnswer};
+pub use terrane::gpu::{
+    CompileBudget, CompileOperation, CompileStats, Compiled, ContextTraits, GpuError, SurfaceAnswer,
+};
 use terrane::scene::{DrawSlot, Mesh};
 
 use super::Seen;
@@ -61,7 +63,13 @@ impl GraphicsContext {
 
     pub fn cancel_compiles(&mut self, _tickets: &[u64]) {}
 
-    pub fn run_compiles(&mut self, _budget: &CompileBudget) {}
+    pub fn run_compiles(&mut self, _budget: &CompileBudget) -> CompileStats {
+        CompileStats::default()
+    }
+
+    pub fn lacks_memory(&self) -> bool {
+        false
+    }
 
     pub fn pending_compiles(&self) -> usize {
         0

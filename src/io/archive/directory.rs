@@ -1,5 +1,7 @@
 //! The central directory of a zip file (PKWARE's APPNOTE, 4.3.12 to 4.3.16), with its 64-bit parts.
 
+use std::borrow::Cow;
+
 use crate::io::{IoError, Limits};
 
 /// The end of the file in which the directory's end is looked for: the longest comment and both end records, and room
@@ -122,6 +124,22 @@ pub(crate) struct Member {
 pub(crate) struct Directory {
     bytes: Vec<u8>,
     headers: Vec<u32>,
+    /// Those whose names are not written as they should be, sorted by what is meant.
+    odd: Vec<u32>,
+}
+
+/// What a name means: some programs write backslashes (as .NET's on Windows did), or names from the root.
+fn meant(name: &[u8]) -> Cow<'_, [u8]> {
+    if !name.contains(&b'\\') && !name.starts_with(b"/") {
+        return Cow::Borrowed(name);
+    }
+    let slashes = name.iter().map(|byte| if *byte == b'\\' { b'/' } else { *byte });
+    Cow::Owned(slashes.skip_while(|byte| *byte == b'/').collect())
+}
+
+/// A name in an archive is that of the wanted file.
+pub(super) fn is_name_of(name: &[u8], wanted: &str) -> bool {
+    name == wanted.as_bytes() || meant(name) == wanted.as_bytes()
 }
 
 impl Directory {
@@ -146,7 +164,9 @@ impl Directory {
         let name = |at: &u32| name(&bytes, *at as usize).unwrap_or_default();
         // Stable: of two with one name the later is last.
         headers.sort_by(|a, b| name(a).cmp(name(b)));
-        Ok(Self { bytes, headers })
+        let mut odd: Vec<u32> = headers.iter().filter(|at| matches!(meant(name(at)), Cow::Owned(_))).copied().collect();
+        odd.sort_by_cached_key(|at| (meant(name(at)).into_owned(), *at));
+        Ok(Self { bytes, headers, odd })
     }
 
     /// These bytes are those of this one.
@@ -157,15 +177,18 @@ impl Directory {
 
     /// Bytes that it takes.
     pub fn bytes(&self) -> usize {
-        self.bytes.len() + size_of_val(self.headers.as_slice())
+        self.bytes.len() + size_of_val(self.headers.as_slice()) + size_of_val(self.odd.as_slice())
     }
 
     /// The file of that name; of several, the last.
     pub fn find(&self, wanted: &str) -> Option<Member> {
-        let of = |at: &u32| name(&self.bytes, *at as usize).unwrap_or_default();
-        let after = self.headers.partition_point(|at| of(at) <= wanted.as_bytes());
-        let at = self.headers.get(after.checked_sub(1)?).filter(|at| of(at) == wanted.as_bytes())?;
-        header(&self.bytes, *at as usize).map(|(member, _)| member)
+        let (of, wanted) = (|at: &u32| name(&self.bytes, *at as usize).unwrap_or_default(), wanted.as_bytes());
+        let last = |sorted: &[u32], is_before: &dyn Fn(&u32) -> bool| {
+            sorted.get(sorted.partition_point(is_before).checked_sub(1)?).copied()
+        };
+        let plain = last(&self.headers, &|at| of(at) <= wanted).filter(|at| of(at) == wanted);
+        let odd = || last(&self.odd, &|at| *meant(of(at)) <= *wanted).filter(|at| *meant(of(at)) == *wanted);
+        header(&self.bytes, plain.or_else(odd)? as usize).map(|(member, _)| member)
     }
 }
 

@@ -5,7 +5,7 @@
 
 use md5::{Digest as _, Md5};
 
-use super::directory::{End, Member, Span, header, name, number, wide_field};
+use super::directory::{End, Member, Span, header, is_name_of, name, number, wide_field};
 use super::member::{STORED, data_of};
 
 const NAME: &[u8] = b"@3dtilesIndex1@";
@@ -20,7 +20,7 @@ const SIZES_FOLLOW: u64 = 1 << 3;
 /// The index, as far as it is consistent in itself.
 #[derive(Debug)]
 pub(crate) struct Index {
-    /// Ascending.
+    /// Ascending, each once.
     hashes: Vec<u128>,
     /// Of the headers, beside their hashes.
     offsets: Vec<u64>,
@@ -64,7 +64,8 @@ impl Index {
             hashes.push(key(entry)?);
             offsets.push(number::<8>(entry, 16).filter(|offset| *offset < directory.offset)?);
         }
-        if !hashes.is_sorted() {
+        // Of two files with one name the directory says which is meant.
+        if !hashes.is_sorted_by(|a, b| a < b) {
             return None;
         }
         let mut ends: Vec<u64> = offsets.iter().copied().chain([place.offset, directory.offset]).collect();
@@ -104,9 +105,7 @@ pub(crate) fn own_header(piece: &[u8], offset: u64, wanted: &str) -> Option<Memb
     (number::<4>(piece, 0)? == LOCAL_HEADER).then_some(())?;
     let flags = number::<2>(piece, 6)?;
     let (name_bytes, extra_bytes) = (number::<2>(piece, 26)? as usize, number::<2>(piece, 28)? as usize);
-    let name = std::str::from_utf8(piece.get(30..30 + name_bytes)?).ok()?;
-    let is_wanted = name.replace('\\', "/").trim_start_matches('/') == wanted;
-    if !is_wanted || flags & SIZES_FOLLOW != 0 {
+    if !is_name_of(piece.get(30..30 + name_bytes)?, wanted) || flags & SIZES_FOLLOW != 0 {
         return None;
     }
     let mut member = Member {

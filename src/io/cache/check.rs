@@ -57,6 +57,7 @@ impl DiskCache {
     /// Removes everything, and says how many bytes that were. The folder stays a cache.
     pub fn clear(&self) -> Result<u64, IoError> {
         let (mut bytes, mut left) = (0, Left::default());
+        self.files.remove_left_overs().map_err(|e| self.failed(&e))?;
         for found in self.scan("keys")?.into_iter().chain(self.scan("blobs")?) {
             bytes += if left.removes(&found.path) { found.size } else { 0 };
         }

@@ -180,11 +180,22 @@ impl Files {
         Ok(found)
     }
 
+    /// Bytes of keys and blobs.
+    pub fn bytes(&self) -> io::Result<u64> {
+        Ok(self.scan("keys")?.iter().chain(&self.scan("blobs")?).map(|f| f.size).sum())
+    }
+
     /// Removes what processes that were killed were writing.
     pub fn remove_left_overs(&self) -> io::Result<()> {
+        let now = SystemTime::now();
         for path in read_dir(&self.folder.join("tmp"))? {
-            let age = fs::metadata(&path).and_then(|m| m.modified()).ok().and_then(|m| m.elapsed().ok());
-            if age.is_some_and(|age| age > TEMPORARY_AGE) {
+            let Ok(modified) = fs::metadata(&path).and_then(|m| m.modified()) else { continue };
+            let is_old = match now.duration_since(modified) {
+                Ok(age) => age > TEMPORARY_AGE,
+                // From before the clock was set back.
+                Err(ahead) => ahead.duration() > CLOCK_DRIFT,
+            };
+            if is_old {
                 let _ = fs::remove_file(&path);
             }
         }
@@ -194,8 +205,12 @@ impl Files {
 
 /// There is no room, on the disk or for this user or process.
 fn is_full(error: &io::Error) -> bool {
-    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
-    matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+    is_disk_full(error) || error.kind() == io::ErrorKind::FileTooLarge
+}
+
+/// There is no room, but what is removed makes some.
+pub(super) fn is_disk_full(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
 
 fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
@@ -236,6 +251,23 @@ mod tests {
         for odd in ["", "ba78", &hex(&of).to_uppercase(), &"g".repeat(64), &"é".repeat(32)] {
             assert_eq!(unhex(odd), None, "{odd}");
         }
+    }
+
+    /// One from a time that has yet to come stayed for good.
+    #[test]
+    fn left_overs_of_any_clock_go() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = Files::open(folder.path()).unwrap();
+        let (now, hour) = (SystemTime::now(), Duration::from_secs(3600));
+        let times =
+            [("old", now - 2 * hour), ("ahead", now + 24 * hour), ("new", now), ("drifted", now + CLOCK_DRIFT / 2)];
+        for (name, time) in times {
+            let file = fs::File::create(folder.path().join("tmp").join(name)).unwrap();
+            file.set_modified(time).unwrap();
+        }
+        files.remove_left_overs().unwrap();
+        let left = times.map(|(name, _)| folder.path().join("tmp").join(name).exists());
+        assert_eq!(left, [false, false, true, true]);
     }
 
     #[test]

@@ -214,6 +214,7 @@ impl DiskCache {
         // One body is not worth all others.
         if size > self.max_bytes / 8 {
             add(&self.counts.too_large, 1);
+            self.leave_out(uri);
             return;
         }
         let hash = files::hash(body);
@@ -221,9 +222,17 @@ impl DiskCache {
         entry.size = size;
         let blob = self.files.blob(&hash);
         let there = fs::metadata(&blob).is_ok_and(|m| m.is_file() && m.len() == size);
-        let written = if there { files::touch(&blob) } else { self.files.write(&blob, body) };
-        if let Err(e) = written.and_then(|()| self.renew(uri, &entry)) {
+        let write = || {
+            let written = if there { files::touch(&blob) } else { self.files.write(&blob, body) };
+            written.and_then(|()| self.renew(uri, &entry))
+        };
+        let mut written = write();
+        if written.as_ref().is_err_and(files::is_disk_full) && self.makes_room_on_disk(&hash, size) {
+            written = write();
+        }
+        if let Err(e) = written {
             self.say(&e);
+            self.leave_out(uri);
             return;
         }
         let key = self.key_of(uri);
@@ -260,6 +269,11 @@ impl DiskCache {
         // Before looking for the file: `store` looks here after writing it, so that one of the two sees the other.
         lock(&self.refused).put(key, Instant::now());
         self.remove_entry(&key);
+    }
+
+    /// Drops what is known of a URI, of which something came that is not kept. Others may have the same body.
+    pub(crate) fn leave_out(&self, uri: &str) {
+        let _ = fs::remove_file(self.files.key(&self.key_of(uri)));
     }
 
     fn remove_entry(&self, key: &Hash) {

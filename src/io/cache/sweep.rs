@@ -5,12 +5,16 @@
 
 use std::fs;
 use std::io;
+use std::time::{Duration, Instant};
 
 use super::files::{Found, Hash, LOCK};
 use super::store::{DiskCache, add, lock};
 
 /// Room that is made at once, of the limit.
 const FREED_SHARE: u64 = 10;
+/// On a full disk room is made at most so often: it may be others who fill it.
+const FULL_EVERY: Duration = Duration::from_secs(5);
+
 /// What a process knows of the size.
 #[derive(Debug)]
 pub(super) struct Room {
@@ -21,11 +25,13 @@ pub(super) struct Room {
     written_bytes: u64,
     /// A thread is looking; the others go on meanwhile.
     is_swept: bool,
+    /// When the disk was last found full.
+    full: Option<Instant>,
 }
 
 impl Room {
     pub fn new(max_bytes: u64) -> Self {
-        Self { max_bytes, seen_bytes: None, written_bytes: 0, is_swept: false }
+        Self { max_bytes, seen_bytes: None, written_bytes: 0, is_swept: false, full: None }
     }
 
     fn is_due(&self) -> bool {
@@ -50,6 +56,28 @@ impl DiskCache {
         let max_bytes = room.max_bytes;
         drop(room);
         let left = self.sweep(max_bytes, newest);
+        self.looked(left);
+    }
+
+    /// Makes room where the disk has none for a body: down to the limit, which may have been another one, or by as much
+    /// as the body takes. Whether to try again.
+    pub(super) fn makes_room_on_disk(&self, newest: &Hash, size: u64) -> bool {
+        let mut room = lock(&self.room);
+        if room.is_swept || room.full.is_some_and(|before| before.elapsed() < FULL_EVERY) {
+            return false;
+        }
+        (room.is_swept, room.full) = (true, Some(Instant::now()));
+        let max_bytes = room.max_bytes;
+        drop(room);
+        let there = self.files.bytes();
+        let left = there.and_then(|there| self.sweep(max_bytes.min(there.saturating_sub(size)), newest));
+        let is_done = matches!(left, Ok(Some(_)));
+        // A failure here is said as that of the write.
+        self.looked(left.or(Ok(None)));
+        is_done
+    }
+
+    fn looked(&self, left: io::Result<Option<u64>>) {
         let mut room = lock(&self.room);
         room.is_swept = false;
         match left {

@@ -167,19 +167,32 @@ impl Fill<'_> {
         progress: &mut dyn FnMut(&Filled) -> ControlFlow<()>,
     ) -> Result<(), IoError> {
         let mut tasks: JoinSet<Done> = JoinSet::new();
+        let mut under_way = HashMap::new();
         loop {
             while !self.filled.stopped
                 && tasks.len() < self.options.in_flight.max(1)
                 && let Some(job) = self.jobs.pop()
             {
                 let (client, limits, refresh) = (client.clone(), self.options.limits, self.options.refresh);
-                tasks.spawn(async move { fetch(&client, job, &limits, refresh).await });
+                let of = (job.uri.clone(), job.is_again);
+                let task = tasks.spawn(async move { fetch(&client, job, &limits, refresh).await });
+                under_way.insert(task.id(), of);
             }
-            match tokio::time::timeout(LOOK, tasks.join_next()).await {
+            match tokio::time::timeout(LOOK, tasks.join_next_with_id()).await {
                 Ok(None) => return Ok(()),
-                Ok(Some(Ok(done))) => self.take(client, done, root)?,
+                Ok(Some(Ok((id, done)))) => {
+                    under_way.remove(&id);
+                    self.take(client, done, root)?;
+                }
                 // Given up.
-                Ok(Some(Err(_))) => continue,
+                Ok(Some(Err(e))) if e.is_cancelled() => continue,
+                // A panic.
+                Ok(Some(Err(e))) => {
+                    let (uri, is_again) = under_way.remove(&e.id()).unwrap_or_else(|| (root.clone(), false));
+                    let error =
+                        IoError::Network { uri: uri.to_string(), reason: "the thread for it stopped".to_owned() };
+                    self.failed((&uri, is_again), error, root)?;
+                }
                 Err(_) => {}
             }
             let is_over = self.jobs.is_empty() && tasks.is_empty();
@@ -204,12 +217,18 @@ impl Fill<'_> {
             Ok(()) if done.job.is_again => {}
             Ok(()) if done.was_kept => self.filled.kept += 1,
             Ok(()) => self.filled.fetched += 1,
-            Err(error) if done.job.uri == *root => return Err(error),
-            Err(error) => {
-                self.filled.found += u64::from(done.job.is_again);
-                self.fail(&error);
-            }
+            Err(error) => self.failed((&done.job.uri, done.job.is_again), error, root)?,
         }
+        Ok(())
+    }
+
+    fn failed(&mut self, of: (&Arc<str>, bool), error: IoError, root: &Arc<str>) -> Result<(), IoError> {
+        let (uri, is_again) = of;
+        if uri == root {
+            return Err(error);
+        }
+        self.filled.found += u64::from(is_again);
+        self.fail(&error);
         Ok(())
     }
 

@@ -304,7 +304,7 @@ impl HttpClient {
         cache.count_miss();
         let freshness = part.freshness;
         if !freshness.store {
-            return;
+            return self.leave_out(cache, uri).await;
         }
         let mut entry = Entry { uri: shown(uri).into_owned(), ..Entry::default() };
         entry.checked(SystemTime::now(), freshness.fresh_for);
@@ -323,12 +323,19 @@ impl HttpClient {
         if is_pmtiles(url.split('?').next().unwrap_or(url)) {
             return self.open_tiles(url, limits, network_bytes).await;
         }
+        let end = |length: u64| {
+            let size = length.min(TAIL_BYTES);
+            Span { offset: length - size, size }
+        };
         let tail = match self.part(url, &format!("bytes=-{TAIL_BYTES}"), limits, network_bytes).await {
             // Some servers (Azure's) know no range that counts from the end: the length comes with any other.
             Err(IoError::Unsupported { .. } | IoError::Status { status: 400 | 416, .. }) => {
                 let length = self.part(url, "bytes=0-0", limits, network_bytes).await?.length;
-                let size = length.min(TAIL_BYTES);
-                self.part(url, &range(Span { offset: length - size, size }), limits, network_bytes).await?
+                self.part(url, &range(end(length)), limits, network_bytes).await?
+            }
+            // Others take it for one from the beginning.
+            Ok(part) if part.offset + part.bytes.len() as u64 != part.length => {
+                self.part(url, &range(end(part.length)), limits, network_bytes).await?
             }
             other => other?,
         };

@@ -39,8 +39,8 @@ impl HttpClient {
             tokio::join!(self.get_new(cache, uri, Some(&entry), limits), body_of(cache, uri, &entry, limits));
         let (body, not_modified) = answer?;
         let Some(not_modified) = not_modified else { return Ok(body) };
-        let Some(bytes) = kept? else {
-            // It holds, but it is gone.
+        // It holds, but it is gone; or what holds is another one.
+        let Some(bytes) = kept?.filter(|_| !is_of_another(&entry, &not_modified.headers)) else {
             return self.get_new(cache, uri, None, limits).await.map(|(body, _)| body);
         };
         if !not_modified.freshness.store {
@@ -94,6 +94,8 @@ impl HttpClient {
             keep_validators(&mut entry, &answer.headers);
             let of = uri.to_owned();
             self.write_behind(cache, move |cache| cache.store(&of, entry, &answer.body, asked)).await;
+        } else {
+            self.leave_out(cache, uri).await;
         }
         Ok((HttpBody { bytes, network_bytes, asked: true }, None))
     }
@@ -141,6 +143,12 @@ impl HttpClient {
         .await
     }
 
+    /// A new answer is not to be kept, and what is kept of before holds no longer.
+    pub(super) async fn leave_out(&self, cache: &Arc<DiskCache>, uri: &str) {
+        let of = uri.to_owned();
+        self.write_behind(cache, move |cache| cache.leave_out(&of)).await;
+    }
+
     /// Writes on a thread that may wait, after the answer is on its way.
     pub(super) async fn write_behind(&self, cache: &Arc<DiskCache>, write: impl FnOnce(&DiskCache) + Send + 'static) {
         let Ok(permit) = self.inner.writes.clone().acquire_owned().await else { return };
@@ -185,6 +193,15 @@ fn validate(headers: &mut HeaderMap, entry: &Entry) {
     };
     set(IF_NONE_MATCH, &entry.etag);
     set(IF_MODIFIED_SINCE, &entry.last_modified);
+}
+
+/// "Not modified" that is said of another body than the kept one (RFC 9111, 4.3.4): a date alone may fit both.
+fn is_of_another(kept: &Entry, headers: &HeaderMap) -> bool {
+    fn opaque(tag: &str) -> &str {
+        tag.strip_prefix("W/").unwrap_or(tag)
+    }
+    let told = headers.get(ETAG).and_then(|tag| tag.to_str().ok());
+    matches!((&kept.etag, told), (Some(kept), Some(told)) if opaque(kept) != opaque(told))
 }
 
 pub(super) fn keep_validators(entry: &mut Entry, headers: &HeaderMap) {

@@ -13,7 +13,7 @@ use reqwest::header::{HeaderMap, IF_MODIFIED_SINCE, IF_NONE_MATCH, LOCATION, RAN
 use url::Url;
 
 use super::HttpConfig;
-use super::retry::retry_after;
+use super::retry::{Pause, Pauses, retry_after};
 use crate::io::cache::Freshness;
 use crate::io::{IoError, Limits, shown};
 
@@ -49,6 +49,8 @@ pub(super) struct Answer {
     pub freshness: Freshness,
     /// Where redirects led to, without the query; `None` where there were none.
     pub redirected_to: Option<String>,
+    /// Who answered; `None`: who was asked.
+    pub origin: Option<String>,
 }
 
 impl Answer {
@@ -94,24 +96,34 @@ impl Exchange<'_> {
         answer.await
     }
 
-    pub async fn run(&self, uri: &str) -> Result<Answer, IoError> {
+    /// Asks, and asks on where it is sent to; but nobody who asked for a pause.
+    pub async fn run(&self, uri: &str, pauses: &Pauses) -> Result<Answer, IoError> {
         let mut url = parse(uri)?;
         let mut hops: Vec<(u16, HeaderMap)> = Vec::new();
+        let mut is_for_all = true;
         for _ in 0..=MAX_REDIRECTS {
             let are_its_own = match self.validated_at {
                 Some(place) => place == place_of(&url),
                 None => hops.is_empty(),
             };
+            // Whoever is asked first is looked at before.
+            if !hops.is_empty()
+                && let Some(Pause { status, left }) = pauses.of(&url.origin().ascii_serialization())
+            {
+                return Err(IoError::Status { uri: uri.to_owned(), status, retry_after: Some(left) });
+            }
             let response = self.send(uri, &url, are_its_own).await?;
             let status = response.status().as_u16();
+            is_for_all &= !self.depends_on_credentials(&url, response.headers());
             let location = response.headers().get(LOCATION).filter(|_| matches!(status, 301 | 302 | 303 | 307 | 308));
             let Some(location) = location else {
                 let mut answer = self.read(uri, response).await?;
-                answer.freshness.store &= !self.depends_on_credentials(&url, &answer.headers);
+                answer.freshness.store &= is_for_all;
                 let now = SystemTime::now();
                 let behind = |own: Freshness, (status, headers): &(u16, HeaderMap)| own.behind(*status, headers, now);
                 answer.freshness = hops.iter().fold(answer.freshness, behind);
                 answer.redirected_to = (!hops.is_empty()).then(|| place_of(&url));
+                answer.origin = Some(url.origin().ascii_serialization());
                 return Ok(answer);
             };
             let location = location.to_str().map_err(|_| refused(uri, "redirected to no URL".to_owned()))?;
@@ -183,7 +195,7 @@ impl Exchange<'_> {
         let freshness = Freshness::of(&headers, SystemTime::now());
         if !matches!(status, 200 | 203 | 206) {
             self.drain(response).await;
-            return Ok(Answer { status, headers, body: Vec::new(), freshness, redirected_to: None });
+            return Ok(Answer { status, headers, body: Vec::new(), freshness, redirected_to: None, origin: None });
         }
         let mut limit = self.limits.max_file_bytes;
         let length = response.content_length();
@@ -204,7 +216,9 @@ impl Exchange<'_> {
         loop {
             let piece = match tokio::time::timeout(self.config.read_timeout, response.chunk()).await {
                 Ok(Ok(Some(piece))) => piece,
-                Ok(Ok(None)) => return Ok(Answer { status, headers, body, freshness, redirected_to: None }),
+                Ok(Ok(None)) => {
+                    return Ok(Answer { status, headers, body, freshness, redirected_to: None, origin: None });
+                }
                 Ok(Err(e)) => return Err(IoError::Network { uri: uri.to_owned(), reason: chain(e) }),
                 Err(_) => return Err(timed_out(uri, "reading the answer", self.config.read_timeout)),
             };

@@ -209,12 +209,15 @@ impl HttpClient {
             let exchange = Exchange { client, config, limits, headers, validated_at, received: Arc::default() };
             let error = match exchange.in_time(uri, self.once(uri, &exchange)).await {
                 Ok(answer) if answer.is_success() => return Ok(answer),
-                Ok(answer) => answer.error(uri),
+                Ok(answer) => {
+                    let error = answer.error(uri);
+                    if let IoError::Status { status: status @ (429 | 503), retry_after: Some(left), .. } = error {
+                        pauses.pause(answer.origin.as_ref().unwrap_or(&server), Pause { status, left });
+                    }
+                    error
+                }
                 Err(error) => error,
             };
-            if let IoError::Status { status: status @ (429 | 503), retry_after: Some(left), .. } = error {
-                pauses.pause(&server, Pause { status, left });
-            }
             if !error.is_transient() || tries_left == 0 {
                 return Err(error);
             }
@@ -228,7 +231,7 @@ impl HttpClient {
 
     async fn once(&self, uri: &str, exchange: &Exchange<'_>) -> Result<exchange::Answer, IoError> {
         if !is_store(uri) {
-            return exchange.run(uri).await;
+            return exchange.run(uri, &self.inner.pauses).await;
         }
         #[cfg(feature = "object-store")]
         return self.inner.stores.get(uri, exchange).await;

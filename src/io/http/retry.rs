@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
-use reqwest::header::{HeaderMap, RETRY_AFTER};
+use reqwest::header::{DATE, HeaderMap, RETRY_AFTER};
 
 /// No pause is kept for longer, whatever a server asks for.
 const LONGEST_PAUSE: Duration = Duration::from_secs(3600);
@@ -49,14 +49,15 @@ impl Backoff {
     }
 }
 
-/// What `Retry-After` asks for: seconds, or a date (RFC 9110, 10.2.3).
+/// What `Retry-After` asks for: seconds, or a date (RFC 9110, 10.2.3) by the server's own clock, where it tells that.
 pub(super) fn retry_after(headers: &HeaderMap, now: SystemTime) -> Option<Duration> {
     let text = headers.get(RETRY_AFTER)?.to_str().ok()?.trim();
     if !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit()) {
         // More digits than a u64 holds are a long time too.
         return Some(Duration::from_secs(text.parse::<u32>().unwrap_or(u32::MAX).into()));
     }
-    Some(httpdate::parse_http_date(text).ok()?.duration_since(now).unwrap_or_default())
+    let told = headers.get(DATE).and_then(|date| httpdate::parse_http_date(date.to_str().ok()?.trim()).ok());
+    Some(httpdate::parse_http_date(text).ok()?.duration_since(told.unwrap_or(now)).unwrap_or_default())
 }
 
 /// Why requests to a server have to wait, and how long.
@@ -139,6 +140,14 @@ mod tests {
         assert_eq!(of("99999999999999999999999"), Some(Duration::from_secs(u32::MAX.into())));
         assert_eq!(of("Sun, 09 Sep 2001 01:47:10 GMT"), Some(Duration::from_secs(30)));
         assert_eq!(of("Sun, 09 Sep 2001 01:46:00 GMT"), Some(Duration::ZERO), "gone by");
+        // By a clock that is not this one: it was an hour, or nothing.
+        for (date, until) in [
+            ("Sun, 09 Sep 2001 00:46:40 GMT", "Sun, 09 Sep 2001 00:47:10 GMT"),
+            ("Sun, 09 Sep 2001 02:46:40 GMT", "Sun, 09 Sep 2001 02:47:10 GMT"),
+        ] {
+            let headers = [(DATE, date), (RETRY_AFTER, until)].map(|(n, v)| (n, HeaderValue::from_static(v)));
+            assert_eq!(retry_after(&HeaderMap::from_iter(headers), now), Some(Duration::from_secs(30)), "{date}");
+        }
         for odd in ["", "-5", "soon", "1.5"] {
             assert_eq!(of(odd), None, "{odd}");
         }

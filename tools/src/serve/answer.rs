@@ -155,9 +155,12 @@ impl Server {
         let is_faulty = self.is_faulty.load(Ordering::Acquire);
         let wanted = request.wanted();
         // What is asked for before the faults begin, or after they end, shifts nothing.
-        let number = if is_faulty { self.turns.next(&wanted) } else { 0 };
+        // Nor is it remembered where nothing depends on it.
+        let rates = self.args.rates();
+        let is_drawn = self.args.jitter_ms > 0.0 || rates.iter().any(|(rate, _)| *rate > 0.0);
+        let number = if is_faulty && is_drawn { self.turns.next(&wanted) } else { 0 };
         let mut chance = Chance::new(self.args.seed, &wanted, number);
-        let fate = if is_faulty { chance.fate(&self.args.rates()) } else { Fate::Whole };
+        let fate = if is_faulty { chance.fate(&rates) } else { Fate::Whole };
         let wait_ms = self.args.latency_ms + self.args.jitter_ms * chance.share();
         Lot { wait: Duration::from_secs_f64(wait_ms / 1e3), fate, chance }
     }
