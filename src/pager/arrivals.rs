@@ -43,12 +43,8 @@ impl DatabasePager {
             None => {
                 self.stats.cancelled += 1;
                 timeline::request_ends(self.threads.list.ticket_source | answer.job.ticket, "cancelled");
-                if !entry.rests()
-                    && let Some(entry) = self.entries.remove(&slot)
-                    && entry.wanted_frame == self.frame
-                {
-                    // Somebody wants it after all.
-                    self.ask_again(entry);
+                if !entry.rests() {
+                    self.entries.remove(&slot);
                 }
             }
             Some(Err(error)) => {
