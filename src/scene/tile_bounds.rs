@@ -89,7 +89,7 @@ impl TileGrid {
         if all.step_m <= FINE_STEP_M {
             return all;
         }
-        // Numbers alone have a middle.
+        // Not empty: a page without tiles has the finest grid.
         let mut axes: [Vec<f64>; 3] = std::array::from_fn(|k| bounds.iter().map(|b| b.center[k]).collect());
         let mut middle = |k: usize| *axes[k].select_nth_unstable_by(bounds.len() / 2, f64::total_cmp).1;
         let middle = DVec3::new(middle(0), middle(1), middle(2));
