@@ -16,7 +16,7 @@ use glam::DVec3;
 use pager_support::Run;
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{HttpConfig, IoError, Limits, ReadOptions, root_uri};
-use terrane::pager::{DatabasePager, ErrorRecord, PagerConfig};
+use terrane::pager::{DatabasePager, ErrorRecord, PagerConfig, PagerStats};
 use terrane::scene::{NodeId, SlotState};
 
 /// What the server does with a request.
@@ -385,6 +385,26 @@ fn tries_are_not_forgotten_where_a_request_goes_stale() {
     let end = Instant::now() + 10 * wait;
     run.until(NEAR, "", |_| Instant::now() > end);
     assert_eq!((run.pager.stats().failed, server.requests(url)), (2, 3));
+}
+
+/// What failed was met in each frame, wanted in none, and so asked for and given up for ever.
+#[test]
+fn what_failed_is_asked_for_again_by_who_wants_it() {
+    let url = "/set/root.glb";
+    let server = Server::start(set(), move |path, n| match n {
+        0 if path == url => Answer::Status(503),
+        _ if path == url => Answer::Silent,
+        _ => Answer::Whole,
+    });
+    let wait = Duration::from_millis(20);
+    let http = HttpConfig { max_retries: 0, ..patient().http };
+    let mut run = run_of(&server, PagerConfig { max_tries: None, retry_after: wait, http, ..patient() });
+    let has_children = |s: &PagerStats| (s.merged, s.failed, s.in_flight) == (CHILDREN as u64, 1, 0);
+    run.until(NEAR, "the children are not there", |r| has_children(r.pager.stats()));
+    let (asked, end) = (server.requests(url), Instant::now() + 10 * wait);
+    run.until(NEAR, "", |_| Instant::now() > end);
+    assert_eq!((run.stage.counters.tiles_drawn, server.requests(url)), (CHILDREN as u32, asked));
+    run.until(FAR, "is not asked for", |_| server.requests(url) == asked + 1);
 }
 
 #[test]

@@ -46,10 +46,12 @@ pub(super) enum Progress {
     Waiting,
     Loading,
     Arrived(Arrived),
-    /// Not before this moment.
+    /// Not to be asked for before this moment.
     Failed {
         retry_at: Option<Instant>,
     },
+    /// It failed and may be asked for again, by whoever wants it.
+    Resting,
 }
 
 /// A request and what became of it.
@@ -86,15 +88,25 @@ impl Entry {
         matches!(self.progress, Progress::Waiting | Progress::Loading)
     }
 
+    /// Nothing is asked for: it failed before.
+    pub fn has_failed(&self) -> bool {
+        matches!(self.progress, Progress::Failed { .. } | Progress::Resting)
+    }
+
     /// It failed, in passing.
     pub fn will_be_tried(&self) -> bool {
         matches!(self.progress, Progress::Failed { retry_at: Some(_) })
     }
 
+    /// It failed, and has waited long enough.
+    pub fn is_due(&self, now: Instant) -> bool {
+        matches!(self.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
+    }
+
     /// Nobody wants it any longer. False where it can be forgotten: tries that failed are not, so that whoever comes back
     /// does not make them again.
     pub fn rests(&mut self) -> bool {
-        self.progress = Progress::Failed { retry_at: Some(Instant::now()) };
+        self.progress = Progress::Resting;
         !self.tries.is_none()
     }
 }

@@ -154,8 +154,7 @@ impl DatabasePager {
     pub fn clear(&mut self, scene: &mut Scene, contexts: &mut [&mut dyn CompileContext]) {
         self.page_anew(scene, contexts);
         let number = scene.number();
-        let has_failed =
-            |slot: &NodeId, e: &Entry| slot.page.scene == number && matches!(e.progress, Progress::Failed { .. });
+        let has_failed = |slot: &NodeId, e: &Entry| slot.page.scene == number && e.has_failed();
         for (slot, _) in self.entries.iter().filter(|(slot, e)| has_failed(slot, e)) {
             scene.set_failed(*slot, false);
             self.asked.push(*slot);
@@ -205,10 +204,7 @@ impl DatabasePager {
         if !tickets.is_empty() {
             contexts.iter_mut().for_each(|context| context.cancel(&tickets));
         }
-        for Entry { job, progress, .. } in dropped {
-            if matches!(progress, Progress::Failed { .. }) {
-                continue;
-            }
+        for Entry { job, progress, .. } in dropped.into_iter().filter(|entry| !entry.has_failed()) {
             self.stats.dropped += 1;
             timeline::request_ends(self.threads.list.ticket_source | job.ticket, "dropped");
             match progress {

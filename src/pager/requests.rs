@@ -68,6 +68,11 @@ impl DatabasePager {
                     entry.ahead_frames = request.ahead_frames;
                     entry.wanted_frame = self.frame;
                 }
+                if matches!(entry.progress, Progress::Resting)
+                    && let Some(rested) = self.entries.remove(&request.slot)
+                {
+                    self.ask_again(rested);
+                }
                 continue;
             }
             let Some(slot) = scenes.slot(request.slot) else { continue };
@@ -142,23 +147,20 @@ impl DatabasePager {
     /// Ends the wait of what failed.
     fn try_now(&mut self, scenes: &mut dyn Scenes, slot: NodeId) {
         match self.entries.get_mut(&slot).map(|entry| &mut entry.progress) {
-            Some(Progress::Failed { retry_at }) => *retry_at = Some(Instant::now()),
-            Some(_) => {}
-            None => scenes.set_failed(slot, false),
+            Some(progress @ Progress::Failed { .. }) => *progress = Progress::Resting,
+            Some(_) => return,
+            None => {}
         }
+        scenes.set_failed(slot, false);
     }
 
-    /// Lets failures whose wait is over be requested again, once somebody meets them: their tries are not forgotten while
+    /// Lets failures whose wait is over be asked for again, by whoever wants them: their tries are not forgotten while
     /// nobody does.
     pub(super) fn retry(&mut self, scenes: &mut dyn Scenes) {
-        let due: Vec<Entry> = {
-            let is_due = is_due(scenes, self.frame);
-            self.entries.extract_if(|_, entry| is_due(entry)).map(|(_, entry)| entry).collect()
-        };
-        for mut entry in due {
+        let now = Instant::now();
+        for entry in self.entries.values_mut().filter(|entry| entry.is_due(now)) {
             scenes.set_failed(entry.job.slot, false);
-            entry.wanted_frame = self.frame;
-            self.ask_again(entry);
+            entry.progress = Progress::Resting;
         }
         if self.entries.len() > MOST_FAILURES {
             self.forget_failures(scenes);
@@ -168,14 +170,13 @@ impl DatabasePager {
     /// Where there are too many, forgets those that were not met for as long as a page must not be wanted to go: they are
     /// asked for once more by who comes back.
     fn forget_failures(&mut self, scenes: &mut dyn Scenes) {
-        let has_failed = |entry: &Entry| matches!(entry.progress, Progress::Failed { .. });
-        if self.entries.values().filter(|entry| has_failed(entry)).count() <= MOST_FAILURES {
+        if self.entries.values().filter(|entry| entry.has_failed()).count() <= MOST_FAILURES {
             return;
         }
         let old = self.frame.saturating_sub(self.config.expiry_frames.max(MET_FRAMES));
         self.entries.retain(|slot, entry| {
             let is_met = scenes.slot(*slot).is_some_and(|slot| slot.last_used_frame >= old);
-            let is_kept = !has_failed(entry) || is_met;
+            let is_kept = !entry.has_failed() || is_met;
             if !is_kept {
                 scenes.set_failed(*slot, false);
             }
@@ -183,9 +184,10 @@ impl DatabasePager {
         });
     }
 
-    /// The wait of a failure is over that somebody meets: the next update asks for it again.
-    pub(crate) fn has_due(&self, scenes: &dyn Scenes) -> bool {
-        self.entries.values().any(is_due(scenes, self.frame))
+    /// The wait of a failure is over: after the next update it may be asked for again.
+    pub(crate) fn has_due(&self) -> bool {
+        let now = Instant::now();
+        self.entries.values().any(|entry| entry.is_due(now))
     }
 
     /// Drops what is stale, aborts what nobody wants, and writes the waiting jobs in order of priority.
@@ -348,15 +350,5 @@ impl DatabasePager {
         waiting.allowed = allowed;
         self.allow_ahead(&mut waiting);
         self.threads.list.ring(waiting);
-    }
-}
-
-/// What failed, or came to nothing, has waited long enough, and was met in the last frames or is asked for.
-fn is_due(scenes: &dyn Scenes, frame: u32) -> impl Fn(&Entry) -> bool {
-    let (now, met) = (Instant::now(), frame.saturating_sub(MET_FRAMES)..=frame);
-    move |entry| {
-        matches!(entry.progress, Progress::Failed { retry_at: Some(at) } if at <= now)
-            && (entry.wanted_frame == frame
-                || scenes.slot(entry.job.slot).is_some_and(|s| met.contains(&s.last_used_frame)))
     }
 }

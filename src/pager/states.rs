@@ -23,7 +23,7 @@ pub enum RequestState {
     Compiling,
     /// All contexts have it; it is merged as the frames' time and the budgets allow.
     Merging,
-    /// Could not be loaded, and is tried again after a while.
+    /// Could not be loaded, and is tried again after a while, once it is wanted.
     Retrying,
     /// Could not be loaded, and is not tried again.
     Failed,
@@ -73,7 +73,7 @@ impl Entry {
             },
             Progress::Arrived(arrived) if arrived.contexts_left > 0 => RequestState::Compiling,
             Progress::Arrived(_) => RequestState::Merging,
-            Progress::Failed { retry_at: Some(_) } => RequestState::Retrying,
+            Progress::Failed { retry_at: Some(_) } | Progress::Resting => RequestState::Retrying,
             Progress::Failed { retry_at: None } => RequestState::Failed,
         }
     }

@@ -268,7 +268,7 @@ impl DatabasePager {
     /// True when nothing is waiting, being read, decoded, compiled or merged. What failed does not count, nor what is
     /// wanted only later.
     pub fn is_idle(&self) -> bool {
-        !self.entries.values().any(|e| !e.is_ahead() && !matches!(e.progress, Progress::Failed { .. }))
+        !self.entries.values().any(|e| !e.is_ahead() && !e.has_failed())
     }
 
     /// Counters up to the last update.
@@ -306,7 +306,7 @@ impl DatabasePager {
         self.entries.values().filter(|e| !e.is_ahead()).any(|e| match e.progress {
             Progress::Waiting => lets_begin && e.needs.is_none_or(|needs| self.fits(&needs)),
             Progress::Loading | Progress::Arrived(_) => true,
-            Progress::Failed { .. } => false,
+            Progress::Failed { .. } | Progress::Resting => false,
         })
     }
 
@@ -316,7 +316,10 @@ impl DatabasePager {
         scenes: &dyn Scenes,
         mut requests: impl Iterator<Item = &'a PageRequest>,
     ) -> bool {
-        let is_new = |request: &PageRequest| self.takes_requests && !self.entries.contains_key(&request.slot);
+        let is_new = |request: &PageRequest| match self.entries.get(&request.slot) {
+            Some(entry) => matches!(entry.progress, Progress::Resting),
+            None => self.takes_requests,
+        };
         self.goes_on || self.is_busy() || self.has_asked(scenes) || requests.any(is_new)
     }
 
@@ -352,7 +355,7 @@ impl DatabasePager {
                         _ => {}
                     }
                 }
-                Progress::Failed { .. } => {}
+                Progress::Failed { .. } | Progress::Resting => {}
             }
         }
     }

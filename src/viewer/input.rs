@@ -143,7 +143,7 @@ pub(super) fn changes(base: &ViewerBase, view: &View, scenes: &[PagedScene]) -> 
         || !paged.update_callbacks.is_empty()
         || paged.scene().has_update_callbacks()
         || !pager.is_unchanging(scenes)
-        || pager.has_due(scenes)
+        || pager.has_due()
         || paged.image_pager.as_ref().is_some_and(|images| images.needs_frame())
 }
 

@@ -178,8 +178,8 @@ impl ScenePager {
     }
 
     /// Something that failed is to be tried again.
-    pub(super) fn has_due(&self, scenes: &[PagedScene]) -> bool {
-        self.pager.as_ref().is_some_and(|pager| pager.has_due(&Seen { scenes, members: &self.members }))
+    pub(super) fn has_due(&self) -> bool {
+        self.pager.as_ref().is_some_and(DatabasePager::has_due)
     }
 
     /// The pager's turn with its scenes; milliseconds.
