@@ -10,9 +10,9 @@ use scenes::{look_at, square_box};
 use terrane::cull::{CullCamera, CullVisitor, RenderStage};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
-    DrawSlot, Drawable, Geometry, Intersection, IntersectionVisitor, LineSegmentIntersector, Material, Mesh,
-    MeshVertex, Node, NodeId, NodeKind, Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, Scene, SlotState,
-    Topology,
+    DrawSlot, Drawable, Environment, Geometry, Intersection, IntersectionVisitor, LineSegmentIntersector, Material,
+    Mesh, MeshVertex, Node, NodeId, NodeKind, Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, Scene,
+    SlotState, SunShadows, Topology,
 };
 
 /// A square of a plane, 50 m to each side of a place.
@@ -107,6 +107,16 @@ fn cull(scene: &Scene, camera: &CullCamera) -> (Vec<String>, Vec<String>) {
     let mut drawn: Vec<_> = stage.eye_from_drawable.iter().map(name).collect();
     drawn.sort();
     (asked, drawn)
+}
+
+/// How much of a scene with one cascade casts shadows.
+fn casters(scene: &Scene, camera: &CullCamera) -> u32 {
+    let shadows = Some(SunShadows { cascades: 1, ..SunShadows::default() });
+    let (mut visitor, mut stage) = (CullVisitor::new(), RenderStage::new());
+    visitor.environment =
+        Some(Environment { sun_direction: DVec3::Z, up_in_world: DVec3::Z, shadows, ..Environment::default() });
+    visitor.cull(scene, camera, &mut stage);
+    stage.counters.shadow_leaves
 }
 
 /// Attaches what is asked for until nothing is. What is drawn then.
@@ -239,5 +249,6 @@ fn children_stand_in_for_a_tile_from_outside_of_a_volume() {
         let standing_in = (vec!["parent".into()], vec!["left".into(), "right".into()]);
         assert_eq!(cull(&scene, &from_above(600.0)), standing_in);
         assert_eq!(met(&scene, &from_above(600.0)), ["left", "right"]);
+        assert_eq!(casters(&scene, &from_above(600.0)), 2, "what is drawn casts shadows");
     }
 }

@@ -38,11 +38,12 @@ impl Cull<'_> {
         // Flags of subtrees that may be taken as ranges, and of those below which no tile can be missing.
         let takes_ranges = self.takes_ranges && small_feature == 0.0 && !context.by_primitives;
         let range_flags = if takes_ranges { PLAIN } else { 0 };
-        let free_flags = if context.visit.required { 0 } else { PLAIN };
+        let keeps = self.keeps(context);
+        let free_flags = if keeps { 0 } else { PLAIN };
         let has_occluders = !self.occluders.is_empty();
         // A mask of 0 hides nodes of every mask, of those without one too.
         if cull_mask == 0 {
-            if context.visit.required {
+            if keeps {
                 self.keep_tiles(context, first, last);
             }
             return;
@@ -247,9 +248,15 @@ impl Cull<'_> {
 
     /// Keeps the tiles of a subtree that is not shown, where what replaces the page's parent waits for them.
     pub(super) fn keep_required(&mut self, context: &PageContext, nodes: Range<u32>) {
-        if context.visit.required {
+        if self.keeps(context) {
             self.keep_tiles(context, nodes.start, nodes.end);
         }
+    }
+
+    /// What replaces the page's parent waits for all tiles of the page: culled ones are asked for too. Shadows take what
+    /// is there.
+    fn keeps(&self, context: &PageContext) -> bool {
+        context.visit.required && !self.view.casts
     }
 
     /// Keeps the tiles of a culled subtree: the page can only replace what is above it as a whole.

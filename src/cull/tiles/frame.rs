@@ -12,7 +12,7 @@ pub(in crate::cull) struct TileFrame {
     pub end: u32,
     pub mask: u8,
     pub purpose: Purpose,
-    /// Culled tiles are kept (and asked for) too: the parent waits for all of them.
+    /// They take the place of the parent's content, which waits for all of them: culled ones are kept (and asked for) too.
     pub required: bool,
     /// Squared error in pixels of what is shown while tiles here are missing.
     pub shown_px2: f32,

@@ -161,7 +161,7 @@ impl Cull<'_> {
     #[inline(never)]
     fn look(&mut self, walk: &Walk, tile: u32, above: TileFrame) -> Option<(Purpose, u8)> {
         let record = &walk.tiles.records[tile as usize];
-        let kept = above.required.then_some((Purpose::Keep, above.mask));
+        let kept = (above.required && walk.asks).then_some((Purpose::Keep, above.mask));
         let mut seen = Some((above.purpose, above.mask));
         if walk.may_hide {
             if walk.is_hidden(tile) {
@@ -345,7 +345,6 @@ impl Cull<'_> {
         let record = &walk.tiles.records[tile as usize];
         let is_met = record.has_children() && (walk.asks || purpose == Purpose::Draw);
         if is_met {
-            let required = required && walk.asks;
             let (next, end) = (record.first_child, record.end_of_children());
             frame::open(self.tile_stack, tile + 1, TileFrame { next, end, mask, purpose, required, shown_px2, fade });
         }

@@ -100,7 +100,7 @@ impl Cull<'_> {
             if wants {
                 let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
                 let (next, end) = (record.first_child, record.end_of_children());
-                above = TileFrame { next, end, mask, required: walk.asks, shown_px2, ..above };
+                above = TileFrame { next, end, mask, required: true, shown_px2, ..above };
                 frame::open(self.tile_stack, tile + 1, above);
                 tile = next;
                 if LOOKS && mask == 0 && !looks_everywhere {
@@ -262,7 +262,7 @@ impl Cull<'_> {
         } else {
             match walk.test(bounds, above.mask) {
                 Some(crossing) => Some((above.purpose, crossing)),
-                None if above.required => Some((Purpose::Keep, above.mask)),
+                None if above.required && walk.asks => Some((Purpose::Keep, above.mask)),
                 None => {
                     self.counters.tiles_visited += 1;
                     None
