@@ -134,6 +134,13 @@ pub(super) struct Content {
     corrupt_at: Option<u64>,
 }
 
+impl Content {
+    /// All of it was read.
+    pub(super) fn is_over(&self) -> bool {
+        self.at == self.length
+    }
+}
+
 impl Read for Content {
     fn read(&mut self, piece: &mut [u8]) -> Result<usize> {
         let wanted = (self.length - self.at).min(piece.len() as u64) as usize;
@@ -234,7 +241,9 @@ impl Server {
         if request.is_head {
             return Ok(answer);
         }
-        file.seek(SeekFrom::Start(first))?;
+        if first > 0 {
+            file.seek(SeekFrom::Start(first))?;
+        }
         let corrupt_at = (fate == Fate::Corrupted).then(|| (chance.share() * count as f64) as u64);
         answer.end = match fate {
             Fate::Truncated => End::Early,

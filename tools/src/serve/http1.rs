@@ -36,14 +36,14 @@ pub(super) fn serve<S: Stream>(server: &Server, stream: S) -> Result<()> {
     stream.socket().set_read_timeout(Some(IDLE))?;
     let mut reader = BufReader::new(stream);
     let mut line = Line::new(server.args.bandwidth);
-    let mut piece = vec![0; line.piece()];
+    let mut buffer = Vec::new();
     while let Some(head) = read_head(&mut reader)? {
         let stream = reader.get_mut();
         let (request, keeps_alive) = match parse(&head) {
             Ok(parsed) => parsed,
             Err(status) => return stream.write_all(&head_of(&Answer::empty(status), false)),
         };
-        if !answer(server, stream, &request, &mut line, &mut piece)? || !keeps_alive {
+        if !answer(server, stream, &request, &mut line, &mut buffer)? || !keeps_alive {
             break;
         }
     }
@@ -56,7 +56,7 @@ fn answer<S: Stream>(
     stream: &mut S,
     request: &Request,
     line: &mut Line,
-    piece: &mut [u8],
+    buffer: &mut Vec<u8>,
 ) -> Result<bool> {
     let lot = server.lot(request);
     std::thread::sleep(lot.wait);
@@ -67,7 +67,7 @@ fn answer<S: Stream>(
     };
     let head = head_of(&answer, true);
     match &mut answer.content {
-        Some(content) => send(stream, head, content, line, piece)?,
+        Some(content) => send(stream, &head, content, line, buffer)?,
         None => stream.write_all(&head)?,
     }
     match answer.end {
@@ -82,31 +82,33 @@ fn answer<S: Stream>(
     }
 }
 
-/// A head and its content, in pieces of up to so many bytes. What need not wait goes together: a client wakes once for it.
+/// A head and its content, in pieces. What need not wait goes together: a client wakes once for it.
 fn send<S: Stream>(
     stream: &mut S,
-    head: Vec<u8>,
+    head: &[u8],
     content: &mut Content,
     line: &mut Line,
-    piece: &mut [u8],
+    buffer: &mut Vec<u8>,
 ) -> Result<()> {
     line.begin();
-    let mut unsent = head;
-    loop {
-        let got = content.read(piece)?;
-        if got == 0 {
-            return stream.write_all(&unsent);
-        }
-        let wait = line.carry(got);
+    let piece = line.piece();
+    buffer.resize(buffer.len().max(head.len() + piece), 0);
+    buffer[..head.len()].copy_from_slice(head);
+    // So many bytes of the buffer are to go before what is read behind them.
+    let mut unsent = head.len();
+    while !content.is_over() {
+        let end = unsent + content.read(&mut buffer[unsent..unsent + piece])?;
+        let wait = line.carry(end - unsent);
+        let mut first = 0;
         if !wait.is_zero() {
-            stream.write_all(&unsent)?;
-            unsent.clear();
+            stream.write_all(&buffer[..unsent])?;
             std::thread::sleep(wait);
+            first = unsent;
         }
-        unsent.extend_from_slice(&piece[..got]);
-        stream.write_all(&unsent)?;
-        unsent.clear();
+        stream.write_all(&buffer[first..end])?;
+        unsent = 0;
     }
+    stream.write_all(&buffer[..unsent])
 }
 
 /// The connection ends by a reset when it is closed, not in order.
