@@ -47,11 +47,11 @@ pub struct GenArgs {
     /// Levels of the pyramid; by default as many as the elevation has detail for
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_LEVELS)))]
     pub levels: Option<u32>,
-    /// Side of procedural terrain in metres
-    #[arg(long, default_value_t = 60_000.0, value_parser = size_m)]
+    /// Side of procedural terrain in metres; not with --dem
+    #[arg(long, value_name = "M", default_value_t = 60_000.0, conflicts_with = "dem", value_parser = size_m)]
     pub size: f64,
-    /// Seed of procedural terrain
-    #[arg(long, default_value_t = 1)]
+    /// Seed of procedural terrain; not with --dem
+    #[arg(long, default_value_t = 1, conflicts_with = "dem")]
     pub seed: u64,
     /// Threads; all cores by default
     #[arg(long, value_parser = jobs)]
@@ -80,19 +80,33 @@ impl GenArgs {
     }
 }
 
+impl GenArgs {
+    /// Checks options that have no effect together; the error names both. The command line also refuses `--size` and
+    /// `--seed` beside `--dem`.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        if self.dem.is_empty() && self.imagery.is_none() && self.epsg.is_some() {
+            return Err("--epsg has no effect without --dem or --imagery".to_owned());
+        }
+        if self.content == ContentKind::Height && self.float_vertices {
+            return Err("--float-vertices has no effect without --content mesh".to_owned());
+        }
+        Ok(())
+    }
+}
+
 fn size_m(text: &str) -> Result<f64, String> {
-    let size = text.parse().ok().filter(|size| SIZES_M.contains(size));
-    size.ok_or_else(|| "not within 100 m and 2,000 km".to_owned())
+    let size_m: f64 = text.parse().map_err(|_| "expected a number of metres".to_owned())?;
+    if SIZES_M.contains(&size_m) { Ok(size_m) } else { Err(format!("{size_m} m is not within 100 m and 2,000 km")) }
 }
 
 fn jobs(text: &str) -> Result<usize, String> {
     let jobs = text.parse().ok().filter(|jobs| JOBS.contains(jobs));
-    jobs.ok_or_else(|| format!("no number from {} to {}", JOBS.start(), JOBS.end()))
+    jobs.ok_or_else(|| format!("expected a number of threads from {} to {}", JOBS.start(), JOBS.end()))
 }
 
 fn reference_system(code: &str) -> Result<Crs, String> {
     let known = code.parse().ok().and_then(Crs::from_epsg);
-    known.ok_or_else(|| "not the code of a system that is understood".to_owned())
+    known.ok_or_else(|| "unknown code; known are 4326, 3857 and the UTM zones' 326zz, 327zz, 258zz, 269zz".to_owned())
 }
 
 /// What was made.

@@ -7,7 +7,6 @@ use std::time::Instant;
 
 use glam::{DAffine3, DMat4};
 use image::codecs::jpeg::JpegEncoder;
-use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 use terrane::io::write::{write_glb, write_height_exr};
@@ -20,7 +19,7 @@ use crate::mosaic::Mosaic;
 use crate::output::Partial;
 use crate::placement::ROUNDING;
 use crate::pyramid::{CELLS, Pyramid, TileKey};
-use crate::{ContentKind, ElevationSource, GenArgs, GenError, Procedural, Raster, Summary, mesh};
+use crate::{ContentKind, ElevationSource, GenArgs, GenError, Procedural, Progress, Raster, Summary, mesh};
 
 const JPEG_QUALITY: u8 = 85;
 /// Place of procedural terrain, degrees.
@@ -59,10 +58,11 @@ pub fn run(args: &GenArgs) -> Result<Summary, GenError> {
     if occupied {
         may_be_replaced(&out, args)?;
     }
-    // The command line refuses these before; a program may ask for them all the same.
+    // Checked here as well as by the command line, because programs call this function too.
     if !SIZES_M.contains(&args.size) {
-        return Err(GenError::Argument(format!("--size {} is not within 100 m and 2,000 km", args.size)));
+        return Err(GenError::Argument(format!("--size {} m is not within 100 m and 2,000 km", args.size)));
     }
+    args.check().map_err(GenError::Argument)?;
     if args.levels.is_some_and(|l| l == 0 || l > MAX_LEVELS) {
         return Err(GenError::Argument(format!("--levels must be 1 to {MAX_LEVELS}")));
     }
@@ -163,12 +163,6 @@ fn widest_gap(intervals: &mut [[f64; 2]]) -> f64 {
     gap
 }
 
-fn bar(length: u64, what: &'static str) -> ProgressBar {
-    // Draws on stderr, and only when that is a terminal.
-    let style = ProgressStyle::with_template("{msg:10} [{bar:40}] {pos}/{len} {eta}");
-    ProgressBar::new(length).with_message(what).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-}
-
 fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     let (source, extent, levels) = source(args)?;
     let imagery = args.imagery.as_deref().map(|path| Imagery::read(path, args.epsg)).transpose()?;
@@ -177,12 +171,12 @@ fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
     {
         return Err(GenError::invalid(path, "covers none of the elevation"));
     }
-    let sampling = bar(1, "sampling");
-    sampling.tick();
-    let grid = Grid::sample(source.as_ref(), extent, (CELLS << (levels - 1)) + 1);
+    let side = (CELLS << (levels - 1)) + 1;
+    let sampling = Progress::new("sampling the elevation", side as u64, "rows");
+    let grid = Grid::sample_rows(source.as_ref(), extent, side, &|| sampling.advance(1));
+    drop(sampling);
     let filled_samples = grid.filled;
     let pyramid = Pyramid::new(grid, levels);
-    sampling.finish_and_clear();
     let painter = Painter::new(&pyramid, imagery.as_ref());
     let keys: Vec<TileKey> = pyramid.keys().collect();
     for level in 0..levels {
@@ -191,16 +185,16 @@ fn write_set(args: &GenArgs, folder: &Path) -> Result<Summary, GenError> {
             std::fs::create_dir_all(&path).map_err(GenError::file(&path))?;
         }
     }
-    let progress = bar(keys.len() as u64, "tiles");
+    let progress = Progress::new("writing", keys.len() as u64, "tiles");
     let bytes = AtomicU64::new(0);
     let level_errors_m = pyramid.level_errors_m();
     keys.par_iter().try_for_each(|&key| {
         let written = write_tile(args, &pyramid, &painter, &level_errors_m, folder, key)?;
         bytes.fetch_add(written, Ordering::Relaxed);
-        progress.inc(1);
+        progress.advance(1);
         Ok::<_, GenError>(())
     })?;
-    progress.finish_and_clear();
+    drop(progress);
     let root = TileKey { level: 0, x: 0, y: 0 };
     let facts = pyramid.facts(root);
     let diagonal_m = 2.0 * (facts.error_m + f64::from(facts.max_height_m - facts.min_height_m)) + 1.0;

@@ -34,8 +34,18 @@ pub struct Grid {
 pub const QUANTUM_M: f64 = 1.0 / 128.0;
 
 impl Grid {
-    /// Samples a source; fills what it does not know from around, and rounds to the quantum.
+    /// Samples a source, fills gaps from their surroundings, and rounds to the quantum.
     pub fn sample(source: &dyn ElevationSource, extent: Extent, side: usize) -> Self {
+        Self::sample_rows(source, extent, side, &|| ())
+    }
+
+    /// Like [`Self::sample`]; calls `row_done` on a worker thread after each of the `side` rows.
+    pub fn sample_rows(
+        source: &dyn ElevationSource,
+        extent: Extent,
+        side: usize,
+        row_done: &(dyn Fn() + Sync),
+    ) -> Self {
         let mut heights = vec![0.0f32; side * side];
         let cells = (side - 1) as f64;
         heights.par_chunks_mut(side).enumerate().for_each(|(j, row)| {
@@ -44,6 +54,7 @@ impl Grid {
                 let longitude = extent.west + (extent.east - extent.west) * (i as f64 / cells);
                 *h = source.height_m(longitude, latitude).map_or(f32::NAN, |h| h as f32);
             }
+            row_done();
         });
         let filled = heights.par_iter().filter(|h| !h.is_finite()).count() as u64;
         if filled > 0 {

@@ -21,6 +21,7 @@ mod noise;
 mod output;
 mod placement;
 mod procedural;
+mod progress;
 mod projection;
 mod pyramid;
 
@@ -30,6 +31,7 @@ pub use error::GenError;
 pub use generate::{default_set, run};
 pub use grid::{Extent, Grid};
 pub use procedural::Procedural;
+pub use progress::Progress;
 pub use projection::{Crs, utm_from_geodetic, utm_to_geodetic};
 pub use pyramid::{Pyramid, TileKey};
 

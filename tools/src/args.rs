@@ -104,8 +104,8 @@ pub struct FlyArgs {
     /// Load what the camera will lack in so many seconds, after all that it lacks now; 0: nothing [default: 1]
     #[arg(long, value_name = "SECONDS", value_parser = not_negative)]
     pub look_ahead: Option<f64>,
-    /// Do not wait for the screen (window only); pictures may tear
-    #[arg(long)]
+    /// Do not wait for the screen's refresh (window only); frames may tear
+    #[arg(long, conflicts_with = "offscreen")]
     pub no_vsync: bool,
     /// Load everything a frame wants before drawing it, so that equal paths give equal pictures
     #[arg(long)]
@@ -129,7 +129,7 @@ pub struct FlyArgs {
     #[arg(long, value_name = "FILE")]
     pub selection: Option<PathBuf>,
     /// Plain background instead of sky and haze
-    #[arg(long, value_name = "RRGGBB")]
+    #[arg(long, value_name = "RRGGBB", conflicts_with = "check_holes")]
     pub background: Option<Rgb>,
     /// A sea at this height above the ellipsoid, metres
     #[arg(long, value_name = "M", allow_hyphen_values = true, value_parser = finite)]
@@ -148,7 +148,7 @@ pub struct FlyArgs {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = samples)]
     pub samples: u32,
     /// Show the stats overlay from the start (window only)
-    #[arg(long)]
+    #[arg(long, conflicts_with = "offscreen")]
     pub stats: bool,
     /// Neither use nor keep what the driver compiles (terrane/pipelines in the user's cache folder)
     #[arg(long)]
@@ -161,11 +161,12 @@ pub struct FlyArgs {
     /// Draw only when something changes.
     #[arg(skip)]
     pub on_demand: bool,
-    /// Frames a second at most (window only)
-    #[arg(long, value_name = "FPS")]
+    /// Maximum frames per second (window only)
+    #[arg(long, value_name = "FPS", conflicts_with = "offscreen")]
     pub max_fps: Option<Positive>,
     /// Windows beside the first, alternately on its right and left, each with its part of one wide picture
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=8))]
+    #[arg(long, value_name = "N", default_value_t = 0, conflicts_with = "offscreen",
+        value_parser = clap::value_parser!(u32).range(0..=8))]
     pub beside: u32,
     /// Open the windows that a JSON file names, whatever TERRANE_CONFIG_FILE, TERRANE_WINDOW and TERRANE_SCREEN say
     #[arg(long, value_name = "FILE", conflicts_with_all = ["beside", "offscreen"])]

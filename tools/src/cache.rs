@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Args as ClapArgs, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
 use terrane::io::{self, CacheConfig, CacheInfo, DiskCache, FillOptions};
 use terrane::math::Region;
+use terrane_data_gen::Progress;
 
 use crate::net::{self, NetArgs};
 
@@ -130,15 +130,13 @@ fn fill(args: &FillArgs) -> Result<()> {
     let flag = Arc::clone(&stop);
     // A second handler in one process (tests) is no reason not to fill.
     let _ = ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed));
-    let bar = ProgressBar::new(0);
-    bar.set_style(ProgressStyle::with_template("{pos}/{len} files {wide_bar} {msg} {eta}")?);
+    let mut progress = Progress::new("filling the cache", 0, "files");
     let done = io::fill(&args.source, &config, &options, &mut |filled| {
-        bar.set_length(filled.found);
-        bar.set_position(filled.kept + filled.fetched + filled.failed);
-        bar.set_message(format!("{:.1} MiB", mebibytes(filled.bytes)));
+        progress.set_total(filled.found);
+        progress.set_done(filled.kept + filled.fetched + filled.failed);
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
-    bar.finish_and_clear();
+    drop(progress);
     let done = done?;
     let mut text = format!(
         "{} files: {} were kept, {} came ({:.1} MiB), {} failed",

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -19,6 +19,7 @@ use terrane::viewer::{
     ParentWindow, PathError, Report, Settled, SlaveWindow, ViewFrom, Viewer, ViewerConfig, ViewerError, WindowOptions,
     has_display, run_window,
 };
+use terrane_data_gen::Progress;
 
 use crate::args::FlyArgs;
 use crate::pictures::{self, PictureWriter};
@@ -26,10 +27,6 @@ use crate::{default_set, summary};
 
 /// Frames of a flight when none are asked for.
 const DEFAULT_FRAMES: u32 = 300;
-/// Of a flight that was given no place for its pictures, every so many frames one is kept.
-const DEFAULT_PICTURE_EVERY: u32 = 10;
-/// Where those pictures and the report go.
-const DEFAULT_OUTPUT: &str = "terrane-fly";
 /// Limit in pixels for height tiles: their error is the height's alone, and at CesiumJS's 16 ridges visibly
 /// change shape as they morph; at 3 the picture hardly changes any more and costs about four times the triangles.
 pub const HEIGHT_SSE_PX: f64 = 3.0;
@@ -249,10 +246,8 @@ struct Flight {
     phase: Phase,
     eyes: Option<Stereo>,
     frames: u32,
-    frames_dir: Option<PathBuf>,
-    picture_every: u32,
     writer: Option<PictureWriter>,
-    report_file: Option<PathBuf>,
+    progress: Option<Progress>,
     hole_check: Option<HoleCheck>,
     holes: u64,
     settled: Option<Settled>,
@@ -266,18 +261,6 @@ struct Flight {
 
 impl Flight {
     fn new(args: FlyArgs, path: Option<AnimationPath>, stop: Arc<AtomicBool>) -> Result<Self> {
-        let asked = args.report.is_some()
-            || args.frames_dir.is_some()
-            || args.screenshot.is_some()
-            || args.selection.is_some()
-            || args.interactive
-            || (!args.offscreen && has_display());
-        let (frames_dir, picture_every, report_file) = if asked {
-            (args.frames_dir.clone(), 1, args.report.clone())
-        } else {
-            let folder = PathBuf::from(DEFAULT_OUTPUT);
-            (Some(folder.clone()), DEFAULT_PICTURE_EVERY, Some(folder.join("report.json")))
-        };
         let phase = match (args.settle, args.interactive) {
             (true, _) => Phase::Settling { last_progress: None },
             (false, true) => Phase::Free,
@@ -285,15 +268,13 @@ impl Flight {
         };
         Ok(Self {
             frames: args.frames.unwrap_or(if args.settle { 0 } else { DEFAULT_FRAMES }),
-            writer: if frames_dir.is_some() { Some(PictureWriter::new()?) } else { None },
+            writer: if args.frames_dir.is_some() { Some(PictureWriter::new()?) } else { None },
+            progress: None,
             args,
             path,
             stop,
             phase,
             eyes: None,
-            frames_dir,
-            picture_every,
-            report_file,
             hole_check: None,
             holes: 0,
             settled: None,
@@ -367,7 +348,10 @@ impl Flight {
         if let Phase::Settling { last_progress } = &mut self.phase {
             if viewer.is_settled() && viewer.frame_stamp().frame > 0 {
                 match self.take_settled(viewer) {
-                    Ok(()) => self.phase = if self.args.interactive { Phase::Free } else { Phase::Flying(0) },
+                    Ok(()) => {
+                        self.progress = None;
+                        self.phase = if self.args.interactive { Phase::Free } else { Phase::Flying(0) };
+                    }
                     // Somebody who moves in it may have it hidden as long as he likes.
                     Err(error) if is_hidden(&error) => {
                         if self.hidden.is_for_long(Instant::now()) && !self.args.interactive {
@@ -379,6 +363,9 @@ impl Flight {
                 }
             } else {
                 check_progress(viewer, last_progress)?;
+                let loaded = viewer.pager().map_or(0, |pager| pager.stats().loaded);
+                let progress = || Progress::new("loading the first view", 0, "tiles loaded");
+                self.progress.get_or_insert_with(progress).set_done(loaded);
             }
         }
         if let Phase::Flying(next) = self.phase {
@@ -386,14 +373,15 @@ impl Flight {
                 return Ok(false);
             }
             self.phase = Phase::Flying(next + 1);
+            let frames = u64::from(self.frames);
+            self.progress.get_or_insert_with(|| Progress::new("flying", frames, "frames")).set_done(next.into());
             last = next + 1 == self.frames;
             let time_s = self.time_s();
             if let Some(path) = &self.path {
                 viewer.camera.world_from_eye = path.world_from_eye(time_s);
             }
         }
-        let keep = self.frames_dir.is_some() && viewer.frame_stamp().frame.is_multiple_of(self.picture_every);
-        if keep || self.hole_check.is_some() || (last && self.args.screenshot.is_some()) {
+        if self.args.frames_dir.is_some() || self.hole_check.is_some() || (last && self.args.screenshot.is_some()) {
             viewer.want_picture();
             self.cameras.push_back((viewer.frame_stamp().frame + 1, viewer.camera));
         }
@@ -410,8 +398,7 @@ impl Flight {
                     break;
                 }
             }
-            let keep = (frame - 1).is_multiple_of(self.picture_every);
-            if let (Some(folder), Some(writer), true) = (&self.frames_dir, &mut self.writer, keep) {
+            if let (Some(folder), Some(writer)) = (&self.args.frames_dir, &mut self.writer) {
                 writer.write(folder.join(format!("frame-{frame:05}.png")), picture.clone())?;
             }
             self.last_picture = Some(picture);
@@ -446,6 +433,7 @@ impl Flight {
 
     /// Waits for what is under way and writes what was asked for.
     fn finish(mut self, viewer: &mut Viewer, where_drawn: &str) -> Result<()> {
+        self.progress = None;
         viewer.finish()?;
         self.after_frame(viewer)?;
         // What it complains of is reported, and without one (the window may be hidden) there still is a report.
@@ -459,7 +447,7 @@ impl Flight {
         report.settled = self.settled;
         report.holes = self.args.check_holes.then_some(self.holes);
         let pictures = self.writer.take().map(PictureWriter::finish).transpose()?.unwrap_or(0);
-        if let Some(file) = &self.report_file {
+        if let Some(file) = &self.args.report {
             write_text(file, &report.to_json())?;
         }
         if let Some((file, picture)) = screenshot {
@@ -468,15 +456,34 @@ impl Flight {
         let notes = summary::Notes {
             where_drawn,
             stopped: self.stopped,
-            pictures: (pictures > 0).then_some((pictures, self.frames_dir.as_deref())),
-            report_file: self.report_file.as_deref(),
+            written: self.written(pictures),
+            is_interactive: self.args.interactive,
         };
         std::io::stdout().write_all(summary::lines(&report, &notes).as_bytes()).context("stdout")?;
+        std::io::stderr().write_all(summary::error_lines(&report).as_bytes()).context("stderr")?;
         if self.hidden.ended {
             let seconds = HIDDEN_AFTER.as_secs();
             bail!("no settled picture: the window has been hidden for {seconds} s; show it, or draw with --offscreen");
         }
+        if report.tiles.failed > 0 && report.tiles.merged == 0 {
+            bail!("nothing was drawn: no content could be loaded, {} requests failed", report.tiles.failed);
+        }
         Ok(())
+    }
+
+    /// The files that the options asked for, each with the name of its kind.
+    fn written(&self, frames: usize) -> Vec<String> {
+        let args = &self.args;
+        let files = [
+            ("screenshot", &args.screenshot),
+            ("selection", &args.selection),
+            ("report", &args.report),
+            ("trace", &args.trace),
+        ];
+        let files =
+            files.into_iter().filter_map(|(kind, file)| Some(format!("{kind} in {}", file.as_ref()?.display())));
+        let folder = args.frames_dir.as_ref().filter(|_| frames > 0);
+        folder.map(|folder| format!("{frames} frames in {}", folder.display())).into_iter().chain(files).collect()
     }
 }
 

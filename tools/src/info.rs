@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 
 use anyhow::{Context as _, Result, ensure};
-use indicatif::{ProgressBar, ProgressStyle};
 use terrane::io::{self, Info, Limits, Verified};
+use terrane_data_gen::Progress;
 
 use crate::args::InfoArgs;
 
@@ -28,12 +28,10 @@ pub fn run(args: &InfoArgs) -> Result<()> {
 }
 
 fn verify(args: &InfoArgs, contents: u64) -> Result<Verified> {
-    let bar = ProgressBar::new(contents);
-    bar.set_style(ProgressStyle::with_template("{pos}/{len} contents {wide_bar} {eta}")?);
+    let progress = Progress::new("verifying", contents, "contents");
     let net = args.net.http(&args.source)?;
     let verified =
-        io::verify_with(&args.source, &Limits::default(), net, &mut |verified| bar.set_position(verified.contents));
-    bar.finish_and_clear();
+        io::verify_with(&args.source, &Limits::default(), net, &mut |verified| progress.set_done(verified.contents));
     Ok(verified?)
 }
 

@@ -1,19 +1,23 @@
-//! The five lines that a flight ends with.
+//! The summary of a flight: five lines for standard output, and a line for each kind of error for standard error.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::Path;
 
 use terrane::viewer::Report;
 
-/// What the report does not hold.
+/// Facts about a flight that are not in its report.
 pub struct Notes<'a> {
+    /// "offscreen" or "in a window", with the reason where one is due.
     pub where_drawn: &'a str,
+    /// True if the user ended the flight before its last frame.
     pub stopped: bool,
-    pub pictures: Option<(usize, Option<&'a Path>)>,
-    pub report_file: Option<&'a Path>,
+    /// Files that were written, each as "KIND in PATH".
+    pub written: Vec<String>,
+    /// True for `terrane view`, which writes nothing.
+    pub is_interactive: bool,
 }
 
-/// Always five lines: what was drawn, frames, phases, tiles, results.
+/// Returns five lines: frames and adapter, frame times, times of the stages, tiles, results.
 pub fn lines(report: &Report, notes: &Notes) -> String {
     let Report { size: [width, height], frame_ms, phase_ms, tiles, bytes, .. } = report;
     let mebibytes = |bytes: u64| bytes as f64 / f64::from(1 << 20);
@@ -78,32 +82,56 @@ pub fn lines(report: &Report, notes: &Notes) -> String {
         let hits = sharing.geometry_hits + sharing.texture_hits + sharing.state_set_hits;
         results.push(format!("{hits} shared contents saved {saved:.1} MiB of the GPU"));
     }
-    if let Some(error) = report.errors.first() {
-        let more = report.errors.len() - 1;
-        let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
-        results.push(format!("error: {}: {}{rest}", error.uri, error.reason));
+    if notes.written.is_empty() && !notes.is_interactive {
+        results.push("no files written (--screenshot FILE keeps the last frame, --report FILE the figures)".to_owned());
     }
-    if let Some((count, Some(folder))) = notes.pictures {
-        results.push(format!("{count} pictures in {}", folder.display()));
-    }
-    if let Some(file) = notes.report_file {
-        results.push(format!("report in {}", file.display()));
-    }
-    if results.is_empty() {
-        results.push("nothing asked for".to_owned());
-    }
-    // An error's text may hold line ends.
+    results.extend(notes.written.iter().cloned());
+    // Names of files may contain line ends.
     let _ = writeln!(text, "result  {}", results.join("; ").replace(['\n', '\r'], " "));
+    text
+}
+
+/// Returns a line for each reason for which URIs failed, with the first of them and the number of the others.
+pub fn error_lines(report: &Report) -> String {
+    let mut by_reason: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for error in &report.errors {
+        by_reason.entry(&error.reason).or_default().push(&error.uri);
+    }
+    let mut text = String::new();
+    for (reason, uris) in by_reason {
+        let more = match uris.len() - 1 {
+            0 => String::new(),
+            more => format!(" (and {more} more)"),
+        };
+        let line = format!("error: {}: {reason}{more}", uris[0]);
+        // A reason may contain line ends.
+        let _ = writeln!(text, "{}", line.split_whitespace().collect::<Vec<_>>().join(" "));
+    }
     text
 }
 
 #[cfg(test)]
 mod tests {
+    use terrane::viewer::ReportError;
+
     use super::*;
 
     #[test]
-    fn five_lines() {
-        let notes = Notes { where_drawn: "offscreen", stopped: false, pictures: None, report_file: None };
-        assert_eq!(lines(&Report::from_frames([].iter()), &notes).lines().count(), 5);
+    fn a_summary_has_five_lines_and_names_written_files() {
+        let mut notes = Notes { where_drawn: "offscreen", stopped: false, written: Vec::new(), is_interactive: false };
+        let report = Report::from_frames([].iter());
+        let text = lines(&report, &notes);
+        assert!(text.lines().count() == 5 && text.contains("no files written"), "{text}");
+        notes.written = vec!["trace in t.json".to_owned(), "report in r\n.json".to_owned()];
+        let text = lines(&report, &notes);
+        assert!(text.lines().count() == 5 && text.contains("trace in t.json; report in r .json"), "{text}");
+    }
+
+    #[test]
+    fn errors_are_one_line_for_each_reason() {
+        let mut report = Report::from_frames([].iter());
+        let error = |uri: &str, reason: &str| ReportError { uri: uri.into(), reason: reason.into(), count: 2 };
+        report.errors = vec![error("a", "not found"), error("b", "bad\nlength"), error("c", "not found")];
+        assert_eq!(error_lines(&report), "error: b: bad length\nerror: a: not found (and 1 more)\n");
     }
 }

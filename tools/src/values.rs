@@ -4,6 +4,9 @@ use std::str::FromStr;
 
 use terrane::viewer::ViewFrom;
 
+/// The longest side of a frame, a texture size that every adapter has.
+const MAX_SIDE_PX: u32 = 8192;
+
 /// Width and height in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size(pub [u32; 2]);
@@ -20,8 +23,11 @@ impl FromStr for Size {
     fn from_str(text: &str) -> Result<Self, String> {
         let sides = text.split_once(['x', 'X']).and_then(|(w, h)| Some([w.parse().ok()?, h.parse().ok()?]));
         match sides {
-            Some(size) if size.iter().all(|side| (1..=8192).contains(side)) => Ok(Self(size)),
-            Some(_) => Err("each side is 1 to 8192 pixels".to_owned()),
+            Some(size) if size.iter().all(|side| (1..=MAX_SIDE_PX).contains(side)) => Ok(Self(size)),
+            Some([w, h]) if w.max(h) > MAX_SIDE_PX => {
+                Err(format!("{} px, the limit is {MAX_SIDE_PX} px a side", w.max(h)))
+            }
+            Some(_) => Err("a side of 0 px has nothing to draw".to_owned()),
             None => Err("expected WIDTHxHEIGHT, as 1280x720".to_owned()),
         }
     }

@@ -245,7 +245,7 @@ fn a_flight_reports() {
 }
 
 #[test]
-fn a_flight_without_a_place_for_its_results_makes_one() {
+fn a_flight_writes_no_file_unless_asked() {
     if no_adapter() {
         return;
     }
@@ -260,10 +260,49 @@ fn a_flight_without_a_place_for_its_results_makes_one() {
         .output()
         .unwrap();
     assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
-    let results = folder.path().join("terrane-fly");
-    assert_eq!(json(&results.join("report.json"))["threading"], "SingleThreaded");
-    assert!(results.join("frame-00001.png").is_file() && results.join("frame-00011.png").is_file());
-    assert_eq!(std::fs::read_dir(&results).unwrap().count(), 3);
+    assert!(lines(&out.stdout)[0].starts_with("flew    11 frames of 64x36 offscreen"), "{:?}", lines(&out.stdout));
+    assert!(lines(&out.stdout)[4].contains("no files written"), "{:?}", lines(&out.stdout));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the tile set alone");
+}
+
+#[test]
+fn a_flight_that_can_draw_nothing_fails() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let bare = folder.path().join("bare");
+    std::fs::create_dir(&bare).unwrap();
+    std::fs::copy(set.join("tileset.json"), bare.join("tileset.json")).unwrap();
+    let out =
+        terrane(&["fly", bare.to_str().unwrap(), "--offscreen", "--frames", "3", "--size", "64x36", "--blocking"]);
+    let errors = lines(&out.stderr);
+    assert_eq!((out.status.code(), errors.len()), (Some(1), 2), "{errors:?}");
+    assert!(errors[0].starts_with("error: ") && errors[0].contains("not found"), "{errors:?}");
+    assert!(errors[1].contains("nothing was drawn"), "{errors:?}");
+    assert_eq!(lines(&out.stdout).len(), 5);
+}
+
+#[test]
+fn options_without_effect_together_are_errors() {
+    for (args, names) in [
+        (&["gen", "out", "--dem", "a.tif", "--size", "5000"][..], ["--size", "--dem"]),
+        (&["gen", "out", "--dem", "a.tif", "--seed", "2"], ["--seed", "--dem"]),
+        (&["gen", "out", "--epsg", "4326"], ["--epsg", "--dem"]),
+        (&["gen", "out", "--float-vertices"], ["--float-vertices", "--content mesh"]),
+        (&["fly", "set", "--offscreen", "--stats"], ["--offscreen", "--stats"]),
+        (&["fly", "set", "--offscreen", "--max-fps", "30"], ["--offscreen", "--max-fps"]),
+        (&["fly", "set", "--offscreen", "--no-vsync"], ["--offscreen", "--no-vsync"]),
+        (&["fly", "set", "--offscreen", "--beside", "1"], ["--offscreen", "--beside"]),
+        (&["fly", "set", "--check-holes", "--background", "ff0000"], ["--check-holes", "--background"]),
+    ] {
+        let out = terrane(args);
+        let error = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert!(!out.status.success() && names.iter().all(|name| error.contains(name)), "{args:?}: {error}");
+    }
+    let large = terrane(&["fly", "set", "--size", "20000x10"]);
+    assert!(String::from_utf8_lossy(&large.stderr).contains("20000 px, the limit is 8192 px"));
 }
 
 #[test]
@@ -307,7 +346,7 @@ fn a_settled_picture_is_complete() {
 }
 
 #[test]
-fn a_missing_tile_is_reported_and_the_flight_goes_on() {
+fn a_missing_tile_is_reported_and_the_flight_continues() {
     if no_adapter() {
         return;
     }
@@ -329,6 +368,7 @@ fn a_missing_tile_is_reported_and_the_flight_goes_on() {
     ]);
     assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
     assert_eq!(lines(&out.stdout).len(), 5);
+    assert!(lines(&out.stderr).iter().any(|line| line.starts_with("error: ") && line.contains("1/0/0.exr")));
     let report = json(&report);
     let errors = report["errors"].as_array().unwrap();
     assert_eq!(errors.len(), 1, "{errors:?}");
