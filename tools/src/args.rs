@@ -295,6 +295,15 @@ pub struct BenchArgs {
 
 #[derive(Clone, Debug, Subcommand)]
 pub enum Bench {
+    /// Every bench below, one after the other; takes about ten minutes
+    All {
+        /// Print a Markdown document with machine, date and commit instead of JSON lines
+        #[arg(long)]
+        markdown: bool,
+        /// Shortest time to measure each case, seconds [default: that of each bench]
+        #[arg(long, value_parser = secs)]
+        secs: Option<f64>,
+    },
     /// Scene to render stages, without a GPU
     Cull {
         /// Shortest time to measure each case, seconds

@@ -1,5 +1,6 @@
 //! `terrane bench`: one layer at a time, JSON lines on stdout with the peer programs' field names.
 
+pub mod all;
 pub mod cull;
 pub mod frame;
 pub mod page;
@@ -19,6 +20,7 @@ use crate::args::{Bench, BenchArgs};
 
 pub fn run(args: &BenchArgs) -> Result<()> {
     match &args.bench {
+        Bench::All { markdown, secs } => all::run(*markdown, *secs),
         Bench::Cull { secs, drawables } => {
             cull::run(*secs, drawables);
             Ok(())
