@@ -2,12 +2,9 @@
 //! (goal: at most 6 ns per tile visited). One thread, no GPU.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
-#[path = "../tests/scenes/mod.rs"]
-mod scenes;
-
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use glam::DVec3;
-use scenes::{Grid, content, look_at, page, quadtree, state_sets};
+use kit::cull_scenes::{Grid, content, look_at, page, quadtree, state_sets};
 use terrane::cull::{CullVisitor, RenderStage};
 use terrane::scene::{Refine, Scene};
 use terrane::state::{BinDetails, SortMode, StateSet};

@@ -2,11 +2,8 @@
 //! The physical limit is a handful of cache misses (about 100 ns each when the scene is large).
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
-#[path = "../tests/scenes/mod.rs"]
-mod scenes;
-
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use scenes::{Grid, content, page, quadtree, state_sets};
+use kit::cull_scenes::{Grid, content, page, quadtree, state_sets};
 use terrane::scene::{Refine, Scene};
 use terrane::state::StateSet;
 

@@ -4,9 +4,9 @@
 
 use std::cell::RefCell;
 
-#[path = "../fuzz_parsers.rs"]
+#[path = "../formats/fuzz_parsers.rs"]
 mod parsers;
-#[path = "../../data-gen/tests/fuzz_rasters.rs"]
+#[path = "../../data-gen/tests/generate/fuzz_rasters.rs"]
 mod rasters;
 
 type Parse = Box<dyn FnMut(&[u8])>;

@@ -1,0 +1,98 @@
+//! Elevation and colour files, fed with what is nearly well: a raster or an error that names the file, never a panic.
+//! As `fuzz_parsers` of the library; `tools/fuzz` feeds these too.
+
+use std::path::Path;
+
+use crate::files::{PLACE, heights, tiff_float32, tiff_int16};
+use kit::fuzz::Parser;
+use terrane::io::write::write_height_exr;
+use terrane_data_gen::Raster;
+
+fn read(path: &Path) {
+    match Raster::read(path) {
+        Ok(raster) => {
+            let [width, height] = raster.size();
+            assert!(width * height > 0 && raster.range_m().iter().all(|h| h.is_finite()));
+            assert!(raster.bounds().iter().all(|b| !b.is_nan()), "{:?}", raster.bounds());
+        }
+        Err(error) => {
+            let text = error.to_string();
+            assert!(text.contains(path.file_name().unwrap().to_str().unwrap()), "{text}");
+            assert!(!text.contains("panicked"), "{text}");
+        }
+    }
+}
+
+fn raster(name: &'static str, file: &str, world: bool, seeds: &[Vec<u8>]) -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(file);
+    if world {
+        std::fs::write(path.with_extension("wld"), "0.001\n0\n0\n-0.001\n7.5\n46.5\n").unwrap();
+    }
+    Parser::new(name, seeds, move |bytes| {
+        let _ = &folder;
+        std::fs::write(&path, bytes).unwrap();
+        read(&path);
+    })
+}
+
+fn geotiff() -> Parser {
+    let seeds = [tiff_float32(&heights(), Some(PLACE), Some("-9999")), tiff_int16(&heights(), Some(PLACE), None)];
+    raster("geotiff", "a.tif", false, &seeds)
+}
+
+fn elevation_png() -> Parser {
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_fn(16, 16, |x, y| image::Rgb([1, 200 + x as u8, y as u8]))
+        .write_to(&mut png, image::ImageFormat::Png)
+        .unwrap();
+    raster("elevation-png", "a.png", true, &[png.into_inner()])
+}
+
+fn exr() -> Vec<u8> {
+    write_height_exr("t", 16, (0..256).map(|h| h as f32).collect()).unwrap()
+}
+
+fn elevation_exr() -> Parser {
+    raster("elevation-exr", "a.exr", true, &[exr()])
+}
+
+fn world_file() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.exr");
+    std::fs::write(&path, exr()).unwrap();
+    Parser::new("world-file", ["0.001\n0\n0\n-0.001\n7.5\n46.5\n"], move |bytes| {
+        let _ = &folder;
+        std::fs::write(path.with_extension("wld"), bytes).unwrap();
+        read(&path);
+    })
+}
+
+kit::parsers! {
+    geotiff,
+    elevation_png,
+    elevation_exr,
+    world_file,
+}
+
+/// Took 48 GB of memory and ended the process.
+#[test]
+fn an_exr_that_says_it_is_huge_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.exr");
+    let mut exr = write_height_exr("t", 16, vec![1.0; 256]).unwrap();
+    let after = |exr: &[u8], name: &[u8]| exr.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
+    for name in [&b"dataWindow\0box2i\0"[..], b"displayWindow\0box2i\0"] {
+        let at = after(&exr, name);
+        exr[at + 8..at + 16].copy_from_slice(&[0xff, 0xff, 1, 0, 0xff, 0xff, 1, 0]);
+    }
+    std::fs::write(&path, &exr).unwrap();
+    let error = Raster::read(&path).err().unwrap().to_string();
+    assert!(error.contains("a.exr: EXR: "), "{error}");
+    // Also where its blocks of 16 rows are as many.
+    let at = after(&exr, b"chunkCount\0int\0");
+    exr[at..at + 4].copy_from_slice(&8192u32.to_le_bytes());
+    std::fs::write(&path, exr).unwrap();
+    let error = Raster::read(&path).err().unwrap().to_string();
+    assert!(error.contains("131072 x 131072"), "{error}");
+}

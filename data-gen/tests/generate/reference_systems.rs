@@ -1,0 +1,161 @@
+//! The reference system is the file's own, else the one that is asked for, else degrees where they can be.
+
+use std::fs;
+use std::path::Path;
+
+use crate::files::{PLACE, SIDE, from_dem, heights, tiff_int16, tiff_int16_keyed};
+use terrane::io::write::write_height_exr;
+use terrane_data_gen::{Crs, GenArgs, GenError, Raster, run, utm_to_geodetic};
+
+/// Easting and northing of the north-western sample, and the pixel, in metres: in the Alps in zone 32.
+const PLANE: ([f64; 2], f64) = ([499_000.0, 5_150_000.0], 30.0);
+const UTM_32: Crs = Crs::Utm { zone: 32, north: true };
+
+fn world(path: &Path, ([west, north], pixel): ([f64; 2], f64)) {
+    fs::write(path.with_extension("wld"), format!("{pixel}\n0\n0\n-{pixel}\n{west}\n{north}\n")).unwrap();
+}
+
+/// Bounds of `PLANE` in a zone.
+fn bounds(zone: u32) -> [f64; 4] {
+    let ([west, north], pixel) = PLANE;
+    let last = pixel * f64::from(SIDE - 1);
+    let corners = [(west, north), (west + last, north), (west, north - last), (west + last, north - last)];
+    corners.map(|(x, y)| utm_to_geodetic(zone, true, x, y)).into_iter().fold([9.0, 9.0, -9.0, -9.0], |b, [x, y]| {
+        [f64::min(b[0], x), f64::min(b[1], y), f64::max(b[2], x), f64::max(b[3], y)]
+    })
+}
+
+fn lies(args: &GenArgs, expected: [f64; 4]) {
+    let found = Raster::read_in(&args.dem[0], args.epsg).unwrap().bounds();
+    assert!((0..4).all(|k| (found[k] - expected[k]).abs() < 1e-9), "{found:?}, not {expected:?}");
+    run(args).unwrap();
+}
+
+fn refused(args: &GenArgs, why: &str) {
+    let error = run(args).unwrap_err();
+    let text = error.to_string();
+    assert!(matches!(error, GenError::Invalid { .. }) && text.contains(why), "{text}");
+    assert!(!args.out.exists());
+}
+
+/// They were taken for Web Mercator.
+#[test]
+fn a_plane_without_a_name_is_refused_until_it_has_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut png = std::io::Cursor::new(Vec::new());
+    let picture = image::RgbImage::from_pixel(SIDE, SIDE, image::Rgb([1, 140, 160]));
+    picture.write_to(&mut png, image::ImageFormat::Png).unwrap();
+    let exr = write_height_exr("test", SIDE as usize, heights()).unwrap();
+    let tiff = tiff_int16(&heights(), None, None);
+    for (name, bytes) in [("a.png", png.into_inner()), ("b.exr", exr), ("c.tif", tiff)] {
+        let args = from_dem(folder.path(), name, &bytes);
+        world(&args.dem[0], PLANE);
+        refused(&args, "--epsg CODE names it");
+        lies(&GenArgs { epsg: Some(UTM_32), ..args.clone() }, bounds(32));
+        // Places in degrees need no name.
+        world(&args.dem[0], ([7.0, 46.0], 0.001));
+        let last = 0.001 * f64::from(SIDE - 1);
+        lies(&GenArgs { overwrite: true, ..args }, [7.0, 46.0 - last, 7.0 + last, 46.0].map(f64::to_radians));
+    }
+}
+
+/// The GeoKeys were not looked at where the place was a world file's.
+#[test]
+fn geo_keys_name_the_system_of_a_world_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let keyed = |name: &str, keys: &[[u16; 2]]| {
+        let args = from_dem(folder.path(), name, &tiff_int16_keyed(&heights(), None, keys));
+        world(&args.dem[0], PLANE);
+        args
+    };
+    let utm_33 = keyed("33.tif", &[[1024, 1], [3072, 32633]]);
+    lies(&utm_33, bounds(33));
+    // What the file says is not overruled.
+    lies(&GenArgs { epsg: Some(UTM_32), overwrite: true, ..utm_33 }, bounds(33));
+    for (name, keys) in [
+        ("own.tif", &[[1024, 1], [3072, 32767]][..]),
+        // The geodetic system is what an unnamed projection is of.
+        ("of-4326.tif", &[[1024, 1], [2048, 4326]][..]),
+    ] {
+        let own = keyed(name, keys);
+        refused(&own, "a projection without a code; --epsg CODE");
+        lies(&GenArgs { epsg: Some(UTM_32), ..own }, bounds(32));
+    }
+    refused(&keyed("swiss.tif", &[[1024, 1], [3072, 2056]]), "EPSG:2056 is not understood");
+    refused(&keyed("geocentric.tif", &[[1024, 3], [2048, 4978]]), "EPSG:4978 is not understood");
+}
+
+/// ETRS89's zones were refused; the units of the plane were not looked at.
+#[test]
+fn zones_of_each_datum_are_understood_in_metres_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let keyed = |keys: &[[u16; 2]]| {
+        let args = from_dem(folder.path(), "zone.tif", &tiff_int16_keyed(&heights(), None, keys));
+        world(&args.dem[0], PLANE);
+        GenArgs { overwrite: true, ..args }
+    };
+    let north = [(32601..=32660, 32600), (26901..=26923, 26900), (25828..=25838, 25800)];
+    for (codes, first) in north {
+        for code in codes.clone() {
+            assert_eq!(Crs::from_epsg(code), Some(Crs::Utm { zone: code - first, north: true }), "{code}");
+        }
+        assert_eq!([codes.start() - 1, codes.end() + 1].map(Crs::from_epsg), [None; 2], "{first}");
+    }
+    for code in 32701..=32760 {
+        assert_eq!(Crs::from_epsg(code), Some(Crs::Utm { zone: code - 32700, north: false }));
+    }
+    for (code, zone) in [(32632, 32), (25832, 32), (25828, 28), (25838, 38), (26901, 1), (26923, 23)] {
+        lies(&keyed(&[[1024, 1], [3072, code]]), bounds(zone));
+        lies(&keyed(&[[1024, 1], [3072, code], [3076, 9001]]), bounds(zone));
+    }
+    fs::remove_dir_all(folder.path().join("zone.tif.set")).unwrap();
+    for unit in [9002, 9003, 9036, 32767] {
+        let why = format!("coordinates in units of EPSG:{unit}, which");
+        refused(&keyed(&[[1024, 1], [3072, 25832], [3076, unit]]), &why);
+        refused(&keyed(&[[3072, 3857], [3076, unit]]), &why);
+        let own = keyed(&[[1024, 1], [3072, 32767], [3076, unit]]);
+        refused(&GenArgs { epsg: Some(UTM_32), ..own }, &why);
+    }
+}
+
+/// They were taken for degrees from Greenwich.
+#[test]
+fn geographic_systems_are_understood_in_degrees_from_greenwich_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let keyed = |keys: &[[u16; 2]]| {
+        let args = from_dem(folder.path(), "degrees.tif", &tiff_int16_keyed(&heights(), None, keys));
+        world(&args.dem[0], ([7.0, 46.0], 0.001));
+        GenArgs { overwrite: true, ..args }
+    };
+    for (keys, why) in [
+        (&[[1024, 2], [2048, 4807]][..], "EPSG:4807 is not understood"),
+        (&[[1024, 2], [2048, 4326], [2054, 9101]], "angles in units of EPSG:9101"),
+        (&[[1024, 2], [2048, 32767], [2054, 9105]], "angles in units of EPSG:9105"),
+        (&[[1024, 2], [2048, 32767], [2051, 8903]], "longitudes from the meridian EPSG:8903"),
+        (&[[1024, 2], [2048, 32767], [2061, 2]], "longitudes from a meridian at 2.337,"),
+    ] {
+        refused(&keyed(keys), why);
+    }
+    let last = 0.001 * f64::from(SIDE - 1);
+    let expected = [7.0, 46.0 - last, 7.0 + last, 46.0].map(f64::to_radians);
+    for keys in [
+        &[[1024, 2], [2048, 4258]][..],
+        &[[1024, 2], [2048, 4267], [2054, 9102], [2051, 8901], [3076, 9002]],
+        &[[1024, 2], [2048, 32767], [2054, 9122], [2061, 3]],
+    ] {
+        lies(&keyed(keys), expected);
+    }
+}
+
+#[test]
+fn pictures_in_a_plane_need_its_name_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = from_dem(folder.path(), "a.tif", &tiff_int16(&heights(), Some(PLACE), None));
+    let path = folder.path().join("colour.png");
+    image::RgbImage::from_pixel(8, 8, image::Rgb([250, 10, 10])).save(&path).unwrap();
+    let [x, y] = terrane_data_gen::utm_from_geodetic(32, true, 7.51f64.to_radians(), 46.49f64.to_radians());
+    world(&path, ([x, y], 100.0));
+    let args = GenArgs { imagery: Some(path), ..args };
+    refused(&args, "--epsg CODE names it");
+    run(&GenArgs { epsg: Some(UTM_32), ..args }).unwrap();
+}

@@ -1,0 +1,344 @@
+//! The index of 3D Tiles archives: used where it is there and right, and never needed.
+
+use std::collections::BTreeMap;
+use std::io::{Cursor, Write as _};
+
+use md5::{Digest as _, Md5};
+use proptest::prelude::*;
+use terrane::io::{FileReader, IoError, Limits};
+use zip::CompressionMethod::{Deflated, Stored};
+use zip::write::{SimpleFileOptions, ZipWriter};
+use zip::{CompressionMethod, ZipArchive};
+
+/// Of what names the index consists: hash and offset.
+type Entries = Vec<([u8; 16], u64)>;
+type Change = fn(&mut Entries);
+
+/// How an archive's index is made.
+struct Making {
+    change: Change,
+    method: CompressionMethod,
+    is_last: bool,
+    options: SimpleFileOptions,
+}
+
+impl Default for Making {
+    fn default() -> Self {
+        let options = SimpleFileOptions::default().compression_method(Deflated);
+        Self { change: |_| {}, method: Stored, is_last: true, options }
+    }
+}
+
+fn in_order(entries: &mut Entries) {
+    let number = |bytes: &[u8]| u64::from_le_bytes(bytes.try_into().unwrap());
+    entries.sort_by_key(|(hash, _)| (number(&hash[..8]), number(&hash[8..])));
+}
+
+fn archive(files: &BTreeMap<String, Vec<u8>>, making: &Making) -> Vec<u8> {
+    archive_named(files, making, str::to_owned)
+}
+
+/// One whose index has files by other names than the directory.
+fn archive_named(files: &BTreeMap<String, Vec<u8>>, making: &Making, in_index: impl Fn(&str) -> String) -> Vec<u8> {
+    let mut writer = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in files {
+        writer.start_file(name, making.options).unwrap();
+        writer.write_all(bytes).unwrap();
+    }
+    let bytes = writer.finish().unwrap().into_inner();
+    let mut zip = ZipArchive::new(Cursor::new(bytes.clone())).unwrap();
+    let mut entries: Entries = (0..zip.len())
+        .map(|i| {
+            let file = zip.by_index_raw(i).unwrap();
+            (Md5::digest(in_index(&file.name().unwrap()).as_bytes()).into(), file.header_start())
+        })
+        .collect();
+    in_order(&mut entries);
+    (making.change)(&mut entries);
+    let index: Vec<u8> =
+        entries.iter().flat_map(|(hash, offset)| hash.iter().copied().chain(offset.to_le_bytes())).collect();
+    let mut writer = ZipWriter::new_append(Cursor::new(bytes)).unwrap();
+    let of_index = SimpleFileOptions::default().compression_method(making.method);
+    writer.start_file("@3dtilesIndex1@", of_index).unwrap();
+    writer.write_all(&index).unwrap();
+    if !making.is_last {
+        writer.start_file("last", making.options).unwrap();
+    }
+    writer.finish().unwrap().into_inner()
+}
+
+/// So many that the directory is larger than the archive's end that is read at first.
+fn many() -> BTreeMap<String, Vec<u8>> {
+    (0..3000u32)
+        .map(|i| (format!("a/rather/long/name/of/a/tile/é {i}.glb"), i.to_le_bytes().repeat(100 + i as usize % 7)))
+        .chain([("tileset.json".to_owned(), b"{}".to_vec())])
+        .collect()
+}
+
+/// Few, with names that make the directory as large.
+fn few() -> BTreeMap<String, Vec<u8>> {
+    let name = |i: u32| format!("{}{i}", "d/".repeat(1500));
+    (0..60u32).map(|i| (name(i), vec![i as u8; 50 + i as usize])).collect()
+}
+
+fn read(folder: &tempfile::TempDir, reader: &FileReader, name: &str) -> Result<Vec<u8>, IoError> {
+    reader.read(folder.path().join("set.3tz").join(name).to_str().unwrap())
+}
+
+fn written(bytes: &[u8]) -> (tempfile::TempDir, FileReader) {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("set.3tz"), bytes).unwrap();
+    (folder, FileReader::new(Limits::default()))
+}
+
+/// The first headers of the directory are no longer any.
+fn without_directory(mut bytes: Vec<u8>) -> Vec<u8> {
+    let end = bytes.len() - 22;
+    let start = u32::from_le_bytes(bytes[end + 16..end + 20].try_into().unwrap()) as usize;
+    bytes[start] ^= 1;
+    bytes
+}
+
+/// A bit of a file's name in the directory is another.
+fn with_changed_name(mut bytes: Vec<u8>, name: &str) -> Vec<u8> {
+    let at = bytes.windows(name.len()).rposition(|w| w == name.as_bytes()).unwrap();
+    bytes[at] ^= 2;
+    bytes
+}
+
+fn is_damaged(error: &IoError) -> bool {
+    matches!(error, IoError::Invalid { reason, .. } if reason.contains("damaged archive"))
+}
+
+/// It was said not to be there.
+#[test]
+fn a_file_whose_name_was_changed_is_not_missing() {
+    let files = BTreeMap::from(["a.glb", "b.glb", "tileset.json"].map(|name| (name.to_owned(), b"content".to_vec())));
+    let (folder, reader) = written(&with_changed_name(archive(&files, &Making::default()), "b.glb"));
+    let error = read(&folder, &reader, "b.glb").unwrap_err();
+    assert!(is_damaged(&error) && !error.is_transient(), "{error:?}");
+    assert_eq!(read(&folder, &reader, "a.glb").unwrap(), b"content");
+    assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
+    // Where the index is what files are found by it does not matter.
+    let files = many();
+    let (name, content) = files.first_key_value().unwrap();
+    let (folder, reader) = written(&with_changed_name(archive(&files, &Making::default()), name));
+    assert_eq!(read(&folder, &reader, name).as_ref(), Ok(content));
+    assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
+}
+
+/// Some programs write names with backslashes, or from the root: those files were said not to be there.
+#[test]
+fn names_of_other_systems_are_found() {
+    let plain = |name: &str| name.replace('\\', "/").trim_start_matches('/').to_owned();
+    // A directory at the end that is read first, and one that is larger than that.
+    for further in [0, 4000] {
+        let names = ["a\\b.glb", "/c/d.glb", "\\e.glb", "f.glb"].map(str::to_owned);
+        let further = (0..further).map(|i| format!("z/one of many files/{i}"));
+        let files: BTreeMap<String, Vec<u8>> =
+            names.iter().cloned().chain(further).map(|name| (name.clone(), plain(&name).into_bytes())).collect();
+        let of_index = archive_named(&files, &Making::default(), plain);
+        for bytes in [of_index, archive(&files, &Making { is_last: false, ..Making::default() })] {
+            let (folder, reader) = written(&bytes);
+            for name in &names {
+                assert_eq!(read(&folder, &reader, &plain(name)), Ok(plain(name).into_bytes()), "{name}");
+            }
+            assert!(matches!(read(&folder, &reader, "b.glb"), Err(IoError::NotFound { .. })));
+        }
+    }
+    let files = BTreeMap::from(["g/h.glb", "g\\h.glb"].map(|name| (name.to_owned(), name.as_bytes().to_vec())));
+    let (folder, reader) = written(&archive(&files, &Making { is_last: false, ..Making::default() }));
+    for (name, content) in &files {
+        assert_eq!(read(&folder, &reader, name).as_ref(), Ok(content), "a name as it is goes first");
+    }
+}
+
+/// Of two files with one name the index had the first and the directory the last.
+#[test]
+fn an_index_with_one_name_twice_is_not_needed() {
+    let files = many();
+    let twice = |entries: &mut Entries| {
+        // Another file's place under this one's name: which is meant the directory says.
+        let hash: [u8; 16] = Md5::digest("a/rather/long/name/of/a/tile/é 7.glb".as_bytes()).into();
+        let at = entries.iter().position(|e| e.0 == hash).unwrap();
+        entries[if at == 0 { 1 } else { at - 1 }].0 = hash;
+    };
+    let bytes = without_directory(archive(&files, &Making { change: twice, ..Making::default() }));
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("set.3tz"), bytes).unwrap();
+    let reader = FileReader::new(Limits::default());
+    let error = read(&folder, &reader, "tileset.json").unwrap_err();
+    assert!(error.to_string().contains("directory"), "the directory, which is broken, was asked: {error}");
+}
+
+#[test]
+fn files_are_found_without_the_directory() {
+    let files = many();
+    for options in [Making::default().options, SimpleFileOptions::default().compression_method(Stored).large_file(true)]
+    {
+        let bytes = archive(&files, &Making { options, ..Making::default() });
+        let (folder, reader) = written(&without_directory(bytes));
+        for (name, expected) in &files {
+            assert!(read(&folder, &reader, name).as_ref() == Ok(expected), "{name}");
+        }
+        // What the index does not have is looked for in the directory.
+        let error = read(&folder, &reader, "none.glb").unwrap_err();
+        assert!(matches!(&error, IoError::Invalid { .. }) && error.to_string().contains("directory"), "{error}");
+    }
+    let (folder, reader) = written(&archive(&files, &Making::default()));
+    assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
+    assert!(matches!(read(&folder, &reader, "a"), Err(IoError::NotFound { .. })));
+}
+
+#[test]
+fn an_index_that_is_wrong_is_not_needed() {
+    let files = few();
+    let wrong: [(&str, Change); 6] = [
+        ("another order", |entries| entries.reverse()),
+        ("one missing", |entries| entries.truncate(entries.len() - 1)),
+        ("one too many", |entries| entries.push(([255; 16], 0))),
+        ("other places", |entries| {
+            let offset = entries[0].1;
+            entries.iter_mut().for_each(|e| e.1 = offset);
+        }),
+        ("places outside", |entries| entries[7].1 = u64::MAX),
+        ("other hashes", |entries| {
+            entries.iter_mut().for_each(|e| e.0[3] ^= 1);
+            in_order(entries);
+        }),
+    ];
+    let mut all: Vec<(&str, Making)> =
+        wrong.into_iter().map(|(what, change)| (what, Making { change, ..Making::default() })).collect();
+    all.push(("compressed", Making { method: Deflated, ..Making::default() }));
+    all.push(("not last", Making { is_last: false, ..Making::default() }));
+    for (what, making) in all {
+        let (folder, reader) = written(&archive(&files, &making));
+        for (name, expected) in &files {
+            assert!(read(&folder, &reader, name).as_ref() == Ok(expected), "{what}");
+        }
+        assert!(matches!(read(&folder, &reader, "none"), Err(IoError::NotFound { .. })), "{what}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Whatever is broken, a file is as it was or an error.
+    #[test]
+    fn broken_archives_are_errors(
+        cut in prop::option::of(0.0f64..1.0),
+        changes in prop::collection::vec((0.0f64..1.0, any::<u8>()), 0..40),
+    ) {
+        let files = few();
+        let mut bytes = archive(&files, &Making::default());
+        let length = bytes.len();
+        // Most of the file is names: the last quarter has index and directory.
+        for (at, value) in changes {
+            let at = (length as f64 * (0.4 + 0.6 * at)) as usize;
+            bytes[at.min(length - 1)] = value;
+        }
+        if let Some(cut) = cut {
+            bytes.truncate((length as f64 * cut) as usize);
+        }
+        let (folder, reader) = written(&bytes);
+        for (name, expected) in &files {
+            if let Ok(read) = read(&folder, &reader, name) {
+                prop_assert!(read == *expected);
+            }
+        }
+    }
+}
+
+#[cfg(feature = "http")]
+mod over_http {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::*;
+    use kit::server::{Reply, Server};
+    use terrane::io::{HttpClient, HttpConfig};
+
+    fn server(bytes: Vec<u8>) -> Server {
+        Server::start(move |r| Reply::ok(bytes.clone()).with("ETag", "\"1\"").ranged(r))
+    }
+
+    /// The files' contents, and the bytes that came.
+    fn get(server: &Server, names: &[&String]) -> (Vec<Result<Vec<u8>, IoError>>, u64) {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let client = HttpClient::new(&HttpConfig { max_retries: 0, ..HttpConfig::default() }).unwrap();
+        let mut network_bytes = 0;
+        let mut get = |name: &String| {
+            let url = format!("{}/set.3tz/{}", server.url, name.replace(' ', "%20"));
+            let body = runtime.block_on(client.get(&url, &Limits::default()));
+            body.map(|body| {
+                network_bytes += body.network_bytes;
+                body.bytes
+            })
+        };
+        (names.iter().map(|name| get(name)).collect(), network_bytes)
+    }
+
+    #[test]
+    fn the_index_comes_instead_of_the_directory() {
+        let files = many();
+        // The last file is followed by what was the directory before the index came.
+        let names: Vec<&String> = files.keys().step_by(500).take(6).collect();
+        let expected: Vec<Result<Vec<u8>, IoError>> = names.iter().map(|n| Ok(files[*n].clone())).collect();
+        let indexed = archive(&files, &Making::default());
+        let mut bytes_that_came = Vec::new();
+        // Without the index the last file is another.
+        for bytes in [without_directory(indexed), archive(&files, &Making { is_last: false, ..Making::default() })] {
+            let server = server(bytes);
+            let (read, bytes) = get(&server, &names);
+            assert!(read == expected);
+            assert_eq!(server.count(), 2 + names.len(), "{:?}", server.seen());
+            bytes_that_came.push(bytes);
+        }
+        let [with, without] = bytes_that_came[..] else { unreachable!() };
+        let tail = 128 << 10;
+        assert!(with < tail + 24 * 3001 + 20_000 && without > tail + 80 * 3000, "{with} {without}");
+    }
+
+    #[test]
+    fn an_index_that_lies_costs_a_directory() {
+        let files = many();
+        let lie = |entries: &mut Entries| {
+            let offset = entries[0].1;
+            entries.iter_mut().for_each(|e| e.1 = offset);
+        };
+        let server = server(archive(&files, &Making { change: lie, ..Making::default() }));
+        let names: Vec<&String> = files.keys().step_by(400).collect();
+        let (read, _) = get(&server, &names);
+        for (name, read) in names.iter().zip(read) {
+            assert!(read.as_ref() == Ok(&files[*name]), "{name}");
+        }
+        // End, index, what the index says, the directory once, each file.
+        assert!(server.count() <= 4 + names.len(), "{}", server.count());
+        let missing = "none.glb".to_owned();
+        assert!(matches!(get(&server, &[&missing]).0[0], Err(IoError::NotFound { .. })));
+    }
+
+    /// It was remembered as missing for as long as the directory was kept.
+    #[test]
+    fn a_name_that_was_changed_on_its_way_is_read_anew() {
+        let files = BTreeMap::from(["a.glb", "b.glb", "c.glb"].map(|name| (name.to_owned(), b"content".to_vec())));
+        let (name, none) = ("b.glb".to_owned(), "none.glb".to_owned());
+        // With an index, and without one as a plain zip is.
+        for is_last in [true, false] {
+            let good = archive(&files, &Making { is_last, ..Making::default() });
+            let bent = with_changed_name(good.clone(), &name);
+            let count = AtomicUsize::new(0);
+            let server = Server::start(move |r| {
+                let is_first = count.fetch_add(1, Ordering::Relaxed) == 0;
+                Reply::ok(if is_first { bent.clone() } else { good.clone() }).with("ETag", "\"1\"").ranged(r)
+            });
+            let (got, _) = get(&server, &[&name, &name, &none, &none]);
+            let error = got[0].as_ref().unwrap_err();
+            assert!(is_damaged(error) && error.is_doubtful(), "{error:?}");
+            assert_eq!(got[1].as_deref(), Ok(&b"content"[..]));
+            assert!(got[2..].iter().all(|got| matches!(got, Err(IoError::NotFound { .. }))), "{got:?}");
+            // End, anew, and the file. Without an index directories are read twice before a file is missing.
+            let requests = if is_last { 3 } else { 5 };
+            assert_eq!(server.count(), requests, "{:?}", server.seen());
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! Which bins leaves go to, and the order of the bins.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use glam::DVec3;
+use kit::cull_scenes::{drawable, look_at, page};
+use proptest::prelude::*;
+use terrane::cull::{CullVisitor, RenderStage};
+use terrane::math::Aabb;
+use terrane::scene::{Node, Scene};
+use terrane::state::{BinDetails, BinPrototype, SortKey, SortMode, StateSet, StateValue};
+
+fn cube(center: DVec3) -> Node {
+    Node::geode(vec![drawable(Aabb { min: center - 0.5, max: center + 0.5 })])
+}
+
+/// As seen from 10 m before the origin, looking along +y.
+fn cull(root: Node) -> RenderStage {
+    let mut scene = Scene::new();
+    scene.add_root(page(root, 0));
+    let mut stage = RenderStage::new();
+    let mut visitor = CullVisitor::new();
+    for _ in 0..3 {
+        visitor.cull(&scene, &look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z), &mut stage);
+    }
+    stage
+}
+
+#[test]
+fn bins_nest_and_give_way_to_overrides() {
+    let with = |number, nest_bins, bin_value, child: Node| {
+        let bin = Some(BinDetails::new(number, SortMode::ByState));
+        Node::group(vec![child]).with_state_set(Arc::new(StateSet { bin, nest_bins, bin_value, ..StateSet::default() }))
+    };
+    let (on, over, protect) = (StateValue::ON, StateValue::OVERRIDE, StateValue::PROTECTED);
+    let it = || cube(DVec3::ZERO);
+    let root = Node::group(vec![
+        it(),
+        with(3, true, on, with(-1, true, on, it())),
+        with(3, true, on, it()),
+        with(3, true, on, with(-1, false, on, it())),
+        with(2, true, on | over, with(9, true, on, it())),
+        with(2, true, on | over, with(9, true, on | protect, it())),
+    ]);
+    let stage = cull(root);
+    let bins: Vec<_> = stage
+        .bins
+        .iter()
+        .map(|b| {
+            (b.path.iter().map(|p| p.number).collect::<Vec<_>>(), b.leaves.iter().map(|l| l.slot.0).collect::<Vec<_>>())
+        })
+        .collect();
+    let expected: Vec<(Vec<i32>, Vec<u32>)> = vec![
+        (vec![-1], vec![3]),
+        (vec![], vec![0]),
+        (vec![2], vec![4]),
+        (vec![2, 9], vec![5]),
+        (vec![3, -1], vec![1]),
+        (vec![3], vec![2]),
+    ];
+    assert_eq!(bins, expected);
+}
+
+/// In the order in which they are drawn where the number is the same.
+const NAMES: [&str; 4] = ["RenderBin", "DepthSortedBin", "cull_bins: by key", "cull_bins: plain"];
+
+fn named(number: i32, name: &str, callback_of: &mut StateSet) -> BinDetails {
+    callback_of.set_render_bin_details(number, name).unwrap();
+    callback_of.bin.unwrap()
+}
+
+/// A number and a place among [`NAMES`].
+type Bin = (i32, usize);
+
+proptest! {
+    /// They went into the first bin of their number, and had its order.
+    #[test]
+    fn each_number_and_name_is_a_bin(leaves in prop::collection::vec(
+        prop::collection::vec((-2..3i32, 0..NAMES.len()), 0..3), 1..40,
+    )) {
+        let backwards = SortKey(|leaf| u64::MAX - u64::from(leaf.order));
+        BinPrototype::register(NAMES[2], BinPrototype { sort: SortMode::ByKey(backwards), draw: None });
+        BinPrototype::register(NAMES[3], BinPrototype::default());
+        let mut expected: BTreeMap<Vec<Bin>, Vec<u32>> = BTreeMap::new();
+        let mut nodes = Vec::new();
+        for (slot, path) in (0u32..).zip(&leaves) {
+            // Each farther than the one before.
+            let inside = cube(DVec3::new(0.0, f64::from(slot), 0.0));
+            nodes.push(path.iter().rev().fold(inside, |child, (number, name)| {
+                let mut set = StateSet::default();
+                named(*number, NAMES[*name], &mut set);
+                Node::group(vec![child]).with_state_set(Arc::new(set))
+            }));
+            expected.entry(path.clone()).or_default().push(slot);
+        }
+        for (path, slots) in &mut expected {
+            // Farthest first, and by a key that turns the order round.
+            if path.last().is_some_and(|(_, name)| (1..3).contains(name)) {
+                slots.reverse();
+            }
+        }
+        let stage = cull(Node::group(nodes));
+        let mut all = StateSet::default();
+        let mut found: Vec<(Vec<Bin>, Vec<u32>)> = Vec::new();
+        for bin in &stage.bins {
+            let place = |at: &BinDetails| {
+                let name = NAMES.iter().position(|name| named(at.number, name, &mut all) == *at).unwrap();
+                (at.number, name)
+            };
+            found.push((bin.path.iter().map(place).collect(), bin.leaves.iter().map(|leaf| leaf.slot.0).collect()));
+        }
+        // Around a bin's own leaves the bins in it: those with negative numbers before, the others after.
+        let drawn = |path: &Vec<Bin>| {
+            let mut key: Vec<_> = path.iter().map(|(number, name)| (*number, 1, *name)).collect();
+            key.push((0, 0, 0));
+            key
+        };
+        let mut in_order: Vec<_> = expected.into_iter().collect();
+        in_order.sort_by_key(|(path, _)| drawn(path));
+        prop_assert_eq!(found, in_order);
+    }
+}

@@ -1,0 +1,13 @@
+//! What the renderer draws of leaves, terrain, sky and shadows. The tests share one GPU rig and run one at a time.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod atmosphere;
+mod bins;
+mod draw_calls;
+mod drawables;
+mod fade;
+mod images;
+mod queries;
+mod samples;
+mod shadows;
+mod sky;

@@ -1,0 +1,117 @@
+//! Occlusion queries: what the adapter says is hidden is not drawn, and comes back.
+
+use kit::rig::{Rig, plain, rig, unit_camera};
+use kit::shapes::quad;
+use terrane::cull::CullCamera;
+use terrane::scene::{CameraNode, Node, NodeId, NodeKind, OcclusionQueryNode, ReferenceFrame, RenderOrder, Scene};
+
+const SIDE: u32 = 64;
+
+fn no_errors(rig: &mut Rig) {
+    let errors = rig.renderer.take_errors();
+    assert!(errors.is_empty(), "{errors:?}");
+}
+
+#[test]
+fn queries_hide_what_is_not_seen_and_show_it_again() {
+    let Some(mut rig) = rig("queries_hide_what_is_not_seen_and_show_it_again") else { return };
+    let rig = &mut *rig;
+    let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 2, ..OcclusionQueryNode::default() };
+    let results = query.results.clone();
+    let mut hidden = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+    hidden.children = vec![Node::geode(vec![quad([0.0, 0.0, -3.0], [0.2; 2], [0.0, 1.0, 0.0, 1.0])])];
+    let wall = Node {
+        children: vec![Node::geode(vec![quad([0.0; 3], [0.9; 2], [1.0, 0.0, 0.0, 1.0])])],
+        ..Node::new(NodeKind::Switch(vec![true]))
+    };
+    let mut scene = rig.scene(Node::group(vec![hidden, wall]));
+    let root = scene.roots()[0];
+    let leaves = |rig: &mut Rig, scene: &Scene, frame| {
+        rig.draw(scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+        rig.stage.leaf_count()
+    };
+    assert_eq!(leaves(rig, &scene, 1), 2, "drawn until the adapter has answered");
+    let mut frame = 1;
+    while leaves(rig, &scene, frame) == 2 {
+        frame += 1;
+        assert!(frame < 200, "never hidden: {} failures", results.failures());
+    }
+    assert!(results.failures() >= 2 && results.samples() == 0);
+    // The wall goes: what is behind it comes back.
+    scene.set_switch(NodeId { page: root, index: 3 }, 0, false).unwrap();
+    while leaves(rig, &scene, frame) == 0 {
+        frame += 1;
+        assert!(frame < 400, "never shown again");
+    }
+    assert!(results.samples() > 0 && results.failures() == 0);
+    rig.release(scene);
+    no_errors(rig);
+}
+
+/// More than fit into a frame: those left out are drawn, whatever was known of them.
+#[test]
+fn queries_that_find_no_room_hide_nothing() {
+    let Some(mut rig) = rig("queries_that_find_no_room_hide_nothing") else { return };
+    let rig = &mut *rig;
+    const NODES: usize = 1200;
+    let mut all = Vec::new();
+    for _ in 0..NODES {
+        let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 1, ..OcclusionQueryNode::default() };
+        let mut node = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        node.children = vec![Node::geode(vec![quad([0.0, 0.0, -3.0], [0.2; 2], [0.0, 1.0, 0.0, 1.0])])];
+        all.push(node);
+    }
+    let wall = Node {
+        children: vec![Node::geode(vec![quad([0.0; 3], [0.9; 2], [1.0, 0.0, 0.0, 1.0])])],
+        ..Node::new(NodeKind::Switch(vec![true]))
+    };
+    // The wall first: its number is known.
+    all.insert(0, wall);
+    let mut scene = rig.scene(Node::group(all));
+    let root = scene.roots()[0];
+    let mut frame = 0;
+    let mut leaves = |rig: &mut Rig, scene: &Scene| {
+        frame += 1;
+        assert!(frame < 400, "never");
+        rig.draw(scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+        rig.stage.leaf_count()
+    };
+    while leaves(rig, &scene) > NODES - 1024 + 1 {}
+    scene.set_switch(NodeId { page: root, index: 1 }, 0, false).unwrap();
+    while leaves(rig, &scene) < NODES {}
+    rig.release(scene);
+    no_errors(rig);
+}
+
+/// What hides a box below a camera with a part of the picture is what lies before it there.
+#[test]
+fn queries_below_a_nested_camera_look_at_its_part() {
+    let Some(mut rig) = rig("queries_below_a_nested_camera_look_at_its_part") else { return };
+    let rig = &mut *rig;
+    for (wall_x, is_seen) in [(-0.5, true), (0.5, false)] {
+        let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 2, ..OcclusionQueryNode::default() };
+        let results = query.results.clone();
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children = vec![Node::geode(vec![quad([0.0, 0.0, -3.0], [0.2; 2], [0.0, 1.0, 0.0, 1.0])])];
+        let eye = unit_camera(SIDE);
+        let right_half = CameraNode {
+            frame: ReferenceFrame::Absolute,
+            view: eye.eye_from_world,
+            projection: Some(eye.clip_from_eye),
+            viewport_px: Some([SIDE / 2, 0, SIDE / 2, SIDE]),
+            ..CameraNode::new(RenderOrder::Nested)
+        };
+        // In the whole picture it covers the left or the right half.
+        let wall = Node::geode(vec![quad([wall_x, 0.0, 0.0], [0.5, 1.0], [1.0, 0.0, 0.0, 1.0])]);
+        let scene = rig.scene(Node::group(vec![wall, Node::camera(right_half, vec![asked])]));
+        let mut frame = 0;
+        while results.failures() < 2 && results.samples() == 0 {
+            frame += 1;
+            rig.draw(&scene, &CullCamera { frame, ..unit_camera(SIDE) }, &plain());
+            assert!(frame < 400, "no answer came");
+        }
+        assert_eq!(results.samples() > 0, is_seen, "{} samples", results.samples());
+        rig.release(scene);
+    }
+    no_errors(rig);
+}

@@ -1,0 +1,444 @@
+//! Every parser of outside data, fed with what is nearly well: it answers with a value or an error that names what and
+//! why, never with a panic, and soon. A moment each here, with changes drawn by chance; `tools/fuzz` feeds the same
+//! parsers guided by what code each input reaches. `FUZZ_SECS`, `FUZZ_SEED`: longer here, and from elsewhere.
+
+use std::sync::Arc;
+
+use kit::fuzz::Parser;
+use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
+use terrane::io::{Content, DECODER_PANICKED, Fetched, FileReader, IoError, Limits, ReadOptions, decode, inspect};
+use terrane::io::{RootScope, is_http, resolve, root_uri};
+use terrane::io::{fuzz_cache_entry, fuzz_encoding, fuzz_headers, fuzz_index, fuzz_pmtiles, fuzz_url};
+use terrane::viewer::{AnimationPath, Arrangement, DisplaySettings};
+
+fn limits() -> Limits {
+    Limits { max_image_side_px: 256, max_file_bytes: 8 << 20, ..Limits::default() }
+}
+
+fn is_told(error: &IoError) {
+    assert!(!error.uri().is_empty() && !error.reason().is_empty(), "{error:?}");
+    assert_ne!(error.reason(), DECODER_PANICKED);
+}
+
+fn content(bytes: &[u8], reader_data: Option<&str>, companions: Vec<Fetched>) {
+    let content =
+        Content { uri: "/set/tile".into(), bytes: bytes.to_vec(), reader_data: reader_data.map(Arc::from), companions };
+    let mut options = ReadOptions::for_root("/set/tileset.json", limits());
+    options.build_kd_trees = true;
+    options.vertex_attributes = ["POSITION", "TEXCOORD_0", "TANGENT", "_HEAT"].map(Arc::from).into();
+    match decode(content, &options) {
+        Ok(page) => assert!(page.size_bytes() < 1 << 30),
+        Err(error) => is_told(&error),
+    }
+}
+
+fn image_bytes(format: image::ImageFormat) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_fn(8, 8, |x, y| image::Rgb([x as u8 * 30, y as u8 * 30, 9]))
+        .write_to(&mut bytes, format)
+        .unwrap();
+    bytes.into_inner()
+}
+
+fn glb_bytes(image: Option<Vec<u8>>) -> Vec<u8> {
+    write_glb(&GlbMesh {
+        positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.5]],
+        normals: vec![[0.0, 0.0, 1.0]; 4],
+        uvs: vec![[0.0; 2]; 4],
+        indices: vec![0, 1, 2, 2, 1, 3],
+        quantized: image.is_none(),
+        image,
+        base_color: [1.0; 4],
+    })
+}
+
+fn padded(text: &str) -> Vec<u8> {
+    let mut bytes = text.as_bytes().to_vec();
+    bytes.resize(bytes.len().next_multiple_of(8), b' ');
+    bytes
+}
+
+fn b3dm_bytes(table: &str, glb: &[u8]) -> Vec<u8> {
+    let table = padded(table);
+    let mut out = b"b3dm".to_vec();
+    for word in [1, 28 + table.len() + glb.len(), table.len(), 0, 0, 0] {
+        out.extend((word as u32).to_le_bytes());
+    }
+    [out, table, glb.to_vec()].concat()
+}
+
+fn pnts_bytes(table: &str, points: &[u8]) -> Vec<u8> {
+    let table = padded(table);
+    let mut out = b"pnts".to_vec();
+    for word in [1, 28 + table.len() + points.len(), table.len(), points.len(), 0, 0] {
+        out.extend((word as u32).to_le_bytes());
+    }
+    [out, table, points.to_vec()].concat()
+}
+
+const TILESET: &str = r#"{"asset":{"version":"1.1","extras":{"a":1}},"geometricError":500.5,"extensionsUsed":["X"],"root":{"refine":"REPLACE","transform":[1,0,0,0,0,1,0,0,0,0,1,0,10,20,30,1],"boundingVolume":{"box":[0,0,0,100,0,0,0,100,0,0,0,10]},"viewerRequestVolume":{"sphere":[0,0,0,1000]},"geometricError":100,"content":{"uri":"a/b%20c.glb"},"children":[{"boundingVolume":{"sphere":[1,2,3,50]},"geometricError":10,"contents":[{"uri":"d.b3dm"},{"uri":"e.pnts"}]},{"boundingVolume":{"region":[0.1,0.8,0.11,0.81,-10,100]},"geometricError":0,"content":{"url":"inner/tileset.json"}}]}}"#;
+const HEIGHTS: &str = r#"{"asset":{"version":"1.1","extras":{"terrane":{"border":1,"content":"height","format":1,"layout":"wgs84","level_errors_m":[22.5,0.0],"quantum_m":0.0078125,"side":5}}},"geometricError":500,"root":{"refine":"REPLACE","boundingVolume":{"region":[0.1,0.8,0.11,0.81,-10,100]},"geometricError":22.5,"content":{"uri":"0.exr"},"extras":{"terrane":{"imagery":"0.jpg"}},"children":[{"boundingVolume":{"region":[0.1,0.8,0.105,0.805,-10,100]},"geometricError":0,"content":{"uri":"1.exr"}}]}}"#;
+const HEIGHT_DATA: &str =
+    r#"{"region":[0.1,0.8,0.11,0.81],"side":5,"border":1,"level":1,"errors_m":[1.0,2.0],"imagery":"/set/0.png"}"#;
+const IMPLICIT: &str = r#"{"asset":{"version":"1.1"},"geometricError":50,"root":{"boundingVolume":{"region":[0.1,0.8,0.11,0.81,0,9]},"geometricError":9,"refine":"REPLACE","content":{"uri":"c/{level}/{x}/{y}.glb"},"implicitTiling":{"subdivisionScheme":"QUADTREE","subtreeLevels":2,"availableLevels":3,"subtrees":{"uri":"s/{level}/{x}/{y}.subtree"}}}}"#;
+
+fn tileset() -> Parser {
+    let seeds = [TILESET, HEIGHTS, IMPLICIT].map(|s| s.as_bytes().to_vec());
+    Parser::new("tileset", seeds, move |bytes| content(bytes, None, Vec::new()))
+}
+
+/// `inspect` reads the JSON of tiles by itself.
+fn inspection() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("tileset.json");
+    let limits = Limits { max_elements: 10_000, ..limits() };
+    Parser::new("inspection", [TILESET, HEIGHTS, IMPLICIT], move |bytes| {
+        std::fs::write(&file, bytes).unwrap();
+        match inspect(folder.path().to_str().unwrap(), &limits) {
+            Ok(info) => assert!(info.errors.iter().all(|e| !e.uri.is_empty() && !e.reason.is_empty()), "{info}"),
+            Err(error) => is_told(&error),
+        }
+    })
+}
+
+fn subtree() -> Parser {
+    // Refused by name as yet; whatever it holds.
+    let json = padded(r#"{"buffers":[{"byteLength":8}],"tileAvailability":{"constant":1}}"#);
+    let mut subtree = b"subt".to_vec();
+    subtree.extend(1u32.to_le_bytes());
+    subtree.extend((json.len() as u64).to_le_bytes());
+    subtree.extend(8u64.to_le_bytes());
+    let seeds = [[subtree, json, vec![0xff; 8]].concat()];
+    Parser::new("subtree", seeds, move |bytes| content(bytes, None, Vec::new()))
+}
+
+fn glb() -> Parser {
+    let seeds = [
+        glb_bytes(None),
+        glb_bytes(Some(image_bytes(image::ImageFormat::Png))),
+        glb_bytes(Some(image_bytes(image::ImageFormat::Jpeg))),
+    ];
+    Parser::new("glb", seeds, move |bytes| content(bytes, None, Vec::new()))
+}
+
+fn gltf_json() -> Parser {
+    use base64::Engine as _;
+    let floats = [0.0f32, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0].iter().flat_map(|f| f.to_le_bytes());
+    let buffer: Vec<u8> = floats.chain([0, 1, 2, 0]).collect();
+    let uri = base64::engine::general_purpose::STANDARD.encode(buffer);
+    let gltf = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1],"translation":[1,2,3],"rotation":[0,0,0,1],"scale":[1,2,1]}},{{"mesh":0,"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"mode":4,"material":0}}]}}],"materials":[{{"doubleSided":true,"alphaMode":"MASK","alphaCutoff":0.3,"pbrMetallicRoughness":{{"baseColorFactor":[1,0.5,0,1]}}}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[0,0,0],"max":[1,1,0]}},{{"bufferView":1,"componentType":5121,"count":3,"type":"SCALAR"}}],"bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":3}}],"buffers":[{{"byteLength":40,"uri":"data:application/octet-stream;base64,{uri}"}}]}}"#
+    );
+    // A node that says what it hides.
+    let occluder = r#""extras":{"terrane":{"occluder":{"corners":[[0,0,0],[4,0,0],[4,4,0],[0,4,0]],"holes":[[[1,1,0],[2,1,0],[2,2,0]]]}}},"mesh":0,"#;
+    let occluding = gltf.replacen(r#""mesh":0,"#, occluder, 1);
+    assert_ne!(occluding, gltf);
+    Parser::new("gltf", [gltf, occluding], |bytes| content(bytes, None, Vec::new()))
+}
+
+fn b3dm() -> Parser {
+    let seeds = [
+        b3dm_bytes(r#"{"BATCH_LENGTH":0,"RTC_CENTER":[1,2,3]}"#, &glb_bytes(None)),
+        b3dm_bytes(r#"{"BATCH_LENGTH":2}"#, &glb_bytes(None)),
+    ];
+    Parser::new("b3dm", seeds, move |bytes| content(bytes, None, Vec::new()))
+}
+
+fn pnts() -> Parser {
+    let points: Vec<u8> = (0..80).collect();
+    let seeds = [
+        pnts_bytes(
+            r#"{"POINTS_LENGTH":2,"RTC_CENTER":[10,20,30],"POSITION":{"byteOffset":0},"RGB":{"byteOffset":24},"NORMAL_OCT16P":{"byteOffset":30}}"#,
+            &points,
+        ),
+        pnts_bytes(
+            r#"{"POINTS_LENGTH":4,"POSITION_QUANTIZED":{"byteOffset":0},"QUANTIZED_VOLUME_OFFSET":[1,2,3],"QUANTIZED_VOLUME_SCALE":[10,10,10],"CONSTANT_RGBA":[255,255,0,255]}"#,
+            &points,
+        ),
+        pnts_bytes(
+            r#"{"POINTS_LENGTH":3,"POSITION":{"byteOffset":0},"RGB565":{"byteOffset":36},"BATCH_ID":{"byteOffset":42,"componentType":"UNSIGNED_BYTE"},"BATCH_LENGTH":2}"#,
+            &points,
+        ),
+    ];
+    Parser::new("pnts", seeds, move |bytes| content(bytes, None, Vec::new()))
+}
+
+fn height_tile() -> Parser {
+    let heights = (0..49).map(|i| i as f32 * 3.25 - 7.0).collect();
+    let seeds = [write_height_exr("t", 7, heights).unwrap()];
+    Parser::new("height-tile", seeds, move |bytes| content(bytes, Some(HEIGHT_DATA), Vec::new()))
+}
+
+fn height_data() -> Parser {
+    let exr = write_height_exr("t", 7, vec![5.0; 49]).unwrap();
+    let seeds = [HEIGHT_DATA.as_bytes().to_vec(), HEIGHT_DATA.replace("0.8,", "-1.5,").into_bytes()];
+    Parser::new("height-data", seeds, move |bytes| {
+        if let Ok(data) = std::str::from_utf8(bytes) {
+            content(&exr, Some(data), Vec::new());
+        }
+    })
+}
+
+fn imagery() -> Parser {
+    let exr = write_height_exr("t", 7, vec![5.0; 49]).unwrap();
+    let seeds = [image_bytes(image::ImageFormat::Png), image_bytes(image::ImageFormat::Jpeg)];
+    Parser::new("imagery", seeds, move |bytes| {
+        content(&exr, Some(HEIGHT_DATA), vec![("/set/0.png".into(), Ok(bytes.to_vec()))]);
+    })
+}
+
+fn gzip() -> Parser {
+    use std::io::Write as _;
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+    packed.write_all(TILESET.as_bytes()).unwrap();
+    Parser::new("gzip", [packed.finish().unwrap()], |bytes| content(bytes, None, Vec::new()))
+}
+
+fn archive_bytes() -> Vec<u8> {
+    use std::io::Write as _;
+    let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, method) in [
+        ("tileset.json", zip::CompressionMethod::Deflated),
+        ("a/b.glb", zip::CompressionMethod::Stored),
+        ("@3dtilesIndex1@", zip::CompressionMethod::Stored),
+    ] {
+        let options = zip::write::SimpleFileOptions::default().compression_method(method);
+        writer.start_file(name, options).unwrap();
+        writer.write_all(TILESET.as_bytes()).unwrap();
+    }
+    writer.finish().unwrap().into_inner()
+}
+
+fn archive() -> Parser {
+    let folder = tempfile::tempdir().unwrap();
+    let mut number = 0u64;
+    Parser::new("archive", [archive_bytes()], move |bytes| {
+        // A name of its own: what is known of a file is kept.
+        number += 1;
+        let path = folder.path().join(format!("{number}.3tz"));
+        std::fs::write(&path, bytes).unwrap();
+        let reader = FileReader::new(limits());
+        for name in ["tileset.json", "a/b.glb", "none"] {
+            match reader.read(path.join(name).to_str().unwrap()) {
+                Ok(bytes) => assert!(bytes.len() as u64 <= limits().max_file_bytes),
+                Err(error) => is_told(&error),
+            }
+        }
+        std::fs::remove_file(&path).unwrap();
+    })
+}
+
+/// Small archives have their directory at hand, and need no index.
+fn archive_index() -> Parser {
+    use std::io::Write as _;
+    let options = zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for name in ["tileset.json", "a/b.glb"] {
+        writer.start_file(name, options).unwrap();
+        writer.write_all(b"a content").unwrap();
+    }
+    let bytes = writer.finish().unwrap().into_inner();
+    let second = 1 + bytes[1..].windows(4).position(|w| w == b"PK\x03\x04").unwrap() as u64;
+    let mut entries = [(TILESET_HASH, 0), (GLB_HASH, second)];
+    let key = |hash: [u8; 16]| [0, 8].map(|at| u64::from_le_bytes(hash[at..at + 8].try_into().unwrap()));
+    entries.sort_by_key(|(hash, _)| key(*hash));
+    let mut writer = zip::ZipWriter::new_append(std::io::Cursor::new(bytes)).unwrap();
+    writer.start_file("@3dtilesIndex1@", options).unwrap();
+    for (hash, offset) in entries {
+        writer.write_all(&[&hash[..], &u64::to_le_bytes(offset)].concat()).unwrap();
+    }
+    let seed = writer.finish().unwrap().into_inner();
+    assert!(fuzz_index(&seed));
+    Parser::new("archive-index", [seed], |bytes| {
+        fuzz_index(bytes);
+    })
+}
+
+/// MD5 of `tileset.json` and of `a/b.glb`.
+const TILESET_HASH: [u8; 16] =
+    [0xc0, 0x9b, 0xde, 0xa7, 0xe7, 0x45, 0x89, 0x4f, 0x49, 0x9a, 0x75, 0x17, 0xdb, 0x9a, 0x77, 0x09];
+const GLB_HASH: [u8; 16] =
+    [0xc0, 0xfd, 0x87, 0xfb, 0xad, 0x28, 0x7f, 0x84, 0xf1, 0x1f, 0x29, 0x70, 0xdf, 0x90, 0x55, 0x41];
+
+/// A base and a reference, a line each.
+fn uris() -> Parser {
+    let seeds = [
+        "http://h/set/tileset.json?key=1&b=2\n../a%20b.glb?key=3#f",
+        "https://user:word@h:8080/a.3tz/tileset.json\nb/c.3TZ?token=x",
+        "s3://bucket/set/tileset.json\n../other/%2e%2e/a.glb",
+        "/data/set/sub/tileset.json\n../a%20b.glb?x=1",
+        "http:///h\\x/\nhttp://a@b@c/d?e&f=g",
+        "az://bucket/a.zip/b.zip/c\n//other/key",
+    ];
+    Parser::new("uris", seeds, |bytes| {
+        let text = String::from_utf8_lossy(bytes);
+        let (base, reference) = text.split_once('\n').unwrap_or((&text, "a.glb"));
+        for uri in [base, reference] {
+            fuzz_url(uri);
+        }
+        match root_uri(base) {
+            Ok(uri) => {
+                fuzz_url(&uri);
+                assert_eq!(root_uri(&uri).as_deref(), Ok(&*uri));
+            }
+            Err(error) => assert!(!error.reason().is_empty()),
+        }
+        for scope in [RootScope::of("http://h/a"), RootScope::of("s3://bucket/a"), RootScope::of("/data/set/t.json")] {
+            match (resolve(base, reference, &scope), &scope) {
+                (Ok(uri), RootScope::Http) => {
+                    fuzz_url(&uri);
+                    assert!(is_http(&uri), "{uri}");
+                    let is_safe = |uri: &str| uri.to_ascii_lowercase().starts_with("https:");
+                    assert!(is_safe(&uri) || !is_safe(base), "{base:?} {reference:?} {uri}");
+                }
+                (Ok(uri), RootScope::Bucket(bucket)) => {
+                    fuzz_url(&uri);
+                    let key = uri.strip_prefix(bucket.as_str());
+                    assert!(key.is_some_and(|key| key.is_empty() || key.starts_with('/')), "{uri}");
+                }
+                (Ok(uri), RootScope::Folder(folder)) => {
+                    let path = std::path::Path::new(&*uri);
+                    let climbs = path.components().any(|part| part == std::path::Component::ParentDir);
+                    assert!(path.starts_with(folder) && (!climbs || base.contains("..")), "{base:?} {uri}");
+                }
+                (Err(error), _) => assert!(!error.reason().is_empty()),
+            }
+        }
+    })
+}
+
+fn pmtiles() -> Parser {
+    // Two tiles, one of them twice, and a directory below.
+    let directory = [3, 0, 1, 2, 1, 2, 0, 9, 9, 5, 1, 10, 1];
+    let mut bytes = vec![0u8; 127];
+    bytes[..8].copy_from_slice(b"PMTiles\x03");
+    for (at, value) in [(8, 127u64), (16, 13), (40, 127), (48, 13), (56, 127), (64, 90)] {
+        bytes[at..at + 8].copy_from_slice(&value.to_le_bytes());
+    }
+    (bytes[97], bytes[98]) = (1, 1);
+    bytes.extend_from_slice(&directory);
+    Parser::new("pmtiles", [bytes], |bytes| fuzz_pmtiles(bytes, &limits()))
+}
+
+fn camera_path() -> Parser {
+    let seeds =
+        [b"# t px py pz qx qy qz qw\n0 1 2 3 0 0 0 1\n1.5 1e3 -2 3.25 0 0.7071 0 0.7071\n2 0 0 0 1 0 0 0\n".to_vec()];
+    Parser::new("camera-path", seeds, move |bytes| {
+        if let Ok(path) = AnimationPath::parse(&String::from_utf8_lossy(bytes)) {
+            for share in [-1.0, 0.0, 0.3, 1.0, 7.0] {
+                let pose = path.world_from_eye(path.first_s() + share * path.duration_s());
+                assert!(pose.is_finite(), "{pose:?}");
+            }
+            let again = AnimationPath::parse(&path.to_text()).unwrap();
+            assert_eq!(again.points(), path.points());
+        }
+    })
+}
+
+/// Files of windows, and of windows and views.
+fn arrangements() -> Parser {
+    let seeds = [
+        r#"{"windows":[{"title":"ahead","position_px":[640,0],"size_px":[640,480],"screen":0,"full_screen":false,"decorated":true,"samples":4,"vsync":true},{"position_px":[0,0],"shares_device":true,"cameras":[{"viewport_px":[0,0,640,480],"turn_deg":[-40,0,0],"move_m":[1,2,3]},{"viewport":[0,0,0.5,1],"shift":[1,0],"zoom":[2,2],"eyes":"LEFT"}]}]}"#,
+        r#"{"windows":[{"size_px":[1280,480]},{"shares_device":true}],"scenes":{"before":"sets/1990","after":"https://host/2020/tileset.json"},"views":[{"scene":"before","cameras":[{"viewport":[0,0,0.5,1]}]},{"scene":"after","heading_deg":20,"pitch_deg":-60,"range_m":5000,"background":[0,0,40],"cameras":[{"viewport":[0.5,0,0.5,1],"resize":"HORIZONTAL"},{"window":1,"shift":[1,0]}]}]}"#,
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    Parser::new("arrangements", seeds, move |bytes| {
+        let file = folder.path().join("windows.json");
+        std::fs::write(&file, bytes).unwrap();
+        match Arrangement::read(&file) {
+            Ok(Arrangement::Windows(windows)) => assert!((1..=64).contains(&windows.len())),
+            Ok(Arrangement::Views(views)) => assert!((1..=64).contains(&views.views.len())),
+            Ok(other) => panic!("a file that is {other:?}"),
+            Err(error) => assert!(!error.reason.is_empty(), "{error}"),
+        }
+    })
+}
+
+fn display_settings() -> Parser {
+    let seeds = ["ON", "HORIZONTAL_SPLIT", "0.05", "12", "MONITOR", "LEFT_EYE_LEFT_VIEWPORT", "1280 720"];
+    let seeds = seeds.map(|s| s.as_bytes().to_vec());
+    Parser::new("display-settings", seeds, move |bytes| {
+        let value = String::from_utf8_lossy(bytes).into_owned();
+        let mut settings = DisplaySettings::default();
+        if let Err(error) = settings.read_variables(|_| Some(value.clone())) {
+            assert!(!error.to_string().is_empty());
+        }
+        let mut arguments: Vec<String> = value.split_whitespace().map(str::to_owned).collect();
+        arguments.splice(0..0, ["--stereo".to_owned(), "--samples=4".to_owned()]);
+        let _ = settings.read_command_line(&mut arguments);
+        assert!(settings.field_of_view_is_sane());
+    })
+}
+
+trait Sane {
+    fn field_of_view_is_sane(&self) -> bool;
+}
+
+impl Sane for DisplaySettings {
+    fn field_of_view_is_sane(&self) -> bool {
+        match self.field_of_view() {
+            terrane::viewer::FieldOfView::LongerSide(angle) => angle.is_finite() && angle > 0.0,
+            _ => false,
+        }
+    }
+}
+
+fn http_headers() -> Parser {
+    let seeds = [
+        "max-age=60, must-revalidate",
+        "no-store, private=\"x\", s-maxage=9",
+        "Sun, 06 Nov 1994 08:49:37 GMT",
+        "120",
+        "bytes 0-99/1000",
+        "gzip, br",
+        "*",
+    ];
+    Parser::new("http-headers", seeds, |bytes| {
+        fuzz_headers(&String::from_utf8_lossy(bytes));
+    })
+}
+
+fn encodings() -> Parser {
+    let text = TILESET.as_bytes();
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut gzip, text).unwrap();
+    // A brotli stream of one uncompressed block, and a zstd frame of one raw block.
+    let brotli = [&[0x21, 0x14, 0x00, 0x04][..], b"hello", &[0x03]].concat();
+    let zstd = [&[0x28, 0xb5, 0x2f, 0xfd, 0x20, 0x05, 0x29, 0x00, 0x00][..], b"hello"].concat();
+    let limits = Limits { max_file_bytes: 1 << 16, ..Limits::default() };
+    Parser::new("encodings", [gzip.finish().unwrap(), brotli, zstd, text.to_vec()], move |bytes| {
+        for encoding in ["gzip", "br", "zstd", "zstd, gzip", "identity"] {
+            fuzz_encoding(encoding, bytes, &limits);
+        }
+        fuzz_encoding(&String::from_utf8_lossy(&bytes[..bytes.len().min(40)]), bytes, &limits);
+    })
+}
+
+fn cache_entries() -> Parser {
+    let seed = r#"{"uri":"http://h/a","blob":"2d711642b726b04401627ca9fbac32f5c8530fb1903cc4db02258717921a4881","size":1,"encoding":"gzip","etag":"\"1\"","last_modified":null,"checked_s":1000,"fresh_for_s":60}"#;
+    Parser::new("cache-entry", [seed], fuzz_cache_entry)
+}
+
+kit::parsers! {
+    tileset,
+    inspection,
+    subtree,
+    glb,
+    gltf_json,
+    b3dm,
+    pnts,
+    height_tile,
+    height_data,
+    imagery,
+    gzip,
+    archive,
+    archive_index,
+    uris,
+    pmtiles,
+    camera_path,
+    arrangements,
+    display_settings,
+    http_headers,
+    encodings,
+    cache_entries,
+}

@@ -1,0 +1,345 @@
+//! No input panics, hangs or exhausts memory: every failure is one typed error with URI and reason. No GPU.
+
+use std::sync::Arc;
+
+use proptest::prelude::*;
+use terrane::io::write::{GlbMesh, write_glb, write_height_exr};
+use terrane::io::{Content, DECODER_PANICKED, IoError, Limits, ReadOptions, decode, inspect, verify};
+use terrane::scene::Page;
+
+const ROOT: &str = "/set/tileset.json";
+
+fn read(bytes: &[u8], reader_data: Option<&str>) -> Result<Page, IoError> {
+    let limits = Limits { max_image_side_px: 64, ..Limits::default() };
+    let content = Content {
+        uri: "/set/tile".into(),
+        bytes: bytes.to_vec(),
+        reader_data: reader_data.map(Arc::from),
+        companions: Vec::new(),
+    };
+    decode(content, &ReadOptions::for_root(ROOT, limits))
+}
+
+/// The error, which must say what failed and why.
+fn refused(bytes: &[u8]) -> String {
+    let error = read(bytes, None).unwrap_err();
+    assert!(!error.uri().is_empty() && !error.reason().is_empty(), "{error:?}");
+    assert_ne!(error.reason(), DECODER_PANICKED);
+    error.reason()
+}
+
+fn png(side: u32) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image::RgbImage::from_pixel(side, side, image::Rgb([200, 30, 10]))
+        .write_to(&mut bytes, image::ImageFormat::Png)
+        .unwrap();
+    bytes.into_inner()
+}
+
+fn triangle(image: Vec<u8>) -> Vec<u8> {
+    write_glb(&GlbMesh {
+        positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        normals: vec![[0.0, 0.0, 1.0]; 3],
+        uvs: vec![[0.0; 2]; 3],
+        indices: vec![0, 1, 2],
+        image: Some(image),
+        base_color: [1.0; 4],
+        quantized: false,
+    })
+}
+
+fn tileset(volume: &str, error: &str, content: &str) -> Vec<u8> {
+    format!(
+        r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{{"refine":"ADD","boundingVolume":{{{volume}}},"geometricError":{error},"content":{{"uri":"{content}"}}}}}}"#
+    )
+    .into_bytes()
+}
+
+#[test]
+fn occluders_that_are_none_are_refused() {
+    let gltf = |occluder: &str| {
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"children":[1]}},{{"extras":{{"terrane":{{"occluder":{occluder}}}}}}}]}}"#
+        )
+    };
+    let polygon = |corners: &str| gltf(&format!(r#"{{"corners":[{corners}]}}"#));
+    assert!(read(polygon("[0,0,0],[1,0,0],[0,1,0]").as_bytes(), None).is_ok());
+    let many = vec!["[0,0,0]"; 65].join(",");
+    for (occluder, reason) in [
+        (gltf("7"), "invalid type"),
+        (polygon("[0,0,0],[1,0]"), "invalid length"),
+        (polygon("[0,0,0],[1,0,0]"), "2 corners"),
+        (polygon(&many), "65 corners"),
+        (polygon("[0,0,0],[1,0,0],[2,0,0]"), "no area"),
+        (polygon("[0,0,0],[1e300,0,0],[0,1e300,0]"), "no area"),
+        (polygon("[0,0,0],[1,0,0],[1,1,0.2],[0,1,0]"), "in a plane"),
+        (polygon("[0,0,0],[2,0,0],[0.5,0.5,0],[0,2,0]"), "not convex"),
+        (gltf(r#"{"corners":[[0,0,0],[1,0,0],[0,1,0]],"holes":[[[0,0,0]]]}"#), "1 corners"),
+    ] {
+        let said = refused(occluder.as_bytes());
+        assert!(said.contains("occluder of node 1") && said.contains(reason), "{said}");
+    }
+}
+
+/// Small files whose parts are each within the limits, and all of them together would take gigabytes.
+#[test]
+fn totals_of_a_gltf_are_limited() {
+    use base64::Engine as _;
+    let data = |bytes: &[u8]| format!("data:;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes));
+    let limits = Limits { max_elements: 1000, max_image_bytes: 64 * 64 * 4, ..Limits::default() };
+    // 900 indices, all 0; positions at so many places; a picture for each primitive.
+    let gltf = |primitives: usize, mode: u32, indices: usize, image: Option<&[u8]>| {
+        let list = |of: &dyn Fn(usize) -> String| (0..primitives).map(of).collect::<Vec<_>>().join(",");
+        let material = |i: usize| if image.is_some() { format!(r#","material":{i}"#) } else { String::new() };
+        let primitive = |i: usize| {
+            let material = material(i);
+            format!(r#"{{"attributes":{{"POSITION":{}}},"indices":0,"mode":{mode}{material}}}"#, i + 1)
+        };
+        let positions = |i: usize| {
+            let at = 12 * i;
+            format!(
+                r#"{{"bufferView":1,"byteOffset":{at},"componentType":5126,"count":1,"type":"VEC3","min":[0,0,0],"max":[0,0,0]}}"#
+            )
+        };
+        let pictures = image.map_or(String::new(), |image| {
+            let of = |name: &str, each: &dyn Fn(usize) -> String| format!(r#","{name}":[{}]"#, list(each));
+            [
+                of("materials", &|i| format!(r#"{{"pbrMetallicRoughness":{{"baseColorTexture":{{"index":{i}}}}}}}"#)),
+                of("textures", &|i| format!(r#"{{"source":{i}}}"#)),
+                of("images", &|_| format!(r#"{{"uri":"{}"}}"#, data(image))),
+            ]
+            .concat()
+        });
+        let buffer = vec![0; 900 + 12 * primitives];
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{}]}}],"accessors":[{{"bufferView":0,"componentType":5121,"count":{indices},"type":"SCALAR"}},{}],"bufferViews":[{{"buffer":0,"byteLength":900}},{{"buffer":0,"byteOffset":900,"byteLength":{}}}],"buffers":[{{"byteLength":{},"uri":"{}"}}]{pictures}}}"#,
+            list(&primitive),
+            list(&positions),
+            12 * primitives,
+            buffer.len(),
+            data(&buffer),
+        )
+    };
+    let read = |text: String| {
+        let bytes = text.into_bytes();
+        let content = Content { uri: "/set/tile".into(), bytes, reader_data: None, companions: Vec::new() };
+        decode(content, &ReadOptions::for_root(ROOT, limits))
+    };
+    let nodes = |nodes: &str| {
+        format!(r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{nodes}]}}"#)
+    };
+    // So many drawables of no vertex, in so many places.
+    let instanced = |primitives: usize, places: usize| {
+        let all = |what: &str, count: usize| vec![what; count].join(",");
+        let roots: Vec<String> = (0..places).map(|i| i.to_string()).collect();
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[{}]}}],"nodes":[{}],"meshes":[{{"primitives":[{}]}}],"accessors":[{{"bufferView":0,"componentType":5126,"count":0,"type":"VEC3","min":[0,0,0],"max":[0,0,0]}}],"bufferViews":[{{"buffer":0,"byteLength":4}}],"buffers":[{{"byteLength":4,"uri":"{}"}}]}}"#,
+            roots.join(","),
+            all(r#"{"mesh":0}"#, places),
+            all(r#"{"attributes":{"POSITION":0}}"#, primitives),
+            data(&[0; 4]),
+        )
+    };
+    let picture = png(64);
+    let [strip, triangles] = [5, 4];
+    for good in [gltf(2, strip, 900, None), gltf(60, triangles, 900, None), gltf(3, triangles, 900, Some(&picture))] {
+        read(good).unwrap();
+    }
+    for (bad, why) in [
+        (gltf(3, strip, 900, None), "9000 indices"),
+        (gltf(20, triangles, 899, None), "indices"),
+        (gltf(9, triangles, 900, Some(&picture)), "images of a glTF"),
+        (gltf(63, triangles, 900, None), "63 primitives"),
+        (instanced(40, 40), "primitives"),
+        (nodes(r#"{"children":[1,1]},{}"#), "node 1 hangs in two places"),
+        (nodes(r#"{"children":[1]},{"children":[0]}"#), "node 0 hangs in two places"),
+        (nodes(r#"{"matrix":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,2]}"#), "not affine"),
+        (nodes(r#"{"rotation":[0,0,0,0]}"#), "not affine and finite"),
+    ] {
+        let reason = read(bad).unwrap_err().to_string();
+        assert!(reason.contains(why), "{reason}");
+    }
+}
+
+const SPHERE: &str = r#""sphere":[0,0,0,5]"#;
+
+#[test]
+fn what_is_good_is_read() {
+    assert_eq!(read(&triangle(png(4)), None).unwrap().drawable_count(), 1);
+    assert!(read(&tileset(SPHERE, "1", "a.glb"), None).unwrap().is_tile_tree());
+}
+
+#[test]
+fn a_glb_cut_anywhere_is_refused() {
+    let whole = triangle(png(4));
+    for length in 0..whole.len() {
+        refused(&whole[..length]);
+    }
+}
+
+#[test]
+fn wrong_magic_error_pages_and_foreign_formats_are_named() {
+    assert!(refused(b"\x01\x02\x03\x04rubbish").contains("magic"));
+    assert!(refused(b"<html>404</html>").contains("error page"));
+    for (magic, name) in [("i3dm", "i3dm"), ("cmpt", "cmpt"), ("subt", "implicit")] {
+        assert!(refused(magic.as_bytes()).contains(name));
+    }
+    // Textures have no image of their own then.
+    let basis = r#"{"asset":{"version":"2.0"},"extensionsUsed":["KHR_texture_basisu"],"extensionsRequired":["KHR_texture_basisu"],
+        "images":[{"uri":"data:image/ktx2;base64,"}],"textures":[{"extensions":{"KHR_texture_basisu":{"source":0}}}]}"#;
+    assert!(refused(basis.as_bytes()).contains("required glTF extension KHR_texture_basisu"));
+}
+
+/// What the gltf crate's own validation takes for granted.
+#[test]
+fn a_glb_with_a_bad_reference_is_refused() {
+    let whole = triangle(png(4));
+    for (was, now, why) in [
+        ("\"mimeType\"", "\"nimeType\"", "mimeType"),
+        ("\"accessors\"", "\"accessor_\"", "accessor 0 of 0"),
+        ("\"images\"", "\"imagez\"", "glTF"),
+        ("\"bufferViews\"", "\"bufferView_\"", "glTF"),
+        ("\"meshes\"", "\"meshez\"", "glTF"),
+    ] {
+        let mut changed = whole.clone();
+        let at = whole.windows(was.len()).position(|w| w == was.as_bytes()).unwrap();
+        changed[at..at + now.len()].copy_from_slice(now.as_bytes());
+        let reason = refused(&changed);
+        assert!(reason.contains(why), "{was}: {reason}");
+    }
+}
+
+#[test]
+fn images_are_measured_before_they_are_decoded() {
+    assert!(refused(&triangle(png(65))).contains("limit"));
+    let mut empty = png(4);
+    empty[16..24].fill(0);
+    refused(&triangle(empty));
+}
+
+#[test]
+fn bounds_and_errors_must_be_sane() {
+    for volume in [
+        r#""sphere":[0,0,0,-1]"#,
+        r#""sphere":[0,0,1e300,1]"#,
+        r#""sphere":[0,0,0]"#,
+        r#""box":[1,2,3]"#,
+        r#""region":[0,1,0.1,0.5,0,10]"#,
+        r#""region":[0,0,0.1,0.5,10,0]"#,
+        r#""region":[0,0,99,0.5,0,10]"#,
+        "",
+    ] {
+        refused(&tileset(volume, "1", "a.glb"));
+    }
+    refused(&tileset(SPHERE, "-1", "a.glb"));
+    refused(&tileset(SPHERE, "NaN", "a.glb"));
+    refused(&tileset(SPHERE, "1e999", "a.glb"));
+}
+
+#[test]
+fn references_stay_in_the_sets_folder() {
+    for escape in ["../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "%2e%2e/x.glb", "http://other/x.glb"] {
+        refused(&tileset(SPHERE, "1", escape));
+    }
+}
+
+/// Few small files whose tree has a hundred thousand tiles, or any number with more files.
+#[test]
+fn tilesets_that_name_each_other_often_end() {
+    let folder = tempfile::tempdir().unwrap();
+    for file in 0..5 {
+        let name = if file == 0 { "tileset.json".to_owned() } else { format!("{file}.json") };
+        let below = format!(r#"{{"uri":"{}.json"}}"#, file + 1);
+        let contents = if file < 4 { vec![below; 10].join(",") } else { String::new() };
+        let json = format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":1,"root":{{"boundingVolume":{{"sphere":[0,0,0,9]}},
+            "geometricError":1,"contents":[{contents}]}}}}"#
+        );
+        std::fs::write(folder.path().join(name), json).unwrap();
+    }
+    let source = folder.path().to_str().unwrap();
+    let limits = Limits { max_elements: 500, ..Limits::default() };
+    let info = inspect(source, &limits).unwrap();
+    let [error] = &info.errors[..] else { panic!("{info}") };
+    assert!((200..=500).contains(&info.tiles) && error.reason.contains("tiles and tilesets"), "{info}");
+    let verified = verify(source, &limits, &mut |_| {}).unwrap();
+    let [error] = &verified.errors[..] else { panic!("{verified:?}") };
+    assert!(error.reason.contains("tiles and tilesets") && verified.bytes < 200_000, "{verified:?}");
+    // The errors that are told are bounded, those that are counted are not.
+    std::fs::write(folder.path().join("4.json"), "broken").unwrap();
+    let info = inspect(source, &Limits::default()).unwrap();
+    assert_eq!((info.failed, info.errors.len()), (10_000, 1000));
+}
+
+/// One was read as a content: what is below it was not.
+#[test]
+fn all_of_a_set_is_verified_whatever_its_tilesets_are_called() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, content) in [("tileset.json", "inner"), ("inner", "deeper.v1"), ("deeper.v1", "missing.glb")] {
+        std::fs::write(folder.path().join(name), tileset(SPHERE, "1", content)).unwrap();
+    }
+    let verified = verify(folder.path().to_str().unwrap(), &Limits::default(), &mut |_| {}).unwrap();
+    assert_eq!((verified.contents, verified.failed), (1, 1));
+    assert!(verified.errors[0].uri.ends_with("missing.glb"), "{verified:?}");
+}
+
+#[test]
+fn tilesets_that_contain_themselves_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("tileset.json");
+    std::fs::write(&root, tileset(SPHERE, "1", "other.json")).unwrap();
+    std::fs::write(folder.path().join("other.json"), tileset(SPHERE, "1", "tileset.json")).unwrap();
+    let info = inspect(root.to_str().unwrap(), &Limits::default()).unwrap();
+    assert_eq!((info.tiles, info.errors.len()), (2, 1));
+    assert!(info.errors[0].reason.contains("contains itself"));
+    let options = ReadOptions::for_root(ROOT, Limits::default()).below(&"/set/tile".into());
+    let content = Content {
+        uri: "/set/tile".into(),
+        bytes: tileset(SPHERE, "1", "a.glb"),
+        reader_data: None,
+        companions: vec![],
+    };
+    assert!(decode(content, &options).unwrap_err().reason().contains("contains itself"));
+}
+
+#[test]
+fn deep_nesting_is_refused() {
+    refused(&[b"{\"root\":".repeat(5000), b"1".to_vec()].concat());
+}
+
+const HEIGHT: &str =
+    r#"{"region":[0.1,0.8,0.11,0.81],"side":5,"border":1,"level":1,"errors_m":[1.0,2.0],"imagery":null}"#;
+
+#[test]
+fn height_tiles_are_checked() {
+    let exr = |side: usize, h: f32| write_height_exr("t", side, vec![h; side * side]).unwrap();
+    assert_eq!(read(&exr(7, 12.0), Some(HEIGHT)).unwrap().drawable_count(), 1);
+    for (bytes, data) in [(exr(7, 1.0), None), (exr(9, 1.0), Some(HEIGHT)), (exr(7, f32::NAN), Some(HEIGHT))] {
+        assert!(!read(&bytes, data).unwrap_err().reason().is_empty());
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// Whatever bytes are turned, the answer is a page or an error, never a panic.
+    #[test]
+    fn flipped_bytes_never_panic(
+        flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        which in 0..3usize,
+    ) {
+        let (mut bytes, data) = match which {
+            0 => (triangle(png(4)), None),
+            1 => (tileset(SPHERE, "1", "a.glb"), None),
+            _ => (write_height_exr("t", 7, vec![5.0; 49]).unwrap(), Some(HEIGHT)),
+        };
+        for (index, value) in flips {
+            let at = index.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Err(error) = read(&bytes, data) {
+            prop_assert!(!error.uri().is_empty() && !error.reason().is_empty());
+            prop_assert_ne!(error.reason(), DECODER_PANICKED);
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! Real 3D Tiles read whole, without a GPU: tiles, contents and triangles are those that a validator counted. The files
+//! lie beside a developer's checkout; elsewhere this says so.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde_json::Value;
+use terrane::io::{Content, IoError, Limits, ReadOptions, decode_node, inspect, read_file, root_uri};
+use terrane::scene::{Geometry, Node, NodeKind, Topology};
+
+/// Tile sets that need what is not read, and the word that the error has.
+const REFUSED: &[(&str, &str)] = &[
+    ("Compressed/balloon_ktx2.json", "KHR_texture_basisu"),
+    ("Compressed/box_draco.json", "KHR_draco_mesh_compression"),
+    ("Compressed/box_meshopt.json", "EXT_meshopt_compression"),
+    ("GpuInstancesMetadata/tileset.json", "EXT_mesh_gpu_instancing"),
+    ("ImplicitTileset/tileset_1.0.json", "implicit_tiling"),
+    ("ImplicitTileset/tileset_1.1.json", "implicit tiling"),
+    ("SparseImplicitQuadtree/tileset.json", "implicit tiling"),
+];
+
+#[derive(Default)]
+struct Found {
+    contents: u64,
+    externals: u64,
+    triangles: u64,
+    errors: Vec<IoError>,
+}
+
+impl Found {
+    fn load(&mut self, uri: &Arc<str>, reader_data: Option<Arc<str>>, options: &ReadOptions) {
+        let read = read_file(uri, &options.limits).and_then(|bytes| {
+            let content = Content { uri: uri.clone(), bytes, reader_data, companions: Vec::new() };
+            decode_node(content, options)
+        });
+        match read {
+            Ok(node) => self.walk(&node, uri, options),
+            Err(error) => self.errors.push(error),
+        }
+    }
+
+    fn walk(&mut self, node: &Node, uri: &Arc<str>, options: &ReadOptions) {
+        match &node.kind {
+            NodeKind::PagedLod(tile) => {
+                if let Some(content) = &tile.content {
+                    self.contents += 1;
+                    self.load(content, tile.reader_data.clone(), &options.below(uri));
+                }
+            }
+            NodeKind::ProxyNode(proxy) => {
+                self.externals += 1;
+                self.load(&proxy.uri, None, &options.below(uri));
+            }
+            NodeKind::Geode(drawables) => {
+                for drawable in drawables {
+                    let Geometry::Mesh(mesh) = &drawable.geometry else { continue };
+                    if mesh.topology == Topology::Triangles {
+                        self.triangles += mesh.indices.len() as u64 / 3;
+                    }
+                }
+            }
+            _ => {}
+        }
+        for child in &node.children {
+            self.walk(child, uri, options);
+        }
+    }
+}
+
+#[test]
+fn sample_tile_sets_hold_what_a_validator_counts() {
+    let samples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/samples/3d-tiles");
+    let Ok(text) = std::fs::read(samples.join("expected.json")) else {
+        eprintln!("skipped: no samples at {}", samples.display());
+        return;
+    };
+    let expected: Value = serde_json::from_slice(&text).unwrap();
+    let limits = Limits::default();
+    let mut compared = 0;
+    for case in expected["cases"].as_array().unwrap() {
+        let file = case["file"].as_str().unwrap();
+        let root = root_uri(samples.join(file).to_str().unwrap()).unwrap();
+        let mut found = Found::default();
+        found.load(&root, None, &ReadOptions::for_root(&root, limits));
+        let reasons: Vec<String> = found.errors.iter().map(|e| format!("{}: {}", e.uri(), e.reason())).collect();
+        if let Some((_, why)) = REFUSED.iter().find(|(name, _)| *name == file) {
+            assert!(reasons.len() == 1 && reasons[0].contains(why), "{file}: {reasons:?}, not {why}");
+            assert_eq!(found.triangles, 0, "{file}");
+            continue;
+        }
+        let count = |key: &str| case["validate"][key].as_u64().unwrap();
+        let info = inspect(&root, &limits).unwrap();
+        // One set names a file that is not there.
+        let missing = found.errors.iter().filter(|e| matches!(e, IoError::NotFound { .. })).count() as u64;
+        assert_eq!(reasons.len() as u64, missing, "{file}: {reasons:?}");
+        assert_eq!(missing, u64::from(file.contains("DiscreteLOD")), "{file}: {reasons:?}");
+        assert_eq!(info.tiles, count("tiles"), "{file}: tiles");
+        assert_eq!(found.contents, info.contents, "{file}: contents");
+        // To the validator an external tileset is a content, and a missing file is none.
+        assert_eq!(found.contents + found.externals - missing, count("contents"), "{file}: contents");
+        assert_eq!(found.triangles, count("tri"), "{file}: triangles");
+        compared += 1;
+    }
+    assert!(compared >= 10, "{compared} tile sets were compared");
+}

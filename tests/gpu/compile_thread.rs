@@ -1,0 +1,292 @@
+//! Contexts with a compile thread: what it uploads is what the draw thread would have, whatever comes between. Needs a GPU
+//! (a software one will do).
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use image::RgbaImage;
+use kit::shapes::with_mips;
+use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, GraphicsContext};
+use terrane::pager::PagerConfig;
+use terrane::scene::{DataVariance, DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, Texture};
+use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
+
+const SIZE: [u32; 2] = [96, 72];
+const PATIENCE: Duration = Duration::from_secs(60);
+
+fn config(threading: ThreadingModel, compile_contexts: bool) -> ViewerConfig {
+    ViewerConfig {
+        size_px: SIZE,
+        threading,
+        adapter: AdapterChoice::Software,
+        max_sse_px: 4.0,
+        pager: PagerConfig::default(),
+        compile_contexts,
+        max_contexts: 3,
+        ..ViewerConfig::default()
+    }
+}
+
+fn context(compile_thread: bool) -> Option<GraphicsContext> {
+    let traits = config(ThreadingModel::SingleThreaded, compile_thread).traits();
+    match GraphicsContext::new_offscreen(&traits) {
+        Ok(context) => Some(context),
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+    }
+}
+
+fn small_set(folder: &Path, content: terrane_data_gen::ContentKind) -> String {
+    let set = folder.join("set");
+    let args = terrane_data_gen::GenArgs {
+        levels: Some(4),
+        seed: 5,
+        size: 20_000.0,
+        content,
+        ..terrane_data_gen::GenArgs::new(&set)
+    };
+    terrane_data_gen::run(&args).unwrap();
+    set.display().to_string()
+}
+
+fn textured(texture: &Arc<Texture>) -> Drawable {
+    let material = Material { texture: Some(texture.clone()), unlit: true, ..Material::default() };
+    Drawable::new(Geometry::Mesh(Arc::new(Mesh::sphere(DVec3::ZERO, 1.0, 12))), material)
+}
+
+fn until(ctx: &mut GraphicsContext, budget: &CompileBudget) -> u64 {
+    let start = Instant::now();
+    let mut bytes = 0;
+    while ctx.pending_compiles() > 0 {
+        bytes += ctx.run_compiles(budget).bytes;
+        assert!(start.elapsed() < PATIENCE, "{} operations are stuck", ctx.pending_compiles());
+        std::thread::yield_now();
+    }
+    bytes
+}
+
+#[test]
+fn more_than_all_staging_memory_goes_through_it() {
+    for budget in [CompileBudget::default(), CompileBudget::UNLIMITED] {
+        let Some(mut ctx) = context(true) else { return };
+        // 64 MiB in images and meshes of all sizes, one of them larger than a staging buffer.
+        let mut drawables = Vec::new();
+        let mut bytes = 0;
+        for (place, side) in [2048u32, 1, 3, 513, 1024, 64, 2048, 7, 1000, 256].into_iter().enumerate() {
+            let texture = Arc::new(with_mips(side, side, vec![place as u8; (side * side * 4) as usize]));
+            bytes += texture.mips.iter().map(|m| m.len() as u64).sum::<u64>();
+            drawables.push(textured(&texture));
+        }
+        for (ticket, drawable) in drawables.into_iter().enumerate() {
+            ctx.compile(CompileOperation { ticket: ticket as u64, drawables: vec![drawable] });
+        }
+        ctx.compile(CompileOperation { ticket: 10, drawables: Vec::new() });
+        assert!(until(&mut ctx, &budget) >= bytes);
+        let compiled = ctx.take_compiled();
+        assert_eq!(compiled.iter().map(|c| c.ticket).collect::<Vec<_>>(), (0..=10).collect::<Vec<_>>());
+        assert!(compiled.iter().all(|c| c.errors.is_empty() && c.slots.iter().all(|s| *s != DrawSlot::NONE)));
+        let slots: Vec<_> = compiled.into_iter().flat_map(|c| c.slots).collect();
+        ctx.release(&slots);
+        assert!(ctx.bytes_in_use() < 1000, "{} bytes", ctx.bytes_in_use());
+        assert!(ctx.take_device_errors().is_empty());
+    }
+}
+
+#[test]
+fn operations_that_are_dropped_under_way_hold_up_nothing() {
+    for calls in [0, 1, 3] {
+        let Some(mut ctx) = context(true) else { return };
+        for ticket in 0..40 {
+            let texture = Arc::new(with_mips(1024, 1024, vec![ticket as u8; 1024 * 1024 * 4]));
+            ctx.compile(CompileOperation { ticket, drawables: vec![textured(&texture)] });
+        }
+        for _ in 0..calls {
+            ctx.run_compiles(&CompileBudget { time: Duration::ZERO, bytes: 1 });
+        }
+        let start = Instant::now();
+        drop(ctx);
+        assert!(start.elapsed() < Duration::from_secs(5), "{calls}: {:?}", start.elapsed());
+    }
+}
+
+fn settle(viewer: &mut Viewer) {
+    let start = Instant::now();
+    (0..4).for_each(|_| viewer.frame().unwrap());
+    while !viewer.is_settled() {
+        viewer.frame().unwrap();
+        assert!(start.elapsed() < PATIENCE, "never settled");
+    }
+    (0..3).for_each(|_| viewer.frame().unwrap());
+    viewer.finish().unwrap();
+}
+
+fn picture(viewer: &mut Viewer) -> RgbaImage {
+    settle(viewer);
+    viewer.read_back().unwrap()
+}
+
+#[test]
+fn every_model_shows_what_it_shows_without_the_thread() {
+    for content in [terrane_data_gen::ContentKind::Height, terrane_data_gen::ContentKind::Mesh] {
+        let folder = tempfile::tempdir().unwrap();
+        let set = small_set(folder.path(), content);
+        let Some(first) = context(false) else { return };
+        let mut here = Viewer::new(first, &config(ThreadingModel::SingleThreaded, false)).unwrap();
+        here.load(&set).unwrap();
+        let expected = picture(&mut here);
+        for threading in ThreadingModel::ALL {
+            let mut viewer = Viewer::new(context(true).unwrap(), &config(threading, true)).unwrap();
+            viewer.load(&set).unwrap();
+            assert!(picture(&mut viewer) == expected, "{threading}");
+            assert_eq!(viewer.stats().last().unwrap().gpu_bytes, here.stats().last().unwrap().gpu_bytes);
+            // Everything goes and comes again, with frames all the while; then the device does.
+            viewer.clear_pages();
+            (0..3).for_each(|_| viewer.frame().unwrap());
+            assert!(picture(&mut viewer) == expected, "{threading}: once more");
+            let context = viewer.contexts().next().unwrap();
+            viewer.clear_pages();
+            (0..2).for_each(|_| viewer.frame().unwrap());
+            viewer.lose_device(context).unwrap();
+            assert!(picture(&mut viewer) == expected, "{threading}: after the device was lost");
+            // A context that comes later, with and without a device of its own.
+            let shared = viewer.open_offscreen_on(context, &config(threading, true).traits()).unwrap();
+            let own = viewer.open_context(self::context(true).unwrap()).unwrap();
+            for of in [shared, own] {
+                viewer.add_slave(Slave::new(of)).unwrap();
+            }
+            settle(&mut viewer);
+            for of in [context, shared, own] {
+                assert!(viewer.read_back_of(of).unwrap() == expected, "{threading}: {of:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_blocking_mode_waits_for_the_thread() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path(), terrane_data_gen::ContentKind::Height);
+    let mut pictures = Vec::new();
+    for compile_contexts in [false, true] {
+        let Some(context) = context(compile_contexts) else { return };
+        let mut config = config(ThreadingModel::DrawThreadPerContext, compile_contexts);
+        config.pager.blocking = true;
+        let mut viewer = Viewer::new(context, &config).unwrap();
+        viewer.load(&set).unwrap();
+        // The first frame has all.
+        viewer.frame().unwrap();
+        pictures.push(viewer.read_back().unwrap());
+    }
+    assert!(pictures[0] == pictures[1]);
+}
+
+#[test]
+fn a_mesh_written_anew_is_there_though_it_is_still_on_its_way() {
+    let Some(context) = context(true) else { return };
+    let mut viewer = Viewer::new(context, &config(ThreadingModel::SingleThreaded, true)).unwrap();
+    let material = |color| Material { base_color: color, unlit: true, ..Material::default() };
+    let sphere = |at| Arc::new(Mesh::sphere(at, 1.0, 24));
+    let small = Drawable::new(Geometry::Mesh(sphere(DVec3::new(0.0, 0.0, 1e6))), material([1.0, 0.0, 0.0, 1.0]));
+    let root = viewer.add_root(Page::from_node(Node::geode(vec![small])).unwrap()).unwrap();
+    viewer.camera.look_at(DVec3::new(0.0, -6.0, 0.0), DVec3::ZERO, DVec3::Z);
+    settle(&mut viewer);
+    // Another page brings the same mesh, behind 32 MiB of others, and the first one takes it before it has arrived.
+    let mesh = sphere(DVec3::ZERO);
+    let big = (0..2u8).map(|i| textured(&Arc::new(with_mips(2048, 2048, vec![i; 2048 * 2048 * 4]))));
+    let far = DAffine3::from_translation(DVec3::new(0.0, 0.0, 1e6));
+    let drawables =
+        big.chain([Drawable::new(Geometry::Mesh(mesh.clone()), material([0.0, 1.0, 0.0, 1.0]))]).collect::<Vec<_>>();
+    viewer.add_root(Page::from_node(Node::transform(far, vec![Node::geode(drawables)])).unwrap()).unwrap();
+    viewer.frame().unwrap();
+    let geode = NodeId { page: root, index: 0 };
+    viewer.scene_mut().set_mesh(geode, 0, mesh, DataVariance::Static).unwrap();
+    viewer.frame().unwrap();
+    let [red, green, ..] = viewer.read_back().unwrap().get_pixel(48, 36).0;
+    assert!(red > 240 && green < 20, "{red} {green}");
+}
+
+/// What uploads cost the thread that draws, and how long a set takes to be there: `-- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement"]
+fn what_uploads_cost() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = terrane_data_gen::GenArgs {
+        levels: Some(6),
+        seed: 5,
+        size: 20_000.0,
+        ..terrane_data_gen::GenArgs::new(folder.path().join("set"))
+    };
+    terrane_data_gen::run(&args).unwrap();
+    let set = folder.path().join("set").display().to_string();
+    for round in 0..4 {
+        let compile_contexts = round % 2 == 1;
+        let Some(context) = context(compile_contexts) else { return };
+        let config = ViewerConfig {
+            validation: false,
+            max_sse_px: 0.25,
+            ..config(ThreadingModel::DrawThreadPerContext, compile_contexts)
+        };
+        let mut viewer = Viewer::new(context, &config).unwrap();
+        viewer.load(&set).unwrap();
+        settle(&mut viewer);
+        let mut settled_ms = Vec::new();
+        let first = viewer.frame_stamp().frame;
+        for _ in 0..10 {
+            viewer.clear_pages();
+            let start = Instant::now();
+            viewer.frame().unwrap();
+            while !viewer.is_settled() {
+                viewer.frame().unwrap();
+            }
+            settled_ms.push(start.elapsed().as_secs_f64() * 1e3);
+        }
+        viewer.finish().unwrap();
+        let frames = viewer.stats().iter().filter(|f| f.frame > first);
+        let of = |value: fn(&terrane::viewer::FrameStats) -> f64| {
+            let samples = terrane::viewer::Samples::new(frames.clone().map(value));
+            format!("{:.3} / {:.3} / {:.3}", samples.median(), samples.percentile(0.99), samples.max())
+        };
+        println!(
+            "compile thread {compile_contexts}: {} frames; ms median / p99 / max: compile {}; draw {}; frame {}; settled {}",
+            frames.clone().count(),
+            of(|f| f.compile_ms),
+            of(|f| f.draw_ms),
+            of(|f| f.frame_ms),
+            terrane::viewer::Samples::new(settled_ms).median(),
+        );
+    }
+}
+
+/// The update waited for uploads that could not go on, for ever.
+#[test]
+fn the_blocking_mode_waits_for_nothing_that_cannot_come() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path(), terrane_data_gen::ContentKind::Mesh);
+    for threading in [ThreadingModel::SingleThreaded, ThreadingModel::DrawThreadPerContext] {
+        for compile_contexts in [false, true] {
+            let mut config = config(threading, compile_contexts);
+            config.pager.blocking = true;
+            let Some(dry) = context(compile_contexts) else { return };
+            dry.pretend_frame_memory(Some(0));
+            let mut viewer = Viewer::new(dry, &config).unwrap();
+            viewer.load(&set).unwrap();
+            // A frame without memory for its target may be an error.
+            let _ = viewer.frame();
+            assert_eq!(viewer.pager().unwrap().stats().merged, 0, "{threading} {compile_contexts}");
+
+            let mut viewer = Viewer::new(context(compile_contexts).unwrap(), &config).unwrap();
+            viewer.load(&set).unwrap();
+            let expected = picture(&mut viewer);
+            let context = viewer.contexts().next().unwrap();
+            viewer.clear_pages();
+            viewer.lose_device(context).unwrap();
+            viewer.frame().unwrap();
+            assert!(picture(&mut viewer) == expected, "{threading} {compile_contexts}: after the device was lost");
+        }
+    }
+}

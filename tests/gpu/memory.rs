@@ -1,0 +1,152 @@
+//! What frames need and the adapter has no memory for: one error, and whatever can be drawn without it. Needs a GPU (a
+//! software one will do).
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use kit::frames::{MAGENTA, count, pixel};
+use kit::rig::{new_rig, plain, unit_camera};
+use kit::shapes::{quad, with_mips};
+use terrane::draw::{Environment, Sky};
+use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, ContextTraits, GraphicsContext};
+use terrane::scene::{CameraNode, Drawable, Material, Node};
+use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding, TextureFormat, TextureObject};
+
+const SIDE: u32 = 64;
+const RED: [u8; 3] = [255, 0, 0];
+
+fn square(color: [f32; 4]) -> Node {
+    Node::geode(vec![quad([0.0; 3], [0.5; 2], color)])
+}
+
+/// The device's own handler had it, with all that followed, and the frame was lost without a word.
+#[test]
+fn a_frame_without_memory_for_its_target_is_left_out_and_said() {
+    let Some(mut rig) = new_rig([SIDE; 2]) else { return };
+    let scene = rig.scene(square([1.0, 0.0, 0.0, 1.0]));
+    let camera = unit_camera(SIDE);
+    // All else is there, of a smaller one.
+    rig.draw(&scene, &unit_camera(SIDE / 2), &plain());
+    rig.ctx.pretend_frame_memory(Some(0));
+    for _ in 0..3 {
+        let stats = rig.draw(&scene, &camera, &plain());
+        assert_eq!((stats.stages_refused, stats.passes), (1, 0));
+    }
+    let errors = rig.renderer.take_errors();
+    let what = "out of graphics memory: depth and samples of a target of ";
+    assert!(matches!(&errors[..], [error] if error.starts_with(what)), "{errors:?}");
+    // With memory it is there again, and needs no more.
+    rig.ctx.pretend_frame_memory(None);
+    assert_eq!(pixel(&rig.picture(&scene, &camera, &plain()), 32, 32), RED);
+    rig.ctx.pretend_frame_memory(Some(0));
+    let stats = rig.draw(&scene, &camera, &plain());
+    assert_eq!((stats.stages_refused, stats.passes), (0, 1));
+    rig.release(scene);
+}
+
+#[test]
+fn a_camera_without_memory_for_its_target_leaves_the_others() {
+    let Some(mut rig) = new_rig([SIDE; 2]) else { return };
+    let camera = unit_camera(SIDE);
+    let beside = || Node::geode(vec![quad([0.75, 0.0, 0.0], [0.2; 2], [1.0, 0.0, 0.0, 1.0])]);
+    let first = rig.scene(beside());
+    rig.draw(&first, &camera, &plain());
+    // Of another size than the window's, whose depth it could have too.
+    let texture = TextureObject::target("seen", [SIDE / 2; 2], TextureFormat::Rgba8Srgb);
+    let of_texture = StateSet::default()
+        .with_mode(Mode::Lighting, StateValue::OFF)
+        .with(Attribute::Texture(0, TextureBinding::new(texture.clone())));
+    let node = CameraNode::to_texture(texture, camera.eye_from_world, camera.clip_from_eye);
+    let scene = rig.scene(Node::group(vec![
+        beside(),
+        Node::camera(node, vec![square([0.0, 1.0, 0.0, 1.0])]),
+        square([1.0; 4]).with_state_set(Arc::new(of_texture)),
+    ]));
+    rig.ctx.pretend_frame_memory(Some(0));
+    for _ in 0..3 {
+        let stats = rig.draw(&scene, &camera, &plain());
+        assert_eq!((stats.stages_refused, stats.passes), (1, 1));
+    }
+    let picture = rig.read_back();
+    assert_eq!((pixel(&picture, 56, 32), pixel(&picture, 2, 2)), (RED, MAGENTA));
+    assert_eq!(count(&picture, [0, 255, 0]), 0);
+    assert_eq!(rig.renderer.take_errors().len(), 1);
+    rig.ctx.pretend_frame_memory(None);
+    let picture = rig.picture(&scene, &camera, &plain());
+    assert_eq!(pixel(&picture, 32, 32), [0, 255, 0]);
+    assert!(rig.renderer.take_errors().is_empty());
+    rig.release(first);
+    rig.release(scene);
+}
+
+/// Its tables were made whether there was memory for them or not. A clear day's sky is in their place, and all that is lit
+/// is as under one.
+#[test]
+fn air_without_memory_is_a_plain_sky_and_computed_once_there_is_room() {
+    let Some(mut rig) = new_rig([SIDE; 2]) else { return };
+    let mut lit = quad([0.0; 3], [0.5; 2], [1.0; 4]);
+    lit.material = Material::default();
+    let scene = rig.scene(Node::geode(vec![lit]));
+    let sky = Environment::default();
+    let clear = Environment { sky: Sky::Background([0x87, 0xae, 0xd6]), ..sky };
+    // The target is there, and the air's tables are not.
+    let under_clear = rig.picture(&scene, &unit_camera(SIDE), &clear);
+    rig.ctx.pretend_frame_memory(Some(0));
+    for _ in 0..3 {
+        let picture = rig.picture(&scene, &unit_camera(SIDE), &sky);
+        assert!(picture == under_clear);
+        assert_eq!(pixel(&picture, 2, 2), [0x87, 0xae, 0xd6]);
+        assert!(pixel(&picture, 32, 32).iter().all(|channel| *channel > 60), "{:?}", pixel(&picture, 32, 32));
+    }
+    let errors = rig.renderer.take_errors();
+    assert!(matches!(&errors[..], [error] if error.starts_with("out of graphics memory: air of ")), "{errors:?}");
+    rig.ctx.pretend_frame_memory(None);
+    let picture = rig.picture(&scene, &unit_camera(SIDE), &sky);
+    assert_ne!(pixel(&picture, 2, 2), [0x87, 0xae, 0xd6]);
+    assert_ne!(pixel(&picture, 2, 2), [0; 3], "the air is computed once there is room");
+    rig.release(scene);
+}
+
+/// They were written to buffers that were none.
+#[test]
+fn uploads_wait_for_memory_and_that_is_said_once() {
+    for compile_thread in [false, true] {
+        let traits = ContextTraits {
+            size_px: [SIDE; 2],
+            adapter: AdapterChoice::Noop,
+            compile_thread,
+            ..ContextTraits::default()
+        };
+        let mut ctx = GraphicsContext::new_offscreen(&traits).unwrap();
+        let mut drawable: Drawable = quad([0.0; 3], [0.5; 2], [1.0; 4]);
+        drawable.material.texture = Some(Arc::new(with_mips(256, 256, vec![7; 256 * 256 * 4])));
+        let compile = |ctx: &mut GraphicsContext, ticket| {
+            ctx.compile(CompileOperation { ticket, drawables: vec![drawable.clone()] });
+        };
+        let run_until = |ctx: &mut GraphicsContext, is_done: &dyn Fn(&mut GraphicsContext) -> bool| {
+            let start = Instant::now();
+            while !is_done(ctx) && start.elapsed() < Duration::from_secs(20) {
+                ctx.run_compiles(&CompileBudget::UNLIMITED);
+            }
+        };
+        ctx.pretend_frame_memory(Some(0));
+        compile(&mut ctx, 1);
+        let mut errors = Vec::new();
+        let start = Instant::now();
+        while errors.is_empty() || start.elapsed() < Duration::from_millis(300) {
+            ctx.run_compiles(&CompileBudget::UNLIMITED);
+            errors.extend(ctx.take_device_errors());
+            assert!(start.elapsed() < Duration::from_secs(20), "nothing is said");
+        }
+        let what = "out of graphics memory: staging buffer of ";
+        assert!(matches!(&errors[..], [error] if error.starts_with(what)), "{compile_thread}: {errors:?}");
+        assert_eq!((ctx.take_compiled().len(), ctx.pending_compiles()), (0, 1), "{compile_thread}");
+        ctx.pretend_frame_memory(None);
+        run_until(&mut ctx, &|ctx| ctx.pending_compiles() == 0);
+        let compiled = ctx.take_compiled();
+        assert!(matches!(&compiled[..], [one] if one.errors.is_empty()), "{compile_thread}");
+        // Said anew when it is wrong anew.
+        ctx.release(&compiled[0].slots);
+        assert!(ctx.take_device_errors().is_empty(), "{compile_thread}");
+    }
+}

@@ -1,0 +1,105 @@
+//! What the driver compiled is kept on disk, and only what was kept is used again. Needs a GPU whose driver gives it
+//! away (Vulkan).
+
+use std::path::{Path, PathBuf};
+
+use kit::frames::count;
+use kit::rig::{Rig, plain, unit_camera};
+use kit::shapes::quad;
+use terrane::draw::Renderer;
+use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
+use terrane::scene::Node;
+use terrane::viewer::{Viewer, ViewerConfig};
+
+const SIDE: u32 = 32;
+
+/// A context that keeps its pipelines in a folder, and what it said; `None`, said aloud, where that cannot be.
+fn keeping(test: &str, folder: &Path) -> Option<(GraphicsContext, Result<u64, GpuError>)> {
+    let traits = ContextTraits { size_px: [SIDE, SIDE], adapter: AdapterChoice::Software, ..ContextTraits::default() };
+    let Ok(mut ctx) = GraphicsContext::new_offscreen(&traits) else {
+        assert!(std::env::var("REQUIRE_GPU").is_err());
+        eprintln!("{test}: skipped: no adapter");
+        return None;
+    };
+    match ctx.keep_pipelines(folder) {
+        Err(error @ GpuError::NoPipelineCache { .. }) => {
+            eprintln!("{test}: skipped: {error}");
+            None
+        }
+        told => Some((ctx, told)),
+    }
+}
+
+/// Draws a red square; the context is closed afterwards.
+fn draw(mut ctx: GraphicsContext) {
+    let renderer = Renderer::new(&mut ctx);
+    let mut rig = Rig::new(ctx, renderer);
+    let scene = rig.scene(Node::geode(vec![quad([0.0; 3], [0.5, 0.5], [1.0, 0.0, 0.0, 1.0])]));
+    let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
+    assert_eq!(count(&picture, [255, 0, 0]), (SIDE * SIDE / 4) as usize);
+    assert!(rig.renderer.take_errors().is_empty());
+}
+
+fn files(folder: &Path) -> Vec<PathBuf> {
+    std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect()
+}
+
+#[test]
+fn what_was_compiled_is_used_again_unless_it_was_changed() {
+    let test = "what_was_compiled_is_used_again_unless_it_was_changed";
+    let folder = tempfile::tempdir().unwrap();
+    let kept = folder.path().join("pipelines");
+    let Some((mut ctx, told)) = keeping(test, &kept) else { return };
+    assert!(matches!(told, Ok(0)), "{told:?}");
+    assert!(ctx.save_pipelines().unwrap() > 0, "at any time");
+    draw(ctx);
+    let [file] = &files(&kept)[..] else { panic!("one file") };
+    let name = file.file_name().unwrap().to_str().unwrap();
+    assert!(name.starts_with("wgpu_pipeline_cache_vulkan_"), "{name}");
+    let bytes = std::fs::read(file).unwrap();
+
+    let (ctx, told) = keeping(test, &kept).unwrap();
+    assert_eq!(told.unwrap(), bytes.len() as u64 - 40, "all but mark and hash");
+    draw(ctx);
+
+    // One bit is enough; what is said names the file, and the next context finds it mended.
+    for (at, reason) in [(bytes.len() - 1, "hash"), (9, "hash"), (0, "no file of pipelines")] {
+        let mut changed = std::fs::read(file).unwrap();
+        changed[at] ^= 1;
+        std::fs::write(file, changed).unwrap();
+        let (ctx, told) = keeping(test, &kept).unwrap();
+        let said = told.unwrap_err().to_string();
+        assert!(said.contains(name) && said.contains(reason), "{said}");
+        draw(ctx);
+        let (_, told) = keeping(test, &kept).unwrap();
+        assert!(told.unwrap() > 0);
+    }
+    assert_eq!(files(&kept).len(), 1, "nothing beside it");
+
+    // A folder that cannot be made costs nothing but the cache.
+    let (ctx, told) = keeping(test, &file.join("below")).unwrap();
+    assert!(told.is_err() || told.is_ok_and(|bytes| bytes == 0));
+    draw(ctx);
+}
+
+#[test]
+fn a_viewer_keeps_them_where_it_is_asked_to() {
+    let test = "a_viewer_keeps_them_where_it_is_asked_to";
+    let folder = tempfile::tempdir().unwrap();
+    if keeping(test, &folder.path().join("asked")).is_none() {
+        return;
+    }
+    for (keeps, name) in [(false, "off"), (true, "on")] {
+        let kept = folder.path().join(name);
+        let config = ViewerConfig {
+            size_px: [SIDE, SIDE],
+            adapter: AdapterChoice::Software,
+            pipeline_cache: keeps.then(|| kept.clone()),
+            ..ViewerConfig::default()
+        };
+        let mut viewer = Viewer::new_offscreen(&config).unwrap();
+        viewer.frame().unwrap();
+        drop(viewer);
+        assert_eq!(kept.is_dir(), keeps);
+    }
+}

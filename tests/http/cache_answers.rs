@@ -1,0 +1,99 @@
+//! Which answers the cache on disk keeps, and what they change of what is there.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use kit::server::{Reply, Server};
+use terrane::io::{CacheConfig, Credential, FillOptions, HttpClient, HttpConfig, Limits, fill};
+
+const DATE: &str = "Sun, 09 Sep 2001 01:46:40 GMT";
+
+fn config(folder: &Path) -> HttpConfig {
+    HttpConfig { cache: Some(CacheConfig::new(folder)), max_retries: 0, ..HttpConfig::default() }
+}
+
+/// What a new process gets.
+fn get(config: &HttpConfig, url: &str) -> String {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let client = HttpClient::new(config).unwrap();
+    runtime.block_on(async {
+        let body = client.get(url, &Limits::default()).await.unwrap();
+        client.flush().await;
+        String::from_utf8(body.bytes).unwrap()
+    })
+}
+
+/// The old body was taken, and kept with the validator of the new one: it would have stayed for good.
+#[test]
+fn not_modified_of_another_body_is_asked_again() {
+    for (first, second, answers) in [
+        ("\"a\"", "\"b\"", ["v1", "v2", "v2"]),
+        ("W/\"a\"", "W/\"b\"", ["v1", "v2", "v2"]),
+        // The same one, by the weak comparison.
+        ("\"a\"", "W/\"a\"", ["v1", "v1", "v1"]),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let server = Server::start(move |r| match (r.nth, r.header("if-modified-since")) {
+            (0, _) => Reply::ok("v1").with("ETag", first).with("Last-Modified", DATE),
+            (_, Some(_)) => Reply::new(304, "").with("ETag", second).with("Last-Modified", DATE),
+            _ => Reply::ok("v2").with("ETag", second).with("Last-Modified", DATE),
+        });
+        let config = config(folder.path());
+        let got: Vec<String> = (0..2).map(|_| get(&config, &format!("{}/a", server.url))).collect();
+        assert_eq!(got, answers[..2], "{first} {second}");
+        let requests = if answers[1] == "v2" { 3 } else { 2 };
+        assert_eq!(server.count(), requests, "{first} {second}");
+        // What is kept now has the validator of its own body.
+        assert_eq!(get(&config, &format!("{}/a", server.url)), answers[2], "{first} {second}");
+    }
+}
+
+/// Where a new answer was not kept, the old one stayed in force for as long as it had been fresh.
+#[test]
+fn a_new_answer_that_is_not_kept_ends_the_old_one() {
+    let large = "2".repeat(200_000);
+    for (new, how) in [("v2", "no-store"), (large.as_str(), "max-age=1000")] {
+        let folder = tempfile::tempdir().unwrap();
+        let answer = new.to_owned();
+        let server = Server::start(move |r| match (r.path(), r.nth) {
+            ("/tileset.json", _) => Reply::ok(
+                r#"{"asset":{"version":"1.1"},"geometricError":1,"root":{"geometricError":0,
+                "boundingVolume":{"sphere":[0,0,0,1]},"content":{"uri":"a.glb"}}}"#,
+            )
+            .with("Cache-Control", "max-age=1000"),
+            ("/a.glb", 0) => Reply::ok("v1").with("Cache-Control", "max-age=1000"),
+            ("/a.glb", _) => Reply::ok(answer.clone()).with("Cache-Control", how),
+            // With the body that the old one had.
+            _ => Reply::ok("v1").with("Cache-Control", "max-age=1000"),
+        });
+        let cache = CacheConfig { max_bytes: Some(1_000_000), ..CacheConfig::new(folder.path()) };
+        let config = HttpConfig { cache: Some(cache), ..config(folder.path()) };
+        let of = |name: &str| get(&config, &format!("{}/{name}", server.url));
+        assert_eq!([of("a.glb"), of("a.glb"), of("other")], ["v1", "v1", "v1"]);
+        let refresh = FillOptions { refresh: true, ..FillOptions::default() };
+        fill(&format!("{}/tileset.json", server.url), &config, &refresh, &mut |_| ControlFlow::Continue(())).unwrap();
+        assert!(of("a.glb") == new, "{how}");
+        let asked = server.count();
+        assert_eq!(of("other"), "v1");
+        assert_eq!(server.count(), asked, "who shares the old body has it still");
+    }
+}
+
+/// Only the last answer was looked at: who had another credential was led where the first one was.
+#[test]
+fn a_redirect_that_depends_on_who_asks_is_not_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start(|r| match r.path() {
+        "/mine" => {
+            let to = format!("/of/{}", r.header("authorization").unwrap_or("nobody"));
+            let moved = Reply::new(302, "").with("Location", to);
+            moved.with("Cache-Control", "max-age=1000").with("Vary", "Authorization")
+        }
+        path => Reply::ok(path).with("Cache-Control", "max-age=1000"),
+    });
+    let as_user = |user: &str| {
+        let credentials = vec![Credential::header(&server.url, "authorization", user).unwrap()];
+        get(&HttpConfig { credentials, ..config(folder.path()) }, &format!("{}/mine", server.url))
+    };
+    assert_eq!([as_user("a"), as_user("b")], ["/of/a", "/of/b"]);
+}

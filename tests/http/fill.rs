@@ -1,0 +1,304 @@
+//! Filling the cache: what belongs to a region and to levels, going on after a stop, failures.
+
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime};
+
+use kit::server::{Reply, Server};
+use terrane::io::{CacheConfig, DiskCache, FillOptions, Filled, HttpConfig, IoError, fill};
+use terrane::math::Region;
+
+/// A tree of four levels over 8 x 8 degrees from 0 N 0 E: each tile has four children, a quarter each; the eastern half
+/// of level 1 lies in tilesets of their own.
+fn tile(level: u32, x: u32, y: u32, of_its_own: bool) -> String {
+    let degrees = 8.0 / f64::from(1 << level);
+    let [west, south] = [x, y].map(|i| (f64::from(i) * degrees).to_radians());
+    let [east, north] = [x + 1, y + 1].map(|i| (f64::from(i) * degrees).to_radians());
+    let region = format!(r#""boundingVolume":{{"region":[{west},{south},{east},{north},0,100]}},"geometricError":9"#);
+    if level == 1 && x == 1 && !of_its_own {
+        return format!(r#"{{{region},"content":{{"uri":"east{y}EXTENSION"}}}}"#);
+    }
+    let children: Vec<String> =
+        (0..4).filter(|_| level < 3).map(|i| tile(level + 1, 2 * x + i % 2, 2 * y + i / 2, false)).collect();
+    format!(r#"{{{region},"content":{{"uri":"{level}/{x}/{y}.glb"}},"children":[{}]}}"#, children.join(","))
+}
+
+fn set() -> Server {
+    set_called(".json")
+}
+
+/// Whose inner tilesets have names that end so.
+fn set_called(extension: &'static str) -> Server {
+    Server::start(move |r| {
+        let tileset = |root: String| {
+            let root = root.replace("EXTENSION", extension);
+            Reply::ok(format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{root}}}"#))
+                .with("ETag", "\"t\"")
+        };
+        if r.header("if-none-match") == Some("\"t\"") {
+            return Reply::new(304, "");
+        }
+        match r.path() {
+            "/set/tileset.json" => tileset(tile(0, 0, 0, false)),
+            path if path == format!("/set/east0{extension}") => tileset(tile(1, 1, 0, true)),
+            path if path == format!("/set/east1{extension}") => tileset(tile(1, 1, 1, true)),
+            path if path.ends_with(".glb") => {
+                Reply::ok(path.repeat(50)).with("ETag", "\"t\"").with("Cache-Control", "max-age=1000")
+            }
+            _ => Reply::new(404, ""),
+        }
+    })
+}
+
+fn config(folder: &Path) -> HttpConfig {
+    HttpConfig { cache: Some(CacheConfig::new(folder)), max_retries: 0, ..HttpConfig::default() }
+}
+
+fn filled(server: &Server, folder: &Path, options: &FillOptions) -> Filled {
+    fill(&format!("{}/set/", server.url), &config(folder), options, &mut |_| ControlFlow::Continue(())).unwrap()
+}
+
+fn paths(server: &Server) -> BTreeSet<String> {
+    server.seen().iter().map(|r| r.target.trim_start_matches("/set/").to_owned()).collect()
+}
+
+const CONTENTS: u64 = 1 + 4 + 16 + 64;
+const TILESETS: u64 = 3;
+
+#[test]
+fn all_of_a_set_and_again() {
+    let (server, folder) = (set(), tempfile::tempdir().unwrap());
+    let all = FillOptions::default();
+    let first = filled(&server, folder.path(), &all);
+    assert_eq!((first.fetched, first.found, first.failed), (CONTENTS + TILESETS, CONTENTS + TILESETS, 0));
+    assert_eq!((first.cache.stored, server.count() as u64), (CONTENTS + TILESETS, CONTENTS + TILESETS));
+    let again = filled(&server, folder.path(), &all);
+    assert_eq!((again.kept, again.fetched, again.bytes), (CONTENTS + TILESETS, 0, 0));
+    assert_eq!(server.count() as u64, CONTENTS + TILESETS, "nothing is asked for");
+    let refreshed = filled(&server, folder.path(), &FillOptions { refresh: true, ..all });
+    assert_eq!((refreshed.kept, refreshed.bytes), (CONTENTS + TILESETS, 0), "all of it still holds");
+    assert_eq!(server.count() as u64, 2 * (CONTENTS + TILESETS));
+    let verified = DiskCache::open(&CacheConfig::new(folder.path())).unwrap().verify().unwrap();
+    assert_eq!((verified.broken, verified.orphans), (0, 0));
+}
+
+/// The fill ended at them, as at contents.
+#[test]
+fn tilesets_are_filled_whatever_they_are_called() {
+    for extension in ["", ".tileset", ".v2"] {
+        let (server, folder) = (set_called(extension), tempfile::tempdir().unwrap());
+        let all = FillOptions::default();
+        let first = filled(&server, folder.path(), &all);
+        assert_eq!((first.fetched, first.failed), (CONTENTS + TILESETS, 0), "{extension}");
+        let again = filled(&server, folder.path(), &all);
+        assert_eq!((again.kept, again.bytes), (CONTENTS + TILESETS, 0), "{extension}");
+        // What lies above the levels leads to them.
+        let (server, folder) = (set_called(extension), tempfile::tempdir().unwrap());
+        filled(&server, folder.path(), &FillOptions { levels: 3..=3, ..FillOptions::default() });
+        let east =
+            |path: &String| path.starts_with("3/") && path.split('/').nth(1).unwrap().parse::<u32>().unwrap() >= 4;
+        assert_eq!(paths(&server).iter().filter(|path| east(path)).count(), 0, "their roots are one level below");
+        let deeper = filled(&server, folder.path(), &FillOptions { levels: 4..=4, ..FillOptions::default() });
+        assert_eq!(deeper.fetched, 32);
+        assert_eq!(paths(&server).iter().filter(|path| east(path)).count(), 32, "{extension}");
+    }
+}
+
+/// It counted as unused since it came, and went before what nobody asked for.
+#[test]
+fn what_is_kept_is_used() {
+    let (server, folder) = (set(), tempfile::tempdir().unwrap());
+    filled(&server, folder.path(), &FillOptions::default());
+    let long_ago = SystemTime::now() - Duration::from_secs(24 * 3600);
+    let mut files = Vec::new();
+    for part in ["keys", "blobs"] {
+        for sub in std::fs::read_dir(folder.path().join(part)).unwrap() {
+            files.extend(std::fs::read_dir(sub.unwrap().path()).unwrap().map(|file| file.unwrap().path()));
+        }
+    }
+    for file in &files {
+        std::fs::File::options().write(true).open(file).unwrap().set_modified(long_ago).unwrap();
+    }
+    filled(&server, folder.path(), &FillOptions::default());
+    let is_used = |file: &PathBuf| std::fs::metadata(file).unwrap().modified().unwrap() > long_ago;
+    assert_eq!(files.len() as u64, 2 * (CONTENTS + TILESETS));
+    assert!(files.iter().all(is_used));
+}
+
+#[test]
+fn levels_and_regions() {
+    let degrees = |west: f64, south: f64, east: f64, north: f64| {
+        let [west, south, east, north] = [west, south, east, north].map(f64::to_radians);
+        Some(Region { west, south, east, north, min_height_m: 0.0, max_height_m: 0.0 })
+    };
+    for (levels, region, expected) in [
+        (0..=0, None, vec!["0/0/0.glb"]),
+        (1..=1, None, vec!["1/0/0.glb", "1/0/1.glb"]),
+        (0..=9, degrees(0.1, 0.1, 0.9, 0.9), vec!["0/0/0.glb", "1/0/0.glb", "2/0/0.glb", "3/0/0.glb"]),
+        (3..=3, degrees(0.5, 0.5, 1.5, 0.9), vec!["3/0/0.glb", "3/1/0.glb"]),
+        // The root of an external tileset is one below the tile that names it.
+        (2..=3, degrees(7.5, 7.5, 30.0, 30.0), vec!["1/1/1.glb", "2/3/3.glb", "east1.json"]),
+        (0..=9, degrees(50.0, 0.0, 51.0, 1.0), vec![]),
+    ] {
+        let (server, folder) = (set(), tempfile::tempdir().unwrap());
+        let done =
+            filled(&server, folder.path(), &FillOptions { levels: levels.clone(), region, ..FillOptions::default() });
+        let mut expected: BTreeSet<String> = expected.into_iter().map(str::to_owned).collect();
+        expected.insert("tileset.json".to_owned());
+        assert_eq!(paths(&server), expected, "{levels:?} {region:?}");
+        assert_eq!(done.fetched, expected.len() as u64);
+    }
+}
+
+#[test]
+fn a_stop_loses_nothing() {
+    let (server, folder) = (set(), tempfile::tempdir().unwrap());
+    let url = format!("{}/set/", server.url);
+    let options = FillOptions { in_flight: 4, ..FillOptions::default() };
+    let stopped = fill(&url, &config(folder.path()), &options, &mut |filled| {
+        if filled.fetched >= 30 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })
+    .unwrap();
+    assert!(stopped.stopped && stopped.fetched < 40, "{stopped:?}");
+    let rest = filled(&server, folder.path(), &options);
+    assert!(!rest.stopped);
+    assert!(rest.kept >= stopped.fetched, "{rest:?}");
+    assert_eq!(rest.kept + rest.fetched, CONTENTS + TILESETS);
+    let asked = server.count() as u64;
+    assert!(asked <= CONTENTS + TILESETS + 4, "each file once, but for those that were given up: {asked}");
+}
+
+#[test]
+fn a_stop_waits_for_no_server() {
+    let server = Server::start(|r| match r.path() {
+        "/set/tileset.json" => Reply::ok(format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{}}}"#,
+            r#"{"boundingVolume":{"sphere":[0,0,0,1]},"geometricError":9,"content":{"uri":"a.glb"}}"#
+        )),
+        _ => Reply::new(503, "").with("Retry-After", "300"),
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let config = HttpConfig { max_retries: 2, ..config(folder.path()) };
+    let start = Instant::now();
+    let stopped = fill(&format!("{}/set/", server.url), &config, &FillOptions::default(), &mut |_| {
+        if server.count() == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })
+    .unwrap();
+    assert!(start.elapsed() < Duration::from_secs(100), "the server asks for five minutes");
+    assert_eq!((stopped.stopped, stopped.fetched, stopped.failed), (true, 1, 0), "{stopped:?}");
+}
+
+/// A tile of several contents is one tile: its level is that of all of them, and what is below it is one deeper.
+#[test]
+fn several_contents_are_of_one_level() {
+    let tile = |names: [&str; 2], children: &str| {
+        let [a, b] = names.map(|name| format!(r#"{{"uri":"{name}.glb"}}"#));
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,1]}},"geometricError":9,"refine":"ADD","contents":[{a},{b}],
+            "children":[{children}]}}"#
+        )
+    };
+    let root = tile(["0a", "0b"], &tile(["1a", "1b"], &tile(["2a", "2b"], "")));
+    let tileset = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{root}}}"#);
+    for level in 0..=2 {
+        let (answer, folder) = (tileset.clone(), tempfile::tempdir().unwrap());
+        let server = Server::start(move |r| match r.path() {
+            "/set/tileset.json" => Reply::ok(answer.clone()),
+            _ => Reply::ok("a content"),
+        });
+        filled(&server, folder.path(), &FillOptions { levels: level..=level, ..FillOptions::default() });
+        let expected = ["tileset.json".to_owned(), format!("{level}a.glb"), format!("{level}b.glb")];
+        assert_eq!(paths(&server), BTreeSet::from(expected), "level {level}");
+    }
+}
+
+#[test]
+fn failures_are_told_and_tried_again() {
+    let inner = set();
+    let to = inner.url.clone();
+    let server = Server::start(move |r| match r.path() {
+        "/set/2/1/1.glb" if r.nth == 0 => Reply::new(503, ""),
+        "/set/east1.json" if r.nth == 0 => Reply::ok("<html>"),
+        path => Reply::new(302, "").with("Location", format!("{to}{path}")),
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let first = filled(&server, folder.path(), &FillOptions::default());
+    assert_eq!((first.failed, first.errors.len()), (2, 2), "{:?}", first.errors);
+    let again = filled(&server, folder.path(), &FillOptions::default());
+    assert_eq!((again.failed, again.kept + again.fetched), (0, CONTENTS + TILESETS), "{:?}", again.errors);
+    assert_eq!(again.kept, first.fetched);
+}
+
+/// A tileset in two places: each has its levels, and what one of them wants is there. One that contains itself ends.
+#[test]
+fn a_tileset_in_several_places_is_looked_at_in_each() {
+    let tile = |below: &str| format!(r#"{{"boundingVolume":{{"sphere":[0,0,0,1]}},"geometricError":9,{below}}}"#);
+    let content = |uri: &str| format!(r#""content":{{"uri":"{uri}"}}"#);
+    let tileset = |root: String| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":99,"root":{root}}}"#);
+    let second = tile(&content("part.json"));
+    let root = tileset(tile(&format!(r#"{},"children":[{second}]"#, content("part.json"))));
+    let below = [tile(&content("b.glb")), tile(&content("tileset.json"))].join(",");
+    let part = tileset(tile(&format!(r#"{},"children":[{below}]"#, content("a.glb"))));
+    let server = Server::start(move |r| match r.path() {
+        "/set/tileset.json" => Reply::ok(root.clone()),
+        "/set/part.json" => Reply::ok(part.clone()),
+        _ => Reply::ok("a content"),
+    });
+    // The part's root is of level 1 in one place and of level 2 in the other.
+    for (levels, contents) in [(1..=1, &["a.glb"][..]), (2..=2, &["a.glb", "b.glb"]), (3..=3, &["b.glb"])] {
+        let (folder, before) = (tempfile::tempdir().unwrap(), server.count());
+        let done = filled(&server, folder.path(), &FillOptions { levels: levels.clone(), ..FillOptions::default() });
+        let asked = server.seen()[before..].iter().map(|r| r.target.replace("/set/", "")).collect::<Vec<_>>();
+        let expected = contents.iter().chain(&["part.json", "tileset.json"]).map(|s| (*s).to_owned());
+        let (asked_once, expected) = (BTreeSet::from_iter(asked.clone()), BTreeSet::from_iter(expected));
+        assert_eq!((asked_once, asked.len()), (expected.clone(), expected.len()), "{levels:?}");
+        assert_eq!((done.fetched, done.found, done.failed), (expected.len() as u64, done.fetched, 0), "{levels:?}");
+    }
+}
+
+/// What was said once of how long it holds went on behind a way that no longer does.
+#[test]
+fn what_still_holds_does_so_no_longer_than_the_way_to_it() {
+    for (status, control, expected) in
+        [(301, "", (1, 1)), (302, "", (1, 0)), (301, "no-cache", (1, 0)), (301, "no-store", (0, 0))]
+    {
+        let server = Server::start(move |r| {
+            match r.path() {
+            "/set/tileset.json" if r.nth == 0 => Reply::new(301, "").with("Location", "/there.json"),
+            "/set/tileset.json" => {
+                Reply::new(status, "").with("Location", "/there.json").with("Cache-Control", control)
+            }
+            _ if r.header("if-none-match") == Some("\"t\"") => Reply::new(304, ""),
+            _ => Reply::ok(
+                r#"{"asset":{"version":"1.1"},"geometricError":9,"root":{"boundingVolume":{"sphere":[0,0,0,1]},"geometricError":9}}"#,
+            )
+            .with("ETag", "\"t\"")
+            .with("Cache-Control", "max-age=3600"),
+        }
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let kept = || {
+            let info = DiskCache::open(&CacheConfig::new(folder.path())).unwrap().info().unwrap();
+            (info.entries, info.fresh)
+        };
+        filled(&server, folder.path(), &FillOptions::default());
+        assert_eq!(kept(), (1, 1));
+        let again = filled(&server, folder.path(), &FillOptions { refresh: true, ..FillOptions::default() });
+        assert_eq!((again.kept, again.bytes), (1, 0), "it still holds");
+        assert_eq!(kept(), expected, "{status} {control}");
+    }
+}
+
+#[test]
+fn what_cannot_be_filled() {
+    let (server, folder) = (set(), tempfile::tempdir().unwrap());
+    let mut go_on = |_: &Filled| ControlFlow::Continue(());
+    let options = FillOptions::default();
+    let error = fill("/data/set", &config(folder.path()), &options, &mut go_on).unwrap_err();
+    assert!(matches!(error, IoError::Uri { .. }), "{error}");
+    let url = format!("{}/set/", server.url);
+    assert!(matches!(fill(&url, &HttpConfig::default(), &options, &mut go_on), Err(IoError::Uri { .. })));
+    let none = format!("{}/none/", server.url);
+    assert!(matches!(fill(&none, &config(folder.path()), &options, &mut go_on), Err(IoError::NotFound { .. })));
+}

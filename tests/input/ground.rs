@@ -1,0 +1,93 @@
+//! Manipulators over ground that was loaded: the terrain manipulator above it, who walks on it. No GPU.
+
+use glam::{DVec2, DVec3};
+use terrane::gpu::AdapterChoice;
+use terrane::math::WGS84;
+use terrane::pager::PagerConfig;
+use terrane::scene::{HeightQuery, Vertical};
+use terrane::viewer::manipulators::{FirstPersonManipulator, SceneGround, TerrainManipulator};
+use terrane::viewer::{GroundHeight as _, MouseButton, Viewer, ViewerConfig};
+
+fn viewer(folder: &std::path::Path) -> Viewer {
+    let set = folder.join("set");
+    let args = terrane_data_gen::GenArgs { levels: Some(3), size: 10_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    let pager = PagerConfig { build_kd_trees: true, blocking: true, ..PagerConfig::default() };
+    let config = ViewerConfig {
+        size_px: [320, 240],
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        pager,
+        max_sse_px: 3.0,
+        ..ViewerConfig::default()
+    };
+    let mut viewer = Viewer::new_offscreen(&config).unwrap();
+    viewer.load(set.to_str().unwrap()).unwrap();
+    viewer.set_ground(Some(Box::new(SceneGround::default())));
+    viewer.frame().unwrap();
+    viewer
+}
+
+fn frames(viewer: &mut Viewer, count: u32) {
+    for _ in 0..count {
+        std::thread::sleep(std::time::Duration::from_millis(15));
+        viewer.frame().unwrap();
+    }
+}
+
+#[test]
+fn the_ground_of_the_scene_is_that_of_the_height_query() {
+    let folder = tempfile::tempdir().unwrap();
+    let viewer = viewer(folder.path());
+    let bounds = *viewer.bounds().unwrap();
+    let query = HeightQuery::new(Vertical::Ellipsoid(WGS84));
+    query.publish(viewer.scene());
+    let ground = SceneGround::default();
+    let mut met = 0;
+    for i in 0..400 {
+        let (x, y) = (f64::from(i % 20) - 9.7, f64::from(i / 20) - 9.6);
+        for z in [-3000.0, 0.0, 50_000.0, 1.0e7] {
+            let point = bounds.frame.world_from_local.transform_point3(DVec3::new(600.0 * x, 600.0 * y, z));
+            let up = viewer.manipulator_view().frame_at(point).up();
+            let expected = query.highest_ground_at(point).map(|g| g.point);
+            let found = ground.ground_at(viewer.scene(), point, up);
+            assert_eq!(found.is_some(), expected.is_some(), "{x} {y} {z}");
+            if let (Some(found), Some(expected)) = (found, expected) {
+                met += 1;
+                assert!(found.distance(expected) < 1e-3, "{x} {y} {z}: {}", found.distance(expected));
+            }
+        }
+    }
+    assert!(met > 400, "{met}");
+}
+
+#[test]
+fn manipulators_stay_above_what_was_loaded() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut viewer = viewer(folder.path());
+    let above_m = |viewer: &Viewer| viewer.manipulator_view().height_above_ground_m(viewer.camera.eye()).unwrap();
+    viewer.set_manipulator(Some(Box::new(TerrainManipulator::default())));
+    viewer.home();
+    frames(&mut viewer, 2);
+    // Down to the ground, and along it.
+    for _ in 0..60 {
+        viewer.event_queue().mouse_scroll(DVec2::new(0.0, 1.0), 0.0);
+    }
+    frames(&mut viewer, 40);
+    assert!(above_m(&viewer) >= 2.0 - 1e-6 && above_m(&viewer) < 10.0, "{}", above_m(&viewer));
+    for _ in 0..6 {
+        viewer.event_queue().mouse_scroll(DVec2::new(0.0, -3.0), 0.0);
+        viewer.event_queue().mouse_motion(DVec2::new(160.0, 20.0), 0.0);
+        viewer.event_queue().mouse_button_press(MouseButton::Middle, 0.0);
+        viewer.event_queue().mouse_motion(DVec2::new(150.0, 230.0), 0.1);
+        viewer.event_queue().mouse_button_release(MouseButton::Middle, 0.5);
+        for _ in 0..10 {
+            frames(&mut viewer, 1);
+            assert!(above_m(&viewer) >= 2.0 - 1e-6, "{}", above_m(&viewer));
+        }
+    }
+
+    viewer.set_manipulator(Some(Box::new(FirstPersonManipulator::default())));
+    frames(&mut viewer, 80);
+    assert!((above_m(&viewer) - 1.7).abs() < 0.01, "{}", above_m(&viewer));
+}

@@ -1,0 +1,43 @@
+//! Virtual displays for the tests that open windows.
+
+use std::io::{BufRead as _, BufReader};
+use std::process::{Child, Command, Stdio};
+
+use crate::skip::skipped_unless_required;
+
+/// A virtual display; ends on drop.
+pub struct Display {
+    xvfb: Child,
+    /// As `DISPLAY` has it.
+    pub name: String,
+}
+
+impl Display {
+    /// `None`, said aloud, where there is no Xvfb (a failure with REQUIRE_GPU=1, as in CI).
+    pub fn start([width, height]: [u32; 2]) -> Option<Self> {
+        let screen = format!("{width}x{height}x24");
+        // Without -noreset the server starts over when its last client goes, and drops who connects just then.
+        let xvfb = Command::new("Xvfb")
+            .args(["-noreset", "-displayfd", "1", "-screen", "0", &screen, "-nolisten", "tcp"])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn();
+        let mut xvfb = match xvfb {
+            Ok(xvfb) => xvfb,
+            Err(error) => {
+                skipped_unless_required(format!("no Xvfb: {error}"));
+                return None;
+            }
+        };
+        let mut line = String::new();
+        BufReader::new(xvfb.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        Some(Self { xvfb, name: format!(":{}", line.trim()) })
+    }
+}
+
+impl Drop for Display {
+    fn drop(&mut self) {
+        let _ = self.xvfb.kill();
+        let _ = self.xvfb.wait();
+    }
+}

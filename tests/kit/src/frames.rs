@@ -1,0 +1,68 @@
+//! Frames that were read back: single pixels, counts, differences, and comparison with reference images.
+
+use std::path::{Path, PathBuf};
+
+use image::RgbaImage;
+
+/// Pixels of a color that no test draws on purpose.
+pub const MAGENTA: [u8; 3] = [255, 0, 255];
+
+/// Red, green and blue of a pixel.
+pub fn pixel(picture: &RgbaImage, x: u32, y: u32) -> [u8; 3] {
+    let [r, g, b, _] = picture.get_pixel(x, y).0;
+    [r, g, b]
+}
+
+/// Number of pixels of a color.
+pub fn count(picture: &RgbaImage, rgb: [u8; 3]) -> usize {
+    picture.pixels().filter(|p| p.0[..3] == rgb).count()
+}
+
+/// Compares with the reference of that name. `UPDATE_IMAGES=1` accepts; a failure leaves the picture and the
+/// difference beside the reference.
+pub fn assert_picture(name: &str, picture: &RgbaImage) {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../images");
+    let reference_path = folder.join(format!("{name}.png"));
+    if std::env::var("UPDATE_IMAGES").is_ok_and(|v| v == "1") {
+        std::fs::create_dir_all(&folder).unwrap();
+        picture.save(&reference_path).unwrap();
+        return;
+    }
+    let reference = image::open(&reference_path)
+        .unwrap_or_else(|e| panic!("{}: {e}; UPDATE_IMAGES=1 makes it", reference_path.display()))
+        .to_rgba8();
+    assert_eq!(picture.dimensions(), reference.dimensions(), "{name}");
+    let mut differences: Vec<u8> = picture
+        .pixels()
+        .zip(reference.pixels())
+        .map(|(a, b)| (0..3).map(|c| a.0[c].abs_diff(b.0[c])).max().unwrap())
+        .collect();
+    let picture_of_differences = RgbaImage::from_fn(picture.width(), picture.height(), |x, y| {
+        let d = differences[(y * picture.width() + x) as usize].saturating_mul(8);
+        image::Rgba([d, d, d, 255])
+    });
+    differences.sort_unstable();
+    let mean = differences.iter().map(|d| f64::from(*d)).sum::<f64>() / differences.len() as f64;
+    let percentile_99 = differences[differences.len() * 99 / 100];
+    let max = *differences.last().unwrap();
+    // Adapters may differ in single pixels at edges, and by rounding elsewhere.
+    if mean > 0.5 || percentile_99 > 6 || max > 160 {
+        picture.save(folder.join(format!("{name}.actual.png"))).unwrap();
+        picture_of_differences.save(folder.join(format!("{name}.diff.png"))).unwrap();
+        panic!("{name} differs: mean {mean:.2}, 99th percentile {percentile_99}, max {max}; see {name}.diff.png");
+    }
+}
+
+/// `KEEP_IMAGES=DIR` keeps the pictures to look at.
+pub fn keep(name: &str, picture: &RgbaImage) {
+    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
+        picture.save(Path::new(&folder).join(format!("{name}.png"))).unwrap();
+    }
+}
+
+/// Pixels that differ by more than that.
+pub fn differ(a: &RgbaImage, b: &RgbaImage, by: u8) -> usize {
+    assert_eq!(a.dimensions(), b.dimensions());
+    let far = |a: &[u8], b: &[u8]| a.iter().zip(b).take(3).any(|(a, b)| a.abs_diff(*b) > by);
+    a.pixels().zip(b.pixels()).filter(|(a, b)| far(&a.0, &b.0)).count()
+}

@@ -1,0 +1,183 @@
+//! Changing bytes that are well, so that they are nearly well: what the tests of all parsers share.
+
+use std::time::{Duration, Instant};
+
+/// Seconds for each parser in `FUZZ_SECS`; without it a moment.
+pub fn seconds() -> f64 {
+    std::env::var("FUZZ_SECS").ok().and_then(|s| s.parse().ok()).unwrap_or(0.4)
+}
+
+/// Longer than this for one input is a hang.
+const MOST_TIME: Duration = Duration::from_secs(10);
+
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.next() % n.max(1) as u64) as usize
+    }
+}
+
+const NUMBERS: [&str; 14] = [
+    "0",
+    "-0",
+    "-1",
+    "1e999",
+    "-1e308",
+    "1e-320",
+    "4294967296",
+    "18446744073709551615",
+    "99999999999999999999999",
+    "0.5",
+    "null",
+    "\"\"",
+    "[]",
+    "{}",
+];
+const WORDS: [u64; 12] =
+    [0, 1, 0x7f, 0x80, 0xff, 0x7fff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 0x7fff_ffff_ffff_ffff, u64::MAX];
+
+/// The bytes with one to six changes.
+pub fn changed(random: &mut Random, bytes: &[u8], other: &[u8]) -> Vec<u8> {
+    let mut out = bytes.to_vec();
+    for _ in 0..1 + random.below(6) {
+        change(random, &mut out, other);
+    }
+    out.truncate(1 << 20);
+    out
+}
+
+fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
+    let length = out.len();
+    let at = random.below(length);
+    match random.below(11) {
+        0 | 1 if length > 0 => out[at] ^= 1 << random.below(8),
+        2 if length > 0 => out[at] = random.next() as u8,
+        3 if length > 0 => {
+            // A number that is written in binary.
+            let size = [1, 2, 4, 8][random.below(4)];
+            let word = WORDS[random.below(WORDS.len())].to_le_bytes();
+            for (place, byte) in out[at..].iter_mut().zip(&word[..size]) {
+                *place = *byte;
+            }
+        }
+        4 if length > 0 => {
+            // A number that is written in digits.
+            let is_digit = |b: &u8| b.is_ascii_digit() || matches!(b, b'.' | b'-');
+            if let Some(start) = out[at..].iter().position(is_digit).map(|p| p + at) {
+                let end = out[start..].iter().position(|b| !is_digit(b)).map_or(length, |p| p + start);
+                out.splice(start..end, NUMBERS[random.below(NUMBERS.len())].bytes());
+            }
+        }
+        5 if length > 0 => {
+            let end = (at + 1 + random.below(64)).min(length);
+            out.drain(at..end);
+        }
+        6 if length > 0 => {
+            let piece = out[at..(at + 1 + random.below(200)).min(length)].to_vec();
+            let to = random.below(length);
+            out.splice(to..to, piece);
+        }
+        7 => out.truncate(at),
+        8 if !other.is_empty() => {
+            let from = random.below(other.len());
+            let piece = other[from..(from + 1 + random.below(120)).min(other.len())].to_vec();
+            out.splice(at..at, piece);
+        }
+        9 => {
+            let bracket = [b'[', b'{', b'"', b']', b'}', b'\\', 0, 0xff][random.below(8)];
+            out.splice(at..at, std::iter::repeat_n(bracket, 1 + random.below(300)));
+        }
+        _ => {
+            let bytes: Vec<u8> = (0..1 + random.below(8)).map(|_| random.next() as u8).collect();
+            out.splice(at..at, bytes);
+        }
+    }
+}
+
+/// Panics where a parser must not do what it does.
+pub type Parse = Box<dyn FnMut(&[u8])>;
+
+/// A parser of outside data: its name, inputs that are well, and what is done with any input.
+pub struct Parser {
+    pub name: &'static str,
+    pub seeds: Vec<Vec<u8>>,
+    pub parse: Parse,
+}
+
+impl Parser {
+    pub fn new(
+        name: &'static str,
+        seeds: impl IntoIterator<Item = impl AsRef<[u8]>>,
+        parse: impl FnMut(&[u8]) + 'static,
+    ) -> Self {
+        Self { name, seeds: seeds.into_iter().map(|s| s.as_ref().to_vec()).collect(), parse: Box::new(parse) }
+    }
+}
+
+/// A test for each function that makes a [`Parser`], and all of them for other programs.
+#[macro_export]
+macro_rules! parsers {
+    ($($parser:ident),* $(,)?) => {
+        /// All parsers of this file.
+        #[allow(dead_code, reason = "the guided fuzzer asks for them")]
+        pub fn all() -> Vec<$crate::fuzz::Parser> {
+            vec![$($parser()),*]
+        }
+
+        #[cfg(test)]
+        mod fuzz {
+            $(#[test]
+            fn $parser() {
+                $crate::fuzz::run(super::$parser());
+            })*
+        }
+    };
+}
+
+/// Feeds a parser with changed seeds for the time that is given; what made it panic is left in a file.
+pub fn run(Parser { name, seeds, mut parse }: Parser) {
+    let start = Instant::now();
+    let until = Duration::from_secs_f64(seconds());
+    let first = std::env::var("FUZZ_SEED").ok().and_then(|s| s.parse().ok()).unwrap_or(1u64);
+    let mut random = Random(first ^ name.bytes().fold(0, |h, b| h << 5 ^ u64::from(b)));
+    for seed in &seeds {
+        parse(seed);
+    }
+    let (mut count, mut slowest) = (0u64, Duration::ZERO);
+    // What was changed once is sometimes changed again.
+    let mut kept: Vec<Vec<u8>> = Vec::new();
+    while start.elapsed() < until {
+        let all = seeds.len() + kept.len();
+        let of = |place: usize| if place < seeds.len() { &seeds[place] } else { &kept[place - seeds.len()] };
+        let places = [random.below(all), random.below(all)];
+        let input = changed(&mut random, of(places[0]), of(places[1]));
+        let begin = Instant::now();
+        let parsed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| parse(&input)));
+        let took = begin.elapsed();
+        if parsed.is_err() || took > MOST_TIME {
+            let file = std::env::temp_dir().join(format!("fuzz-{name}-{count}"));
+            std::fs::write(&file, &input).unwrap();
+            panic!("{name}: input {count} of FUZZ_SEED={first}, kept in {}, took {took:?}", file.display());
+        }
+        slowest = slowest.max(took);
+        count += 1;
+        if random.below(50) == 0 && input.len() < 64 << 10 {
+            if kept.len() < 200 {
+                kept.push(input);
+            } else {
+                let place = random.below(kept.len());
+                kept[place] = input;
+            }
+        }
+    }
+    println!("{name}: {count} inputs in {:.1} s, the slowest {slowest:?}", start.elapsed().as_secs_f64());
+}

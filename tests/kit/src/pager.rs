@@ -1,0 +1,169 @@
+//! A scene that is culled and paged frame by frame without a GPU, with a context that uploads at once.
+
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
+use terrane::gpu::{CompileBudget, CompileOperation, Compiled};
+use terrane::io::{Limits, ReadOptions, root_uri};
+use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
+use terrane::scene::{DrawSlot, Drawable, Geometry, Page, Scene};
+
+/// Bytes that the context says a page takes.
+pub const PAGE_GPU_BYTES: u64 = 1000;
+
+/// Compiles at once, and counts the slots that are out.
+#[derive(Default)]
+pub struct Context {
+    done: Vec<Compiled>,
+    pub slots_out: u64,
+    /// Operations that nobody waits for any more.
+    pub cancelled: usize,
+    /// Pages take as many bytes as their meshes have vertices, instead of [`PAGE_GPU_BYTES`].
+    pub counts_vertices: bool,
+    /// What is compiled is kept back.
+    pub holds: bool,
+    /// Compiles when it is given time for it, not at once.
+    pub waits: bool,
+    waiting: Vec<Compiled>,
+}
+
+impl CompileContext for Context {
+    fn id(&self) -> u32 {
+        0
+    }
+
+    fn compile(&mut self, operation: CompileOperation) {
+        let slots = vec![DrawSlot(0); operation.drawables.len()];
+        self.slots_out += slots.len() as u64;
+        let ticket = operation.ticket;
+        let vertices = |drawable: &Drawable| match &drawable.geometry {
+            Geometry::Mesh(mesh) => mesh.vertices.len() as u64,
+            _ => 0,
+        };
+        let bytes = match self.counts_vertices {
+            true => operation.drawables.iter().map(vertices).sum(),
+            false => PAGE_GPU_BYTES,
+        };
+        let to = if self.waits { &mut self.waiting } else { &mut self.done };
+        to.push(Compiled { ticket, slots, bytes, shared: Vec::new(), errors: Vec::new() });
+    }
+
+    fn cancel(&mut self, tickets: &[u64]) {
+        self.cancelled += tickets.len();
+    }
+
+    fn run_compiles(&mut self, budget: &CompileBudget) {
+        if !budget.time.is_zero() {
+            self.done.append(&mut self.waiting);
+        }
+    }
+
+    fn take_compiled(&mut self) -> Vec<Compiled> {
+        if self.holds { Vec::new() } else { std::mem::take(&mut self.done) }
+    }
+
+    fn release(&mut self, slots: Vec<DrawSlot>) {
+        self.slots_out -= slots.len() as u64;
+    }
+}
+
+/// A tile set under way.
+pub struct Run {
+    pub scene: Scene,
+    pub pager: DatabasePager,
+    pub context: Context,
+    pub stage: RenderStage,
+    pub frame: u32,
+    /// Bytes of the root tileset.
+    pub root_bytes: u64,
+    /// How coarse tiles may look.
+    pub max_sse_px: f64,
+    visitor: CullVisitor,
+}
+
+impl Run {
+    /// Reads the root of a folder or a URL.
+    pub fn new(source: &str, config: PagerConfig) -> Self {
+        let uri = root_uri(source).unwrap();
+        let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
+        let root = pager.read_root(&uri).unwrap();
+        Self::with(pager, root)
+    }
+
+    /// A page of the test's own, with contents below a folder.
+    pub fn of_page(root: Page, folder: &str, config: PagerConfig) -> Self {
+        let options = ReadOptions::for_root(&root_uri(folder).unwrap(), Limits::default());
+        Self::with(DatabasePager::new(config, options).unwrap(), root)
+    }
+
+    fn with(pager: DatabasePager, root: Page) -> Self {
+        let mut scene = Scene::new();
+        scene.add_root(root);
+        let root_bytes = pager.stats().bytes_read;
+        let (context, stage, visitor) = (Context::default(), RenderStage::new(), CullVisitor::new());
+        let max_sse_px = CullCamera::default().settings.max_sse_px;
+        Self { scene, pager, context, stage, frame: 0, root_bytes, max_sse_px, visitor }
+    }
+
+    /// A frame that looks straight down.
+    pub fn frame(&mut self, eye: DVec3) {
+        self.frame_with(eye, &[]);
+    }
+
+    /// As [`Self::frame`], with requests besides the cull's.
+    pub fn frame_with(&mut self, eye: DVec3, others: &[PageRequest]) {
+        self.cull(eye);
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        let requests = [&self.stage.requests, others].concat();
+        self.pager.update_scene_graph(&mut self.scene, self.frame, &requests, contexts);
+        self.check_counters();
+    }
+
+    /// The cull of a frame.
+    pub fn cull(&mut self, eye: DVec3) {
+        self.frame += 1;
+        let eye_from_world = DAffine3::from_translation(-eye);
+        let mut camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
+        camera.settings.max_sse_px = self.max_sse_px;
+        self.visitor.cull(&self.scene, &camera, &mut self.stage);
+    }
+
+    /// Each request has ended in one way or is under way, and each failure is told.
+    pub fn check_counters(&self) {
+        let s = self.pager.stats();
+        let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
+        assert_eq!(s.requested + s.retried, ended + s.waiting + s.in_flight, "{s:?}");
+        assert_eq!(s.merged, s.expired + s.resident, "{s:?}");
+        let told: u64 = self.pager.errors().iter().map(|e| e.count).sum();
+        assert_eq!(told, s.failed + s.drawables_failed, "{s:?}");
+    }
+
+    /// Frames until something holds, for a minute at most.
+    pub fn until(&mut self, eye: DVec3, what: &str, done: impl Fn(&Self) -> bool) {
+        let end = Instant::now() + Duration::from_secs(60);
+        while !done(self) {
+            assert!(Instant::now() < end, "{what}: {:?} {:?}", self.pager.stats(), self.pager.errors());
+            self.frame(eye);
+            std::thread::sleep(Duration::from_micros(200));
+        }
+    }
+
+    /// Loads and merges what was asked for, as if the disk had no more to do.
+    pub fn work_until_idle(&mut self) {
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        self.pager.work_until(&mut self.scene, contexts, Instant::now() + Duration::from_secs(60));
+    }
+
+    /// Frames until nothing is wanted and nothing under way, and one more.
+    pub fn settle(&mut self, eye: DVec3) {
+        self.frame(eye);
+        self.until(eye, "does not settle", |r| r.pager.is_idle() && r.stage.requests.is_empty());
+        self.frame(eye);
+    }
+}
+
+/// Above the origin.
+pub fn above(height_m: f64) -> DVec3 {
+    DVec3::new(0.0, 0.0, height_m)
+}

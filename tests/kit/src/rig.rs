@@ -1,0 +1,136 @@
+//! The GPU rig: a context on the software adapter with its renderer and a cull visitor, and cameras for it.
+
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+
+use glam::{DAffine3, DVec3};
+use image::RgbaImage;
+use terrane::cull::{CullCamera, CullVisitor, RenderStage};
+use terrane::draw::{DrawStats, Environment, Fog, Renderer, Sky};
+use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, Compiled, ContextTraits, GraphicsContext};
+use terrane::scene::{Drawable, Node, Page, Scene};
+
+use crate::frames::MAGENTA;
+use crate::skip::{or_skip, skipped};
+
+/// A context, its renderer and a visitor.
+pub struct Rig {
+    pub ctx: GraphicsContext,
+    pub renderer: Renderer,
+    pub visitor: CullVisitor,
+    pub stage: RenderStage,
+    ticket: u64,
+}
+
+impl Rig {
+    pub fn new(ctx: GraphicsContext, renderer: Renderer) -> Self {
+        Self { ctx, renderer, visitor: CullVisitor::new(), stage: RenderStage::new(), ticket: 0 }
+    }
+
+    /// Uploads drawables at once.
+    pub fn compile(&mut self, drawables: Vec<Drawable>) -> Compiled {
+        self.ticket += 1;
+        self.ctx.compile(CompileOperation { ticket: self.ticket, drawables });
+        self.ctx.run_compiles(&CompileBudget::UNLIMITED);
+        let mut compiled = self.ctx.take_compiled();
+        assert_eq!(compiled.len(), 1);
+        let compiled = compiled.remove(0);
+        assert_eq!(compiled.ticket, self.ticket);
+        compiled
+    }
+
+    /// A scene of one page with everything uploaded.
+    pub fn scene(&mut self, root: Node) -> Scene {
+        let mut page = Page::from_node(root).unwrap();
+        let compiled = self.compile(page.take_drawables());
+        assert!(compiled.errors.is_empty(), "{:?}", compiled.errors);
+        page.set_draw_slots(0, compiled.slots);
+        let mut scene = Scene::new();
+        scene.add_root(page);
+        scene
+    }
+
+    /// Gives a scene's drawables back.
+    pub fn release(&mut self, mut scene: Scene) {
+        for id in scene.roots().to_vec() {
+            for (_, slots) in scene.remove_root(id).unwrap().take_draw_slots() {
+                self.ctx.release(&slots);
+            }
+        }
+    }
+
+    /// Culls and draws.
+    pub fn draw(&mut self, scene: &Scene, camera: &CullCamera, environment: &Environment) -> DrawStats {
+        self.ctx.resize(camera.viewport_px).unwrap();
+        self.visitor.environment = Some(*environment);
+        self.visitor.cull(scene, camera, &mut self.stage);
+        let stats = self.renderer.draw(&mut self.ctx, &self.stage, environment).unwrap();
+        let errors = self.ctx.take_device_errors();
+        assert!(errors.is_empty(), "{errors:?}");
+        stats
+    }
+
+    pub fn picture(&mut self, scene: &Scene, camera: &CullCamera, environment: &Environment) -> RgbaImage {
+        self.draw(scene, camera, environment);
+        self.read_back()
+    }
+
+    pub fn read_back(&mut self) -> RgbaImage {
+        self.renderer.read_back(&mut self.ctx).unwrap()
+    }
+}
+
+/// The program's rig; `None`, said aloud, where there is no adapter (a failure with REQUIRE_GPU=1).
+pub fn rig(test: &str) -> Option<MutexGuard<'static, Rig>> {
+    static RIG: OnceLock<Option<Mutex<Rig>>> = OnceLock::new();
+    let rig = RIG.get_or_init(|| new_rig([256, 256]).map(Mutex::new));
+    match rig {
+        Some(rig) => Some(rig.lock().unwrap_or_else(PoisonError::into_inner)),
+        None => {
+            skipped(format!("{test}: no adapter"));
+            None
+        }
+    }
+}
+
+pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
+    let traits =
+        ContextTraits { size_px, adapter: AdapterChoice::Software, validation: false, ..ContextTraits::default() };
+    let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
+    let renderer = Renderer::new(&mut ctx);
+    Some(Rig::new(ctx, renderer))
+}
+
+/// No haze, no tone mapping, a magenta background, z up.
+pub fn plain() -> Environment {
+    Environment {
+        sky: Sky::Background(MAGENTA),
+        fog: Fog { enabled: false, density_per_m: 0.0 },
+        exposure: None,
+        ..Environment::default()
+    }
+}
+
+/// A camera at a place, looking at another.
+pub fn camera(size_px: [u32; 2], eye: DVec3, target: DVec3, up: DVec3) -> CullCamera {
+    let aspect = f64::from(size_px[0]) / f64::from(size_px[1]);
+    let view = glam::dcamera::rh::view::look_at_mat4(eye, target, up);
+    CullCamera {
+        eye_from_world: DAffine3::from_mat4(view),
+        clip_from_eye: glam::dcamera::rh::proj::directx::perspective_infinite_reverse(1.0, aspect, 0.1),
+        viewport_px: size_px,
+        ..CullCamera::default()
+    }
+}
+
+/// A camera whose picture's plane at z = 0 spans -1 to 1 in x and y (nearly: a perspective one, far away).
+pub fn unit_camera(size_px: u32) -> CullCamera {
+    let distance = 10.0f64;
+    let view = glam::dcamera::rh::view::look_at_mat4(DVec3::new(0.0, 0.0, distance), DVec3::ZERO, DVec3::Y);
+    let fovy = 2.0 * (1.0 / distance).atan();
+    CullCamera {
+        eye_from_world: DAffine3::from_mat4(view),
+        clip_from_eye: glam::dcamera::rh::proj::directx::perspective_infinite_reverse(fovy, 1.0, 0.1),
+        viewport_px: [size_px, size_px],
+        ..CullCamera::default()
+    }
+}

@@ -1,0 +1,204 @@
+//! A server on this machine that answers as a test says: HTTP/1.1 with keep-alive, a thread a connection.
+
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// What came.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// As in the request line: with the query, and whole where the client takes this for its proxy.
+    pub target: String,
+    /// Names in lower case.
+    pub headers: Vec<(String, String)>,
+    /// Number of the connection.
+    pub connection: usize,
+    /// Number of the request for that target, from 0.
+    pub nth: usize,
+}
+
+impl Request {
+    pub fn path(&self) -> &str {
+        self.target.split('?').next().unwrap()
+    }
+
+    pub fn header(&self, name: &str) -> Option<&str> {
+        self.headers.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
+    }
+}
+
+/// How the body goes out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum How {
+    Whole,
+    Chunked,
+    /// A byte each 20 ms.
+    Slowly,
+    /// Half of what is announced, then the end of the connection.
+    Cut,
+    /// Half of what is announced, then nothing.
+    Stall,
+    /// No head at all.
+    Silent,
+    /// The end of the connection instead of an answer.
+    Reset,
+}
+
+#[derive(Clone, Debug)]
+pub struct Reply {
+    pub status: u16,
+    pub headers: Vec<(String, String)>,
+    pub body: Vec<u8>,
+    pub how: How,
+    pub delay: Duration,
+}
+
+impl Reply {
+    pub fn new(status: u16, body: impl Into<Vec<u8>>) -> Self {
+        Self { status, headers: Vec::new(), body: body.into(), how: How::Whole, delay: Duration::ZERO }
+    }
+
+    pub fn ok(body: impl Into<Vec<u8>>) -> Self {
+        Self::new(200, body)
+    }
+
+    pub fn with(mut self, name: &str, value: impl ToString) -> Self {
+        self.headers.push((name.to_owned(), value.to_string()));
+        self
+    }
+
+    pub fn how(mut self, how: How) -> Self {
+        self.how = how;
+        self
+    }
+
+    /// The part of the body that a `Range` header asks for, or the whole without one.
+    pub fn ranged(self, request: &Request) -> Self {
+        let Some(range) = request.header("range").and_then(|r| r.strip_prefix("bytes=")) else { return self };
+        let length = self.body.len();
+        let (first, last) = range.split_once('-').unwrap();
+        let (first, last) = match (first, last) {
+            ("", suffix) => (length.saturating_sub(suffix.parse().unwrap()), length - 1),
+            (first, "") => (first.parse().unwrap(), length - 1),
+            (first, last) => (first.parse().unwrap(), last.parse::<usize>().unwrap().min(length - 1)),
+        };
+        if first > last {
+            return Self::new(416, "").with("Content-Range", format!("bytes */{length}"));
+        }
+        let body = self.body[first..=last].to_vec();
+        Self { status: 206, body, ..self }.with("Content-Range", format!("bytes {first}-{last}/{length}"))
+    }
+}
+
+pub struct Server {
+    /// Without a slash at the end.
+    pub url: String,
+    seen: Arc<Mutex<Vec<Request>>>,
+}
+
+impl Server {
+    pub fn start(answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("http://{}", listener.local_addr().unwrap());
+        let seen = Arc::new(Mutex::new(Vec::new()));
+        let (answer, log, count) = (Arc::new(answer), seen.clone(), AtomicUsize::new(0));
+        // Ends with the process.
+        std::thread::spawn(move || {
+            for stream in listener.incoming().flatten() {
+                let (answer, log) = (answer.clone(), log.clone());
+                let connection = count.fetch_add(1, Ordering::Relaxed);
+                std::thread::spawn(move || serve(stream, connection, &*answer, &log));
+            }
+        });
+        Self { url, seen }
+    }
+
+    pub fn seen(&self) -> Vec<Request> {
+        self.seen.lock().unwrap().clone()
+    }
+
+    /// How many requests came so far.
+    pub fn count(&self) -> usize {
+        self.seen.lock().unwrap().len()
+    }
+}
+
+fn serve(
+    stream: TcpStream,
+    connection: usize,
+    answer: &dyn Fn(&Request) -> Reply,
+    log: &Mutex<Vec<Request>>,
+) -> std::io::Result<()> {
+    let mut reader = BufReader::new(stream.try_clone()?);
+    let mut stream = stream;
+    stream.set_nodelay(true)?;
+    loop {
+        let mut first = String::new();
+        if reader.read_line(&mut first)? == 0 {
+            return Ok(());
+        }
+        let mut headers = Vec::new();
+        loop {
+            let mut line = String::new();
+            reader.read_line(&mut line)?;
+            let Some((name, value)) = line.trim_end().split_once(':') else { break };
+            headers.push((name.to_ascii_lowercase(), value.trim().to_owned()));
+        }
+        let target = first.split(' ').nth(1).unwrap_or("").to_owned();
+        let request = {
+            let mut log = log.lock().unwrap();
+            let nth = log.iter().filter(|r| r.target == target).count();
+            log.push(Request { target, headers, connection, nth });
+            log.last().unwrap().clone()
+        };
+        let reply = answer(&request);
+        std::thread::sleep(reply.delay);
+        if reply.how == How::Reset {
+            return stream.shutdown(Shutdown::Both);
+        }
+        let wait_for_the_end = |stream: &mut TcpStream| while stream.read(&mut [0; 64]).is_ok_and(|n| n > 0) {};
+        if reply.how == How::Silent {
+            wait_for_the_end(&mut stream);
+            return Ok(());
+        }
+        let mut head = format!("HTTP/1.1 {} Said\r\n", reply.status);
+        for (name, value) in &reply.headers {
+            head.push_str(&format!("{name}: {value}\r\n"));
+        }
+        let bodiless = reply.status == 304;
+        match reply.how {
+            How::Chunked => head.push_str("Transfer-Encoding: chunked\r\n"),
+            _ if bodiless => {}
+            _ => head.push_str(&format!("Content-Length: {}\r\n", reply.body.len())),
+        }
+        head.push_str("\r\n");
+        stream.write_all(head.as_bytes())?;
+        match reply.how {
+            How::Chunked => {
+                for piece in reply.body.chunks(1000) {
+                    stream.write_all(format!("{:x}\r\n", piece.len()).as_bytes())?;
+                    stream.write_all(piece)?;
+                    stream.write_all(b"\r\n")?;
+                }
+                stream.write_all(b"0\r\n\r\n")?;
+            }
+            How::Cut | How::Stall => {
+                stream.write_all(&reply.body[..reply.body.len() / 2])?;
+                if reply.how == How::Stall {
+                    wait_for_the_end(&mut stream);
+                }
+                return stream.shutdown(Shutdown::Both);
+            }
+            How::Slowly => {
+                for byte in reply.body.chunks(1) {
+                    std::thread::sleep(Duration::from_millis(20));
+                    stream.write_all(byte)?;
+                }
+            }
+            _ if bodiless => {}
+            _ => stream.write_all(&reply.body)?,
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Tile sets on disk: a small generated terrain and a flat quadtree of triangles.
+
+use std::path::Path;
+
+use terrane::io::write::{GlbMesh, write_glb};
+
+pub fn small_set(folder: &Path) -> String {
+    let set = folder.join("set");
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(3), seed: 5, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    set.display().to_string()
+}
+
+/// Side of [`write_quadtree`]'s world, metres.
+pub const WORLD_M: f64 = 4096.0;
+
+/// Of its tiles below the root.
+const LEVELS: u32 = 4;
+
+/// A flat quadtree, one triangle a tile; returns the bytes of a content.
+pub fn write_quadtree(folder: &Path) -> u64 {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    fn tile(folder: &Path, glb: &[u8], level: u32, x: u32, y: u32) -> String {
+        let side = WORLD_M / f64::from(1u32 << level);
+        let [cx, cy] = [x, y].map(|k| (f64::from(k) + 0.5) * side);
+        let name = format!("{level}_{x}_{y}.glb");
+        std::fs::write(folder.join(&name), glb).unwrap();
+        let (error, children): (f64, Vec<String>) = if level == LEVELS {
+            (0.0, Vec::new())
+        } else {
+            let child = |i: u32| tile(folder, glb, level + 1, 2 * x + i % 2, 2 * y + i / 2);
+            (side / 16.0, (0..4).map(child).collect())
+        };
+        format!(
+            r#"{{"boundingVolume":{{"box":[{cx},{cy},0,{h},0,0,0,{h},0,0,0,1]}},"geometricError":{error},"content":{{"uri":"{name}"}},"children":[{}]}}"#,
+            children.join(","),
+            h = 0.5 * side,
+        )
+    }
+    let root = tile(folder, &glb, 0, 0, 0);
+    let json = format!(
+        r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{}}}"#,
+        root.replacen('{', r#"{"refine":"REPLACE","#, 1)
+    );
+    std::fs::write(folder.join("tileset.json"), json).unwrap();
+    glb.len() as u64
+}

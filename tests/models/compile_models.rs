@@ -1,0 +1,254 @@
+//! The compile thread under shuttle: the library's own file, between a thread that draws and staging memory that stands in
+//! for the adapter's. Schedules in which an upload is lost, an operation ends before its bytes, or a thread waits for ever
+//! fail.
+
+#[path = "../../src/gpu/compile_thread.rs"]
+mod compile_thread;
+
+/// An operation that has its places.
+pub struct Compiled {
+    ticket: u64,
+}
+
+/// Units of one byte of an operation.
+mod uploads {
+    use super::staging::Filling;
+
+    pub struct Upload {
+        pub ticket: u64,
+        pub units: usize,
+    }
+
+    impl Upload {
+        pub fn left(&self) -> Option<(usize, usize)> {
+            (self.units > 0).then_some((self.units, 1))
+        }
+
+        pub fn bytes(&self) -> u64 {
+            self.units as u64
+        }
+
+        pub fn has_rows(&self) -> bool {
+            false
+        }
+
+        pub fn write(&mut self, into: &mut Filling, _scratch: &mut Vec<u8>, count: usize) -> u64 {
+            into.write(self.ticket, count);
+            self.units -= count;
+            count as u64
+        }
+    }
+}
+
+/// A device with memory that is refused so many times more.
+mod memory {
+    use shuttle::sync::Arc;
+    use shuttle::sync::atomic::AtomicUsize;
+
+    use super::staging::Device;
+
+    #[derive(Clone)]
+    pub struct Memory {
+        pub device: Device,
+        pub refusals: Arc<AtomicUsize>,
+    }
+
+    impl Memory {
+        pub fn device(&self) -> &Device {
+            &self.device
+        }
+    }
+}
+
+/// Buffers for two units each; commands that say whose units they copy.
+mod staging {
+    use shuttle::sync::Arc;
+    use shuttle::sync::atomic::{AtomicUsize, Ordering};
+
+    use super::memory::Memory;
+
+    /// Counts the buffers that there are; lost, it has some more that can be written.
+    #[derive(Clone)]
+    pub struct Device {
+        pub there: Arc<AtomicUsize>,
+        pub writable: Arc<AtomicUsize>,
+    }
+
+    pub struct Buffer(Arc<AtomicUsize>);
+
+    impl Drop for Buffer {
+        fn drop(&mut self) {
+            self.0.fetch_sub(1, Ordering::SeqCst);
+        }
+    }
+
+    #[derive(Default)]
+    pub struct CommandBuffer(pub Vec<u64>);
+
+    pub fn make(memory: &Memory, _bytes: u64) -> Result<Buffer, String> {
+        let is_refused = |left: usize| left.checked_sub(1);
+        if memory.refusals.fetch_update(Ordering::SeqCst, Ordering::SeqCst, is_refused).is_ok() {
+            return Err("no memory".to_owned());
+        }
+        let there = &memory.device().there;
+        assert!(there.fetch_add(1, Ordering::SeqCst) < super::MOST_STAGINGS);
+        Ok(Buffer(there.clone()))
+    }
+
+    pub struct Filling {
+        staging: Buffer,
+        commands: CommandBuffer,
+    }
+
+    impl Filling {
+        pub fn new(device: &Device, staging: Buffer) -> Option<Self> {
+            let is_writable = |left: usize| left.checked_sub(1);
+            device.writable.fetch_update(Ordering::SeqCst, Ordering::SeqCst, is_writable).ok()?;
+            Some(Self { staging, commands: CommandBuffer::default() })
+        }
+
+        pub fn room(&self, _unit_bytes: usize, _has_rows: bool) -> usize {
+            2 - self.commands.0.len()
+        }
+
+        pub fn write(&mut self, ticket: u64, count: usize) {
+            assert!(count <= self.room(1, false));
+            self.commands.0.extend((0..count).map(|_| ticket));
+        }
+
+        pub fn finish(self) -> (CommandBuffer, Buffer) {
+            (self.commands, self.staging)
+        }
+    }
+
+    /// What was submitted is mapped when it is looked at next.
+    #[derive(Default)]
+    pub struct Mapping(Vec<Buffer>);
+
+    impl Mapping {
+        pub fn ask(&mut self, staging: Buffer) {
+            self.0.push(staging);
+        }
+
+        pub fn mapped(&mut self) -> impl Iterator<Item = Buffer> + '_ {
+            self.0.drain(..)
+        }
+    }
+}
+
+use std::time::Duration;
+
+use crate::schedules::check;
+use compile_thread::{Batch, CompileThread};
+use memory::Memory;
+use shuttle::sync::Arc;
+use shuttle::thread;
+use staging::{Buffer, Device};
+use uploads::Upload;
+
+/// Units of the operations, in order: the first needs more buffers than there may be.
+const UNITS: [usize; 4] = [19, 0, 1, 4];
+/// Staging buffers that there may be.
+const MOST_STAGINGS: usize = 8;
+
+/// Of so many buffers that can be written, and memory that is not there so many times.
+fn memory(writable: usize, refusals: usize) -> Memory {
+    let device = Device { there: Arc::default(), writable: Arc::new(writable.into()) };
+    Memory { device, refusals: Arc::new(refusals.into()) }
+}
+
+/// Sends an operation as `compile.rs` does: its uploads, then its end.
+fn send(thread: &mut CompileThread, ticket: usize) {
+    if UNITS[ticket] > 0 {
+        thread.upload(Upload { ticket: ticket as u64, units: UNITS[ticket] });
+    }
+    thread.finish(Compiled { ticket: ticket as u64 });
+}
+
+/// The draw thread's side.
+#[derive(Default)]
+struct Drawn {
+    /// Whose units were copied.
+    copied: Vec<u64>,
+    finished: Vec<u64>,
+    /// Recorded and not submitted.
+    recorded: Vec<Buffer>,
+    refusals: usize,
+}
+
+impl Drawn {
+    fn take(&mut self, batch: Batch) {
+        self.copied.extend(batch.commands.into_iter().flat_map(|commands| commands.0));
+        self.recorded.extend(batch.staging);
+        self.refusals += usize::from(batch.refusal.is_some());
+        for Compiled { ticket } in batch.finished {
+            let there = self.copied.iter().filter(|of| **of == ticket).count();
+            assert_eq!(there, UNITS[ticket as usize], "all of operation {ticket} is there");
+            self.finished.push(ticket);
+        }
+    }
+
+    /// What was recorded goes to the adapter.
+    fn submit(&mut self, thread: &mut CompileThread) {
+        self.recorded.drain(..).for_each(|staging| thread.submitted(staging));
+    }
+}
+
+/// Frames take what there is and submit; the thread, out of staging memory, goes on with what is mapped again, or asks
+/// once more where the adapter had none.
+#[test]
+fn all_operations_end_in_order_after_their_bytes() {
+    check(|| {
+        let mut thread = CompileThread::start(&memory(usize::MAX, 2)).unwrap();
+        let mut drawn = Drawn::default();
+        let mut sent = 0;
+        while drawn.finished.len() < UNITS.len() {
+            thread.give_back();
+            if sent < UNITS.len() {
+                send(&mut thread, sent);
+                sent += 1;
+            }
+            let mut patience = Duration::from_millis(1);
+            while let Some(batch) = thread.batch(patience) {
+                drawn.take(batch);
+                patience = Duration::ZERO;
+            }
+            assert!(!thread.has_died);
+            drawn.submit(&mut thread);
+        }
+        assert_eq!((drawn.finished, thread.bytes_in_flight(), thread.operations), (vec![0, 1, 2, 3], 0, 0));
+        assert_eq!((drawn.copied.len(), drawn.refusals), (UNITS.iter().sum::<usize>(), 2));
+    });
+}
+
+/// At any time: while it waits for work, or for staging memory that nobody gives back.
+#[test]
+fn the_thread_ends_whatever_it_waits_for() {
+    check(|| {
+        let mut thread = CompileThread::start(&memory(usize::MAX, 0)).unwrap();
+        send(&mut thread, 0);
+        thread::yield_now();
+        drop(thread);
+        drop(CompileThread::start(&memory(usize::MAX, 0)).unwrap());
+    });
+}
+
+/// Its device is lost after some buffers: who draws finds out and waits for nothing.
+#[test]
+fn a_thread_that_has_ended_is_seen() {
+    check(|| {
+        let mut thread = CompileThread::start(&memory(3, 0)).unwrap();
+        let mut drawn = Drawn::default();
+        send(&mut thread, 0);
+        while !thread.has_died {
+            thread.give_back();
+            if let Some(batch) = thread.batch(Duration::from_millis(1)) {
+                drawn.take(batch);
+            }
+            drawn.submit(&mut thread);
+        }
+        assert!(drawn.finished.is_empty() && drawn.copied.len() <= 6);
+        send(&mut thread, 3);
+        assert!(thread.batch(Duration::ZERO).is_none_or(|batch| batch.finished.is_empty()));
+    });
+}

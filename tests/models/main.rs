@@ -1,0 +1,55 @@
+//! Models of threads under shuttle: the library's own files with shuttle's locks, threads and channels, in schedules that
+//! switch threads at every step.
+//!
+//! Files of the library are included by path. What they import as `crate::...` are the modules of this file: the
+//! library's own types where they are only passed on, and stand-ins that check the hand-over elsewhere.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+#![allow(
+    dead_code,
+    unused_imports,
+    unreachable_pub,
+    missing_docs,
+    reason = "the library's files, of which each test uses a part"
+)]
+
+mod compile_models;
+#[cfg(feature = "http")]
+mod pager_models;
+mod schedules;
+mod stage_models;
+mod stand_ins;
+mod sync;
+mod sync_models;
+mod viewer;
+
+use stand_ins::{cull, draw, gpu, pager};
+
+mod scene {
+    pub use terrane::scene::{
+        CameraTarget, ClampProjection, ComputeNearFar, DataVariance, DrawHook, DrawKind, DrawSlot, Drawable, Mesh,
+    };
+
+    pub use crate::stand_ins::Scene;
+}
+
+mod state {
+    pub use terrane::state::StateSet;
+}
+
+mod timeline {
+    pub use terrane::timeline::{span, ticket_source};
+}
+
+#[cfg(feature = "http")]
+mod io {
+    pub use terrane::io::{HttpClient, IoError, is_remote};
+
+    pub fn server(uri: &str) -> &str {
+        let end = uri.match_indices('/').nth(2).map_or(uri.len(), |(end, _)| end);
+        &uri[..end]
+    }
+
+    pub fn is_at(uri: &str, of: &str) -> bool {
+        server(uri) == of
+    }
+}

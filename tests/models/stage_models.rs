@@ -1,0 +1,133 @@
+//! The hand-over of render stages between update, cull and draw under shuttle: the library's own rendering stage with its
+//! threads, queues and barriers, around a scene, a cull and a renderer that look whether they have what they should have.
+//! Schedules in which a frame is not drawn, or from what is being changed, or in which a thread waits for ever fail.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::schedules::{check, check_fairly, primitives};
+use crate::stand_ins::{Panics, Reads, Seen, cull, draw, gpu, pager};
+use crate::viewer::{Devices, ThreadingModel, Viewer, ViewerError};
+
+use ThreadingModel::{CullDrawThreadPerContext, CullThreadPerCameraDrawThreadPerContext, DrawThreadPerContext};
+
+/// A device for each of two contexts, which one camera each is drawn in.
+const TWO_DEVICES: Devices = &[&[1], &[1]];
+/// A device with two contexts, of two cameras and of one.
+const TWO_CONTEXTS: Devices = &[&[2, 1]];
+
+fn cameras(devices: Devices) -> usize {
+    devices.iter().copied().flatten().sum()
+}
+
+/// More frames than a camera has stages.
+const FRAMES: u32 = 4;
+
+/// Each camera is drawn in each frame, in order, and all contexts show it together; the main thread is alone with the
+/// scene in each update, and draw reads what that frame's update wrote. True where a camera was culled in some
+/// schedule while an earlier frame of it was drawn.
+fn draws_each_frame_once(model: ThreadingModel, devices: Devices, reads: Reads) -> bool {
+    let overlapped = Arc::new(AtomicBool::new(false));
+    let of_model = overlapped.clone();
+    check(move || {
+        let seen = Seen::new(reads, Panics::Never, cameras(devices), &of_model);
+        let mut viewer = Viewer::new(model, devices, seen);
+        (0..FRAMES).for_each(|_| viewer.frame().unwrap());
+        viewer.finish().unwrap();
+        for camera in 0..cameras(devices) {
+            assert_eq!(viewer.seen.drawn(camera as u32), [1, 2, 3, 4], "camera {camera}");
+        }
+        assert!(viewer.is_alone());
+    });
+    overlapped.load(Ordering::Relaxed)
+}
+
+#[test]
+fn the_model_that_does_not_overlap_draws_each_frame_once_before_the_next_update() {
+    for devices in [TWO_DEVICES, TWO_CONTEXTS] {
+        // Whatever draw reads.
+        assert!(!draws_each_frame_once(CullDrawThreadPerContext, devices, Reads::InTheFrame));
+    }
+}
+
+#[test]
+fn models_that_overlap_draw_each_frame_once_while_the_next_is_culled() {
+    for model in [DrawThreadPerContext, CullThreadPerCameraDrawThreadPerContext] {
+        for devices in [TWO_DEVICES, TWO_CONTEXTS] {
+            assert!(draws_each_frame_once(model, devices, Reads::Nothing), "{model}");
+        }
+    }
+}
+
+#[test]
+fn no_update_changes_what_draw_still_reads() {
+    for model in [DrawThreadPerContext, CullThreadPerCameraDrawThreadPerContext] {
+        for reads in [Reads::InTheFrame, Reads::InCallbacks] {
+            assert!(!draws_each_frame_once(model, TWO_DEVICES, reads), "{model}");
+        }
+    }
+}
+
+/// Whatever threads wait for: with no frame on its way, with one, and with as many as there may be.
+#[test]
+fn all_threads_end_with_the_viewer_at_any_time() {
+    for model in &ThreadingModel::ALL[1..] {
+        for frames in 1..=3 {
+            check(move || {
+                let seen = Seen::new(Reads::Nothing, Panics::Never, 2, &Arc::default());
+                let mut viewer = Viewer::new(*model, TWO_DEVICES, seen);
+                (0..frames).for_each(|_| viewer.frame().unwrap());
+            });
+        }
+    }
+}
+
+/// What ended threads have not drawn is not drawn by the next; their stages are there again.
+#[test]
+fn frames_go_on_in_another_model() {
+    for model in &ThreadingModel::ALL {
+        check(move || {
+            let seen = Seen::new(Reads::Nothing, Panics::Never, 2, &Arc::default());
+            let mut viewer = Viewer::new(CullThreadPerCameraDrawThreadPerContext, TWO_DEVICES, seen);
+            (0..2).for_each(|_| viewer.frame().unwrap());
+            viewer.seen.is_ending.store(true, Ordering::SeqCst);
+            viewer.set_model(*model);
+            viewer.seen.is_ending.store(false, Ordering::SeqCst);
+            (0..3).for_each(|_| viewer.frame().unwrap());
+            viewer.finish().unwrap();
+            for camera in 0..2 {
+                let drawn = viewer.seen.drawn(camera);
+                assert!(drawn.is_sorted_by(|a, b| a < b) && drawn.ends_with(&[3, 4, 5]), "{drawn:?}");
+            }
+        });
+    }
+}
+
+/// It is an error of a frame soon after, and of all that follow; the scene can be changed, which no draw reads any more, and
+/// what is left ends.
+#[test]
+fn a_thread_that_panics_is_seen_and_nothing_waits_for_it() {
+    let in_draw = Panics::InDraw { camera: 1, frame: 2 };
+    let in_cull = Panics::InCull { camera: 1, frame: 2 };
+    let models = [
+        (CullDrawThreadPerContext, in_draw),
+        (CullDrawThreadPerContext, in_cull),
+        (DrawThreadPerContext, in_draw),
+        (CullThreadPerCameraDrawThreadPerContext, in_draw),
+        (CullThreadPerCameraDrawThreadPerContext, in_cull),
+    ];
+    for (model, panics) in models {
+        for reads in [Reads::Nothing, Reads::InTheFrame] {
+            // A barrier that one has left holds the other cull back no more.
+            check_fairly(move || {
+                let seen = Seen::new(reads, panics, 2, &Arc::default());
+                let mut viewer = Viewer::new(model, TWO_DEVICES, seen);
+                let error = (0..FRAMES + 2).find_map(|_| viewer.frame().err()).expect("the panic is seen");
+                assert!(matches!(error, ViewerError::DrawThreadStopped), "{error}");
+                assert!(viewer.is_alone());
+                assert!(viewer.frame().is_err(), "it stays one");
+                assert!(viewer.is_alone());
+            });
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! A renderer that takes some turns for each picture.
+
+use std::sync::atomic::Ordering;
+
+use image::RgbaImage;
+use shuttle::thread;
+pub use terrane::draw::{DrawStats, Environment, FrameClock};
+use terrane::scene::{DataVariance, DrawHook, DrawKind, Texture};
+use terrane::state::TextureObject;
+
+use super::cull::RenderStage;
+use super::gpu::{GpuError, GraphicsContext};
+use super::{Panics, Reads};
+use crate::schedules::thread::panic_on_purpose;
+
+/// Turns that others may have while a picture is drawn.
+const TURNS: usize = 3;
+/// The same where a thread panics: more than it takes to let go of what it has, and to be seen.
+const TURNS_BESIDE_A_PANIC: usize = 100;
+
+pub struct CameraCallbacks;
+
+impl CameraCallbacks {
+    /// A model's hooks are all dynamic.
+    pub fn variance_of(hook: &Option<DrawHook>) -> DataVariance {
+        hook.as_ref().map_or(DataVariance::Static, |_| DataVariance::Dynamic)
+    }
+}
+
+pub struct BinCallback;
+
+impl BinCallback {
+    pub fn are_dynamic(_stage: &RenderStage) -> bool {
+        false
+    }
+}
+
+pub struct Picture<'a> {
+    pub stage: &'a RenderStage,
+    pub environment: &'a Environment,
+}
+
+pub struct Renderer {
+    /// Context and frame.
+    pub timed: (u32, u32),
+    pub clock: FrameClock,
+}
+
+impl Renderer {
+    pub fn new(_context: &mut GraphicsContext) -> Self {
+        Self { timed: (0, 0), clock: FrameClock::default() }
+    }
+
+    pub fn draw_pictures<'a>(
+        &mut self,
+        context: &mut GraphicsContext,
+        pictures: impl IntoIterator<Item = Picture<'a>>,
+    ) -> Result<DrawStats, GpuError> {
+        let ((_, frame), seen) = (self.timed, &context.seen);
+        for Picture { stage, .. } in pictures {
+            assert_eq!(stage.camera.frame, frame, "the stage of this frame");
+            let camera = stage.camera.context;
+            seen.draws(camera, frame);
+            let is_beside_a_panic = matches!(seen.panics, Panics::InDraw { camera: of, .. } if of != camera);
+            for _ in 0..if is_beside_a_panic { TURNS_BESIDE_A_PANIC } else { TURNS } {
+                thread::yield_now();
+                if seen.reads != Reads::Nothing {
+                    assert_eq!(seen.changed.load(Ordering::SeqCst), frame, "what update has changed meanwhile");
+                }
+            }
+            if seen.panics == (Panics::InDraw { camera, frame }) {
+                panic_on_purpose();
+            }
+            seen.has_drawn(camera, frame);
+        }
+        context.frame = frame;
+        Ok(DrawStats::default())
+    }
+
+    pub fn foresee(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) {}
+
+    pub fn show_image(
+        &mut self,
+        _context: &GraphicsContext,
+        _texture: &TextureObject,
+        _image: &Texture,
+    ) -> Result<(), String> {
+        Ok(())
+    }
+
+    pub fn read_back(&mut self, _context: &mut GraphicsContext) -> Result<RgbaImage, GpuError> {
+        Ok(RgbaImage::new(1, 1))
+    }
+
+    pub fn complain(&mut self, problem: String) {
+        panic!("{problem}");
+    }
+
+    pub fn take_errors(&mut self) -> Vec<String> {
+        Vec::new()
+    }
+}

@@ -1,0 +1,390 @@
+//! Bad input and bad weather as a flight meets it: each is one error that is told once, its parent stays, and nothing
+//! is asked for again and again. No GPU.
+
+use std::collections::HashMap;
+use std::io::Write as _;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use kit::pager::{Run, above};
+use kit::server::{Reply, Server};
+use terrane::gpu::AdapterChoice;
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::io::{CacheConfig, HttpConfig, IoError, Limits};
+use terrane::pager::PagerConfig;
+use terrane::viewer::{Viewer, ViewerConfig};
+
+fn glb() -> Vec<u8> {
+    write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    })
+}
+
+/// A root with children of these names.
+fn tileset(children: &[&str]) -> String {
+    let tile = |name: &str, error: f64, children: &str| {
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,2]}},"geometricError":{error},"content":{{"uri":"{name}"}},"children":[{children}]}}"#
+        )
+    };
+    let below: Vec<String> = children.iter().map(|name| tile(name, 0.0, "")).collect();
+    format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{}}}"#, tile("root.glb", 5.0, &below.join(",")))
+}
+
+fn write_set(folder: &Path, children: &[(&str, Vec<u8>)]) {
+    let names: Vec<&str> = children.iter().map(|(name, _)| *name).collect();
+    std::fs::write(folder.join("tileset.json"), tileset(&names)).unwrap();
+    std::fs::write(folder.join("root.glb"), glb()).unwrap();
+    for (name, bytes) in children {
+        std::fs::write(folder.join(name), bytes).unwrap();
+    }
+}
+
+fn gzip(bytes: impl Iterator<Item = Vec<u8>>) -> Vec<u8> {
+    let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+    bytes.for_each(|piece| packed.write_all(&piece).unwrap());
+    packed.finish().unwrap()
+}
+
+/// The one child's error, with the root drawn in its place.
+fn refused(child: Vec<u8>, limits: Limits) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path(), &[("child.glb", child)]);
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig { limits, ..PagerConfig::default() });
+    run.settle(above(10.0));
+    for _ in 0..20 {
+        run.frame(above(10.0));
+    }
+    let errors = run.pager.errors();
+    assert_eq!((errors.len(), run.pager.stats().failed, run.stage.counters.tiles_drawn), (1, 1, 1), "{errors:?}");
+    assert!(errors[0].uri.ends_with("child.glb") && errors[0].count == 1, "{errors:?}");
+    errors[0].reason.to_string()
+}
+
+#[test]
+fn bombs_are_refused_before_they_go_off() {
+    let limits = Limits { max_file_bytes: 4 << 20, max_image_bytes: 4 << 20, ..Limits::default() };
+    // 64 MiB of zeros in 64 KiB, and once more around it.
+    let zeros = gzip((0..64).map(|_| vec![0; 1 << 20]));
+    assert!(zeros.len() < 1 << 17);
+    let start = Instant::now();
+    assert!(refused(zeros.clone(), limits).contains("limit"));
+    refused(gzip([zeros].into_iter()), limits);
+    // An image that says that it is 60,000 pixels wide.
+    let mut png = std::io::Cursor::new(Vec::new());
+    image::RgbImage::new(4, 4).write_to(&mut png, image::ImageFormat::Png).unwrap();
+    let mut png = png.into_inner();
+    png[16..24].copy_from_slice(&[0, 0, 0xea, 0x60, 0, 0, 0xea, 0x60]);
+    let with_image = write_glb(&GlbMesh {
+        positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        uvs: vec![[0.0; 2]; 3],
+        indices: vec![0, 1, 2],
+        image: Some(png),
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    refused(with_image, limits);
+    assert!(start.elapsed() < Duration::from_secs(20));
+}
+
+#[test]
+fn huge_and_deep_json_is_refused() {
+    let limits = Limits { max_file_bytes: 1 << 20, max_elements: 1000, ..Limits::default() };
+    let folder = tempfile::tempdir().unwrap();
+    let nested = |count: usize| vec!["a.glb"; count];
+    let (many, huge) = (tileset(&nested(1001)), tileset(&nested(20_000)));
+    let deep = format!(
+        r#"{}{}"#,
+        r#"{"asset":{"version":"1.1"},"geometricError":1,"root":"#,
+        r#"{"children":[ "#.repeat(100_000)
+    );
+    for (name, text, why) in [("many.json", many, "limit"), ("huge.json", huge, "limit"), ("deep.json", deep, "")] {
+        write_set(folder.path(), &[(name, text.into_bytes())]);
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig { limits, ..PagerConfig::default() });
+        run.settle(above(10.0));
+        let errors = run.pager.errors();
+        assert!(errors.len() == 1 && errors[0].reason.contains(why), "{name}: {errors:?}");
+        assert_eq!(run.stage.counters.tiles_drawn, 1, "{name}: the root stays");
+    }
+}
+
+/// What a server sends instead of, or as, the child.
+fn over_http(answer: impl Fn() -> Reply + Send + Sync + 'static) -> (Run, Server) {
+    let server = Server::start(move |request| match request.path() {
+        "/tileset.json" => Reply::ok(tileset(&["child.glb"])),
+        "/root.glb" => Reply::ok(glb()),
+        _ => answer(),
+    });
+    let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
+    let config = PagerConfig { http, max_tries: Some(1), ..PagerConfig::default() };
+    let mut run = Run::new(&format!("{}/tileset.json", server.url.trim_end_matches('/')), config);
+    // The root by itself: it need not come where the child is there before it.
+    let fine_px = std::mem::replace(&mut run.max_sse_px, 1e9);
+    run.settle(above(10.0));
+    run.max_sse_px = fine_px;
+    run.settle(above(10.0));
+    (run, server)
+}
+
+#[test]
+fn types_that_servers_tell_are_not_believed() {
+    for kind in ["text/html", "image/png", "application/json; charset=x", "", "///"] {
+        let (run, _server) = over_http(move || Reply::ok(glb()).with("content-type", kind));
+        assert_eq!((run.pager.stats().failed, run.stage.counters.tiles_drawn), (0, 1), "{kind}");
+        assert_eq!(run.pager.stats().merged, 2, "{kind}");
+    }
+    // A page that says it is well, and that it is a tile.
+    let page = "<!DOCTYPE html><html><body>Sign in</body></html>";
+    for kind in ["text/html", "model/gltf-binary"] {
+        let (mut run, server) = over_http(move || Reply::ok(page).with("content-type", kind));
+        let asked = server.count();
+        for _ in 0..100 {
+            run.frame(above(10.0));
+        }
+        assert_eq!((run.pager.stats().merged, run.stage.counters.tiles_drawn, server.count()), (1, 1, asked));
+        let errors = run.pager.errors();
+        assert!(errors.len() == 1 && errors[0].reason.contains("error page"), "{errors:?}");
+    }
+}
+
+#[test]
+fn contents_that_change_between_requests() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path(), &[("child.glb", glb())]);
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    let clear = |run: &mut Run| {
+        let contexts: &mut [&mut dyn terrane::pager::CompileContext] = &mut [&mut run.context];
+        run.pager.clear(&mut run.scene, contexts);
+        run.settle(above(10.0));
+    };
+    run.settle(above(10.0));
+    assert_eq!(run.pager.stats().merged, 2);
+    // A tile that becomes a tileset, a broken file, nothing, and itself again.
+    let of_one = tileset(&[]).replace("root.glb", "other.glb");
+    std::fs::write(folder.path().join("other.glb"), glb()).unwrap();
+    std::fs::write(folder.path().join("child.glb"), of_one).unwrap();
+    clear(&mut run);
+    assert_eq!((run.stage.counters.tiles_drawn, run.pager.stats().failed), (1, 0), "{:?}", run.pager.errors());
+    std::fs::write(folder.path().join("child.glb"), b"glTF").unwrap();
+    clear(&mut run);
+    assert_eq!((run.stage.counters.tiles_drawn, run.pager.stats().failed), (1, 1));
+    std::fs::remove_file(folder.path().join("child.glb")).unwrap();
+    clear(&mut run);
+    assert_eq!((run.stage.counters.tiles_drawn, run.pager.stats().failed), (1, 2));
+    std::fs::write(folder.path().join("child.glb"), glb()).unwrap();
+    clear(&mut run);
+    assert_eq!((run.pager.stats().failed, run.pager.stats().resident), (2, 2));
+    // What was served as one body and then as another, the cache in between.
+    let (cache, bodies) = (tempfile::tempdir().unwrap(), Arc::new(AtomicU64::new(0)));
+    let of_server = bodies.clone();
+    let server = Server::start(move |request| match request.path() {
+        "/tileset.json" => Reply::ok(tileset(&["child.glb"])),
+        "/root.glb" => Reply::ok(glb()),
+        _ => match of_server.load(Ordering::Relaxed) {
+            0 => Reply::ok(glb()).with("etag", "\"1\""),
+            1 => Reply::ok("<html>sorry</html>").with("etag", "\"2\""),
+            _ => Reply::ok(glb()).with("etag", "\"3\""),
+        },
+    });
+    let source = format!("{}/tileset.json", server.url.trim_end_matches('/'));
+    let mut failed = Vec::new();
+    for body in 0..3 {
+        bodies.store(body, Ordering::Relaxed);
+        let http = HttpConfig { cache: Some(CacheConfig::new(cache.path())), max_retries: 0, ..HttpConfig::default() };
+        let mut run = Run::new(&source, PagerConfig { http, max_tries: Some(1), ..PagerConfig::default() });
+        run.settle(above(10.0));
+        assert_eq!(run.stage.counters.tiles_drawn, 1);
+        failed.push(run.pager.stats().failed);
+    }
+    assert_eq!(failed, [0, 1, 0]);
+}
+
+#[test]
+fn clocks_that_jump_change_no_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path(), &[("child.glb", glb())]);
+    let config = ViewerConfig {
+        size_px: [32, 32],
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        pager: PagerConfig { blocking: true, ..PagerConfig::default() },
+        ..ViewerConfig::default()
+    };
+    let mut viewer = Viewer::new_offscreen(&config).unwrap();
+    viewer.load(folder.path().to_str().unwrap()).unwrap();
+    for time_s in [5.0, 4.0, -1e9, f64::NAN, f64::INFINITY, 1e300, 0.0, 7.0, f64::NEG_INFINITY] {
+        viewer.frame_at(time_s).unwrap();
+        assert!(viewer.is_settled() && viewer.stats().last().unwrap().tiles_drawn == 1, "{time_s}");
+    }
+}
+
+#[test]
+fn files_that_cannot_be_read_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path(), &[("child.glb", glb()), ("other.glb", glb())]);
+    std::fs::remove_file(folder.path().join("child.glb")).unwrap();
+    std::fs::create_dir(folder.path().join("child.glb")).unwrap();
+    let mut expected = vec!["folder"];
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        let other = folder.path().join("other.glb");
+        std::fs::set_permissions(&other, std::fs::Permissions::from_mode(0o000)).unwrap();
+        if std::fs::read(&other).is_err() {
+            expected.push("ermission denied");
+        } else {
+            eprintln!("SKIPPED in part: this user may read everything");
+        }
+    }
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    run.settle(above(10.0));
+    let errors = run.pager.errors();
+    assert_eq!((errors.len(), run.stage.counters.tiles_drawn), (expected.len(), 1), "{errors:?}");
+    assert!(expected.iter().all(|why| errors.iter().any(|e| e.reason.contains(why))), "{errors:?}");
+}
+
+/// Lines that were logged, warnings and errors.
+static LINES: AtomicU64 = AtomicU64::new(0);
+
+struct Count;
+
+impl log::Log for Count {
+    fn enabled(&self, metadata: &log::Metadata<'_>) -> bool {
+        metadata.level() <= log::Level::Warn && metadata.target().starts_with("terrane")
+    }
+
+    fn log(&self, record: &log::Record<'_>) {
+        LINES.fetch_add(u64::from(self.enabled(record.metadata())), Ordering::Relaxed);
+    }
+
+    fn flush(&self) {}
+}
+
+#[test]
+fn thousands_of_failing_uris_are_one_list_and_no_storm() {
+    const CHILDREN: usize = 5000;
+    log::set_logger(&Count).unwrap();
+    log::set_max_level(log::LevelFilter::Warn);
+    let names: Vec<String> = (0..CHILDREN).map(|i| format!("none-{i}.glb")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    // From disk: none is there, and none is looked for twice.
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tileset.json"), tileset(&names)).unwrap();
+    std::fs::write(folder.path().join("root.glb"), glb()).unwrap();
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    run.settle(above(10.0));
+    let start = Instant::now();
+    for _ in 0..100 {
+        run.frame(above(10.0));
+    }
+    let per_frame = start.elapsed() / 100;
+    let (stats, errors) = (*run.pager.stats(), run.pager.errors());
+    assert_eq!((stats.failed, stats.requested, stats.retried), (CHILDREN as u64, CHILDREN as u64 + 1, 0), "{stats:?}");
+    assert!(errors.len() <= 1001, "{} lines", errors.len());
+    assert_eq!(errors.iter().map(|e| e.count).sum::<u64>(), CHILDREN as u64);
+    assert_eq!(run.stage.counters.tiles_drawn, 1, "the root stays");
+    assert!(per_frame < Duration::from_millis(50), "{per_frame:?} a frame");
+
+    // From a server that is out of order: each is asked for as often as the configuration has it, with growing pauses.
+    let asked: Arc<Mutex<HashMap<String, u64>>> = Arc::default();
+    let of_server = asked.clone();
+    let set = tileset(&names[..400]);
+    let server = Server::start(move |request| match request.path() {
+        "/tileset.json" => Reply::ok(set.clone()),
+        "/root.glb" => Reply::ok(glb()),
+        path => {
+            *of_server.lock().unwrap().entry(path.to_owned()).or_default() += 1;
+            Reply::new(503, "")
+        }
+    });
+    let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
+    let (max_tries, retry_after) = (3, Duration::from_millis(20));
+    let config = PagerConfig { http, max_tries: Some(max_tries), retry_after, ..PagerConfig::default() };
+    let mut run = Run::new(&format!("{}/tileset.json", server.url.trim_end_matches('/')), config);
+    let all = 400 * u64::from(max_tries);
+    run.until(above(10.0), "not all tries are made", |r| r.pager.stats().failed == all);
+    for _ in 0..200 {
+        run.frame(above(10.0));
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let counts: Vec<u64> = asked.lock().unwrap().values().copied().collect();
+    assert!(counts.len() == 400 && counts.iter().all(|n| *n == u64::from(max_tries)), "{counts:?}");
+    assert_eq!(run.pager.stats().retried, all - 400);
+    assert_eq!(run.pager.errors().iter().map(|e| e.count).sum::<u64>(), all);
+    assert!(LINES.load(Ordering::Relaxed) < 20, "{} lines in the log", LINES.load(Ordering::Relaxed));
+}
+
+/// Each frame looked through all that ever failed.
+#[test]
+fn failures_that_nobody_meets_are_forgotten_where_there_are_thousands() {
+    let folder = tempfile::tempdir().unwrap();
+    for (children, remembered) in [(4_000, 4_000), (5_000, 0)] {
+        let names: Vec<String> = (0..children).map(|k| format!("missing {k}.glb")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        std::fs::write(folder.path().join("tileset.json"), tileset(&names)).unwrap();
+        std::fs::write(folder.path().join("root.glb"), glb()).unwrap();
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+        let (near, far) = (above(5.0), above(1e7));
+        run.settle(near);
+        assert_eq!((run.pager.stats().failed, run.pager.request_states().len()), (children, children as usize));
+        (0..100).for_each(|_| run.frame(near));
+        assert_eq!(run.pager.request_states().len(), children as usize, "in sight they are not asked for again");
+        (0..100).for_each(|_| run.frame(far));
+        assert_eq!(run.pager.request_states().len(), remembered);
+        run.settle(near);
+        let again = children - remembered as u64;
+        assert_eq!(run.pager.stats().failed, children + again, "once more by who comes back");
+    }
+}
+
+/// A disk that did not answer once lost a tile until the program was started again.
+#[cfg(target_os = "linux")]
+#[test]
+fn what_the_system_refuses_for_a_while_is_tried_again() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tileset.json"), tileset(&["a.glb", "b.glb", "c.glb"])).unwrap();
+    for name in ["root.glb", "a.glb"] {
+        std::fs::write(folder.path().join(name), glb()).unwrap();
+    }
+    // It has no page at 0: an I/O error.
+    let (broken, well) = (folder.path().join("b.glb"), folder.path().join("a.glb"));
+    std::os::unix::fs::symlink("/proc/self/mem", &broken).unwrap();
+    std::fs::create_dir(folder.path().join("c.glb")).unwrap();
+    let config = PagerConfig { retry_after: std::time::Duration::from_millis(20), ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
+    let near = above(5.0);
+    run.until(near, "does not fail", |r| r.pager.stats().failed >= 2);
+    std::fs::remove_file(&broken).unwrap();
+    std::fs::copy(&well, &broken).unwrap();
+    run.until(near, "is not tried again", |r| r.pager.stats().merged == 3);
+    let errors = run.pager.errors();
+    let of = |name: &str| errors.iter().find(|e| e.uri.ends_with(name)).unwrap();
+    assert!(of("b.glb").reason.contains("os error 5"), "{errors:?}");
+    assert_eq!(of("c.glb").count, 1, "folders stay folders");
+    // And not for ever.
+    std::fs::remove_file(&broken).unwrap();
+    std::os::unix::fs::symlink("/proc/self/mem", &broken).unwrap();
+    let wait = std::time::Duration::from_millis(1);
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig { retry_after: wait, ..config });
+    let end = std::time::Instant::now() + 200 * wait;
+    run.until(near, "is tried for ever", |r| r.pager.stats().failed >= 6 && std::time::Instant::now() > end);
+    assert_eq!(run.pager.stats().failed, 5 + 1);
+}
+
+#[test]
+fn errors_of_all_kinds_say_what_and_why() {
+    let uri = || "http://h/t.glb".to_owned();
+    for error in [
+        IoError::NotFound { uri: uri() },
+        IoError::File { uri: uri(), reason: "no".to_owned(), may_pass: false },
+        IoError::Network { uri: uri(), reason: "no".to_owned() },
+        IoError::TooLarge { uri: uri(), what: "file", got: 2, limit: 1 },
+    ] {
+        assert!(error.uri() == "http://h/t.glb" && !error.reason().is_empty() && error.to_string().contains("t.glb"));
+    }
+}

@@ -1,0 +1,507 @@
+//! What the pager may hold and may read: byte and tile budgets over a flight, and requests that nobody wants any more.
+//! Real files, no GPU.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use kit::pager::{PAGE_GPU_BYTES, Run, above};
+use kit::tile_sets::{WORLD_M, write_quadtree};
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::{BoundingSphere, BoundingVolume};
+use terrane::pager::{CompileContext, PagerConfig};
+use terrane::scene::{Node, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};
+
+fn over_the_world(u: f64, height_m: f64) -> DVec3 {
+    DVec3::new(WORLD_M * u, 0.5 * WORLD_M + 0.3 * WORLD_M * (9.0 * u).sin(), height_m)
+}
+
+#[test]
+fn budgets_hold_in_every_frame_and_what_is_seen_comes_first() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig {
+        max_bytes_gpu: 40 * PAGE_GPU_BYTES,
+        max_bytes_cpu: 64 << 10,
+        max_tiles: 60,
+        expiry_frames: 2,
+        ..PagerConfig::default()
+    };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
+    let end = Instant::now() + Duration::from_secs(60);
+    // Until the budgets were pressed on, however slow the machine reads.
+    for i in 0u32.. {
+        if i >= 1500 && run.pager.stats().expired > 50 {
+            break;
+        }
+        assert!(Instant::now() < end, "nothing expires: {:?}", run.pager.stats());
+        let u = f64::from(i % 1500) / 1499.0;
+        // Low enough for the finest level below the camera, now and then high enough to see all.
+        let height_m = if i % 300 < 250 { 150.0 } else { 3000.0 };
+        run.frame(over_the_world(u, height_m));
+        let s = *run.pager.stats();
+        assert!(s.gpu_bytes <= config.max_bytes_gpu && s.cpu_bytes <= config.max_bytes_cpu, "frame {i}: {s:?}");
+        assert!(s.resident <= config.max_tiles as u64, "frame {i}: {s:?}");
+        assert_eq!(s.gpu_bytes, s.resident * PAGE_GPU_BYTES, "frame {i}");
+        assert!(
+            s.gpu_bytes_held_peak <= config.max_bytes_gpu && s.cpu_bytes_held_peak <= config.max_bytes_cpu,
+            "{s:?}"
+        );
+        assert!(s.held_peak <= config.max_tiles as u64 && s.resident + s.compiling <= s.held_peak, "frame {i}: {s:?}");
+        if i % 10 == 0 {
+            std::thread::sleep(Duration::from_micros(200));
+        }
+    }
+    // The last view fits, so it is shown whole in spite of what was there before.
+    let eye = over_the_world(0.5, 150.0);
+    run.frame(eye);
+    run.until(eye, "the last view does not arrive", |r| r.stage.counters.wanted_missing == 0);
+    assert!(run.stage.counters.tiles_drawn > 1);
+    assert!(run.pager.errors().is_empty());
+    assert!(run.context.slots_out >= run.pager.stats().resident, "what is drawn keeps its slots");
+}
+
+#[test]
+fn a_page_beyond_the_whole_budget_is_one_error() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig { max_bytes_gpu: PAGE_GPU_BYTES - 1, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    let far = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
+    run.until(far, "the root is not refused", |r| r.pager.stats().failed == 1);
+    for _ in 0..20 {
+        run.frame(far);
+    }
+    let (stats, errors) = (*run.pager.stats(), run.pager.errors());
+    assert_eq!((stats.loaded, stats.resident, stats.gpu_bytes), (1, 0, 0), "read once: {stats:?}");
+    assert_eq!((errors.len(), run.context.slots_out), (1, 0));
+    assert!(errors[0].uri.ends_with("0_0_0.glb") && errors[0].reason.contains("999"), "{errors:?}");
+}
+
+/// Two files beside each other, seen by turns, with room for one.
+fn two_tiles(folder: &Path, first: PagingOptions, config: PagerConfig) -> Run {
+    write_quadtree(folder);
+    let lod = |name: &str, x: f64, paging| {
+        let node = PagedLod {
+            bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::new(x, 0.0, 0.0), 10.0)),
+            range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+            refine: Refine::Replace,
+            content: Some(folder.join(name).display().to_string().into()),
+            content_transform: DAffine3::from_translation(DVec3::new(x, 0.0, 0.0)),
+            reader_data: None,
+            request_volume: None,
+            paging,
+        };
+        Node::new(NodeKind::PagedLod(Box::new(node)))
+    };
+    let tiles = vec![lod("0_0_0.glb", 0.0, first), lod("1_0_0.glb", FAR_M, PagingOptions::default())];
+    Run::of_page(Page::from_node(Node::group(tiles)).unwrap(), folder.to_str().unwrap(), config)
+}
+
+const FAR_M: f64 = 1e5;
+
+#[test]
+fn a_page_stays_as_long_as_its_options_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = PagerConfig { max_tiles: 1, expiry_frames: 2, ..PagerConfig::default() };
+    let (first, second) = (above(30.0), above(30.0) + DVec3::X * FAR_M);
+    let merged = |run: &Run| run.pager.stats().merged;
+    let frames_until_second = |options| {
+        let mut run = two_tiles(folder.path(), options, config.clone());
+        run.until(first, "the first does not come", |r| merged(r) == 1);
+        run.frame(first);
+        let (frame, start) = (run.frame, Instant::now());
+        while merged(&run) == 1 && run.frame - frame < 3000 && start.elapsed() < Duration::from_secs(2) {
+            run.frame(second);
+            std::thread::sleep(Duration::from_micros(500));
+        }
+        (merged(&run), run.frame - frame, start.elapsed())
+    };
+    let (merged, soon, _) = frames_until_second(PagingOptions::default());
+    assert_eq!(merged, 2);
+    let frames = soon + 200;
+    let (merged, later, _) = frames_until_second(PagingOptions { min_expiry_frames: frames, ..Default::default() });
+    assert!(merged == 2 && later > frames, "{later} of {frames}");
+    let (merged, _, took) = frames_until_second(PagingOptions { min_expiry_s: 0.3, ..Default::default() });
+    assert!(merged == 2 && took > Duration::from_millis(300), "{took:?}");
+    for stays in [
+        PagingOptions { cannot_expire: true, ..Default::default() },
+        // It went at once.
+        PagingOptions { min_expiry_s: f32::INFINITY, ..Default::default() },
+    ] {
+        let (merged, ..) = frames_until_second(stays);
+        assert_eq!(merged, 1, "it stays, and the other has no room");
+    }
+}
+
+#[test]
+fn what_is_in_no_picture_makes_room_where_less_than_a_page_is_free() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first, second) = (above(30.0), above(30.0) + DVec3::X * FAR_M);
+    // A third of the budget stays free, in which no page has room.
+    let config = PagerConfig { max_bytes_gpu: PAGE_GPU_BYTES * 3 / 2, ..PagerConfig::default() };
+    let mut run = two_tiles(folder.path(), PagingOptions::default(), config);
+    run.until(first, "the first does not come", |r| r.pager.stats().merged == 1);
+    run.until(second, "the second does not come", |r| r.pager.stats().merged == 2);
+    let s = run.pager.stats();
+    assert!(s.expired == 1 && s.gpu_bytes_peak <= PAGE_GPU_BYTES * 3 / 2, "{s:?}");
+}
+
+#[test]
+fn options_change_the_order_of_loads() {
+    let own = |priority_scale, priority_offset| PagingOptions { priority_scale, priority_offset, ..Default::default() };
+    assert_eq!(own(2.0, 5.0).priority(10.0), 25.0);
+    assert_eq!(own(1.0, -50.0).priority(10.0), 0.0, "not below what is wanted later");
+    assert_eq!(own(9.0, 9.0).priority(-0.5), -0.5);
+    assert_eq!(own(f32::NAN, 0.0).priority(3.0), 3.0);
+    // Which of two that one picture lacks comes where there is room for one.
+    for (options, expected, other) in [(own(1.0, 1e6), 0.0, FAR_M), (own(0.0, 0.0), FAR_M, 0.0)] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut run = two_tiles(folder.path(), options, PagerConfig { max_tiles: 1, ..PagerConfig::default() });
+        // High enough to see both.
+        let eye = DVec3::new(0.5 * FAR_M, 0.0, 2.0 * FAR_M);
+        run.frame(eye);
+        assert_eq!(run.stage.counters.wanted_missing, 2);
+        run.until(eye, "nothing comes", |r| r.pager.stats().merged == 1);
+        let drawn = [expected, other].map(|x| {
+            run.frame(DVec3::new(x, 0.0, 30.0));
+            run.stage.counters.tiles_drawn
+        });
+        assert_eq!(drawn, [1, 0]);
+    }
+}
+
+#[test]
+fn a_stale_request_reads_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let content_bytes = write_quadtree(folder.path());
+    // Room for the root alone: whatever else is asked for waits.
+    let config = PagerConfig { max_tiles: 1, stale_frames: 3, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    let far = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
+    run.until(far, "the root does not arrive", |r| r.pager.stats().merged == 1);
+    for _ in 0..20 {
+        run.frame(over_the_world(0.5, 150.0));
+    }
+    let asked = *run.pager.stats();
+    assert!(asked.waiting > 0 && asked.in_flight == 0, "{asked:?}");
+    for _ in 0..10 {
+        run.frame(far);
+    }
+    let after = *run.pager.stats();
+    assert_eq!((after.waiting, after.stale), (0, asked.waiting), "{after:?}");
+    assert_eq!(after.bytes_read, run.root_bytes + content_bytes, "only the root's content was read");
+    assert_eq!(after.loaded, 1);
+}
+
+#[test]
+fn work_between_frames_loads_everything_the_last_cull_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    // One page a merge: what is left over must not wait for another answer.
+    let config = PagerConfig { merge_time: Duration::ZERO, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    let eye = over_the_world(0.5, 150.0);
+    run.frame(eye);
+    let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+    let start = Instant::now();
+    run.pager.work_until(&mut run.scene, contexts, start + Duration::from_secs(60));
+    assert!(start.elapsed() < Duration::from_secs(50), "returns when nothing is under way");
+    assert!(run.pager.is_idle());
+    run.frame(eye);
+    assert_eq!((run.stage.counters.wanted_missing, run.stage.requests.len()), (0, 0), "{:?}", run.pager.stats());
+    assert!(run.stage.counters.tiles_drawn > 1);
+    // Nothing to do: it does not wait for the deadline.
+    let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+    run.pager.work_until(&mut run.scene, contexts, Instant::now() + Duration::from_secs(60));
+}
+
+/// A root with a content, and below it a tileset of its own with one content.
+fn write_nested(folder: &Path) {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let tile = |error: f64, uri: &str, children: &str| {
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,20]}},"geometricError":{error},"refine":"REPLACE","content":{{"uri":"{uri}"}},"children":[{children}]}}"#
+        )
+    };
+    let set = |root: &str| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":100,"root":{root}}}"#);
+    for name in ["outer.glb", "inner.glb"] {
+        std::fs::write(folder.join(name), &glb).unwrap();
+    }
+    std::fs::write(folder.join("inner.json"), set(&tile(0.0, "inner.glb", ""))).unwrap();
+    std::fs::write(folder.join("tileset.json"), set(&tile(10.0, "outer.glb", &tile(5.0, "inner.json", "")))).unwrap();
+}
+
+/// It stayed in the list of uploads for ever, took room from what was wanted, and kept its slots.
+#[test]
+fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
+    let folder = tempfile::tempdir().unwrap();
+    write_nested(folder.path());
+    let config = PagerConfig { max_tiles: 3, expiry_frames: 2, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    let (near, far) = (DVec3::new(0.0, 0.0, 40.0), DVec3::new(0.0, 0.0, 100_000.0));
+    run.until(near, "the inner tileset does not arrive", |r| r.pager.stats().merged == 2);
+    run.context.holds = true;
+    run.until(near, "the inner content is not uploaded", |r| r.pager.stats().loaded == 3);
+    run.until(far, "the inner tileset does not expire", |r| r.pager.stats().expired >= 1);
+    run.context.holds = false;
+    run.frame(far);
+    let stats = *run.pager.stats();
+    assert_eq!((stats.dropped, stats.resident, stats.in_flight), (1, 1, 0), "{stats:?}");
+    assert_eq!(run.context.cancelled, 1, "nobody waits for it");
+    assert_eq!(run.context.slots_out, 1, "the outer content's");
+    run.settle(near);
+    assert_eq!((run.pager.stats().resident, run.context.slots_out), (3, 2), "{:?}", run.pager.stats());
+}
+
+/// It was loaded in each frame, and what would have fitted waited behind it.
+#[test]
+fn what_finds_no_room_is_loaded_once_and_holds_up_nothing_smaller() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, points: u16, at: f32| {
+        let positions = (0..points).map(|k| [at + f32::from(k % 3), f32::from(k % 7), f32::from(k % 5)]).collect();
+        let mesh = GlbMesh { positions, indices: (0..points).collect(), base_color: [1.0; 4], ..GlbMesh::default() };
+        std::fs::write(folder.path().join(name), write_glb(&mesh)).unwrap();
+    };
+    write("root.glb", 600, 0.0);
+    write("large.glb", 3000, 1.0);
+    write("small.glb", 90, 2.0);
+    write("smallest.glb", 60, 3.0);
+    let tile = |name: &str, east_m: f64, radius_m: f64, error_m: f64, more: &str| {
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[{east_m},0,0,{radius_m}]}},"geometricError":{error_m},
+            "content":{{"uri":"{name}"}}{more}}}"#
+        )
+    };
+    // The larger one is in the middle of the view.
+    let smallest = tile("smallest.glb", 12.0, 1.0, 0.0, "");
+    let small = tile("small.glb", 12.0, 2.0, 500.0, &format!(r#","children":[{smallest}]"#));
+    let below = [tile("large.glb", 0.0, 9.0, 0.0, ""), small].join(",");
+    let root = tile("root.glb", 0.0, 20.0, 1000.0, &format!(r#","refine":"ADD","children":[{below}]"#));
+    let set = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{root}}}"#);
+    std::fs::write(folder.path().join("tileset.json"), set).unwrap();
+    let (source, eye) = (folder.path().to_str().unwrap(), above(60.0));
+    // The large one does not fit beside the first, several of the mean size do.
+    let config = PagerConfig { max_bytes_gpu: 3420, decode_threads: 1, ..PagerConfig::default() };
+    let mut run = Run::new(source, config.clone());
+    run.context.counts_vertices = true;
+    run.until(eye, "the small ones do not come", |r| r.pager.stats().resident == 3 && r.pager.stats().declined >= 1);
+    for _ in 0..300 {
+        run.frame(eye);
+        std::thread::sleep(Duration::from_micros(100));
+    }
+    let s = *run.pager.stats();
+    assert_eq!((s.resident, s.in_flight, s.waiting), (3, 0, 1), "{s:?}");
+    assert!(s.loaded <= 5 && s.declined <= 2 && s.gpu_bytes_peak <= config.max_bytes_gpu, "{s:?}");
+}
+
+#[test]
+fn a_pager_pauses_takes_no_requests_and_is_cleared() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    let eye = over_the_world(0.5, 150.0);
+    run.pager.set_paused(true);
+    // The first update tells the threads.
+    run.frame(over_the_world(0.5, 500_000.0));
+    run.until(eye, "what was begun does not end", |r| r.pager.stats().in_flight == 0);
+    let before = *run.pager.stats();
+    for _ in 0..50 {
+        run.frame(eye);
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    let paused = *run.pager.stats();
+    assert!(paused.loaded == before.loaded && paused.waiting > 1, "{paused:?}");
+    run.pager.set_paused(false);
+    run.settle(eye);
+    let settled = *run.pager.stats();
+    assert!(settled.resident > 4 && run.context.slots_out == settled.resident, "{settled:?}");
+
+    run.pager.set_takes_requests(false);
+    let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+    run.pager.clear(&mut run.scene, contexts);
+    for _ in 0..20 {
+        run.frame(eye);
+    }
+    let s = *run.pager.stats();
+    assert_eq!((s.resident, s.cpu_bytes, s.gpu_bytes, s.waiting + s.in_flight), (0, 0, 0, 0), "{s:?}");
+    assert_eq!((s.requested, run.context.slots_out), (settled.requested, 0));
+    run.pager.set_takes_requests(true);
+    run.settle(eye);
+    assert_eq!(run.pager.stats().resident, settled.resident);
+}
+
+/// Under way when it is cleared: what comes late finds nobody.
+#[test]
+fn what_comes_after_a_clear_is_not_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    for round in 0..40 {
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+        let eye = over_the_world(0.5, 150.0);
+        for _ in 0..1 + round % 7 {
+            run.frame(eye);
+        }
+        run.pager.set_takes_requests(false);
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut run.context];
+        run.pager.clear(&mut run.scene, contexts);
+        for _ in 0..20 {
+            run.frame(eye);
+            std::thread::sleep(Duration::from_micros(100));
+        }
+        let s = *run.pager.stats();
+        assert_eq!((s.resident, s.waiting + s.in_flight, run.context.slots_out), (0, 0, 0), "round {round}: {s:?}");
+        run.pager.set_takes_requests(true);
+        run.settle(eye);
+    }
+}
+
+/// What was loaded and uploaded held memory besides the budgets, until its merge.
+#[test]
+fn what_waits_for_its_upload_or_merge_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig { max_tiles: 6, max_bytes_gpu: 6 * PAGE_GPU_BYTES, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config.clone());
+    run.max_sse_px = 0.01;
+    let eye = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500.0);
+    let start = Instant::now();
+    let mut most = 0;
+    for frame in 0u32.. {
+        // Uploads come in bursts.
+        run.context.holds = frame % 8 != 7;
+        run.frame(eye);
+        let s = *run.pager.stats();
+        assert!(s.resident + s.compiling <= 6 && s.held_peak <= 6, "frame {frame}: {s:?}");
+        assert!(s.gpu_bytes_held <= config.max_bytes_gpu && s.gpu_bytes_held_peak <= config.max_bytes_gpu, "{s:?}");
+        let reserved = (s.resident + s.compiling) * PAGE_GPU_BYTES;
+        assert!(s.merged == 0 || reserved <= config.max_bytes_gpu, "frame {frame}: {s:?}");
+        most = most.max(s.resident);
+        if frame > 300 && most == 6 {
+            break;
+        }
+        assert!(start.elapsed() < Duration::from_secs(60), "nothing comes: {s:?}");
+        std::thread::sleep(Duration::from_micros(500));
+    }
+}
+
+/// Pages of the mean size had no room any more, and nothing smaller was looked at for as long as the view stayed.
+#[test]
+fn a_small_page_has_room_where_none_of_the_mean_size_has() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let write = |name: &str, points: u16| {
+        let positions = (0..points).map(|k| [f32::from(k % 3), f32::from(k % 7), f32::from(k % 5)]).collect();
+        let mesh = GlbMesh { positions, indices: (0..points).collect(), base_color: [1.0; 4], ..GlbMesh::default() };
+        std::fs::write(folder.path().join(name), write_glb(&mesh)).unwrap();
+    };
+    write("0_0_0.glb", 3000);
+    write("1_0_0.glb", 30);
+    // The large one is more urgent.
+    let options = PagingOptions { priority_offset: 1e6, ..PagingOptions::default() };
+    let config = PagerConfig { max_bytes_gpu: 4000, ..PagerConfig::default() };
+    let mut run = two_tiles(folder.path(), options, config);
+    run.context.counts_vertices = true;
+    let eye = DVec3::new(0.5 * FAR_M, 0.0, 2.0 * FAR_M);
+    run.until(above(30.0), "the large one does not come", |r| r.pager.stats().merged == 1);
+    run.until(eye, "the small one does not come", |r| r.pager.stats().merged == 2);
+    assert!(run.pager.stats().gpu_bytes_held_peak <= 4000);
+}
+
+#[test]
+fn uploads_wait_for_time_or_for_none() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    for pre_compile in [true, false] {
+        let config = PagerConfig { pre_compile, ..PagerConfig::default() };
+        let mut run = Run::new(folder.path().to_str().unwrap(), config);
+        run.context.waits = true;
+        let eye = over_the_world(0.5, 150.0);
+        if pre_compile {
+            run.until(eye, "nothing is loaded", |r| r.pager.stats().loaded > 0);
+            (0..20).for_each(|_| run.frame(eye));
+            assert_eq!(run.pager.stats().merged, 0, "frames leave it no time");
+            // Between two frames there is some.
+            run.work_until_idle();
+            assert!(run.pager.stats().merged > 0);
+        } else {
+            run.settle(eye);
+            assert!(run.pager.stats().merged > 1);
+        }
+    }
+}
+
+/// Sizes are not what the mean had them be.
+#[test]
+fn pages_of_all_sizes_keep_the_budgets_and_all_that_has_room_comes() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let glb = |triangles: usize| {
+        let corner = |i: usize| [(i % 7) as f32, (i / 7 % 5) as f32, (i % 3) as f32];
+        write_glb(&GlbMesh {
+            positions: (0..3 * triangles).map(corner).collect(),
+            indices: (0..3 * triangles as u16).collect(),
+            base_color: [1.0; 4],
+            ..GlbMesh::default()
+        })
+    };
+    let sizes = [1usize, 1, 1, 90, 2, 60, 1, 100, 3, 80];
+    let tiles: Vec<Node> = (0..40)
+        .map(|i| {
+            let name = format!("size_{i}.glb");
+            std::fs::write(folder.path().join(&name), glb(sizes[i % sizes.len()])).unwrap();
+            let node = PagedLod {
+                bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 10.0)),
+                range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+                refine: Refine::Replace,
+                content: Some(folder.path().join(name).display().to_string().into()),
+                content_transform: DAffine3::IDENTITY,
+                reader_data: None,
+                request_volume: None,
+                paging: PagingOptions::default(),
+            };
+            Node::new(NodeKind::PagedLod(Box::new(node)))
+        })
+        .collect();
+    let vertices: u64 = (0..40).map(|i| 3 * sizes[i % sizes.len()] as u64).sum();
+    // By the name that a slot has.
+    let size_of = |uri: &str| {
+        let number = uri.rsplit_once("size_").and_then(|(_, name)| name.strip_suffix(".glb")?.parse::<usize>().ok());
+        3 * sizes[number.unwrap() % sizes.len()] as u64
+    };
+    for max_bytes_gpu in [vertices, vertices * 2 / 3, 400, 300] {
+        let config = PagerConfig { max_bytes_gpu, sharing: terrane::scene::ShareModes::NONE, ..PagerConfig::default() };
+        let root = Page::from_node(Node::group(tiles.clone())).unwrap();
+        let mut run = Run::of_page(root, folder.path().to_str().unwrap(), config);
+        run.context.counts_vertices = true;
+        let mut frame = 0u32;
+        run.until(above(30.0), "does not fill the budget", |run| {
+            let s = run.pager.stats();
+            assert!(s.gpu_bytes_held <= max_bytes_gpu && s.gpu_bytes_held_peak <= max_bytes_gpu, "{s:?}");
+            let enough = if max_bytes_gpu == vertices { vertices } else { max_bytes_gpu / 2 };
+            s.gpu_bytes >= enough
+        });
+        while frame < 100 {
+            frame += 1;
+            run.frame(above(30.0));
+            std::thread::sleep(Duration::from_micros(300));
+        }
+        // Nothing is left out that has room.
+        let smallest_missing = |run: &Run| {
+            let slots = run.scene.slots_of_page(run.scene.roots()[0]).filter_map(|slot| run.scene.slot(slot));
+            slots.filter(|slot| slot.state == SlotState::Empty).map(|slot| size_of(slot.uri)).min()
+        };
+        run.until(above(30.0), "something that has room does not come", |run| {
+            let free = max_bytes_gpu - run.pager.stats().gpu_bytes;
+            smallest_missing(run).is_none_or(|size| size > free)
+        });
+        let s = *run.pager.stats();
+        assert_eq!((s.failed, s.expired), (0, 0), "{max_bytes_gpu}: {s:?}");
+        assert!(s.gpu_bytes_held_peak <= max_bytes_gpu && s.loaded < 400, "{max_bytes_gpu}: {s:?}");
+    }
+}

@@ -1,0 +1,14 @@
+//! The database pager without a GPU: requests, budgets, failures, servers and several scenes.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod ahead;
+#[cfg(feature = "http")]
+mod bad_input;
+mod budgets;
+#[cfg(feature = "http")]
+mod http;
+mod proxies;
+mod scenes;
+#[cfg(feature = "http")]
+mod states;
+mod stream;

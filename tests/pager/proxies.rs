@@ -1,0 +1,180 @@
+//! When ProxyNodes are loaded: where a camera sees them, at once, when the application asks. Real files; no GPU.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use kit::pager::Run;
+use terrane::gpu::AdapterChoice;
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::BoundingSphere;
+use terrane::pager::PagerConfig;
+use terrane::scene::{Node, NodeId, NodeKind, Page, PageId, ProxyLoading, ProxyNode, Scene, SceneError, SlotState};
+use terrane::viewer::{Viewer, ViewerConfig};
+
+/// A triangle, and one proxy for it of each kind, behind the camera; another's file is not there.
+fn nodes(folder: &Path) -> Vec<Node> {
+    let mesh = GlbMesh {
+        positions: vec![[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    };
+    std::fs::write(folder.join("mesh.glb"), write_glb(&mesh)).unwrap();
+    let place = DVec3::new(0.0, 0.0, 100.0);
+    let proxy = |loading, name: &str| {
+        Node::new(NodeKind::ProxyNode(Box::new(ProxyNode {
+            uri: Arc::from(folder.join(name).display().to_string()),
+            bounds: BoundingSphere::new(place, 5.0),
+            content_transform: DAffine3::from_translation(place),
+            loading,
+        })))
+    };
+    vec![
+        proxy(ProxyLoading::Immediately, "mesh.glb"),
+        proxy(ProxyLoading::Never, "mesh.glb"),
+        proxy(ProxyLoading::DeferToPager, "mesh.glb"),
+        proxy(ProxyLoading::Immediately, "missing.glb"),
+    ]
+}
+
+/// The same in a viewer.
+fn proxies(folder: &Path, blocking: bool, max_tiles: usize) -> (Viewer, PageId) {
+    let config = ViewerConfig {
+        size_px: [64, 64],
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        pager: PagerConfig { blocking, expiry_frames: 3, max_tiles, ..PagerConfig::default() },
+        ..ViewerConfig::default()
+    };
+    let mut viewer = Viewer::new_offscreen(&config).unwrap();
+    viewer.page_files_in(folder).unwrap();
+    let root = viewer.add_root(Page::from_node(Node::group(nodes(folder))).unwrap()).unwrap();
+    // It looks down, away from them.
+    viewer.camera.world_from_eye = DAffine3::IDENTITY;
+    (viewer, root)
+}
+
+fn settle(viewer: &mut Viewer) {
+    let end = Instant::now() + Duration::from_secs(60);
+    viewer.frame().unwrap();
+    while !viewer.is_settled() {
+        assert!(Instant::now() < end, "{:?}", viewer.pager().unwrap().stats());
+        viewer.frame().unwrap();
+    }
+}
+
+fn states(viewer: &Viewer, root: PageId) -> Vec<&'static str> {
+    states_in(viewer.scene(), root)
+}
+
+fn states_in(scene: &Scene, root: PageId) -> Vec<&'static str> {
+    let of = |node: NodeId| match scene.slot(node).unwrap().state {
+        SlotState::Empty => "empty",
+        SlotState::Failed => "failed",
+        SlotState::Resident(_) => "there",
+    };
+    scene.slots_of_page(root).map(of).collect()
+}
+
+/// Those to be loaded at once waited for a camera, and nothing loaded the others.
+#[test]
+fn proxies_are_loaded_when_they_say() {
+    for blocking in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut viewer, root) = proxies(folder.path(), blocking, 2);
+        settle(&mut viewer);
+        assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "blocking {blocking}");
+        let stats = *viewer.pager().unwrap().stats();
+        assert_eq!((stats.requested, stats.failed), (2, 1), "the missing one is not hammered");
+        // There is want of room, and nobody sees it.
+        (0..20).for_each(|_| viewer.frame().unwrap());
+        assert_eq!(states(&viewer, root)[0], "there");
+        let never = viewer.scene().slots_of_page(root).nth(1).unwrap();
+        viewer.scene_mut().load_proxy(never).unwrap();
+        settle(&mut viewer);
+        assert_eq!(viewer.pager().unwrap().stats().loaded, 2);
+        (0..20).for_each(|_| viewer.frame().unwrap());
+        assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "it goes as others do");
+    }
+}
+
+#[test]
+fn a_proxy_without_bounds_has_those_of_what_it_loads() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut node = nodes(folder.path()).swap_remove(2);
+    let NodeKind::ProxyNode(proxy) = &mut node.kind else { panic!("a proxy") };
+    proxy.bounds = BoundingSphere::EVERYTHING;
+    let page = Page::from_node(Node::group(vec![node])).unwrap();
+    let mut run = Run::of_page(page, folder.path().to_str().unwrap(), PagerConfig::default());
+    // It looks down, and what is to be loaded is above it.
+    run.settle(DVec3::ZERO);
+    assert_eq!(states_in(&run.scene, run.scene.roots()[0]), ["there"]);
+    assert_eq!(run.stage.leaf_count(), 0);
+    run.frame(DVec3::new(0.0, 0.0, 110.0));
+    assert_eq!(run.stage.leaf_count(), 1);
+    run.frame(DVec3::new(0.0, 500.0, 110.0));
+    assert_eq!(run.stage.leaf_count(), 0);
+    assert_eq!(run.pager.stats().expired, 0, "it is in use");
+}
+
+/// Nothing asked for them again: no camera sees them.
+#[test]
+fn what_no_camera_asks_for_comes_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = Page::from_node(Node::group(nodes(folder.path()))).unwrap();
+    let mut run = Run::of_page(page, folder.path().to_str().unwrap(), PagerConfig::default());
+    let (root, away) = (run.scene.roots()[0], DVec3::ZERO);
+    run.settle(away);
+    let never = run.scene.slots_of_page(root).nth(1).unwrap();
+    run.scene.load_proxy(never).unwrap();
+    run.settle(away);
+    assert_eq!(states_in(&run.scene, root), ["there", "there", "empty", "failed"]);
+    // As where a context comes that nothing was uploaded for.
+    run.pager.page_anew(&mut run.scene, &mut [&mut run.context]);
+    assert_eq!(states_in(&run.scene, root), ["empty", "empty", "empty", "failed"]);
+    run.settle(away);
+    assert_eq!(states_in(&run.scene, root), ["there", "there", "empty", "failed"]);
+    // As before the first frame.
+    run.pager.clear(&mut run.scene, &mut [&mut run.context]);
+    assert_eq!(states_in(&run.scene, root), ["empty", "empty", "empty", "empty"]);
+    run.settle(away);
+    assert_eq!(states_in(&run.scene, root), ["there", "empty", "empty", "failed"]);
+    assert_eq!(run.pager.stats().failed, 2, "the missing one is asked for once more");
+}
+
+/// It was told to be loaded, and nothing happened.
+#[test]
+fn what_failed_is_tried_again_for_the_application() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut viewer, root) = proxies(folder.path(), false, 30);
+    settle(&mut viewer);
+    let missing = viewer.scene().slots_of_page(root).nth(3).unwrap();
+    viewer.scene_mut().load_proxy(missing).unwrap();
+    settle(&mut viewer);
+    assert_eq!(states(&viewer, root)[3], "failed");
+    assert_eq!(viewer.pager().unwrap().stats().failed, 2);
+    std::fs::copy(folder.path().join("mesh.glb"), folder.path().join("missing.glb")).unwrap();
+    viewer.scene_mut().load_proxy(missing).unwrap();
+    settle(&mut viewer);
+    assert_eq!(states(&viewer, root), ["there", "empty", "empty", "there"]);
+}
+
+#[test]
+fn what_the_application_asks_for_comes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (mut viewer, root) = proxies(folder.path(), false, 30);
+    settle(&mut viewer);
+    let [_, never, defer, _] = viewer.scene().slots_of_page(root).collect::<Vec<_>>().try_into().unwrap();
+    viewer.scene_mut().load_proxy(never).unwrap();
+    settle(&mut viewer);
+    assert_eq!(states(&viewer, root), ["there", "there", "empty", "failed"], "{:?}", viewer.pager().unwrap().stats());
+    let refused = viewer.scene_mut().load_proxy(never);
+    assert!(matches!(refused, Err(SceneError::SlotTaken { .. })), "{refused:?}");
+    let group = NodeId { page: root, index: 0 };
+    assert!(matches!(viewer.scene_mut().load_proxy(group), Err(SceneError::NotASlot { .. })));
+    viewer.scene_mut().load_proxy(defer).unwrap();
+    settle(&mut viewer);
+    assert_eq!(states(&viewer, root), ["there", "there", "there", "failed"]);
+}

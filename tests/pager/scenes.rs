@@ -1,0 +1,532 @@
+//! One pager for several scenes: one list, one budget, and each scene with its own pages, failures and scope. Real files,
+//! no GPU.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use kit::pager::{Context, PAGE_GPU_BYTES, above};
+use kit::tile_sets::{WORLD_M, write_quadtree};
+use terrane::cull::{CullCamera, CullVisitor, PageRequest, RenderStage};
+use terrane::io::{Limits, ReadOptions, root_uri};
+use terrane::math::{BoundingSphere, BoundingVolume};
+use terrane::pager::{CompileContext, DatabasePager, PagerConfig, PagerStats};
+use terrane::scene::{
+    Node, NodeId, NodeKind, Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, Scene, SlotState,
+};
+
+fn options(folder: &Path) -> ReadOptions {
+    ReadOptions::for_root(&root_uri(folder.to_str().unwrap()).unwrap(), Limits::default())
+}
+
+/// Several scenes with one pager.
+struct Several {
+    scenes: Vec<Scene>,
+    pager: DatabasePager,
+    context: Context,
+    stages: Vec<RenderStage>,
+    frame: u32,
+    visitor: CullVisitor,
+}
+
+impl Several {
+    /// Scenes with the sets of these folders.
+    fn of_sets(folders: &[&Path], config: PagerConfig) -> Self {
+        let mut pager = DatabasePager::new(config, options(folders[0])).unwrap();
+        let mut scenes = Vec::new();
+        for (place, folder) in folders.iter().enumerate() {
+            let uri = root_uri(folder.to_str().unwrap()).unwrap();
+            let mut scene = Scene::new();
+            let root = if place == 0 {
+                pager.read_root(&uri)
+            } else {
+                pager.add_scene(scene.number(), options(folder));
+                pager.read_root_of(scene.number(), &uri)
+            };
+            scene.add_root(root.unwrap());
+            scenes.push(scene);
+        }
+        Self::with(scenes, pager)
+    }
+
+    fn with(scenes: Vec<Scene>, pager: DatabasePager) -> Self {
+        let stages = scenes.iter().map(|_| RenderStage::new()).collect();
+        Self { scenes, pager, context: Context::default(), stages, frame: 0, visitor: CullVisitor::new() }
+    }
+
+    /// Each scene is looked at straight down from its eye, or not at all; then the pager has its turn.
+    fn frame(&mut self, eyes: &[Option<DVec3>]) -> PagerStats {
+        self.frame += 1;
+        let mut requests: Vec<PageRequest> = Vec::new();
+        for ((scene, stage), eye) in self.scenes.iter().zip(&mut self.stages).zip(eyes) {
+            let Some(eye) = eye else { continue };
+            let eye_from_world = DAffine3::from_translation(-*eye);
+            let camera = CullCamera { eye_from_world, frame: self.frame, ..CullCamera::default() };
+            self.visitor.cull(scene, &camera, stage);
+            requests.extend_from_slice(&stage.requests);
+        }
+        self.update(&requests)
+    }
+
+    fn update(&mut self, requests: &[PageRequest]) -> PagerStats {
+        let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
+        let mut scenes: Vec<&mut Scene> = self.scenes.iter_mut().collect();
+        self.pager.update_scene_graph(&mut scenes, self.frame, requests, contexts);
+        let s = *self.pager.stats();
+        let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
+        assert_eq!(s.requested + s.retried, ended + s.waiting + s.in_flight, "{s:?}");
+        assert_eq!(s.merged, s.expired + s.resident, "{s:?}");
+        let pages: usize = self.scenes.iter().map(pages_in).sum();
+        assert_eq!(s.resident, pages as u64, "{s:?}");
+        s
+    }
+
+    fn until(&mut self, eyes: &[Option<DVec3>], what: &str, done: impl Fn(&Self) -> bool) -> PagerStats {
+        let end = Instant::now() + Duration::from_secs(60);
+        while !done(self) {
+            assert!(Instant::now() < end, "{what}: {:?} {:?}", self.pager.stats(), self.pager.errors());
+            self.frame(eyes);
+            std::thread::sleep(Duration::from_micros(200));
+        }
+        *self.pager.stats()
+    }
+
+    /// Until nothing is missing and nothing under way.
+    fn settle(&mut self, eyes: &[Option<DVec3>]) -> PagerStats {
+        self.frame(eyes);
+        self.until(eyes, "does not settle", |r| {
+            r.pager.is_idle() && r.stages.iter().all(|stage| stage.requests.is_empty())
+        });
+        self.frame(eyes)
+    }
+
+    fn pages(&self) -> Vec<usize> {
+        self.scenes.iter().map(pages_in).collect()
+    }
+}
+
+/// Pages that hang in a scene's slots.
+fn pages_in(scene: &Scene) -> usize {
+    let mut open: Vec<PageId> = scene.roots().to_vec();
+    let mut count = 0;
+    while let Some(page) = open.pop() {
+        for slot in scene.slots_of_page(page) {
+            if let Some(SlotState::Resident(content)) = scene.slot(slot).map(|slot| slot.state) {
+                count += 1;
+                open.push(content);
+            }
+        }
+    }
+    count
+}
+
+fn over_the_world(u: f64, height_m: f64) -> DVec3 {
+    DVec3::new(WORLD_M * u, WORLD_M * (0.5 + 0.3 * (9.0 * u).sin()), height_m)
+}
+
+const FAR: DVec3 = DVec3::new(0.5 * WORLD_M, 0.5 * WORLD_M, 500_000.0);
+
+#[test]
+fn handles_are_their_scenes_own() {
+    let page = || Page::from_node(Node::group(vec![])).unwrap();
+    let (mut one, mut other) = (Scene::new(), Scene::new());
+    let (a, b) = (one.add_root(page()), other.add_root(page()));
+    assert!(one.number() != other.number() && a != b && (a.slot, a.generation) == (b.slot, b.generation));
+    assert!(one.page(a).is_some() && one.page(b).is_none() && other.page_mut(a).is_none());
+    assert!(one.remove_root(b).is_none() && one.detach(b).is_err());
+    assert!(one.slot(NodeId { page: b, index: 0 }).is_none());
+}
+
+#[test]
+fn all_scenes_settle_and_each_has_what_it_would_have_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let eyes = [Some(over_the_world(0.2, 200.0)), Some(over_the_world(0.8, 900.0)), Some(FAR)];
+    let alone: Vec<usize> = eyes
+        .iter()
+        .map(|eye| {
+            let mut run = Several::of_sets(&[folder.path()], PagerConfig::default());
+            run.settle(&[*eye]);
+            run.pages()[0]
+        })
+        .collect();
+    assert!(alone[0] > alone[2] && alone[2] > 0 && alone[0] != alone[1], "{alone:?}");
+    let mut run = Several::of_sets(&[folder.path(); 3], PagerConfig::default());
+    let stats = run.settle(&eyes);
+    assert_eq!(run.pages(), alone);
+    assert_eq!((stats.failed, run.pager.scenes().len()), (0, 3), "{:?}", run.pager.errors());
+    assert_eq!(stats.gpu_bytes, stats.resident * PAGE_GPU_BYTES);
+}
+
+#[test]
+fn one_budget_is_for_all_and_what_any_scene_wanted_longest_ago_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig {
+        max_bytes_gpu: 60 * PAGE_GPU_BYTES,
+        max_bytes_cpu: 96 << 10,
+        max_tiles: 50,
+        expiry_frames: 2,
+        ..PagerConfig::default()
+    };
+    let mut run = Several::of_sets(&[folder.path(); 2], config.clone());
+    let end = Instant::now() + Duration::from_secs(60);
+    for i in 0u32.. {
+        let u = f64::from(i % 700) / 699.0;
+        let s = run.frame(&[Some(over_the_world(u, 150.0)), Some(over_the_world(1.0 - u, 400.0))]);
+        assert!(s.gpu_bytes <= config.max_bytes_gpu && s.cpu_bytes <= config.max_bytes_cpu, "frame {i}: {s:?}");
+        assert!(s.resident <= config.max_tiles as u64, "frame {i}: {s:?}");
+        if i >= 700 && s.expired > 50 {
+            break;
+        }
+        assert!(Instant::now() < end, "nothing expires: {s:?}");
+        std::thread::sleep(Duration::from_micros(100));
+    }
+    // The second scene is looked at no more: its pages make room for the first one's, and the other way round.
+    let eyes =
+        |first: bool, u: f64| [first.then(|| over_the_world(u, 150.0)), (!first).then(|| over_the_world(u, 150.0))];
+    for looked_at in [0, 1, 0] {
+        let start = Instant::now();
+        let mut turn = 0u32;
+        while run.pages()[1 - looked_at] > 5 {
+            turn += 1;
+            run.frame(&eyes(looked_at == 0, f64::from(turn % 500) / 499.0));
+            std::thread::sleep(Duration::from_micros(200));
+            assert!(start.elapsed() < Duration::from_secs(60), "{:?} {:?}", run.pages(), run.pager.stats());
+        }
+        assert!(run.pages()[looked_at] > 20, "{:?}", run.pages());
+    }
+}
+
+#[test]
+fn clearing_or_removing_one_leaves_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let eyes = [Some(over_the_world(0.3, 300.0)), Some(over_the_world(0.6, 300.0))];
+    let mut run = Several::of_sets(&[folder.path(); 2], PagerConfig::default());
+    run.settle(&eyes);
+    let before = run.pages();
+    // At rest, and then on the way.
+    for is_on_the_way in [false, true] {
+        if is_on_the_way {
+            run.frame(&[Some(over_the_world(0.7, 100.0)), Some(over_the_world(0.1, 100.0))]);
+        }
+        let others = run.pager.request_states().filter(|(slot, _)| slot.page.scene == run.scenes[1].number()).count();
+        run.pager.clear(&mut run.scenes[0], &mut [&mut run.context]);
+        assert_eq!(run.pages()[0], 0);
+        assert!(run.pages()[1] >= before[1]);
+        let of = |scene: usize| {
+            let number = run.scenes[scene].number();
+            run.pager.request_states().filter(|(slot, _)| slot.page.scene == number).count()
+        };
+        assert_eq!((of(0), of(1)), (0, others));
+        assert_eq!(run.pager.stats().gpu_bytes, run.pages()[1] as u64 * PAGE_GPU_BYTES);
+        run.settle(&eyes);
+        assert!(run.pages()[0] >= before[0] && run.pages()[1] >= before[1]);
+    }
+    let kept = run.pages()[1];
+    let mut gone = run.scenes.remove(0);
+    run.stages.remove(0);
+    run.pager.remove_scene(&mut gone, &mut [&mut run.context]);
+    assert_eq!((pages_in(&gone), run.pages(), run.pager.scenes().len()), (0, vec![kept], 1));
+    run.settle(&eyes[1..]);
+    // It may come again, and is not served before it is added.
+    run.scenes.push(gone);
+    run.stages.push(RenderStage::new());
+    let eyes = [eyes[1], eyes[0]];
+    for _ in 0..20 {
+        run.frame(&eyes);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(run.pages()[1] == 0 && !run.stages[1].requests.is_empty() && run.pager.is_idle());
+    run.pager.add_scene(run.scenes[1].number(), options(folder.path()));
+    run.settle(&eyes);
+    assert_eq!(run.pages()[1], before[0]);
+}
+
+/// Slots of the same pages and indices, and the same frames.
+#[test]
+fn what_fails_in_one_does_not_fail_in_the_other() {
+    let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    folders.iter().for_each(|folder| _ = write_quadtree(folder.path()));
+    let broken = folders[0].path().join("1_0_0.glb");
+    std::fs::remove_file(&broken).unwrap();
+    let config = PagerConfig { retry_after: Duration::from_secs(3600), ..PagerConfig::default() };
+    let mut run = Several::of_sets(&[folders[0].path(), folders[1].path()], config);
+    let eye = Some(over_the_world(0.5, 200.0));
+    run.until(&[eye, eye], "does not come", |r| {
+        r.pager.is_idle() && r.stages[1].requests.is_empty() && r.pager.stats().failed == 1
+    });
+    let errors = run.pager.errors();
+    assert!(errors.len() == 1 && errors[0].uri.ends_with("1_0_0.glb"), "{errors:?}");
+    let failed = |scene: &Scene| {
+        let root = scene.roots()[0];
+        scene.slots_of_page(root).filter(|slot| scene.slot(*slot).unwrap().state == SlotState::Failed).count()
+    };
+    assert_eq!((failed(&run.scenes[0]), failed(&run.scenes[1])), (1, 0));
+    // Cleared, the failure is forgotten in its scene.
+    run.pager.clear(&mut run.scenes[1], &mut [&mut run.context]);
+    assert_eq!(failed(&run.scenes[0]), 1);
+    write_quadtree(folders[0].path());
+    run.pager.clear(&mut run.scenes[0], &mut [&mut run.context]);
+    run.settle(&[eye, eye]);
+    assert_eq!((failed(&run.scenes[0]), run.pages()[0]), (0, run.pages()[1]));
+}
+
+/// A tileset in a tileset, whose content is at `reference`.
+fn write_nested(folder: &Path, reference: &str) {
+    write_quadtree(folder);
+    let bounds = r#""boundingVolume":{"sphere":[0,0,0,100]},"geometricError":0"#;
+    let set = |uri: &str| {
+        format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{{{bounds},"refine":"REPLACE","content":{{"uri":"{uri}"}}}}}}"#
+        )
+    };
+    std::fs::write(folder.join("tileset.json"), set("inner.json")).unwrap();
+    std::fs::write(folder.join("inner.json"), set(reference)).unwrap();
+}
+
+#[test]
+fn what_one_set_may_reach_the_other_may_not() {
+    let both = tempfile::tempdir().unwrap();
+    let [open, sly] = ["open", "sly"].map(|name| both.path().join(name));
+    for folder in [&open, &sly] {
+        std::fs::create_dir_all(folder).unwrap();
+    }
+    write_nested(&open, "0_0_0.glb");
+    write_nested(&sly, "../open/0_0_0.glb");
+    let eye = Some(above(300.0));
+    // Whichever comes first, and whether the pager was made for it.
+    for folders in [[&open, &sly], [&sly, &open]] {
+        let folders = folders.map(|folder| &**folder);
+        let mut run = Several::of_sets(&folders, PagerConfig::default());
+        run.until(&[eye, eye], "does not come", |r| r.pager.is_idle() && r.pager.stats().loaded >= 2);
+        run.frame(&[eye, eye]);
+        let pages_of = |name: &Path| run.pages()[folders.iter().position(|of| *of == name).unwrap()];
+        let errors = run.pager.errors();
+        assert_eq!(pages_of(&open), 2, "{errors:?}");
+        assert!(pages_of(&sly) < 2 && errors.len() == 1 && errors[0].uri.contains("0_0_0.glb"), "{errors:?}");
+    }
+}
+
+/// As many tiles beside each other, all with the same file.
+fn many(folder: &Path, count: usize) -> Page {
+    let tile = |_| {
+        let node = PagedLod {
+            bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 10.0)),
+            range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+            refine: Refine::Replace,
+            content: Some(folder.join("0_0_0.glb").display().to_string().into()),
+            content_transform: DAffine3::IDENTITY,
+            reader_data: None,
+            request_volume: None,
+            paging: PagingOptions::default(),
+        };
+        Node::new(NodeKind::PagedLod(Box::new(node)))
+    };
+    Page::from_node(Node::group((0..count).map(tile).collect())).unwrap()
+}
+
+/// Everything that a camera saw on its way was more urgent than anything in the other scene.
+#[test]
+fn a_scene_that_wants_ever_more_takes_not_all_places() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    const MANY: usize = 3000;
+    const FEW: usize = 20;
+    let config = PagerConfig { file_threads: 1, decode_threads: 1, ..PagerConfig::default() };
+    let mut pager = DatabasePager::new(config, options(folder.path())).unwrap();
+    let scenes = [MANY, FEW].map(|count| {
+        let mut scene = Scene::new();
+        scene.add_root(many(folder.path(), count));
+        pager.add_scene(scene.number(), options(folder.path()));
+        scene
+    });
+    let requests: Vec<PageRequest> = scenes
+        .iter()
+        .zip([1000.0, 1.0])
+        .flat_map(|(scene, priority)| {
+            scene.slots_of_page(scene.roots()[0]).map(move |slot| PageRequest {
+                slot,
+                priority,
+                error_px: priority,
+                ahead_frames: 0,
+            })
+        })
+        .collect();
+    let mut run = Several::with(scenes.into(), pager);
+    let start = Instant::now();
+    while run.pages()[1] < FEW {
+        run.frame += 1;
+        run.update(&requests);
+        std::thread::sleep(Duration::from_micros(300));
+        assert!(start.elapsed() < Duration::from_secs(60), "{:?}", run.pages());
+    }
+    let busy = run.pages()[0];
+    assert!(busy < MANY / 3, "{busy} of the other scene came first");
+    assert!(busy >= FEW, "the more urgent have the more places: {busy}");
+}
+
+#[test]
+fn the_blocking_mode_waits_for_all_scenes() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig { blocking: true, ..PagerConfig::default() };
+    let mut run = Several::of_sets(&[folder.path(); 2], config);
+    let eyes = [Some(over_the_world(0.3, 300.0)), Some(over_the_world(0.6, 300.0))];
+    for frame in 0..20 {
+        let stats = run.frame(&eyes);
+        assert_eq!((stats.waiting, stats.in_flight), (0, 0), "frame {frame}");
+        if run.stages.iter().all(|stage| stage.requests.is_empty()) {
+            assert!(run.pages().iter().all(|count| *count > 4), "{:?}", run.pages());
+            return;
+        }
+    }
+    panic!("levels come one after the other: {:?}", run.pages());
+}
+
+/// Two sets of one server, each with a key of its own, and one that is not to see either.
+#[cfg(feature = "http")]
+#[test]
+fn each_scene_asks_as_itself() {
+    use kit::server::{Reply, Server};
+    use terrane::io::{Credential, HttpConfig};
+
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let root = folder.path().to_owned();
+    let server = Server::start(move |request| {
+        // Paths are /SET/FILE.
+        let name = request.path().rsplit('/').next().unwrap().to_owned();
+        std::fs::read(root.join(name)).map_or_else(|_| Reply::new(404, ""), Reply::ok)
+    });
+    let with_key = |key: Option<&str>| {
+        let key = key.map(|key| Credential::header(&server.url, "authorization", key).unwrap());
+        HttpConfig { credentials: key.into_iter().collect(), ..HttpConfig::default() }
+    };
+    let of_set = |set: &str| {
+        let uri = root_uri(&format!("{}/{set}/tileset.json", server.url)).unwrap();
+        (ReadOptions::for_root(&uri, Limits::default()), uri)
+    };
+    let config = PagerConfig { http: with_key(Some("key of a")), ..PagerConfig::default() };
+    let (scope, uri) = of_set("a");
+    let mut pager = DatabasePager::new(config, scope).unwrap();
+    let mut scenes = vec![Scene::new()];
+    scenes[0].add_root(pager.read_root(&uri).unwrap());
+    for (set, key) in [("b", Some("key of b")), ("c", None), ("d", Some("key of b"))] {
+        let (mut scene, (scope, uri)) = (Scene::new(), of_set(set));
+        pager.add_scene_with_http(scene.number(), scope, &with_key(key)).unwrap();
+        scene.add_root(pager.read_root_of(scene.number(), &uri).unwrap());
+        scenes.push(scene);
+    }
+    let mut run = Several::with(scenes, pager);
+    let eyes = [0.2, 0.4, 0.6, 0.8].map(|u| Some(over_the_world(u, 900.0)));
+    run.settle(&eyes);
+    assert!(run.pages().iter().all(|count| *count > 4) && run.pager.stats().failed == 0);
+    let requests = server.seen();
+    for (set, key) in [("a", Some("key of a")), ("b", Some("key of b")), ("c", None), ("d", Some("key of b"))] {
+        let of: Vec<_> = requests.iter().filter(|r| r.path().starts_with(&format!("/{set}/"))).collect();
+        assert!(of.len() > 5, "{set}");
+        assert!(of.iter().all(|request| request.header("authorization") == key), "{set}: {of:?}");
+    }
+}
+
+/// Each frame asked again for what had failed in the other scene, wherever that one's cameras looked.
+#[cfg(feature = "http")]
+#[test]
+fn clearing_one_asks_for_nothing_of_the_others() {
+    use kit::server::{Reply, Server};
+    use terrane::io::HttpConfig;
+
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let root = folder.path().to_owned();
+    let server = Server::start(move |request| {
+        let name = request.path().rsplit('/').next().unwrap().to_owned();
+        match name.ends_with(".json") || !request.path().starts_with("/b/") {
+            true => std::fs::read(root.join(name)).map_or_else(|_| Reply::new(404, ""), Reply::ok),
+            false => Reply::new(503, ""),
+        }
+    });
+    let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
+    let config = PagerConfig { http, retry_after: Duration::from_millis(20), ..PagerConfig::default() };
+    let of_set = |set: &str| {
+        let uri = root_uri(&format!("{}/{set}/tileset.json", server.url)).unwrap();
+        (ReadOptions::for_root(&uri, Limits::default()), uri)
+    };
+    let (scope, uri) = of_set("a");
+    let mut pager = DatabasePager::new(config, scope).unwrap();
+    let mut scenes = vec![Scene::new(), Scene::new()];
+    scenes[0].add_root(pager.read_root(&uri).unwrap());
+    let (scope, uri) = of_set("b");
+    pager.add_scene(scenes[1].number(), scope);
+    let root = pager.read_root_of(scenes[1].number(), &uri).unwrap();
+    scenes[1].add_root(root);
+    let mut run = Several::with(scenes, pager);
+    let eye = Some(over_the_world(0.3, 900.0));
+    run.until(&[eye, eye], "nothing fails", |r| r.pager.stats().failed > 0 && r.pages()[0] > 4);
+    run.until(&[eye, None], "the others are not given up", |r| r.pager.is_idle());
+    run.pager.clear(&mut run.scenes[0], &mut [&mut run.context]);
+    let before = run.frame(&[None, None]);
+    for _ in 0..300 {
+        run.frame(&[None, None]);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let after = *run.pager.stats();
+    assert_eq!((after.retried, after.requested), (before.retried, before.requested));
+}
+
+/// What an application took out counted until the pager ended.
+#[test]
+fn what_somebody_takes_out_counts_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let eyes = [Some(over_the_world(0.3, 300.0))];
+    let mut run = Several::of_sets(&[folder.path()], PagerConfig::default());
+    run.settle(&eyes);
+    let mut open: Vec<PageId> = run.scenes[0].roots().to_vec();
+    let mut leaf = None;
+    while let Some(page) = open.pop() {
+        for slot in run.scenes[0].slots_of_page(page) {
+            if let Some(SlotState::Resident(content)) = run.scenes[0].slot(slot).map(|slot| slot.state) {
+                leaf = if run.scenes[0].is_expirable(content) { Some(content) } else { leaf };
+                open.push(content);
+            }
+        }
+    }
+    run.scenes[0].detach(leaf.unwrap()).unwrap();
+    run.pager.clear(&mut run.scenes[0], &mut [&mut run.context]);
+    let s = run.update(&[]);
+    assert_eq!((s.resident, s.cpu_bytes, s.gpu_bytes), (0, 0, 0));
+    run.settle(&eyes);
+}
+
+/// Sums of them overflowed, and channels of so many places were asked for.
+#[test]
+fn no_limit_is_a_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    write_quadtree(folder.path());
+    let config = PagerConfig {
+        http_in_flight: usize::MAX,
+        http_in_flight_max: usize::MAX,
+        ahead_in_flight: usize::MAX,
+        max_bytes_cpu: u64::MAX,
+        max_bytes_gpu: u64::MAX,
+        max_tiles: usize::MAX,
+        expiry_frames: u32::MAX,
+        expiry_time: Duration::MAX,
+        stale_frames: u32::MAX,
+        abort_frames: u32::MAX,
+        merge_time: Duration::MAX,
+        retry_after: Duration::MAX,
+        ..PagerConfig::default()
+    };
+    let mut run = Several::of_sets(&[folder.path()], config);
+    let eyes = [Some(over_the_world(0.3, 900.0))];
+    run.frame(&eyes);
+    let requests: Vec<PageRequest> = run.stages[0].requests.iter().map(|request| request.ahead(u32::MAX)).collect();
+    assert!(!requests.is_empty());
+    run.update(&requests);
+    run.settle(&eyes);
+    assert!(run.pages()[0] > 4);
+}

@@ -1,0 +1,226 @@
+//! The pager over real files: what can be loaded is, what fails is one error and leaves its parent. No GPU.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec3};
+use kit::pager::{Run, above};
+use terrane::cull::PageRequest;
+use terrane::io::write::{GlbMesh, write_glb};
+use terrane::math::{BoundingSphere, BoundingVolume};
+use terrane::pager::PagerConfig;
+use terrane::scene::{Node, NodeId, NodeKind, Page, PagedLod, PagingOptions, RangeMode, Refine, SlotState};
+
+/// A root and four children around the origin, one glb each.
+fn write_set(folder: &Path) {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let tile = |name: &str, error: f64, children: &str| {
+        std::fs::write(folder.join(format!("{name}.glb")), &glb).unwrap();
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[0,0,0,2]}},"geometricError":{error},"content":{{"uri":"{name}.glb"}},"children":[{children}]}}"#
+        )
+    };
+    let children: Vec<String> = (0..4).map(|i| tile(&format!("child{i}"), 0.0, "")).collect();
+    let root = tile("root", 5.0, &children.join(","));
+    let json = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":9,"root":{root}}}"#);
+    std::fs::write(folder.join("tileset.json"), json).unwrap();
+}
+
+#[test]
+fn everything_wanted_arrives_and_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    run.settle(above(10.0));
+    assert_eq!(run.pager.stats().merged, 5);
+    assert_eq!(run.stage.counters.tiles_drawn, 4, "the four children instead of the root");
+    assert!(run.pager.errors().is_empty());
+}
+
+#[test]
+fn a_broken_child_leaves_its_parent_and_is_one_error() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    std::fs::remove_file(folder.path().join("child2.glb")).unwrap();
+    std::fs::write(folder.path().join("child3.glb"), b"glTF\x02\0\0\0").unwrap();
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    run.settle(above(10.0));
+    let read = run.pager.stats().failed;
+    for _ in 0..50 {
+        run.frame(above(10.0));
+    }
+    assert_eq!(run.pager.stats().failed, read, "failures are not tried again each frame");
+    assert_eq!(run.stage.counters.tiles_drawn, 1, "the parent stays");
+    let errors = run.pager.errors();
+    assert_eq!(errors.iter().map(|e| e.count).sum::<u64>(), 2, "{errors:?}");
+    assert!(errors.iter().any(|e| e.uri.ends_with("child2.glb") && &*e.reason == "not found"), "{errors:?}");
+    assert!(errors.iter().any(|e| e.uri.ends_with("child3.glb") && e.reason.contains("truncated")), "{errors:?}");
+}
+
+#[test]
+fn what_is_not_wanted_expires_within_the_tile_budget() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    let config = PagerConfig { max_tiles: 5, expiry_frames: 3, ..PagerConfig::default() };
+    let mut run = Run::new(folder.path().to_str().unwrap(), config);
+    run.settle(above(10.0));
+    assert_eq!(run.pager.stats().resident, 5);
+    for _ in 0..20 {
+        // Far away the root alone is wanted.
+        run.frame(above(100_000.0));
+    }
+    assert!(run.pager.stats().expired >= 1 && run.stage.counters.tiles_drawn == 1, "{:?}", run.pager.stats());
+    assert_eq!(run.context.slots_out, run.pager.stats().resident, "slots go back with their pages");
+}
+
+/// Regions are where they are on the earth, whatever transforms the tiles above have: what is below was taken to be
+/// elsewhere, culled, and left a hole.
+#[test]
+fn regions_in_a_tileset_below_a_transform_are_not_moved() {
+    let folder = tempfile::tempdir().unwrap();
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-900.0, 0.0, 900.0], [900.0, 0.0, 900.0], [0.0, 0.0, -900.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    // The pole: up is z.
+    let top = 6_356_752.314_245;
+    let region = r#""boundingVolume":{"region":[-3.14,1.57,3.14,1.5707963,-100,100]}"#;
+    let set = |root: &str| format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":9000,"root":{root}}}"#);
+    let tile = |error: f64, uri: &str, more: &str| {
+        format!(r#"{{{region},"refine":"REPLACE","geometricError":{error},"content":{{"uri":"{uri}"}}{more}}}"#)
+    };
+    let transform = format!(r#","transform":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,{top},1]"#);
+    let write = |name: &str, text: String| std::fs::write(folder.path().join(name), text).unwrap();
+    std::fs::write(folder.path().join("outer.glb"), &glb).unwrap();
+    std::fs::write(folder.path().join("inner.glb"), &glb).unwrap();
+    write("innermost.json", set(&tile(0.0, "inner.glb", "")));
+    write("inner.json", set(&tile(300.0, "innermost.json", "")));
+    let below = tile(400.0, "inner.json", "");
+    write("tileset.json", set(&tile(500.0, "outer.glb", &format!(r#"{transform},"children":[{below}]"#))));
+    let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+    run.settle(above(top + 4000.0));
+    assert_eq!(run.pager.stats().merged, 4, "{:?}", run.pager.errors());
+    assert_eq!((run.stage.counters.tiles_drawn, run.stage.counters.leaves), (1, 1));
+}
+
+#[test]
+fn blocking_loads_the_same_each_time_and_pagers_stop() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    for _ in 0..10 {
+        let mut run =
+            Run::new(folder.path().to_str().unwrap(), PagerConfig { blocking: true, ..PagerConfig::default() });
+        let merged: Vec<u64> = (0..4)
+            .map(|_| {
+                run.frame(above(10.0));
+                run.pager.stats().merged
+            })
+            .collect();
+        assert_eq!(merged, [5, 5, 5, 5], "all wanted levels are asked for at once");
+    }
+}
+
+#[test]
+fn an_occluder_in_a_content_hides_what_is_behind_it_while_it_is_there() {
+    // Two tiles one above the other, seen from above; y is up in glTF.
+    let write = |folder: &Path, occluder: &str| {
+        let gltf = |extras: &str| {
+            format!(
+                r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0{extras}}}],
+                "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],"buffers":[{{"byteLength":36,
+                "uri":"data:application/octet-stream;base64,{}"}}],"bufferViews":[{{"buffer":0,"byteLength":36}}],
+                "accessors":[{{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3","min":[-1,0,-1],"max":[1,0,1]}}]}}"#,
+                // (-1, 0, -1), (1, 0, -1), (0, 0, 1)
+                "AACAvwAAAAAAAIC/AACAPwAAAAAAAIC/AAAAAAAAAAAAAIA/",
+            )
+        };
+        std::fs::write(folder.join("upper.gltf"), gltf(occluder)).unwrap();
+        std::fs::write(folder.join("lower.gltf"), gltf("")).unwrap();
+        let tile = |name: &str, z: f64| {
+            format!(
+                r#"{{"boundingVolume":{{"sphere":[0,0,{z},2]}},"geometricError":0,"content":{{"uri":"{name}.gltf"}},
+                "transform":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,{z},1]}}"#
+            )
+            .replacen(&format!("[0,0,{z},2]"), "[0,0,0,2]", 1)
+        };
+        let json = format!(
+            r#"{{"asset":{{"version":"1.1"}},"geometricError":90,"root":{{"refine":"ADD","geometricError":80,
+            "boundingVolume":{{"sphere":[0,0,10,30]}},"children":[{},{}]}}}}"#,
+            tile("upper", 20.0),
+            tile("lower", 0.0)
+        );
+        std::fs::write(folder.join("tileset.json"), json).unwrap();
+    };
+    let plate = r#","extras":{"terrane":{"occluder":{"corners":[[-9,0,-9],[9,0,-9],[9,0,9],[-9,0,9]]}}}"#;
+    for (occluder, drawn) in [(plate, 1), ("", 2)] {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), occluder);
+        let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
+        run.settle(above(40.0));
+        assert!(run.pager.errors().is_empty(), "{:?}", run.pager.errors());
+        let counters = run.stage.counters;
+        assert_eq!((counters.tiles_drawn, counters.occluded > 0), (drawn, drawn == 1), "{counters:?}");
+        // From below the plate, the tile below it.
+        run.settle(above(10.0));
+        assert_eq!(run.stage.counters.tiles_drawn, 1);
+        run.settle(above(40.0));
+        assert_eq!(run.stage.counters.tiles_drawn, drawn);
+        // The plate's page goes: what it hid is seen in the same frame.
+        let upper = run.scene.slots_of_page(run.scene.roots()[0]).next().unwrap();
+        let SlotState::Resident(page) = run.scene.slot(upper).unwrap().state else { panic!("merged") };
+        run.scene.detach(page).unwrap();
+        run.cull(above(40.0));
+        assert_eq!((run.stage.counters.tiles_drawn, run.stage.counters.occluded), (1, 0));
+    }
+}
+
+/// What one view asked for waited for as long as another asked for what was more urgent.
+#[test]
+fn what_waits_long_comes_before_all_that_is_more_urgent_has_come() {
+    let folder = tempfile::tempdir().unwrap();
+    write_set(folder.path());
+    const MANY: usize = 4000;
+    let tile = |_| {
+        let node = PagedLod {
+            bounds: BoundingVolume::Sphere(BoundingSphere::new(DVec3::ZERO, 10.0)),
+            range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+            refine: Refine::Replace,
+            content: Some(folder.path().join("root.glb").display().to_string().into()),
+            content_transform: DAffine3::IDENTITY,
+            reader_data: None,
+            request_volume: None,
+            paging: PagingOptions::default(),
+        };
+        Node::new(NodeKind::PagedLod(Box::new(node)))
+    };
+    let root = Page::from_node(Node::group((0..MANY).map(tile).collect())).unwrap();
+    let config = PagerConfig { file_threads: 1, decode_threads: 1, stale_frames: 1000, ..PagerConfig::default() };
+    let mut run = Run::of_page(root, folder.path().to_str().unwrap(), config);
+    let slots: Vec<NodeId> = run.scene.slots_of_page(run.scene.roots()[0]).collect();
+    let request = |(i, slot): (usize, &NodeId)| {
+        let priority = if i == MANY / 2 { 1.0 } else { 1000.0 };
+        PageRequest { slot: *slot, priority, error_px: priority, ahead_frames: 0 }
+    };
+    // The one, and few others before it.
+    let requests: Vec<PageRequest> = slots.iter().enumerate().map(request).collect();
+    let end = Instant::now() + Duration::from_secs(60);
+    for round in 0.. {
+        run.frame += 20;
+        let first = if round == 0 { MANY / 2 } else { 0 };
+        run.pager.update_scene_graph(&mut run.scene, run.frame, &requests[first..], &mut [&mut run.context]);
+        if run.scene.slot(slots[MANY / 2]).unwrap().state != SlotState::Empty {
+            break;
+        }
+        assert!(Instant::now() < end, "{:?}", run.pager.stats());
+        std::thread::sleep(Duration::from_micros(500));
+    }
+    let merged = run.pager.stats().merged as usize;
+    assert!(merged < MANY - 100, "{merged} were before it");
+}

@@ -1,0 +1,82 @@
+//! Scenes by chance: what is not drawn because something hides it is not seen. Needs a GPU (a software one will do).
+//! `RANDOM_SCENES=FIRST..END` draws those seeds.
+
+use std::sync::Arc;
+
+use crate::graphs::{Differences, Maker, eye, picture, seeds};
+use glam::DVec3;
+use kit::rig::{camera, plain, rig};
+use terrane::cull::{CullCamera, CullingMode};
+use terrane::scene::{ConvexPlanarOccluder, Drawable, Geometry, Material, Mesh, Node, NodeKind, OcclusionQueryNode};
+
+const SIDE: u32 = 96;
+
+/// A wall somewhere that hides what is behind it, and its occluder.
+fn wall(maker: &mut Maker) -> [Node; 2] {
+    let [along, up] = [0; 2].map(|_| eye(&mut maker.random) * 0.2);
+    let corners = [along + up, up - along, -along - up, along - up].to_vec();
+    let mesh = Mesh::rectangle(-along - up, 2.0 * along, 2.0 * up);
+    let material =
+        Material { base_color: [0.4, 0.3, 0.2, 1.0], double_sided: true, unlit: true, ..Material::default() };
+    let place = maker.random.place(8.0);
+    let occluder = Node::new(NodeKind::OccluderNode(Box::new(ConvexPlanarOccluder { corners, holes: vec![] })));
+    let drawn = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), material)]);
+    [drawn, occluder].map(|node| Node::transform(place, vec![node]))
+}
+
+#[test]
+fn what_occluders_hide_is_not_seen() {
+    let Some(mut rig) = rig("what_occluders_hide_is_not_seen") else { return };
+    let rig = &mut *rig;
+    let (mut differences, mut hidden) = (Differences::default(), 0);
+    for seed in seeds(6000..6006) {
+        let mut maker = Maker::new(seed, true);
+        let scene = maker.scene();
+        let mut camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
+        camera.settings.culling = CullingMode::VIEW_FRUSTUM | CullingMode::SHADOW_OCCLUSION;
+        let walls: Vec<[Node; 2]> = (0..3).map(|_| wall(&mut maker)).collect();
+        let drawn = walls.iter().map(|[drawn, _]| drawn.clone()).chain([scene]).collect::<Vec<_>>();
+        let whole = picture(rig, &Node::group(drawn.clone()), &camera, &plain());
+        let leaves = rig.stage.leaf_count();
+        let occluders = walls.into_iter().map(|[_, occluder]| occluder).chain(drawn).collect();
+        let other = picture(rig, &Node::group(occluders), &camera, &plain());
+        hidden += leaves - rig.stage.leaf_count();
+        differences.compare("behind occluders", seed, [&whole, &other], 12);
+    }
+    differences.assert_none();
+    assert!(hidden > 0, "nothing was hidden");
+}
+
+/// The same graph with queries above some of its nodes.
+fn queried(node: &Node, maker: &mut Maker) -> Node {
+    let copy = Node { children: node.children.iter().map(|child| queried(child, maker)).collect(), ..node.clone() };
+    if !maker.random.percent(40) {
+        return copy;
+    }
+    let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 1, ..OcclusionQueryNode::default() };
+    Node { children: vec![copy], ..Node::new(NodeKind::OcclusionQueryNode(Box::new(query))) }
+}
+
+#[test]
+fn what_queries_hide_is_not_seen() {
+    let Some(mut rig) = rig("what_queries_hide_is_not_seen") else { return };
+    let rig = &mut *rig;
+    let (mut differences, mut hidden) = (Differences::default(), 0);
+    for seed in seeds(7000..7006) {
+        let mut maker = Maker::new(seed, true);
+        let node = maker.scene();
+        let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
+        let whole = picture(rig, &node, &camera, &plain());
+        let leaves = rig.stage.leaf_count();
+        let scene = rig.scene(queried(&node, &mut maker));
+        for frame in 1..12 {
+            rig.draw(&scene, &CullCamera { frame, ..camera }, &plain());
+        }
+        let other = rig.picture(&scene, &CullCamera { frame: 12, ..camera }, &plain());
+        hidden += leaves - rig.stage.leaf_count();
+        rig.release(scene);
+        differences.compare("below queries", seed, [&whole, &other], 8);
+    }
+    differences.assert_none();
+    assert!(hidden > 0, "nothing was hidden");
+}

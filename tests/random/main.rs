@@ -1,0 +1,8 @@
+//! Random scene graphs under random state: culled or not, sorted or not, on one thread or many, the frames are equal.
+//! A bounded sample runs by default; `TERRANE_LONG_TESTS=1` runs all of them, `RANDOM_SCENES=FIRST..END` those seeds.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod graphs;
+mod hiding;
+mod scenes;
+mod threads;

@@ -1,0 +1,197 @@
+//! Update and event callbacks of nodes: who is called, in which order, and how little is visited. No GPU.
+
+use std::sync::{Arc, Mutex};
+
+use glam::{DAffine3, DVec3};
+use terrane::scene::{
+    EventCallback, Node, NodeId, NodeKind, Page, PageId, PagedLod, PagingOptions, RangeMode, Refine, Scene, Traverse,
+    UpdateCallback, UpdateInfo,
+};
+
+type Log = Arc<Mutex<Vec<String>>>;
+
+fn logs(log: &Log, name: &'static str, then: Traverse) -> UpdateCallback {
+    let log = log.clone();
+    UpdateCallback::new(move |_, node, info| {
+        log.lock().unwrap().push(format!("{name} {} {}", node.index, info.frame));
+        then
+    })
+}
+
+fn with_callback(mut node: Node, callback: UpdateCallback) -> Node {
+    node.update_callback = Some(callback);
+    node
+}
+
+fn taken(log: &Log) -> Vec<String> {
+    std::mem::take(&mut log.lock().unwrap())
+}
+
+fn info(frame: u32) -> UpdateInfo {
+    UpdateInfo { frame, ..UpdateInfo::default() }
+}
+
+fn tile(content: &str) -> Node {
+    let sphere = terrane::math::BoundingSphere::new(DVec3::ZERO, 1.0);
+    Node::new(NodeKind::PagedLod(Box::new(PagedLod {
+        bounds: terrane::math::BoundingVolume::Sphere(sphere),
+        range_mode: RangeMode::ScreenSpaceError { geometric_error_m: 0.0 },
+        refine: Refine::Replace,
+        content: Some(content.into()),
+        content_transform: DAffine3::from_translation(DVec3::X),
+        reader_data: None,
+        request_volume: None,
+        paging: PagingOptions::default(),
+    })))
+}
+
+#[test]
+fn a_traversal_visits_callbacks_and_not_nodes() {
+    let log = Log::default();
+    let leaves = |count| Node::group((0..count).map(|_| Node::group(Vec::new())).collect());
+    let with = with_callback(leaves(300), logs(&log, "a", Traverse::Below))
+        .with_child(with_callback(leaves(5), logs(&log, "b", Traverse::Below)));
+    let mut scene = Scene::new();
+    for _ in 0..3 {
+        scene.add_root(Page::from_node(leaves(100_000)).unwrap());
+    }
+    let root = scene.add_root(Page::from_node(leaves(50_000).with_child(with)).unwrap());
+    assert_eq!(scene.update_traversal(&info(7)), 2);
+    assert_eq!(taken(&log), ["a 50001 7", "b 50302 7"]);
+    assert_eq!(scene.event_traversal(&()), 0, "no event callback: nothing is visited");
+
+    scene.set_update_callback(NodeId { page: root, index: 50_001 }, None).unwrap();
+    scene.set_update_callback(NodeId { page: root, index: 3 }, Some(logs(&log, "c", Traverse::Below))).unwrap();
+    assert_eq!(scene.update_traversal(&info(8)), 2);
+    assert_eq!(taken(&log), ["c 3 8", "b 50302 8"]);
+    scene.remove_root(root).unwrap();
+    assert_eq!(scene.update_traversal(&info(9)), 0);
+    assert!(scene.set_update_callback(NodeId { page: root, index: 3 }, None).is_err());
+}
+
+#[test]
+fn pages_that_go_take_nobody_s_turn() {
+    let log = Log::default();
+    let mut scene = Scene::new();
+    let add = |scene: &mut Scene, callback| {
+        scene.add_root(Page::from_node(with_callback(Node::group(Vec::new()), callback)).unwrap())
+    };
+    let first = ["a", "b"].map(|name| add(&mut scene, logs(&log, name, Traverse::Below)));
+    let closing = log.clone();
+    let closes = UpdateCallback::new(move |scene: &mut Scene, _, _| {
+        closing.lock().unwrap().push("closes".into());
+        first.iter().for_each(|page| drop(scene.remove_root(*page)));
+        Traverse::Below
+    });
+    add(&mut scene, closes);
+    add(&mut scene, logs(&log, "d", Traverse::Below));
+    scene.update_traversal(&info(1));
+    assert_eq!(taken(&log), ["a 0 1", "b 0 1", "closes", "d 0 1"]);
+    scene.update_traversal(&info(2));
+    assert_eq!(taken(&log), ["closes", "d 0 2"]);
+}
+
+#[test]
+fn a_page_comes_before_those_that_hang_in_it_whenever_it_gets_its_callback() {
+    let log = Log::default();
+    let mut scene = Scene::new();
+    let root = scene.add_root(Page::from_node(Node::group(vec![tile("x")])).unwrap());
+    let slot = scene.slots_of_page(root).next().unwrap();
+    let below = with_callback(Node::group(Vec::new()), logs(&log, "below", Traverse::Below));
+    scene.attach(slot, Page::from_node(below).unwrap()).unwrap();
+    let skips = logs(&log, "above", Traverse::Skip);
+    scene.set_update_callback(NodeId { page: root, index: 0 }, Some(skips)).unwrap();
+    scene.update_traversal(&info(1));
+    assert_eq!(taken(&log), ["above 0 1"]);
+}
+
+#[test]
+fn what_is_skipped_reaches_into_the_pages_below() {
+    let log = Log::default();
+    let skipping = with_callback(Node::group(vec![tile("x")]), logs(&log, "above", Traverse::Skip));
+    let other = with_callback(Node::group(Vec::new()), logs(&log, "beside", Traverse::Below));
+    let mut scene = Scene::new();
+    let root = scene.add_root(Page::from_node(Node::group(vec![skipping, other])).unwrap());
+    let content = with_callback(Node::group(vec![tile("y")]), logs(&log, "content", Traverse::Below));
+    let content = scene.attach(NodeId { page: root, index: 2 }, Page::from_node(content).unwrap()).unwrap();
+    let deeper = with_callback(Node::group(Vec::new()), logs(&log, "deeper", Traverse::Below));
+    let deeper = scene.attach(NodeId { page: content, index: 1 }, Page::from_node(deeper).unwrap()).unwrap();
+    scene.update_traversal(&info(1));
+    assert_eq!(taken(&log), ["above 1 1", "beside 3 1"]);
+
+    scene.set_update_callback(NodeId { page: root, index: 1 }, None).unwrap();
+    scene.update_traversal(&info(2));
+    assert_eq!(taken(&log), ["beside 3 2", "content 0 2", "deeper 0 2"]);
+    let place = scene.world_from_node(NodeId { page: deeper, index: 0 }).unwrap();
+    assert_eq!(place.translation, DVec3::new(2.0, 0.0, 0.0));
+    scene.detach(deeper).unwrap();
+    scene.update_traversal(&info(3));
+    assert_eq!(taken(&log), ["beside 3 3", "content 0 3"]);
+}
+
+#[test]
+fn a_callback_changes_the_scene_it_is_called_for() {
+    let mut scene = Scene::new();
+    let mut turning = Node::transform(DAffine3::IDENTITY, vec![Node::group(Vec::new())]);
+    turning.update_callback = Some(UpdateCallback::new(|scene, node, info| {
+        scene.set_transform(node, DAffine3::from_translation(DVec3::X * f64::from(info.frame))).unwrap();
+        Traverse::Below
+    }));
+    // One that takes its own page away, before another's turn.
+    let mut leaving = Node::group(Vec::new());
+    leaving.update_callback = Some(UpdateCallback::new(|scene: &mut Scene, node, _| {
+        scene.remove_root(node.page).unwrap();
+        Traverse::Below
+    }));
+    let pages: Vec<PageId> = [leaving, turning].map(|node| scene.add_root(Page::from_node(node).unwrap())).into();
+    scene.update_traversal(&info(5));
+    assert!(scene.page(pages[0]).is_none());
+    let inner = NodeId { page: pages[1], index: 1 };
+    assert_eq!(scene.world_from_node(inner).unwrap().translation, DVec3::new(5.0, 0.0, 0.0));
+}
+
+/// With a callback of the other kind left in its page, a page was listed for both.
+#[test]
+fn a_page_whose_last_callback_of_a_kind_goes_is_listed_for_the_other_only() {
+    let update = || Some(UpdateCallback::new(|_, _, _| Traverse::Below));
+    let event = || Some(EventCallback::new(|_, _, _| Traverse::Below));
+    let both = Node { update_callback: update(), event_callback: event(), ..Node::group(Vec::new()) };
+    let mut scene = Scene::new();
+    let node = NodeId { page: scene.add_root(Page::from_node(both).unwrap()), index: 0 };
+    assert!(scene.has_update_callbacks() && scene.has_event_callbacks());
+    scene.set_update_callback(node, None).unwrap();
+    assert!(!scene.has_update_callbacks() && scene.has_event_callbacks());
+    scene.set_update_callback(node, update()).unwrap();
+    scene.set_event_callback(node, None).unwrap();
+    assert!(scene.has_update_callbacks() && !scene.has_event_callbacks());
+    scene.set_update_callback(node, None).unwrap();
+    assert!(!scene.has_update_callbacks() && !scene.has_event_callbacks());
+}
+
+#[test]
+fn events_of_any_type_reach_event_callbacks() {
+    let log = Log::default();
+    let kept = log.clone();
+    let mut node = Node::group(Vec::new());
+    node.event_callback = Some(EventCallback::new(move |_, _, event| {
+        kept.lock().unwrap().push(format!("{:?}", event.downcast_ref::<u32>()));
+        Traverse::Below
+    }));
+    let mut scene = Scene::new();
+    scene.add_root(Page::from_node(node).unwrap());
+    assert_eq!(scene.event_traversal(&5u32) + scene.event_traversal(&"text"), 2);
+    assert_eq!(taken(&log), ["Some(5)", "None"]);
+}
+
+#[test]
+fn tiles_are_listed_with_their_place_and_state() {
+    let mut scene = Scene::new();
+    let root = Node::transform(DAffine3::from_scale(DVec3::splat(2.0)), vec![tile("x")]);
+    let root = scene.add_root(Page::from_node(root).unwrap());
+    scene.attach(NodeId { page: root, index: 1 }, Page::from_node(tile("y")).unwrap()).unwrap();
+    let tiles: Vec<_> = scene.tiles().map(|t| (t.depth, t.bounds.center, t.bounds.half_axes.x_axis.x)).collect();
+    assert_eq!(tiles.len(), 2);
+    assert_eq!((tiles[0].0, tiles[0].1), (0, DVec3::ZERO));
+    assert_eq!((tiles[1].0, tiles[1].1), (1, DVec3::new(2.0, 0.0, 0.0)));
+    assert!((tiles[0].2 - 2.0).abs() < 1e-5 && (tiles[1].2 - 2.0).abs() < 1e-5);
+}

@@ -1,0 +1,114 @@
+//! Fades of levels of detail in a viewer: the same in all threading models, by the application's time, and frames go on
+//! until they are over.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use image::RgbaImage;
+use kit::viewer::offscreen;
+use terrane::draw::Sky;
+use terrane::gpu::AdapterChoice;
+use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, NodeKind, Page};
+use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
+
+const SIZE: [u32; 2] = [96, 64];
+
+fn viewer(threading: ThreadingModel) -> Option<Viewer> {
+    let config = ViewerConfig {
+        size_px: SIZE,
+        threading,
+        adapter: AdapterChoice::Software,
+        validation: false,
+        ..ViewerConfig::default()
+    };
+    offscreen(&config)
+}
+
+/// A red ball far away, a green one near.
+fn open(viewer: &mut Viewer) {
+    let ball = |color, segments| {
+        let material = Material { base_color: color, unlit: true, ..Material::default() };
+        let mesh = Geometry::Mesh(Arc::new(Mesh::sphere(DVec3::ZERO, 2.0, segments)));
+        Node::geode(vec![Drawable::new(mesh, material)])
+    };
+    let mut lod = Node::new(NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, 6.0], [6.0, 1e9]] });
+    lod.children = vec![ball([0.0, 1.0, 0.0, 1.0], 16), ball([1.0, 0.0, 0.0, 1.0], 9)];
+    viewer.add_root(Page::from_node(Node::group(vec![lod])).unwrap()).unwrap();
+    viewer.camera.look_at(DVec3::new(0.0, 0.0, 10.0), DVec3::ZERO, DVec3::Y);
+    viewer.environment.sky = Sky::Background([0, 0, 255]);
+    viewer.environment.fog.enabled = false;
+    viewer.environment.exposure = None;
+}
+
+fn greens(picture: &RgbaImage) -> usize {
+    picture.pixels().filter(|p| p.0[1] > 200).count()
+}
+
+#[test]
+fn all_models_draw_the_same_fade() {
+    let mut first: Option<Vec<RgbaImage>> = None;
+    for model in ThreadingModel::ALL {
+        let Some(mut viewer) = viewer(model) else { return };
+        open(&mut viewer);
+        // A slave in a part of the picture has a level of detail and a fade of its own.
+        let context = viewer.contexts().next().unwrap();
+        let slave = Slave { viewport: Viewport::Pixels([64, 0, 32, 32]), ..Slave::new(context) };
+        let slave = viewer.add_slave(slave).unwrap();
+        viewer.slave_mut(slave).unwrap().inherit = terrane::scene::Inherit::NONE;
+        viewer.slave_mut(slave).unwrap().settings.lod_scale = 0.5;
+        // Until the balls are uploaded, whoever does it.
+        for _ in 0..4 {
+            viewer.frame_at(4.99).unwrap();
+            viewer.finish().unwrap();
+        }
+        for frame in 0..12 {
+            let time_s = 5.0 + 0.04 * f64::from(frame);
+            viewer.camera.settings.lod_scale = if frame < 3 { 1.0 } else { 0.5 };
+            viewer.slave_mut(slave).unwrap().settings.lod_scale = if frame < 5 { 0.5 } else { 1.0 };
+            if frame > 0 {
+                viewer.want_picture();
+            }
+            viewer.frame_at(time_s).unwrap();
+            // A picture may be under way besides.
+            assert!(viewer.check_need_to_do_frame() || viewer.is_settled());
+            let is_fading = (3..11).contains(&frame);
+            assert_eq!(viewer.is_settled(), !is_fading, "{model} {frame}");
+        }
+        viewer.finish().unwrap();
+        assert!(!viewer.check_need_to_do_frame());
+        let pictures: Vec<RgbaImage> = viewer.take_pictures().into_iter().map(|(_, picture)| picture).collect();
+        assert_eq!(pictures.len(), 11);
+        let counts: Vec<usize> = pictures.iter().map(greens).collect();
+        assert!(counts[4] > counts[1] + 100 && counts[10] > counts[5], "{model}: {counts:?}");
+        match &first {
+            None => first = Some(pictures),
+            Some(first) => assert!(*first == pictures, "{model}"),
+        }
+    }
+}
+
+#[test]
+fn a_fade_ends_where_time_stands_still_and_pictures_are_of_its_end() {
+    let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded) else { return };
+    open(&mut viewer);
+    for frame in 0..6 {
+        viewer.frame_at(0.01 * f64::from(frame)).unwrap();
+    }
+    let old = viewer.picture().unwrap();
+    viewer.camera.settings.lod_scale = 0.5;
+    viewer.frame_at(0.1).unwrap();
+    assert!(!viewer.is_settled() && viewer.check_need_to_do_frame());
+    let fading = viewer.read_back().unwrap();
+    assert!(greens(&fading) > 50 && greens(&old) == 0, "{}", greens(&fading));
+    let new = viewer.picture().unwrap();
+    assert!(greens(&new) > greens(&fading));
+    viewer.frame_at(0.1).unwrap();
+    assert!(viewer.is_settled() && !viewer.check_need_to_do_frame());
+    assert!(viewer.read_back().unwrap() == new);
+    // Switched off there is none.
+    viewer.camera.settings.lod_fade_s = 0.0;
+    viewer.camera.settings.lod_scale = 1.0;
+    viewer.frame_at(0.11).unwrap();
+    assert!(viewer.is_settled());
+    assert!(viewer.read_back().unwrap() == old);
+}

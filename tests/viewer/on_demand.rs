@@ -1,0 +1,439 @@
+//! Drawing on demand: what asks for a frame, what comes to rest, and how what rested moves again. Pictures need a GPU (a
+//! software one will do).
+
+use std::path::Path;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use glam::{DAffine3, DVec2, DVec3};
+use image::RgbaImage;
+use kit::shapes::ball;
+use kit::skip::or_skip;
+use kit::viewer::{Settle, offscreen};
+use terrane::cull::{Stereo, StereoMode};
+use terrane::draw::Sky;
+use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+#[cfg(feature = "http")]
+use terrane::io::HttpConfig;
+use terrane::io::write::{GlbMesh, write_glb};
+#[cfg(feature = "http")]
+use terrane::pager::ImageSequence;
+use terrane::pager::PagerConfig;
+use terrane::scene::{
+    CameraNode, CameraTarget, CullAction, CullCallback, Node, NodeKind, OcclusionQueryNode, Page, PictureSink, Scene,
+};
+use terrane::state::{TextureFormat, TextureObject};
+use terrane::viewer::manipulators::{
+    AnimationPathManipulator, FirstPersonManipulator, FlyManipulator, OrbitManipulator,
+};
+use terrane::viewer::{
+    AnimationPath, CameraManipulator, CompositeViewer, ControlPoint, Eyes, KEY_COLOR, Key, Slave, ThreadingModel,
+    Viewer, ViewerConfig,
+};
+
+fn config(adapter: AdapterChoice) -> ViewerConfig {
+    let validation = adapter != AdapterChoice::Noop;
+    ViewerConfig { size_px: [160, 120], adapter, validation, max_contexts: 2, ..ViewerConfig::default() }
+}
+
+/// Draws until nothing asks for a frame.
+fn rest(viewer: &mut Viewer) {
+    let start = Instant::now();
+    while viewer.check_need_to_do_frame() {
+        viewer.frame().unwrap();
+        assert!(start.elapsed() < Duration::from_secs(60), "it never rests");
+    }
+}
+
+/// A viewer on a ball, at rest with a manipulator, which has rested longer than what eases takes.
+fn rested(manipulator: impl CameraManipulator + 'static) -> Viewer {
+    let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
+    viewer.add_root(Page::from_node(ball(DVec3::ZERO, 1.0, [1.0; 4])).unwrap()).unwrap();
+    viewer.camera.look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer.set_manipulator(Some(Box::new(manipulator)));
+    rest(&mut viewer);
+    std::thread::sleep(Duration::from_millis(600));
+    viewer
+}
+
+/// What happens now and the frame after it; the eye's way, and the seconds that all took.
+fn moved(viewer: &mut Viewer, act: impl FnOnce(&mut Viewer)) -> (f64, f64) {
+    let (start, from) = (Instant::now(), viewer.camera.eye());
+    act(viewer);
+    viewer.frame().unwrap();
+    (viewer.camera.eye().distance(from), start.elapsed().as_secs_f64())
+}
+
+fn press(viewer: &mut Viewer, key: Key) {
+    let queue = viewer.event_queue();
+    let time_s = queue.time_s();
+    queue.key_press(key, key, time_s);
+    queue.key_release(key, key, time_s);
+}
+
+/// All of the rest counted as time in which the camera had moved.
+#[test]
+fn what_rested_moves_from_the_event_on() {
+    let mut viewer = rested(OrbitManipulator::default());
+    let (way_m, seconds) = moved(&mut viewer, |viewer| {
+        let time_s = viewer.event_queue().time_s();
+        viewer.event_queue().mouse_scroll(DVec2::new(0.0, 1.0), time_s);
+    });
+    // From 10 m to 8 m, by factors, 63 % in each tenth of a second.
+    let eased_m = |seconds: f64| 10.0 - 8.0 * 1.25f64.powf((-10.0 * seconds).exp());
+    assert!(way_m > 0.0 && way_m <= eased_m(seconds) + 1e-9, "{way_m} m in {seconds} s");
+    assert!(viewer.check_need_to_do_frame(), "it eases on");
+    // From then on all time counts.
+    std::thread::sleep(Duration::from_millis(600));
+    let (way_m, _) = moved(&mut viewer, |_| {});
+    assert!(way_m > 0.9 * eased_m(0.5) - eased_m(seconds), "{way_m} m");
+
+    let mut viewer = rested(FlyManipulator::default());
+    let (way_m, seconds) = moved(&mut viewer, |viewer| press(viewer, Key::Up));
+    // Outside the ball by half the distance in a second.
+    assert!(way_m > 0.0 && way_m <= 5.0 * seconds, "{way_m} m in {seconds} s");
+}
+
+#[test]
+fn a_path_goes_on_where_it_was_paused() {
+    let points = [0.0, 1e3].map(|time_s| {
+        let pose = DAffine3::from_translation(DVec3::new(time_s, -10.0, 0.0));
+        ControlPoint::from_pose(time_s, &pose)
+    });
+    let path = AnimationPath::new(points.into()).unwrap();
+    let mut viewer = rested(OrbitManipulator::default());
+    // One that is given the camera between two frames, too.
+    let (_, seconds) = moved(&mut viewer, |viewer| {
+        viewer.set_manipulator(Some(Box::new(AnimationPathManipulator::new(path))));
+    });
+    assert!(viewer.camera.eye().x <= 0.01 + seconds.min(0.1), "{} m", viewer.camera.eye().x);
+    press(&mut viewer, Key::Char('p'));
+    viewer.frame().unwrap();
+    rest(&mut viewer);
+    std::thread::sleep(Duration::from_millis(600));
+    let (way_m, seconds) = moved(&mut viewer, |viewer| press(viewer, Key::Char('p')));
+    assert!(way_m <= seconds + 1e-9, "{way_m} m in {seconds} s");
+    let (way_m, _) = moved(&mut viewer, |_| std::thread::sleep(Duration::from_millis(100)));
+    assert!(way_m >= 0.1, "{way_m} m");
+}
+
+/// With no time for what rests nobody would look.
+#[test]
+fn who_rests_on_the_ground_rises_with_it() {
+    let ground_mm = Arc::new(AtomicU64::new(0));
+    let of_view = ground_mm.clone();
+    let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
+    viewer.add_root(Page::from_node(ball(DVec3::ZERO, 1.0, [1.0; 4])).unwrap()).unwrap();
+    viewer.set_ground(Some(Box::new(move |_: &Scene, point: DVec3, _: DVec3| {
+        Some(point.with_z(1e-3 * of_view.load(Ordering::Relaxed) as f64))
+    })));
+    viewer.camera.look_at(DVec3::new(0.0, -5.0, 1.7), DVec3::new(0.0, 0.0, 1.7), DVec3::Z);
+    viewer.set_manipulator(Some(Box::new(FirstPersonManipulator::default())));
+    rest(&mut viewer);
+    assert!((viewer.camera.eye().z - 1.7).abs() < 1e-3);
+    ground_mm.store(3000, Ordering::Relaxed);
+    viewer.request_redraw();
+    rest(&mut viewer);
+    assert!((viewer.camera.eye().z - 4.7).abs() < 1e-3, "{}", viewer.camera.eye());
+}
+
+/// They were awaited, and frames drawn for them, for ever.
+#[test]
+fn pictures_of_a_closed_context_are_not_awaited() {
+    let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
+    let first = viewer.context().unwrap();
+    let second = GraphicsContext::new_offscreen(&config(AdapterChoice::Noop).traits()).unwrap();
+    let second = viewer.open_context(second).unwrap();
+    viewer.add_slave(Slave::new(second)).unwrap();
+    viewer.settle(2);
+    viewer.want_picture_of(second);
+    assert!(viewer.check_need_to_do_frame());
+    assert!(viewer.close_context(second).unwrap());
+    viewer.settle(4);
+    viewer.finish().unwrap();
+    assert!(!viewer.check_need_to_do_frame() && viewer.take_pictures_of(second).is_empty());
+    // What was to be done with one is forgotten.
+    let held = Rc::new(());
+    let of_capture = held.clone();
+    viewer.capture(Box::new(move |_, _| drop(of_capture)));
+    assert_eq!(Rc::strong_count(&held), 2);
+    assert!(viewer.close_context(first).unwrap());
+    assert_eq!(Rc::strong_count(&held), 1);
+    viewer.settle(4);
+    assert!(!viewer.check_need_to_do_frame());
+}
+
+/// Only the one context of a viewer's own view did.
+#[test]
+fn a_context_of_another_size_asks_for_a_frame() {
+    let traits = |size_px| ContextTraits { size_px, ..config(AdapterChoice::Noop).traits() };
+    let context = || GraphicsContext::new_offscreen(&traits([160, 90])).unwrap();
+    let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
+    let second = viewer.open_context(context()).unwrap();
+    viewer.add_slave(Slave::new(second)).unwrap();
+    for context in viewer.contexts().collect::<Vec<_>>() {
+        rest(&mut viewer);
+        viewer.resize_context(context, [90, 160]).unwrap();
+        assert!(viewer.check_need_to_do_frame(), "{context:?}");
+    }
+    let mut views = CompositeViewer::new(&config(AdapterChoice::Noop)).unwrap();
+    let (first, second) = (views.open_context(context()).unwrap(), views.open_context(context()).unwrap());
+    let scene = views.add_scene().unwrap();
+    let view = views.add_view(scene, first, None).unwrap();
+    for slaves in 0..2 {
+        for context in [first, second] {
+            (0..8).for_each(|_| views.frame().unwrap());
+            assert!(!views.check_need_to_do_frame());
+            views.resize_context(context, [90 + slaves, 160]).unwrap();
+            assert_eq!(views.check_need_to_do_frame(), context == first || slaves > 0, "{context:?}");
+        }
+        views.add_slave(view, Slave::new(second)).unwrap();
+    }
+}
+
+/// The last one came when something else asked for a frame.
+#[test]
+fn frames_are_drawn_until_pictures_of_cameras_have_come() {
+    let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
+    let sink = Arc::new(PictureSink::default());
+    let texture = TextureObject::target("seen", [16, 16], TextureFormat::Rgba8Srgb);
+    let camera = CameraNode::to_texture(
+        texture.clone(),
+        DAffine3::IDENTITY,
+        viewer.camera.cull_camera([16, 16], 0, 0).clip_from_eye,
+    );
+    let target = CameraTarget { read_back: Some(sink.clone()), ..CameraTarget::clone(camera.target.as_ref().unwrap()) };
+    let camera = CameraNode { target: Some(Arc::new(target)), ..camera };
+    let node =
+        Node { children: vec![ball(DVec3::ZERO, 1.0, [1.0; 4])], ..Node::new(NodeKind::Camera(Box::new(camera))) };
+    viewer.add_root(Page::from_node(node).unwrap()).unwrap();
+    for _ in 0..3 {
+        let changed = viewer.frame_stamp().frame + 1;
+        viewer.request_redraw();
+        rest(&mut viewer);
+        let came = sink.take().map(|picture| picture.frame);
+        assert!(came >= Some(changed), "{came:?} of a change in {changed}");
+    }
+}
+
+/// The change was seen when something else asked for a frame.
+#[test]
+fn what_is_set_is_drawn() {
+    let mut viewer = rested(OrbitManipulator::default());
+    let changes: [fn(&mut Viewer); 6] = [
+        |viewer| viewer.set_viewport([0, 0, 80, 60]),
+        |viewer| viewer.set_stereo(Some(Stereo::new(StereoMode::Anaglyphic))),
+        |viewer| viewer.set_eyes(Eyes::Left),
+        |viewer| viewer.set_state_set(Some(Arc::default())),
+        |viewer| {
+            let context = viewer.context().unwrap();
+            let slave = viewer.add_slave(Slave::new(context)).unwrap();
+            rest(viewer);
+            viewer.slave_mut(slave).unwrap().viewport = [0, 0, 9, 9].into();
+            assert!(viewer.check_need_to_do_frame());
+            rest(viewer);
+            viewer.remove_slave(slave).unwrap();
+        },
+        |viewer| {
+            let context = viewer.context().unwrap();
+            viewer.add_slave(Slave::new(context)).unwrap();
+        },
+    ];
+    for (i, change) in changes.into_iter().enumerate() {
+        change(&mut viewer);
+        assert!(viewer.check_need_to_do_frame(), "change {i}");
+        rest(&mut viewer);
+    }
+    let mut viewer = CompositeViewer::new(&config(AdapterChoice::Noop)).unwrap();
+    let context = GraphicsContext::new_offscreen(&config(AdapterChoice::Noop).traits()).unwrap();
+    let context = viewer.open_context(context).unwrap();
+    let scene = viewer.add_scene().unwrap();
+    let [_, second] = [(); 2].map(|()| viewer.add_view(scene, context, [0, 0, 80, 60]).unwrap());
+    while viewer.check_need_to_do_frame() {
+        viewer.frame().unwrap();
+    }
+    viewer.remove_view(second).unwrap();
+    assert!(viewer.check_need_to_do_frame(), "what it covered");
+}
+
+fn picture(viewer: &mut Viewer) -> RgbaImage {
+    viewer.finish().unwrap();
+    viewer.read_back().unwrap()
+}
+
+/// The last frames were those before the adapter had answered: what came into sight stayed hidden.
+#[test]
+fn frames_are_drawn_until_occlusion_queries_have_shown_what_is_in_sight() {
+    // A blocking frame looks at what it would want first, and did so with the eye that asks.
+    for (threading, blocking) in
+        ThreadingModel::ALL.map(|t| (t, false)).into_iter().chain([(ThreadingModel::ALL[0], true)])
+    {
+        let pager = PagerConfig { blocking, ..PagerConfig::default() };
+        let config = ViewerConfig { threading, pager, ..config(AdapterChoice::Software) };
+        let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
+        let query = OcclusionQueryNode::default();
+        let results = query.results.clone();
+        let mut asked = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
+        asked.children = vec![ball(DVec3::new(0.0, 20.0, 0.0), 2.0, [0.0, 1.0, 0.0, 1.0])];
+        let wall = ball(DVec3::ZERO, 4.0, [1.0, 0.0, 0.0, 1.0]);
+        viewer.add_root(Page::from_node(Node::group(vec![wall, asked])).unwrap()).unwrap();
+        viewer.environment.sky = Sky::Background(KEY_COLOR);
+        viewer.environment.fog.enabled = false;
+        viewer.camera.look_at(DVec3::new(0.0, -10.0, 0.0), DVec3::ZERO, DVec3::Z);
+        rest(&mut viewer);
+        assert!(results.failures() >= 2, "{threading}: it rests before what is behind is known to be");
+        let behind = picture(&mut viewer);
+        for _ in 0..3 {
+            let mut beside = viewer.camera;
+            beside.look_at(DVec3::new(30.0, 0.0, 0.0), DVec3::new(0.0, 20.0, 0.0), DVec3::Z);
+            for (pose, is_seen) in [(beside.world_from_eye, true), (viewer.camera.world_from_eye, false)] {
+                viewer.set_pose(&pose);
+                viewer.request_redraw();
+                rest(&mut viewer);
+                assert_eq!(results.samples() > 0, is_seen, "{threading}");
+                let at_rest = picture(&mut viewer);
+                (0..10).for_each(|_| viewer.frame().unwrap());
+                assert!(at_rest == picture(&mut viewer), "{threading}: seen {is_seen}");
+                assert_eq!(at_rest == behind, !is_seen, "{threading}");
+            }
+        }
+    }
+}
+
+/// Twenty tiles beside each other, with an eye that has all in sight.
+fn write_row(folder: &Path) {
+    let glb = write_glb(&GlbMesh {
+        positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        indices: vec![0, 1, 2],
+        base_color: [1.0; 4],
+        ..GlbMesh::default()
+    });
+    let tile = |k: i32| {
+        std::fs::write(folder.join(format!("{k}.glb")), &glb).unwrap();
+        format!(
+            r#"{{"boundingVolume":{{"sphere":[{},0,0,2]}},"geometricError":0,"content":{{"uri":"{k}.glb"}}}}"#,
+            4 * k - 40
+        )
+    };
+    let tiles: Vec<String> = (0..20).map(tile).collect();
+    let root = format!(
+        r#"{{"boundingVolume":{{"sphere":[0,0,0,60]}},"geometricError":1000,"refine":"ADD","children":[{}]}}"#,
+        tiles.join(",")
+    );
+    let set = format!(r#"{{"asset":{{"version":"1.1"}},"geometricError":1000,"root":{root}}}"#);
+    std::fs::write(folder.join("tileset.json"), set).unwrap();
+}
+
+fn row_viewer(source: &str, pager: PagerConfig) -> Viewer {
+    let mut viewer = offscreen(&ViewerConfig { pager, ..config(AdapterChoice::Noop) }).unwrap();
+    viewer.load(source).unwrap();
+    viewer.camera.look_at(DVec3::new(0.0, -100.0, 0.0), DVec3::ZERO, DVec3::Z);
+    viewer
+}
+
+fn tiles(viewer: &Viewer) -> (u64, u64) {
+    let stats = viewer.pager().unwrap().stats();
+    (stats.resident, stats.waiting + stats.in_flight)
+}
+
+/// Frames were drawn for ever for what waited.
+#[test]
+fn what_finds_no_room_asks_for_no_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    write_row(folder.path());
+    let pager = PagerConfig { max_tiles: 4, ..PagerConfig::default() };
+    let mut viewer = row_viewer(folder.path().to_str().unwrap(), pager);
+    rest(&mut viewer);
+    assert_eq!(tiles(&viewer), (4, 16));
+    assert!(!viewer.is_settled(), "some of the tiles are not there");
+    // What comes into sight takes the places of what goes.
+    viewer.camera.look_at(DVec3::new(-38.0, -5.0, 0.0), DVec3::new(-38.0, 0.0, 0.0), DVec3::Z);
+    viewer.request_redraw();
+    rest(&mut viewer);
+    assert!(viewer.is_settled(), "{:?}", viewer.pager().unwrap().stats());
+    let drawn = viewer.stats().last().unwrap().tiles_drawn;
+    assert!((2..=4).contains(&drawn), "{drawn}");
+}
+
+/// They waited for what was not to come.
+#[test]
+fn a_pager_that_stands_asks_for_no_frame_until_it_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    write_row(folder.path());
+    let stand: [fn(&mut Viewer, bool); 2] = [
+        |viewer, stands| viewer.pager_mut().unwrap().set_paused(stands),
+        |viewer, stands| viewer.pager_mut().unwrap().set_takes_requests(!stands),
+    ];
+    for (stand, waiting) in stand.into_iter().zip([20, 0]) {
+        let mut viewer = row_viewer(folder.path().to_str().unwrap(), PagerConfig::default());
+        stand(&mut viewer, true);
+        rest(&mut viewer);
+        assert_eq!(tiles(&viewer), (0, waiting));
+        assert!(!viewer.is_settled());
+        stand(&mut viewer, false);
+        assert!(viewer.check_need_to_do_frame());
+        rest(&mut viewer);
+        assert_eq!(tiles(&viewer), (20, 0));
+        assert!(viewer.is_settled());
+    }
+}
+
+/// It went through all the rounds of the deepest tree in each frame.
+#[test]
+fn the_blocking_mode_looks_a_few_times_for_what_finds_no_room() {
+    let folder = tempfile::tempdir().unwrap();
+    write_row(folder.path());
+    let pager = PagerConfig { max_tiles: 4, blocking: true, ..PagerConfig::default() };
+    let mut viewer = row_viewer(folder.path().to_str().unwrap(), pager);
+    let looks = Arc::new(AtomicU64::new(0));
+    let mut counted = Node::group(Vec::new());
+    let of_node = looks.clone();
+    counted.cull_callback = Some(CullCallback(Arc::new(move |_| {
+        of_node.fetch_add(1, Ordering::Relaxed);
+        CullAction::Traverse
+    })));
+    viewer.add_root(Page::from_node(counted).unwrap()).unwrap();
+    for frame in 0..10 {
+        let before = looks.load(Ordering::Relaxed);
+        viewer.frame().unwrap();
+        let looks = looks.load(Ordering::Relaxed) - before;
+        assert!((1..=10).contains(&looks), "{looks} in frame {frame}");
+        assert_eq!(tiles(&viewer).0, 4);
+    }
+    rest(&mut viewer);
+}
+
+/// A loop that rests drew no frame for it.
+#[cfg(feature = "http")]
+#[test]
+fn what_failed_asks_for_a_frame_once_its_wait_is_over() {
+    use kit::server::{Reply, Server};
+    let folder = tempfile::tempdir().unwrap();
+    write_row(folder.path());
+    image::RgbImage::from_pixel(8, 8, image::Rgb([200, 100, 50])).save(folder.path().join("picture.png")).unwrap();
+    let files = folder.path().to_owned();
+    let server = Server::start(move |request| match request.path() {
+        path if path != "/tileset.json" && request.nth == 0 => Reply::new(503, ""),
+        path => Reply::ok(std::fs::read(files.join(&path[1..])).unwrap()),
+    });
+    let retry_after = Duration::from_millis(300);
+    let http = HttpConfig { max_retries: 0, ..HttpConfig::default() };
+    let pager = PagerConfig { retry_after, http, ..PagerConfig::default() };
+    let mut viewer = row_viewer(&server.url, pager);
+    let sequence = ImageSequence::from_files("test", [format!("{}/picture.png", server.url)]);
+    viewer.add_image_sequence(&sequence).unwrap();
+    let _used = sequence.texture();
+    let (start, mut has_rested) = (Instant::now(), false);
+    while tiles(&viewer).0 < 20 || viewer.image_pager().unwrap().stats().loaded < 1 {
+        assert!(start.elapsed() < Duration::from_secs(60), "{:?}", viewer.pager().unwrap().stats());
+        if viewer.check_need_to_do_frame() {
+            viewer.frame().unwrap();
+        } else {
+            has_rested = true;
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+    assert!(has_rested && start.elapsed() >= retry_after);
+}

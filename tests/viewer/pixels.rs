@@ -1,0 +1,163 @@
+//! Equal paths give equal pictures in blocking mode, whoever draws; stages and contexts end cleanly. Needs a GPU
+//! (a software one will do).
+
+use std::path::Path;
+
+use image::RgbaImage;
+use kit::viewer::offscreen;
+use terrane::gpu::AdapterChoice;
+use terrane::pager::PagerConfig;
+use terrane::viewer::{ThreadingModel, Viewer, ViewerConfig, ViewerError};
+
+fn small_set(folder: &Path) -> String {
+    let set = folder.join("set");
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    set.display().to_string()
+}
+
+fn config(threading: ThreadingModel) -> ViewerConfig {
+    ViewerConfig {
+        size_px: [320, 180],
+        threading,
+        adapter: AdapterChoice::Software,
+        max_sse_px: 3.0,
+        pager: PagerConfig { blocking: true, ..PagerConfig::default() },
+        ..ViewerConfig::default()
+    }
+}
+
+/// Every tenth picture of the default path.
+fn fly(set: &str, threading: ThreadingModel) -> Option<Vec<RgbaImage>> {
+    let mut viewer = offscreen(&config(threading))?;
+    viewer.load(set).unwrap();
+    let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+    for frame in 0..60u32 {
+        let time_s = path.duration_s() * f64::from(frame) / 59.0;
+        viewer.camera.world_from_eye = path.world_from_eye(time_s);
+        if frame % 10 == 0 {
+            viewer.want_picture();
+        }
+        viewer.frame_at(time_s).unwrap();
+        assert!(viewer.is_settled(), "frame {frame} of the blocking mode is not complete");
+    }
+    viewer.finish().unwrap();
+    assert_eq!(viewer.stats().iter().filter(|s| s.drawn).count(), 60);
+    Some(viewer.take_pictures().into_iter().map(|(_, picture)| picture).collect())
+}
+
+#[test]
+fn the_same_path_gives_the_same_pixels_whoever_draws() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let Some(first) = fly(&set, ThreadingModel::SingleThreaded) else { return };
+    assert_eq!(first.len(), 6);
+    let colours: std::collections::BTreeSet<_> = first[2].pixels().map(|p| p.0).collect();
+    assert!(colours.len() > 50, "the picture is empty: {} colours", colours.len());
+    for threading in ThreadingModel::ALL {
+        let again = fly(&set, threading).unwrap();
+        for (index, (a, b)) in first.iter().zip(&again).enumerate() {
+            let differing = a.pixels().zip(b.pixels()).filter(|(a, b)| a != b).count();
+            assert_eq!(differing, 0, "{threading}: picture {index} differs in {differing} pixels");
+        }
+    }
+}
+
+#[test]
+fn the_model_is_changed_at_run_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let Some(expected) = fly(&set, ThreadingModel::SingleThreaded) else { return };
+    let mut viewer = offscreen(&config(ThreadingModel::SingleThreaded)).unwrap();
+    viewer.load(&set).unwrap();
+    let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+    let models = ThreadingModel::ALL;
+    for frame in 0..60u32 {
+        // Each after each other one, in the middle of the flight.
+        let model = models[(frame as usize * (1 + frame as usize / 20)) % 4];
+        viewer.set_threading_model(model).unwrap();
+        assert_eq!(viewer.threading_model(), model);
+        let time_s = path.duration_s() * f64::from(frame) / 59.0;
+        viewer.camera.world_from_eye = path.world_from_eye(time_s);
+        if frame % 10 == 0 {
+            viewer.want_picture();
+        }
+        viewer.frame_at(time_s).unwrap();
+    }
+    viewer.finish().unwrap();
+    assert_eq!(viewer.stats().iter().filter(|s| s.drawn).count(), 60);
+    let pictures = viewer.take_pictures();
+    assert_eq!(pictures.len(), expected.len());
+    for ((frame, picture), expected) in pictures.iter().zip(&expected) {
+        assert!(picture == expected, "frame {frame} differs");
+    }
+}
+
+#[test]
+fn a_settled_view_stays_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let Some(mut viewer) = offscreen(&config(ThreadingModel::DrawThreadPerContext)) else { return };
+    viewer.load(&set).unwrap();
+    viewer.frame().unwrap();
+    let before = viewer.read_back().unwrap();
+    let settled = viewer.settled().unwrap();
+    assert!(settled.coverage > 0.05 && settled.coverage < 0.95 && settled.tiles > 0, "{settled:?}");
+    assert_eq!(viewer.drawn_contents().len() as u64, settled.contents);
+    for _ in 0..5 {
+        viewer.frame().unwrap();
+    }
+    assert!(viewer.read_back().unwrap() == before, "measuring the picture has changed it");
+    assert!(viewer.converge_s().is_some());
+}
+
+#[test]
+fn a_viewer_is_resized_and_dropped_at_any_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    for threading in ThreadingModel::ALL {
+        let mut config = config(threading);
+        config.pager.blocking = false;
+        let Some(mut viewer) = offscreen(&config) else { return };
+        viewer.load(&set).unwrap();
+        viewer.frame().unwrap();
+        viewer.resize([123, 77]).unwrap();
+        viewer.frame().unwrap();
+        let picture = viewer.read_back().unwrap();
+        assert_eq!((picture.width(), picture.height()), (123, 77));
+        for _ in 0..3 {
+            viewer.frame().unwrap();
+        }
+        // Dropped with frames and loads under way.
+    }
+}
+
+#[test]
+fn frames_run_without_a_gpu() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    let mut viewer = Viewer::new_offscreen(&ViewerConfig {
+        adapter: AdapterChoice::Noop,
+        validation: false,
+        ..config(ThreadingModel::DrawThreadPerContext)
+    })
+    .unwrap();
+    viewer.load(&set).unwrap();
+    for _ in 0..5 {
+        viewer.frame().unwrap();
+    }
+    let report = viewer.report().unwrap();
+    assert_eq!(report.frames, 5);
+    assert!(report.tiles.merged > 0 && report.draw.triangles > 0, "{report:?}");
+}
+
+#[test]
+fn a_root_that_is_not_there_is_an_error() {
+    let config = ViewerConfig { adapter: AdapterChoice::Noop, validation: false, ..ViewerConfig::default() };
+    let mut viewer = Viewer::new_offscreen(&config).unwrap();
+    let error = viewer.load("no/such/set").unwrap_err();
+    assert!(matches!(error, ViewerError::Io(_)) && error.to_string().contains("no/such/set"), "{error}");
+    // Without a root there is nothing to see, and that is no reason to fail.
+    viewer.frame().unwrap();
+}

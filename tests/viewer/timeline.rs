@@ -1,0 +1,200 @@
+//! A recorded flight: the file parses, spans of a thread lie inside each other, every thread has a name, every request
+//! comes to its end. Needs a GPU (a software one will do). One test: a process has one recording.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use kit::skip::or_skip;
+use kit::viewer::Settle;
+use serde_json::Value;
+use terrane::gpu::AdapterChoice;
+use terrane::timeline::{Recording, TimelineError, span};
+use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
+
+fn text<'a>(event: &'a Value, key: &str) -> &'a str {
+    event[key].as_str().unwrap_or_else(|| panic!("{key} of {event}"))
+}
+
+fn number(event: &Value, key: &str) -> f64 {
+    event[key].as_f64().unwrap_or_else(|| panic!("{key} of {event}"))
+}
+
+/// Each span that begins inside another ends inside it. A nanosecond is what the file's microseconds keep.
+fn assert_nested(spans: &mut [(f64, f64, String)]) {
+    const ROUNDING_US: f64 = 0.002;
+    spans.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.total_cmp(&a.1)));
+    let mut open: Vec<&(f64, f64, String)> = Vec::new();
+    for span in spans.iter() {
+        while open.last().is_some_and(|above| above.1 <= span.0 + ROUNDING_US) {
+            open.pop();
+        }
+        if let Some(above) = open.last() {
+            assert!(span.1 <= above.1 + ROUNDING_US, "{span:?} reaches out of {above:?}");
+        }
+        open.push(span);
+    }
+}
+
+#[test]
+fn a_flight_is_recorded_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = folder.path().join("set");
+    let args =
+        terrane_data_gen::GenArgs { levels: Some(4), seed: 3, size: 20_000.0, ..terrane_data_gen::GenArgs::new(&set) };
+    terrane_data_gen::run(&args).unwrap();
+    let file = folder.path().join("trace.json");
+    for threading in ThreadingModel::ALL {
+        let config = ViewerConfig {
+            size_px: [160, 90],
+            threading,
+            adapter: AdapterChoice::Software,
+            max_sse_px: 3.0,
+            max_contexts: 2,
+            ..ViewerConfig::default()
+        };
+        let recording = Recording::start().unwrap();
+        assert!(matches!(Recording::start(), Err(TimelineError::AlreadyRecording)));
+        let Some(mut viewer) = or_skip(Viewer::new_offscreen(&config)) else { return };
+        viewer.load(set.to_str().unwrap()).unwrap();
+        let first = viewer.contexts().next().unwrap();
+        let second = viewer.open_offscreen_on(first, &config.traits()).unwrap();
+        viewer.add_slave(Slave::new(second)).unwrap();
+        let path = viewer.bounds().unwrap().default_path(&viewer.camera.world_from_eye);
+        for frame in 0..40 {
+            viewer.camera.world_from_eye = path.world_from_eye(f64::from(frame) * 0.5);
+            viewer.frame().unwrap();
+        }
+        viewer.settle(1);
+        viewer.finish().unwrap();
+        let stats = *viewer.pager().unwrap().stats();
+        let has_timestamps = viewer.stats().iter().any(|frame| frame.gpu_ms.is_some());
+        drop(viewer);
+        let never_ends = span("open when the recording ends");
+        let summary = recording.write(&file).unwrap();
+        drop(never_ends);
+
+        let json: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+        let events = json["traceEvents"].as_array().unwrap();
+        assert_eq!(summary.lost, 0);
+
+        // Names of threads.
+        let mut names = BTreeMap::new();
+        for event in events.iter().filter(|e| text(e, "name") == "thread_name") {
+            let before = names.insert(number(event, "tid") as u64, text(&event["args"], "name").to_owned());
+            assert!(before.is_none());
+        }
+        assert_eq!(names.len(), summary.threads);
+        let all: BTreeSet<&str> = names.values().map(String::as_str).collect();
+        let draws = if threading == ThreadingModel::SingleThreaded { None } else { Some("draw 0") };
+        let culls = match threading {
+            ThreadingModel::CullDrawThreadPerContext => Some("draw 0"),
+            ThreadingModel::CullThreadPerCameraDrawThreadPerContext => Some("cull 0"),
+            _ => None,
+        };
+        for name in ["a_flight_is_recorded_whole", "pager-file-", "pager-decode-"].into_iter().chain(draws).chain(culls)
+        {
+            assert!(all.iter().any(|n| n.starts_with(name)), "{name} is not among {all:?}");
+        }
+        assert!(!all.iter().any(|n| n.starts_with("thread ")), "without a name: {all:?}");
+
+        // Spans.
+        let mut spans: BTreeMap<u64, Vec<(f64, f64, String)>> = BTreeMap::new();
+        let mut stages: BTreeMap<(&str, &str), u32> = BTreeMap::new();
+        for event in events.iter().filter(|e| text(e, "ph") == "X") {
+            let thread = number(event, "tid") as u64;
+            let name = names.get(&thread).expect("every thread has a name");
+            let (at, us) = (number(event, "ts"), number(event, "dur"));
+            assert!(at >= 0.0 && us >= 0.0);
+            spans.entry(thread).or_default().push((at, at + us, text(event, "name").to_owned()));
+            *stages.entry((name, text(event, "name"))).or_default() += 1;
+        }
+        assert_eq!(spans.values().map(|s| s.len() as u64).sum::<u64>(), summary.spans);
+        spans.values_mut().for_each(|spans| assert_nested(spans));
+        let main = "a_flight_is_recorded_whole";
+        let (draw, cull) = (draws.unwrap_or(main), culls.unwrap_or(main));
+        // Where the threads of the model meet.
+        let meetings: &[(&str, &str, u32)] = match threading {
+            ThreadingModel::CullDrawThreadPerContext => &[
+                (main, "start barrier", 40),
+                (main, "end barrier", 40),
+                ("draw 0", "start barrier", 40),
+                ("draw 0", "end barrier", 40),
+            ],
+            ThreadingModel::DrawThreadPerContext => {
+                &[(main, "end of dynamic draws", 40), ("draw 0", "await frame", 40), ("draw 0", "swap ready", 40)]
+            }
+            ThreadingModel::CullThreadPerCameraDrawThreadPerContext => &[
+                (main, "start barrier", 40),
+                (main, "end of dynamic draws", 40),
+                (main, "wait for culls", 40),
+                ("cull 0", "start barrier", 40),
+                ("draw 0", "wait for cull", 40),
+            ],
+            _ => &[],
+        };
+        for &(thread, stage, least) in meetings.iter().chain(&[
+            (main, "frame", 40),
+            (main, "event", 40),
+            (main, "update", 40),
+            (main, "merge", 40),
+            (main, "wait for stage", 40),
+            (cull, "cull", 40),
+            (cull, "traverse", 40),
+            (cull, "sort", 40),
+            (draw, "compile", 40),
+            (draw, "draw", 40),
+            (draw, "present", 40),
+        ]) {
+            let count = stages.get(&(thread, stage)).copied().unwrap_or(0);
+            assert!(count >= least, "{threading}: {count} of {stage} on {thread}");
+        }
+        let of = |stage: &str| stages.iter().filter(|((_, s), _)| *s == stage).map(|(_, n)| u64::from(*n)).sum::<u64>();
+        assert!(of("fetch") >= stats.loaded && of("decode") >= stats.loaded && stats.loaded > 5, "{stages:?}");
+        assert_eq!(of("open when the recording ends"), 0);
+
+        // What the adapter did, on a line for each context: after the frame began that it belongs to, and before the
+        // frame that waited for it.
+        let frames_of = |line: &str| -> BTreeMap<u32, (f64, f64)> {
+            let is_frame = |e: &&Value| text(e, "ph") == "X" && text(e, "name") == "frame";
+            let on_line = |e: &&Value| names[&(number(e, "tid") as u64)] == line;
+            let of = |e: &Value| {
+                (text(&e["args"], "of").parse().unwrap(), (number(e, "ts"), number(e, "ts") + number(e, "dur")))
+            };
+            events.iter().filter(is_frame).filter(on_line).map(of).collect()
+        };
+        let begun = frames_of(main);
+        for line in ["gpu 0", "gpu 1"].into_iter().filter(|_| has_timestamps) {
+            let drawn = frames_of(line);
+            let pictures = stages.get(&(line, "picture")).copied().unwrap_or(0);
+            assert!(drawn.len() > 20 && drawn.len() as u32 == pictures, "{threading}: {} of {pictures}", drawn.len());
+            for (frame, (from, to)) in &drawn {
+                assert!(*from >= begun[frame].0 && to > from, "{threading}: frame {frame} on {line} before it began");
+                let later = begun.get(&(frame + 6)).map_or(f64::INFINITY, |(at, _)| *at);
+                assert!(*to <= later, "{threading}: frame {frame} on {line} ends {} us too late", to - later);
+            }
+        }
+
+        // Requests.
+        let mut requests: BTreeMap<&str, Vec<(&str, f64, &Value)>> = BTreeMap::new();
+        for event in events.iter().filter(|e| ["b", "e"].contains(&text(e, "ph"))) {
+            assert!(names.contains_key(&(number(event, "tid") as u64)));
+            let request = requests.entry(text(event, "id")).or_default();
+            request.push((text(event, "ph"), number(event, "ts"), &event["args"]));
+        }
+        assert_eq!(requests.len() as u64, summary.requests);
+        assert_eq!(summary.requests, stats.requested, "each request is there, from its beginning");
+        let mut outcomes: BTreeMap<&str, u64> = BTreeMap::new();
+        for (id, events) in &requests {
+            let [(begin, from, args), .., (end, to, ended)] = events[..] else { panic!("{id}: {events:?}") };
+            assert_eq!((begin, end), ("b", "e"), "{id}");
+            assert!(from <= to && text(args, "uri").ends_with(".exr"), "{id}: {args}");
+            *outcomes.entry(text(ended, "outcome")).or_default() += 1;
+        }
+        let outcome = |name: &str| outcomes.get(name).copied().unwrap_or(0);
+        assert_eq!(outcome("merged"), stats.merged, "{outcomes:?} {stats:?}");
+        assert_eq!(outcome("stale"), stats.stale);
+        assert_eq!(outcome("cancelled"), stats.cancelled, "{outcomes:?} {stats:?}");
+        assert_eq!(outcome("declined"), stats.declined);
+        assert_eq!((outcome("failed"), stats.failed), (0, 0));
+        assert_eq!(outcome("unfinished"), stats.waiting + stats.in_flight);
+    }
+}

@@ -1,0 +1,126 @@
+//! What handlers show over the picture: over each view, in whichever context it is, and over a device that takes the place
+//! of a lost one. Pictures need a GPU (a software one will do).
+
+use std::path::Path;
+
+use image::RgbaImage;
+use kit::skip::or_skip;
+use kit::viewer::{Settle, offscreen};
+use terrane::draw::Sky;
+use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
+use terrane::viewer::handlers::{StatsHandler, StatsPage};
+use terrane::viewer::{CompositeViewer, ContextId, ThreadingModel, Viewer, ViewerConfig, Viewport};
+
+const BACKGROUND: [u8; 3] = [200, 40, 40];
+
+fn config(threading: ThreadingModel, size_px: [u32; 2]) -> ViewerConfig {
+    ViewerConfig { size_px, threading, adapter: AdapterChoice::Software, max_contexts: 3, ..ViewerConfig::default() }
+}
+
+fn stats() -> StatsHandler {
+    StatsHandler { page: StatsPage::FrameRate }
+}
+
+fn keep(name: &str, picture: &RgbaImage) {
+    if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
+        picture.save(Path::new(&folder).join(format!("overlay-{name}.png"))).unwrap();
+    }
+}
+
+/// Pixels of a part that are not the background, and how many of them are as bright as text is.
+fn over(picture: &RgbaImage, [x, y, width, height]: [u32; 4]) -> [usize; 2] {
+    let part = image::imageops::crop_imm(picture, x, y, width, height).to_image();
+    let is_over = part.pixels().filter(|p| p.0[..3] != BACKGROUND);
+    let is_text = |p: &&image::Rgba<u8>| p.0[..3].iter().all(|c| *c > 100);
+    [is_over.clone().count(), is_over.filter(is_text).count()]
+}
+
+fn picture(viewer: &mut CompositeViewer, context: ContextId) -> RgbaImage {
+    // A page fades in.
+    viewer.settle(16);
+    viewer.read_back(context).unwrap()
+}
+
+#[test]
+fn each_view_has_its_own_over_its_part_of_its_context() {
+    for threading in ThreadingModel::ALL {
+        let config = config(threading, [400, 160]);
+        let Some(context) = or_skip(GraphicsContext::new_offscreen(&config.traits())) else { return };
+        let mut viewer = CompositeViewer::new(&config).unwrap();
+        let first = viewer.open_context(context).unwrap();
+        let traits = ContextTraits { size_px: [240, 120], ..config.traits() };
+        // One on the same device, and one with its own.
+        let second = viewer.open_offscreen_on(first, &traits).unwrap();
+        let third = viewer.open_context(GraphicsContext::new_offscreen(&traits).unwrap()).unwrap();
+        let scene = viewer.add_scene().unwrap();
+        let halves = [Viewport::Shares([0.0, 0.0, 0.5, 1.0]), Viewport::Shares([0.5, 0.0, 0.5, 1.0])];
+        let parts = [(first, halves[0]), (first, halves[1]), (second, Viewport::Whole), (third, Viewport::Whole)];
+        let views = parts.map(|(context, part)| viewer.add_view(scene, context, part).unwrap());
+        for id in views {
+            let view = viewer.view_mut(id).unwrap();
+            view.environment.sky = Sky::Background(BACKGROUND);
+            view.environment.fog.enabled = false;
+        }
+        let [left, right, all] = [[0, 0, 200, 160], [200, 0, 200, 160], [0, 0, 240, 120]];
+        let places = [(first, left), (first, right), (second, all), (third, all)];
+        // One after the other asks for it.
+        for shown in 0..=views.len() {
+            let pictures = [first, second, third].map(|context| (context, picture(&mut viewer, context)));
+            for (place, (context, part)) in places.into_iter().enumerate() {
+                let picture = &pictures.iter().find(|(of, _)| *of == context).unwrap().1;
+                keep(&format!("{threading}-{shown}-{}", if place < 2 { 0 } else { place }), picture);
+                let [pixels, text] = over(picture, part);
+                if place < shown {
+                    let most = (part[2] * part[3]) as usize;
+                    assert!(
+                        pixels > 1000 && pixels < most && text > 30,
+                        "{threading}: {place} of {shown}: {pixels}, {text}"
+                    );
+                    // At the upper left of its own part.
+                    assert!(over(picture, [part[0], part[1], 60, 30])[0] > 1000, "{threading}: {place} of {shown}");
+                } else {
+                    assert_eq!(pixels, 0, "{threading}: {place} of {shown}");
+                }
+            }
+            if let Some(id) = views.get(shown) {
+                viewer.view_mut(*id).unwrap().add_event_handler(stats());
+            }
+        }
+        // A view goes with what lay over it; a smaller window leaves no room, and comes back.
+        viewer.remove_view(views[0]).unwrap();
+        let without = picture(&mut viewer, first);
+        assert_eq!(over(&without, left)[1], 0, "{threading}: a view that is gone");
+        assert!(over(&without, right)[1] > 30, "{threading}: the other view keeps its own");
+        viewer.resize_context(second, [1, 1]).unwrap();
+        viewer.frame().unwrap();
+        viewer.resize_context(second, [240, 120]).unwrap();
+        assert!(over(&picture(&mut viewer, second), all)[1] > 30, "{threading}: back in size");
+        // Closed, a context takes its views' along; the others stay.
+        viewer.close_context(third).unwrap();
+        assert!(over(&picture(&mut viewer, second), all)[1] > 30, "{threading}: after another closed");
+    }
+}
+
+#[test]
+fn it_lies_over_a_new_device_too() {
+    for threading in ThreadingModel::ALL {
+        let Some(mut viewer) = offscreen(&config(threading, [240, 120])) else { return };
+        viewer.environment.sky = Sky::Background(BACKGROUND);
+        viewer.environment.fog.enabled = false;
+        viewer.add_event_handler(stats());
+        let context = viewer.context().unwrap();
+        let shown = |viewer: &mut Viewer, name: &str| {
+            viewer.settle(16);
+            viewer.finish().unwrap();
+            let picture = viewer.read_back().unwrap();
+            keep(&format!("{threading}-{name}"), &picture);
+            over(&picture, [0, 0, 240, 120])
+        };
+        let before = shown(&mut viewer, "before");
+        assert!(before[0] > 1000 && before[1] > 30, "{threading}: {before:?}");
+        viewer.lose_device(context).unwrap();
+        viewer.settle(16);
+        let after = shown(&mut viewer, "after");
+        assert!(after[0] > 1000 && after[1] > 30, "{threading}: {after:?} after the loss, {before:?} before");
+    }
+}

@@ -1,0 +1,191 @@
+//! Scenes of a composite viewer that go while others stay. An adapter that draws nothing will do.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use glam::DVec3;
+use kit::shapes::ball;
+use kit::tile_sets::small_set;
+use kit::viewer::Settle;
+use terrane::gpu::{AdapterChoice, GraphicsContext};
+use terrane::pager::{ImageSequence, SequenceImage};
+use terrane::scene::Page;
+use terrane::viewer::{CompositeViewer, ContextId, SceneId, ThreadingModel, ViewId, ViewerConfig, ViewerError};
+
+/// What a device keeps for drawables without a texture.
+const WHITE_TEXEL_BYTES: u64 = 4;
+
+/// One test at a time: they count the threads of the process.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Whether there are threads of pagers in this process, or come to be; a thread has its name a moment after it starts, and
+/// is in the system's list a moment after it was joined.
+fn comes_to(has_threads: bool) -> bool {
+    let is_pagers = |task: std::fs::DirEntry| {
+        std::fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name.starts_with("pager"))
+    };
+    let has = || std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten().any(is_pagers);
+    (0..500).any(|_| {
+        let is_so = has() == has_threads;
+        if !is_so {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        is_so
+    })
+}
+
+/// Scenes of one set, each with a view; and where wished one pager for all.
+struct Scenes {
+    viewer: CompositeViewer,
+    context: ContextId,
+    scenes: Vec<SceneId>,
+    views: Vec<ViewId>,
+}
+
+impl Scenes {
+    fn new(set: &str, count: usize, shared: bool, threading: ThreadingModel) -> Self {
+        let config = ViewerConfig {
+            size_px: [160, 120],
+            adapter: AdapterChoice::Noop,
+            validation: false,
+            max_sse_px: 0.7,
+            threading,
+            ..ViewerConfig::default()
+        };
+        let mut viewer = CompositeViewer::new(&config).unwrap();
+        let context = viewer.open_context(GraphicsContext::new_offscreen(&config.traits()).unwrap()).unwrap();
+        let mut all = Self { viewer, context, scenes: Vec::new(), views: Vec::new() };
+        for _ in 0..count {
+            let first = all.scenes.first().copied().filter(|_| shared);
+            let scene = match first {
+                Some(first) => all.viewer.add_scene_with_pager_of(first),
+                None => all.viewer.add_scene(),
+            };
+            let scene = scene.unwrap();
+            all.show(scene, set);
+        }
+        all
+    }
+
+    /// Loads a set into a scene that is there, with a ball of the application's, and looks at it.
+    fn show(&mut self, scene: SceneId, set: &str) {
+        self.viewer.load(scene, set).unwrap();
+        let ball = Page::from_node(ball(DVec3::ZERO, 10.0, [1.0; 4])).unwrap();
+        self.viewer.add_root(scene, ball).unwrap();
+        self.scenes.push(scene);
+        self.views.push(self.viewer.add_view(scene, self.context, None).unwrap());
+    }
+
+    fn pages(&self, scene: usize) -> usize {
+        self.viewer.scene(self.scenes[scene]).unwrap().page_count()
+    }
+
+    /// Bytes in the pools of the device, once what was released is.
+    fn gpu_bytes(&mut self) -> u64 {
+        (0..8).for_each(|_| self.viewer.frame().unwrap());
+        self.viewer.finish().unwrap();
+        self.viewer.stats().last().unwrap().gpu_bytes
+    }
+
+    /// Takes a scene out with its view.
+    fn remove(&mut self, place: usize) {
+        self.viewer.remove_view(self.views.remove(place)).unwrap();
+        self.viewer.remove_scene(self.scenes.remove(place)).unwrap();
+    }
+}
+
+#[test]
+fn a_scene_that_goes_takes_what_is_its_own_and_no_more() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    for model in ThreadingModel::ALL {
+        for shared in [false, true] {
+            let mut of_one = Scenes::new(&set, 1, shared, model);
+            of_one.viewer.settle(3);
+            let bytes = of_one.gpu_bytes();
+            let of_pager = of_one.viewer.pager(of_one.scenes[0]).unwrap().unwrap().stats().gpu_bytes;
+            drop(of_one);
+            let mut three = Scenes::new(&set, 3, shared, model);
+            three.viewer.settle(3);
+            let (first, pages) = (three.scenes[0], three.pages(1));
+            // While it is shown it stays, and nothing has happened.
+            let refused = three.viewer.remove_scene(first);
+            assert!(matches!(refused, Err(ViewerError::SceneInUse { scene, views: 1 }) if scene == first));
+            assert_eq!([three.pages(0), three.pages(2)], [pages, pages]);
+            three.remove(0);
+            assert!(matches!(three.viewer.scene(first), Err(ViewerError::NoScene(of)) if of == first));
+            assert!(matches!(three.viewer.remove_scene(first), Err(ViewerError::NoScene(_))));
+            assert!(three.viewer.scenes().eq(three.scenes.iter().copied()));
+            three.viewer.settle(1);
+            for (place, view) in three.views.iter().enumerate() {
+                assert_eq!(three.viewer.scene_of(*view).unwrap(), three.scenes[place]);
+                assert_eq!(three.pages(place), pages);
+            }
+            // The last but one, so that no place is what it was.
+            three.remove(0);
+            three.viewer.settle(1);
+            let stats = *three.viewer.pager(three.scenes[0]).unwrap().unwrap().stats();
+            assert_eq!((three.pages(0), stats.resident as usize), (pages, pages - 2), "{model} {shared}");
+            assert_eq!((three.gpu_bytes(), stats.gpu_bytes), (bytes, of_pager), "{model} {shared}");
+            assert_eq!(stats.failed, 0, "{model} {shared}");
+            // One that comes is none of those that went, and has what it wants.
+            let scene = three.viewer.add_scene().unwrap();
+            assert!(scene > three.scenes[0]);
+            three.show(scene, &set);
+            three.viewer.settle(3);
+            assert_eq!([three.pages(0), three.pages(1)], [pages, pages]);
+            three.remove(0);
+            three.remove(0);
+            assert!(comes_to(false) && three.viewer.scenes().next().is_none(), "{model} {shared}");
+            assert_eq!(three.gpu_bytes(), WHITE_TEXEL_BYTES, "{model} {shared}");
+            assert!(three.viewer.draw_errors().is_empty());
+        }
+    }
+}
+
+/// What is uploaded for it then is of nobody: neither kept, nor taken for what another scene of its number uploads.
+#[test]
+fn a_scene_goes_while_it_loads() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let set = small_set(folder.path());
+    for shared in [false, true] {
+        let mut two = Scenes::new(&set, 2, shared, ThreadingModel::DrawThreadPerContext);
+        for frames in (0..8).rev() {
+            (0..frames).for_each(|_| two.viewer.frame().unwrap());
+            two.remove(1);
+            let scene = match shared {
+                true => two.viewer.add_scene_with_pager_of(two.scenes[0]).unwrap(),
+                false => two.viewer.add_scene().unwrap(),
+            };
+            two.show(scene, &set);
+        }
+        two.viewer.settle(3);
+        let mut new = Scenes::new(&set, 2, shared, ThreadingModel::DrawThreadPerContext);
+        new.viewer.settle(3);
+        assert_eq!([two.pages(0), two.pages(1)], [new.pages(0), new.pages(1)]);
+        assert_eq!(two.gpu_bytes(), new.gpu_bytes(), "{shared}");
+        two.remove(0);
+        two.remove(0);
+        assert_eq!(two.gpu_bytes(), WHITE_TEXEL_BYTES);
+    }
+}
+
+#[test]
+fn the_image_pager_of_a_scene_goes_with_it() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let mut none = Scenes::new("", 0, false, ThreadingModel::SingleThreaded);
+    assert!(comes_to(false));
+    let scene = none.viewer.add_scene().unwrap();
+    let images = vec![SequenceImage::File(folder.path().join("none.png").display().to_string().into())];
+    none.viewer.add_image_sequence(scene, &ImageSequence::new("clouds", images)).unwrap();
+    none.viewer.frame().unwrap();
+    assert!(none.viewer.image_pager(scene).unwrap().is_some() && (comes_to(true) || cfg!(not(target_os = "linux"))));
+    none.viewer.remove_scene(scene).unwrap();
+    assert!(comes_to(false));
+}

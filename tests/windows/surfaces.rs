@@ -1,0 +1,167 @@
+//! A window's surface that is late, out of date, lost or suboptimal while its device is well: frames are skipped and
+//! counted, the surface is configured or made anew, and the window shows what it did. Needs Xvfb and a GPU (a software
+//! one will do); says so where there is none.
+
+use std::process::Command;
+use std::sync::Arc;
+use std::time::Duration;
+
+use glam::DVec3;
+use image::RgbaImage;
+use kit::display::Display;
+use kit::process::test_name;
+use kit::shapes::ball;
+use kit::viewer::Settle;
+use terrane::draw::Sky;
+use terrane::gpu::{AdapterChoice, SurfaceAnswer};
+use terrane::scene::{Node, Page};
+use terrane::viewer::{ContextId, ThreadingModel, Viewer, ViewerConfig, ViewerError};
+use winit::application::ApplicationHandler;
+use winit::dpi::PhysicalSize;
+use winit::event::WindowEvent;
+use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
+use winit::platform::x11::EventLoopBuilderExtX11 as _;
+use winit::window::{Window, WindowId};
+
+use SurfaceAnswer::{Lost, Occluded, Outdated, Suboptimal, Timeout};
+
+/// Whoever waits longer waits for ever.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Runs [`on_a_display`] in a process of its own, which has a display.
+#[test]
+fn a_surface_comes_back_without_its_device_being_lost() {
+    let Some(display) = Display::start([640, 480]) else { return };
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", &test_name(module_path!(), "on_a_display"), "--ignored", "--nocapture"])
+        .env("DISPLAY", &display.name)
+        .env_remove("WAYLAND_DISPLAY")
+        .env_remove("WAYLAND_SOCKET")
+        .output()
+        .unwrap();
+    let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    said.lines().filter(|line| line.contains("SKIPPED") || line.contains("checked")).for_each(|l| println!("{l}"));
+    assert!(output.status.success(), "{}: {said}", output.status);
+    assert!(said.contains("checked") || said.contains("SKIPPED"), "{said}");
+}
+
+/// What the other test runs.
+#[test]
+#[ignore = "needs a display of its own: the other test gives it one"]
+fn on_a_display() {
+    std::thread::spawn(|| {
+        std::thread::sleep(PATIENCE);
+        eprintln!("a frame waits for ever");
+        std::process::exit(3);
+    });
+    let event_loop = EventLoop::builder().with_any_thread(true).build().unwrap();
+    event_loop.set_control_flow(ControlFlow::Poll);
+    event_loop.run_app(&mut Surfaces { is_done: false }).unwrap();
+}
+
+struct Surfaces {
+    is_done: bool,
+}
+
+impl ApplicationHandler for Surfaces {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if std::mem::replace(&mut self.is_done, true) {
+            return;
+        }
+        let attributes = Window::default_attributes().with_inner_size(PhysicalSize::new(96, 64));
+        let window = Arc::new(event_loop.create_window(attributes).unwrap());
+        for model in ThreadingModel::ALL {
+            if !check(&window, model) {
+                break;
+            }
+        }
+        event_loop.exit();
+    }
+
+    fn window_event(&mut self, _: &ActiveEventLoop, _: WindowId, _: WindowEvent) {}
+}
+
+fn picture(viewer: &mut Viewer, context: ContextId) -> RgbaImage {
+    viewer.want_picture_of(context);
+    viewer.frame().unwrap();
+    viewer.finish().unwrap();
+    viewer.take_pictures_of(context).pop().unwrap().1
+}
+
+/// False where nothing can draw.
+fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
+    let size = window.inner_size();
+    let config = ViewerConfig {
+        size_px: [size.width, size.height],
+        adapter: AdapterChoice::Software,
+        threading: model,
+        vsync: false,
+        ..ViewerConfig::default()
+    };
+    let mut viewer = match Viewer::new_window(Arc::clone(window), &config) {
+        Ok(viewer) => viewer,
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+            println!("SKIPPED: {error}");
+            return false;
+        }
+    };
+    viewer.add_root(Page::from_node(Node::group(vec![ball(DVec3::ZERO, 1.0, [1.0; 4])])).unwrap()).unwrap();
+    viewer.environment.sky = Sky::Background([200, 0, 0]);
+    viewer.camera.look_at(DVec3::new(0.0, -4.0, 0.0), DVec3::ZERO, DVec3::Z);
+    let context = viewer.context().unwrap();
+    viewer.settle(3);
+    let before = picture(&mut viewer, context);
+    let white = before.pixels().filter(|p| p.0 == [255; 4]).count();
+    assert!(white > 200, "the ball is seen: {white}");
+
+    // A frame that the window skips has no picture, which is no error.
+    viewer.pretend_surface(context, &[Timeout]).unwrap();
+    viewer.want_picture_of(context);
+    viewer.frame().unwrap();
+    viewer.finish().unwrap();
+    assert!(viewer.take_pictures_of(context).is_empty());
+    // Nor has one that is drawn once more, and it says so.
+    for answer in [Occluded, Timeout] {
+        viewer.pretend_surface(context, &[answer]).unwrap();
+        let error = viewer.picture().unwrap_err();
+        assert!(matches!(error, ViewerError::HiddenWindow), "{model:?} {answer:?}: {error}");
+        viewer.pretend_surface(context, &[answer]).unwrap();
+        let error = viewer.settled().err().unwrap();
+        assert!(matches!(error, ViewerError::HiddenWindow), "{model:?} {answer:?}: {error}");
+        assert!(viewer.picture().unwrap() == before, "{model:?} {answer:?}: it is seen again");
+        // Which shows the image that was drawn into.
+        assert!(picture(&mut viewer, context) == before, "{model:?} {answer:?}");
+    }
+
+    for (answers, skipped) in [
+        (&[Timeout][..], 1),
+        (&[Occluded, Timeout, Occluded], 3),
+        // Configured anew, and asked again in the same frame.
+        (&[Outdated], 0),
+        (&[Outdated, Outdated], 1),
+        // Made anew.
+        (&[Lost], 0),
+        (&[Lost, Lost, Lost, Lost], 2),
+        (&[Lost, Outdated, Outdated, Timeout], 2),
+        (&[Suboptimal, Suboptimal, Suboptimal], 0),
+    ] {
+        viewer.pretend_surface(context, answers).unwrap();
+        let first = viewer.frame_stamp().frame + 1;
+        (0..5).for_each(|_| viewer.frame().unwrap());
+        viewer.finish().unwrap();
+        let frames: Vec<_> = viewer.stats().iter().filter(|s| s.frame >= first).collect();
+        assert!(frames.len() == 5 && frames.iter().all(|s| s.drawn), "{model:?} {answers:?}");
+        let of_skipped: u32 = frames.iter().map(|s| s.skipped).sum();
+        let empty = frames.iter().filter(|s| s.leaves == 0).count();
+        assert_eq!((of_skipped, empty), (skipped, skipped as usize), "{model:?} {answers:?}");
+        assert!(picture(&mut viewer, context) == before, "{model:?} {answers:?}");
+        assert_eq!(viewer.context(), Some(context), "its device is the same, and what is uploaded to it");
+    }
+    // One that never comes back is an error after some frames, and no panic and no hang.
+    viewer.pretend_surface(context, &[Lost; 64]).unwrap();
+    let error = (0..40).find_map(|_| viewer.frame().and_then(|()| viewer.finish()).err()).unwrap();
+    assert!(error.to_string().contains("still lost"), "{model:?}: {error}");
+    println!("{model:?}: checked");
+    true
+}

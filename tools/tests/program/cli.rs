@@ -1,0 +1,446 @@
+//! The `terrane` command from outside: exit codes, lines on stdout and stderr, files.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn terrane(args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
+    command.args(args).env_remove("DISPLAY").env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
+    command.output().unwrap()
+}
+
+fn lines(bytes: &[u8]) -> Vec<String> {
+    String::from_utf8_lossy(bytes).lines().map(str::to_owned).collect()
+}
+
+/// Says so and returns true where nothing can draw; with REQUIRE_GPU=1 that is a failure.
+fn no_adapter() -> bool {
+    let traits = terrane::gpu::ContextTraits::default();
+    match terrane::gpu::GraphicsContext::new_offscreen(&traits) {
+        Ok(_) => false,
+        Err(error) => {
+            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
+            eprintln!("SKIPPED: {error}");
+            true
+        }
+    }
+}
+
+/// A small set of height tiles.
+fn tile_set(folder: &Path) -> PathBuf {
+    let set = folder.join("set");
+    let out = terrane(&["gen", set.to_str().unwrap(), "--levels", "3", "--seed", "7"]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    set
+}
+
+fn json(file: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap()
+}
+
+#[test]
+fn the_display_is_set_by_arguments_and_by_the_environment() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let picture = |name: &str, more: &[&str], variable: Option<(&str, &str)>| {
+        let file = folder.path().join(name);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
+        command.args(["fly", set.to_str().unwrap(), "--offscreen", "--settle", "--size", "160x90"]).args(more);
+        command.arg("--screenshot").arg(&file).env_remove("TERRANE_SPLIT_STEREO_HORIZONTAL_SEPARATION");
+        command.envs(variable);
+        let out = command.current_dir(folder.path()).output().unwrap();
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        image::open(&file).unwrap().into_rgb8()
+    };
+    let split = ["--stereo", "HORIZONTAL_SPLIT"];
+    let gap = ["--stereo", "HORIZONTAL_SPLIT", "--split-horizontal-separation=20"];
+    let (without, said) = (picture("a.png", &split, None), picture("b.png", &gap, None));
+    let set_outside = Some(("TERRANE_SPLIT_STEREO_HORIZONTAL_SEPARATION", "20"));
+    assert!(without != said && said == picture("c.png", &split, set_outside));
+    let last = ["--stereo", "HORIZONTAL_SPLIT", "--split-horizontal-separation", "0"];
+    assert!(without == picture("d.png", &last, set_outside), "the command line has the last word");
+    // Middle columns belong to neither eye.
+    assert!((0..90).all(|y| said.get_pixel(80, y).0 == said.get_pixel(80, 0).0));
+
+    let wrong = terrane(&["fly", set.to_str().unwrap(), "--eye-separation", "far"]);
+    assert_eq!((wrong.status.code(), lines(&wrong.stderr).len()), (Some(2), 1), "{wrong:?}");
+    let help = lines(&terrane(&["view", "--help"]).stdout).join(" ");
+    assert!(help.contains("--eye-separation") && help.contains("TERRANE_DISPLAY_TYPE"));
+}
+
+#[test]
+fn wrong_arguments_exit_2() {
+    for args in [
+        &[][..],
+        &["fly", "--size", "0x0"],
+        &["fly", "--frames", "many"],
+        &["fly", "--threading", "Twisted"],
+        &["fly", "--view", "1,2"],
+        &["fly", "--background", "red"],
+        &["fly", "--sse", "0"],
+        &["fly", "--look-ahead", "nan"],
+        &["fly", "--water=-inf"],
+        &["fly", "--samples", "2"],
+        &["fly", "anything", "--frames", "0", "--screenshot", "x.png"],
+        &["gen", "set", "--size", "5"],
+        &["serve", ".", "--error-rate", "2"],
+        &["serve", ".", "--latency-ms=-5"],
+        &["serve", ".", "--latency-ms", "1e-4"],
+        &["serve", ".", "--error-rate", "0.6", "--reset-rate", "0.6"],
+        &["stress", "--minutes", "nan"],
+        &["stress", "--minutes", "0"],
+        &["stress", "--drawn", "101"],
+        &["stress", "--frames", "0"],
+        &["stress", "--jobs", "100000"],
+        &["stress", "--faults", "error=0.9,reset=0.9"],
+        &["stress", "http://localhost/set/", "--faults", "error=0.1"],
+        &["fly", "--sun", "180,x,30"],
+        &["stress", "--seeds", "0"],
+        &["gen", "set", "--jobs", "0"],
+        &["bench", "resident", "--tiles", "0"],
+        &["bench", "resident", "--tiles", "18446744073709551615"],
+        &["bench", "page", "--tiles", "0"],
+        &["bench", "page", "--url", "localhost:8080"],
+        &["bench", "page", "--frames", "0"],
+        &["bench", "page", "--frames", "1"],
+        &["bench", "page", "--pace", "1e-300"],
+        &["bench", "cull", "--secs", "1e300"],
+        &["nonsense"],
+        &["view"],
+    ] {
+        assert_eq!(terrane(args).status.code(), Some(2), "{args:?}");
+    }
+    assert_eq!(terrane(&["--help"]).status.code(), Some(0));
+    assert_eq!(terrane(&["--version"]).status.code(), Some(0));
+}
+
+/// It drew a picture of nothing.
+#[test]
+fn a_flight_of_no_frames_says_what_draws_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let shot = folder.path().join("shot.png");
+    let out = terrane(&["fly", "anything", "--offscreen", "--frames", "0", "--screenshot", shot.to_str().unwrap()]);
+    let says = String::from_utf8_lossy(&out.stderr).into_owned();
+    assert!(out.status.code() == Some(2) && says.contains("--frames 0 draws nothing; --settle"), "{says}");
+    assert!(!shot.exists());
+}
+
+/// Some were missing.
+#[cfg(unix)]
+#[test]
+fn the_script_names_every_command() {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/run");
+    let help = lines(&terrane(&["--help"]).stdout);
+    let commands = help.iter().skip_while(|line| *line != "Commands:").skip(1);
+    let commands: Vec<&str> = commands.map_while(|line| line.split_whitespace().next()).collect();
+    assert!(commands.len() > 8, "{commands:?}");
+    for args in [&[][..], &["nonsense", "--levels"]] {
+        let out = Command::new("sh").arg(script).args(args).output().unwrap();
+        let usage = lines(&out.stderr);
+        assert_eq!((out.status.code(), out.stdout.len()), (Some(2), 0), "{usage:?}");
+        assert_eq!(usage[0].contains("nonsense"), !args.is_empty(), "{usage:?}");
+        for command in ["test"].iter().chain(&commands) {
+            let has_line = usage.iter().any(|line| line.split_whitespace().next() == Some(command));
+            assert!(has_line, "{command} is missing: {usage:?}");
+        }
+    }
+}
+
+#[test]
+fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let broken = folder.path().join("tileset.json");
+    std::fs::write(&broken, "{\n \"asset\": [\n").unwrap();
+    for source in [folder.path().join("missing").to_str().unwrap(), broken.to_str().unwrap()] {
+        let out = terrane(&["fly", source, "--offscreen", "--frames", "1"]);
+        let stderr = lines(&out.stderr);
+        assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
+        assert!(stderr[0].starts_with("terrane fly: "), "{stderr:?}");
+    }
+    let out = terrane(&["fly", "anything", "--path", "no/such.path", "--offscreen"]);
+    assert_eq!(out.status.code(), Some(1));
+    let says = lines(&out.stderr).join(" ");
+    assert!(says.matches("no/such.path").count() == 1 && says.matches("os error").count() == 1, "{says}");
+    for option in ["--report", "--selection", "--screenshot"] {
+        let out = terrane(&["fly", "anything", "--offscreen", option, folder.path().to_str().unwrap()]);
+        let says = lines(&out.stderr).join(" ");
+        assert!(out.status.code() == Some(1) && says.contains("is a folder"), "{says}");
+    }
+}
+
+/// It was told that an earlier picture could not be written, and neither which nor why.
+#[test]
+fn a_picture_that_cannot_be_written_is_named() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let (file, set) = (folder.path().join("file"), set.to_str().unwrap());
+    std::fs::write(&file, "in the way").unwrap();
+    let inside = file.join("frames");
+    let inside = inside.to_str().unwrap();
+    let out = terrane(&["fly", set, "--offscreen", "--frames", "40", "--size", "32x32", "--frames-dir", inside]);
+    let stderr = lines(&out.stderr);
+    assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
+    assert!(stderr[0].starts_with("terrane fly: ") && stderr[0].contains(inside), "{stderr:?}");
+    // The last bytes were lost without a word.
+    #[cfg(target_os = "linux")]
+    {
+        let out = terrane(&["fly", set, "--offscreen", "--settle", "--size", "32x32", "--screenshot", "/dev/full"]);
+        let stderr = lines(&out.stderr);
+        assert_eq!((out.status.code(), stderr.len()), (Some(1), 1), "{stderr:?}");
+        assert!(stderr[0].starts_with("terrane fly: /dev/full: "), "{stderr:?}");
+    }
+}
+
+#[test]
+fn a_flight_reports() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (report, shot, selection, pictures) = (at("report.json"), at("shot.png"), at("drawn.json"), at("frames"));
+    let out = terrane(&[
+        "fly",
+        set.to_str().unwrap(),
+        "--frames",
+        "12",
+        "--size",
+        "160x90",
+        "--report",
+        &report,
+        "--screenshot",
+        &shot,
+        "--selection",
+        &selection,
+        "--frames-dir",
+        &pictures,
+    ]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert_eq!(lines(&out.stdout).len(), 5, "{}", String::from_utf8_lossy(&out.stdout));
+    assert!(lines(&out.stdout)[0].contains("no display"));
+    let report = json(Path::new(&report));
+    assert_eq!(report["frames"], 12);
+    assert_eq!(report["size"], serde_json::json!([160, 90]));
+    assert_eq!(report["threading"], "DrawThreadPerContext");
+    assert_eq!(report["errors"], serde_json::json!([]));
+    assert!(report["settled"].is_null() && report["holes"].is_null());
+    assert!(report["frame_ms"]["median"].as_f64().unwrap() > 0.0);
+    assert!(report["tiles"]["merged"].as_u64().unwrap() > 0);
+    assert!(report["bytes"]["read"].as_u64().unwrap() > 0);
+    let size = |file: &str| image::image_dimensions(file).unwrap();
+    assert_eq!(size(&shot), (160, 90));
+    assert_eq!(std::fs::read_dir(&pictures).unwrap().count(), 12);
+    assert!(json(Path::new(&selection))["selectedContent"].is_array());
+}
+
+#[test]
+fn a_flight_writes_no_file_unless_asked() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let out = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["fly", set.to_str().unwrap(), "--frames", "11", "--size", "64x36", "--threading", "SingleThreaded"])
+        .env_remove("DISPLAY")
+        .env_remove("WAYLAND_DISPLAY")
+        .env_remove("WAYLAND_SOCKET")
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert!(lines(&out.stdout)[0].starts_with("flew    11 frames of 64x36 offscreen"), "{:?}", lines(&out.stdout));
+    assert!(lines(&out.stdout)[4].contains("no files written"), "{:?}", lines(&out.stdout));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the tile set alone");
+}
+
+#[test]
+fn a_flight_that_can_draw_nothing_fails() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let bare = folder.path().join("bare");
+    std::fs::create_dir(&bare).unwrap();
+    std::fs::copy(set.join("tileset.json"), bare.join("tileset.json")).unwrap();
+    let out =
+        terrane(&["fly", bare.to_str().unwrap(), "--offscreen", "--frames", "3", "--size", "64x36", "--blocking"]);
+    let errors = lines(&out.stderr);
+    assert_eq!((out.status.code(), errors.len()), (Some(1), 2), "{errors:?}");
+    assert!(errors[0].starts_with("error: ") && errors[0].contains("not found"), "{errors:?}");
+    assert!(errors[1].contains("nothing was drawn"), "{errors:?}");
+    assert_eq!(lines(&out.stdout).len(), 5);
+}
+
+#[test]
+fn options_without_effect_together_are_errors() {
+    for (args, names) in [
+        (&["gen", "out", "--dem", "a.tif", "--size", "5000"][..], ["--size", "--dem"]),
+        (&["gen", "out", "--dem", "a.tif", "--seed", "2"], ["--seed", "--dem"]),
+        (&["gen", "out", "--epsg", "4326"], ["--epsg", "--dem"]),
+        (&["gen", "out", "--float-vertices"], ["--float-vertices", "--content mesh"]),
+        (&["fly", "set", "--offscreen", "--stats"], ["--offscreen", "--stats"]),
+        (&["fly", "set", "--offscreen", "--max-fps", "30"], ["--offscreen", "--max-fps"]),
+        (&["fly", "set", "--offscreen", "--no-vsync"], ["--offscreen", "--no-vsync"]),
+        (&["fly", "set", "--offscreen", "--beside", "1"], ["--offscreen", "--beside"]),
+        (&["fly", "set", "--check-holes", "--background", "ff0000"], ["--check-holes", "--background"]),
+    ] {
+        let out = terrane(args);
+        let error = String::from_utf8_lossy(&out.stderr).into_owned();
+        assert!(!out.status.success() && names.iter().all(|name| error.contains(name)), "{args:?}: {error}");
+    }
+    let large = terrane(&["fly", "set", "--size", "20000x10"]);
+    assert!(String::from_utf8_lossy(&large.stderr).contains("20000 px, the limit is 8192 px"));
+}
+
+#[test]
+fn a_settled_picture_is_complete() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (report, selection, shot) = (at("report.json"), at("drawn.json"), at("shot.png"));
+    let out = terrane(&[
+        "fly",
+        set.to_str().unwrap(),
+        "--offscreen",
+        "--settle",
+        "--size",
+        "160x90",
+        "--report",
+        &report,
+        "--selection",
+        &selection,
+        "--screenshot",
+        &shot,
+        "--background",
+        "1a334d",
+    ]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let report = json(Path::new(&report));
+    let settled = &report["settled"];
+    assert!(settled["tiles"].as_u64().unwrap() > 0 && settled["triangles"].as_u64().unwrap() > 100);
+    let coverage = settled["coverage"].as_f64().unwrap();
+    assert!((0.05..1.0).contains(&coverage), "{coverage}");
+    assert!(report["converge_s"].as_f64().unwrap() > 0.0);
+    let drawn = json(Path::new(&selection));
+    let drawn = drawn["selectedContent"].as_array().unwrap();
+    assert_eq!(drawn.len() as u64, settled["contents"].as_u64().unwrap());
+    assert!(drawn.iter().all(|uri| set.join(uri.as_str().unwrap()).is_file()), "{drawn:?}");
+    // The corner is sky: exactly the background that was asked for.
+    assert_eq!(image::open(shot).unwrap().into_rgb8().get_pixel(0, 0).0, [0x1a, 0x33, 0x4d]);
+}
+
+#[test]
+fn a_missing_tile_is_reported_and_the_flight_continues() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let missing = set.join("1/0/0.exr");
+    std::fs::remove_file(&missing).unwrap();
+    let report = folder.path().join("report.json");
+    let out = terrane(&[
+        "fly",
+        set.to_str().unwrap(),
+        "--settle",
+        "--sse",
+        "0.5",
+        "--size",
+        "160x90",
+        "--report",
+        report.to_str().unwrap(),
+    ]);
+    assert_eq!(out.status.code(), Some(0), "{}", String::from_utf8_lossy(&out.stderr));
+    assert_eq!(lines(&out.stdout).len(), 5);
+    assert!(lines(&out.stderr).iter().any(|line| line.starts_with("error: ") && line.contains("1/0/0.exr")));
+    let report = json(&report);
+    let errors = report["errors"].as_array().unwrap();
+    assert_eq!(errors.len(), 1, "{errors:?}");
+    assert!(errors[0]["uri"].as_str().unwrap().ends_with("1/0/0.exr"));
+    assert!(errors[0]["count"].as_u64().unwrap() >= 1 && report["tiles"]["failed"].as_u64().unwrap() >= 1);
+}
+
+#[test]
+fn holes_are_counted() {
+    if no_adapter() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let report = folder.path().join("report.json");
+    let out = terrane(&[
+        "fly",
+        set.to_str().unwrap(),
+        "--frames",
+        "20",
+        "--size",
+        "160x90",
+        "--check-holes",
+        "--blocking",
+        "--report",
+        report.to_str().unwrap(),
+    ]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert_eq!(json(&report)["holes"], 0);
+}
+
+#[test]
+fn info_as_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let out = terrane(&["info", set.to_str().unwrap(), "--json"]);
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let info: Value = serde_json::from_slice(&out.stdout).unwrap();
+    for name in ["format", "version", "tiles", "contents", "levels", "bytes", "extensions", "bounds", "errors"] {
+        assert!(info.get(name).is_some(), "{name} is missing");
+    }
+    assert_eq!(info["levels"].as_array().unwrap().len(), 3);
+    // Imagery belongs to the tiles: its bytes count, and where it is missing that is said.
+    let mut files = vec![set.clone()];
+    while let Some(folder) = files.iter().position(|path| path.is_dir()) {
+        let folder = files.swap_remove(folder);
+        files.extend(std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()));
+    }
+    let bytes: u64 = files.iter().map(|file| file.metadata().unwrap().len()).sum();
+    assert_eq!((info["bytes"].as_u64(), info["errors"].as_array().map(Vec::len)), (Some(bytes), Some(0)), "{files:?}");
+    let is_picture = |file: &&std::path::PathBuf| file.extension().is_some_and(|e| e == "jpg" || e == "png");
+    std::fs::remove_file(files.iter().find(is_picture).unwrap()).unwrap();
+    let out = terrane(&["info", set.to_str().unwrap(), "--json"]);
+    let info: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(info["errors"].as_array().map(Vec::len), Some(1), "{info}");
+    assert!(terrane(&["info", "no/such/set"]).status.code() == Some(1));
+}
+
+#[test]
+fn info_reads_every_content_where_it_is_asked_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = tile_set(folder.path());
+    let verified = || {
+        let out = terrane(&["info", set.to_str().unwrap(), "--json", "--verify"]);
+        let info: Value = serde_json::from_slice(&out.stdout).unwrap();
+        (out.status.code(), info["contents"].clone(), info["verified"].clone())
+    };
+    let (code, contents, whole) = verified();
+    assert_eq!((code, &whole["contents"], &whole["failed"]), (Some(0), &contents, &Value::from(0)), "{whole}");
+    assert!(whole["bytes"].as_u64().unwrap() > 10_000);
+    std::fs::write(set.join("1/0/0.exr"), "no heights").unwrap();
+    let (code, _, broken) = verified();
+    assert_eq!((code, &broken["contents"], &broken["failed"]), (Some(1), &contents, &Value::from(1)));
+    assert!(broken["errors"][0]["uri"].as_str().unwrap().ends_with("0.exr"), "{broken}");
+    // Without it nobody looks inside.
+    assert!(terrane(&["info", set.to_str().unwrap()]).status.success());
+}

@@ -1,0 +1,11 @@
+//! The program `terrane` run as its users run it, without windows.
+#![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+
+mod cache;
+mod cli;
+mod object_stores;
+mod samples;
+mod serve;
+mod serve_http2;
+mod served;
+mod stress;

@@ -1,0 +1,122 @@
+//! `terrane stress` from outside: some seeds hold, a seed is the same flight each time, and what goes wrong is said.
+
+use std::io::{BufRead as _, BufReader};
+use std::process::{Command, Output, Stdio};
+
+use serde_json::Value;
+
+fn stress(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_terrane")).arg("stress").args(arguments).output().unwrap()
+}
+
+/// A small set; its folder goes with the first.
+fn set() -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("set");
+    let args = terrane_data_gen::GenArgs { levels: Some(4), size: 20_000.0, ..terrane_data_gen::GenArgs::new(&out) };
+    terrane_data_gen::run(&args).unwrap();
+    let out = out.display().to_string();
+    (folder, out)
+}
+
+#[test]
+fn some_seeds_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = folder.path().join("report.json");
+    let out = stress(&["--seeds", "12", "--frames", "50", "--report", report.to_str().unwrap()]);
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(out.status.success(), "{said}{}", String::from_utf8_lossy(&out.stderr));
+    assert!(said.lines().count() == 13 && said.contains("12 seeds, 0 failed"), "{said}");
+    let report: Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
+    let seeds = report["seeds"].as_array().unwrap();
+    assert_eq!((seeds.len(), report["failed"].as_u64()), (12, Some(0)));
+    assert!(seeds.iter().all(|s| s["frames"].as_u64().unwrap() > 50), "{report}");
+    // From disk, and over all that a server speaks.
+    let ways: std::collections::BTreeSet<&str> = seeds.iter().map(|s| s["way"].as_str().unwrap()).collect();
+    assert_eq!(ways.into_iter().collect::<Vec<_>>(), ["disk", "h2", "h2c", "http/1.1", "tls/1.1"]);
+    assert!(seeds.iter().map(|s| s["merged"].as_u64().unwrap()).sum::<u64>() > 50, "{report}");
+}
+
+#[test]
+fn a_seed_is_the_same_flight_each_time() {
+    let (_folder, set) = set();
+    let fly = |seed: &str| -> Value {
+        let out = stress(&[&set, "--seed", seed, "--frames", "20", "--drawn", "0", "--as-json"]);
+        assert!(out.status.success());
+        serde_json::from_slice(&out.stdout).unwrap()
+    };
+    let (first, again, other) = (fly("7"), fly("7"), fly("8"));
+    assert_eq!(first["failures"], Value::Array(Vec::new()), "{first}");
+    for what in ["plan", "way", "drawing"] {
+        assert_eq!(first[what], again[what], "{what}");
+    }
+    assert_ne!(first["plan"], other["plan"]);
+}
+
+/// A server of somebody else loses what it likes; and what it is asked with is in no report.
+#[test]
+fn what_another_server_loses_is_no_failure() {
+    let (folder, set) = set();
+    std::fs::write(format!("{set}/1/0/0.exr"), "no heights").unwrap();
+    let mut server = Command::new(env!("CARGO_BIN_EXE_terrane"))
+        .args(["serve", &set, "--port", "0"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(server.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let address = line.trim().rsplit("http://").next().unwrap();
+    let (url, file) = (format!("http://me:hidden@{address}?key=hidden"), folder.path().join("report.json"));
+    let out = stress(&[&url, "--seed", "3", "--frames", "30", "--drawn", "0", "--report", file.to_str().unwrap()]);
+    let (said, report) = (String::from_utf8_lossy(&out.stdout).into_owned(), std::fs::read_to_string(file).unwrap());
+    server.kill().unwrap();
+    server.wait().unwrap();
+    assert!(out.status.success() && !said.contains(" 0 failed"), "{said}");
+    assert!(report.contains(address) && !report.contains("hidden"), "{report}");
+}
+
+#[test]
+fn what_goes_wrong_is_said() {
+    // A set whose contents are broken on disk: each is a failure that no fault explains.
+    let (_folder, set) = set();
+    let tiles = std::fs::read_dir(&set).unwrap().map(|entry| entry.unwrap().path());
+    let mut broken = 0;
+    let mut open: Vec<_> = tiles.collect();
+    while let Some(path) = open.pop() {
+        if path.is_dir() {
+            open.extend(std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path()));
+        } else if path.extension().is_some_and(|e| e == "exr") {
+            std::fs::write(path, b"no heights").unwrap();
+            broken += 1;
+        }
+    }
+    assert!(broken > 4);
+    // The first seed that reads from disk.
+    let out = stress(&[&set, "--seeds", "12", "--frames", "20", "--drawn", "0", "--faults", "none"]);
+    let said = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert_eq!(out.status.code(), Some(1), "{said}");
+    assert!(said.contains("FAILED disk") && said.contains("a good file that failed"), "{said}");
+    // What failed fails again, with all that was asked for.
+    let line = said.lines().find_map(|line| line.trim().strip_prefix("again: terrane stress ")).unwrap();
+    let again: Vec<&str> = line.split(' ').collect();
+    let (out, plan) = (stress(&again), said.split("    plan ").nth(1).unwrap());
+    let once_more = String::from_utf8_lossy(&out.stdout);
+    assert!(out.status.code() == Some(1) && once_more.contains("a good file that failed"), "{line}: {once_more}");
+    let out = stress(&[&again[..], &["--as-json"]].concat());
+    let report: Value = serde_json::from_slice(&out.stdout).unwrap();
+    assert_eq!(report["plan"].as_str(), plan.lines().next(), "{line}");
+
+    // A report that cannot be written is no reason to fly first.
+    let out = stress(&[&set, "--seeds", "2", "--frames", "5", "--report", &set]);
+    let said = String::from_utf8_lossy(&out.stderr);
+    assert!(out.status.code() == Some(1) && out.stdout.is_empty() && said.contains(&set), "{said}");
+
+    let out = stress(&["/no/such/set", "--seed", "1"]);
+    let said = String::from_utf8_lossy(&out.stderr).into_owned() + &String::from_utf8_lossy(&out.stdout);
+    assert!(out.status.code() == Some(1) && said.contains("/no/such"), "{said}");
+    for (arguments, word) in [(&["--drawn", "101"][..], "--drawn"), (&["--minutes=-1"], "--minutes")] {
+        let out = stress(arguments);
+        assert!(!out.status.success() && String::from_utf8_lossy(&out.stderr).contains(word));
+    }
+    assert_eq!(stress(&["--faults", "rain=1"]).status.code(), Some(2));
+}
