@@ -31,10 +31,7 @@ fn run(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<image:
 
 /// The picture and what was printed.
 fn run_and_listen(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<(image::RgbImage, String)> {
-    let traits = terrane::gpu::ContextTraits::default();
-    if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&traits) {
-        assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-        eprintln!("SKIPPED {name}: {error}");
+    if kit::skip::no_adapter() {
         return None;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -363,9 +363,7 @@ fn what_is_wrong_is_said_once_and_the_rest_is_drawn() {
 
 #[test]
 fn it_is_compiled_within_the_budget() {
-    let Some(mut rig) = new_rig([SIDE, SIDE]) else {
-        return eprintln!("it_is_compiled_within_the_budget: skipped: no adapter");
-    };
+    let Some(mut rig) = new_rig([SIDE, SIDE]) else { return };
     let before = rig.ctx.bytes_in_use();
     let square = Square { compile_time: Duration::from_millis(3), ..Square::new() };
     let drawables = (0..5).map(|_| square.drawable(RED)).collect();
@@ -384,9 +382,7 @@ fn it_is_compiled_within_the_budget() {
 
 #[test]
 fn it_is_made_ready_for_every_kind_of_target() {
-    let Some(mut rig) = new_rig([SIDE, SIDE]) else {
-        return eprintln!("it_is_made_ready_for_every_kind_of_target: skipped: no adapter");
-    };
+    let Some(mut rig) = new_rig([SIDE, SIDE]) else { return };
     let square = Square::new();
     let texture = TextureObject::target("picture", [SIDE, SIDE], TextureFormat::Rgba16Float);
     let camera = unit_camera(SIDE);

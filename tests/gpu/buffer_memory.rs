@@ -8,6 +8,7 @@ use kit::frames::{count, pixel};
 use kit::rig::{Rig, camera, new_rig, plain, unit_camera};
 use kit::shadows::{cuboid, ground, sunny, tower};
 use kit::shapes::quad;
+use kit::skip::skipped;
 use terrane::cull::CullCamera;
 use terrane::draw::{DrawStats, Environment};
 use terrane::scene::{
@@ -116,7 +117,7 @@ fn a_frame_without_memory_for_its_uniforms_is_left_out() {
 fn runs_without_memory_for_their_arguments_are_drawn_one_by_one() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     if !rig.ctx.device().features().contains(wgpu::Features::INDIRECT_FIRST_INSTANCE) {
-        return eprintln!("skipped: runs are always drawn one by one here");
+        return skipped("the adapter draws runs one by one");
     }
     let ball = |i: u32| {
         let place = DVec3::new(f64::from(i % 4), f64::from(i / 4), 0.0) * 0.5 - DVec3::new(0.75, 0.75, 0.0);

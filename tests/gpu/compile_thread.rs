@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::shapes::with_mips;
+use kit::skip::or_skip;
 use terrane::gpu::{AdapterChoice, CompileBudget, CompileOperation, GraphicsContext};
 use terrane::pager::PagerConfig;
 use terrane::scene::{DataVariance, DrawSlot, Drawable, Geometry, Material, Mesh, Node, NodeId, Page, Texture};
@@ -31,14 +32,7 @@ fn config(threading: ThreadingModel, compile_contexts: bool) -> ViewerConfig {
 
 fn context(compile_thread: bool) -> Option<GraphicsContext> {
     let traits = config(ThreadingModel::SingleThreaded, compile_thread).traits();
-    match GraphicsContext::new_offscreen(&traits) {
-        Ok(context) => Some(context),
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            None
-        }
-    }
+    or_skip(GraphicsContext::new_offscreen(&traits))
 }
 
 fn small_set(folder: &Path, content: terrane_data_gen::ContentKind) -> String {

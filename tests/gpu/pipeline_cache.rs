@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use kit::frames::count;
 use kit::rig::{Rig, plain, unit_camera};
 use kit::shapes::quad;
+use kit::skip::{or_skip, skipped};
 use terrane::draw::Renderer;
 use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
 use terrane::scene::Node;
@@ -16,14 +17,10 @@ const SIDE: u32 = 32;
 /// A context that keeps its pipelines in a folder, and what it said; `None`, said aloud, where that cannot be.
 fn keeping(test: &str, folder: &Path) -> Option<(GraphicsContext, Result<u64, GpuError>)> {
     let traits = ContextTraits { size_px: [SIDE, SIDE], adapter: AdapterChoice::Software, ..ContextTraits::default() };
-    let Ok(mut ctx) = GraphicsContext::new_offscreen(&traits) else {
-        assert!(std::env::var("REQUIRE_GPU").is_err());
-        eprintln!("{test}: skipped: no adapter");
-        return None;
-    };
+    let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
     match ctx.keep_pipelines(folder) {
         Err(error @ GpuError::NoPipelineCache { .. }) => {
-            eprintln!("{test}: skipped: {error}");
+            skipped(format!("{test}: {error}"));
             None
         }
         told => Some((ctx, told)),

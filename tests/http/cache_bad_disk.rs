@@ -10,6 +10,7 @@ use std::time::{Duration, SystemTime};
 use kit::pager::{Run, above};
 use kit::process::test_name;
 use kit::server::{Reply, Server};
+use kit::skip::skipped;
 use kit::tile_sets::{WORLD_M, write_quadtree};
 use terrane::io::{CacheConfig, CacheStats, HttpClient, HttpConfig, Limits};
 use terrane::pager::PagerConfig;
@@ -136,13 +137,13 @@ fn flown(privileges: Privileges, make: &str, url: &str, disk: &Path, cache: &Pat
     let output = match output {
         Ok(output) => output,
         Err(error) => {
-            eprintln!("SKIPPED: no disk of its own for a process: {error}");
+            skipped(format!("cannot mount a disk for one process: {error}"));
             return None;
         }
     };
     let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     if output.status.code() == Some(77) || err.contains("unshare failed") {
-        eprintln!("SKIPPED: no disk of its own for a process: {err}");
+        skipped(format!("cannot mount a disk for one process: {}", err.trim()));
         return None;
     }
     assert!(output.status.success(), "{out}{err}");
@@ -255,7 +256,7 @@ fn permission_denied_is_said_before_the_flight() {
     let text =
         output.as_ref().map_or(String::new(), |o| String::from_utf8_lossy(&[&*o.stdout, &*o.stderr].concat()).into());
     if output.is_err() || text.contains("unshare failed") {
-        eprintln!("SKIPPED: no process without privileges: {text}");
+        skipped(format!("cannot start a process without privileges: {}", text.trim()));
         return;
     }
     assert!(text.contains("REFUSED"), "{text}");

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use kit::pager::{Run, above};
 use kit::server::{How, Reply, Request, Server};
+use kit::skip::skipped;
 use kit::tile_sets::{WORLD_M, write_quadtree};
 use terrane::io::{CacheConfig, HttpClient, HttpConfig, IoError, Limits, StoreOption, inspect_with};
 use terrane::pager::PagerConfig;
@@ -129,7 +130,7 @@ fn has_keys_in_environment() -> bool {
         ["AWS_", "GOOGLE_", "AZURE_", "GCE_METADATA", "SERVICE_ACCOUNT"].iter().any(|p| name.starts_with(p))
     });
     if let Some((name, _)) = &found {
-        eprintln!("SKIPPED: {} is set", name.to_string_lossy());
+        skipped(format!("the environment has keys of its own: {} is set", name.to_string_lossy()));
     }
     found.is_some()
 }

@@ -9,7 +9,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use kit::pager::{Run, above};
+use kit::process::runs_alone;
 use kit::server::{Reply, Server};
+use kit::skip::skipped;
 use terrane::gpu::AdapterChoice;
 use terrane::io::write::{GlbMesh, write_glb};
 use terrane::io::{CacheConfig, HttpConfig, IoError, Limits};
@@ -238,7 +240,7 @@ fn files_that_cannot_be_read_are_told() {
         if std::fs::read(&other).is_err() {
             expected.push("ermission denied");
         } else {
-            eprintln!("SKIPPED in part: this user may read everything");
+            skipped("an unreadable file: this user may read everything");
         }
     }
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
@@ -267,6 +269,9 @@ impl log::Log for Count {
 
 #[test]
 fn thousands_of_failing_uris_are_one_list_and_no_storm() {
+    if runs_alone(module_path!(), "thousands_of_failing_uris_are_one_list_and_no_storm") {
+        return;
+    }
     const CHILDREN: usize = 5000;
     log::set_logger(&Count).unwrap();
     log::set_max_level(log::LevelFilter::Warn);

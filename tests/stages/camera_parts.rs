@@ -8,6 +8,7 @@ use kit::cameras::{no_errors, picture};
 use kit::frames::pixel;
 use kit::rig::{Rig, plain, rig, unit_camera};
 use kit::shapes::quad;
+use kit::skip::skipped;
 use terrane::scene::{
     Attachment, CameraNode, CameraTarget, ClearNode, Node, NodeKind, PictureSink, ReferenceFrame, RenderOrder,
 };
@@ -82,7 +83,7 @@ fn stencil_is_cleared_in_its_part() {
     let Some(mut rig) = rig("stencil_is_cleared_in_its_part") else { return };
     let rig = &mut *rig;
     if !rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8) {
-        eprintln!("SKIPPED: no stencil beside float depth");
+        skipped("the adapter has no stencil beside float depth");
         return;
     }
     let stencil = |function, pass| {

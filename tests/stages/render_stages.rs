@@ -7,11 +7,12 @@ use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DVec4};
 use image::RgbaImage;
 use kit::frames::{MAGENTA, count, pixel};
-use kit::rig::{Rig, new_rig, plain, rig, unit_camera};
+use kit::rig::{Rig, plain, rig, unit_camera};
 use kit::shapes::quad;
+use kit::skip::or_skip;
 use terrane::cull::CullCamera;
 use terrane::draw::{CameraCallbacks, Renderer};
-use terrane::gpu::{AdapterChoice, ContextTraits, GpuError, GraphicsContext};
+use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::scene::{
     AlphaMode, Attachment, CameraNode, CameraTarget, ClearNode, Drawable, Node, NodeKind, PictureSink, ReferenceFrame,
     RenderOrder, Scene,
@@ -604,17 +605,9 @@ fn callbacks_come_at_their_moments() {
 
 #[test]
 fn a_context_has_several_samples() {
-    if new_rig([8, 8]).is_none() {
-        eprintln!("a_context_has_several_samples: skipped: no adapter");
-        return;
-    }
     let traits =
         ContextTraits { size_px: [64, 64], adapter: AdapterChoice::Software, samples: 4, ..ContextTraits::default() };
-    let mut ctx = match GraphicsContext::new_offscreen(&traits) {
-        Ok(ctx) => ctx,
-        Err(GpuError::NoAdapter { .. }) => return,
-        Err(e) => panic!("{e}"),
-    };
+    let Some(mut ctx) = or_skip(GraphicsContext::new_offscreen(&traits)) else { return };
     let renderer = Renderer::new(&mut ctx);
     let mut rig = Rig::new(ctx, renderer);
     let slanted = Node::transform(DAffine3::from_rotation_z(0.3), vec![Node::geode(vec![square(0.0, [255; 3])])]);

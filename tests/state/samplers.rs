@@ -7,6 +7,7 @@ use image::RgbaImage;
 use kit::frames::{MAGENTA, pixel};
 use kit::rig::{Rig, plain, rig, unit_camera};
 use kit::shapes::quad;
+use kit::skip::skipped;
 use terrane::scene::Node;
 use terrane::state::{
     Attribute, FilterMode, Mode, Program, Sampler, StateSet, StateValue, TexGen, TextureBinding, TextureDimension,
@@ -101,7 +102,7 @@ fn anisotropy_keeps_what_is_squeezed_one_way() {
     let sharp = middle(FilterMode::Linear, 16);
     // An adapter without it takes one sample.
     if sharp == (false, true) && !rig.ctx.adapter_name().contains("llvmpipe") {
-        eprintln!("anisotropy_keeps_what_is_squeezed_one_way: skipped: no anisotropy");
+        skipped("the adapter has no anisotropic filter");
         return;
     }
     assert_eq!(sharp, (true, false), "16 samples");
@@ -233,7 +234,7 @@ fn images_of_floats_hold_what_they_were_given() {
         (&singles, [0.3, 0.0, 0.0], "vec4<f32>(-5.0e6, 0.0, 0.0, 1.0)"),
     ] {
         if texture.format == TextureFormat::R32Float && !can_filter {
-            eprintln!("images_of_floats_hold_what_they_were_given: skipped: single floats are not filtered");
+            skipped("the adapter does not filter single floats");
             continue;
         }
         let picture = draw(&mut rig, unlit(texture, NEAREST));

@@ -6,6 +6,7 @@ use glam::{DAffine3, DVec3};
 use kit::frames::{MAGENTA, count};
 use kit::rig::{Rig, camera, plain, rig, unit_camera};
 use kit::shapes::quad;
+use kit::skip::skipped;
 use kit::terrain::Terrain;
 use terrane::scene::{AlphaMode, Drawable, Geometry, Node, NodeKind};
 use terrane::state::{
@@ -385,7 +386,7 @@ fn stencils_mark_and_test() {
     let Some(mut rig) = rig("stencils_mark_and_test") else { return };
     let rig = &mut *rig;
     if !rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8) {
-        eprintln!("stencils_mark_and_test: skipped: no stencil beside float depth");
+        skipped("the adapter has no stencil beside float depth");
         return;
     }
     let face = |function, pass| StencilFace { function, pass, ..StencilFace::default() };

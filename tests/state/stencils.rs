@@ -7,6 +7,7 @@ use glam::{DAffine3, DVec3};
 use kit::frames::pixel;
 use kit::rig::{Rig, plain, rig, unit_camera};
 use kit::shapes::quad;
+use kit::skip::skipped;
 use terrane::draw::{Environment, Sky};
 use terrane::scene::Node;
 use terrane::state::{
@@ -147,7 +148,7 @@ fn check(rig: &mut Rig, cases: &[Case]) {
 fn has_stencils(rig: &Rig, test: &str) -> bool {
     let has = rig.ctx.device().features().contains(wgpu::Features::DEPTH32FLOAT_STENCIL8);
     if !has {
-        eprintln!("{test}: skipped: no stencil beside float depth");
+        skipped(format!("{test}: the adapter has no stencil beside float depth"));
     }
     has
 }

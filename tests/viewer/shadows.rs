@@ -8,6 +8,7 @@ use image::RgbaImage;
 use kit::frames::{MAGENTA, count};
 use kit::rig::{camera, rig};
 use kit::shadows::{check, cuboid, ground, meets, ray, sunny, tower};
+use kit::skip::skipped;
 use terrane::cull::{CullCamera, Stereo, StereoMode, SunShadows};
 use terrane::draw::Environment;
 use terrane::gpu::AdapterChoice;
@@ -200,8 +201,7 @@ fn slaves_have_shadows_of_their_own() {
 fn tiles_of_gltf_throw_shadows() {
     let samples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/samples/3d-tiles");
     if !samples.is_dir() {
-        eprintln!("tiles_of_gltf_throw_shadows: skipped: no samples at {}", samples.display());
-        return;
+        return skipped(format!("no sample tile sets at {}", samples.display()));
     }
     if rig("tiles_of_gltf_throw_shadows").is_none() {
         return;

@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use kit::process::runs_alone;
 use kit::skip::or_skip;
 use kit::viewer::Settle;
 use serde_json::Value;
@@ -36,6 +37,9 @@ fn assert_nested(spans: &mut [(f64, f64, String)]) {
 
 #[test]
 fn a_flight_is_recorded_whole() {
+    if runs_alone(module_path!(), "a_flight_is_recorded_whole") {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let set = folder.path().join("set");
     let args =

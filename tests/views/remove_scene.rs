@@ -1,9 +1,9 @@
 //! Scenes of a composite viewer that go while others stay. An adapter that draws nothing will do.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use glam::DVec3;
+use kit::process::runs_alone;
 use kit::shapes::ball;
 use kit::tile_sets::small_set;
 use kit::viewer::Settle;
@@ -14,12 +14,6 @@ use terrane::viewer::{CompositeViewer, ContextId, SceneId, ThreadingModel, ViewI
 
 /// What a device keeps for drawables without a texture.
 const WHITE_TEXEL_BYTES: u64 = 4;
-
-/// One test at a time: they count the threads of the process.
-fn alone() -> MutexGuard<'static, ()> {
-    static ALONE: Mutex<()> = Mutex::new(());
-    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// Whether there are threads of pagers in this process, or come to be; a thread has its name a moment after it starts, and
 /// is in the system's list a moment after it was joined.
@@ -99,7 +93,9 @@ impl Scenes {
 
 #[test]
 fn a_scene_that_goes_takes_what_is_its_own_and_no_more() {
-    let _alone = alone();
+    if runs_alone(module_path!(), "a_scene_that_goes_takes_what_is_its_own_and_no_more") {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     for model in ThreadingModel::ALL {
@@ -150,7 +146,9 @@ fn a_scene_that_goes_takes_what_is_its_own_and_no_more() {
 /// What is uploaded for it then is of nobody: neither kept, nor taken for what another scene of its number uploads.
 #[test]
 fn a_scene_goes_while_it_loads() {
-    let _alone = alone();
+    if runs_alone(module_path!(), "a_scene_goes_while_it_loads") {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     for shared in [false, true] {
@@ -177,7 +175,9 @@ fn a_scene_goes_while_it_loads() {
 
 #[test]
 fn the_image_pager_of_a_scene_goes_with_it() {
-    let _alone = alone();
+    if runs_alone(module_path!(), "the_image_pager_of_a_scene_goes_with_it") {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let mut none = Scenes::new("", 0, false, ThreadingModel::SingleThreaded);
     assert!(comes_to(false));

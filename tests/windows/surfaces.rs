@@ -11,6 +11,7 @@ use image::RgbaImage;
 use kit::display::Display;
 use kit::process::test_name;
 use kit::shapes::ball;
+use kit::skip::skipped_unless_required;
 use kit::viewer::Settle;
 use terrane::draw::Sky;
 use terrane::gpu::{AdapterChoice, SurfaceAnswer};
@@ -40,9 +41,9 @@ fn a_surface_comes_back_without_its_device_being_lost() {
         .output()
         .unwrap();
     let said = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    said.lines().filter(|line| line.contains("SKIPPED") || line.contains("checked")).for_each(|l| println!("{l}"));
+    said.lines().filter(|line| line.contains("skipped") || line.contains("checked")).for_each(|l| println!("{l}"));
     assert!(output.status.success(), "{}: {said}", output.status);
-    assert!(said.contains("checked") || said.contains("SKIPPED"), "{said}");
+    assert!(said.contains("checked") || said.contains("skipped"), "{said}");
 }
 
 /// What the other test runs.
@@ -101,8 +102,7 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     let mut viewer = match Viewer::new_window(Arc::clone(window), &config) {
         Ok(viewer) => viewer,
         Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            println!("SKIPPED: {error}");
+            skipped_unless_required(error);
             return false;
         }
     };

@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use glam::DVec3;
 use kit::display::Display;
 use kit::process::test_name;
+use kit::skip::skipped_unless_required;
 use terrane::gpu::{AdapterChoice, GraphicsContext};
 use terrane::scene::{Drawable, Geometry, Material, Mesh, Node, Page};
 use terrane::viewer::{ContextId, Slave, ThreadingModel, Viewer, ViewerConfig};
@@ -41,7 +42,7 @@ fn churn(switches: u64) {
         .unwrap();
     let said = String::from_utf8_lossy(&output.stdout);
     let all = format!("{said}{}", String::from_utf8_lossy(&output.stderr));
-    said.lines().filter(|line| line.contains("windows") || line.contains("SKIPPED")).for_each(|l| println!("{l}"));
+    said.lines().filter(|line| line.contains("windows") || line.contains("skipped")).for_each(|l| println!("{l}"));
     assert!(output.status.success(), "{}: {all}", output.status);
 }
 
@@ -166,8 +167,7 @@ impl Churn {
         let context = match GraphicsContext::new_window(Arc::clone(&window), &traits) {
             Ok(context) => context,
             Err(error) => {
-                assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-                println!("SKIPPED: {error}");
+                skipped_unless_required(error);
                 self.has_adapter = false;
                 event_loop.exit();
                 return;

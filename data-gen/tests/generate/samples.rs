@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 
 use crate::files::{region, tileset};
+use kit::skip::skipped;
 use terrane_data_gen::{GenArgs, Raster, run};
 
 fn samples() -> Option<PathBuf> {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/samples/dem");
     if !folder.is_dir() {
-        eprintln!("skipped: no samples at {}", folder.display());
+        skipped(format!("no sample elevation files at {}", folder.display()));
         return None;
     }
     Some(folder)

@@ -1,4 +1,4 @@
-//! Cameras in the scene graph that draw to a texture, and the frames that are read back from them.
+//! Cameras in the scene graph that draw to a texture, and the images that are read back from them.
 
 use std::sync::Arc;
 
@@ -10,13 +10,16 @@ use terrane::state::{TextureFormat, TextureObject};
 
 use crate::rig::Rig;
 
-/// A camera to a texture that sees what another one does.
+/// Returns a camera node with the pose, projection and size of `camera` that draws to a texture.
 pub fn like(camera: &CullCamera) -> CameraNode {
     let texture = TextureObject::target("picture", camera.viewport_px, TextureFormat::Rgba8Srgb);
     CameraNode::to_texture(texture, camera.eye_from_world, camera.clip_from_eye)
 }
 
-/// What a camera to a texture draws while the main one, which is not looked at, is elsewhere.
+/// Returns the image that a camera node draws of its children, and the counts of that frame.
+///
+/// The main camera looks from `elsewhere` in the environment `main`; its image is not read. Panics after 200 frames
+/// without an image.
 pub fn drawn(
     rig: &mut Rig,
     mut node: CameraNode,
@@ -36,10 +39,10 @@ pub fn drawn(
             return (RgbaImage::from_raw(width, height, picture.texels).unwrap(), stats);
         }
     }
-    panic!("no picture came");
+    panic!("no image was read back in 200 frames");
 }
 
-/// The main picture of something from a camera.
+/// Returns the image that the main camera draws of a node.
 pub fn picture(rig: &mut Rig, node: Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
     let scene = rig.scene(node);
     let picture = rig.picture(&scene, camera, environment);
@@ -47,6 +50,7 @@ pub fn picture(rig: &mut Rig, node: Node, camera: &CullCamera, environment: &Env
     picture
 }
 
+/// Panics if the renderer has reported errors.
 pub fn no_errors(rig: &mut Rig) {
     let errors = rig.renderer.take_errors();
     assert!(errors.is_empty(), "{errors:?}");

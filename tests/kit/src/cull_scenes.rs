@@ -1,4 +1,4 @@
-//! Scenes that the cull tests and benches share.
+//! Scenes without a GPU for the tests and benches of cull: a grid of drawables and a quadtree of tiles.
 
 use std::sync::Arc;
 
@@ -11,14 +11,14 @@ use terrane::scene::{
 };
 use terrane::state::StateSet;
 
-/// A drawable without vertices: cull reads only its bound.
+/// Returns a drawable without vertices: cull reads only its bound.
 pub fn drawable(bounds: Aabb) -> Drawable {
     let mesh =
         Mesh { vertices: Vec::new(), indices: Arc::new([]), topology: Topology::Triangles, bounds, ..Mesh::default() };
     Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())
 }
 
-/// A page whose drawables are compiled for context 0 to the slots `first..`.
+/// Returns a page whose drawables are uploaded in context 0, to the slots from `first` on.
 pub fn page(root: Node, first: u32) -> Page {
     let mut page = Page::from_node(root).unwrap();
     let count = page.drawable_count() as u32;
@@ -27,13 +27,18 @@ pub fn page(root: Node, first: u32) -> Page {
     page
 }
 
-/// The grid of the `osg_cull` peer: `gx * gy` cells cut recursively in four, odd depths are transforms.
+/// A grid of `gx * gy` cells, divided recursively in four; groups of odd depth are transforms.
+///
+/// The program `osg_cull` in `tools/peers` builds the same.
 pub struct Grid {
+    /// Number of cells along x.
     pub gx: u32,
+    /// Number of cells along y.
     pub gy: u32,
 }
 
 impl Grid {
+    /// Creates a grid of exactly that many cells, as square as possible.
     pub fn new(cells: u32) -> Self {
         let mut gx = f64::from(cells).sqrt() as u32;
         while !cells.is_multiple_of(gx) {
@@ -42,6 +47,7 @@ impl Grid {
         Self { gx, gy: cells / gx }
     }
 
+    /// Returns the root node. The state sets are spread over the cells by a hash of their numbers.
     pub fn build(&self, sets: &[Arc<StateSet>]) -> Node {
         self.rect([0, 0, self.gx, self.gy], 0, DVec3::ZERO, sets)
     }
@@ -75,7 +81,7 @@ impl Grid {
         node
     }
 
-    /// The peer's cameras: `tenth`, `all`, `tilted`.
+    /// Returns a camera that sees a tenth of the cells (`tenth`), all from above (`all`), or all obliquely (`tilted`).
     pub fn camera(&self, view: &str) -> CullCamera {
         let (gx, gy) = (f64::from(self.gx), f64::from(self.gy));
         let side = if view == "tenth" { (0.1 * gx * gy).sqrt() } else { gx.max(gy) * 1.02 };
@@ -92,23 +98,25 @@ impl Grid {
     }
 }
 
-/// State sets that differ only in identity.
+/// Returns copies of a state set that are equal and not the same object.
 pub fn state_sets(count: usize, set: &StateSet) -> Vec<Arc<StateSet>> {
     (0..count).map(|_| Arc::new(set.clone())).collect()
 }
 
-/// A camera at a place, 60 degrees, 1024 x 1024.
+/// Returns a camera at `eye` with a field of view of 60 degrees and 1024 x 1024 pixels.
 pub fn look_at(eye: DVec3, target: DVec3, up: DVec3) -> CullCamera {
     let eye_from_world = DAffine3::from_mat4(glam::dcamera::rh::view::look_at_mat4(eye, target, up));
     CullCamera { eye_from_world, ..CullCamera::default() }
 }
 
-/// A square of terrain, 1 m high.
+/// Returns the box of a square of terrain, 1 m above and below its center.
 pub fn square_box(center: DVec3, half_m: f64) -> OrientedBox {
     OrientedBox { center, half_axes: DMat3::from_diagonal(DVec3::new(half_m, half_m, 1.0)) }
 }
 
-/// A quadtree of tiles over a square of `2 * half_m` metres; errors halve from `error_m`. URIs name the place.
+/// Returns a quadtree of tiles over a square of `2 * half_m` metres; geometric errors halve from `error_m`.
+///
+/// URIs are `0` for the root and the digit of the child, 0 to 3, for each level below it.
 pub fn quadtree(levels: u32, half_m: f64, error_m: f64, refine: Refine) -> Node {
     quad(levels, DVec3::ZERO, half_m, error_m, refine, "0")
 }
@@ -135,7 +143,7 @@ fn quad(levels: u32, center: DVec3, half_m: f64, error_m: f64, refine: Refine, n
     node
 }
 
-/// Content of a tile: one drawable around the origin, at a slot.
+/// Returns the content of a tile: one drawable around the origin, uploaded to `slot`.
 pub fn content(half_m: f64, slot: u32) -> Page {
     let half = DVec3::new(half_m, half_m, 1.0);
     page(Node::geode(vec![drawable(Aabb { min: -half, max: half })]), slot)

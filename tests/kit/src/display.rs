@@ -1,22 +1,22 @@
-//! Virtual displays for the tests that open windows.
+//! Virtual displays (Xvfb) for the tests that open windows.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};
 
 use crate::skip::skipped_unless_required;
 
-/// A virtual display; ends on drop.
+/// A virtual display. The server ends on drop.
 pub struct Display {
     xvfb: Child,
-    /// As `DISPLAY` has it.
+    /// The value for the variable `DISPLAY`.
     pub name: String,
 }
 
 impl Display {
-    /// `None`, said aloud, where there is no Xvfb (a failure with REQUIRE_GPU=1, as in CI).
+    /// Starts a server; returns `None`, and skips the test, if Xvfb is not installed.
     pub fn start([width, height]: [u32; 2]) -> Option<Self> {
         let screen = format!("{width}x{height}x24");
-        // Without -noreset the server starts over when its last client goes, and drops who connects just then.
+        // Without -noreset the server resets after its last client, and drops a client that connects meanwhile.
         let xvfb = Command::new("Xvfb")
             .args(["-noreset", "-displayfd", "1", "-screen", "0", &screen, "-nolisten", "tcp"])
             .stdout(Stdio::piped())

@@ -4,22 +4,24 @@ use std::path::{Path, PathBuf};
 
 use image::RgbaImage;
 
-/// Pixels of a color that no test draws on purpose.
+/// The background of [`crate::rig::plain`]: a color that no test draws on purpose.
 pub const MAGENTA: [u8; 3] = [255, 0, 255];
 
-/// Red, green and blue of a pixel.
+/// Returns red, green and blue of a pixel.
 pub fn pixel(picture: &RgbaImage, x: u32, y: u32) -> [u8; 3] {
     let [r, g, b, _] = picture.get_pixel(x, y).0;
     [r, g, b]
 }
 
-/// Number of pixels of a color.
+/// Returns the number of pixels of a color.
 pub fn count(picture: &RgbaImage, rgb: [u8; 3]) -> usize {
     picture.pixels().filter(|p| p.0[..3] == rgb).count()
 }
 
-/// Compares with the reference of that name. `UPDATE_IMAGES=1` accepts; a failure leaves the picture and the
-/// difference beside the reference.
+/// Compares a frame with the reference image `tests/images/NAME.png`.
+///
+/// With `UPDATE_IMAGES=1` the frame becomes the reference. A failure leaves the frame and the difference, times eight,
+/// beside it.
 pub fn assert_picture(name: &str, picture: &RgbaImage) {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../images");
     let reference_path = folder.join(format!("{name}.png"));
@@ -29,7 +31,7 @@ pub fn assert_picture(name: &str, picture: &RgbaImage) {
         return;
     }
     let reference = image::open(&reference_path)
-        .unwrap_or_else(|e| panic!("{}: {e}; UPDATE_IMAGES=1 makes it", reference_path.display()))
+        .unwrap_or_else(|e| panic!("{}: {e}; UPDATE_IMAGES=1 writes it", reference_path.display()))
         .to_rgba8();
     assert_eq!(picture.dimensions(), reference.dimensions(), "{name}");
     let mut differences: Vec<u8> = picture
@@ -53,14 +55,14 @@ pub fn assert_picture(name: &str, picture: &RgbaImage) {
     }
 }
 
-/// `KEEP_IMAGES=DIR` keeps the pictures to look at.
+/// Saves a frame as `DIR/NAME.png` if the variable `KEEP_IMAGES` names a folder, to look at it.
 pub fn keep(name: &str, picture: &RgbaImage) {
     if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
         picture.save(Path::new(&folder).join(format!("{name}.png"))).unwrap();
     }
 }
 
-/// Pixels that differ by more than that.
+/// Returns the number of pixels that differ by more than `by` in red, green or blue.
 pub fn differ(a: &RgbaImage, b: &RgbaImage, by: u8) -> usize {
     assert_eq!(a.dimensions(), b.dimensions());
     let far = |a: &[u8], b: &[u8]| a.iter().zip(b).take(3).any(|(a, b)| a.abs_diff(*b) > by);

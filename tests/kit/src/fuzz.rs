@@ -1,18 +1,21 @@
-//! Changing bytes that are well, so that they are nearly well: what the tests of all parsers share.
+//! Fuzzing of parsers: valid inputs are changed in a few bytes and parsed, for a given time.
 
 use std::time::{Duration, Instant};
 
-/// Seconds for each parser in `FUZZ_SECS`; without it a moment.
+/// Returns the seconds for each parser: `FUZZ_SECS`, or 5 with `TERRANE_LONG_TESTS=1`, or 0.2.
 pub fn seconds() -> f64 {
-    std::env::var("FUZZ_SECS").ok().and_then(|s| s.parse().ok()).unwrap_or(0.4)
+    let usual = if crate::long_tests() { 5.0 } else { 0.2 };
+    std::env::var("FUZZ_SECS").ok().and_then(|s| s.parse().ok()).unwrap_or(usual)
 }
 
-/// Longer than this for one input is a hang.
-const MOST_TIME: Duration = Duration::from_secs(10);
+/// A parser that takes longer for one input hangs.
+const MAX_TIME: Duration = Duration::from_secs(10);
 
+/// Random numbers (SplitMix64) from a seed.
 pub struct Random(pub u64);
 
 impl Random {
+    /// Returns the next number.
     pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -21,6 +24,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
+    /// Returns a number from 0, below `n`; 0 if `n` is 0.
     pub fn below(&mut self, n: usize) -> usize {
         (self.next() % n.max(1) as u64) as usize
     }
@@ -45,7 +49,7 @@ const NUMBERS: [&str; 14] = [
 const WORDS: [u64; 12] =
     [0, 1, 0x7f, 0x80, 0xff, 0x7fff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 0x7fff_ffff_ffff_ffff, u64::MAX];
 
-/// The bytes with one to six changes.
+/// Returns the bytes with one to six changes, of which some copy pieces of `other`; at most 1 MiB.
 pub fn changed(random: &mut Random, bytes: &[u8], other: &[u8]) -> Vec<u8> {
     let mut out = bytes.to_vec();
     for _ in 0..1 + random.below(6) {
@@ -62,7 +66,7 @@ fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
         0 | 1 if length > 0 => out[at] ^= 1 << random.below(8),
         2 if length > 0 => out[at] = random.next() as u8,
         3 if length > 0 => {
-            // A number that is written in binary.
+            // Replaces a binary number.
             let size = [1, 2, 4, 8][random.below(4)];
             let word = WORDS[random.below(WORDS.len())].to_le_bytes();
             for (place, byte) in out[at..].iter_mut().zip(&word[..size]) {
@@ -70,7 +74,7 @@ fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
             }
         }
         4 if length > 0 => {
-            // A number that is written in digits.
+            // Replaces a decimal number.
             let is_digit = |b: &u8| b.is_ascii_digit() || matches!(b, b'.' | b'-');
             if let Some(start) = out[at..].iter().position(is_digit).map(|p| p + at) {
                 let end = out[start..].iter().position(|b| !is_digit(b)).map_or(length, |p| p + start);
@@ -103,17 +107,21 @@ fn change(random: &mut Random, out: &mut Vec<u8>, other: &[u8]) {
     }
 }
 
-/// Panics where a parser must not do what it does.
+/// A parser with the checks of its result; panics if one fails.
 pub type Parse = Box<dyn FnMut(&[u8])>;
 
-/// A parser of outside data: its name, inputs that are well, and what is done with any input.
+/// A parser of outside data with valid inputs.
 pub struct Parser {
+    /// Name for messages and for `FUZZ_PARSER`.
     pub name: &'static str,
+    /// Valid inputs, which are changed.
     pub seeds: Vec<Vec<u8>>,
+    /// Parses one input.
     pub parse: Parse,
 }
 
 impl Parser {
+    /// Creates a parser.
     pub fn new(
         name: &'static str,
         seeds: impl IntoIterator<Item = impl AsRef<[u8]>>,
@@ -123,12 +131,12 @@ impl Parser {
     }
 }
 
-/// A test for each function that makes a [`Parser`], and all of them for other programs.
+/// Defines a test for each function that returns a [`Parser`](crate::fuzz::Parser), and `all`, which returns them all.
 #[macro_export]
 macro_rules! parsers {
     ($($parser:ident),* $(,)?) => {
-        /// All parsers of this file.
-        #[allow(dead_code, reason = "the guided fuzzer asks for them")]
+        /// Returns all parsers of this file.
+        #[allow(dead_code, reason = "called by the guided fuzzer in tests/fuzz")]
         pub fn all() -> Vec<$crate::fuzz::Parser> {
             vec![$($parser()),*]
         }
@@ -143,7 +151,9 @@ macro_rules! parsers {
     };
 }
 
-/// Feeds a parser with changed seeds for the time that is given; what made it panic is left in a file.
+/// Parses changed seeds for [`seconds`], from the random seed `FUZZ_SEED`.
+///
+/// Panics with the name of a file that holds the input if the parser panics or hangs.
 pub fn run(Parser { name, seeds, mut parse }: Parser) {
     let start = Instant::now();
     let until = Duration::from_secs_f64(seconds());
@@ -153,7 +163,7 @@ pub fn run(Parser { name, seeds, mut parse }: Parser) {
         parse(seed);
     }
     let (mut count, mut slowest) = (0u64, Duration::ZERO);
-    // What was changed once is sometimes changed again.
+    // Some changed inputs are kept and changed again.
     let mut kept: Vec<Vec<u8>> = Vec::new();
     while start.elapsed() < until {
         let all = seeds.len() + kept.len();
@@ -163,7 +173,7 @@ pub fn run(Parser { name, seeds, mut parse }: Parser) {
         let begin = Instant::now();
         let parsed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| parse(&input)));
         let took = begin.elapsed();
-        if parsed.is_err() || took > MOST_TIME {
+        if parsed.is_err() || took > MAX_TIME {
             let file = std::env::temp_dir().join(format!("fuzz-{name}-{count}"));
             std::fs::write(&file, &input).unwrap();
             panic!("{name}: input {count} of FUZZ_SEED={first}, kept in {}, took {took:?}", file.display());

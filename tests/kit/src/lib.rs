@@ -19,3 +19,8 @@ pub mod skip;
 pub mod terrain;
 pub mod tile_sets;
 pub mod viewer;
+
+/// Returns true with `TERRANE_LONG_TESTS=1`: tests of random inputs run all of them instead of a sample.
+pub fn long_tests() -> bool {
+    std::env::var_os("TERRANE_LONG_TESTS").is_some_and(|v| v == "1")
+}

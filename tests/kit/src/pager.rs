@@ -9,21 +9,22 @@ use terrane::io::{Limits, ReadOptions, root_uri};
 use terrane::pager::{CompileContext, DatabasePager, PagerConfig};
 use terrane::scene::{DrawSlot, Drawable, Geometry, Page, Scene};
 
-/// Bytes that the context says a page takes.
+/// GPU bytes that the context reports for each page.
 pub const PAGE_GPU_BYTES: u64 = 1000;
 
-/// Compiles at once, and counts the slots that are out.
+/// A context that uploads nothing: operations complete at once, and slots in use are counted.
 #[derive(Default)]
 pub struct Context {
     done: Vec<Compiled>,
+    /// Slots that were handed out and not released.
     pub slots_out: u64,
-    /// Operations that nobody waits for any more.
+    /// Number of operations that the pager has cancelled.
     pub cancelled: usize,
-    /// Pages take as many bytes as their meshes have vertices, instead of [`PAGE_GPU_BYTES`].
+    /// Reports a byte per vertex of a page's meshes instead of [`PAGE_GPU_BYTES`].
     pub counts_vertices: bool,
-    /// What is compiled is kept back.
+    /// Withholds completed operations.
     pub holds: bool,
-    /// Compiles when it is given time for it, not at once.
+    /// Completes operations only in `run_compiles` with a time budget.
     pub waits: bool,
     waiting: Vec<Compiled>,
 }
@@ -68,22 +69,27 @@ impl CompileContext for Context {
     }
 }
 
-/// A tile set under way.
+/// A tile set that is culled and paged frame by frame.
 pub struct Run {
+    /// The scene with the tile set.
     pub scene: Scene,
+    /// The pager under test.
     pub pager: DatabasePager,
+    /// The only context.
     pub context: Context,
+    /// Result of the last cull.
     pub stage: RenderStage,
+    /// Number of the last frame.
     pub frame: u32,
-    /// Bytes of the root tileset.
+    /// Bytes read for the root tileset.
     pub root_bytes: u64,
-    /// How coarse tiles may look.
+    /// Largest screen-space error of a drawn tile, in pixels.
     pub max_sse_px: f64,
     visitor: CullVisitor,
 }
 
 impl Run {
-    /// Reads the root of a folder or a URL.
+    /// Reads the root tileset of a folder or a URL.
     pub fn new(source: &str, config: PagerConfig) -> Self {
         let uri = root_uri(source).unwrap();
         let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
@@ -91,7 +97,7 @@ impl Run {
         Self::with(pager, root)
     }
 
-    /// A page of the test's own, with contents below a folder.
+    /// Starts from a page that the test has made, with contents below a folder.
     pub fn of_page(root: Page, folder: &str, config: PagerConfig) -> Self {
         let options = ReadOptions::for_root(&root_uri(folder).unwrap(), Limits::default());
         Self::with(DatabasePager::new(config, options).unwrap(), root)
@@ -106,12 +112,12 @@ impl Run {
         Self { scene, pager, context, stage, frame: 0, root_bytes, max_sse_px, visitor }
     }
 
-    /// A frame that looks straight down.
+    /// Culls and updates one frame of a camera that looks straight down from `eye`.
     pub fn frame(&mut self, eye: DVec3) {
         self.frame_with(eye, &[]);
     }
 
-    /// As [`Self::frame`], with requests besides the cull's.
+    /// Does the same as [`Self::frame`], with requests besides the cull's.
     pub fn frame_with(&mut self, eye: DVec3, others: &[PageRequest]) {
         self.cull(eye);
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
@@ -120,7 +126,7 @@ impl Run {
         self.check_counters();
     }
 
-    /// The cull of a frame.
+    /// Culls the next frame without an update of the pager.
     pub fn cull(&mut self, eye: DVec3) {
         self.frame += 1;
         let eye_from_world = DAffine3::from_translation(-eye);
@@ -129,7 +135,7 @@ impl Run {
         self.visitor.cull(&self.scene, &camera, &mut self.stage);
     }
 
-    /// Each request has ended in one way or is under way, and each failure is told.
+    /// Checks that each request has ended in exactly one way or is in flight, and that each failure is reported.
     pub fn check_counters(&self) {
         let s = self.pager.stats();
         let ended = s.merged + s.failed + s.cancelled + s.stale + s.declined + s.dropped;
@@ -139,7 +145,7 @@ impl Run {
         assert_eq!(told, s.failed + s.drawables_failed, "{s:?}");
     }
 
-    /// Frames until something holds, for a minute at most.
+    /// Runs frames until `done` returns true; panics with `what` after a minute.
     pub fn until(&mut self, eye: DVec3, what: &str, done: impl Fn(&Self) -> bool) {
         let end = Instant::now() + Duration::from_secs(60);
         while !done(self) {
@@ -149,13 +155,13 @@ impl Run {
         }
     }
 
-    /// Loads and merges what was asked for, as if the disk had no more to do.
+    /// Loads and merges all requested pages, for at most a minute.
     pub fn work_until_idle(&mut self) {
         let contexts: &mut [&mut dyn CompileContext] = &mut [&mut self.context];
         self.pager.work_until(&mut self.scene, contexts, Instant::now() + Duration::from_secs(60));
     }
 
-    /// Frames until nothing is wanted and nothing under way, and one more.
+    /// Runs frames until nothing is requested or in flight, and one more.
     pub fn settle(&mut self, eye: DVec3) {
         self.frame(eye);
         self.until(eye, "does not settle", |r| r.pager.is_idle() && r.stage.requests.is_empty());
@@ -163,7 +169,7 @@ impl Run {
     }
 }
 
-/// Above the origin.
+/// Returns the point above the origin.
 pub fn above(height_m: f64) -> DVec3 {
     DVec3::new(0.0, 0.0, height_m)
 }

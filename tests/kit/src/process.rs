@@ -1,4 +1,4 @@
-//! Tests that need a process of their own: they count its threads, install its logger or start its one recording.
+//! Tests that need a separate process: they count its threads, install its logger or start its one recording.
 
 use std::process::Command;
 

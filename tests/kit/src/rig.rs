@@ -12,21 +12,26 @@ use terrane::scene::{Drawable, Node, Page, Scene};
 use crate::frames::MAGENTA;
 use crate::skip::{or_skip, skipped};
 
-/// A context, its renderer and a visitor.
+/// A context with its renderer, a cull visitor and the stage that it fills.
 pub struct Rig {
+    /// The context.
     pub ctx: GraphicsContext,
+    /// The context's renderer.
     pub renderer: Renderer,
+    /// The visitor of all culls.
     pub visitor: CullVisitor,
+    /// Result of the last cull.
     pub stage: RenderStage,
     ticket: u64,
 }
 
 impl Rig {
+    /// Creates a rig of a context and its renderer.
     pub fn new(ctx: GraphicsContext, renderer: Renderer) -> Self {
         Self { ctx, renderer, visitor: CullVisitor::new(), stage: RenderStage::new(), ticket: 0 }
     }
 
-    /// Uploads drawables at once.
+    /// Uploads drawables within the call.
     pub fn compile(&mut self, drawables: Vec<Drawable>) -> Compiled {
         self.ticket += 1;
         self.ctx.compile(CompileOperation { ticket: self.ticket, drawables });
@@ -38,7 +43,7 @@ impl Rig {
         compiled
     }
 
-    /// A scene of one page with everything uploaded.
+    /// Returns a scene of one page whose drawables are uploaded.
     pub fn scene(&mut self, root: Node) -> Scene {
         let mut page = Page::from_node(root).unwrap();
         let compiled = self.compile(page.take_drawables());
@@ -49,7 +54,7 @@ impl Rig {
         scene
     }
 
-    /// Gives a scene's drawables back.
+    /// Releases the uploaded drawables of a scene.
     pub fn release(&mut self, mut scene: Scene) {
         for id in scene.roots().to_vec() {
             for (_, slots) in scene.remove_root(id).unwrap().take_draw_slots() {
@@ -58,7 +63,7 @@ impl Rig {
         }
     }
 
-    /// Culls and draws.
+    /// Culls and draws a frame; panics if the device reports an error.
     pub fn draw(&mut self, scene: &Scene, camera: &CullCamera, environment: &Environment) -> DrawStats {
         self.ctx.resize(camera.viewport_px).unwrap();
         self.visitor.environment = Some(*environment);
@@ -69,17 +74,21 @@ impl Rig {
         stats
     }
 
+    /// Draws a frame and reads it back.
     pub fn picture(&mut self, scene: &Scene, camera: &CullCamera, environment: &Environment) -> RgbaImage {
         self.draw(scene, camera, environment);
         self.read_back()
     }
 
+    /// Reads back the last frame.
     pub fn read_back(&mut self) -> RgbaImage {
         self.renderer.read_back(&mut self.ctx).unwrap()
     }
 }
 
-/// The program's rig; `None`, said aloud, where there is no adapter (a failure with REQUIRE_GPU=1).
+/// Locks the process's only rig; returns `None`, and skips the test, if there is no adapter.
+///
+/// Tests that use it run one at a time. A test that needs a new context takes [`new_rig`].
 pub fn rig(test: &str) -> Option<MutexGuard<'static, Rig>> {
     static RIG: OnceLock<Option<Mutex<Rig>>> = OnceLock::new();
     let rig = RIG.get_or_init(|| new_rig([256, 256]).map(Mutex::new));
@@ -92,6 +101,7 @@ pub fn rig(test: &str) -> Option<MutexGuard<'static, Rig>> {
     }
 }
 
+/// Creates a rig on the software adapter; returns `None`, and skips the test, if there is none.
 pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
     let traits =
         ContextTraits { size_px, adapter: AdapterChoice::Software, validation: false, ..ContextTraits::default() };
@@ -100,7 +110,7 @@ pub fn new_rig(size_px: [u32; 2]) -> Option<Rig> {
     Some(Rig::new(ctx, renderer))
 }
 
-/// No haze, no tone mapping, a magenta background, z up.
+/// Returns an environment without haze and tone mapping, with a magenta background and z up.
 pub fn plain() -> Environment {
     Environment {
         sky: Sky::Background(MAGENTA),
@@ -110,7 +120,7 @@ pub fn plain() -> Environment {
     }
 }
 
-/// A camera at a place, looking at another.
+/// Returns a camera at `eye` that looks at `target`, with a field of view of one radian.
 pub fn camera(size_px: [u32; 2], eye: DVec3, target: DVec3, up: DVec3) -> CullCamera {
     let aspect = f64::from(size_px[0]) / f64::from(size_px[1]);
     let view = glam::dcamera::rh::view::look_at_mat4(eye, target, up);
@@ -122,7 +132,8 @@ pub fn camera(size_px: [u32; 2], eye: DVec3, target: DVec3, up: DVec3) -> CullCa
     }
 }
 
-/// A camera whose picture's plane at z = 0 spans -1 to 1 in x and y (nearly: a perspective one, far away).
+/// Returns a camera whose image spans -1 to 1 in x and y of the plane z = 0. It is a perspective camera at a distance
+/// of 10.
 pub fn unit_camera(size_px: u32) -> CullCamera {
     let distance = 10.0f64;
     let view = glam::dcamera::rh::view::look_at_mat4(DVec3::new(0.0, 0.0, distance), DVec3::ZERO, DVec3::Y);

@@ -1,4 +1,5 @@
-//! A server on this machine that answers as a test says: HTTP/1.1 with keep-alive, a thread a connection.
+//! An HTTP/1.1 server on this machine whose replies, and their faults, a test decides. It keeps connections alive and
+//! starts a thread for each.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -6,75 +7,90 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-/// What came.
+/// A request as it arrived.
 #[derive(Clone, Debug)]
 pub struct Request {
-    /// As in the request line: with the query, and whole where the client takes this for its proxy.
+    /// The target of the request line, with the query; an absolute URL if the client uses the server as its proxy.
     pub target: String,
-    /// Names in lower case.
+    /// Names, in lower case, and values.
     pub headers: Vec<(String, String)>,
-    /// Number of the connection.
+    /// Number of the connection, from 0.
     pub connection: usize,
-    /// Number of the request for that target, from 0.
+    /// Number of earlier requests for the same target.
     pub nth: usize,
 }
 
 impl Request {
+    /// Returns the target without the query.
     pub fn path(&self) -> &str {
         self.target.split('?').next().unwrap()
     }
 
+    /// Returns the first header of that name, given in lower case.
     pub fn header(&self, name: &str) -> Option<&str> {
         self.headers.iter().find(|(n, _)| n == name).map(|(_, v)| v.as_str())
     }
 }
 
-/// How the body goes out.
+/// How a reply is sent: whole, or with a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum How {
+    /// With `Content-Length`.
     Whole,
+    /// In chunks of 1,000 bytes.
     Chunked,
-    /// A byte each 20 ms.
+    /// A byte every 20 ms.
     Slowly,
-    /// Half of what is announced, then the end of the connection.
+    /// Half of the announced bytes, then the connection is closed.
     Cut,
-    /// Half of what is announced, then nothing.
+    /// Half of the announced bytes, then nothing until the client closes the connection.
     Stall,
-    /// No head at all.
+    /// Nothing, not even a head, until the client closes the connection.
     Silent,
-    /// The end of the connection instead of an answer.
+    /// The connection is closed instead of a reply.
     Reset,
 }
 
+/// A reply, sent whole and at once unless changed.
 #[derive(Clone, Debug)]
 pub struct Reply {
+    /// Status code.
     pub status: u16,
+    /// Names and values besides those that say how the body is sent.
     pub headers: Vec<(String, String)>,
+    /// The body.
     pub body: Vec<u8>,
+    /// How the reply is sent.
     pub how: How,
+    /// Time before the reply is sent.
     pub delay: Duration,
 }
 
 impl Reply {
+    /// Creates a reply.
     pub fn new(status: u16, body: impl Into<Vec<u8>>) -> Self {
         Self { status, headers: Vec::new(), body: body.into(), how: How::Whole, delay: Duration::ZERO }
     }
 
+    /// Creates a reply with status 200.
     pub fn ok(body: impl Into<Vec<u8>>) -> Self {
         Self::new(200, body)
     }
 
+    /// Adds a header.
     pub fn with(mut self, name: &str, value: impl ToString) -> Self {
         self.headers.push((name.to_owned(), value.to_string()));
         self
     }
 
+    /// Sets how the reply is sent.
     pub fn how(mut self, how: How) -> Self {
         self.how = how;
         self
     }
 
-    /// The part of the body that a `Range` header asks for, or the whole without one.
+    /// Returns the part of the body that the request's `Range` header asks for (status 206, or 416 out of range), or the
+    /// whole without the header.
     pub fn ranged(self, request: &Request) -> Self {
         let Some(range) = request.header("range").and_then(|r| r.strip_prefix("bytes=")) else { return self };
         let length = self.body.len();
@@ -92,19 +108,20 @@ impl Reply {
     }
 }
 
+/// A running server. Its threads end with the process.
 pub struct Server {
-    /// Without a slash at the end.
+    /// `http://ADDRESS:PORT`, without a slash at the end.
     pub url: String,
     seen: Arc<Mutex<Vec<Request>>>,
 }
 
 impl Server {
+    /// Starts a server on a free port; `answer` is called on the thread of the connection.
     pub fn start(answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
         let seen = Arc::new(Mutex::new(Vec::new()));
         let (answer, log, count) = (Arc::new(answer), seen.clone(), AtomicUsize::new(0));
-        // Ends with the process.
         std::thread::spawn(move || {
             for stream in listener.incoming().flatten() {
                 let (answer, log) = (answer.clone(), log.clone());
@@ -115,11 +132,12 @@ impl Server {
         Self { url, seen }
     }
 
+    /// Returns all requests so far, in order of arrival.
     pub fn seen(&self) -> Vec<Request> {
         self.seen.lock().unwrap().clone()
     }
 
-    /// How many requests came so far.
+    /// Returns the number of requests so far.
     pub fn count(&self) -> usize {
         self.seen.lock().unwrap().len()
     }

@@ -1,4 +1,4 @@
-//! What the tests of shadows share: a tower on the ground, and where rays say that its shadow lies.
+//! Shadows: a tower on the ground, and the pixels that its shadow must cover, computed from rays.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use terrane::scene::{Drawable, Geometry, Material, Mesh};
 
 use crate::rig::plain;
 
-/// Lit by the sun and evenly by the sky, without air.
+/// Returns an environment with sun, shadows and even ambient light, without an atmosphere.
 pub fn sunny(to_sun: DVec3) -> Environment {
     Environment {
         sun_direction: to_sun.normalize(),
@@ -22,28 +22,29 @@ pub fn sunny(to_sun: DVec3) -> Environment {
     }
 }
 
-/// Lit from both sides.
+/// Returns a double-sided drawable of a mesh.
 pub fn solid(mesh: Mesh) -> Drawable {
     Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material { double_sided: true, ..Material::default() })
 }
 
+/// Returns a double-sided box.
 pub fn cuboid(min: DVec3, max: DVec3) -> Drawable {
     solid(Mesh::cuboid(&Aabb { min, max }))
 }
 
-/// A square at height 0 around the origin.
+/// Returns a square at height 0 around the origin.
 pub fn ground(half_m: f64) -> Drawable {
     solid(Mesh::rectangle(DVec3::new(-half_m, -half_m, 0.0), DVec3::X * 2.0 * half_m, DVec3::Y * 2.0 * half_m))
 }
 
-/// Length along a ray up to a box.
+/// Returns the distance along a ray to a box, in lengths of `along`; `None` if the ray misses it.
 pub fn meets(from: DVec3, along: DVec3, bounds: &Aabb) -> Option<f64> {
     let (a, b) = ((bounds.min - from) / along, (bounds.max - from) / along);
     let (enters, leaves) = (a.min(b).max_element(), a.max(b).min_element());
     (enters <= leaves && leaves > 1e-6).then_some(enters.max(0.0))
 }
 
-/// Where a pixel's ray goes, in the world.
+/// Returns the origin and direction, in the world, of the ray through a pixel's center.
 pub fn ray(camera: &CullCamera, x: u32, y: u32) -> (DVec3, DVec3) {
     let [width, height] = camera.viewport_px.map(f64::from);
     let clip =
@@ -53,8 +54,10 @@ pub fn ray(camera: &CullCamera, x: u32, y: u32) -> (DVec3, DVec3) {
     (world_from_eye.translation, world_from_eye.transform_vector3(p.truncate() / p.w).normalize())
 }
 
-/// Compares the shadow on the ground with what rays say, pixel by pixel; those within the reach of filter and biases of
-/// an edge may be either. How many were in the shadow, and in the sun. Hiders hide pixels and cast nothing.
+/// Compares the shadow on the ground with rays towards the sun, pixel by pixel.
+///
+/// Pixels within the reach of filter and bias around an edge are not compared. `hiders` hide pixels and cast no shadow.
+/// Returns the numbers of pixels compared in shadow and in sunlight.
 pub fn check(
     picture: &RgbaImage,
     shadows: &StageShadows,
@@ -94,13 +97,13 @@ pub fn check(
     (dark_count, lit_count)
 }
 
-/// As it is written to a picture.
+/// Converts a linear value to sRGB, 0 to 255.
 pub fn srgb(linear: f64) -> u8 {
     let s = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
     (s * 255.0).round() as u8
 }
 
-/// What casts.
+/// Returns the bounds of the tower, which casts the shadow.
 pub fn tower() -> Aabb {
     Aabb { min: DVec3::new(-4.0, -4.0, 0.0), max: DVec3::new(4.0, 4.0, 20.0) }
 }

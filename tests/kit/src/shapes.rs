@@ -6,7 +6,7 @@ use glam::{DAffine3, DVec3};
 use terrane::math::Aabb;
 use terrane::scene::{Drawable, Geometry, Material, Mesh, MeshVertex, Node, Texture, Topology};
 
-/// An upright rectangle at a depth, facing +z, in one unlit color.
+/// Returns a rectangle that faces +z, in one unlit color.
 pub fn quad(center: [f32; 3], half: [f32; 2], color: [f32; 4]) -> Drawable {
     let corner = |sx: f32, sy: f32| MeshVertex {
         position: [center[0] + sx * half[0], center[1] + sy * half[1], center[2]],
@@ -19,12 +19,13 @@ pub fn quad(center: [f32; 3], half: [f32; 2], color: [f32; 4]) -> Drawable {
     Drawable::new(Geometry::Mesh(Arc::new(mesh(vertices, vec![0, 1, 2, 0, 2, 3]))), material)
 }
 
+/// Returns a mesh of triangles with the bounds of its vertices.
 pub fn mesh(vertices: Vec<MeshVertex>, indices: Vec<u32>) -> Mesh {
     let bounds = Aabb::from_points(vertices.iter().map(|v| DVec3::from_array(v.position.map(f64::from))));
     Mesh { vertices, indices: indices.into(), topology: Topology::Triangles, bounds, ..Mesh::default() }
 }
 
-/// A texture with box-filtered mips.
+/// Returns a texture with box-filtered mip levels.
 pub fn with_mips(width: u32, height: u32, pixels: Vec<u8>) -> Texture {
     let mut mips = vec![pixels];
     let (mut w, mut h) = (width as usize, height as usize);
@@ -48,6 +49,7 @@ pub fn with_mips(width: u32, height: u32, pixels: Vec<u8>) -> Texture {
     Texture { width, height, mips, wrap: Default::default() }
 }
 
+/// Returns a ball in one unlit color.
 pub fn ball(at: DVec3, radius: f64, color: [f32; 4]) -> Node {
     let mesh = Mesh::sphere(DVec3::ZERO, radius, 24);
     let material = Material { base_color: color, unlit: true, ..Material::default() };

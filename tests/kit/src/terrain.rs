@@ -9,7 +9,7 @@ use terrane::scene::{Drawable, Geometry, HeightTile, Material, Node, Texture};
 
 use crate::shapes::with_mips;
 
-/// Smooth hash noise on a unit lattice, 0 to 1.
+/// Returns smooth hash noise on a unit lattice, 0 to 1.
 fn value_noise(x: f64, y: f64) -> f64 {
     let hash = |i: i64, j: i64| {
         let mut h = (i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (j as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
@@ -27,20 +27,24 @@ fn value_noise(x: f64, y: f64) -> f64 {
     south + (north - south) * fy
 }
 
-/// Terrain over a square of longitudes and latitudes, cut into tiles level by level.
+/// Terrain over a square of longitudes and latitudes, divided into tiles level by level.
 pub struct Terrain {
+    /// Western edge, radians.
     pub west: f64,
+    /// Southern edge, radians.
     pub south: f64,
-    /// Radians a side of the root tile.
+    /// Side of the root tile, radians.
     pub width: f64,
+    /// Scale of the heights, metres.
     pub relief_m: f64,
     /// Geometric error of the root; each level halves it.
     pub root_error_m: f64,
+    /// Whether tiles have a texture.
     pub textured: bool,
 }
 
 impl Terrain {
-    /// Metres, at a place in units of the root tile; rounded so that equal places are equal bits.
+    /// Returns the height in metres at a point in units of the root tile, rounded so that all tiles hold equal bits.
     pub fn height_m(&self, u: f64, v: f64) -> f64 {
         let mut sum = 0.0;
         for octave in 0..7 {
@@ -51,6 +55,7 @@ impl Terrain {
         (self.relief_m * sum * 0.6 * 32.0).round() / 32.0
     }
 
+    /// Returns the point on the ground.
     pub fn geodetic(&self, u: f64, v: f64) -> Geodetic {
         Geodetic {
             longitude: self.west + u * self.width,
@@ -59,6 +64,7 @@ impl Terrain {
         }
     }
 
+    /// Returns the geometric error of a level, metres.
     pub fn error_m(&self, level: u32) -> f64 {
         self.root_error_m / f64::from(1u32 << level)
     }
@@ -84,7 +90,7 @@ impl Terrain {
         with_mips(side as u32, side as u32, pixels)
     }
 
-    /// A tile as a node: the tile in its frame under the transform to the world.
+    /// Returns a tile as a node: a transform to the world with the height tile below it.
     pub fn tile(&self, level: u32, x: u32, y: u32) -> Node {
         let side = 65usize;
         let tiles = f64::from(1u32 << level);
@@ -142,24 +148,25 @@ impl Terrain {
         Node::transform(world_from_tile, vec![Node::geode(vec![drawable])])
     }
 
-    /// World position above a place.
+    /// Returns the world position `above_m` metres above the ground.
     pub fn world(&self, u: f64, v: f64, above_m: f64) -> DVec3 {
         let mut g = self.geodetic(u, v);
         g.height_m += above_m;
         WGS84.ecef(&g)
     }
 
+    /// Returns the ellipsoid's normal.
     pub fn up(&self, u: f64, v: f64) -> DVec3 {
         WGS84.up(&self.geodetic(u, v))
     }
 
-    /// Tiles for an eye: refined where the error projects to more than the camera's limit, as cull does it.
-    pub fn tiles_for(&self, camera: &CullCamera, eye: DVec3, most_level: u32) -> Node {
+    /// Returns the tiles for an eye, refined where the error projects to more pixels than the camera allows.
+    pub fn tiles_for(&self, camera: &CullCamera, eye: DVec3, max_level: u32) -> Node {
         let mut nodes = Vec::new();
         let mut stack = vec![(0u32, 0u32, 0u32)];
         while let Some((level, x, y)) = stack.pop() {
             let range = self.error_m(level) * camera.px_per_radian() / camera.settings.max_sse_px;
-            if level < most_level && self.distance_m(level, x, y, eye) < range {
+            if level < max_level && self.distance_m(level, x, y, eye) < range {
                 stack.extend([(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (level + 1, 2 * x + dx, 2 * y + dy)));
             } else {
                 nodes.push(self.tile(level, x, y));
@@ -168,7 +175,7 @@ impl Terrain {
         Node::group(nodes)
     }
 
-    /// Distance from the eye to the nearest vertex of a tile, a little less to be on the safe side.
+    /// Returns a lower bound of the distance from the eye to a tile: that to its nearest vertex, less one metre.
     fn distance_m(&self, level: u32, x: u32, y: u32, eye: DVec3) -> f64 {
         let size = 1.0 / f64::from(1u32 << level);
         let mut nearest = f64::INFINITY;

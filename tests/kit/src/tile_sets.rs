@@ -4,6 +4,7 @@ use std::path::Path;
 
 use terrane::io::write::{GlbMesh, write_glb};
 
+/// Generates three levels of height tiles, 20 km wide, in `folder/set`; returns that path.
 pub fn small_set(folder: &Path) -> String {
     let set = folder.join("set");
     let args =
@@ -12,13 +13,13 @@ pub fn small_set(folder: &Path) -> String {
     set.display().to_string()
 }
 
-/// Side of [`write_quadtree`]'s world, metres.
+/// Side of the world of [`write_quadtree`], metres.
 pub const WORLD_M: f64 = 4096.0;
 
-/// Of its tiles below the root.
+/// Levels of [`write_quadtree`] below the root.
 const LEVELS: u32 = 4;
 
-/// A flat quadtree, one triangle a tile; returns the bytes of a content.
+/// Writes a flat quadtree with a triangle per tile; returns the size of a content in bytes.
 pub fn write_quadtree(folder: &Path) -> u64 {
     let glb = write_glb(&GlbMesh {
         positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],

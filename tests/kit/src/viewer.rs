@@ -1,4 +1,4 @@
-//! Offscreen viewers, and frames until everything is loaded.
+//! Offscreen viewers that draw until everything is loaded.
 
 use std::time::{Duration, Instant};
 
@@ -6,23 +6,24 @@ use terrane::viewer::{CompositeViewer, Viewer, ViewerConfig};
 
 use crate::skip::or_skip;
 
+/// Creates an offscreen viewer; returns `None`, and skips the test, if there is no adapter.
 pub fn offscreen(config: &ViewerConfig) -> Option<Viewer> {
     or_skip(Viewer::new_offscreen(config))
 }
 
-/// Longer than anything takes.
+/// A viewer that takes longer to settle never does.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Viewers that draw until nothing is missing: uploads take as many frames as the machine makes of them.
+/// Viewers that draw until everything is loaded. How many frames that takes depends on the machine.
 pub trait Settle {
-    /// Draws a frame; true where nothing is missing after it.
+    /// Draws a frame; returns true if nothing is missing after it.
     fn draw(&mut self) -> bool;
 
-    /// Draws so many frames at least.
-    fn settle(&mut self, least: usize) {
+    /// Draws until nothing is missing, and at least `min_frames` frames; panics after two minutes.
+    fn settle(&mut self, min_frames: usize) {
         let start = Instant::now();
         let mut frames = 1;
-        while !self.draw() || frames < least {
+        while !self.draw() || frames < min_frames {
             frames += 1;
             assert!(start.elapsed() < PATIENCE, "does not settle");
         }

@@ -4,6 +4,7 @@ use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
+use kit::skip::no_adapter;
 use serde_json::Value;
 
 fn terrane(args: &[&str]) -> Output {
@@ -46,15 +47,6 @@ impl Drop for Server {
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
-}
-
-fn no_adapter() -> bool {
-    let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&terrane::gpu::ContextTraits::default()) else {
-        return false;
-    };
-    assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-    eprintln!("SKIPPED: {error}");
-    true
 }
 
 #[test]
@@ -197,7 +189,8 @@ fn an_interrupt_waits_for_no_server() {
         let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         // The request is on its way and gets no answer.
         let stream = listener.accept().unwrap();
-        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+        let id = rustix::process::Pid::from_child(&child);
+        rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
         let out = child.wait_with_output().unwrap();
         drop(stream);
         out

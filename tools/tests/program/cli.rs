@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use kit::skip::no_adapter;
 use serde_json::Value;
 
 fn terrane(args: &[&str]) -> Output {
@@ -13,19 +14,6 @@ fn terrane(args: &[&str]) -> Output {
 
 fn lines(bytes: &[u8]) -> Vec<String> {
     String::from_utf8_lossy(bytes).lines().map(str::to_owned).collect()
-}
-
-/// Says so and returns true where nothing can draw; with REQUIRE_GPU=1 that is a failure.
-fn no_adapter() -> bool {
-    let traits = terrane::gpu::ContextTraits::default();
-    match terrane::gpu::GraphicsContext::new_offscreen(&traits) {
-        Ok(_) => false,
-        Err(error) => {
-            assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-            eprintln!("SKIPPED: {error}");
-            true
-        }
-    }
 }
 
 /// A small set of height tiles.

@@ -6,6 +6,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use crate::served::Server;
+use kit::skip::no_adapter;
 use serde_json::Value;
 use terrane::io::IoError;
 
@@ -229,9 +230,7 @@ fn wrong_arguments_are_said() {
 /// A flight over a bad server: what can be had is there, the rest is reported, and the picture has no hole.
 #[test]
 fn a_flight_over_a_bad_server_ends_whole() {
-    if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&terrane::gpu::ContextTraits::default()) {
-        assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-        eprintln!("a_flight_over_a_bad_server_ends_whole: skipped: {error}");
+    if no_adapter() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -273,10 +272,7 @@ fn a_flight_over_a_bad_server_ends_whole() {
 
 #[test]
 fn a_flight_over_http_leaves_a_timeline() {
-    let traits = terrane::gpu::ContextTraits::default();
-    if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&traits) {
-        assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-        eprintln!("SKIPPED: {error}");
+    if no_adapter() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use image::{GenericImageView as _, RgbImage};
 use kit::display::Display;
+use kit::skip::no_adapter;
 use x11rb::connection::Connection as _;
 use x11rb::protocol::xproto::{
     AtomEnum, ClientMessageEvent, ConfigureWindowAux, ConnectionExt as _, EventMask, ImageFormat, InputFocus, Window,
@@ -246,9 +247,7 @@ pub fn part(picture: &RgbImage, [x, y, width, height]: [u32; 4]) -> RgbImage {
 
 /// A small set of height tiles; `None`, said aloud, where nothing can draw.
 pub fn tile_set(folder: &Path) -> Option<PathBuf> {
-    if let Err(error) = terrane::gpu::GraphicsContext::new_offscreen(&terrane::gpu::ContextTraits::default()) {
-        assert!(std::env::var_os("REQUIRE_GPU").is_none_or(|v| v != "1"), "REQUIRE_GPU=1: {error}");
-        eprintln!("SKIPPED: {error}");
+    if no_adapter() {
         return None;
     }
     let set = folder.join("set");
