@@ -1,4 +1,4 @@
-//! Every example runs offscreen and draws something. Needs a GPU (a software one will do).
+//! Every example runs offscreen and draws something. Needs a GPU; a software adapter suffices.
 
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::Command;
 
-/// Where cargo puts examples: beside the folder of this test's own program.
+/// Returns the path of an example, beside the folder of this test's program, and builds it if missing.
 fn example(name: &str) -> PathBuf {
     let me = std::env::current_exe().unwrap();
     let profile = me.parent().and_then(|deps| deps.parent()).unwrap();
@@ -24,12 +24,12 @@ fn example(name: &str) -> PathBuf {
     program
 }
 
-/// The picture; `None` where nothing can draw.
+/// Runs an example and returns its image; `None`, and the test skipped, without an adapter.
 fn run(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<image::RgbImage> {
     run_and_listen(name, arguments, colours_at_least).map(|(picture, _)| picture)
 }
 
-/// The picture and what was printed.
+/// Runs an example and returns its image and standard output.
 fn run_and_listen(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<(image::RgbImage, String)> {
     if kit::skip::no_adapter() {
         return None;

@@ -90,7 +90,7 @@ fn a_steady_cull_allocates_nothing() {
     assert_eq!(round, 0);
     assert!(fading > 200, "{fading}");
 
-    // Cameras in the graph, one of them nested, with shadows and environments of their own.
+    // Cameras in the graph, one of them nested, each with its own shadows and environment.
     let own = CameraEnvironment::Own(Arc::new(Environment::default()));
     let cameras = [RenderOrder::PreRender(0), RenderOrder::Nested, RenderOrder::PostRender(0)].map(|order| {
         let shadows = CameraShadows::Own(SunShadows::default());

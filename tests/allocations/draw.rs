@@ -14,7 +14,7 @@ use terrane::gpu::{AdapterChoice, ContextTraits, GraphicsContext};
 use terrane::scene::{AttributeFormat, Geometry, Mesh, Node, NodeKind, OcclusionQueryNode};
 use terrane::state::{BinDetails, SortMode, StateSet};
 
-/// What was allocated while `work` ran: by Terrane (the call stacks) and by wgpu (how often).
+/// Returns the call stacks of the allocations that Terrane made in `work`, and the number that wgpu made.
 fn allocations(work: impl FnOnce()) -> (Vec<String>, usize) {
     let traces = crate::recorded(work);
     // Finding names takes milliseconds: each address once.

@@ -1,6 +1,6 @@
 //! Steady frames allocate nothing: counted by this program's allocator, separately for each thread.
 //!
-//! A program of its own, since a program has one global allocator.
+//! A separate program, since a program has one global allocator.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod cull;

@@ -10,7 +10,7 @@ use zip::CompressionMethod::{Deflated, Stored};
 use zip::write::{SimpleFileOptions, ZipWriter};
 use zip::{CompressionMethod, ZipArchive};
 
-/// Of what names the index consists: hash and offset.
+/// The names in the index: hash and offset of each.
 type Entries = Vec<([u8; 16], u64)>;
 type Change = fn(&mut Entries);
 
@@ -67,7 +67,7 @@ fn archive_named(files: &BTreeMap<String, Vec<u8>>, making: &Making, in_index: i
     writer.finish().unwrap().into_inner()
 }
 
-/// So many that the directory is larger than the archive's end that is read at first.
+/// Enough files that the directory is larger than the part of the archive's end that is read first.
 fn many() -> BTreeMap<String, Vec<u8>> {
     (0..3000u32)
         .map(|i| (format!("a/rather/long/name/of/a/tile/é {i}.glb"), i.to_le_bytes().repeat(100 + i as usize % 7)))
@@ -153,12 +153,12 @@ fn names_of_other_systems_are_found() {
     }
 }
 
-/// Of two files with one name the index had the first and the directory the last.
+/// If two files share a name, index and directory agree; the index once held the first and the directory the last.
 #[test]
 fn an_index_with_one_name_twice_is_not_needed() {
     let files = many();
     let twice = |entries: &mut Entries| {
-        // Another file's place under this one's name: which is meant the directory says.
+        // An index entry with another file's offset: the directory says which file is meant.
         let hash: [u8; 16] = Md5::digest("a/rather/long/name/of/a/tile/é 7.glb".as_bytes()).into();
         let at = entries.iter().position(|e| e.0 == hash).unwrap();
         entries[if at == 0 { 1 } else { at - 1 }].0 = hash;
@@ -181,7 +181,7 @@ fn files_are_found_without_the_directory() {
         for (name, expected) in &files {
             assert!(read(&folder, &reader, name).as_ref() == Ok(expected), "{name}");
         }
-        // What the index does not have is looked for in the directory.
+        // Files missing in the index are found through the directory.
         let error = read(&folder, &reader, "none.glb").unwrap_err();
         assert!(matches!(&error, IoError::Invalid { .. }) && error.to_string().contains("directory"), "{error}");
     }

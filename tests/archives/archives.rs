@@ -98,7 +98,7 @@ fn every_shape_of_zip_is_read() {
     }
 }
 
-/// Changes all headers of an archive, local and central, by the place of the method in them.
+/// Changes all headers of an archive, local and central, by the offset of the method in them.
 fn change_headers(mut bytes: Vec<u8>, change: impl Fn(&mut [u8])) -> Vec<u8> {
     for at in 0..bytes.len() - 30 {
         let method = match &bytes[at..at + 4] {
@@ -396,7 +396,7 @@ mod over_http {
         assert!(matches!(get(&reader, &url("a")), Err(IoError::Invalid { .. })));
     }
 
-    /// A page in the place of the archive passes, whether it comes instead of a member, of the directory or in pieces: the
+    /// A page instead of the archive passes, whether it comes instead of a member, of the directory or in pieces: the
     /// members were lost for good.
     #[test]
     fn a_page_for_people_in_the_place_of_an_archive_passes() {
@@ -432,7 +432,7 @@ mod over_http {
         })
     }
 
-    /// Where a file's checksum is in the directory that is at the end of these bytes.
+    /// Returns the offset of a file's checksum in the directory at the end of these bytes.
     fn checksum_of(name: &str, bytes: &[u8]) -> usize {
         let is_name =
             |at: &usize| bytes[*at..].starts_with(name.as_bytes()) && bytes[at - 46..].starts_with(b"PK\x01\x02");

@@ -16,11 +16,11 @@ fn content(z: u8, x: u32, y: u32) -> Option<Vec<u8>> {
     }
 }
 
-/// So many levels that there are directories below the root, and so few that there are none.
+/// Enough levels for directories below the root, and too few for any.
 const MANY: u32 = 8;
 const FEW: u32 = 4;
 
-/// All places of so many levels, or each so-and-so-many-th.
+/// Returns all tiles of `levels` levels, or every n-th.
 fn names(levels: u32, step: usize) -> impl Iterator<Item = (u8, u32, u32)> {
     let end = (4u64.pow(levels) - 1) / 3;
     (0..end).step_by(step).map(|id| {
@@ -216,7 +216,7 @@ mod over_http {
         assert!((1..=2).contains(&directories), "{directories}");
     }
 
-    /// The place of the first tile's size in a directory that is not packed: ids, runs, sizes and offsets follow its length.
+    /// Returns the offset of the first tile's size in a directory that is not packed: ids, runs, sizes and offsets follow its length.
     fn first_size(directory: &[u8]) -> usize {
         let mut ends = (0..directory.len()).filter(|at| directory[*at] < 0x80);
         let end = ends.next().unwrap();

@@ -15,7 +15,7 @@ fn cube(center: DVec3) -> Node {
     Node::geode(vec![drawable(Aabb { min: center - 0.5, max: center + 0.5 })])
 }
 
-/// As seen from 10 m before the origin, looking along +y.
+/// A camera 10 m before the origin that looks along +y.
 fn cull(root: Node) -> RenderStage {
     let mut scene = Scene::new();
     scene.add_root(page(root, 0));
@@ -70,7 +70,7 @@ fn named(number: i32, name: &str, callback_of: &mut StateSet) -> BinDetails {
     callback_of.bin.unwrap()
 }
 
-/// A number and a place among [`NAMES`].
+/// A bin number and an index into [`NAMES`].
 type Bin = (i32, usize);
 
 proptest! {

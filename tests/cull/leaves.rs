@@ -24,7 +24,7 @@ fn slots(stage: &RenderStage) -> BTreeSet<u32> {
     set
 }
 
-/// A description of a random node; sizes and places in metres.
+/// A description of a random node; sizes and positions in metres.
 #[derive(Clone, Debug)]
 enum Shape {
     Group(Vec<Shape>),
@@ -80,7 +80,7 @@ fn aabb((center, half): &([f64; 3], [f64; 3])) -> Aabb {
     Aabb { min: c - h, max: c + h }
 }
 
-/// What the oracle says of each drawable: how far inside the closest plane its box reaches, metres; `None` when
+/// The oracle's answer for each drawable: how far inside the closest plane its box reaches, metres; `None` when
 /// switched off.
 struct Oracle {
     planes: Vec<DVec4>,
@@ -525,7 +525,7 @@ fn state_is_by_identity_under_its_parent() {
     assert_eq!(stage.state_sets.len(), 3, "those that have leaves");
 }
 
-/// What is hidden from some cameras, has callbacks or switches its children was spared.
+/// Nodes with masks, callbacks or switches are culled like others; they were once never culled.
 #[test]
 fn small_features_are_dropped_where_asked() {
     let small = Aabb { min: -DVec3::splat(0.001), max: DVec3::splat(0.001) };

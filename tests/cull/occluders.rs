@@ -115,7 +115,7 @@ fn an_occluder_that_is_moved_hides_what_is_behind_it_then() {
 fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
     let mut scene = Scene::new();
     let still = |nodes| Node::transform(DAffine3::IDENTITY, nodes);
-    // Of the page's transforms the second and the third have walls.
+    // The page's second and third transforms have walls.
     let far = DVec3::new(0.0, 0.0, 100.0);
     let hung = vec![still(vec![]), still(vec![wall_at(far)]), still(vec![still(vec![wall_at(far)])]), still(vec![])];
     let root = scene.add_root(page(Node::group(hung), 0));
@@ -131,7 +131,7 @@ fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
             scene.set_transform(transforms[*which], DAffine3::from_translation(to)).unwrap();
         }
     };
-    // What has none below it is no matter of theirs.
+    // Nodes without occluders below them are not affected.
     set(&mut scene, &[0, 3], here);
     scene.compute_bounds();
     assert_eq!((scene.fitted_occluders(), seen(&scene, &camera())), (0, vec![7]));
@@ -147,7 +147,7 @@ fn occluders_are_fitted_once_for_all_changes_of_a_frame() {
         scene.compute_bounds();
         assert_eq!((scene.fitted_occluders(), seen(&scene, &camera())), (4 * round as u64 + 4, vec![7]), "{which:?}");
     }
-    // A page that goes while it waits takes its occluders along, and another may come in its place.
+    // A page that goes while it waits takes its occluders along, and another may replace it.
     set(&mut scene, &[1], here);
     scene.remove_root(root).unwrap();
     scene.add_root(page(Node::group(vec![wall_at(DVec3::new(0.0, -6.0, 0.0))]), 0));
@@ -264,7 +264,7 @@ fn views_have_their_own_occluders() {
     };
     let (nested, before) = (RenderOrder::Nested, RenderOrder::PreRender(0));
     let group = |nodes: &[DVec3]| nodes.iter().map(|c| cube(*c)).collect::<Vec<_>>();
-    // A wall beside the camera hides nothing of its picture, one in it nothing of the other.
+    // A wall beside the camera hides nothing of its image, one in it nothing of the other.
     let outer_wall = |order| cull(with(order, group(&[behind]), vec![wall_at(front), cube(behind)]), None);
     assert_eq!(outer_wall(nested).0, [10]);
     assert_eq!(outer_wall(before), (vec![], vec![10]));
@@ -315,7 +315,7 @@ fn tiles() -> impl Strategy<Value = Tile> {
     })
 }
 
-/// What the oracle knows of a tile: its cube's box and the corners of its wall, in the world.
+/// The oracle's record of a tile: its cube's box and the corners of its wall, in the world.
 struct Known {
     cube: Aabb,
     wall: Option<[DVec3; 4]>,
@@ -471,7 +471,7 @@ fn depth_in_shadow(eye: DVec3, wall: &[DVec3; 4], point: DVec3) -> f64 {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
 
-    /// What is not drawn for the occluders is behind one whose page is drawn; what is well behind one is not drawn.
+    /// Leaves left out are behind an occluder whose page is drawn, and leaves well behind one are left out.
     #[test]
     fn hidden_is_what_is_behind_the_walls_of_drawn_pages(
         tree in tiles(),

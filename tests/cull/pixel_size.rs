@@ -1,4 +1,4 @@
-//! Levels of detail by the pixels that a sphere covers: Lods, and PagedLods whose content gives way to their children.
+//! Levels of detail by the pixels that a sphere covers: Lods, and PagedLods whose content is replaced by their children.
 
 use glam::dcamera::rh::proj::directx as proj;
 use glam::{DAffine3, DQuat, DVec3};
@@ -51,19 +51,19 @@ fn expected(size_px: f64) -> Vec<u32> {
 }
 
 proptest! {
-    /// What is shown is what the size of the sphere in the picture says, whatever turns and scales are above.
+    /// The level shown follows from the sphere's size in pixels, under any rotation and scale.
     #[test]
     fn lods_are_shown_by_their_size_in_the_picture(
         (distance_m, scale, height_px) in (6.0..2000.0f64, 0.2..5.0f64, 100u32..2000),
         (fovy, lod_scale, turn) in (0.2..2.0f64, 0.3..3.0f64, -3.0..3.0f64),
         is_parallel in any::<bool>(),
     ) {
-        // Where rays are parallel, metres of the node's frame are the picture's.
+        // An orthographic projection keeps metres of the node's frame.
         let scale = if is_parallel { 1.0 } else { scale };
         let mut camera = look_at(DVec3::new(0.0, -distance_m * scale, 0.0), DVec3::ZERO, DVec3::Z);
         camera.viewport_px = [height_px, height_px];
         camera.settings.lod_scale = lod_scale;
-        // Half of the picture's height, metres, where the sphere is.
+        // Half of the view's height in metres at the sphere's distance.
         let half_m = if is_parallel { 50.0 * fovy * scale } else { (0.5 * fovy).tan() * distance_m * scale };
         camera.clip_from_eye = match is_parallel {
             true => proj::orthographic(-half_m, half_m, -half_m, half_m, 10.0 * distance_m * scale, 0.01),
@@ -77,7 +77,7 @@ proptest! {
         prop_assert_eq!(shown(Node::transform(above, vec![lod()]), &camera), expected(size_px), "{} px", size_px);
     }
 
-    /// A tile gives way to its child where the sphere is larger in the picture, whatever error the camera allows.
+    /// A tile is replaced by its child if the sphere covers more pixels, whatever error the camera allows.
     #[test]
     fn tiles_give_way_by_the_size_of_a_sphere(
         (distance_m, size_px, lod_scale) in (6.0..2000.0f64, 5.0..500.0f64, 0.3..3.0f64),

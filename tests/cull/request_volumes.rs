@@ -12,7 +12,7 @@ use terrane::scene::{
     SlotState, SunShadows, Topology,
 };
 
-/// A square of a plane, 50 m to each side of a place.
+/// A square of a plane, 50 m to each side of a point.
 fn tile(center: DVec3, content: &str) -> PagedLod {
     PagedLod {
         bounds: BoundingVolume::Box(square_box(center, 50.0)),
@@ -65,17 +65,17 @@ fn parent_of(right: PagedLod, refine: Refine) -> Scene {
     scene
 }
 
-/// One of the children is only for eyes within 500 m.
+/// A tile with a child whose request volume holds eyes within 500 m.
 fn with_a_near_child(refine: Refine) -> Scene {
     parent_of(PagedLod { request_volume: within(500.0, DVec3::ZERO), ..tile(RIGHT, "right") }, refine)
 }
 
-/// One of the children is another tileset.
+/// A tile with a child that is an external tileset.
 fn with_a_tileset(refine: Refine) -> Scene {
     parent_of(tile(RIGHT, "set"), refine)
 }
 
-/// That tileset, in a frame of its own: only for eyes within 500 m of the origin of the world.
+/// The external tileset, with its own frame: only for eyes within 500 m of the origin of the world.
 fn near_tileset() -> Page {
     tileset(node(PagedLod { request_volume: within(500.0, -RIGHT), ..tile(DVec3::ZERO, "right") }))
 }
@@ -197,7 +197,7 @@ fn a_volume_is_known_through_tilesets_in_one_another() {
     assert_eq!(settle(&mut scene, &from_above(600.0), &load), ["parent"]);
 }
 
-/// Where its volume was forgotten, from outside the tileset would be loaded again and again to be found not wanted.
+/// The volume outlives the tileset's expiry; otherwise it would be loaded again and again from outside.
 #[test]
 fn a_volume_stays_known_when_its_tileset_expires() {
     let mut scene = with_a_tileset(Refine::Replace);
@@ -216,7 +216,7 @@ fn a_volume_stays_known_when_its_tileset_expires() {
     let nothing: Vec<String> = Vec::new();
     assert_eq!(cull(&scene, &from_above(600.0)), (nothing, vec!["parent".into()]));
     assert_eq!(cull(&scene, &from_above(400.0)), (vec!["set".into()], vec!["parent".into()]));
-    // What comes instead has none.
+    // The replacement has no volume.
     let other = |uri: &str| if uri == "set" { tileset(node(tile(DVec3::ZERO, "right"))) } else { square() };
     assert_eq!(settle(&mut scene, &from_above(400.0), &other), ["left", "right"]);
     assert_eq!(settle(&mut scene, &from_above(600.0), &other), ["left", "right"]);

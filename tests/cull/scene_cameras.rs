@@ -9,7 +9,7 @@ use terrane::scene::{CameraNode, Node, PageId, ReferenceFrame, Refine, RenderOrd
 
 const HALF_M: f64 = 1000.0;
 
-/// Whoever looks at the tiles from near the ground.
+/// A camera that looks at the tiles from near the ground.
 fn near() -> CullCamera {
     CullCamera {
         clip_from_eye: proj::perspective_infinite_reverse(0.8, 1.5, 0.1),
@@ -62,7 +62,7 @@ fn cull(scene: &Scene, camera: &CullCamera) -> RenderStage {
     stage
 }
 
-/// Slot, place in eye space and view of what is drawn.
+/// Slot, position in eye space and view of each drawn leaf.
 fn drawn(stage: &RenderStage) -> Vec<(u32, [u32; 12], u32)> {
     let leaves = stage.bins.iter().flat_map(|bin| &bin.leaves);
     let mut drawn: Vec<_> = leaves
@@ -76,7 +76,7 @@ fn drawn(stage: &RenderStage) -> Vec<(u32, [u32; 12], u32)> {
     drawn
 }
 
-/// What is asked for, whichever scene it is in: node, priority, error and frames until then.
+/// The requests, independent of the scene's number: node, priority, error and frames until then.
 fn wanted(stage: &RenderStage) -> Vec<(u32, f32, f32, u32)> {
     let of = |r: &PageRequest| (r.slot.index, r.priority, r.error_px, r.ahead_frames);
     let mut wanted: Vec<_> = stage.requests.iter().map(of).collect();
@@ -126,7 +126,7 @@ fn none_is_in_anothers_picture_nor_in_its_own() {
         let middle = DVec3::new(-400.0, -300.0, -650.0 + number);
         Node::geode(vec![drawable(Aabb { min: middle - 5.0, max: middle + 5.0 })])
     };
-    // What is below an absolute camera is in the world.
+    // Nodes below an absolute camera are in world coordinates.
     let below = |order: RenderOrder, number: f64| {
         let node = CameraNode { order, clear_color: None, ..like(&near()) };
         let up = DAffine3::from_translation(DVec3::new(0.0, 0.0, 650.0));
@@ -145,7 +145,7 @@ fn none_is_in_anothers_picture_nor_in_its_own() {
     assert_eq!((marks(&stage), stage.post_render.len()), (vec![(5000, 1)], 1));
     let [after] = &stage.post_render[..] else { panic!("one") };
     assert_eq!((marks(after), after.views.len()), (vec![(5001, 0)], 0), "nor is a nested one in one that comes after");
-    // A plain camera that hangs in the scene is in its picture, and what is in that one shows no scene.
+    // A plain camera that hangs in the scene is in its image, and what is in that one shows no scene.
     let inner = CameraNode { shows_scene: true, ..CameraNode::new(nested) };
     let plain = CameraNode { clear_color: None, ..CameraNode::new(RenderOrder::PostRender(0)) };
     let post = Node::camera(plain, vec![Node::camera(inner, vec![])]);

@@ -50,7 +50,7 @@ fn slots(stage: &RenderStage) -> Vec<u32> {
     slots
 }
 
-/// Where a leaf's origin is in eye space.
+/// Returns a leaf's origin in eye space.
 fn origin_in_eye(stage: &RenderStage, slot: u32) -> DVec3 {
     let leaf = stage.bins.iter().flat_map(|b| &b.leaves).find(|l| l.slot.0 == slot).unwrap();
     let rows = stage.eye_from_drawable[leaf.matrix as usize];
@@ -80,7 +80,7 @@ fn views_nest_and_end() {
         children,
         ..Node::new(NodeKind::Projection(proj::perspective_infinite_reverse(2.0, 1.0, 0.1)))
     };
-    // The inner one is met before the outer one has leaves of its own.
+    // The inner one is met before the outer one has its first leaf.
     let root = wide(vec![wide(vec![cube(DVec3::ZERO)]), cube(DVec3::ZERO)]);
     let stage = cull(Node::group(vec![root, cube(DVec3::ZERO)]), &camera());
     let leaf_views: Vec<u32> = (0..3)
@@ -102,7 +102,7 @@ fn absolute_transforms_are_in_the_eyes_frame() {
         ..Node::new(NodeKind::AbsoluteTransform(DAffine3::from_translation(DVec3::new(0.0, 0.0, -5.0))))
     };
     let moved = Node::transform(DAffine3::from_translation(DVec3::new(500.0, 3.0, 1.0)), vec![hud]);
-    // The eye looks away from everything else.
+    // The eye looks away from the other nodes.
     let away = look_at(DVec3::new(0.0, 1000.0, 0.0), DVec3::new(0.0, 2000.0, 0.0), DVec3::Z);
     let stage = cull(Node::group(vec![cube(DVec3::ZERO), moved]), &away);
     assert_eq!(slots(&stage), [1, 2]);
@@ -187,7 +187,7 @@ fn stages_inherit_lights_where_they_shine() {
     // Met after the camera, and all the same.
     let stage = cull(Node::group(vec![below, lamp(1, 4.0), lamp(2, 5.0)]), &camera());
     let of = |stage: &RenderStage| {
-        // Of those with a number the last counts.
+        // The last light with a number counts.
         let place = |l: &PositionedLight| (l.light.number, l.light.position.map(f64::round));
         stage.lights.iter().map(place).collect::<std::collections::BTreeMap<_, _>>().into_iter().collect::<Vec<_>>()
     };
@@ -259,7 +259,7 @@ fn billboards_face_the_eye() {
 fn billboards_below_uneven_scales_stay_while_they_are_in_sight() {
     let look = look_at(DVec3::new(-100.0, 0.0, 0.0), DVec3::ZERO, DVec3::Z);
     let is_seen = |node: Node| !slots(&cull(node, &look)).is_empty();
-    // 20 m to both sides in the picture, which are y of the world.
+    // 20 m to both sides in the image, which are y of the world.
     let flat = drawable(Aabb { min: DVec3::new(-1.0, 0.0, -1.0), max: DVec3::new(1.0, 0.0, 1.0) });
     let at = |y: f64| DAffine3::from_translation(DVec3::new(0.0, y, 0.0));
     let billboard = |y: f64| {
@@ -394,7 +394,7 @@ fn faces_that_look_away_are_dropped() {
     assert_eq!(slots(&cull(root(), &off)), [0, 1]);
 }
 
-/// They were told from the eye's place, which parallel rays do not have.
+/// They were computed from the eye's position, which an orthographic view does not have.
 #[test]
 fn faces_look_away_from_parallel_rays() {
     let cone = |normal| NormalCone { control_point: DVec3::ZERO, normal, least_cosine: -0.1, radius_m: 1.0 };
@@ -610,13 +610,13 @@ fn fading(root: impl Fn(Node) -> Node, inside: impl Fn() -> Vec<Node>) -> Render
 
 #[test]
 fn lods_fade_below_cameras_and_around_projections() {
-    // Below a camera with a stage of its own, each level has its part of the pixels.
+    // Below a camera with its own stage, each level has its part of the pixels.
     let over = |lod| Node::camera(CameraNode::new(RenderOrder::PostRender(0)), vec![lod]);
     let stage = fading(over, || vec![cube(DVec3::ZERO)]);
     let below = &stage.post_render[0];
     let bands: Vec<u32> = below.bins[0].leaves.iter().map(|l| below.fade_of_state[l.state as usize]).collect();
     assert!(bands.len() == 2 && bands[0] != bands[1] && !bands.contains(&0), "{bands:?}");
-    // What follows another projection inside is drawn by the one around, and what follows the Lod too.
+    // Siblings after an inner projection, and after the Lod, are drawn with the outer projection.
     let projection = || NodeKind::Projection(proj::perspective_infinite_reverse(1.2, 1.0, 0.1));
     let with = |children| Node { children, ..Node::new(projection()) };
     let around = |lod| with(vec![lod, cube(DVec3::new(1.0, 0.0, 0.0))]);

@@ -1,4 +1,4 @@
-//! What hides a tile or keeps it: the earth, a camera's mask, small-feature culling. No GPU.
+//! Rules that hide or keep a tile: the earth, a camera's mask, small-feature culling. No GPU.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -53,7 +53,7 @@ fn the_earth_hides_what_is_behind_it() {
     assert!(through.contains(&(2 * 12)) && !solid.contains(&(2 * 12)), "the antipode: {through:?} {solid:?}");
 }
 
-/// A tile of a plane: a square around a place, content named by itself.
+/// A tile of a plane: a square around a point, with a content named after it.
 fn flat_tile(center: DVec3, half_m: f64, geometric_error_m: f64) -> Node {
     Node::new(NodeKind::PagedLod(Box::new(PagedLod {
         bounds: BoundingVolume::Box(square_box(center, half_m)),
@@ -103,7 +103,7 @@ fn a_hidden_child_does_not_hold_its_parent() {
     assert_eq!(both.counters.tiles_drawn, 2);
 }
 
-/// They were in no picture, and so went for want of room, though what is above them gives way to them all: it came back,
+/// They were in no image, and so went for want of room, though what is above them gives way to them all: it came back,
 /// and asked for them.
 #[test]
 fn what_a_node_hides_is_kept_where_all_is_waited_for() {
@@ -148,7 +148,7 @@ fn what_a_node_hides_is_kept_where_all_is_waited_for() {
     }
 }
 
-/// A picture turned by a quarter had no pixels upwards, and nothing was refined.
+/// Tiles are refined in a view turned by a quarter, whose up axis once had no pixels.
 #[test]
 fn a_turned_picture_shows_as_much_detail() {
     let mut parent = flat_tile(DVec3::ZERO, 100.0, 10.0);
@@ -165,7 +165,7 @@ fn a_turned_picture_shows_as_much_detail() {
     }
 }
 
-/// Where only the coarsest is wanted, what has no content of its own opened no more: 0 times an endless error is no number.
+/// With an infinite error limit, tiles without content still open: zero times infinity is not a number.
 #[test]
 fn what_is_always_refined_is_so_whatever_error_is_allowed() {
     let settings = [(f64::INFINITY, 1.0), (1e300, 1.0), (16.0, f64::INFINITY), (16.0, 1.0)];
@@ -198,7 +198,7 @@ fn small_features_spare_tiles() {
     assert_eq!(settle(&mut scene, &CullCamera { settings, ..far }).counters.tiles_drawn, 1);
 }
 
-/// The picture is 1,024 pixels high: where it shows 200 m without perspective, an error of 3 m takes 15.36 of them.
+/// The image is 1,024 pixels high: where it shows 200 m without perspective, an error of 3 m takes 15.36 of them.
 #[test]
 fn where_rays_are_parallel_errors_are_as_large_from_anywhere() {
     let eye = DVec3::new(0.0, 0.0, 5000.0);
@@ -216,7 +216,7 @@ fn where_rays_are_parallel_errors_are_as_large_from_anywhere() {
     }
 }
 
-/// What hangs at tiles is met after all that is in the page itself.
+/// Pages attached to tiles are visited after all nodes of the page itself.
 #[test]
 fn near_and_far_of_a_nested_view_follow_its_tiles() {
     let narrow = proj::perspective(0.5, 1.0, 1e5, 0.1);

@@ -12,7 +12,7 @@ use terrane::scene::{
     SlotState,
 };
 
-/// A random tile; its place is a quarter of its parent's.
+/// A random tile; it covers a quarter of its parent.
 #[derive(Clone, Debug)]
 struct Tile {
     refine: Refine,
@@ -55,7 +55,7 @@ fn child_places(center: DVec3, half_m: f64) -> [DVec3; 4] {
     [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)].map(|(x, y)| center + half_m * DVec3::new(x, y, 0.0))
 }
 
-/// `is_replaced`: content above gives way to it.
+/// `is_replaced`: it replaces the content above.
 fn build(tile: &Tile, center: DVec3, half_m: f64, name: &str, is_replaced: bool) -> Node {
     let bounds = BoundingVolume::Box(square_box(center, half_m));
     if tile.kind == Kind::Proxy {
@@ -98,7 +98,7 @@ fn build_children(tile: &Tile, center: DVec3, half_m: f64, name: &str, is_replac
         .collect()
 }
 
-/// Other tiles come in the place of its content, or nobody knows of what.
+/// Its content is an external tileset, or unknown.
 fn replaces(tile: &Tile) -> bool {
     tile.kind != Kind::Empty && (tile.kind != Kind::Content || tile.refine == Refine::Replace)
 }
@@ -187,7 +187,7 @@ fn eye() -> impl Strategy<Value = [f64; 3]> {
     ((-1500.0..1500.0f64), (-1500.0..1500.0f64), (2.0..1200.0f64)).prop_map(|(x, y, z)| [x, y, z])
 }
 
-/// How many levels are skipped: none, some, all.
+/// Strategy for the number of skipped levels: none, some, all.
 fn skip() -> impl Strategy<Value = f64> {
     prop::sample::select(vec![1.0, 1.0, 2.5, 16.0, 1e30])
 }
@@ -282,7 +282,7 @@ proptest! {
         assert_covered(&world, &world.cull(&camera), &camera);
     }
 
-    /// What is asked for suffices: loading it leads to the wanted picture, and nothing is asked for then.
+    /// Loading the requested tiles leads to the wanted view without further requests.
     #[test]
     fn requests_lead_to_the_wanted_picture(
         tree in tile(true, true),
@@ -329,7 +329,7 @@ proptest! {
         prop_assume!(!wanted.unsure);
         prop_assert_eq!(&drawn, &wanted.tiles);
         prop_assert_eq!(stage.counters.tiles_drawn as usize, drawn.len());
-        // Everything that the picture depends on was stamped, culled siblings too.
+        // Every tile that the view depends on was stamped, culled siblings too.
         for slot in world.all_slots() {
             let info = world.scene.slot(slot).unwrap();
             if drawn.contains(&**info.uri) {
@@ -442,7 +442,7 @@ fn levels_between_are_skipped() {
     assert!(replaced(&some) <= replaced(&every) / 2 && some.len() < every.len(), "{some:?}");
     assert!(some.contains(&"r".to_owned()), "there is something from the start on");
 
-    // What is above a failure is loaded instead, and the rest is as fine as ever.
+    // The tile above a failure is loaded instead, and the rest stays as fine.
     let fails = all.iter().find(|name| name.matches('/').count() == 5).unwrap();
     let above = fails.rsplit_once('/').unwrap().0;
     assert!(!some.contains(&above.to_owned()), "it was skipped");
@@ -454,7 +454,7 @@ fn levels_between_are_skipped() {
     assert_eq!(others(&drawn), others(&all));
 }
 
-/// As [`assert_covered`], once something is there.
+/// Checks the same as [`assert_covered`], once any tile is resident.
 fn assert_covered_where_the_root_is(world: &World, stage: &RenderStage, camera: &CullCamera) {
     if !world.drawn(stage).is_empty() {
         assert_covered(world, stage, camera);
@@ -475,7 +475,7 @@ fn a_tile_above_tiles_that_hold_nothing_is_not_skipped() {
     }
     let stage = world.cull(&camera);
     assert!(stage.requests.is_empty());
-    // What refines it holds nothing: as it says.
+    // The tile's refinement holds nothing.
     assert!(world.drawn(&stage).is_empty());
     assert_eq!(
         world.all_slots().iter().filter(|s| world.scene.slot(**s).unwrap().state != SlotState::Empty).count(),
@@ -548,7 +548,7 @@ fn coarse_comes_first_even_where_errors_are_wrong() {
     assert!(order[0] > order[1] && order[1] > order[2], "{order:?}");
 }
 
-/// Of tiles as far away and as coarse, those in the middle of the picture come first, those aside later.
+/// Among equally distant and coarse tiles, those near the view's center are requested first.
 #[test]
 fn the_middle_of_the_picture_comes_first() {
     let error = RangeMode::ScreenSpaceError { geometric_error_m: 10.0 };

@@ -1,4 +1,4 @@
-//! What the sky's light must be, whatever the model: pictures of nothing but air, from the ground to orbit, by day and
+//! Properties of the sky's light under any model: images of air alone, from the ground to orbit, by day and
 //! night.
 
 use glam::DVec3;

@@ -42,7 +42,7 @@ fn hook(
     .hook()
 }
 
-/// A square of the picture at a depth: the left or the right half, or all.
+/// A square of the view at a depth: the left or the right half, or all.
 fn square(left: bool, right: bool, depth: f32, color: [f32; 4]) -> Node {
     let (center, half) = match (left, right) {
         (true, true) => (0.0, 1.2),
@@ -67,7 +67,7 @@ fn a_bin_is_drawn_when_and_as_often_as_its_callback_likes() {
     let said = Said::default();
     let scissored = |x: u32| {
         move |_: &RenderInfo<'_>, bin: &mut BinDrawing<'_, '_, '_>| {
-            // What the callback sets is set again by `draw`.
+            // `draw` restores the state that the callback sets.
             bin.pass().set_scissor_rect(x, 0, 1, 1);
             bin.pass().set_viewport(0.0, 0.0, 3.0, 3.0, 0.0, 0.1);
             bin.draw();
@@ -161,7 +161,7 @@ fn bins_that_blend_are_called_after_what_is_opaque() {
     assert_eq!(said.lock().unwrap().len(), 4);
 }
 
-/// What the prototype of their name says, once for each bin: two with the same number are two.
+/// A bin takes its settings from the prototype of its name; two bins with one number are separate.
 #[test]
 fn bins_are_drawn_by_the_prototype_of_their_name() {
     let Some(mut rig) = rig("bins_are_drawn_by_the_prototype_of_their_name") else { return };
@@ -199,7 +199,7 @@ fn bins_are_drawn_by_the_prototype_of_their_name() {
     assert_eq!(*said.lock().unwrap(), expected);
 }
 
-/// Of many indices or few, which other calls draw.
+/// Returns a mesh of many or few indices, which different draw calls draw.
 fn sized(mut drawable: Drawable, is_large: bool) -> Drawable {
     if let (Geometry::Mesh(mesh), true) = (&mut drawable.geometry, is_large) {
         let mesh = Arc::make_mut(mesh);

@@ -1,4 +1,4 @@
-//! What is drawn, counted in pixels: coverage, depth, blending, batching, and no cracks between levels.
+//! Draw calls, checked by counting pixels: coverage, depth, blending, batching, and no cracks between levels.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ const GREEN: [f32; 4] = [0.0, 1.0, 0.0, 1.0];
 #[test]
 fn a_quad_covers_exactly_its_pixels() {
     let Some(mut rig) = rig("a_quad_covers_exactly_its_pixels") else { return };
-    // A quarter of the picture's width and half its height; edges fall between pixel centres.
+    // A quarter of the image's width and half its height; edges fall between pixel centres.
     let scene = rig.scene(Node::geode(vec![quad([0.0, 0.0, 0.0], [0.25, 0.5], RED)]));
     let picture = rig.picture(&scene, &unit_camera(256), &plain());
     assert_eq!(count(&picture, [255, 0, 0]), 64 * 128);
@@ -66,7 +66,7 @@ fn blended_quads_are_drawn_far_to_near_over_opaque_ones() {
         drawable.material.alpha = AlphaMode::Blend;
         drawable
     };
-    // Given near to far, each in a node of its own so that cull sorts them.
+    // Given near to far, each in a separate node so that cull sorts them.
     let scene = rig.scene(Node::group(vec![
         Node::geode(vec![blended(0.5, [1.0, 0.0, 0.0, 0.5])]),
         Node::geode(vec![blended(-0.5, [0.0, 0.0, 1.0, 0.5])]),
@@ -104,7 +104,7 @@ fn masked_textures_are_cut_at_their_cutoff() {
 fn textures_wrap_along_each_axis_as_they_say() {
     let Some(mut rig) = rig("textures_wrap_along_each_axis_as_they_say") else { return };
     let (clamped, red, blue) = (WrapMode::ClampToEdge, [255, 0, 0, 255], [0, 0, 255, 255]);
-    // The first half red along one axis, and twice the picture along each.
+    // The first half red along one axis, and twice the image along each.
     for along in [0, 1] {
         let is_red = |i: usize| [i % 64, i / 64][along] < 32;
         let pixels: Vec<u8> = (0..64 * 64).flat_map(|i| if is_red(i) { red } else { blue }).collect();
@@ -197,7 +197,7 @@ fn large_meshes_are_instanced_or_drawn_by_one_indirect_call() {
         let center = DVec3::new(f64::from(i % 4) * 0.5 - 0.75, f64::from(i / 4) * 0.5 - 0.75, 0.0);
         Drawable::new(Mesh::sphere(center, 0.2, 12).into(), material)
     };
-    // One mesh a hundred times at one place.
+    // One mesh a hundred times at one position.
     let one = ball(5);
     let scene = rig.scene(Node::group((0..100).map(|_| Node::geode(vec![one.clone()])).collect()));
     let stats = rig.draw(&scene, &unit_camera(256), &plain());
@@ -342,7 +342,7 @@ fn without_skirts(node: &mut Node) {
     node.children.iter_mut().for_each(without_skirts);
 }
 
-/// Background pixels that are no part of the background connected with the picture's border.
+/// Background pixels that are no part of the background connected with the image's border.
 fn enclosed(picture: &image::RgbaImage) -> usize {
     let (w, h) = picture.dimensions();
     let is_background = |x: u32, y: u32| picture.get_pixel(x, y).0[..3] == MAGENTA;

@@ -1,4 +1,4 @@
-//! Drawables that the application draws itself: where they are drawn, what they are told, what is wrong with them.
+//! Drawables that the application draws itself: where they are drawn, what they are passed, errors of them.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Arc, Mutex};
@@ -42,7 +42,7 @@ fn fs_square(in: Varying) -> @location(0) vec4<f32> {
 }
 ";
 
-/// What happened to a square, in order.
+/// The calls that a square has received, in order.
 type Said = Arc<Mutex<Vec<String>>>;
 /// Something said while it is drawn.
 type Tell = Arc<dyn Fn(&DrawableInfo<'_>) -> String + Send + Sync>;
@@ -52,7 +52,7 @@ struct Square {
     said: Said,
     wgsl: String,
     tell: Tell,
-    /// What goes wrong where.
+    /// The faults that a square has.
     fails: &'static str,
     compile_time: Duration,
     alive: Arc<AtomicU32>,
@@ -399,7 +399,7 @@ fn it_is_made_ready_for_every_kind_of_target() {
     assert_eq!(stats.map(|s| s.pipelines_created), [2, 0]);
     assert_eq!(count(&rig.read_back(), GREEN), 32 * 32);
     rig.release(scene);
-    // What is compiled from now on is ready for both.
+    // Later uploads are ready for both.
     let compiled = rig.compile(vec![square.drawable(RED)]);
     assert_eq!(square.heard(), ["compile", "prepare", "prepare"]);
     rig.ctx.release(&compiled.slots);

@@ -1,4 +1,4 @@
-//! Levels of detail give way to one another: in the middle of a fade each pixel shows one of the two, never both and
+//! Levels of detail replace one another: in the middle of a fade each pixel shows one of the two, never both and
 //! never what is behind them.
 
 use std::sync::Arc;
@@ -209,7 +209,7 @@ fn children_of_a_lod_fade_and_programs_change_in_the_middle() {
         let geode = |color, depth| Node::geode(vec![large(1.2, depth, unlit_material(color))]);
         let mut lod = Node::new(NodeKind::Lod { center: DVec3::ZERO, ranges_m: vec![[0.0, 6.0], [6.0, 1e9]] });
         lod.children = vec![geode(GREEN, -0.3), geode(RED, 0.0)];
-        // What stands beside it is drawn whole all the while.
+        // Its neighbour is drawn whole during the fade.
         let beside = Node::geode(vec![quad([0.0, -0.9, 0.5], [1.2, 0.1], BLUE)]);
         let lod = match state_set {
             Some(set) => lod.with_state_set(set),
@@ -304,12 +304,12 @@ fn what_expires_in_the_middle_ends_its_fade() {
         let half = greens(rig, &scene, 1.12, 0.5);
         assert!(half > 1000 && half < all - 1000, "{half}");
         detach(rig, &mut scene, if is_parent { parent } else { child });
-        // Something else gets its slots and its places.
+        // Another page takes its slots.
         let other = rig.compile(vec![quad([0.0, 0.0, 0.6], [1.2, 1.2], BLUE)]);
         assert_eq!(greens(rig, &scene, 1.14, 0.5), if is_parent { all } else { 0 });
         assert_eq!(rig.stage.counters.fading, 0);
         rig.ctx.release(&other.slots);
-        // It comes again, is shown at once where nothing was, and the tree goes on as ever.
+        // It comes again, is shown at once where nothing was, and the tree continues as ever.
         if is_parent {
             attach(rig, &mut scene, 0, content(RED, 0.0));
         } else {

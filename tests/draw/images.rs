@@ -1,4 +1,4 @@
-//! Pictures compared with references: terrain on the globe with sky and haze, and meshes.
+//! Frames compared with reference images: terrain on the globe with sky and haze, and meshes.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! What the renderer draws of leaves, terrain, sky and shadows. The tests share one GPU rig and run one at a time.
+//! The renderer: leaves, terrain, sky and shadows. The tests share one GPU rig and run one at a time.
 #![allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 
 mod atmosphere;

@@ -83,7 +83,7 @@ fn queries_that_find_no_room_hide_nothing() {
     no_errors(rig);
 }
 
-/// What hides a box below a camera with a part of the picture is what lies before it there.
+/// A camera with a part of the view queries against the depth of that part.
 #[test]
 fn queries_below_a_nested_camera_look_at_its_part() {
     let Some(mut rig) = rig("queries_below_a_nested_camera_look_at_its_part") else { return };
@@ -101,7 +101,7 @@ fn queries_below_a_nested_camera_look_at_its_part() {
             viewport_px: Some([SIDE / 2, 0, SIDE / 2, SIDE]),
             ..CameraNode::new(RenderOrder::Nested)
         };
-        // In the whole picture it covers the left or the right half.
+        // In the whole image it covers the left or the right half.
         let wall = Node::geode(vec![quad([wall_x, 0.0, 0.0], [0.5, 1.0], [1.0, 0.0, 0.0, 1.0])]);
         let scene = rig.scene(Node::group(vec![wall, Node::camera(right_half, vec![asked])]));
         let mut frame = 0;

@@ -40,7 +40,7 @@ fn dust(topology: Topology) -> Node {
     Node::group(nodes)
 }
 
-/// How many leaves were left out; fails where the picture is not that of all of them.
+/// How many leaves were left out; fails where the image is not that of all of them.
 fn left_out(rig: &mut Rig, scene: &Scene, camera: &CullCamera) -> u32 {
     let mut every = *camera;
     every.settings.culling = CullingMode(camera.settings.culling.0 & !CullingMode::SAMPLES.0);

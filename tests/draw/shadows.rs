@@ -1,4 +1,4 @@
-//! Shadows of the sun lie where geometry says, and nowhere else. Needs a GPU (a software one will do).
+//! Shadows of the sun lie exactly where the geometry casts them. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -116,7 +116,7 @@ fn tilted_plates_throw_no_shadows_on_themselves() {
             let plate = Mesh::rectangle((x + y) * -40.0, x * 80.0, y * 80.0);
             let scene = rig.scene(Node::geode(vec![solid(plate)]));
             let camera = camera(SIZE, normal * 30.0 + x * 25.0, DVec3::ZERO, normal);
-            // As bright under each.
+            // The ground is equally bright under each.
             let environment = Environment { sun_color: [0.7 / over.sin() as f32; 3], ..sunny(to_sun) };
             let with = rig.picture(&scene, &camera, &environment);
             let without = rig.picture(&scene, &camera, &Environment { shadows: None, ..environment });
@@ -253,7 +253,7 @@ fn edges_stand_still_while_the_camera_moves() {
     let Some(mut rig) = rig("edges_stand_still_while_the_camera_moves") else { return };
     let scene = rig.scene(Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]));
     let to_sun = DVec3::new(1.0, 0.35, 0.8);
-    // Straight down: the ground's picture moves by whole pixels, a part of a texel each.
+    // Straight down: the ground's image moves by whole pixels, a part of a texel each.
     let height = 60.0;
     let pixel_m = 2.0 * (0.5f64).tan() * height / f64::from(SIZE[1]);
     let at = |pixels: u32| {
@@ -301,7 +301,7 @@ fn off_is_as_if_it_had_never_been_on() {
     assert_ne!(rig.read_back(), before);
     assert_eq!(rig.picture(&scene, &camera, &off), before);
     assert!(rig.stage.shadows.cascades.is_empty());
-    // What cannot be is said, once, and the picture has none.
+    // Invalid settings are reported once, and the frame has no shadows.
     let wrong = Environment { shadows: Some(SunShadows { cascades: 9, ..SunShadows::default() }), ..on };
     assert_eq!(rig.picture(&scene, &camera, &wrong), before);
     assert_eq!(rig.picture(&scene, &camera, &wrong), before);
@@ -340,7 +340,7 @@ fn pictures_of_one_target_have_shadows_of_their_own() {
     rig.release(scene);
 }
 
-/// As contexts of one device do that want other maps: the larger ones stay, and smaller pictures use a part.
+/// Alternates between sizes, as contexts of one device do: the larger ones stay, and smaller images use a part.
 #[test]
 fn pictures_that_take_turns_with_other_maps_are_as_alone() {
     let Some(mut alone) = kit::rig::new_rig(SIZE) else { return };
@@ -383,7 +383,7 @@ fn cameras_in_the_graph_have_none_and_eyes_have_their_own() {
     rig.release(scene);
 }
 
-/// Where the ground's own heights say that there is shadow, seen from above, at real coordinates.
+/// Checks shadows computed from the ground's own heights, from above, at real coordinates.
 #[test]
 fn mountains_of_a_globe_throw_their_shadows() {
     let Some(mut rig) = rig("mountains_of_a_globe_throw_their_shadows") else { return };
@@ -486,7 +486,7 @@ fn shadows_ask_for_nothing_and_keep_nothing() {
     rig.release(scene);
 }
 
-/// Every tenth picture of a short flight, with what was asked for.
+/// Every tenth image of a short flight, with what was asked for.
 fn fly(set: &str, threading: ThreadingModel, shadows: Option<SunShadows>) -> Option<(Vec<RgbaImage>, u64)> {
     let config = ViewerConfig {
         size_px: [320, 180],
@@ -548,7 +548,7 @@ fn all_threading_models_draw_the_same_shadows() {
     }
 }
 
-/// What is far is drawn on its way to the level above, and so is what casts: the finer surface stood above the ground and
+/// Distant tiles are drawn morphed towards the level above, and so are shadow casters: the finer surface stood above the ground and
 /// left it in blotches.
 #[test]
 fn what_casts_morphs_as_what_is_seen() {

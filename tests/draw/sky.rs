@@ -45,7 +45,7 @@ fn the_sky_is_behind_everything_opaque_and_under_what_blends() {
     rig.release(scene);
 }
 
-/// The sky's rays were endless in a picture turned by a quarter.
+/// The sky is right in a view turned by a quarter, whose rays once had infinite length.
 #[test]
 fn a_turned_picture_shows_the_same_sky() {
     let Some(mut rig) = rig("a_turned_picture_shows_the_same_sky") else { return };
@@ -138,7 +138,7 @@ fn haze_takes_far_things_to_the_horizons_color() {
     rig.release(scene);
 }
 
-/// What lies aside was seen through more of it: a map from above grew pale towards its corners.
+/// Haze depends on height and distance, not on the angle: a map from above grew pale towards its corners.
 #[test]
 fn parallel_rays_go_through_as_much_air_everywhere() {
     let Some(mut rig) = rig("parallel_rays_go_through_as_much_air_everywhere") else { return };
@@ -158,7 +158,7 @@ fn parallel_rays_go_through_as_much_air_everywhere() {
     rig.release(scene);
 }
 
-/// The water mirrored the air of another picture or frame where its own had none.
+/// The water mirrored the air of another image or frame where its own had none.
 #[test]
 fn a_sea_under_a_background_mirrors_no_other_air() {
     let Some(mut rig) = rig("a_sea_under_a_background_mirrors_no_other_air") else { return };

@@ -1,5 +1,5 @@
 //! Every parser of outside data, fed with what is nearly well: it answers with a value or an error that names what and
-//! why, never with a panic, and soon. A moment each here, with changes drawn by chance; `tools/fuzz` feeds the same
+//! why, never with a panic, and soon. A moment each here, with random changes; `tools/fuzz` feeds the same
 //! parsers guided by what code each input reaches. `FUZZ_SECS`, `FUZZ_SEED`: longer here, and from elsewhere.
 
 use std::sync::Arc;
@@ -213,7 +213,7 @@ fn archive() -> Parser {
     let folder = tempfile::tempdir().unwrap();
     let mut number = 0u64;
     Parser::new("archive", [archive_bytes()], move |bytes| {
-        // A name of its own: what is known of a file is kept.
+        // A new name each time, since facts about a file are cached.
         number += 1;
         let path = folder.path().join(format!("{number}.3tz"));
         std::fs::write(&path, bytes).unwrap();

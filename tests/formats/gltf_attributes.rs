@@ -15,7 +15,7 @@ const UNSIGNED_SHORT: u32 = 5123;
 const UNSIGNED_INT: u32 = 5125;
 const FLOAT: u32 = 5126;
 
-/// A triangle with these attributes, each in a view of its own with so many bytes between whole words.
+/// Returns a triangle with these attributes, each in a separate view with a gap between elements.
 fn triangle(given: &[Given<'_>], gap: usize) -> Vec<u8> {
     let mut buffer: Vec<u8> =
         [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]].concat().iter().flat_map(|x| x.to_le_bytes()).collect();
@@ -117,7 +117,7 @@ fn what_is_asked_for_is_kept_under_its_name() {
     }
 }
 
-/// Of a view that says nothing of its stride, and of none but the last element's last bytes.
+/// Covers a view without a stride, and one that ends with the last element's bytes.
 fn tight(gltf: Vec<u8>, stride: usize, spare: usize) -> Vec<u8> {
     let text = String::from_utf8(gltf).unwrap();
     let whole = 3 * stride;
@@ -143,7 +143,7 @@ fn matrices_are_kept_as_their_columns() {
     ];
     for (component, normalized, ty, columns, rows, size, format) in cases {
         let column = usize::next_multiple_of(rows * size, 4);
-        // Of each column, numbers of its own; what fills it up is noise.
+        // Each column has its own numbers; padding is noise.
         let byte = |element: usize, c: usize, at: usize| (100 * element + 16 * c + at) as u8;
         let element = |e| {
             (0..columns)

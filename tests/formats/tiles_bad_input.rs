@@ -87,7 +87,7 @@ fn totals_of_a_gltf_are_limited() {
     use base64::Engine as _;
     let data = |bytes: &[u8]| format!("data:;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes));
     let limits = Limits { max_elements: 1000, max_image_bytes: 64 * 64 * 4, ..Limits::default() };
-    // 900 indices, all 0; positions at so many places; a picture for each primitive.
+    // 900 indices, all 0; positions at so many places; an image for each primitive.
     let gltf = |primitives: usize, mode: u32, indices: usize, image: Option<&[u8]>| {
         let list = |of: &dyn Fn(usize) -> String| (0..primitives).map(of).collect::<Vec<_>>().join(",");
         let material = |i: usize| if image.is_some() { format!(r#","material":{i}"#) } else { String::new() };
@@ -184,13 +184,13 @@ fn wrong_magic_error_pages_and_foreign_formats_are_named() {
     for (magic, name) in [("i3dm", "i3dm"), ("cmpt", "cmpt"), ("subt", "implicit")] {
         assert!(refused(magic.as_bytes()).contains(name));
     }
-    // Textures have no image of their own then.
+    // Textures have no image then.
     let basis = r#"{"asset":{"version":"2.0"},"extensionsUsed":["KHR_texture_basisu"],"extensionsRequired":["KHR_texture_basisu"],
         "images":[{"uri":"data:image/ktx2;base64,"}],"textures":[{"extensions":{"KHR_texture_basisu":{"source":0}}}]}"#;
     assert!(refused(basis.as_bytes()).contains("required glTF extension KHR_texture_basisu"));
 }
 
-/// What the gltf crate's own validation takes for granted.
+/// Faults that the gltf crate's validation does not check.
 #[test]
 fn a_glb_with_a_bad_reference_is_refused() {
     let whole = triangle(png(4));

@@ -1,4 +1,4 @@
-//! What the readers make of well-formed 3D Tiles and glTF: volumes, refinement, transforms, external tilesets. No GPU.
+//! Well-formed 3D Tiles and glTF as read: volumes, refinement, transforms, external tilesets. No GPU.
 
 use std::io::Write as _;
 use std::sync::Arc;
@@ -116,7 +116,7 @@ fn several_contents_are_drawn_together() {
     assert_eq!(lod(&node).refine, Refine::Add);
     let contents: Vec<_> = node.children.iter().map(|c| lod(c).content.as_deref().unwrap()).collect();
     assert_eq!(contents, ["/data/set/a.glb", "/data/set/b.glb"]);
-    // What children add to stays; contents that children replace would have to go together.
+    // ADD refinement keeps the parent; REPLACE needs all contents of a tile together.
     let with_children = |refine: &str| {
         format!(
             r#"{{"boundingVolume":{{"sphere":[0,0,0,5]}},"geometricError":9,"refine":"{refine}",
@@ -255,7 +255,7 @@ fn transforms_of_nodes_keep_their_digits() {
     let back = r#""rotation":[-0.7071068,0,0,0.7071068],"#;
     let there = r#""translation":[1215013.8,4081603.6,-4736302.2],"#;
     let matrix = r#""matrix":[1,0,0,0,0,1,0,0,0,0,1,0,1215013.8,4081603.6,-4736302.2,1],"#;
-    // y and z change places by the turn to z up: x, -z, y.
+    // y and z are swapped by the rotation to z up: x, -z, y.
     for nodes in [&[there][..], &[matrix], &[turn, back, there]] {
         let drawable = only_drawable(&read(under(nodes)));
         let [origin, along_x, ..] = positions(&drawable)[..] else { panic!("a triangle") };
@@ -401,7 +401,7 @@ fn quantized_meshes_are_half_as_large_and_say_the_same() {
         assert!((0..2).all(|k| (a.uv[k] - b.uv[k]).abs() <= 0.51 / 65535.0));
         assert!(b.position.iter().all(|x| (0.0..=1.0).contains(x)), "a transform makes them metres");
     }
-    // What does not fit is written as it is.
+    // Values that do not fit are written unchanged.
     let mut beyond = wavy(true);
     beyond.uvs[3] = [1.5, -0.25];
     let (_, beyond) = only_drawable(&read(write_glb(&beyond)));

@@ -20,7 +20,7 @@ use terrane::state::{Attribute, StateSet, SurfaceMaterial, TextureFormat, Textur
 const SIDE: u32 = 64;
 const RED: [u8; 3] = [255, 0, 0];
 
-/// Squares beside each other, so many a side.
+/// A grid of squares, `side` of them along each side.
 fn squares(side: usize) -> Vec<Drawable> {
     let half = 1.0 / side as f32;
     let at = |place: usize| (2 * place + 1) as f32 * half - 1.0;

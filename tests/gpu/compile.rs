@@ -1,4 +1,4 @@
-//! Compile operations: budgets, splitting, sharing, reuse of released places, and what cannot be made.
+//! Compile operations: budgets, splitting, sharing, reuse of released slots, and failed allocations.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -127,11 +127,11 @@ fn equal_images_meshes_and_indices_are_uploaded_once() {
     rig.ctx.release(&[DrawSlot::NONE, DrawSlot(99_999)]);
 }
 
-/// Of a mesh that was half uploaded the rest was as its place had been.
+/// A mesh is drawn only when uploaded whole; half of one once showed the slot's earlier content.
 #[test]
 fn a_mesh_on_its_way_is_whole_where_another_drawable_takes_it() {
     let Some(mut rig) = fresh() else { return };
-    // So many squares that they fill the picture.
+    // Enough squares to fill the view.
     let side = 100;
     let corner = |i: usize| MeshVertex {
         position: [i % (side + 1), i / (side + 1), side / 2].map(|x| x as f32 / side as f32 * 2.0 - 1.0),
@@ -185,7 +185,7 @@ fn thousands_that_go_at_once_retire_over_frames() {
     assert!((0.6..0.7).contains(&shares[0]) && retired[..2].iter().all(|share| *share < 0.35), "{shares:?}");
     assert_eq!(shares[3], 0.0);
 
-    // Uploads take their places before any others.
+    // Uploads take their slots before later ones.
     let again = rig.compile((0..3000).map(one).collect());
     let allocated = rig.ctx.bytes_allocated();
     rig.ctx.release(&again.slots);
@@ -218,7 +218,7 @@ fn released_places_are_used_again() {
     }
     let peak = rig.ctx.bytes_peak();
     rig.ctx.release(&first.slots);
-    // Twice: the second time it is nobody's.
+    // Twice: the second release has no owner.
     rig.ctx.release(&first.slots);
     assert_eq!(rig.ctx.bytes_in_use(), base.0);
     assert_eq!(rig.ctx.bytes_allocated(), base.1, "empty blocks are given back");
@@ -227,7 +227,7 @@ fn released_places_are_used_again() {
     assert!(again.slots.iter().all(|s| first.slots.contains(s)), "{:?} {:?}", again.slots, first.slots);
 }
 
-/// They were uploaded to the end, one after the other, for nobody.
+/// Cancelled operations stop; they were once uploaded to the end.
 #[test]
 fn what_is_cancelled_before_it_begins_is_not_uploaded() {
     let Some(mut rig) = fresh() else { return };
@@ -330,7 +330,7 @@ fn where_memory_is_out_the_drawable_fails_and_all_else_goes_on() {
     let first = rig.compile(vec![good.clone(), textured(&image(4, 1))]);
     assert!(first.errors.is_empty());
     let (in_use, allocated) = (rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated());
-    // What is there has places left; nothing more can be made.
+    // Existing pools have free slots; no new pool can be allocated.
     rig.ctx.pretend_memory(Some(0));
     let large = mesh(vec![MeshVertex::default(); 5000], (0..5000).map(|i| i % 3).collect());
     let large = Drawable::new(Geometry::Mesh(Arc::new(large)), Material::default());
@@ -345,7 +345,7 @@ fn where_memory_is_out_the_drawable_fails_and_all_else_goes_on() {
     }
     rig.ctx.release(&compiled.slots);
     assert_eq!((rig.ctx.bytes_in_use(), rig.ctx.bytes_allocated()), (in_use, allocated), "nothing is half made");
-    // Of a height block each part may be the one that does not fit.
+    // Each part of a height block may be the one that fails to allocate.
     let mut seen = Vec::new();
     for left_bytes in (0..).map(|step| step * 2048) {
         rig.ctx.pretend_memory(Some(left_bytes));

@@ -147,7 +147,7 @@ fn every_model_shows_what_it_shows_without_the_thread() {
             (0..2).for_each(|_| viewer.frame().unwrap());
             viewer.lose_device(context).unwrap();
             assert!(picture(&mut viewer) == expected, "{threading}: after the device was lost");
-            // A context that comes later, with and without a device of its own.
+            // A context opened later, with and without a separate device.
             let shared = viewer.open_offscreen_on(context, &config(threading, true).traits()).unwrap();
             let own = viewer.open_context(self::context(true).unwrap()).unwrap();
             for of in [shared, own] {
@@ -204,7 +204,7 @@ fn a_mesh_written_anew_is_there_though_it_is_still_on_its_way() {
     assert!(red > 240 && green < 20, "{red} {green}");
 }
 
-/// What uploads cost the thread that draws, and how long a set takes to be there: `-- --ignored --nocapture`.
+/// Measures the cost of uploads on the draw thread and the time to load a set: `-- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement"]
 fn what_uploads_cost() {
@@ -256,7 +256,7 @@ fn what_uploads_cost() {
     }
 }
 
-/// The update waited for uploads that could not go on, for ever.
+/// The update waited for uploads that could not continue, for ever.
 #[test]
 fn the_blocking_mode_waits_for_nothing_that_cannot_come() {
     let folder = tempfile::tempdir().unwrap();

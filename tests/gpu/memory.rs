@@ -1,4 +1,4 @@
-//! What frames need and the adapter has no memory for: one error, and whatever can be drawn without it. Needs a GPU (a
+//! Frames whose resources the adapter has no memory for: one error, and the rest is drawn. Needs a GPU (a
 //! software one will do).
 
 use std::sync::Arc;
@@ -51,7 +51,7 @@ fn a_camera_without_memory_for_its_target_leaves_the_others() {
     let beside = || Node::geode(vec![quad([0.75, 0.0, 0.0], [0.2; 2], [1.0, 0.0, 0.0, 1.0])]);
     let first = rig.scene(beside());
     rig.draw(&first, &camera, &plain());
-    // Of another size than the window's, whose depth it could have too.
+    // A size other than the window's, whose depth buffer it could share otherwise.
     let texture = TextureObject::target("seen", [SIDE / 2; 2], TextureFormat::Rgba8Srgb);
     let of_texture = StateSet::default()
         .with_mode(Mode::Lighting, StateValue::OFF)

@@ -1,4 +1,4 @@
-//! The adapter's time of a draw is that of all its passes. Needs a GPU (a software one will do). One test: a process has
+//! The adapter's time of a draw is that of all its passes. Needs a GPU; a software adapter suffices. One test: a process has
 //! one recording, without which a software adapter is not asked for times.
 
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use terrane::scene::{Attachment, CameraNode, CameraTarget, Node};
 use terrane::state::{TextureFormat, TextureObject};
 use terrane::timeline::Recording;
 
-/// Those beyond 32, the air's tables, and colours that begin with what their textures hold were left out.
+/// Covers passes beyond 32, the atmosphere's tables, and passes that load their color; these were once left out.
 #[test]
 fn all_passes_of_a_draw_are_measured() {
     if runs_alone(module_path!(), "all_passes_of_a_draw_are_measured") {
@@ -54,7 +54,7 @@ fn all_passes_of_a_draw_are_measured() {
         rig.release(scene);
         measured
     };
-    // The picture and the camera with samples are passes too, and what these begin with, and the air.
+    // The image and the camera with samples are passes too, and what these begin with, and the air.
     let few = draw(3);
     assert_eq!(few.last(), Some(&7), "{few:?}");
     let many = draw(100);

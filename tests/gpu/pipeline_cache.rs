@@ -1,4 +1,4 @@
-//! What the driver compiled is kept on disk, and only what was kept is used again. Needs a GPU whose driver gives it
+//! The driver's compiled pipelines are kept on disk, and only valid files are used again. Needs a GPU whose driver gives it
 //! away (Vulkan).
 
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use terrane::viewer::{Viewer, ViewerConfig};
 
 const SIDE: u32 = 32;
 
-/// A context that keeps its pipelines in a folder, and what it said; `None`, said aloud, where that cannot be.
+/// Returns a context that keeps its pipelines in a folder, and its answer; `None`, and the test skipped, if it cannot.
 fn keeping(test: &str, folder: &Path) -> Option<(GraphicsContext, Result<u64, GpuError>)> {
     let traits = ContextTraits { size_px: [SIDE, SIDE], adapter: AdapterChoice::Software, ..ContextTraits::default() };
     let mut ctx = or_skip(GraphicsContext::new_offscreen(&traits))?;
@@ -59,7 +59,7 @@ fn what_was_compiled_is_used_again_unless_it_was_changed() {
     assert_eq!(told.unwrap(), bytes.len() as u64 - 40, "all but mark and hash");
     draw(ctx);
 
-    // One bit is enough; what is said names the file, and the next context finds it mended.
+    // One wrong bit suffices; the error names the file, and the next context finds it replaced.
     for (at, reason) in [(bytes.len() - 1, "hash"), (9, "hash"), (0, "no file of pipelines")] {
         let mut changed = std::fs::read(file).unwrap();
         changed[at] ^= 1;

@@ -1,4 +1,4 @@
-//! How long passes take on the adapter: a time for each of them, under its name. Needs a GPU (a software one will do). One
+//! How long passes take on the adapter: a time for each of them, under its name. Needs a GPU; a software adapter suffices. One
 //! test: a process has one recording.
 
 use std::time::{Duration, Instant};
@@ -68,7 +68,7 @@ fn each_pass_has_a_time_under_its_name() {
     let line = events.iter().find(|e| e["args"]["name"].as_str().is_some_and(|name| name.starts_with("gpu ")));
     let line = line.expect("a line for the adapter")["tid"].clone();
     let spans = events.iter().filter(|e| e["ph"] == "X" && e["tid"] == line && e["name"] != "frame");
-    // Those of the frame whose times were read last.
+    // The times of the frame that was read last.
     let spans: Vec<(&str, f64)> =
         spans.map(|e| (e["name"].as_str().unwrap(), e["dur"].as_f64().unwrap() / 1e3)).collect();
     let last = &spans[spans.len() - times.len()..];

@@ -121,7 +121,7 @@ fn what_is_fresh_is_not_asked_for_and_what_is_kept_is_asked_about() {
     let url = format!("{}/changing/a", server.url);
     let bodies: Vec<_> = (0..3).map(|_| Client::at(folder.path()).get(&url)).collect();
     assert_eq!(bodies, [b"body 0", b"body 1", b"body 2"]);
-    // Five are kept, two of them under names of their own but with one body each.
+    // Five are kept, two of them under separate names with one body.
     assert_eq!(cache_at(folder.path()).info().unwrap().entries, 6);
 }
 
@@ -256,7 +256,7 @@ fn verify_and_clear() {
         "the body of one, the entry of the other: {verified:?}"
     );
     assert_eq!(cache.verify().unwrap().broken, 0);
-    // Folders in the place of files, which cannot be read: the rest is looked at all the same.
+    // Folders instead of files cannot be read; the rest is still checked.
     let in_place_of = |path: &std::path::Path| {
         std::fs::remove_file(path).unwrap();
         std::fs::create_dir_all(path.join("inside")).unwrap();
@@ -313,7 +313,7 @@ fn what_was_used_longest_ago_goes_first() {
     assert_eq!((large.count(), client.stats().too_large), (2, 2));
 }
 
-/// What had been fetched for hours went when the next program said no size.
+/// A program without a size limit keeps the larger cache of an earlier one; it once evicted it.
 #[test]
 fn the_size_is_remembered() {
     let folder = tempfile::tempdir().unwrap();
@@ -355,7 +355,7 @@ fn validators_go_to_what_they_are_of() {
     assert!(asked_with(&redirecting).iter().all(Option::is_none));
 }
 
-/// What was "not modified" said nothing of its server, which got eight requests at a time for ever.
+/// Answers "not modified" count for a server's concurrency limit, which once stayed at eight.
 #[test]
 fn a_server_that_said_that_it_holds_was_asked() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
@@ -433,7 +433,7 @@ fn no_secret_is_on_disk() {
     }
 }
 
-/// Not a test of its own: what the two below run in other processes.
+/// The body of the two tests below, which run it in other processes.
 #[test]
 fn another_process() {
     let Some(folder) = std::env::var_os("CACHE_FOLDER") else { return };
@@ -578,7 +578,7 @@ fn a_root_that_is_no_tileset_is_not_kept() {
         let mut pager = DatabasePager::new(config, ReadOptions::for_root(&uri, Limits::default())).unwrap();
         pager.read_root(&uri).map(drop)
     };
-    // What comes is written on a thread of its own.
+    // Bodies are written on a separate thread.
     assert!(read().is_err());
     let until = Instant::now() + Duration::from_secs(30);
     while let Err(error) = read() {

@@ -1,4 +1,4 @@
-//! Which answers the cache on disk keeps, and what they change of what is there.
+//! Which answers the cache on disk keeps, and which entries they replace.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -12,7 +12,7 @@ fn config(folder: &Path) -> HttpConfig {
     HttpConfig { cache: Some(CacheConfig::new(folder)), max_retries: 0, ..HttpConfig::default() }
 }
 
-/// What a new process gets.
+/// Returns the body that a new process gets.
 fn get(config: &HttpConfig, url: &str) -> String {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     let client = HttpClient::new(config).unwrap();
@@ -43,12 +43,12 @@ fn not_modified_of_another_body_is_asked_again() {
         assert_eq!(got, answers[..2], "{first} {second}");
         let requests = if answers[1] == "v2" { 3 } else { 2 };
         assert_eq!(server.count(), requests, "{first} {second}");
-        // What is kept now has the validator of its own body.
+        // The kept entry has its own body's validator.
         assert_eq!(get(&config, &format!("{}/a", server.url)), answers[2], "{first} {second}");
     }
 }
 
-/// Where a new answer was not kept, the old one stayed in force for as long as it had been fresh.
+/// A new answer that is not kept invalidates the old one, which once stayed in use while fresh.
 #[test]
 fn a_new_answer_that_is_not_kept_ends_the_old_one() {
     let large = "2".repeat(200_000);

@@ -1,5 +1,5 @@
 //! The cache on a disk that is full, may only be read, breaks while it is used, or under a clock that jumps: the flight
-//! goes on, and the failure is counted and said once.
+//! continues, and the failure is counted and said once.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use kit::tile_sets::{WORLD_M, write_quadtree};
 use terrane::io::{CacheConfig, CacheStats, HttpClient, HttpConfig, Limits};
 use terrane::pager::PagerConfig;
 
-/// What was logged as a warning or worse.
+/// Log lines of warnings and errors.
 static SAID: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
 struct Listen;
@@ -43,7 +43,7 @@ fn server() -> Server {
     let files: HashMap<String, Vec<u8>> =
         std::fs::read_dir(folder.path()).unwrap().map(|e| read(e.unwrap().path())).collect();
     Server::start(move |r| match files.get(r.path()) {
-        // Each tile differs, so that each needs room of its own.
+        // Each tile differs, so that each needs its own room.
         Some(bytes) if r.path().ends_with(".glb") => {
             let padding = r.path().as_bytes().repeat(400);
             let mut body = bytes.clone();
@@ -72,7 +72,7 @@ fn fly(url: &str, folder: &Path) -> (u32, CacheStats) {
         run.settle(above(WORLD_M) + glam::DVec3::new(WORLD_M / 2.0, WORLD_M / 2.0, 0.0));
     }
     assert_eq!(run.pager.stats().failed, 0, "{:?}", run.pager.errors());
-    // What is on its way to the disk is written before the pager ends, and counted then.
+    // Pending writes are completed, and counted, before the pager ends.
     let end = std::time::Instant::now() + Duration::from_secs(10);
     let mut stats = run.pager.cache_stats().unwrap();
     while stats.hits + stats.stored + stats.write_errors < 342 && std::time::Instant::now() < end {
@@ -82,7 +82,7 @@ fn fly(url: &str, folder: &Path) -> (u32, CacheStats) {
     (run.stage.counters.tiles_drawn, stats)
 }
 
-/// Run by the tests below in processes of their own.
+/// The body of the tests below, which run it in separate processes.
 #[test]
 fn flies_as_another_process() {
     let Ok(url) = std::env::var("TERRANE_TEST_DISK_URL") else { return };
@@ -96,13 +96,13 @@ fn flies_as_another_process() {
     }
 }
 
-/// Of the process that flies.
+/// Privileges of the process that flies.
 #[derive(Clone, Copy)]
 enum Privileges {
     Own,
     /// It may mount what only it sees.
     Mounts,
-    /// Permissions hold for it, whoever runs the tests.
+    /// File permissions hold for it, even if root runs the tests.
     None,
 }
 
@@ -114,7 +114,7 @@ struct Flown {
     said: Vec<String>,
 }
 
-/// A flight in a process of its own, after a shell has made its disk. `None` where this user cannot have such a disk.
+/// Flies in a separate process after a shell has made its disk; `None` if this user may not mount one.
 fn flown(privileges: Privileges, make: &str, url: &str, disk: &Path, cache: &Path) -> Option<Flown> {
     let exe = std::env::current_exe().unwrap();
     let script = format!(

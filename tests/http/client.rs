@@ -125,7 +125,7 @@ fn what_may_pass_is_tried_again_and_nothing_else() {
         let (result, count) = asked(Reply::new(status, ""));
         assert!(result.is_err() && count == 1, "{status}: {result:?} {count}");
     }
-    // Nobody listens: tried again, and told.
+    // No server listens: retried, and reported.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     assert!(matches!(get(&format!("http://127.0.0.1:{port}/")), Err(IoError::Network { .. })));
 }
@@ -173,7 +173,7 @@ fn a_connection_that_does_not_come_names_its_phase() {
     }
 }
 
-/// What is large was cut at the same moment in every try, and never came over a slow line.
+/// Large bodies arrive over a slow connection: the timeout covers silence, not the whole transfer.
 #[test]
 fn what_goes_on_coming_may_take_longer() {
     let server = Server::start(|_| Reply::ok([7; 40]).how(How::Slowly));

@@ -10,7 +10,7 @@ use terrane::io::{CacheConfig, DiskCache, FillOptions, Filled, HttpConfig, IoErr
 use terrane::math::Region;
 
 /// A tree of four levels over 8 x 8 degrees from 0 N 0 E: each tile has four children, a quarter each; the eastern half
-/// of level 1 lies in tilesets of their own.
+/// of level 1 lies in separate tilesets.
 fn tile(level: u32, x: u32, y: u32, of_its_own: bool) -> String {
     let degrees = 8.0 / f64::from(1 << level);
     let [west, south] = [x, y].map(|i| (f64::from(i) * degrees).to_radians());
@@ -28,7 +28,7 @@ fn set() -> Server {
     set_called(".json")
 }
 
-/// Whose inner tilesets have names that end so.
+/// A set whose inner tilesets have names with this ending.
 fn set_called(extension: &'static str) -> Server {
     Server::start(move |r| {
         let tileset = |root: String| {
@@ -93,7 +93,7 @@ fn tilesets_are_filled_whatever_they_are_called() {
         assert_eq!((first.fetched, first.failed), (CONTENTS + TILESETS, 0), "{extension}");
         let again = filled(&server, folder.path(), &all);
         assert_eq!((again.kept, again.bytes), (CONTENTS + TILESETS, 0), "{extension}");
-        // What lies above the levels leads to them.
+        // Tilesets above the levels lead to them.
         let (server, folder) = (set_called(extension), tempfile::tempdir().unwrap());
         filled(&server, folder.path(), &FillOptions { levels: 3..=3, ..FillOptions::default() });
         let east =

@@ -123,7 +123,7 @@ fn without_keys_nothing_is_signed() {
     assert_eq!(server.seen()[0].header("authorization"), None);
 }
 
-/// True, said visibly, where the environment has keys of its own.
+/// Returns true, and skips the test, if the environment holds keys.
 fn has_keys_in_environment() -> bool {
     let found = std::env::vars_os().find(|(name, _)| {
         let name = name.to_string_lossy().to_uppercase();
@@ -151,7 +151,7 @@ fn without_keys_no_metadata_service_is_asked() {
         ),
     ] {
         let before = server.count();
-        // What goes to no server here goes to one that the network knows nothing of, and waits there.
+        // A request to any other server would wait for an unreachable one.
         let config = HttpConfig { store_options: options(&of), ..HttpConfig::default() };
         let start = std::time::Instant::now();
         assert_eq!(get_with(&config, &format!("{scheme}://open/a.glb")).unwrap(), [5; 9]);
@@ -298,7 +298,7 @@ fn walk(folder: &Path) -> Vec<std::path::PathBuf> {
     paths.flat_map(|p| if p.is_dir() { walk(&p) } else { vec![p] }).collect()
 }
 
-/// What each fault becomes, and how often the store was asked.
+/// Checks the error of each fault, and the number of requests.
 fn fault(answer: impl Fn(&Request) -> Reply + Send + Sync + 'static) -> (Result<Vec<u8>, IoError>, usize) {
     let server = Server::start(answer);
     let config = HttpConfig {

@@ -19,7 +19,7 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
 }
 
-/// An authority that nobody knows, and the file with its certificate.
+/// An unknown certificate authority, and the file with its certificate.
 struct Authority {
     issuer: Issuer<'static, KeyPair>,
     folder: tempfile::TempDir,
@@ -210,7 +210,7 @@ fn certificates_that_do_not_hold_are_said_once() {
     assert!(text.contains("not valid for name"), "{text}");
 }
 
-/// Who answers openly could be anybody.
+/// A redirect from https to http is refused: an open connection has no authenticated peer.
 #[test]
 fn nothing_leads_from_an_encrypted_connection_to_an_open_one() {
     let authority = Authority::new();
@@ -293,7 +293,7 @@ fn files_of_certificates_that_are_none() {
     }
 }
 
-/// Run by [`an_authority_from_the_environment`] in a process of its own.
+/// Run by [`an_authority_from_the_environment`] in a separate process.
 #[test]
 fn asks_as_another_process() {
     let Ok(url) = std::env::var("TERRANE_TEST_TLS_URL") else { return };

@@ -218,7 +218,7 @@ fn fingers_are_counted_and_bounded() {
     }
     let events = taken(&mut queue);
     assert!(events.len() < 1200, "{} events wait", events.len());
-    // What replaced what came before is the last of each finger.
+    // The last event of each finger replaces earlier ones.
     for id in 0..32u32 {
         let last = events.iter().rev().find_map(|e| match e.kind {
             EventKind::Touch { id: finger, position_px, .. } if finger == u64::from(id) => Some(position_px.x),

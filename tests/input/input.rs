@@ -1,5 +1,5 @@
-//! The viewer's event phase: handlers, masks, quit keys, callbacks of nodes, and what the usual handlers do. Pictures
-//! need a GPU (a software one will do).
+//! The viewer's event phase: handlers, masks, quit keys, callbacks of nodes, and what the usual handlers do. Images
+//! need a GPU; a software adapter suffices.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -152,7 +152,7 @@ fn quit_keys_closing_and_asking_end_the_loop() {
     viewer.event_queue().close_window(0.0);
     viewer.frame().unwrap();
     assert!(viewer.is_done());
-    // Who answers the close keeps the window open: "save first?".
+    // A handler that takes the close event keeps the window open ("save first?").
     viewer.set_done(false);
     let log = Rc::default();
     let (mask, ignores) = (EventMask::CLOSE_WINDOW, EventMask::ALL);
@@ -363,7 +363,7 @@ fn a_path_is_recorded_written_and_played_back() {
     viewer.frame().unwrap();
     viewer.frame().unwrap();
     assert!(viewer.notice().unwrap().contains("end of the path"));
-    // The orbit is back, and goes on from there.
+    // The orbit is back, and continues from there.
     viewer.event_queue().mouse_scroll(DVec2::new(0.0, -3.0), 0.0);
     viewer.frame().unwrap();
     std::thread::sleep(std::time::Duration::from_millis(300));

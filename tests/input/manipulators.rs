@@ -82,7 +82,7 @@ fn a_pose_survives_being_handed_over() {
         let eye = frame.world_from_local.transform_point3(DVec3::new(-300.0, 200.0, 3000.0));
         let up = world.view().frame_at(eye).up();
         let pose = terrane::viewer::world_from_eye(eye, frame.direction(1.2, -0.7), up);
-        // Who stands on the ground goes there.
+        // A manipulator that stands on the ground goes there.
         let keeps = |name: &str| name != "path" && (no_ground || !matches!(name, "first person" | "drive"));
         for (name, mut manipulator) in all().into_iter().filter(|(name, _)| keeps(name)) {
             manipulator.set_pose(&pose, &world.view());
@@ -116,7 +116,7 @@ fn an_orbit_keeps_its_distance_and_the_vertical() {
 
 #[test]
 fn a_drag_moves_what_is_under_the_pointer_with_it() {
-    // Pan by a tenth of the picture: the point in the middle is a tenth further on.
+    // Pan by a tenth of the image: the point in the middle is a tenth further on.
     let world = World::plane();
     for (name, mut manipulator) in all().into_iter().take(2) {
         home(&mut *manipulator, &world);

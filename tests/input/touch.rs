@@ -17,7 +17,7 @@ use terrane::viewer::{
 
 use TouchPhase::{Began, Cancelled, Ended, Moved};
 
-/// Two fingers go from a middle, so many pixels apart and at an angle, to another.
+/// Two fingers move from a middle, distance in pixels and angle to another.
 #[derive(Clone, Copy)]
 struct Gesture {
     from: DVec2,
@@ -88,7 +88,7 @@ fn gestures() -> [(&'static str, Gesture); 5] {
 
 #[test]
 fn what_is_under_the_fingers_stays_under_them() {
-    // Of the trackball both fingers' points in the plane before the eye; upright ones keep the middle's, terrain on
+    // The trackball keeps both fingers' points in the plane before the eye; upright ones keep the middle's, terrain on
     // level ground. However the way is cut, it is the same.
     for (gesture_name, gesture) in gestures() {
         for (world_name, world) in [("plane", World::plane()), ("alps", World { ground: None, ..World::alps() })] {
@@ -168,7 +168,7 @@ fn pinching_zooms_by_the_ratio_of_the_fingers() {
 
 #[test]
 fn twisting_turns_the_picture_with_the_fingers() {
-    // Whoever looks straight down sees the ground turn as the fingers do.
+    // A camera that looks straight down sees the ground turn as the fingers do.
     let turn = 0.7;
     let gesture =
         Gesture { from: DVec2::new(640.0, 360.0), to: DVec2::new(640.0, 360.0), angle: [0.2, 0.2 + turn], ..STILL };
@@ -182,7 +182,7 @@ fn twisting_turns_the_picture_with_the_fingers() {
         manipulator.set_pose(&down, &world.view());
         let before = manipulator.advance(0.0, &world.view());
         let after = play(&mut *manipulator, &world, &gesture.acts(0.0, 0.05, 6), 0.1, 60);
-        // What is right of the middle goes up when it turns counterclockwise.
+        // Points right of the middle go up in a counterclockwise turn.
         let point = point_at(&before, &world, DVec2::new(740.0, 360.0), DVec3::ZERO, DVec3::Z);
         let middle = point_at(&before, &world, DVec2::new(640.0, 360.0), DVec3::ZERO, DVec3::Z);
         let at = seen(&after, &world, point) - seen(&after, &world, middle);
@@ -469,7 +469,7 @@ fn a_quarter_turn_of_many_fingers_is_a_quarter_turn() {
         acts.extend((0..count).map(|id| touch(id, Moved, FRAC_PI_2 * share, 0.5 * share)));
     }
     let pose = play(&mut trackball, &world, &acts, 0.6, 60);
-    // The eye turns clockwise, so that the picture turns counterclockwise.
+    // The eye turns clockwise, so that the image turns counterclockwise.
     assert!(pose.matrix3.x_axis.dot(-start.matrix3.y_axis) > 0.999, "{}", pose.matrix3);
     assert!(pose.translation.distance(start.translation) < 0.01 * trackball.distance_m());
 }

@@ -1,4 +1,4 @@
-//! Worlds without a GPU and users who move in them.
+//! Worlds without a GPU, and scripted input that moves a manipulator in them.
 
 use glam::{DAffine3, DVec2, DVec3};
 use terrane::math::{Aabb, BoundingSphere, BoundingVolume, OrientedBox, Region, WGS84};
@@ -86,7 +86,7 @@ pub fn all() -> Vec<(&'static str, Box<dyn CameraManipulator>)> {
     ]
 }
 
-/// What a user does, at times.
+/// An input of the user.
 #[derive(Clone, Debug)]
 pub enum Act {
     Press(MouseButton),
@@ -98,7 +98,7 @@ pub enum Act {
     Touch(u64, TouchPhase, f64, f64),
 }
 
-/// Plays what a user does, in so many frames a second; the pose at the end.
+/// Plays inputs at their times in seconds, with `rate` frames a second; returns the last pose.
 pub fn play(
     manipulator: &mut dyn CameraManipulator,
     world: &World,
@@ -109,14 +109,14 @@ pub fn play(
     play_on(&mut queue(), manipulator, world, acts, end_s, rate)
 }
 
-/// The queue of a window.
+/// Returns the event queue of a window.
 pub fn queue() -> EventQueue {
     let mut queue = EventQueue::default();
     queue.window_resize(SIZE_PX, 0.0);
     queue
 }
 
-/// The same with a queue that was used before.
+/// Plays inputs like [`play`], on a given queue.
 pub fn play_on(
     queue: &mut EventQueue,
     manipulator: &mut dyn CameraManipulator,
@@ -131,7 +131,7 @@ pub fn play_on(
     let frames = (end_s * f64::from(rate)).round() as u32;
     let dt_s = end_s / f64::from(frames);
     for frame in 1..=frames {
-        // As in the viewer: what happened before the frame is handled, then its time is let pass.
+        // Like the viewer: events before the frame are handled, then its time passes.
         let now_s = f64::from(frame - 1) * dt_s;
         while let Some((at_s, act)) = acts.next_if(|(at_s, _)| *at_s <= now_s + 1e-9) {
             match act {

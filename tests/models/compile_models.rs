@@ -5,7 +5,7 @@
 #[path = "../../src/gpu/compile_thread.rs"]
 mod compile_thread;
 
-/// An operation that has its places.
+/// An operation whose slots are allocated.
 pub struct Compiled {
     ticket: u64,
 }
@@ -40,7 +40,7 @@ mod uploads {
     }
 }
 
-/// A device with memory that is refused so many times more.
+/// A device that refuses memory a number of times.
 mod memory {
     use shuttle::sync::Arc;
     use shuttle::sync::atomic::AtomicUsize;
@@ -91,7 +91,7 @@ mod staging {
             return Err("no memory".to_owned());
         }
         let there = &memory.device().there;
-        assert!(there.fetch_add(1, Ordering::SeqCst) < super::MOST_STAGINGS);
+        assert!(there.fetch_add(1, Ordering::SeqCst) < super::MAX_STAGINGS);
         Ok(Buffer(there.clone()))
     }
 
@@ -121,7 +121,7 @@ mod staging {
         }
     }
 
-    /// What was submitted is mapped when it is looked at next.
+    /// Submitted buffers are mapped by the next poll.
     #[derive(Default)]
     pub struct Mapping(Vec<Buffer>);
 
@@ -149,9 +149,9 @@ use uploads::Upload;
 /// Units of the operations, in order: the first needs more buffers than there may be.
 const UNITS: [usize; 4] = [19, 0, 1, 4];
 /// Staging buffers that there may be.
-const MOST_STAGINGS: usize = 8;
+const MAX_STAGINGS: usize = 8;
 
-/// Of so many buffers that can be written, and memory that is not there so many times.
+/// Creates a device with this many writable buffers, whose memory is refused this many times.
 fn memory(writable: usize, refusals: usize) -> Memory {
     let device = Device { there: Arc::default(), writable: Arc::new(writable.into()) };
     Memory { device, refusals: Arc::new(refusals.into()) }
@@ -168,7 +168,7 @@ fn send(thread: &mut CompileThread, ticket: usize) {
 /// The draw thread's side.
 #[derive(Default)]
 struct Drawn {
-    /// Whose units were copied.
+    /// Tickets of the copied units.
     copied: Vec<u64>,
     finished: Vec<u64>,
     /// Recorded and not submitted.
@@ -188,13 +188,13 @@ impl Drawn {
         }
     }
 
-    /// What was recorded goes to the adapter.
+    /// Submits the recorded commands to the adapter.
     fn submit(&mut self, thread: &mut CompileThread) {
         self.recorded.drain(..).for_each(|staging| thread.submitted(staging));
     }
 }
 
-/// Frames take what there is and submit; the thread, out of staging memory, goes on with what is mapped again, or asks
+/// Frames take what there is and submit; the thread, out of staging memory, continues with what is mapped again, or asks
 /// once more where the adapter had none.
 #[test]
 fn all_operations_end_in_order_after_their_bytes() {
@@ -221,7 +221,7 @@ fn all_operations_end_in_order_after_their_bytes() {
     });
 }
 
-/// At any time: while it waits for work, or for staging memory that nobody gives back.
+/// At any time: while it waits for work, or for staging memory that is never returned.
 #[test]
 fn the_thread_ends_whatever_it_waits_for() {
     check(|| {

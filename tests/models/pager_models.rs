@@ -6,7 +6,7 @@ mod images;
 #[path = "../../src/pager/list.rs"]
 mod list;
 
-/// As many requests as a server may have.
+/// The number of requests that a server may have at once.
 mod flow {
     pub struct Flows(pub usize);
 
@@ -80,7 +80,7 @@ fn files(count: u64) -> Vec<Job> {
     (0..count).map(|ticket| Job::new(ticket, "/set/a.glb")).collect()
 }
 
-/// Update's part of a frame: the jobs that nobody has taken, the most urgent last, and who can take one is told.
+/// Update's part of a frame: the jobs not yet taken, the most urgent last; a thread that can take one is notified.
 fn update(list: &RequestList, jobs: &mut BTreeMap<u64, Job>) {
     let mut waiting = list.lock();
     for ticket in std::mem::take(&mut waiting.taken) {
@@ -95,7 +95,7 @@ fn update(list: &RequestList, jobs: &mut BTreeMap<u64, Job>) {
 /// Jobs taken and not answered, counted apart from the list.
 type Outstanding = Arc<AtomicUsize>;
 
-/// Takes an answer up, maybe before update knew that the job was taken; room for another one is told.
+/// Takes an answer up, maybe before update knew that the job was taken; room for another one is signalled.
 fn take_up(list: &RequestList, jobs: &mut BTreeMap<u64, Job>, outstanding: &Outstanding, (job, has_page): &Answer) {
     outstanding.fetch_sub(1, Ordering::SeqCst);
     list.lock().answered(job, *has_page);
@@ -135,7 +135,7 @@ fn join(threads: Vec<JoinHandle<()>>) {
     threads.into_iter().for_each(|thread| thread.join().unwrap());
 }
 
-/// Readers wait for the decoder, which holds one file more, and go on; update takes answers up while it lists what is left.
+/// Readers wait for the decoder, which holds one file more, and continue; update takes answers up while it lists what is left.
 #[test]
 fn files_are_each_read_and_answered_once_through_full_channels() {
     check(|| {
@@ -201,7 +201,7 @@ fn all_threads_end_with_the_list() {
     });
 }
 
-/// What the HTTP thread has under way; a server answers any of it, but for what hangs.
+/// The requests in flight on the HTTP thread. The server answers them in any order, except those that hang.
 type UnderWay = Arc<Mutex<BTreeMap<u64, Job>>>;
 
 /// The HTTP thread: as in `http.rs` it looks, under the list's lock, for what it may begin or is to give up, and waits for
@@ -339,7 +339,7 @@ fn images_of_files_and_servers_come_once_and_what_hangs_is_given_up() {
         list.ring();
         let mut left: BTreeMap<Arc<str>, bool> =
             uris.iter().map(|uri| (Arc::from(*uri), !uri.contains("hangs"))).collect();
-        // Once it is under way nobody wants it.
+        // Once in flight it is not wanted any more.
         while !list.lock().taken.iter().any(|uri| uri.contains("hangs")) {
             thread::yield_now();
         }

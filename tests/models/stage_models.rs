@@ -82,7 +82,7 @@ fn all_threads_end_with_the_viewer_at_any_time() {
     }
 }
 
-/// What ended threads have not drawn is not drawn by the next; their stages are there again.
+/// Stages that ended threads have not drawn are dropped and can be culled into again.
 #[test]
 fn frames_go_on_in_another_model() {
     for model in &ThreadingModel::ALL {

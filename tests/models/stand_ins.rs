@@ -1,5 +1,5 @@
-//! What stands in the place of the scene, of cull, of the renderer and of the device under the library's own hand-over of
-//! stages. Each looks whether it has what it should have just then.
+//! Stand-ins for the scene, cull, renderer and device around the library's own hand-over of stages. Each checks that it
+//! has the frame that it should have at that moment.
 
 pub mod cull;
 pub mod draw;
@@ -9,7 +9,7 @@ pub mod pager;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What draw reads of what update changes in place.
+/// Which data that update changes in place is read by draw.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Reads {
     Nothing,
@@ -35,13 +35,13 @@ pub enum Panics {
     },
 }
 
-/// What all threads of a viewer are seen to do.
+/// The record of what a viewer's threads do.
 pub struct Seen {
     pub reads: Reads,
     pub panics: Panics,
     /// Cameras of all contexts.
     pub cameras: usize,
-    /// What update changes in place: its frame.
+    /// The data that update changes in place: its frame number.
     pub changed: AtomicU32,
     /// Cameras and frames, in the order drawn.
     drawn: Mutex<Vec<(u32, u32)>>,
@@ -49,7 +49,7 @@ pub struct Seen {
     drawing: Mutex<Vec<(u32, u32)>>,
     /// In some schedule a camera was culled while an earlier frame of it was drawn.
     pub overlapped: Arc<AtomicBool>,
-    /// Threads end, and let others go on, which do not show their frame together.
+    /// Threads end, and let others continue, which do not show their frame together.
     pub is_ending: AtomicBool,
 }
 

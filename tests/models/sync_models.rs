@@ -58,7 +58,7 @@ fn a_block_count_opens_with_the_last_completion_in_every_frame() {
                 worker.join().unwrap();
             }
         }
-        // A release in the place of completions that never come.
+        // A release instead of completions that never arrive.
         block.reset();
         let waits = block.clone();
         let waiter = thread::spawn(move || waits.block());
@@ -138,7 +138,7 @@ fn operations_run_in_order_and_kept_ones_again() {
     });
 }
 
-/// Where one removed another, the first ran twice.
+/// An operation that removes another runs once; it once ran twice.
 #[test]
 fn what_is_there_runs_once_though_operations_come_and_go() {
     check(|| {
@@ -180,7 +180,7 @@ impl Operation<usize> for Meet {
     fn run(&self, met: &mut usize) {
         match self.0.block() {
             true => *met += 1,
-            // One of the others was stopped; this thread will be.
+            // Another thread was stopped; this one will be.
             false => thread::yield_now(),
         }
     }
@@ -205,7 +205,7 @@ fn threads_that_wait_for_each_other_stop_in_any_order_at_any_time() {
     });
 }
 
-/// As [`Meet`], counting meetings that others were let go from.
+/// Like [`Meet`], and counts releases of the barrier.
 struct Refused(Arc<Barrier>);
 
 impl Operation<usize> for Refused {

@@ -38,7 +38,7 @@ pub enum ViewerError {
     DrawThreadStopped,
 }
 
-/// Nothing is painted over a picture.
+/// Nothing is painted over an image.
 pub mod overlay {
     use crate::gpu::{Device, Handle};
 

@@ -1,4 +1,4 @@
-//! What is wanted later is loaded before it is, into room that nothing needs. Real files; no GPU.
+//! Prefetch: tiles that will be wanted later are loaded into free room. Real files; no GPU.
 
 use std::time::{Duration, Instant};
 
@@ -14,10 +14,10 @@ use terrane::viewer::{AnimationPath, ControlPoint, Viewer, ViewerConfig};
 const HERE: DVec3 = DVec3::new(0.2 * WORLD_M, 0.2 * WORLD_M, 150.0);
 const THERE: DVec3 = DVec3::new(0.8 * WORLD_M, 0.8 * WORLD_M, 150.0);
 const ASIDE: DVec3 = DVec3::new(0.2 * WORLD_M, 0.8 * WORLD_M, 150.0);
-/// For many tiles in a picture.
+/// For many tiles in an image.
 const FINE_PX: f64 = 4.0;
 
-/// What an eye will lack in some frames.
+/// The tiles that an eye will miss in some frames.
 fn missing_ahead(run: &Run, eye: DVec3, frames: u32) -> Vec<PageRequest> {
     let eye_from_world = DAffine3::from_translation(-eye);
     let mut camera = CullCamera { eye_from_world, frame: run.frame, ahead_frames: frames, ..CullCamera::default() };
@@ -76,7 +76,7 @@ fn nothing_is_missing_where_the_pager_was_told_to_go() {
 fn what_is_wanted_now_comes_first_and_later_takes_no_room() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
-    // Room for here and little else.
+    // Room for this position and little more.
     let mut free = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
     free.settle(HERE);
     let needed = free.pager.stats().resident as usize;
@@ -97,7 +97,7 @@ fn what_is_wanted_now_comes_first_and_later_takes_no_room() {
         std::thread::sleep(Duration::from_micros(200));
     }
     assert_eq!(run.pager.stats().loaded, stats.loaded, "it comes to rest");
-    // The same place wanted now gets the room at once.
+    // The same position, wanted now, gets the room at once.
     run.settle(THERE);
     assert_eq!(run.stage.counters.wanted_missing, 0);
 }
@@ -108,7 +108,7 @@ fn what_comes_in_the_next_frames_may_take_the_last_tenth() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();
-    // High enough for many tiles in a picture.
+    // High enough for many tiles in an image.
     let [here, there] = [HERE, THERE].map(|eye| eye + 500.0 * DVec3::Z);
     let mut free = Run::new(set, PagerConfig::default());
     free.max_sse_px = 0.25 * FINE_PX;
@@ -142,7 +142,7 @@ fn little_room(set: &str) -> usize {
 }
 
 /// A flight in so many frames, with a disk that is quick enough, and what is asked for ahead in each: the tiles that its
-/// pictures lacked, and those that were loaded.
+/// images lacked, and those that were loaded.
 fn flown(
     set: &str,
     max_tiles: usize,
@@ -195,7 +195,7 @@ fn along_a_known_path_nothing_goes_that_is_wanted_sooner_than_what_comes() {
     }
 }
 
-/// Along a path that nobody announces.
+/// Along a path that is not announced.
 fn unannounced_flight(
     set: &str,
     max_tiles: usize,

@@ -1,4 +1,4 @@
-//! Bad input and bad weather as a flight meets it: each is one error that is told once, its parent stays, and nothing
+//! Bad input and bad connections in a flight: each is reported as one error, its parent stays, and nothing
 //! is asked for again and again. No GPU.
 
 use std::collections::HashMap;
@@ -53,7 +53,7 @@ fn gzip(bytes: impl Iterator<Item = Vec<u8>>) -> Vec<u8> {
     packed.finish().unwrap()
 }
 
-/// The one child's error, with the root drawn in its place.
+/// Returns the only child's error; the root is drawn instead of it.
 fn refused(child: Vec<u8>, limits: Limits) -> String {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path(), &[("child.glb", child)]);
@@ -115,7 +115,7 @@ fn huge_and_deep_json_is_refused() {
     }
 }
 
-/// What a server sends instead of, or as, the child.
+/// The answers of a server for the child.
 fn over_http(answer: impl Fn() -> Reply + Send + Sync + 'static) -> (Run, Server) {
     let server = Server::start(move |request| match request.path() {
         "/tileset.json" => Reply::ok(tileset(&["child.glb"])),
@@ -181,7 +181,7 @@ fn contents_that_change_between_requests() {
     std::fs::write(folder.path().join("child.glb"), glb()).unwrap();
     clear(&mut run);
     assert_eq!((run.pager.stats().failed, run.pager.stats().resident), (2, 2));
-    // What was served as one body and then as another, the cache in between.
+    // A body that changes on the server, with a cache in between.
     let (cache, bodies) = (tempfile::tempdir().unwrap(), Arc::new(AtomicU64::new(0)));
     let of_server = bodies.clone();
     let server = Server::start(move |request| match request.path() {

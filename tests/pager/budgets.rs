@@ -1,4 +1,4 @@
-//! What the pager may hold and may read: byte and tile budgets over a flight, and requests that nobody wants any more.
+//! Budgets of the pager: bytes and tiles over a flight, and requests that are no longer wanted.
 //! Real files, no GPU.
 
 use std::path::Path;
@@ -154,7 +154,7 @@ fn options_change_the_order_of_loads() {
     assert_eq!(own(1.0, -50.0).priority(10.0), 0.0, "not below what is wanted later");
     assert_eq!(own(9.0, 9.0).priority(-0.5), -0.5);
     assert_eq!(own(f32::NAN, 0.0).priority(3.0), 3.0);
-    // Which of two that one picture lacks comes where there is room for one.
+    // Which of two that one image lacks comes where there is room for one.
     for (options, expected, other) in [(own(1.0, 1e6), 0.0, FAR_M), (own(0.0, 0.0), FAR_M, 0.0)] {
         let folder = tempfile::tempdir().unwrap();
         let mut run = two_tiles(folder.path(), options, PagerConfig { max_tiles: 1, ..PagerConfig::default() });
@@ -216,7 +216,7 @@ fn work_between_frames_loads_everything_the_last_cull_asked_for() {
     run.pager.work_until(&mut run.scene, contexts, Instant::now() + Duration::from_secs(60));
 }
 
-/// A root with a content, and below it a tileset of its own with one content.
+/// A root with a content, and below it an external tileset with one content.
 fn write_nested(folder: &Path) {
     let glb = write_glb(&GlbMesh {
         positions: vec![[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]],
@@ -336,7 +336,7 @@ fn a_pager_pauses_takes_no_requests_and_is_cleared() {
     assert_eq!(run.pager.stats().resident, settled.resident);
 }
 
-/// Under way when it is cleared: what comes late finds nobody.
+/// In flight when the pager is cleared: late answers are dropped.
 #[test]
 fn what_comes_after_a_clear_is_not_merged() {
     let folder = tempfile::tempdir().unwrap();
@@ -361,7 +361,7 @@ fn what_comes_after_a_clear_is_not_merged() {
     }
 }
 
-/// What was loaded and uploaded held memory besides the budgets, until its merge.
+/// Pages loaded and uploaded count against the budgets before their merge; they once did not.
 #[test]
 fn what_waits_for_its_upload_or_merge_counts() {
     let folder = tempfile::tempdir().unwrap();

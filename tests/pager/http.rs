@@ -13,7 +13,7 @@ use terrane::io::{HttpConfig, IoError, Limits, ReadOptions, root_uri};
 use terrane::pager::{DatabasePager, ErrorRecord, PagerConfig, PagerStats};
 use terrane::scene::{NodeId, SlotState};
 
-/// What the server does with a request.
+/// The server's behaviour for a request.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Answer {
     Whole,
@@ -28,7 +28,7 @@ enum Answer {
     Broken,
     /// An error page with status 200.
     Page,
-    /// What is no content, with status 200.
+    /// A body that is not content, with status 200.
     Rubbish,
     /// The whole after 20 ms.
     Slow,
@@ -36,7 +36,7 @@ enum Answer {
     Moved(&'static str),
 }
 
-/// What the server saw.
+/// The requests that the server has seen.
 #[derive(Default)]
 struct Seen {
     requests: Vec<String>,
@@ -248,7 +248,7 @@ fn each_fault_is_one_error_and_costs_nothing_else() {
     let stats = *run.pager.stats();
     assert_eq!((stats.failed, stats.merged), (5, 2), "the root and the whole child are there: {stats:?}");
     assert_eq!(run.stage.counters.tiles_drawn, 1, "the parent stays");
-    // What cannot pass was asked for once, what may was tried again.
+    // Permanent failures were requested once, transient ones were retried.
     assert_eq!(["0", "1", "3"].map(|i| server.requests(&format!("/set/child{i}.glb"))), [1, 2, 2]);
     let before = server.seen.lock().unwrap().requests.len();
     for _ in 0..50 {
@@ -381,7 +381,7 @@ fn tries_are_not_forgotten_where_a_request_goes_stale() {
     assert_eq!((run.pager.stats().failed, server.requests(url)), (2, 3));
 }
 
-/// What failed was met in each frame, wanted in none, and so asked for and given up for ever.
+/// Failed tiles that no frame wants are not requested; they were once requested and cancelled forever.
 #[test]
 fn what_failed_is_asked_for_again_by_who_wants_it() {
     let url = "/set/root.glb";

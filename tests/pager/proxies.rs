@@ -108,7 +108,7 @@ fn a_proxy_without_bounds_has_those_of_what_it_loads() {
     proxy.bounds = BoundingSphere::EVERYTHING;
     let page = Page::from_node(Node::group(vec![node])).unwrap();
     let mut run = Run::of_page(page, folder.path().to_str().unwrap(), PagerConfig::default());
-    // It looks down, and what is to be loaded is above it.
+    // It looks down, and the page to load is above it.
     run.settle(DVec3::ZERO);
     assert_eq!(states_in(&run.scene, run.scene.roots()[0]), ["there"]);
     assert_eq!(run.stage.leaf_count(), 0);
@@ -131,12 +131,12 @@ fn what_no_camera_asks_for_comes_back() {
     run.scene.load_proxy(never).unwrap();
     run.settle(away);
     assert_eq!(states_in(&run.scene, root), ["there", "there", "empty", "failed"]);
-    // As where a context comes that nothing was uploaded for.
+    // Like a new context, which has nothing uploaded.
     run.pager.page_anew(&mut run.scene, &mut [&mut run.context]);
     assert_eq!(states_in(&run.scene, root), ["empty", "empty", "empty", "failed"]);
     run.settle(away);
     assert_eq!(states_in(&run.scene, root), ["there", "there", "empty", "failed"]);
-    // As before the first frame.
+    // The state before the first frame.
     run.pager.clear(&mut run.scene, &mut [&mut run.context]);
     assert_eq!(states_in(&run.scene, root), ["empty", "empty", "empty", "empty"]);
     run.settle(away);

@@ -309,7 +309,7 @@ fn what_one_set_may_reach_the_other_may_not() {
     }
 }
 
-/// As many tiles beside each other, all with the same file.
+/// Tiles beside each other, all with the same file.
 fn many(folder: &Path, count: usize) -> Page {
     let tile = |_| {
         let node = PagedLod {
@@ -476,7 +476,7 @@ fn clearing_one_asks_for_nothing_of_the_others() {
     assert_eq!((after.retried, after.requested), (before.retried, before.requested));
 }
 
-/// What an application took out counted until the pager ended.
+/// Pages that the application removes are not counted any more; they once were until the pager's end.
 #[test]
 fn what_somebody_takes_out_counts_no_more() {
     let folder = tempfile::tempdir().unwrap();

@@ -90,7 +90,7 @@ fn what_waits_is_told_from_what_a_server_was_asked_for_and_from_what_failed() {
     run.frame(above(NEAR));
     assert_eq!(in_state(&run, RequestState::Waiting), CHILDREN + 1);
     run.pager.set_paused(false);
-    // Three that the server does not answer take all its places.
+    // Three unanswered requests take all of the server's slots.
     run.until(above(NEAR), "three are asked for", |run| in_state(run, RequestState::ReadingHttp) == 3);
     run.frame(above(NEAR));
     assert_eq!((in_state(&run, RequestState::ReadingHttp), in_state(&run, RequestState::Waiting)), (3, CHILDREN - 2));
@@ -100,7 +100,7 @@ fn what_waits_is_told_from_what_a_server_was_asked_for_and_from_what_failed() {
     run.pager.clear(&mut run.scene, &mut [&mut run.context]);
     run.until(above(NEAR), "the rest is merged", |run| run.pager.stats().resident == CHILDREN as u64 - 2);
     run.until(above(NEAR), "three have failed", |run| failed(run) == 3);
-    // What is no content may have been changed on its way.
+    // A body that is not content may have been changed in transit.
     assert_eq!((in_state(&run, RequestState::Failed), in_state(&run, RequestState::Retrying)), (1, 2));
     assert_eq!(run.pager.request_states().len(), 3, "what is merged is no request");
 }

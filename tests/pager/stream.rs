@@ -181,7 +181,7 @@ fn an_occluder_in_a_content_hides_what_is_behind_it_while_it_is_there() {
     }
 }
 
-/// What one view asked for waited for as long as another asked for what was more urgent.
+/// One view's requests are served while another view keeps requesting more urgent ones; they once starved.
 #[test]
 fn what_waits_long_comes_before_all_that_is_more_urgent_has_come() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Scenes by chance: graphs of all kinds of nodes under all kinds of state, the same for the same seed.
+//! Random scenes: graphs of all kinds of nodes under all kinds of state, the same for the same seed.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use kit::rig::Rig;
 use kit::shapes::with_mips;
 use kit::terrain::Terrain;
 
-/// Those that RANDOM_SCENES=FIRST..END asks for, or the usual ones.
+/// Returns the seeds of RANDOM_SCENES=FIRST..END, or the usual ones.
 pub fn seeds(usual: std::ops::Range<u64>) -> std::ops::Range<u64> {
     let Ok(asked) = std::env::var("RANDOM_SCENES") else { return usual };
     let (first, end) = asked.split_once("..").expect("RANDOM_SCENES=FIRST..END");
@@ -84,7 +84,7 @@ impl Random {
     }
 }
 
-/// What a scene is made of.
+/// The maker of a random scene.
 pub struct Maker {
     pub random: Random,
     /// Everything hides what is behind it, in whatever order it is drawn.
@@ -223,7 +223,7 @@ impl Maker {
         self.group(depth, NodeKind::ClipNode(Box::new(ClipNode { planes, frame: ReferenceFrame::Relative })))
     }
 
-    /// Another view of what is below it, in a part of the picture.
+    /// Another view of what is below it, in a part of the image.
     fn camera(&mut self, depth: u32) -> Node {
         let random = &mut self.random;
         let order = random.one_of(&[RenderOrder::Nested, RenderOrder::PostRender(0), RenderOrder::PostRender(-1)]);
@@ -445,7 +445,7 @@ fn triangles(random: &mut Random, count: u32, place: DVec3, size: f64) -> Mesh {
     Mesh::new(vertices, (0..3 * count).collect(), Topology::Triangles)
 }
 
-/// Gives every node a name of its own.
+/// Gives every node a unique name.
 pub fn named(node: &mut Node, number: &mut u32) {
     node.name = number.to_string();
     *number += 1;
@@ -515,7 +515,7 @@ fn replace_set(node: &mut Node, old: &Arc<StateSet>, new: &Arc<StateSet>) {
     node.children.iter_mut().for_each(|child| replace_set(child, old, new));
 }
 
-/// Of a graph by itself.
+/// The frame of a graph by itself.
 pub fn picture(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
     let scene = rig.scene(node.clone());
     let picture = rig.picture(&scene, camera, environment);
@@ -523,7 +523,7 @@ pub fn picture(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &En
     picture
 }
 
-/// What was not the same.
+/// The comparisons that differed.
 #[derive(Default)]
 pub struct Differences(Vec<String>);
 

@@ -1,4 +1,4 @@
-//! Scenes by chance: what is not drawn because something hides it is not seen. Needs a GPU (a software one will do).
+//! Random scenes: leaves that occluders or queries leave out would not be seen. Needs a GPU; a software adapter suffices.
 //! `RANDOM_SCENES=FIRST..END` draws those seeds.
 
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Scenes by chance are drawn in ways that must make the same picture. Needs a GPU (a software one will do).
+//! Random scenes drawn in several ways that must give the same image. Needs a GPU; a software adapter suffices.
 //!
 //! `RANDOM_SCENES=FIRST..END` draws those seeds instead of the usual ones; a failure names its seed.
 
@@ -131,7 +131,7 @@ fn what_is_drawn_is_a_matter_of_the_scene_alone() {
         // A place on the earth, where an f32 has steps of half a metre.
         let far = DAffine3::from_translation(DVec3::new(4.1e6, -1.2e6, 4.7e6));
         let seen = CullCamera { eye_from_world: camera.eye_from_world * far.inverse(), ..camera };
-        // What is below an absolute camera is in the world, wherever the camera hangs.
+        // Nodes below an absolute camera are in world coordinates, wherever the camera hangs.
         if !has_absolute_camera(&node) {
             same("far from the origin", &Node::transform(far, vec![node.clone()]), &seen, 30);
         }
@@ -225,7 +225,7 @@ fn to_texture(rig: &mut Rig, node: &Node, camera: &CullCamera) -> RgbaImage {
     RgbaImage::from_raw(SIDE, SIDE, picture.unwrap().texels).unwrap()
 }
 
-/// The children of the root as pages of their own, each with the root's state set.
+/// The children of the root as separate pages, each with the root's state set.
 fn several_roots(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &Environment) -> RgbaImage {
     let mut scene = rig.scene(Node::group(Vec::new()));
     for child in &node.children {
@@ -240,12 +240,12 @@ fn several_roots(rig: &mut Rig, node: &Node, camera: &CullCamera, environment: &
     picture
 }
 
-/// The same graph with some nodes in pages of their own, which hang in tiles.
+/// The same graph with some nodes in separate pages, attached to tiles.
 fn below_tiles(rig: &mut Rig, node: &Node, camera: &CullCamera, random: &mut Random) -> RgbaImage {
     let mut cut = Vec::new();
     let mut scene = rig.scene(with_tiles(node, random, &mut cut));
     let mut pages = vec![scene.roots()[0]];
-    // What is cut out comes after what it was cut from.
+    // A part follows the graph that it was cut from.
     for (number, content) in cut.into_iter().enumerate().rev() {
         let name = tile_name(number);
         let slot = pages.iter().find_map(|page| scene.nodes_named(*page, &name).next()).unwrap();
@@ -268,7 +268,7 @@ fn tile_name(number: usize) -> String {
     format!("tile {number}")
 }
 
-/// The graph with tiles in the place of some nodes, and those nodes, each after what was cut out of it.
+/// The graph with tiles instead of some nodes, and those nodes, each after what was cut out of it.
 fn with_tiles(node: &Node, random: &mut Random, cut: &mut Vec<Node>) -> Node {
     let children = node.children.iter().map(|child| with_tiles(child, random, cut)).collect();
     let copy = Node { children, ..node.clone() };
@@ -346,7 +346,7 @@ fn with_sets(node: &Node, change: &dyn Fn(&StateSet) -> StateSet) -> Node {
     }
 }
 
-/// What is changed in the scene looks like what is made so.
+/// A changed scene looks like one made that way.
 #[test]
 fn changed_scenes_are_those_made_so() {
     let Some(mut rig) = rig("changed_scenes_are_those_made_so") else { return };

@@ -1,4 +1,4 @@
-//! Scenes by chance, changed from frame to frame, in several views: every threading model draws the same pictures. Needs a
+//! Random scenes, changed from frame to frame, in several views: every threading model draws the same images. Needs a
 //! GPU (a software one will do). `RANDOM_SCENES=FIRST..END` draws those seeds.
 
 use crate::graphs::{Maker, Random, change, eye, named, seeds};

@@ -104,7 +104,7 @@ fn sphere(scene: &Scene, index: usize) -> Option<BoundingSphere> {
 fn assert_same(a: Option<BoundingSphere>, b: Option<BoundingSphere>) {
     match (a, b) {
         (Some(a), Some(b)) => {
-            // What is stored is relative to the middle of what the page was made of.
+            // Stored bounds are relative to the middle of the page's graph.
             let near = 1e-5 * (1.0 + a.radius_m + a.center.length()) + 4e-3;
             assert!(a.center.distance(b.center) < near && (a.radius_m - b.radius_m).abs() < near, "{a:?} {b:?}");
         }
@@ -112,7 +112,7 @@ fn assert_same(a: Option<BoundingSphere>, b: Option<BoundingSphere>) {
     }
 }
 
-/// What is drawn of a picture that is so many times as wide and high.
+/// The part drawn of a view that is this many times as wide and high.
 fn drawn(scene: &Scene, times: f64) -> BTreeSet<u32> {
     let mut stage = RenderStage::new();
     let mut camera = look_at(DVec3::new(0.0, -40.0, 0.0), DVec3::ZERO, DVec3::Z);
@@ -121,7 +121,7 @@ fn drawn(scene: &Scene, times: f64) -> BTreeSet<u32> {
     stage.bins.iter().flat_map(|b| b.leaves.iter().map(|l| l.slot.0)).collect()
 }
 
-/// The same is drawn of both, but for what touches the picture's edge: bounds are rounded to what their page's frame lets
+/// The same is drawn of both, but for what touches the image's edge: bounds are rounded to what their page's frame lets
 /// them be.
 fn assert_drawn_alike(a: &Scene, b: &Scene) {
     for (some, other) in [(a, b), (b, a)] {
@@ -146,7 +146,7 @@ proptest! {
                 Change::Query => {
                     let mut anew = Scene::new();
                     anew.add_root(page(root.clone(), 0));
-                    // Whoever asks before they are fitted is told what they will be.
+                    // Queries before the fit return the fitted values.
                     let before: Vec<_> = (0..nodes).map(|node| sphere(&scene, node)).collect();
                     let whole = scene.bounding_sphere();
                     assert_drawn_alike(&scene, &anew);

@@ -1,4 +1,4 @@
-//! What intersectors find is what every triangle of the scene, one after the other, would: brute force is the oracle.
+//! Intersectors find the same as a test of every triangle of the scene: brute force is the oracle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -192,7 +192,7 @@ fn compare(triangles: &[Triangle], found: &[Intersection], start: DVec3, directi
         assert!(hit.world_point().distance(start + direction * hit.ratio) < 1e-6 * scale);
         let [a, b, c] = corners;
         let normal = (b - a).cross(c - a).normalize();
-        // Of a mirrored drawable the corners run the other way round in the world.
+        // A mirrored drawable's corners run the other way round in the world.
         assert!(hit.world_normal().dot(normal).abs() > 1.0 - 1e-6, "{} {normal}", hit.world_normal());
         let [u, v, w] = hit.weights;
         assert!((*a * u + *b * v + *c * w).distance(hit.world_point()) < 1e-6 * scale, "weights");
@@ -311,7 +311,7 @@ proptest! {
                 prop_assert!(hit.ratio >= -1e-9 && hit.ratio <= point.z - min.z + 1e-9);
                 prop_assert!(hit.max_ratio >= point.z - min.z - 1e-9 && hit.max_ratio <= max.z - min.z + 1e-9);
                 let blend: DVec3 = world[hit.primitive as usize].iter().zip(hit.weights).map(|(p, w)| *p * w).sum();
-                // What has no area has no weights.
+                // A triangle without area has no weights.
                 let area = world[hit.primitive as usize].get(2).map_or(1.0, |c| {
                     (world[hit.primitive as usize][1] - world[hit.primitive as usize][0])
                         .cross(*c - world[hit.primitive as usize][0])

@@ -172,7 +172,7 @@ fn transforms_can_only_be_set_on_transforms() {
     assert_eq!(scene.set_transform(at(1), DAffine3::from_translation(DVec3::X)), Ok(()));
 }
 
-/// Their boxes were those of the first transform: what grew along the picture's up was culled while it was in sight.
+/// Their boxes were those of the first transform: what grew along the image's up was culled while it was in sight.
 #[test]
 fn billboards_reach_as_far_as_transforms_set_later_let_them() {
     let scene_of = |map: DAffine3| {
@@ -196,7 +196,7 @@ fn billboards_reach_as_far_as_transforms_set_later_let_them() {
         scene.set_transform(at(index), long).unwrap();
         let found = scene.node_sphere(at(0)).unwrap();
         assert!((found.radius_m / expected.radius_m - 1.0).abs() < 1e-4, "{found:?} and {expected:?}");
-        // What is not one keeps its box.
+        // Other drawables keep their box.
         scene.set_transform(at(index), DAffine3::IDENTITY).unwrap();
         assert!(scene.node_sphere(at(0)).unwrap().radius_m < 30.0);
     }

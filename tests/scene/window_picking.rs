@@ -1,4 +1,4 @@
-//! What is met at a place of a picture is what is drawn there under every projection: each triangle's corners taken to
+//! What is met at a place of an image is what is drawn there under every projection: each triangle's corners taken to
 //! clip space, one after the other, are the oracle. No GPU.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -51,7 +51,7 @@ fn projection(random: &mut Random) -> DMat4 {
     let (narrow, wide) = (0.6 + random.next(), 10.0 + 20.0 * random.next());
     match random.below(4) {
         0 => proj::perspective_infinite_reverse(narrow, 1.0, 0.5),
-        // Reversed: near and far change places.
+        // Reversed: near and far are swapped.
         1 => proj::perspective(narrow, 1.5, 60.0, 1.0),
         2 => proj::orthographic(-wide, wide, -wide, wide, 40.0, 5.0),
         // Off to one side.
@@ -114,10 +114,10 @@ struct Drawn {
     clip_from_eye: DMat4,
     viewport_px: [u32; 4],
     mask: u32,
-    /// Nothing is cut off by near and far: the picture itself, and where depths are fitted.
+    /// Nothing is cut off by near and far: the image itself, and where depths are fitted.
     is_whole: bool,
     fits: bool,
-    /// Where in the order of drawing: at each stage above before (-1) or after (1) it, its number, which one.
+    /// The position in the order of drawing: at each stage above before (-1) or after (1) it, its number, which one.
     path: Vec<(i32, i32, u32)>,
 }
 
@@ -152,7 +152,7 @@ impl Oracle {
                     how.clip_from_eye = camera.projection.unwrap_or(how.clip_from_eye);
                     how.viewport_px = camera.viewport_px.unwrap_or(how.viewport_px);
                 } else {
-                    // It has the picture of the one above, and its depths.
+                    // It has the image of the one above, and its depths.
                     how.fits = drawn.fits;
                 }
                 self.cameras += 1;
@@ -298,7 +298,7 @@ proptest! {
             let of_scene: BTreeSet<_> = oracle.triangles.iter().map(|t| t.key).collect();
             prop_assert!(found.keys().all(|key| of_scene.contains(key)));
 
-            // What is drawn over others comes first, and in one picture what is nearer.
+            // Stages drawn over others come first, and nearer hits within a stage.
             let triangle = |hit: &Intersection| oracle.triangles.iter().find(|t| t.key == key(hit)).unwrap();
             for pair in ray.intersections().windows(2) {
                 let [a, b] = [triangle(&pair[0]), triangle(&pair[1])];
@@ -386,7 +386,7 @@ proptest! {
     }
 }
 
-/// A picture without perspective begins at its near plane, also behind the eye, as what it draws.
+/// An image without perspective begins at its near plane, also behind the eye, as what it draws.
 #[test]
 fn parallel_pictures_are_met_from_their_near_plane_on() {
     let mesh = Mesh::rectangle(DVec3::new(-1.0, -1.0, 5.0), DVec3::X * 2.0, DVec3::Y * 2.0);
@@ -439,7 +439,7 @@ fn shapes_of_the_world_and_places_outside_meet_no_other_projection() {
             assert!(hit.world_point().distance(DVec3::new(0.0, 0.0, -3.0)) < 1e-9, "in the world of the camera");
         }
     }
-    // A projection that cannot be undone shows nothing, and a picture without area neither.
+    // A projection that cannot be undone shows nothing, and an image without area neither.
     for clip_from_eye in [DMat4::ZERO, DMat4::NAN] {
         let mut scene = Scene::new();
         scene.add_root(

@@ -1,4 +1,4 @@
-//! Air around cameras in the graph: each sees it from its own eye, where it asks. Needs a GPU (a software one will do).
+//! Air around cameras in the graph: each sees it from its own eye, where it asks. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ const SIZE: [u32; 2] = [256, 192];
 const TERRAIN: Terrain =
     Terrain { west: 0.2, south: 0.75, width: 0.02, relief_m: 2500.0, root_error_m: 400.0, textured: true };
 
-/// From a place of the terrain towards another.
+/// A camera at one point of the terrain that looks towards another.
 fn looking(size_px: [u32; 2], from: [f64; 2], above_m: f64, to: [f64; 2]) -> CullCamera {
     let [eye, target] = [TERRAIN.world(from[0], from[1], above_m), TERRAIN.world(to[0], to[1], 600.0)];
     camera(size_px, eye, target, TERRAIN.up(from[0], from[1]))
@@ -50,17 +50,17 @@ fn like(camera: &CullCamera, environment: CameraEnvironment) -> CameraNode {
     CameraNode { environment, ..kit::cameras::like(camera) }
 }
 
-/// The main picture's camera where the other one is all that counts: far away, high up, looking elsewhere.
+/// The main image's camera where the other one is all that counts: far away, high up, looking elsewhere.
 fn elsewhere() -> CullCamera {
     looking([64, 64], [0.1, 0.9], 40_000.0, [0.1, 0.1])
 }
 
-/// What a camera to a texture draws while the main one is elsewhere.
+/// Returns the image of a camera to a texture while the main one is elsewhere.
 fn drawn(rig: &mut Rig, node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
     kit::cameras::drawn(rig, node, children, &elsewhere(), main)
 }
 
-/// The main picture of the terrain from a camera.
+/// The main image of the terrain from a camera.
 fn picture(rig: &mut Rig, camera: &CullCamera, environment: &Environment) -> RgbaImage {
     kit::cameras::picture(rig, terrain(camera), camera, environment)
 }
@@ -112,7 +112,7 @@ fn a_camera_has_an_environment_of_its_own() {
     keep("air-own", &found);
     assert_eq!(differ(&found, &expected, 1), 0);
     assert!(differ(&found, &picture(rig, &camera, &around(&camera)), 8) > 20_000);
-    // A background of its own under a main picture with a sky.
+    // A background of its own under a main image with a sky.
     let plain = Environment { sky: Sky::Background([200, 30, 120]), ..evening };
     let expected = picture(rig, &camera, &plain);
     let own = CameraEnvironment::Own(Arc::new(plain));
@@ -132,7 +132,7 @@ fn unasked_a_texture_has_no_sky() {
     let node = CameraNode { clear_color, ..like(&camera, CameraEnvironment::default()) };
     let (empty, stats) = drawn(rig, node.clone(), vec![], &main);
     assert!(empty.pixels().all(|p| p.0 == [0, 255, 0, 64]));
-    // The main picture's sky and water are all that is drawn.
+    // The main image's sky and water are all that is drawn.
     assert_eq!((stats.passes, stats.draw_calls), (2, 2));
     let (found, _) = drawn(rig, node.clone(), vec![terrain(&camera)], &main);
     let cleared = found.pixels().filter(|p| p.0 == [0, 255, 0, 64]).count();
@@ -172,7 +172,7 @@ fn a_mirror_in_a_corner_shows_its_own_air() {
     let with = draw(CameraEnvironment::Inherited, Sky::Atmosphere);
     keep("air-mirror", &with);
     let part = image::imageops::crop_imm(&with, 150, 10, corner[0], corner[1]).to_image();
-    // Where two triangles meet, another part of a target may round otherwise.
+    // At the edge of two triangles, another part of a target may round differently.
     assert!(differ(&part, &expected, 2) <= 20, "{}", differ(&part, &expected, 2));
     let outside = |x: u32, y: u32| !(150..150 + corner[0]).contains(&x) || !(10..10 + corner[1]).contains(&y);
     let same = |a: &RgbaImage, b: &RgbaImage| {
@@ -217,7 +217,7 @@ fn nested_cameras_see_light_and_air_by_their_own_eye() {
         rig.release(scene);
         picture
     };
-    // Where there is ground; the sky is the main picture's.
+    // Pixels of ground; the sky is the main view's.
     let apart = |found: &RgbaImage, by: u8| {
         let pixels = found.pixels().zip(expected.pixels()).zip(bare.pixels()).filter(|(_, b)| b.0 != [0, 0, 0, 255]);
         let far = |a: [u8; 4], b: [u8; 4]| (0..3).any(|i| a[i].abs_diff(b[i]) > by);

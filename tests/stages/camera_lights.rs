@@ -1,5 +1,5 @@
 //! Lights, clip planes, texture planes and the uniforms of programs below nested cameras: as the camera's own eye sees
-//! them. Needs a GPU (a software one will do).
+//! them. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -26,7 +26,7 @@ fn own() -> CullCamera {
     camera(SIZE, DVec3::new(1.5, -1.0, 4.0), DVec3::new(0.2, 0.1, 0.0), DVec3::Y)
 }
 
-/// The picture's camera, which looks elsewhere.
+/// The image's camera, which looks elsewhere.
 fn outer() -> CullCamera {
     camera(SIZE, DVec3::new(-30.0, 4.0, 20.0), DVec3::new(-40.0, 0.0, 10.0), DVec3::Z)
 }
@@ -85,7 +85,7 @@ fn lights_shine_from_where_they_are() {
     assert_eq!(differ(&outside, &expected, 1), 0, "a light beside the camera");
     let beside = drawn(rig, vec![nested(inherited(), vec![lamp()]), lit_squares()], &own());
     assert_eq!(differ(&beside, &expected, 1), 0, "a light below a camera, on what is beside it");
-    // What only has the light of its picture keeps lights where that picture's eye has them.
+    // A nested camera without its own light keeps the lights relative to the main eye.
     let light = || CameraEnvironment::Light;
     let inside = drawn(rig, vec![nested(light(), vec![lamp(), lit_squares()])], &outer());
     assert_eq!(differ(&inside, &expected, 1), 0, "an overlay with its own light");

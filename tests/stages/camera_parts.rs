@@ -22,13 +22,13 @@ const RED: [u8; 3] = [255, 0, 0];
 const GREEN: [u8; 3] = [0, 255, 0];
 const BLUE: [u8; 3] = [0, 0, 255];
 
-/// Over the middle half of the picture.
+/// Over the middle half of the image.
 fn square(z: f32, color: [u8; 3]) -> Node {
     let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
     Node::geode(vec![quad([0.0, 0.0, z], [0.5, 0.5], [r, g, b, 1.0])])
 }
 
-/// A camera that sees what the picture's own sees, and clears nothing.
+/// A camera that sees what the image's own sees, and clears nothing.
 fn over(order: i32) -> CameraNode {
     let own = unit_camera(SIDE);
     CameraNode {
@@ -65,7 +65,7 @@ fn depth_is_cleared_in_its_part() {
     }
 }
 
-/// The first one's depth was thrown away where nothing comes after the picture.
+/// The first one's depth was thrown away where nothing comes after the image.
 #[test]
 fn cameras_before_the_picture_share_its_depth() {
     let Some(mut rig) = rig("cameras_before_the_picture_share_its_depth") else { return };
@@ -128,7 +128,7 @@ fn all_colours_are_cleared_in_their_part_with_their_alpha() {
         square(0.0, [255; 3]).with_state_set(Arc::new(shows)),
     ];
     let scene = rig.scene(Node::group(nodes));
-    // The second camera's picture comes last.
+    // The second camera's image comes last.
     let (mut first, mut shown) = (None, None);
     for _ in 0..20 {
         shown = Some(rig.picture(&scene, &unit_camera(SIDE), &plain()));

@@ -1,5 +1,5 @@
 //! Shadows of the sun in cameras of the graph: where they ask, cast by what is below them, in cascades of their own.
-//! Needs a GPU (a software one will do).
+//! Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ fn near() -> CullCamera {
     camera(SIZE, DVec3::new(-40.0, -50.0, 45.0), DVec3::new(0.0, 0.0, 2.0), DVec3::Z)
 }
 
-/// The main picture's camera.
+/// The main image's camera.
 fn elsewhere() -> CullCamera {
     camera([64, 64], DVec3::new(150.0, 20.0, 300.0), DVec3::new(140.0, 100.0, 0.0), DVec3::Z)
 }
@@ -39,7 +39,7 @@ fn like(camera: &CullCamera, environment: CameraEnvironment, shadows: CameraShad
     CameraNode { environment, shadows, ..kit::cameras::like(camera) }
 }
 
-/// What a camera to a texture draws; the main one draws nothing.
+/// Returns the image of a camera to a texture; the main one draws nothing.
 fn drawn(rig: &mut Rig, node: CameraNode, children: Vec<Node>, main: &Environment) -> (RgbaImage, DrawStats) {
     kit::cameras::drawn(rig, node, children, &elsewhere(), main)
 }
@@ -55,19 +55,19 @@ fn a_camera_to_a_texture_has_the_shadows_of_a_picture_from_there() {
     let main = sunny(to_sun());
     let expected = picture(rig, &near(), &main);
     let bare = picture(rig, &near(), &Environment { shadows: None, ..main });
-    // Under the main picture's light, unasked with black behind; and with all of its environment.
+    // Under the main image's light, unasked with black behind; and with all of its environment.
     for environment in [CameraEnvironment::Light, CameraEnvironment::Inherited] {
         let is_plain = environment == CameraEnvironment::Light;
         let node = like(&near(), environment, CameraShadows::Environment);
         let (found, stats) = drawn(rig, node, vec![things()], &main);
         keep(&format!("shadows-texture-{is_plain}"), &found);
-        // The ground fills the picture but for its upper edge.
+        // The ground fills the image but for its upper edge.
         let (dark, lit) = check(&found, &rig.stage.pre_render[0].shadows, &near(), [&[tower()], &[]], to_sun());
         assert!(dark > 100 && lit > 5_000, "{dark} {lit}");
         if !is_plain {
             assert_eq!(differ(&found, &expected, 1), 0);
         }
-        // The main picture's own cascades are there too, with nothing in them: what is below a camera casts there only.
+        // The main image's own cascades are there too, with nothing in them: what is below a camera casts there only.
         assert_eq!(rig.stage.shadows.cascades.iter().map(|c| c.stage.leaf_count()).sum::<usize>(), 0);
         assert_eq!(stats.shadow_leaves, rig.stage.counters.shadow_leaves);
         assert!(stats.shadow_leaves >= 4 && stats.passes >= 6, "{stats:?}");
@@ -82,7 +82,7 @@ fn a_camera_to_a_texture_has_the_shadows_of_a_picture_from_there() {
 fn shadows_are_a_camera_s_own() {
     let Some(mut rig) = rig("shadows_are_a_camera_s_own") else { return };
     let rig = &mut *rig;
-    // None in the main picture; in the texture some of another resolution, and from another sun.
+    // None in the main image; in the texture some of another resolution, and from another sun.
     let main = Environment { shadows: None, ..sunny(to_sun()) };
     let small = SunShadows { resolution_px: 512, cascades: 2, ..SunShadows::default() };
     let expected = picture(rig, &near(), &Environment { shadows: Some(small), ..main });
@@ -96,7 +96,7 @@ fn shadows_are_a_camera_s_own() {
     let (found, _) = drawn(rig, node, vec![things()], &main);
     keep("shadows-own", &found);
     assert_eq!(differ(&found, &expected, 2), 0);
-    // What cannot be is said.
+    // Invalid settings are reported.
     let wrong = SunShadows { cascades: 9, ..small };
     let node = like(&near(), CameraEnvironment::Inherited, CameraShadows::Own(wrong));
     let (_, stats) = drawn(rig, node, vec![things()], &main);
@@ -150,7 +150,7 @@ fn reflections_have_the_shadows_of_what_they_reflect() {
     let rig = &mut *rig;
     let main = sunny(to_sun());
     let expected = picture(rig, &near(), &main);
-    // Left and right change places, in the world and in the picture: the same picture, mirrored.
+    // Left and right change places, in the world and in the image: the same image, mirrored.
     let flip = DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)));
     let mut node = like(&near(), CameraEnvironment::Inherited, CameraShadows::Environment);
     node.view = flip * node.view;
@@ -205,7 +205,7 @@ fn nested_cameras_have_shadows_beside_those_of_their_picture() {
     let rig = &mut *rig;
     let main = sunny(to_sun());
     let expected = picture(rig, &near(), &main);
-    // Another eye with another lens, in the picture of an eye that sees nothing else.
+    // Another eye with another lens, in the image of an eye that sees nothing else.
     let node = |environment: CameraEnvironment, shadows: CameraShadows| CameraNode {
         frame: ReferenceFrame::Absolute,
         view: near().eye_from_world,
@@ -225,7 +225,7 @@ fn nested_cameras_have_shadows_beside_those_of_their_picture() {
         assert!(dark > 100 && lit > 5_000, "{dark} {lit}");
         rig.release(scene);
     }
-    // The same eye as its picture's: each of the towers stands on ground of its own and casts its shadow there.
+    // The same eye as its image's: each of the towers stands on ground of its own and casts its shadow there.
     let patch = |x: f64| {
         let mesh = Mesh::rectangle(DVec3::new(x, -80.0, 0.0), DVec3::X * 79.0, DVec3::Y * 160.0);
         let tower_x = DVec3::X * (x + 60.0);

@@ -1,5 +1,5 @@
-//! What cameras in the graph draw into: depth alone, and one texture by several cameras; depth and stencil read back.
-//! Needs a GPU (a software one will do).
+//! Targets of cameras in the graph: depth alone, and one texture by several cameras; depth and stencil read back.
+//! Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -59,7 +59,7 @@ fn shown(depth: &Arc<TextureObject>) -> Node {
     Node::geode(vec![quad([0.0; 3], [1.0; 2], [1.0; 4])]).with_state_set(Arc::new(set))
 }
 
-/// Where there were no colours, nothing dropped anything.
+/// Alpha tests discard pixels in cameras without color; they once did not.
 #[test]
 fn cameras_without_colors_drop_what_others_drop() {
     let Some(mut rig) = rig("cameras_without_colors_drop_what_others_drop") else { return };
@@ -168,7 +168,7 @@ fn a_camera_with_several_samples_goes_on_with_what_its_texture_holds() {
         };
         let mark = |x: f32| Node::geode(vec![quad([x, 0.0, 0.0], [0.2, 0.5], [1.0; 4])]);
         let goes_on = |x| camera(target(&texture, 4), 3, None, vec![mark(x)]);
-        // What it clears is its part of the target.
+        // It clears its part of the target.
         let part = || {
             let top = Some([0, 0, SIDE, 8]);
             let node =
@@ -178,7 +178,7 @@ fn a_camera_with_several_samples_goes_on_with_what_its_texture_holds() {
         let ground = draw(rig, vec![begins(1), shows(&texture)]);
         let plain = pixel(&ground, 32, 32);
         let at = |picture: &RgbaImage| [12, 32, 52].map(|x| pixel(picture, x, 32));
-        // What is drawn goes into the first colour alone.
+        // Draws go into the first color alone.
         for (texture, seen) in [(&texture, [255; 3]), (&second, plain)] {
             // In the frame after, in one frame after a camera without samples, and after one with some.
             draw(rig, vec![blue(0), begins(4), blue(2), shows(texture)]);
@@ -201,7 +201,7 @@ fn a_camera_with_several_samples_goes_on_with_what_its_texture_holds() {
     }
 }
 
-/// What there is no memory for cost the whole frame.
+/// A target without memory is left out, and the rest of the frame is drawn.
 #[test]
 fn textures_that_there_is_no_memory_for_are_said_and_lose_no_frame() {
     let Some(mut rig) = rig("textures_that_there_is_no_memory_for_are_said_and_lose_no_frame") else { return };
@@ -265,7 +265,7 @@ fn depth_textures_may_have_a_stencil() {
         let screen = || node(1.0, [1.0; 4], &set);
         let has_stencil = format != TextureFormat::Depth32;
         let mut said = Vec::new();
-        // In one camera; and where a second one goes on with what the first has left.
+        // In one camera; and where a second one continues with what the first has left.
         let one = vec![camera(0, true, vec![node(0.5, [1.0; 4], &mark), green()])];
         let two = vec![camera(0, true, vec![node(0.5, [1.0; 4], &mark)]), camera(1, false, vec![green()])];
         for cameras in [one, two] {
@@ -292,7 +292,7 @@ fn depth_textures_may_have_a_stencil() {
     }
 }
 
-/// The pictures that come of a scene, in the order of the sinks, and what is said meanwhile.
+/// The images that come of a scene, in the order of the sinks, and what is said meanwhile.
 fn read<const N: usize>(
     rig: &mut Rig,
     node: Node,
@@ -463,7 +463,7 @@ fn depth_of_several_samples_is_that_of_the_first() {
     );
 }
 
-/// What is drawn over it by a camera that does not clear it is compared with it, in the frame.
+/// A camera that does not clear the depth compares with it in the same frame.
 #[test]
 fn cameras_with_several_samples_share_a_depth_texture() {
     let Some(mut rig) = rig("cameras_with_several_samples_share_a_depth_texture") else { return };

@@ -56,7 +56,7 @@ fn seen_depths(clip_from_eye: &DMat4, triangle: [DVec3; 3]) -> Vec<f64> {
         p.truncate() / p.w
     };
     let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
-    // Of an orthographic one the sides begin at the eye's plane, which cuts triangles too.
+    // An orthographic frustum begins at the eye's plane, which cuts triangles too.
     let eyes_plane = |(x, y): (f64, f64)| on_plane(x, y, 1.0) * DVec3::new(1.0, 1.0, 0.0);
     let along = corners.map(|c| (on_plane(c.0, c.1, 1.0), on_plane(c.0, c.1, 0.5), f64::INFINITY));
     let across = [0, 1, 2, 3].map(|i| (eyes_plane(corners[i]), eyes_plane(corners[(i + 1) % 4]), 1.0));

@@ -1,4 +1,4 @@
-//! What cameras in the graph draw: into textures and over the picture, in their order; targets of every kind;
+//! Cameras in the graph: into textures and over the view, in their order; targets of every kind;
 //! callbacks.
 
 use std::sync::{Arc, Mutex};
@@ -81,7 +81,7 @@ fn a_camera_draws_into_a_texture_that_is_seen_in_the_same_frame() {
     camera.clear_color = Some([0.0, 0.0, 1.0, 1.0]);
     // The camera hangs behind what shows it: the order of passes decides, not that of nodes.
     let picture = draw(rig, vec![screen(&texture), Node::camera(camera, vec![red()])]);
-    // A picture of half the size in the middle: red in its middle half, blue around.
+    // An image of half the size in the middle: red in its middle half, blue around.
     assert_eq!([(32, 32), (20, 32), (32, 45), (4, 4)].map(|(x, y)| pixel(&picture, x, y)), [RED, BLUE, BLUE, MAGENTA]);
     assert_eq!(count(&picture, RED), 16 * 16);
     no_errors(rig);
@@ -175,7 +175,7 @@ fn without_a_target_a_camera_draws_where_the_one_around_it_does() {
     let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
     rig.release(scene);
     assert_eq!((count(&picture, GREEN), count(&picture, RED)), (8 * 8, 16 * 16 - 8 * 8), "in the texture alone");
-    // In a part of the window, what is drawn over the picture is in that part too, unless it says another.
+    // In a part of the window, what is drawn over the image is in that part too, unless it says another.
     let scene = rig.scene(Node::group(vec![red(), over(None)]));
     rig.visitor.viewport_px = Some([32, 0, 32, 32]);
     let picture = rig.picture(&scene, &unit_camera(SIDE), &plain());
@@ -341,7 +341,7 @@ fn several_samples_smooth_edges() {
     assert!(shades(4) > 60);
 }
 
-/// What a camera draws, read back without waiting.
+/// A camera's image is read back without waiting.
 fn read(rig: &mut Rig, mut camera: CameraNode, children: Vec<Node>, sink: &Arc<PictureSink>) -> Vec<[u8; 4]> {
     let before = camera.target.as_deref().unwrap().clone();
     camera.target = Some(Arc::new(CameraTarget { read_back: Some(sink.clone()), ..before }));
@@ -549,7 +549,7 @@ fn nested_cameras_draw_into_their_part() {
     let green = Node::geode(vec![square(0.5, GREEN)]);
     let picture = draw(rig, vec![Node::camera(nested, vec![green]), red()]);
     assert_eq!([(16, 48), (32, 32), (2, 34), (40, 40)].map(|(x, y)| pixel(&picture, x, y)), [GREEN, RED, MAGENTA, RED]);
-    // Another projection for some nodes of the same picture: half as wide an angle, twice as large.
+    // Another projection for some nodes of the same image: half as wide an angle, twice as large.
     let mut wide = Node::new(NodeKind::Projection(proj::perspective_infinite_reverse(2.0 * (0.2f64).atan(), 1.0, 0.1)));
     wide.children = vec![Node::geode(vec![square(0.5, GREEN)])];
     let picture = draw(rig, vec![wide, red()]);
@@ -639,7 +639,7 @@ fn a_context_has_several_samples() {
     assert!(errors.is_empty(), "{errors:?}");
 }
 
-/// Those beyond 63 were drawn with the stage's own projection.
+/// Projections beyond 63 are used; they were once replaced by the stage's own.
 #[test]
 fn each_of_many_projections_is_its_own() {
     let Some(mut rig) = rig("each_of_many_projections_is_its_own") else { return };

@@ -68,7 +68,7 @@ fn each_mode_puts_the_eyes_where_it_should() {
     }
 }
 
-/// What an eye alone sees was left where the other eye's picture had come.
+/// Each eye's part is cleared of the other eye's image.
 #[test]
 fn eyes_that_change_places_take_their_masks_along() {
     let Some(mut rig) = rig("eyes_that_change_places_take_their_masks_along") else { return };

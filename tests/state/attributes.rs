@@ -1,5 +1,5 @@
 //! Further attributes of vertices: what programs read of them, what is seen and said of those that are not there, and
-//! that other shading takes no notice. Needs a GPU (a software one will do).
+//! that other shading takes no notice. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -107,7 +107,7 @@ const FORMATS: [(AttributeFormat, u32, u32, &str); 26] = [
     (Sint32x4, 4, 32, "i32"),
 ];
 
-/// Of a signed format every second component is negative.
+/// In signed formats every second component is negative.
 fn is_negative(format: AttributeFormat, c: u32) -> bool {
     matches!(format, Sint8x4 | Snorm8x4 | Sint16x2 | Sint16x4 | Snorm16x2 | Snorm16x4) && c % 2 == 1
 }
@@ -132,7 +132,7 @@ fn elements(format: AttributeFormat, components: u32, bits: u32, kind: &str) -> 
 fn attributes_of_every_format_reach_programs() {
     let Some(mut rig) = rig("attributes_of_every_format_reach_programs") else { return };
     let rig = &mut *rig;
-    // Of fifteen layouts at most; the second half takes the places of the first.
+    // At most fifteen layouts; the second half takes the slots of the first.
     for half in FORMATS.chunks(13) {
         let across = half.len() as f32;
         let nodes = half.iter().zip(0u8..).map(|(&(format, components, bits, kind), place)| {
@@ -148,7 +148,7 @@ fn attributes_of_every_format_reach_programs() {
                 )
             });
             let off = off.collect::<Vec<_>>().join(" + ");
-            // As in no mesh: the one that lies first at the later location.
+            // An order that no mesh has: the first attribute at the later location.
             let inputs = format!("@location(6) number: u32, @location(4) value: {ty}");
             let color = format!("select(vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), {off} < 0.01)");
             let set = StateSet::default().with(program(&format!("{format:?}"), &inputs, &color));
@@ -174,7 +174,7 @@ fn attributes_of_every_format_reach_programs() {
 fn programs_read_members_of_structs_and_what_is_not_given_of_a_vector() {
     let Some(mut rig) = rig("programs_read_members_of_structs_and_what_is_not_given_of_a_vector") else { return };
     let rig = &mut *rig;
-    // Of two components given, four read; of four given, one read.
+    // Two components given and four read; four given and one read.
     let set = StateSet::default().with(Attribute::Program(Program::new(
         "struct",
         "struct Further { @location(9) TEXCOORD_1: vec4<f32>, @location(5) _HEAT: f32 }
@@ -197,7 +197,7 @@ fn programs_read_members_of_structs_and_what_is_not_given_of_a_vector() {
     assert_eq!(pixel(&picture, 32, 32), GREEN);
 }
 
-/// As glTF's `_BASIS` comes.
+/// An attribute in the format of glTF's `_BASIS`.
 #[test]
 fn programs_put_matrices_together_from_their_columns() {
     let Some(mut rig) = rig("programs_put_matrices_together_from_their_columns") else { return };
@@ -291,7 +291,7 @@ fn other_shading_takes_no_notice_of_attributes() {
     let to_sun = DVec3::new(0.6, -0.4, 0.9);
     let seen = camera([160, 120], DVec3::new(-9.0, -16.0, 12.0), DVec3::new(0.0, 0.0, 1.0), DVec3::Z);
     let mut draw = |attributes: bool, set: Option<&StateSet>, shadows: bool| {
-        // Of two triangles and of many, which would be packed were they white.
+        // Two triangles, and many, which would be packed if they were white.
         let raised = |mut mesh: Mesh, x: f32, z: f32| {
             for vertex in &mut mesh.vertices {
                 let [a, b, c] = vertex.position;
@@ -321,7 +321,7 @@ fn other_shading_takes_no_notice_of_attributes() {
     for (set, shadows) in [(None, false), (None, true), (Some(&fixed), false), (Some(&fixed), true)] {
         let [without, with] = [false, true].map(|attributes| draw(attributes, set, shadows));
         assert_eq!(differing(&without, &with), 0, "{set:?} {shadows}");
-        // What casts a shadow does so.
+        // Shadow casters still cast.
         match lit.take().filter(|_| shadows) {
             Some(lit) => assert!(differing(&lit, &with) > 300, "{set:?}: {}", differing(&lit, &with)),
             None => lit = Some(with),
@@ -388,10 +388,10 @@ fn more_layouts_than_there_can_be_are_said_and_the_rest_is_drawn() {
         "{:?}",
         compiled.errors
     );
-    // One of the known ones has its place still.
+    // A known layout still has its slot.
     let known = rig.compile(vec![named(3)]);
     assert_eq!(known.errors, Vec::<String>::new());
-    // Of each of four vertices two floats besides, and six indices.
+    // Two more floats for each of four vertices, and six indices.
     assert_eq!(known.bytes, 4 * (28 + 8) + 6 * 4);
     rig.ctx.release(&compiled.slots);
     rig.ctx.release(&known.slots);
@@ -400,7 +400,7 @@ fn more_layouts_than_there_can_be_are_said_and_the_rest_is_drawn() {
     rig.ctx.release(&again.slots);
 }
 
-/// What was checked when the attribute was added may have been changed since.
+/// A mesh may have changed since its attribute was checked.
 #[test]
 fn meshes_with_other_vertices_than_attributes_fail_to_upload() {
     let Some(mut rig) = rig("meshes_with_other_vertices_than_attributes_fail_to_upload") else { return };

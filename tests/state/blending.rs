@@ -1,4 +1,4 @@
-//! Every factor and equation of blending, in every place, against OpenGL's formulas. Needs a GPU (a software one will
+//! Every factor and equation of blending, for color and alpha, against OpenGL's formulas. Needs a GPU (a software one will
 //! do).
 
 use std::sync::Arc;
@@ -32,10 +32,10 @@ const BELOW: [f32; 4] = [0.2, 0.8, 0.4, 0.45];
 const CONSTANT: [f32; 4] = [0.6, 0.05, 0.75, 0.22];
 
 const SIDE: u32 = 64;
-/// Squares along a side of the picture, each with a function of its own.
+/// Squares along a side of the image, each with its own function.
 const ACROSS: usize = 5;
 
-/// Of a component, alpha being the last.
+/// The value of a component; alpha is the last.
 fn factor(of: BlendFactor, component: usize) -> f32 {
     let (s, d, c) = (ABOVE[component], BELOW[component], CONSTANT[component]);
     match of {
@@ -72,7 +72,7 @@ fn blended(func: BlendFunc, equation: BlendEquation) -> [f32; 4] {
     })
 }
 
-/// A picture in which each square is blended as one of the cases says, read with its alpha.
+/// An image in which each square is blended as one of the cases says, read with its alpha.
 fn drawn(rig: &mut Rig, cases: &[(BlendFunc, BlendEquation)]) -> Vec<[u8; 4]> {
     let texture = TextureObject::target("blended", [SIDE; 2], TextureFormat::Rgba8);
     let sink = Arc::new(PictureSink::default());

@@ -157,7 +157,7 @@ fn samplers_wrap_filter_and_bias() {
     assert_eq!(rows(WrapMode::ClampToEdge), [RED, RED, RED, GREEN]);
     assert_eq!(rows(WrapMode::Repeat), [RED, GREEN, RED, GREEN]);
     assert_eq!(rows(WrapMode::Mirror), [GREEN, RED, RED, GREEN]);
-    // Levels: 0 is red, 1 green; the picture magnifies, so that a bias of 1 takes level 1.
+    // Levels: 0 is red, 1 green; the image magnifies, so that a bias of 1 takes level 1.
     let levels = Arc::new(TextureObject {
         levels: 2,
         texels: vec![[255, 0, 0, 255].repeat(64 * 64), [0, 255, 0, 255].repeat(32 * 32)],
@@ -259,7 +259,7 @@ fn planes_of_r_and_q_choose_slices_and_project() {
         let at = [20, 30, 34, 44].map(|y| pixel(&picture, 32, y));
         assert_eq!(at, [RED, RED, BLUE, BLUE], "{dimension:?} {q}");
     }
-    // A picture from a projector: s / q is 0.5 where x = y / 2.
+    // An image from a projector: s / q is 0.5 where x = y / 2.
     let two = TextureObject::image("two", [2, 1], [[255, 0, 0, 255], [0, 255, 0, 255]].concat());
     let q = [0.0, 1.0, 0.0, 1.0];
     let picture = draw(rig, vec![with(&two, [along_s, constant(0.0), constant(0.0), q])]);

@@ -1,4 +1,4 @@
-//! What the tests of the fixed function share: a lit square before the eye, a light, colours, textures.
+//! Parts of the tests of the fixed function: a lit square before the eye, a light, colours, textures.
 
 use std::sync::Arc;
 

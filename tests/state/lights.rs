@@ -159,7 +159,7 @@ fn a_light_that_says_no_number_leaves_the_sun_on() {
                 let nodes = vec![source(Light { number, ..light }), node(square(WHITE), set.clone())];
                 let (pixels, errors) = seen(rig, nodes);
                 assert_eq!(pixels, [sunlit; 2], "{light:?}");
-                // Each is said once, for all that is drawn with it.
+                // Each is reported once, for all that is drawn with it.
                 let error = format!("a LightSource: light {number} does not shine: its {what}");
                 assert!(errors.is_empty() || errors == [error], "{errors:?}");
             }
@@ -275,7 +275,7 @@ fn parallel_rays_see_the_same_highlight_all_over_a_plane() {
     for got in seen(vec![front.clone(), shines()]) {
         assert_near(got, [0.5, 0.25, 0.0], "a highlight");
     }
-    // Where the eye is, too.
+    // The same at the eye's position.
     let near = Node::transform(DAffine3::from_translation(DVec3::Z), vec![shines()]);
     for got in seen(vec![front, near]) {
         assert_near(got, [0.5, 0.25, 0.0], "in the eye's own plane");

@@ -299,7 +299,7 @@ fn uniforms_of_every_type_reach_programs() {
     }
 }
 
-/// More uniforms than the adapter takes: the program is said, and the rest of the picture drawn.
+/// More uniforms than the adapter takes: the program is reported, and the rest of the frame is drawn.
 #[test]
 fn programs_with_too_many_uniforms_are_said_and_lose_no_frame() {
     let Some(mut rig) = rig("programs_with_too_many_uniforms_are_said_and_lose_no_frame") else { return };
@@ -339,7 +339,7 @@ fn broken_programs_are_seen_and_said_once() {
         ("syntax", "this is no WGSL".to_string(), "expected"),
         ("types", format!("{vertex} @fragment fn fs_main() -> @location(0) vec4<f32> {{ return 1; }}"), "types"),
         ("half", vertex.to_string(), "no fragment entry point"),
-        // What only the device finds, when it makes the pipeline.
+        // An error that only the device finds, when it creates the pipeline.
         (
             "inputs",
             format!(

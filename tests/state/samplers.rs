@@ -1,5 +1,5 @@
 //! How textures of state sets are sampled: filters, anisotropy, wrapping along each axis, biases; and what images of
-//! floats hold. Needs a GPU (a software one will do).
+//! floats hold. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ const NEAREST: Sampler = Sampler {
     compare: None,
 };
 
-/// Levels of a picture, each a pattern.
+/// Levels of an image, each a pattern.
 fn levels(size: [u32; 2], texel: impl Fn(u32, u32, u32) -> [u8; 4], levels: u32) -> Arc<TextureObject> {
     let of_level = |level: u32| {
         let [w, h] = size.map(|side| (side >> level).max(1));
@@ -160,7 +160,7 @@ fn planes_wrap_each_axis_in_the_fixed_function() {
     let Some(mut rig) = rig("planes_wrap_each_axis_in_the_fixed_function") else { return };
     let texels = [RED, GREEN, BLUE, [255; 4]].concat();
     let texture = TextureObject::image("quarters", [2, 2], texels.clone());
-    // Three copies each way, in the middle of the picture the texture itself.
+    // Three copies each way, in the middle of the image the texture itself.
     let coordinates = TexGen::ObjectLinear(TexGen::planes([3.0, 0.0, 0.0, 0.5], [0.0, -3.0, 0.0, 0.5]));
     let modes = [WrapMode::ClampToEdge, WrapMode::Repeat, WrapMode::Mirror];
     for (s, t) in modes.into_iter().flat_map(|s| modes.map(|t| (s, t))) {

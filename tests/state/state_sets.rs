@@ -1,4 +1,4 @@
-//! What each mode and attribute of a state set does to pixels.
+//! The effect of each mode and attribute of a state set on pixels.
 
 use std::sync::Arc;
 
@@ -24,7 +24,7 @@ const YELLOW: [u8; 3] = [255, 255, 0];
 const CYAN: [u8; 3] = [0, 255, 255];
 const WHITE: [u8; 3] = [255, 255, 255];
 
-/// A quad over the middle of the picture at a height above z = 0, towards the eye.
+/// A quad over the middle of the image at a height above z = 0, towards the eye.
 fn square(z: f32, color: [u8; 3]) -> Drawable {
     let [r, g, b] = color.map(|c| f32::from(c) / 255.0);
     quad([0.0, 0.0, z], [0.5, 0.5], [r, g, b, 1.0])
@@ -147,7 +147,7 @@ fn depth_compares_and_writes() {
         let same = vec![node(square(0.0, RED), StateSet::default()), second];
         assert_eq!(middle(rig, same), wins, "{function:?} at the same depth");
     }
-    // What writes no depth hides nothing that comes later.
+    // Leaves that write no depth hide nothing drawn later.
     let near = StateSet::default().with(depth(CompareFunction::Less, false));
     assert_eq!(middle(rig, vec![node(square(0.5, RED), near), node(square(0.0, GREEN), later())]), GREEN);
 }
@@ -359,11 +359,11 @@ fn scissors_and_viewports_bound_what_is_drawn() {
     let mut off = scissor(20, 18, 9, 5);
     off.set_mode(Mode::ScissorTest, StateValue::OFF);
     assert_eq!(red(&draw(rig, vec![node(square(0.0, RED), off)])).1, 32 * 32);
-    // The whole picture in the upper left quarter: the square is there, half as large.
+    // The whole image in the upper left quarter: the square is there, half as large.
     let quarter = Viewport { x: 0.0, y: 0.0, width: 32.0, height: 32.0 };
     let picture = draw(rig, vec![node(square(0.0, RED), StateSet::default().with(Attribute::Viewport(quarter)))]);
     assert_eq!(red(&picture), ([8, 8, 24, 24], 256));
-    // Beyond the target is cut, not squeezed into it: a quarter of a picture of twice the size, from each corner.
+    // Beyond the target is cut, not squeezed into it: a quarter of an image of twice the size, from each corner.
     for (x, y, expected) in
         [(0.0, 0.0, [32, 32, 64, 64]), (-64.0, 0.0, [0, 32, 32, 64]), (-64.0, -64.0, [0, 0, 32, 32])]
     {
@@ -429,6 +429,6 @@ fn stencils_mark_and_test() {
     ];
     let green = count(&draw(rig, nodes), GREEN);
     assert!((200..260).contains(&green), "{green}");
-    // Pictures without stencils are drawn as ever.
+    // Images without stencils are drawn as ever.
     assert_eq!(middle(rig, vec![node(square(0.0, RED), StateSet::default())]), RED);
 }

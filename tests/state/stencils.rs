@@ -1,5 +1,5 @@
-//! What stencils do to values and pixels, against OpenGL's rules: every operation in each place, every comparison, masks
-//! and sides. Needs a GPU (a software one will do).
+//! The effect of stencils on values and pixels, against OpenGL's rules: every operation in each case, every comparison, masks
+//! and sides. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ const FUNCTIONS: [CompareFunction; 8] = [
     CompareFunction::Always,
 ];
 
-/// Cases along a side of the picture, and pixels of each.
+/// Cases along a side of the image, and pixels of each.
 const ACROSS: usize = 16;
 const CELL_PX: u32 = 8;
 const SIDE: u32 = ACROSS as u32 * CELL_PX;

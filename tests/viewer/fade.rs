@@ -1,4 +1,4 @@
-//! Fades of levels of detail in a viewer: the same in all threading models, by the application's time, and frames go on
+//! Fades of levels of detail in a viewer: the same in all threading models, by the application's time, and frames continue
 //! until they are over.
 
 use std::sync::Arc;
@@ -50,7 +50,7 @@ fn all_models_draw_the_same_fade() {
     for model in ThreadingModel::ALL {
         let Some(mut viewer) = viewer(model) else { return };
         open(&mut viewer);
-        // A slave in a part of the picture has a level of detail and a fade of its own.
+        // A slave in a part of the image has a level of detail and a fade of its own.
         let context = viewer.contexts().next().unwrap();
         let slave = Slave { viewport: Viewport::Pixels([64, 0, 32, 32]), ..Slave::new(context) };
         let slave = viewer.add_slave(slave).unwrap();
@@ -69,7 +69,7 @@ fn all_models_draw_the_same_fade() {
                 viewer.want_picture();
             }
             viewer.frame_at(time_s).unwrap();
-            // A picture may be under way besides.
+            // An image may be under way besides.
             assert!(viewer.check_need_to_do_frame() || viewer.is_settled());
             let is_fading = (3..11).contains(&frame);
             assert_eq!(viewer.is_settled(), !is_fading, "{model} {frame}");

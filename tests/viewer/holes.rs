@@ -1,5 +1,5 @@
 //! No hole and no crack: low flights over a generated height set show no background below the horizon, while tiles
-//! are loading and when all are there. Needs a GPU (a software one will do).
+//! are loading and when all are there. Needs a GPU; a software adapter suffices.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! Image sequences: the right picture at the right time, whatever loads slowly, fails or is paged out. Needs a GPU (a
+//! Image sequences: the right image at the right time, whatever loads slowly, fails or is paged out. Needs a GPU (a
 //! software one will do).
 
 use std::path::Path;
@@ -16,7 +16,7 @@ use terrane::scene::{Drawable, Material, Mesh, Node, Page, PageId, Texture};
 use terrane::state::{Attribute, Mode, StateSet, StateValue, TextureBinding};
 use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig};
 
-/// What image `k` is filled with.
+/// Returns the color of image `k`.
 fn shade(k: usize) -> [u8; 3] {
     [(20 + 7 * (k % 32)) as u8, (30 + 5 * (k / 32)) as u8, 200]
 }
@@ -30,7 +30,7 @@ fn write_images(folder: &Path, count: usize, side: u32) -> Vec<String> {
     (0..count).map(write).collect()
 }
 
-/// Sequences beside each other, each on a square of the picture.
+/// Sequences beside each other, each on a square of the image.
 struct Theatre {
     viewer: Viewer,
     root: PageId,
@@ -77,7 +77,7 @@ impl Theatre {
         Some(Self { viewer, root, count })
     }
 
-    /// What the middle of each square shows at a time.
+    /// Returns the color in the middle of each square at a time.
     fn look(&mut self, time_s: f64) -> Vec<[u8; 3]> {
         self.viewer.frame_at(time_s).unwrap();
         let picture = self.viewer.read_back().unwrap();
@@ -217,7 +217,7 @@ fn images_that_do_not_fit_beside_each_other_end_the_frame() {
     let (done, ended) = std::sync::mpsc::channel();
     std::thread::spawn(move || {
         let all: Vec<_> = sequences.iter().collect();
-        // Some mips more than the picture alone; two are too many.
+        // Some mips more than the image alone; two are too many.
         let config = ImagePagerConfig { max_bytes: 64 * 64 * 4 * 3 / 2, ..blocking() };
         let seen = Theatre::open(&all, config, ThreadingModel::SingleThreaded).map(|mut theatre| {
             let shown = theatre.look(1.0);

@@ -1,4 +1,4 @@
-//! Drawing on demand: what asks for a frame, what comes to rest, and how what rested moves again. Pictures need a GPU (a
+//! Drawing on demand: events that request a frame, when drawing pauses, and how it resumes. Images need a GPU (a
 //! software one will do).
 
 use std::path::Path;
@@ -58,7 +58,7 @@ fn rested(manipulator: impl CameraManipulator + 'static) -> Viewer {
     viewer
 }
 
-/// What happens now and the frame after it; the eye's way, and the seconds that all took.
+/// An event now and the frame after it; the eye's way, and the seconds that all took.
 fn moved(viewer: &mut Viewer, act: impl FnOnce(&mut Viewer)) -> (f64, f64) {
     let (start, from) = (Instant::now(), viewer.camera.eye());
     act(viewer);
@@ -154,7 +154,7 @@ fn pictures_of_a_closed_context_are_not_awaited() {
     viewer.settle(4);
     viewer.finish().unwrap();
     assert!(!viewer.check_need_to_do_frame() && viewer.take_pictures_of(second).is_empty());
-    // What was to be done with one is forgotten.
+    // Its pending work is dropped.
     let held = Rc::new(());
     let of_capture = held.clone();
     viewer.capture(Box::new(move |_, _| drop(of_capture)));
@@ -348,7 +348,7 @@ fn what_finds_no_room_asks_for_no_frame() {
     rest(&mut viewer);
     assert_eq!(tiles(&viewer), (4, 16));
     assert!(!viewer.is_settled(), "some of the tiles are not there");
-    // What comes into sight takes the places of what goes.
+    // Tiles that come into view take the slots of those that leave it.
     viewer.camera.look_at(DVec3::new(-38.0, -5.0, 0.0), DVec3::new(-38.0, 0.0, 0.0), DVec3::Z);
     viewer.request_redraw();
     rest(&mut viewer);

@@ -1,4 +1,4 @@
-//! Equal paths give equal pictures in blocking mode, whoever draws; stages and contexts end cleanly. Needs a GPU
+//! Equal paths give equal images in blocking mode, whoever draws; stages and contexts end cleanly. Needs a GPU
 //! (a software one will do).
 
 use std::path::Path;
@@ -28,7 +28,7 @@ fn config(threading: ThreadingModel) -> ViewerConfig {
     }
 }
 
-/// Every tenth picture of the default path.
+/// Every tenth image of the default path.
 fn fly(set: &str, threading: ThreadingModel) -> Option<Vec<RgbaImage>> {
     let mut viewer = offscreen(&config(threading))?;
     viewer.load(set).unwrap();

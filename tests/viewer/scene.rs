@@ -1,5 +1,5 @@
-//! Scenes that the application makes itself: drawn, moved, resized, removed, shown again; a tile set in the place of
-//! another. Needs a GPU (a software one will do).
+//! Scenes that the application makes itself: drawn, moved, resized, removed, shown again; a tile set instead of
+//! another. Needs a GPU; a software adapter suffices.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -173,7 +173,7 @@ fn a_set_in_the_place_of_another_is_seen_as_the_first_one_was() {
     assert_eq!((size(&used).center, size(&used).radius_m), (size(&fresh).center, size(&fresh).radius_m));
     assert_eq!(used.camera.world_from_eye, fresh.camera.world_from_eye);
     assert!(used.is_height_set());
-    // Whoever changes pages of its own keeps its camera.
+    // An application that changes its pages keeps its camera.
     assert!(used.root_uri().is_some_and(|uri| uri.starts_with(&small)));
     assert!(used.remove_root(root).is_some() && !used.is_height_set() && used.root_uri().is_none());
     used.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
@@ -223,7 +223,7 @@ fn a_manipulator_goes_on_from_the_first_sight_of_a_set() {
     }
 }
 
-/// What was there first had given camera, light and air its own size.
+/// Camera, light and atmosphere follow the set's size, not that of the page that was first.
 #[test]
 fn a_set_is_seen_as_ever_beside_what_the_application_has() {
     let folder = tempfile::tempdir().unwrap();
@@ -249,7 +249,7 @@ fn a_set_is_seen_as_ever_beside_what_the_application_has() {
         assert_eq!(seen.environment, fresh.environment);
     }
     assert!(used.is_height_set() && composite.is_height_set(scene).unwrap());
-    // What comes beside it changes nothing.
+    // A second set changes nothing.
     used.camera.look_at(DVec3::new(0.0, -5.0, 0.0), DVec3::ZERO, DVec3::Z);
     let (camera, environment) = (used.camera, used.environment);
     used.add_root(page()).unwrap();

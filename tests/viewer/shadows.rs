@@ -1,4 +1,4 @@
-//! Shadows where there is more than one picture of a scene, or more than one level of it: fades, eyes, slaves, tiles.
+//! Shadows where there is more than one image of a scene, or more than one level of it: fades, eyes, slaves, tiles.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -118,7 +118,7 @@ fn each_eye_has_its_own_shadows() {
         rig.visitor.cull_stereo(&scene, &whole, &stereo, &targets, &mut rig.stage);
         let stats = rig.renderer.draw(&mut rig.ctx, &rig.stage, &environment).unwrap();
         assert!(rig.ctx.take_device_errors().is_empty() && rig.renderer.take_errors().is_empty());
-        // Two pictures of four cascades each, put together.
+        // Two images of four cascades each, put together.
         assert_eq!(stats.passes, 11);
         let picture = rig.read_back();
         keep(&format!("eye-{eye}"), &picture);
@@ -145,7 +145,7 @@ fn viewer(size_px: [u32; 2], threading: ThreadingModel) -> Viewer {
     Viewer::new_offscreen(&config).unwrap()
 }
 
-/// The tower and the ground; the picture after some frames.
+/// The tower and the ground; the image after some frames.
 fn open(viewer: &mut Viewer) {
     let root = Node::geode(vec![ground(200.0), cuboid(tower().min, tower().max)]);
     viewer.add_root(Page::from_node(root).unwrap()).unwrap();
@@ -168,7 +168,7 @@ fn slaves_have_shadows_of_their_own() {
     }
     let turned = DAffine3::from_rotation_y(0.2) * DAffine3::from_translation(DVec3::new(3.0, 0.0, 0.0));
     let [width, height] = SIZE;
-    // As the slave sees it, alone.
+    // The same view as the slave's, alone.
     let mut alone = viewer(SIZE, ThreadingModel::SingleThreaded);
     open(&mut alone);
     let master = settled(&mut alone);

@@ -1,5 +1,5 @@
 //! The pager's debug view: what the tiles of a set are told to be while a server stalls and fails, and that the view
-//! shows it in its colours. Pictures need a GPU (a software one will do).
+//! shows it in its colours. Images need a GPU; a software adapter suffices.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -74,7 +74,7 @@ fn press(viewer: &mut Viewer, key: Key) {
     viewer.frame().unwrap();
 }
 
-/// What the tiles are after a frame.
+/// Returns the states of the tiles after a frame.
 fn states(viewer: &Viewer) -> Vec<TileState> {
     let frame = viewer.frame_stamp().frame;
     viewer.scene().tiles().filter_map(|tile| TileState::of(&tile, viewer.pager(), frame)).collect()

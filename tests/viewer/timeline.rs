@@ -1,5 +1,5 @@
 //! A recorded flight: the file parses, spans of a thread lie inside each other, every thread has a name, every request
-//! comes to its end. Needs a GPU (a software one will do). One test: a process has one recording.
+//! comes to its end. Needs a GPU; a software adapter suffices. One test: a process has one recording.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -115,7 +115,7 @@ fn a_flight_is_recorded_whole() {
         spans.values_mut().for_each(|spans| assert_nested(spans));
         let main = "a_flight_is_recorded_whole";
         let (draw, cull) = (draws.unwrap_or(main), culls.unwrap_or(main));
-        // Where the threads of the model meet.
+        // The barriers of the threading model.
         let meetings: &[(&str, &str, u32)] = match threading {
             ThreadingModel::CullDrawThreadPerContext => &[
                 (main, "start barrier", 40),
@@ -155,7 +155,7 @@ fn a_flight_is_recorded_whole() {
         assert!(of("fetch") >= stats.loaded && of("decode") >= stats.loaded && stats.loaded > 5, "{stages:?}");
         assert_eq!(of("open when the recording ends"), 0);
 
-        // What the adapter did, on a line for each context: after the frame began that it belongs to, and before the
+        // The adapter's work, on a line for each context: after the frame began that it belongs to, and before the
         // frame that waited for it.
         let frames_of = |line: &str| -> BTreeMap<u32, (f64, f64)> {
             let is_frame = |e: &&Value| text(e, "ph") == "X" && text(e, "name") == "frame";

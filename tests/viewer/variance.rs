@@ -1,5 +1,5 @@
 //! Update rewrites geometry, state and transforms in every frame, with draws of earlier frames still under way: each
-//! picture is that of its own frame, whoever culls and draws. Needs a GPU (a software one will do).
+//! image is that of its own frame, whoever culls and draws. Needs a GPU; a software adapter suffices.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
@@ -78,7 +78,7 @@ fn root(viewer: &mut Viewer, mesh: &Arc<Mesh>, set: &Arc<StateSet>) -> PageId {
     root
 }
 
-/// What a run gave: a picture a frame, and how often update found its mesh shared.
+/// The result of a run: an image per frame, and how often update found its mesh shared.
 type Run = (Vec<(u32, RgbaImage)>, u32);
 
 fn run(threading: ThreadingModel, variance: DataVariance) -> Option<Run> {
@@ -183,7 +183,7 @@ fn a_view_has_callbacks_and_says_near_and_far() {
             let said = said.clone();
             move |info: &RenderInfo<'_>| {
                 let camera = &info.stage.camera;
-                // What is at -near has depth 1.
+                // Points at -near have depth 1.
                 let near_m = camera.clip_from_eye.w_axis.z / (1.0 + camera.clip_from_eye.z_axis.z);
                 said.lock().unwrap().push((moment, camera.frame, near_m));
             }

@@ -103,7 +103,7 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
     let mut one = Viewer::new(of_wide, &config(ThreadingModel::SingleThreaded, wide, true)).unwrap();
     one.load(&set).unwrap();
     let pose = one.camera.world_from_eye;
-    // The middle third has a third of the wide picture's width, in tangents.
+    // The middle third has a third of the wide image's width, in tangents.
     let fovy = one.camera.fovy(wide);
     one.frame().unwrap();
     let expected = one.read_back().unwrap();
@@ -131,7 +131,7 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
         }
         assert!(differing(&wall, &expected) < 60, "{threading}: {} pixels differ", differing(&wall, &expected));
         assert!(*first.get_or_insert_with(|| pictures.clone()) == pictures, "{threading} draws otherwise");
-        // The window in the middle is closed: the others go on.
+        // The window in the middle is closed: the others continue.
         assert!(viewer.close_context(contexts[0]).unwrap() && !viewer.close_context(contexts[0]).unwrap());
         assert!(matches!(viewer.read_back(), Err(ViewerError::NoContext(_))));
         viewer.frame().unwrap();
@@ -154,7 +154,7 @@ fn a_context_that_comes_later_shows_all() {
         viewer.add_root(Page::from_node(ball(at, radius, [1.0, 0.0, 0.0, 1.0])).unwrap()).unwrap();
         let settle = |viewer: &mut Viewer| {
             viewer.settle(1);
-            // What was uploaded last is drawn.
+            // The last upload is drawn.
             (0..4).for_each(|_| viewer.frame().unwrap());
         };
         settle(&mut viewer);
@@ -269,7 +269,7 @@ fn views_have_scenes_of_their_own_or_share_one() {
         let pictures = (both.clone(), alone);
         assert!(*first.get_or_insert_with(|| pictures.clone()) == pictures, "{threading} draws otherwise");
 
-        // What is changed in a scene is seen by all its views and by no others.
+        // A change of a scene is seen by all its views and by no others.
         let far = DAffine3::from_translation(DVec3::new(0.0, 0.0, 1e6));
         for index in [1, 3] {
             viewer.scene_mut(red).unwrap().set_transform(NodeId { page: root, index }, far).unwrap();
@@ -312,7 +312,7 @@ fn a_lost_device_is_replaced_and_everything_is_shown_again() {
         );
         viewer.add_root(Page::from_node(own).unwrap()).unwrap();
         let settle = |viewer: &mut Viewer| {
-            // As many as may be under way when the device goes, and the one that is told.
+            // The frames in flight when the device is lost, and the one that reports it.
             viewer.settle(4);
             viewer.frame().unwrap();
             viewer.frame().unwrap();
@@ -357,7 +357,7 @@ fn pictures_that_were_asked_for_come_though_a_device_is_lost() {
     }
 }
 
-/// Nothing moves, and yet who asked for a picture needs frames until it has come.
+/// Nothing moves, and yet who asked for an image needs frames until it has come.
 #[test]
 fn a_picture_that_was_asked_for_needs_a_frame() {
     let size = [64, 48];
@@ -434,7 +434,7 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
         let mut viewer = Viewer::new(of_first, &config(threading, size, false)).unwrap();
         viewer.add_root(page([1.0, 0.0, 0.0, 1.0])).unwrap();
         let drawn = |viewer: &mut Viewer| {
-            // As many as may be under way, the one that is told, and those that upload.
+            // The frames in flight, the one that reports the loss, and those that upload.
             viewer.settle(8);
             viewer.finish().unwrap();
             viewer.read_back().unwrap()
@@ -444,7 +444,7 @@ fn a_device_that_is_lost_between_frames_is_no_error_of_what_waits_for_them() {
         let is_lost = |got: Result<RgbaImage, ViewerError>| {
             matches!(got, Err(ViewerError::Gpu(terrane::gpu::GpuError::DeviceLost { .. })))
         };
-        // With nothing under way: no picture, again and again, and none of the waits fails.
+        // With nothing under way: no image, again and again, and none of the waits fails.
         viewer.lose_device(main).unwrap();
         for _ in 0..2 {
             viewer.finish().unwrap();

@@ -1,5 +1,5 @@
-//! What handlers show over the picture: over each view, in whichever context it is, and over a device that takes the place
-//! of a lost one. Pictures need a GPU (a software one will do).
+//! Overlays of handlers: over each view, in whichever context it is, and over a device that takes the place
+//! of a lost one. Images need a GPU; a software adapter suffices.
 
 use std::path::Path;
 

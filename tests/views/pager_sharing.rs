@@ -1,5 +1,5 @@
 //! Equal contents of tiles are one: in the decode workers, on the GPU, in the budgets; and only until they change.
-//! Contexts without a GPU; pictures where there is one.
+//! Contexts without a GPU; images where there is one.
 
 use std::path::Path;
 use std::sync::{Arc, Barrier};
@@ -417,7 +417,7 @@ fn one_page_goes_or_changes_and_the_other_stays() {
     rig.ctx.release(&second.slots);
     assert_eq!(rig.ctx.bytes_in_use(), before);
 
-    // What comes later is uploaded anew, though its key is known.
+    // Later pages are uploaded anew, though their key is known.
     let (_, third) = add(&mut rig, &mut scene, square_page(&manager, 0.5, 200));
     assert_eq!(halves(&mut rig, &scene), [0, right]);
     assert_eq!(third.shared, first.shared);

@@ -1,4 +1,4 @@
-//! A pick meets the ground exactly where the picture shows it, at the depth at which it is drawn. Needs a GPU (a
+//! A pick meets the ground exactly where the image shows it, at the depth at which it is drawn. Needs a GPU (a
 //! software one will do).
 
 use std::sync::Arc;

@@ -12,7 +12,7 @@ use terrane::pager::{ImageSequence, SequenceImage};
 use terrane::scene::Page;
 use terrane::viewer::{CompositeViewer, ContextId, SceneId, ThreadingModel, ViewId, ViewerConfig, ViewerError};
 
-/// What a device keeps for drawables without a texture.
+/// Bytes that a device keeps for drawables without a texture.
 const WHITE_TEXEL_BYTES: u64 = 4;
 
 /// Whether there are threads of pagers in this process, or come to be; a thread has its name a moment after it starts, and
@@ -121,7 +121,7 @@ fn a_scene_that_goes_takes_what_is_its_own_and_no_more() {
                 assert_eq!(three.viewer.scene_of(*view).unwrap(), three.scenes[place]);
                 assert_eq!(three.pages(place), pages);
             }
-            // The last but one, so that no place is what it was.
+            // The last but one, so that every index changes.
             three.remove(0);
             three.viewer.settle(1);
             let stats = *three.viewer.pager(three.scenes[0]).unwrap().unwrap().stats();

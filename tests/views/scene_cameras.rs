@@ -1,4 +1,4 @@
-//! Cameras in the graph that show the scene: its roots and its paged content, from where they are. Pictures need a GPU (a
+//! Cameras in the graph that show the scene: its roots and its paged content, from where they are. Images need a GPU (a
 //! software one will do).
 
 use std::sync::Arc;
@@ -37,7 +37,7 @@ fn pose(viewer: &Viewer, heading: f64, pitch: f64, range: f64) -> DAffine3 {
     bounds.first_camera(&ViewFrom { heading, pitch, range_m: Some(range * bounds.sphere.radius_m) })
 }
 
-/// What the viewer's camera is at a pose.
+/// Returns the viewer's camera at a pose.
 fn camera_at(viewer: &Viewer, world_from_eye: DAffine3, size_px: [u32; 2]) -> CullCamera {
     let clip_from_eye = viewer.camera.clip_from_eye(size_px, 1.0);
     CullCamera {
@@ -103,7 +103,7 @@ fn a_camera_to_a_texture_shows_the_scene_with_the_tiles_that_it_asks_for() {
     keep("scene-camera-found", &found);
     let apart = differ(&found, &expected, 2);
     assert!(apart < 40, "{apart} pixels differ");
-    // The main picture is as without.
+    // The main image is as without.
     assert!(differ(&viewer.read_back().unwrap(), &alone, 2) < 40);
 }
 
@@ -115,7 +115,7 @@ fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
     viewer.load(&set).unwrap();
     let (main, other) = (pose(&viewer, 0.4, -0.3, 0.4), pose(&viewer, 2.4, -0.7, 0.5));
     let inset = [130, 10, 100, 70];
-    // From where the inset sees, a picture of its size.
+    // From where the inset sees, an image of its size.
     viewer.camera.world_from_eye = other;
     settle(&mut viewer);
     let expected = viewer.compute_intersections(120.0, 80.0, IntersectionLimit::Nearest)[0].world_point();
@@ -149,7 +149,7 @@ fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
     assert!(colours.len() > 40, "{}", colours.len());
     let [r, g, b, _] = inside.get_pixel(50, 35).0;
     assert!(r > 180 && b > 180 && g < 90, "the mark");
-    // The middle of the inset is where the middle of a picture from there is.
+    // The middle of the inset is where the middle of an image from there is.
     let hit = &viewer.compute_intersections(180.0, 45.0, IntersectionLimit::Nearest)[0];
     assert!((hit.world_point().distance(expected) - 150.0).abs() < 20.0, "the mark is met first");
     let hits = viewer.compute_intersections(180.0, 45.0, IntersectionLimit::NoLimit);
@@ -157,7 +157,7 @@ fn a_part_of_the_window_shows_the_scene_and_is_picked_in() {
     assert!(ground < 20.0, "{ground}");
 }
 
-/// In the window, before what is there: depths from a half on, where the main picture has less.
+/// In the window, before what is there: depths from a half on, where the main image has less.
 fn in_front(camera: &CullCamera) -> DMat4 {
     let nearer = DMat4::from_cols(DVec4::X, DVec4::Y, DVec4::new(0.0, 0.0, 0.5, 0.0), DVec4::new(0.0, 0.0, 0.5, 1.0));
     nearer * camera.clip_from_eye
@@ -185,7 +185,7 @@ fn a_nested_camera_shows_the_scene_in_the_picture_that_it_is_met_in() {
     };
     let crop =
         |picture: &RgbaImage| image::imageops::crop_imm(picture, inset[0], inset[1], inset[2], inset[3]).to_image();
-    // What a camera with a picture of its own shows there.
+    // The image of a camera with its own target there.
     let after = CameraNode { projection: Some(seen.clip_from_eye), viewport_px: Some(inset), ..node.clone() };
     let mut drawn = |node: CameraNode| {
         let id = viewer.add_root(Page::from_node(Node::camera(node, vec![])).unwrap()).unwrap();
@@ -205,7 +205,7 @@ fn a_nested_camera_shows_the_scene_in_the_picture_that_it_is_met_in() {
     assert_eq!(differ(&crop(&found), &crop(&expected), 2), 0);
     assert!(differ(&crop(&found), &crop(&alone), 8) > 5000);
     assert!(hit.distance(expected_hit) < 1.0, "{hit} {expected_hit}");
-    // The rest of the picture is as without: neither shows the other, nor itself.
+    // The rest of the image is as without: neither shows the other, nor itself.
     let other = CameraNode { viewport_px: Some([10, 80, 100, 70]), ..nested.clone() };
     let mut without = found.clone();
     image::imageops::replace(&mut without, &crop(&alone), inset[0].into(), inset[1].into());

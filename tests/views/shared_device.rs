@@ -1,4 +1,4 @@
-//! Contexts that share a device: pictures as with devices of their own, everything on the GPU once. Needs a GPU (a
+//! Contexts that share a device: images as with separate devices, everything on the GPU once. Needs a GPU (a
 //! software one will do).
 
 use std::sync::Arc;
@@ -38,7 +38,7 @@ fn context() -> Option<GraphicsContext> {
     or_skip(GraphicsContext::new_offscreen(&traits(SIZE)))
 }
 
-/// The camera that sees what is beside the master's picture.
+/// The camera that sees what is beside the master's image.
 fn beside(context: ContextId, x: f64) -> Slave {
     Slave { projection_offset: DMat4::from_translation(DVec3::new(x, 0.0, 0.0)), ..Slave::new(context) }
 }
@@ -100,7 +100,7 @@ fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
         assert_eq!(3 * gpu_bytes(&shared), gpu_bytes(&own), "{threading}");
         let drawn = |viewer: &Viewer| viewer.stats().last().unwrap().triangles;
         assert_eq!(drawn(&shared), drawn(&own), "{threading}");
-        // Pictures on the way come from where they were asked for.
+        // Images on the way come from where they were asked for.
         contexts.iter().for_each(|context| shared.want_picture_of(*context));
         shared.frame().unwrap();
         shared.finish().unwrap();
@@ -108,7 +108,7 @@ fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
             let taken = shared.take_pictures_of(*context);
             assert!(taken.len() == 1 && taken[0].1 == *expected, "{threading}: {context:?}");
         }
-        // Each is closed in turn, the first one first; the rest goes on, with nothing loaded anew.
+        // Each is closed in turn, the first one first; the rest continues, with nothing loaded anew.
         let merged = shared.pager().unwrap().stats().merged;
         assert!(shared.close_context(contexts[0]).unwrap() && !shared.close_context(contexts[0]).unwrap());
         assert!(matches!(shared.read_back(), Err(ViewerError::NoContext(_))));
@@ -142,7 +142,7 @@ fn a_context_that_comes_later_on_the_device_shows_all_at_once() {
         assert!(viewer.read_back_of(later).unwrap() == before, "{threading}: its first frame lacks something");
         assert!(viewer.read_back().unwrap() == before, "{threading}");
         assert_eq!((viewer.pager().unwrap().stats().requested, gpu_bytes(&viewer)), (requested, bytes));
-        // Sizes are each context's own, and a picture that cannot be is an error of that one's.
+        // Sizes are each context's own, and an image that cannot be is an error of that one's.
         viewer.resize_context(later, [48, 100]).unwrap();
         viewer.frame().unwrap();
         assert_eq!(viewer.read_back_of(later).unwrap().dimensions(), (48, 100));
@@ -169,7 +169,7 @@ fn a_lost_device_comes_back_with_all_its_contexts() {
         settle(&mut viewer);
         let before = pictures(&mut viewer, &contexts);
         viewer.lose_device(contexts[1]).unwrap();
-        // As many as may be under way when the device goes, and the one that is told.
+        // The frames in flight when the device is lost, and the one that reports it.
         (0..4).for_each(|_| viewer.frame().unwrap());
         settle(&mut viewer);
         let after = pictures(&mut viewer, &contexts);
@@ -203,7 +203,7 @@ fn views_of_a_composite_viewer_share_a_device_too() {
         assert_eq!(both[0].dimensions(), (SIZE[0], SIZE[1]));
         assert_eq!((both[0].get_pixel(48, 36).0, both[0].get_pixel(1, 1).0), ([255, 0, 0, 255], [255, 255, 0, 255]));
         assert_eq!((both[1].get_pixel(30, 25).0, both[1].get_pixel(1, 1).0), ([0, 255, 0, 255], [0, 255, 255, 255]));
-        // What draw reads in place is read before the next update, in each of them.
+        // Data that draw reads in place is read before the next update, in each of them.
         for step in 0..6 {
             let mesh = Arc::new(Mesh::sphere(DVec3::new(0.0, 0.0, f64::from(step % 2) * 1e6), 1.0, 24));
             let geode = NodeId { page: root, index: 2 };

@@ -23,7 +23,7 @@ fn config(blocking: bool) -> ViewerConfig {
     config
 }
 
-/// Where cameras are at first, and from where they want more tiles, metres.
+/// Heights of cameras at first, and from which they want more tiles, metres.
 const FAR_M: f64 = 25_000.0;
 const NEAR_M: f64 = 9000.0;
 
@@ -106,7 +106,7 @@ fn equal_contents_of_two_scenes_are_one_and_count_once() {
     assert!(of_one > 0 && s.resident == 2 * one.pager(0).stats().resident);
     assert_eq!((s.gpu_bytes, in_both), (of_one, in_one), "{s:?}");
     assert!(s.shared_gpu_bytes_saved >= of_one, "{s:?}");
-    // What one of them gives up the other has still.
+    // A tile that one scene gives up stays in the other.
     both.viewer.clear_pages(both.scenes[0]).unwrap();
     both.viewer.view_mut(both.views[0]).unwrap().camera.settings.cull_mask = 0;
     both.viewer.settle(4);
@@ -126,7 +126,7 @@ fn clearing_one_scene_leaves_the_other_and_it_comes_again() {
     assert!(!both.viewer.is_settled());
     both.viewer.settle(1);
     assert_eq!([both.pages(0), both.pages(1)], before);
-    // Another set in place of one: the pager goes on, with the other's pages.
+    // Another set in place of one: the pager continues, with the other's pages.
     let merged = both.pager(0).stats().merged;
     both.viewer.clear_pages(both.scenes[1]).unwrap();
     let root = both.viewer.scene(both.scenes[1]).unwrap().roots()[0];
@@ -159,7 +159,7 @@ fn the_budget_is_for_both_together() {
         assert!(start.elapsed() < Duration::from_secs(60), "it never rests: {s:?}");
     }
     assert!(!both.viewer.is_settled(), "something has no room");
-    // As one of them looks away there is room for the other.
+    // When one looks away there is room for the other.
     both.look(1, 1e7);
     both.viewer.settle(1);
     assert!(both.pages(0) >= free.pages(0), "{}", both.pages(0));

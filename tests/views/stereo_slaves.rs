@@ -1,4 +1,4 @@
-//! Slave cameras in stereo: each has its two eyes in its own picture, or one of them in a window of its own. Needs a GPU (a
+//! Slave cameras in stereo: each has its two eyes in its own image, or one of them in a window of its own. Needs a GPU (a
 //! software one will do).
 
 use std::sync::Arc;
@@ -148,7 +148,7 @@ fn an_eye_may_have_a_window_of_its_own() {
 
 #[test]
 fn offsets_of_a_slave_come_before_its_eyes() {
-    // A slave that sees the right half of the master's picture: its eyes are the halves of the master's eyes.
+    // A slave that sees the right half of the master's image: its eyes are the halves of the master's eyes.
     let half = DMat4::from_scale(DVec3::new(2.0, 1.0, 1.0)) * DMat4::from_translation(DVec3::new(-0.5, 0.0, 0.0));
     let wide = [2 * SIZE[0], SIZE[1]];
     for (mode, eyes) in [(StereoMode::LeftEye, Eyes::Left), (StereoMode::RightEye, Eyes::Right)] {

@@ -75,7 +75,7 @@ impl Random {
     }
 }
 
-/// Runs work that must not come to a stop: the step under way is said when one takes longer than half a minute.
+/// Runs work that must not hang: reports the current step if one takes longer than half a minute.
 fn watched(work: impl FnOnce(&AtomicU64) + Send + 'static) {
     let step = Arc::new(AtomicU64::new(0));
     let (done, is_done) = channel();
@@ -254,7 +254,7 @@ fn a_thread_that_panics_is_an_error_and_nothing_waits_for_it() {
     }
 }
 
-/// Whoever was let go while the object was still there could send it what nobody would ever take.
+/// A thread released while the object still existed could send it a value that was never received.
 #[test]
 fn who_waits_for_a_thread_that_panics_finds_its_object_gone() {
     struct Owned(Arc<AtomicU64>);
@@ -308,7 +308,7 @@ fn a_scene_can_be_changed_after_a_thread_has_died() {
                 viewer.remove_root(root);
                 assert!(viewer.frame().is_err());
                 // Whoever waits for what was being drawn is told, and does not wait for ever; without what has died
-                // the rest goes on.
+                // the rest continues.
                 let _ = viewer.open_context(context());
                 let _ = viewer.set_threading_model(ThreadingModel::SingleThreaded);
                 assert!(viewer.frame().is_err());

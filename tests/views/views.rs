@@ -1,4 +1,4 @@
-//! Views as a file names them: their windows, parts, scenes and cameras, offscreen. Pictures need a GPU (a software one
+//! Views as a file names them: their windows, parts, scenes and cameras, offscreen. Images need a GPU (a software one
 //! will do).
 
 use std::path::Path;
@@ -68,7 +68,7 @@ fn views_have_their_parts_scenes_and_slaves() {
     // The application's scene: both views show it, each from its own eye.
     let white = ball(DVec3::ZERO, 1.0, [1.0; 4]);
     viewer.add_root(own, Page::from_node(Node::group(vec![white])).unwrap()).unwrap();
-    // As the file says, though there was nothing to see yet when it was read.
+    // The file's view, though nothing was loaded when it was read.
     let bounds = *viewer.bounds(own).unwrap().unwrap();
     let as_said = ViewFrom { pitch: (-80f64).to_radians(), range_m: Some(7.0), ..ViewFrom::default() };
     for (view, from) in views[1..].iter().zip([as_said, ViewFrom::default()]) {
@@ -158,7 +158,7 @@ fn parts_follow_their_window_or_stay_and_pictures_change_their_shape_as_asked() 
         let view = viewer.view_mut(*view).unwrap();
         view.camera.look_at(DVec3::new(0.0, -distance, 0.0), DVec3::new(0.0, -distance + 1.0, 0.0), DVec3::Z);
     }
-    // Width and height of the ball, pixels, in parts of a picture that hold nothing else.
+    // Width and height of the ball, pixels, in parts of an image that hold nothing else.
     let mut balls = |size_px: [u32; 2]| {
         viewer.resize_context(contexts[0], size_px).unwrap();
         viewer.settle(3);

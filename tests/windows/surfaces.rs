@@ -26,10 +26,10 @@ use winit::window::{Window, WindowId};
 
 use SurfaceAnswer::{Lost, Occluded, Outdated, Suboptimal, Timeout};
 
-/// Whoever waits longer waits for ever.
+/// A frame that takes longer hangs.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Runs [`on_a_display`] in a process of its own, which has a display.
+/// Runs [`on_a_display`] in a separate process, which has a display.
 #[test]
 fn a_surface_comes_back_without_its_device_being_lost() {
     let Some(display) = Display::start([640, 480]) else { return };
@@ -46,7 +46,7 @@ fn a_surface_comes_back_without_its_device_being_lost() {
     assert!(said.contains("checked") || said.contains("skipped"), "{said}");
 }
 
-/// What the other test runs.
+/// The body of the other test.
 #[test]
 #[ignore = "needs a display of its own: the other test gives it one"]
 fn on_a_display() {
@@ -115,7 +115,7 @@ fn check(window: &Arc<Window>, model: ThreadingModel) -> bool {
     let white = before.pixels().filter(|p| p.0 == [255; 4]).count();
     assert!(white > 200, "the ball is seen: {white}");
 
-    // A frame that the window skips has no picture, which is no error.
+    // A frame that the window skips has no image, which is no error.
     viewer.pretend_surface(context, &[Timeout]).unwrap();
     viewer.want_picture_of(context);
     viewer.frame().unwrap();

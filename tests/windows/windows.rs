@@ -1,5 +1,5 @@
 //! Real windows open and close at random while threading models change and frames are under way: nothing waits for
-//! ever, and the rest goes on. Needs Xvfb and a GPU (a software one will do); says so where there is none. Contexts
+//! ever, and the rest continues. Needs Xvfb and a GPU (a software one will do); says so where there is none. Contexts
 //! without windows: `viewer_threads`.
 
 use std::process::Command;
@@ -28,7 +28,7 @@ const PATIENCE: Duration = Duration::from_secs(90);
 /// Says how many switches the program on the display makes.
 const SWITCHES: &str = "TERRANE_TEST_SWITCHES";
 
-/// Runs [`on_a_display`] in a process of its own, which has a display: a process has one event loop, and its variables are
+/// Runs [`on_a_display`] in a separate process, which has a display: a process has one event loop, and its variables are
 /// not changed while it runs.
 fn churn(switches: u64) {
     let Some(display) = Display::start([640, 480]) else { return };
@@ -58,7 +58,7 @@ fn ten_thousand_switches_with_windows() {
     churn(10_000);
 }
 
-/// What the other tests run.
+/// The body of the other tests.
 #[test]
 #[ignore = "needs a display of its own: the other tests give it one"]
 fn on_a_display() {

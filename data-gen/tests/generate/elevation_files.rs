@@ -224,7 +224,7 @@ fn pictures_of_heights_land_by_their_world_file() {
         fs::write(folder.path().join(world_name), &world).unwrap();
         let args = from_dem(folder.path(), name, &bytes);
         lands(&args, bounds, Some(corners(&h, SIDE as usize)));
-        // Without it the place is a default one, and the heights are the same.
+        // Without it the set lies at the default position, and the heights are the same.
         let args = from_dem(folder.path(), &format!("free-{name}"), &bytes);
         assert!((run(&args).unwrap().min_height_m - 200.0).abs() < 0.1);
     }
@@ -261,7 +261,7 @@ fn pictures_that_are_no_terrain_rgb_are_refused() {
     }
 }
 
-/// What lay beyond 180 degrees as a whole lay nowhere on the earth.
+/// Files that lie wholly beyond 180 degrees are moved onto the earth; they once covered nothing.
 #[test]
 fn longitudes_beyond_the_date_line_are_those_of_the_other_side() {
     let folder = tempfile::tempdir().unwrap();
@@ -279,7 +279,7 @@ fn longitudes_beyond_the_date_line_are_those_of_the_other_side() {
         let bounds = [expected, low, expected + wide, 46.5].map(f64::to_radians);
         let args = from_dem(folder.path(), name, &tiff_int16(&h, Some(place), None));
         lands(&args, bounds, Some(corners(&h, SIDE as usize)));
-        // A picture of the whole world from 0 to 360 degrees is no less there.
+        // An image of the whole world may span 0 to 360 degrees.
         let imagery = folder.path().join("world.png");
         image::RgbImage::from_pixel(8, 4, image::Rgb([250, 10, 10])).save(&imagery).unwrap();
         fs::write(imagery.with_extension("pgw"), "45\n0\n0\n-45\n22.5\n67.5\n").unwrap();
@@ -303,7 +303,7 @@ fn several_files_are_one_set() {
     let [west, south, _, north] = PLACE.bounds();
     let summary = lands(&args, [west, south, east.bounds()[2], north], Some([100.0, 700.0, 100.0, 700.0]));
     assert_eq!((summary.min_height_m, summary.max_height_m), (100.0, 700.0));
-    // Where both know a place the first wins: 0.04 of 0.069 degrees are the western file's.
+    // Where both files have samples the first wins: 0.04 of 0.069 degrees are the western file's.
     let tile = tile_heights(&args.out, 0, 0, 0);
     let row = &tile[30 * crate::files::TILE_SIDE..31 * crate::files::TILE_SIDE];
     let low = row[1..66].iter().filter(|h| **h == 100.0).count();
@@ -394,7 +394,7 @@ fn broken_elevation_is_one_error_that_names_the_file() {
     assert!(matches!(error, GenError::File { .. }), "{error:?}");
 }
 
-/// A pipe that nobody writes to was waited for.
+/// A named pipe is refused; reading one without a writer once hung.
 #[cfg(target_os = "linux")]
 #[test]
 fn what_is_no_file_is_refused() {
@@ -407,7 +407,7 @@ fn what_is_no_file_is_refused() {
         refused(&GenArgs { dem: vec![path.to_owned()], ..good.clone() }, path, "is not a regular file");
         refused(&GenArgs { imagery: Some(path.to_owned()), ..good.clone() }, path, "is not a regular file");
     }
-    // It was told when all had been made.
+    // The error comes before anything is generated.
     let link = folder.path().join("link");
     std::os::unix::fs::symlink("nowhere", &link).unwrap();
     refused(&GenArgs { out: link.clone(), ..good }, &link, "a link to what is not there");
@@ -423,7 +423,7 @@ fn a_file_cut_anywhere_is_refused() {
         .write_to(&mut png, image::ImageFormat::Png)
         .unwrap();
     let png = png.into_inner();
-    // PNG's last chunk says only that it is the last; decoders take the picture without it.
+    // PNG's last chunk says only that it is the last; decoders take the image without it.
     let picture_end = png.len() - 12;
     for (name, whole, end) in [
         ("cut.tif", &tiff_float32(&h, Some(PLACE), None), None),
@@ -439,14 +439,14 @@ fn a_file_cut_anywhere_is_refused() {
     }
 }
 
-/// 2 x 2 pixels, red, green and blue each in a plane of its own.
+/// 2 x 2 pixels, red, green and blue each in a separate plane.
 fn planar_tiff() -> Vec<u8> {
     let mut bytes = b"II*\0".to_vec();
     bytes.extend(50u32.to_le_bytes());
     bytes.extend([200u8; 12]);
     bytes.extend([8u16; 3].iter().flat_map(|bits| bits.to_le_bytes()));
     bytes.extend([8u32, 12, 16, 4, 4, 4].iter().flat_map(|strip| strip.to_le_bytes()));
-    // Tag, type (3 is of 16, 4 of 32 bits), count, value or its place.
+    // Tag, type (3 is of 16, 4 of 32 bits), count, value or its offset.
     let entries: [[u32; 4]; 10] = [
         [256, 3, 1, 2],
         [257, 3, 1, 2],
@@ -485,7 +485,7 @@ fn bad_imagery_and_arguments_are_refused() {
     let world = |west: f64| fs::write(path.with_extension("pgw"), format!("0.0001\n0\n0\n-0.0001\n{west}\n46.48\n"));
     world(9.0).unwrap();
     refused(&GenArgs { imagery: Some(path.clone()), ..args.clone() }, &path, "covers none of the elevation");
-    // A picture far smaller than a tile is used where it lies.
+    // An image far smaller than a tile is used where it lies.
     world(7.52).unwrap();
     run(&GenArgs { imagery: Some(path.clone()), overwrite: true, ..args.clone() }).unwrap();
     fs::remove_dir_all(&args.out).unwrap();

@@ -104,7 +104,7 @@ pub fn tiff_int16(heights: &[f32], place: Option<Place>, nodata: Option<&str>) -
     encode::<GrayI16>(&samples, place, nodata)
 }
 
-/// With GeoKeys besides those of the place, each an id and its value.
+/// Adds GeoKeys to those of the georeference, each an id and its value.
 pub fn tiff_int16_keyed(heights: &[f32], place: Option<Place>, more: &[[u16; 2]]) -> Vec<u8> {
     let samples: Vec<i16> = heights.iter().map(|h| *h as i16).collect();
     encode_keyed::<GrayI16>(&samples, place, &[], more)

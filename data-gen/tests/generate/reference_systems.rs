@@ -52,14 +52,14 @@ fn a_plane_without_a_name_is_refused_until_it_has_one() {
         world(&args.dem[0], PLANE);
         refused(&args, "--epsg CODE names it");
         lies(&GenArgs { epsg: Some(UTM_32), ..args.clone() }, bounds(32));
-        // Places in degrees need no name.
+        // Coordinates in degrees need no name.
         world(&args.dem[0], ([7.0, 46.0], 0.001));
         let last = 0.001 * f64::from(SIDE - 1);
         lies(&GenArgs { overwrite: true, ..args }, [7.0, 46.0 - last, 7.0 + last, 46.0].map(f64::to_radians));
     }
 }
 
-/// The GeoKeys were not looked at where the place was a world file's.
+/// GeoKeys are read although the georeference is a world file's.
 #[test]
 fn geo_keys_name_the_system_of_a_world_file() {
     let folder = tempfile::tempdir().unwrap();
@@ -70,7 +70,7 @@ fn geo_keys_name_the_system_of_a_world_file() {
     };
     let utm_33 = keyed("33.tif", &[[1024, 1], [3072, 32633]]);
     lies(&utm_33, bounds(33));
-    // What the file says is not overruled.
+    // An argument does not override the file.
     lies(&GenArgs { epsg: Some(UTM_32), overwrite: true, ..utm_33 }, bounds(33));
     for (name, keys) in [
         ("own.tif", &[[1024, 1], [3072, 32767]][..]),

@@ -21,7 +21,7 @@ struct Truth {
     size: [usize; 2],
     /// Lowest and highest as GDAL says.
     range_m: [f32; 2],
-    /// A place that lies inside, longitude and latitude in degrees.
+    /// A point inside the file, longitude and latitude in degrees.
     inside: [f64; 2],
 }
 

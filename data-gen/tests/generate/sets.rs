@@ -1,4 +1,4 @@
-//! Whole tile sets: equal bytes whoever works, equal bits where tiles meet, what is there, bad files.
+//! Whole tile sets: equal bytes with any number of threads, equal bits where tiles meet, their contents, bad files.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -214,7 +214,7 @@ fn bad_files_are_one_clear_error_and_leave_nothing() {
     }
 }
 
-/// Bytes changed at random places of a GeoTIFF: an error or a raster, never a panic.
+/// Bytes changed at random offsets of a GeoTIFF: an error or a raster, never a panic.
 #[test]
 fn changed_tiffs_do_not_panic() {
     let folder = tempfile::tempdir().unwrap();

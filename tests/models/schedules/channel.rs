@@ -32,7 +32,7 @@ impl<T> Shared<T> {
         state.queue.push_back(value);
         self.changed.notify_all();
         drop(state);
-        // Who takes it may be far before the sender goes on.
+        // A receiver may run far before the sender continues.
         drop(self.lock());
     }
 }
@@ -121,7 +121,7 @@ impl<T> Receiver<T> {
         })
     }
 
-    /// What waits to be taken.
+    /// Returns the number of queued values.
     pub fn len(&self) -> usize {
         self.0.lock().queue.len()
     }
@@ -156,7 +156,7 @@ impl<T> Drop for Receiver<T> {
     fn drop(&mut self) {
         let mut state = self.0.lock();
         state.receivers -= 1;
-        // What nobody can take is gone.
+        // Values without a receiver are dropped.
         let lost = if state.receivers == 0 { std::mem::take(&mut state.queue) } else { VecDeque::new() };
         drop(state);
         self.0.changed.notify_all();

@@ -1,13 +1,13 @@
-//! Threads as the standard library's, on shuttle's: one may panic on purpose, which who joins it is told. Any other panic
+//! Threads as the standard library's, on shuttle's: one may panic on purpose, which `join` returns. Any other panic
 //! is a failure of the schedule.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-/// What a thread panics with on purpose.
+/// The payload of a deliberate panic.
 struct OnPurpose;
 
-/// Panics without a word.
+/// Panics deliberately, without a message.
 pub fn panic_on_purpose() -> ! {
     resume_unwind(Box::new(OnPurpose))
 }

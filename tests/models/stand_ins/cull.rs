@@ -12,7 +12,7 @@ use terrane::state::StateSet;
 use super::{Panics, Scene};
 use crate::schedules::thread::panic_on_purpose;
 
-/// Where a stage draws to.
+/// The target of a stage.
 #[derive(Default)]
 pub struct StageTarget {
     pub callbacks: Option<DrawHook>,
@@ -20,7 +20,7 @@ pub struct StageTarget {
 
 #[derive(Default)]
 pub struct RenderStage {
-    /// Whose `frame` is the one culled for, and whose `context` the number of the camera.
+    /// The camera: `frame` is the culled frame and `context` the camera's number.
     pub camera: CullCamera,
     pub counters: CullCounters,
     pub near_m: f64,
@@ -64,7 +64,7 @@ impl CullVisitor {
         }
         stage.camera = *camera;
         stage.target.callbacks = self.callbacks.take();
-        // Which the main thread is told.
+        // The main thread checks it.
         stage.counters.leaves = camera.frame;
     }
 

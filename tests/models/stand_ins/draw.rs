@@ -1,4 +1,4 @@
-//! A renderer that takes some turns for each picture.
+//! A renderer that takes some turns for each image.
 
 use std::sync::atomic::Ordering;
 
@@ -13,7 +13,7 @@ use super::gpu::{GpuError, GraphicsContext};
 use super::{Panics, Reads};
 use crate::schedules::thread::panic_on_purpose;
 
-/// Turns that others may have while a picture is drawn.
+/// Turns that others may have while an image is drawn.
 const TURNS: usize = 3;
 /// The same where a thread panics: more than it takes to let go of what it has, and to be seen.
 const TURNS_BESIDE_A_PANIC: usize = 100;

@@ -12,7 +12,7 @@ use super::Seen;
 
 pub struct Device;
 
-/// What is only passed on.
+/// A handle that is only passed on.
 pub struct Handle;
 
 impl Device {

@@ -1,4 +1,4 @@
-//! Of the pagers, what goes through the draw thread's commands.
+//! The pagers' types in the draw thread's commands.
 
 use std::sync::Arc;
 

@@ -81,7 +81,7 @@ fn a_flight_without_a_server_shows_what_was_seen_before() {
     assert!(text.contains("answers from the cache"), "{text}");
 
     let info: Value = serde_json::from_str(&said(&["cache", "info", "--cache", &cache, "--json"])).unwrap();
-    // What was on its way when the report was written is kept too.
+    // Bodies in flight when the report was written are kept too.
     assert!(info["entries"].as_u64() >= first["cache"]["stored"].as_u64(), "{info} {first}");
     assert_eq!(info["fresh"], info["entries"]);
     let verified: Value = serde_json::from_str(&said(&["cache", "verify", "--cache", &cache, "--json"])).unwrap();
@@ -106,7 +106,7 @@ fn faults_do_not_stay_in_the_cache() {
         args.extend(["--report", &report]);
         args.extend(more);
         let out = terrane(&args);
-        // The root itself may fail by chance.
+        // The root itself may fail at random.
         if !out.status.success() {
             return Value::Null;
         }
@@ -144,7 +144,7 @@ fn a_filled_cache_needs_no_server() {
         let out = terrane(&args);
         (out.status.code(), String::from_utf8_lossy(&out.stdout).into_owned(), out.stderr)
     };
-    // All tries of one file may fail by chance: again until it is there.
+    // All tries of one file may fail at random: again until it is there.
     let until_whole = |more: &[&str]| {
         for _ in 0..20 {
             let (code, text, stderr) = fill(more);
@@ -200,7 +200,7 @@ fn an_interrupt_waits_for_no_server() {
     assert!(out.status.code() == Some(1) && said.contains("stopped, the same command goes on"), "{said}");
     let out = interrupted(&["fly", &url, "--offscreen"]);
     assert_eq!(out.status.code(), Some(130), "{out:?}");
-    // Nor where the windows' views have sets of their own.
+    // Nor where the windows' views have separate sets.
     let config = folder.path().join("views.json");
     std::fs::write(&config, format!(r#"{{"scenes": {{"far": "{url}"}}, "views": [{{"scene": "far"}}]}}"#)).unwrap();
     let out = interrupted(&["view", "--config", config.to_str().unwrap()]);

@@ -107,7 +107,7 @@ fn wrong_arguments_exit_2() {
     assert_eq!(terrane(&["--version"]).status.code(), Some(0));
 }
 
-/// It drew a picture of nothing.
+/// It drew an image of nothing.
 #[test]
 fn a_flight_of_no_frames_says_what_draws_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -161,7 +161,7 @@ fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
     }
 }
 
-/// It was told that an earlier picture could not be written, and neither which nor why.
+/// It was told that an earlier image could not be written, and neither which nor why.
 #[test]
 fn a_picture_that_cannot_be_written_is_named() {
     if no_adapter() {

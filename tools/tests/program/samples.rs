@@ -1,5 +1,5 @@
 //! Real 3D Tiles, drawn and compared with what CesiumJS draws of them from the same view: triangles, points, and the
-//! share of the picture that they cover. The files lie beside a developer's checkout; elsewhere this says so.
+//! share of the image that they cover. The files lie beside a developer's checkout; elsewhere this says so.
 
 use std::path::Path;
 use std::process::Command;

@@ -110,7 +110,7 @@ fn files_and_parts_meet_the_same_in_any_order() {
     let part = |k: usize| ("/0".to_owned(), format!("Range: bytes={}-{}\r\n", 100 * k, 100 * k + 99));
     let all: Vec<(String, String)> = whole.chain((0..10).map(part)).collect();
     let rates = ["--error-rate", "0.2", "--truncate-rate", "0.2", "--corrupt-rate", "0.2", "--page-rate", "0.2"];
-    // What each meets the first time and so on, asked for in an order that differs from time to time.
+    // The fault of each first, second, ... request, in an order that differs between runs.
     let fates = |order: &dyn Fn(usize, usize) -> usize| {
         let server = Server::start(folder.path(), &rates);
         let mut met = vec![Vec::new(); all.len()];
@@ -168,7 +168,7 @@ fn a_reset_is_one() {
         lengths.insert(answer.iter().filter(|b| **b == b'x').count());
     }
     assert_eq!(lengths.into_iter().collect::<Vec<_>>(), [0, 500], "before the first byte, and half way");
-    // As the client has it.
+    // The bytes as the client received them.
     let uri = terrane::io::root_uri(&format!("http://{}/f", server.address)).unwrap();
     let mut config = terrane::pager::PagerConfig::default();
     config.http.max_retries = 0;
@@ -227,7 +227,7 @@ fn wrong_arguments_are_said() {
     }
 }
 
-/// A flight over a bad server: what can be had is there, the rest is reported, and the picture has no hole.
+/// A flight over a bad server: what loads is drawn, the rest is reported, and the image has no hole.
 #[test]
 fn a_flight_over_a_bad_server_ends_whole() {
     if no_adapter() {

@@ -33,7 +33,7 @@ async fn connect(server: &Server, builder: &Builder) -> Sender {
     sender.ready().await.unwrap()
 }
 
-/// What came of an answer, and how it ended.
+/// The received part of an answer, and how it ended.
 #[derive(Debug, Default)]
 struct Got {
     status: u16,
@@ -108,7 +108,7 @@ fn files_are_served_whole_and_in_parts() {
     });
 }
 
-/// What happens to an answer follows from the seed, not from the version; a reset is one of a stream or a connection.
+/// The fault of an answer follows from the seed, not from the version; a reset is one of a stream or a connection.
 #[test]
 fn chance_is_that_of_the_other_version() {
     let folder = tempfile::tempdir().unwrap();
@@ -170,7 +170,7 @@ fn what_stops_leaves_the_connection_to_others() {
         let mut builder = Builder::new();
         builder.initial_window_size(20_000).initial_connection_window_size(65_535);
         let sender = connect(&server, &builder).await;
-        // What the client gives up makes room: a connection has 128 at once, and more than that stop in all.
+        // Cancelled requests make room: a connection has 128 at once, and more than that stop in all.
         let mut stopped = 0;
         for _ in 0..3 {
             let mut asked = tokio::task::JoinSet::new();

@@ -1,4 +1,4 @@
-//! A server to ask.
+//! The program's own server, `terrane serve`.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-/// `terrane serve` in a process of its own.
+/// A running `terrane serve`; ends on drop.
 pub struct Server {
     child: Child,
     pub address: String,
@@ -29,7 +29,7 @@ impl Server {
         Self { child, address, url }
     }
 
-    /// Status, head and body of one request on a connection of its own; status 0 when there is no answer.
+    /// Returns status, head and body of one request on a new connection; status 0 without an answer.
     #[allow(dead_code, reason = "some tests ask by other means")]
     pub fn ask(&self, method: &str, path: &str, headers: &str) -> (u16, String, Vec<u8>) {
         let mut stream = TcpStream::connect(&self.address).unwrap();

@@ -96,7 +96,7 @@ fn what_goes_wrong_is_said() {
     let said = String::from_utf8_lossy(&out.stdout).into_owned();
     assert_eq!(out.status.code(), Some(1), "{said}");
     assert!(said.contains("FAILED disk") && said.contains("a good file that failed"), "{said}");
-    // What failed fails again, with all that was asked for.
+    // The failed seed fails again, with the same requests.
     let line = said.lines().find_map(|line| line.trim().strip_prefix("again: terrane stress ")).unwrap();
     let again: Vec<&str> = line.split(' ').collect();
     let (out, plan) = (stress(&again), said.split("    plan ").nth(1).unwrap());

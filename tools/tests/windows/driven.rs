@@ -1,4 +1,4 @@
-//! What the tests of windows share: a program driven through the X protocol under a virtual display, and its pictures.
+//! A program with a window on a virtual display, driven and read back through the X protocol.
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ pub const KEY_RELEASE: u8 = 3;
 pub const BUTTON_PRESS: u8 = 4;
 pub const BUTTON_RELEASE: u8 = 5;
 pub const MOTION: u8 = 6;
-/// The picture is drawn by a debug build on a software adapter.
+/// Longest wait for a frame of a debug build on a software adapter.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
 /// A program with a window, seen and driven through the X protocol.
@@ -86,7 +86,7 @@ impl Driven {
         }
     }
 
-    /// What the window shows.
+    /// Returns the window's content.
     pub fn picture(&self) -> RgbImage {
         let size = self.x.get_geometry(self.window).unwrap().reply().unwrap();
         let (width, height) = (size.width, size.height);
@@ -98,14 +98,14 @@ impl Driven {
         })
     }
 
-    /// Its place on the display: x, y, width and height.
+    /// Returns the window's position and size on the display: x, y, width and height.
     pub fn place(&self) -> [i32; 4] {
         let size = self.x.get_geometry(self.window).unwrap().reply().unwrap();
         let at = self.x.translate_coordinates(self.window, self.root, 0, 0).unwrap().reply().unwrap();
         [at.dst_x.into(), at.dst_y.into(), size.width.into(), size.height.into()]
     }
 
-    /// Waits for a picture, and keeps it where KEEP_IMAGES names a folder.
+    /// Waits for a frame that `good` accepts, and saves it if KEEP_IMAGES names a folder.
     pub fn until(&mut self, name: &str, mut good: impl FnMut(&RgbImage) -> bool) -> RgbImage {
         let mut last = None;
         let start = Instant::now();
@@ -123,7 +123,7 @@ impl Driven {
         panic!("{name}: not seen after {PATIENCE:?}");
     }
 
-    /// A picture that stays the same for a while.
+    /// Waits for a frame that stays the same for half a second.
     pub fn at_rest(&mut self, name: &str) -> RgbImage {
         let (mut before, mut same) = (None, 0);
         self.until(name, |picture| {
@@ -178,7 +178,7 @@ impl Driven {
         self.x.sync().unwrap();
     }
 
-    /// As a window manager does when the user closes the window.
+    /// Closes the window like a window manager does for the user.
     pub fn close(&self) {
         let atom = |name: &[u8]| self.x.intern_atom(false, name).unwrap().reply().unwrap().atom;
         let (protocols, delete) = (atom(b"WM_PROTOCOLS"), atom(b"WM_DELETE_WINDOW"));
@@ -194,7 +194,7 @@ impl Driven {
         fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()
     }
 
-    /// What it said, once it has ended.
+    /// Returns the program's standard output, once it has ended.
     pub fn said(&mut self) -> String {
         let mut text = String::new();
         self.program.stdout.take().unwrap().read_to_string(&mut text).unwrap();
@@ -226,7 +226,7 @@ pub fn keep(name: &str, picture: &RgbImage) {
     }
 }
 
-/// Share of the pixels that differ visibly.
+/// Returns the share of the pixels that differ visibly.
 pub fn differing(a: &RgbImage, b: &RgbImage) -> f64 {
     if a.dimensions() != b.dimensions() {
         return 1.0;
@@ -235,7 +235,7 @@ pub fn differing(a: &RgbImage, b: &RgbImage) -> f64 {
     a.pixels().zip(b.pixels()).filter(|pair| differ(*pair)).count() as f64 / f64::from(a.width() * a.height())
 }
 
-/// How many colours there are, in steps of 8: a sky alone has few.
+/// Returns the number of colours in steps of 8; a sky alone has few.
 pub fn colours(picture: &RgbImage) -> usize {
     let of = |p: &image::Rgb<u8>| p.0.map(|c| c / 8);
     picture.pixels().map(of).collect::<std::collections::BTreeSet<_>>().len()
@@ -245,7 +245,7 @@ pub fn part(picture: &RgbImage, [x, y, width, height]: [u32; 4]) -> RgbImage {
     picture.view(x, y, width, height).to_image()
 }
 
-/// A small set of height tiles; `None`, said aloud, where nothing can draw.
+/// Generates a small set of height tiles; `None`, and the test skipped, without an adapter.
 pub fn tile_set(folder: &Path) -> Option<PathBuf> {
     if no_adapter() {
         return None;

@@ -42,7 +42,7 @@ fn a_second_window_goes_on_where_the_first_ends_and_may_be_closed() {
     w.window = second;
     w.close();
     w.wait_for("one window", |w| w.find_named(b"Terrane 2").is_none().then_some(()));
-    // The first goes on.
+    // The first continues.
     w.window = first;
     let home = w.at_rest("beside: alone");
     assert!(differing(&left, &home) > 0.05);
@@ -84,7 +84,7 @@ fn windows_open_as_a_file_says() {
     let seam = apart(column(&wall, 399), column(&right, 0));
     let across = apart(column(&wall, 0), column(&wall, 399));
     assert!(inside < 4.0 && seam < 4.0 && across > 6.0, "{inside} and {seam} at the seams, {across} from end to end");
-    // The one that shares is closed, and the other goes on.
+    // The one that shares is closed, and the other continues.
     w.close();
     w.wait_for("one window", |w| w.find_named(b"right").is_none().then_some(()));
     w.window = first;
@@ -196,7 +196,7 @@ fn windows_open_where_variables_say() {
         w.key(ESCAPE);
         assert!(w.ended().success());
     }
-    // What cannot be is one line, and no window.
+    // An invalid arrangement is one line, and no window.
     let config = folder.path().join("wrong.json");
     std::fs::write(&config, r#"{"windows": [{"size_px": [640, "x"]}]}"#).unwrap();
     for (name, value, says) in [
@@ -256,7 +256,7 @@ fn a_window_opens_in_one_of_another_program_fills_it_and_ends_with_it() {
     w.x.destroy_window(host).unwrap();
     w.x.sync().unwrap();
     assert_eq!(w.ended().code(), Some(0), "the host's end is its own");
-    // What is no window is one error.
+    // An id that is not a window is one error.
     let mut command = Command::new(env!("CARGO_BIN_EXE_terrane"));
     command.args(args).current_dir(folder.path()).env("DISPLAY", &display.name);
     let output = command.output().unwrap();

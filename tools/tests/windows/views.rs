@@ -92,7 +92,7 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     w.send(BUTTON_RELEASE, 1, 0, 0);
     assert!(differing(&rest, &part(&moved, below)) < 0.02, "the view stays");
 
-    // The other window closes with its view, and the first goes on.
+    // The other window closes with its view, and the first continues.
     w.window = w.wait_for("the other window", |w| w.find_named(b"other"));
     w.close();
     w.wait_for("one window", |w| w.find_named(b"other").is_none().then_some(()));
@@ -120,7 +120,7 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     w.close();
     assert_eq!(w.ended().code(), Some(0));
 
-    // What cannot be is one line.
+    // An invalid file is one line.
     std::fs::write(&alone, r#"{"views": [{"cameras": [{"window": 2}]}]}"#).unwrap();
     for (command, says) in [
         (&["view", "--config"][..], "alone.json: views[0].cameras[0].window: there are 1 windows, counted from 0"),
@@ -223,7 +223,7 @@ fn views_rest_where_nothing_moves_and_are_drawn_no_more_often_than_asked() {
     let before = w.ticks();
     std::thread::sleep(Duration::from_secs(2));
     assert!(w.ticks() - before < 60, "they are drawn all the time");
-    // What is done in one wakes all; the other shows the same as before.
+    // An event in one wakes all; the other shows the same as before.
     w.window = w.wait_for("the other window", |w| w.find_named(b"two"));
     w.send(MOTION, 0, 400, 100);
     for _ in 0..4 {
