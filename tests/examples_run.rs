@@ -24,6 +24,14 @@ fn example(name: &str) -> PathBuf {
     program
 }
 
+/// Returns the number of frames to draw: fewer of the examples that take over a second a frame on a software adapter.
+fn frames(name: &str) -> u32 {
+    match name {
+        "custom_drawable" | "occluders" if !kit::long_tests() => 8,
+        _ => 30,
+    }
+}
+
 /// Runs an example and returns its image; `None`, and the test skipped, without an adapter.
 fn run(name: &str, arguments: &[&str], colours_at_least: usize) -> Option<image::RgbImage> {
     run_and_listen(name, arguments, colours_at_least).map(|(picture, _)| picture)
@@ -38,7 +46,7 @@ fn run_and_listen(name: &str, arguments: &[&str], colours_at_least: usize) -> Op
     let picture = folder.path().join("picture.png");
     let out = Command::new(example(name))
         .args(arguments)
-        .args(["--offscreen", "--frames", "30", "--screenshot", picture.to_str().unwrap()])
+        .args(["--offscreen", "--frames", &frames(name).to_string(), "--screenshot", picture.to_str().unwrap()])
         .output()
         .unwrap();
     assert!(out.status.success(), "{name}: {}", String::from_utf8_lossy(&out.stderr));

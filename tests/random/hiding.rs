@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::graphs::{Differences, Maker, eye, picture, seeds};
 use glam::DVec3;
-use kit::rig::{camera, plain, rig};
+use kit::rig::{camera, new_rig, plain};
 use terrane::cull::{CullCamera, CullingMode};
 use terrane::scene::{ConvexPlanarOccluder, Drawable, Geometry, Material, Mesh, Node, NodeKind, OcclusionQueryNode};
 
@@ -26,10 +26,10 @@ fn wall(maker: &mut Maker) -> [Node; 2] {
 
 #[test]
 fn what_occluders_hide_is_not_seen() {
-    let Some(mut rig) = rig("what_occluders_hide_is_not_seen") else { return };
-    let rig = &mut *rig;
+    let Some(mut rig) = new_rig([256, 256]) else { return };
+    let rig = &mut rig;
     let (mut differences, mut hidden) = (Differences::default(), 0);
-    for seed in seeds(6000..6006) {
+    for seed in seeds(6000, 4, 6) {
         let mut maker = Maker::new(seed, true);
         let scene = maker.scene();
         let mut camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
@@ -59,10 +59,10 @@ fn queried(node: &Node, maker: &mut Maker) -> Node {
 
 #[test]
 fn what_queries_hide_is_not_seen() {
-    let Some(mut rig) = rig("what_queries_hide_is_not_seen") else { return };
-    let rig = &mut *rig;
+    let Some(mut rig) = new_rig([256, 256]) else { return };
+    let rig = &mut rig;
     let (mut differences, mut hidden) = (Differences::default(), 0);
-    for seed in seeds(7000..7006) {
+    for seed in seeds(7000, 4, 6) {
         let mut maker = Maker::new(seed, true);
         let node = maker.scene();
         let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);

@@ -8,7 +8,7 @@ use crate::graphs::{Differences, Maker, Random, change, eye, named, picture, see
 use glam::{DAffine3, DVec3};
 use image::RgbaImage;
 use kit::frames::count;
-use kit::rig::{Rig, camera, plain, rig};
+use kit::rig::{Rig, camera, new_rig, plain};
 use terrane::cull::{CullCamera, CullingMode};
 use terrane::math::{BoundingSphere, BoundingVolume};
 use terrane::scene::{
@@ -91,12 +91,12 @@ fn own(drawable: &mut Drawable) {
 /// Graphs under every kind of state; the order of drawing counts.
 #[test]
 fn what_is_drawn_is_a_matter_of_the_scene_alone() {
-    let Some(mut rig) = rig("what_is_drawn_is_a_matter_of_the_scene_alone") else { return };
-    let rig = &mut *rig;
+    let Some(mut rig) = new_rig([256, 256]) else { return };
+    let rig = &mut rig;
     let (mut shown, mut scenes) = (0, 0);
     let mut last: Option<(Node, CullCamera, RgbaImage)> = None;
     let mut differences = Differences::default();
-    for seed in seeds(0..4) {
+    for seed in seeds(0, 2, 4) {
         let mut maker = Maker::new(seed, false);
         let node = maker.scene();
         let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
@@ -151,10 +151,10 @@ fn what_is_drawn_is_a_matter_of_the_scene_alone() {
 /// Under a sky, with shadows and a sea below.
 #[test]
 fn light_and_air_are_a_matter_of_the_scene_alone() {
-    let Some(mut rig) = rig("light_and_air_are_a_matter_of_the_scene_alone") else { return };
-    let rig = &mut *rig;
+    let Some(mut rig) = new_rig([256, 256]) else { return };
+    let rig = &mut rig;
     let mut differences = Differences::default();
-    for seed in seeds(2000..2003) {
+    for seed in seeds(2000, 2, 3) {
         let mut maker = Maker::new(seed, false);
         let node = maker.scene();
         let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
@@ -293,10 +293,10 @@ fn with_tiles(node: &Node, random: &mut Random, cut: &mut Vec<Node>) -> Node {
 /// Graphs where the nearest is seen, whatever was drawn before it.
 #[test]
 fn what_is_opaque_may_be_drawn_in_any_order() {
-    let Some(mut rig) = rig("what_is_opaque_may_be_drawn_in_any_order") else { return };
-    let rig = &mut *rig;
+    let Some(mut rig) = new_rig([256, 256]) else { return };
+    let rig = &mut rig;
     let mut differences = Differences::default();
-    for seed in seeds(1000..1004) {
+    for seed in seeds(1000, 2, 4) {
         let mut maker = Maker::new(seed, true);
         let node = maker.scene();
         let camera = camera([SIDE, SIDE], eye(&mut maker.random), DVec3::ZERO, DVec3::Z);
@@ -349,10 +349,10 @@ fn with_sets(node: &Node, change: &dyn Fn(&StateSet) -> StateSet) -> Node {
 /// A changed scene looks like one made that way.
 #[test]
 fn changed_scenes_are_those_made_so() {
-    let Some(mut rig) = rig("changed_scenes_are_those_made_so") else { return };
-    let rig = &mut *rig;
+    let Some(mut rig) = new_rig([256, 256]) else { return };
+    let rig = &mut rig;
     let mut differences = Differences::default();
-    for seed in seeds(3000..3004) {
+    for seed in seeds(3000, 2, 4) {
         let mut maker = Maker::new(seed, false);
         let mut node = maker.scene();
         named(&mut node, &mut 0);
