@@ -47,7 +47,7 @@ fn allocations(work: impl FnOnce()) -> (Vec<String>, usize) {
 }
 
 #[test]
-fn a_steady_frame_allocates_nothing_of_its_own() {
+fn a_steady_draw_allocates_nothing() {
     let traits = ContextTraits {
         size_px: [64, 64],
         adapter: AdapterChoice::Noop,

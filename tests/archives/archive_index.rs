@@ -278,7 +278,7 @@ mod over_http {
     }
 
     #[test]
-    fn the_index_comes_instead_of_the_directory() {
+    fn the_index_replaces_the_directory() {
         let files = many();
         // The last file is followed by what was the directory before the index came.
         let names: Vec<&String> = files.keys().step_by(500).take(6).collect();

@@ -112,7 +112,7 @@ fn change_headers(mut bytes: Vec<u8>, change: impl Fn(&mut [u8])) -> Vec<u8> {
 }
 
 #[test]
-fn zstd_is_read_and_what_is_not_is_said() {
+fn zstd_is_read_and_other_methods_are_reported() {
     let plain = b"heights".repeat(2000);
     let packed = ruzstd::encoding::compress_to_vec(plain.as_slice(), ruzstd::encoding::CompressionLevel::Fastest);
     let one = BTreeMap::from([("f".to_owned(), packed)]);

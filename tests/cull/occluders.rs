@@ -64,7 +64,7 @@ fn slot_of(scene: &Scene, page: PageId, which: usize) -> NodeId {
 }
 
 #[test]
-fn an_occluder_comes_and_goes_with_its_page() {
+fn an_occluder_lives_as_long_as_its_page() {
     let mut scene = Scene::new();
     let root = Node::transform(
         DAffine3::from_translation(DVec3::new(0.0, -6.0, 0.0)),
@@ -95,7 +95,7 @@ fn an_occluder_comes_and_goes_with_its_page() {
 }
 
 #[test]
-fn an_occluder_that_is_moved_hides_what_is_behind_it_then() {
+fn a_moved_occluder_hides_leaves_behind_its_new_position() {
     let mut scene = Scene::new();
     let tiles = scene.add_root(page(tile_at(DVec3::ZERO, 0.0, Refine::Replace, vec![]), 0));
     scene.add_root(page(cube(DVec3::ZERO), 7));
@@ -181,7 +181,7 @@ fn an_occluder_holds_while_its_level_is_shown() {
 }
 
 #[test]
-fn what_fades_hides_nothing_yet() {
+fn fading_occluders_hide_nothing() {
     let mut scene = Scene::new();
     let child = tile_at(DVec3::ZERO, 0.0, Refine::Replace, vec![]);
     let tiles = scene.add_root(page(tile_at(DVec3::ZERO, 10.5, Refine::Replace, vec![child]), 0));
@@ -473,7 +473,7 @@ proptest! {
 
     /// Leaves left out are behind an occluder whose page is drawn, and leaves well behind one are left out.
     #[test]
-    fn hidden_is_what_is_behind_the_walls_of_drawn_pages(
+    fn leaves_behind_occluders_of_drawn_pages_are_hidden(
         tree in tiles(),
         eye in (-900.0..900.0f64, -900.0..900.0f64, -200.0..400.0f64),
         changes in prop::collection::vec((0usize..1000, 0u32..4), 60),

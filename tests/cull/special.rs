@@ -316,7 +316,7 @@ fn lights_and_planes_are_in_eye_space_of_their_stage() {
 }
 
 #[test]
-fn occluders_hide_what_is_behind_them_where_asked() {
+fn occluders_hide_nodes_behind_them_if_enabled() {
     let corners = [(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)].map(|(x, z)| DVec3::new(x, -4.0, z));
     let wall = |mask| {
         let occluder = ConvexPlanarOccluder { corners: corners.to_vec(), holes: vec![] };
@@ -337,7 +337,7 @@ fn occluders_hide_what_is_behind_them_where_asked() {
 }
 
 #[test]
-fn one_eye_asks_whether_a_node_is_seen_and_looks_ahead_do_not() {
+fn one_eye_issues_an_occlusion_query_and_prefetch_culls_issue_none() {
     let query = OcclusionQueryNode { query_frames: 2, ..OcclusionQueryNode::default() };
     let mut node = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));
     node.children = vec![cube(DVec3::ZERO)];
@@ -447,7 +447,7 @@ fn callbacks_decide_and_inactive_nodes_are_not_culled() {
 /// Drawables that are larger than their bounds say, as a program may make them: here simply outside, behind the eye, far
 /// too small and behind an occluder.
 #[test]
-fn what_an_inactive_node_draws_is_not_culled() {
+fn inactive_nodes_are_not_culled() {
     let aside = DVec3::new(100.0, 0.0, 0.0);
     let behind_eye = DVec3::new(0.0, -100.0, 0.0);
     let bounds = |center: DVec3, half: f64| Aabb { min: center - half, max: center + half };
@@ -478,7 +478,7 @@ fn what_an_inactive_node_draws_is_not_culled() {
 
 /// Its page's origin was half way to it, the boxes beside it grew by what f32 lost there, and near was beyond all else.
 #[test]
-fn a_vertex_gone_astray_changes_nothing_for_what_is_beside_it() {
+fn a_stray_vertex_does_not_affect_its_neighbours() {
     let mut camera = camera();
     camera.settings.compute_near_far = ComputeNearFar::BoundingVolumes;
     let things = || vec![cube(DVec3::ZERO), cube(DVec3::new(0.0, 50.0, 0.0)), cube(DVec3::new(900.0, 0.0, 0.0))];
@@ -497,7 +497,7 @@ fn a_vertex_gone_astray_changes_nothing_for_what_is_beside_it() {
 }
 
 #[test]
-fn near_and_far_follow_what_is_kept() {
+fn near_and_far_follow_the_kept_leaves() {
     let mut camera = camera();
     camera.settings.compute_near_far = ComputeNearFar::BoundingVolumes;
     camera.settings.near_far_ratio = 0.0;
@@ -528,7 +528,7 @@ fn near_and_far_follow_what_is_kept() {
 
 /// It was culled by the near plane as given, and came in where it crossed that.
 #[test]
-fn what_is_nearer_than_near_was_moves_near() {
+fn geometry_nearer_than_the_near_plane_moves_it() {
     let mut camera = camera();
     camera.clip_from_eye = proj::perspective(1.0, 1.0, 1e5, 2.0);
     let things = || {
@@ -629,7 +629,7 @@ fn lods_fade_below_cameras_and_around_projections() {
 }
 
 #[test]
-fn of_lights_with_one_number_the_last_counts_and_texture_planes_are_inherited() {
+fn the_last_light_with_a_number_counts_and_texture_planes_are_inherited() {
     let light = |red: f32| {
         let light = Light { number: 1, diffuse: [red, 0.0, 0.0], ..Light::default() };
         Node::new(NodeKind::LightSource(LightSource { light, frame: ReferenceFrame::Relative }.into()))

@@ -15,7 +15,7 @@ use terrane::state::StateSet;
 
 /// A globe of 6 x 12 tiles of 30 degrees: from 1,000 km up only what is on this side of the horizon is met.
 #[test]
-fn the_earth_hides_what_is_behind_it() {
+fn the_earth_hides_tiles_behind_it() {
     use terrane::math::{Geodetic, Region, WGS84};
     let tiles = (0..72).map(|k| {
         let (i, j) = (f64::from(k % 12), f64::from(k / 12));
@@ -106,7 +106,7 @@ fn a_hidden_child_does_not_hold_its_parent() {
 /// They were in no image, and so went for want of room, though what is above them gives way to them all: it came back,
 /// and asked for them.
 #[test]
-fn what_a_node_hides_is_kept_where_all_is_waited_for() {
+fn tiles_hidden_by_a_node_are_kept_when_siblings_wait() {
     let tile = |x: f64| flat_tile(DVec3::new(x, 0.0, 0.0), 20.0, 0.0);
     let hiding: [fn(Vec<Node>) -> Node; 3] = [
         |children| Node { children, ..Node::new(NodeKind::Switch(vec![false])) },
@@ -167,7 +167,7 @@ fn a_turned_picture_shows_as_much_detail() {
 
 /// With an infinite error limit, tiles without content still open: zero times infinity is not a number.
 #[test]
-fn what_is_always_refined_is_so_whatever_error_is_allowed() {
+fn unconditional_refinement_ignores_the_allowed_error() {
     let settings = [(f64::INFINITY, 1.0), (1e300, 1.0), (16.0, f64::INFINITY), (16.0, 1.0)];
     for (max_sse_px, lod_scale) in settings {
         let mut root = flat_tile(DVec3::ZERO, 100.0, f64::MAX / 1e6);
@@ -200,7 +200,7 @@ fn small_features_spare_tiles() {
 
 /// The image is 1,024 pixels high: where it shows 200 m without perspective, an error of 3 m takes 15.36 of them.
 #[test]
-fn where_rays_are_parallel_errors_are_as_large_from_anywhere() {
+fn orthographic_errors_do_not_depend_on_distance() {
     let eye = DVec3::new(0.0, 0.0, 5000.0);
     for (error_m, height_m, drawn) in [(3.0, 5000.0, 1), (3.3, 5000.0, 4), (3.0, 60.0, 1), (3.3, 60.0, 4)] {
         let mut parent = flat_tile(DVec3::ZERO, 100.0, error_m);
@@ -270,7 +270,7 @@ fn numbered_tiles(level: u32, center: DVec3, next: &mut u32, greys: &BTreeMap<u3
 }
 
 #[test]
-fn what_belongs_to_a_tile_stays_with_it() {
+fn nodes_attached_to_a_tile_stay_with_it() {
     let greys = BTreeMap::from([(3, 0.5), (11, 0.25), (13, 0.5)]);
     let mut scene = Scene::new();
     let roots = Node::group(vec![

@@ -534,7 +534,7 @@ fn culled_tiles_of_an_external_tileset_are_asked_for() {
 
 /// A tile set whose errors grow downwards is still loaded from the top.
 #[test]
-fn coarse_comes_first_even_where_errors_are_wrong() {
+fn coarse_tiles_come_first_even_with_wrong_errors() {
     let error = |geometric_error_m| RangeMode::ScreenSpaceError { geometric_error_m };
     let leaf = tile_at(DVec3::ZERO, 1.0, error(0.0), "2");
     let root = tile_at(DVec3::ZERO, 3.0, error(10.0), "0")
@@ -550,7 +550,7 @@ fn coarse_comes_first_even_where_errors_are_wrong() {
 
 /// Among equally distant and coarse tiles, those near the view's center are requested first.
 #[test]
-fn the_middle_of_the_picture_comes_first() {
+fn tiles_near_the_view_center_come_first() {
     let error = RangeMode::ScreenSpaceError { geometric_error_m: 10.0 };
     let aside: Vec<f64> = vec![0.0, 20.0, -35.0, 50.0];
     let place = |degrees: f64| 100.0 * DVec3::new(degrees.to_radians().sin(), degrees.to_radians().cos(), 0.0);
@@ -571,7 +571,7 @@ fn the_middle_of_the_picture_comes_first() {
 
 /// A tile whose middle lay behind the eye came as late as one that is not seen.
 #[test]
-fn what_is_around_the_eye_comes_as_what_is_before_it() {
+fn tiles_around_the_eye_have_the_priority_of_those_in_front() {
     let error = RangeMode::ScreenSpaceError { geometric_error_m: 10.0 };
     let priority = |center: DVec3, scale: f64| {
         let mut scene = Scene::new();

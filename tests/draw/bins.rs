@@ -142,8 +142,8 @@ fn bins_are_called_in_their_order_with_those_nested_in_them() {
 }
 
 #[test]
-fn bins_that_blend_are_called_after_what_is_opaque() {
-    let Some(mut rig) = rig("bins_that_blend_are_called_after_what_is_opaque") else { return };
+fn blended_bins_are_called_after_opaque_leaves() {
+    let Some(mut rig) = rig("blended_bins_are_called_after_opaque_leaves") else { return };
     let rig = &mut *rig;
     let said = Said::default();
     let glass = |callback| {
@@ -232,8 +232,8 @@ fn a_state_whose_order_counts_keeps_it() {
 
 /// Colours that a nearer leaf leaves are those of what was drawn before it, however near that is.
 #[test]
-fn what_writes_some_colors_comes_after_what_was_met_before() {
-    let Some(mut rig) = rig("what_writes_some_colors_comes_after_what_was_met_before") else { return };
+fn leaves_with_a_color_mask_follow_earlier_leaves() {
+    let Some(mut rig) = rig("leaves_with_a_color_mask_follow_earlier_leaves") else { return };
     let rig = &mut *rig;
     for [far, near] in [[false, false], [true, false], [false, true], [true, true]] {
         let quad = |z: f32, color: [f32; 4], is_large: bool| {

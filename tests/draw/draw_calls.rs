@@ -307,8 +307,8 @@ fn without_morph(node: &mut Node) {
 }
 
 #[test]
-fn where_rays_are_parallel_heights_morph_by_their_error_alone() {
-    let Some(mut rig) = rig("where_rays_are_parallel_heights_morph_by_their_error_alone") else { return };
+fn in_orthographic_views_heights_morph_by_their_error_alone() {
+    let Some(mut rig) = rig("in_orthographic_views_heights_morph_by_their_error_alone") else { return };
     let terrain = terrain(true);
     let mut seen = |above_m: f64, max_sse_px: f64, morphs: bool| {
         let mut camera = camera([256, 256], terrain.world(0.5, 0.5, above_m), terrain.world(0.5, 0.5, 0.0), DVec3::Z);

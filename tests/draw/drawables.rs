@@ -230,8 +230,8 @@ fn it_is_drawn_at_its_place_like_any_other_drawable() {
 }
 
 #[test]
-fn what_it_sets_is_set_again_for_the_next_leaf() {
-    let Some(mut rig) = rig("what_it_sets_is_set_again_for_the_next_leaf") else { return };
+fn state_set_by_a_drawable_is_restored_for_the_next_leaf() {
+    let Some(mut rig) = rig("state_set_by_a_drawable_is_restored_for_the_next_leaf") else { return };
     let rig = &mut *rig;
     let face = StencilFace { pass: StencilOperation::Replace, ..StencilFace::default() };
     let marked = |reference: u8| {
@@ -264,8 +264,8 @@ fn what_it_sets_is_set_again_for_the_next_leaf() {
 }
 
 #[test]
-fn it_is_told_where_it_is_and_under_which_state() {
-    let Some(mut rig) = rig("it_is_told_where_it_is_and_under_which_state") else { return };
+fn a_drawable_gets_its_transform_and_state() {
+    let Some(mut rig) = rig("a_drawable_gets_its_transform_and_state") else { return };
     let rig = &mut *rig;
     // The corner of the square on the screen, by the matrices; the number that its state set gives.
     let square = Square::telling(|info| {
@@ -330,8 +330,8 @@ fn it_is_told_where_it_is_and_under_which_state() {
 }
 
 #[test]
-fn what_is_wrong_is_said_once_and_the_rest_is_drawn() {
-    let Some(mut rig) = rig("what_is_wrong_is_said_once_and_the_rest_is_drawn") else { return };
+fn errors_are_reported_once_and_the_rest_is_drawn() {
+    let Some(mut rig) = rig("errors_are_reported_once_and_the_rest_is_drawn") else { return };
     let rig = &mut *rig;
     let beside = || at(-0.5, 0.0, 0.0, vec![quad([0.0; 3], [0.4, 0.4], [1.0, 0.0, 0.0, 1.0])]);
     for (fails, wgsl, wanted) in [
@@ -407,8 +407,8 @@ fn it_is_made_ready_for_every_kind_of_target() {
 }
 
 #[test]
-fn it_casts_no_shadow_blends_behind_what_is_opaque_and_does_not_fade() {
-    let test = "it_casts_no_shadow_blends_behind_what_is_opaque_and_does_not_fade";
+fn it_casts_no_shadow_blends_behind_opaque_leaves_and_does_not_fade() {
+    let test = "it_casts_no_shadow_blends_behind_opaque_leaves_and_does_not_fade";
     let Some(mut rig) = rig(test) else { return };
     let rig = &mut *rig;
     let square = Square::new();

@@ -122,8 +122,8 @@ fn assert_fades(rig: &mut Rig, scene: &Scene, at: &dyn Fn(f64, f64) -> CullCamer
 type Kind<'a> = dyn Fn([f32; 4], f32) -> Node + 'a;
 
 #[test]
-fn a_tile_gives_way_to_its_children_pixel_by_pixel() {
-    let Some(mut rig) = rig("a_tile_gives_way_to_its_children_pixel_by_pixel") else { return };
+fn a_tile_fades_into_its_children_pixel_by_pixel() {
+    let Some(mut rig) = rig("a_tile_fades_into_its_children_pixel_by_pixel") else { return };
     let rig = &mut *rig;
     let unlit = |color| Material { base_color: color, unlit: true, double_sided: true, ..Material::default() };
     let fixed = || {
@@ -284,8 +284,8 @@ fn fades_inside_fades_leave_no_hole_and_end() {
 }
 
 #[test]
-fn what_expires_in_the_middle_ends_its_fade() {
-    let Some(mut rig) = rig("what_expires_in_the_middle_ends_its_fade") else { return };
+fn expiry_during_a_fade_ends_it() {
+    let Some(mut rig) = rig("expiry_during_a_fade_ends_it") else { return };
     let rig = &mut *rig;
     let environment = plain();
     let content = |color, depth| Node::geode(vec![quad([0.0, 0.0, depth], [1.2, 1.2], color)]);
@@ -322,8 +322,8 @@ fn what_expires_in_the_middle_ends_its_fade() {
 }
 
 #[test]
-fn what_comes_into_the_view_is_there_at_once() {
-    let Some(mut rig) = rig("what_comes_into_the_view_is_there_at_once") else { return };
+fn tiles_that_enter_the_view_do_not_fade() {
+    let Some(mut rig) = rig("tiles_that_enter_the_view_do_not_fade") else { return };
     let rig = &mut *rig;
     let environment = plain();
     let mut scene = rig.scene(tile(6.0, Refine::Replace, vec![tile(0.0, Refine::Replace, Vec::new())]));
@@ -344,8 +344,8 @@ fn what_comes_into_the_view_is_there_at_once() {
 }
 
 #[test]
-fn what_is_added_fades_in_over_what_is_there() {
-    let Some(mut rig) = rig("what_is_added_fades_in_over_what_is_there") else { return };
+fn added_content_fades_in_over_the_parent() {
+    let Some(mut rig) = rig("added_content_fades_in_over_the_parent") else { return };
     let rig = &mut *rig;
     let environment = plain();
     let mut scene = rig.scene(tile(6.0, Refine::Add, vec![tile(0.0, Refine::Add, Vec::new())]));

@@ -13,8 +13,8 @@ fn no_errors(rig: &mut Rig) {
 }
 
 #[test]
-fn queries_hide_what_is_not_seen_and_show_it_again() {
-    let Some(mut rig) = rig("queries_hide_what_is_not_seen_and_show_it_again") else { return };
+fn queries_hide_occluded_nodes_and_show_them_again() {
+    let Some(mut rig) = rig("queries_hide_occluded_nodes_and_show_them_again") else { return };
     let rig = &mut *rig;
     let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 2, ..OcclusionQueryNode::default() };
     let results = query.results.clone();

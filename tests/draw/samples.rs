@@ -54,8 +54,8 @@ fn left_out(rig: &mut Rig, scene: &Scene, camera: &CullCamera) -> u32 {
 }
 
 #[test]
-fn what_no_pixel_shows_is_left_out_and_nothing_else() {
-    let Some(mut rig) = rig("what_no_pixel_shows_is_left_out_and_nothing_else") else { return };
+fn only_leaves_that_cover_no_sample_are_left_out() {
+    let Some(mut rig) = rig("only_leaves_that_cover_no_sample_are_left_out") else { return };
     for bin in [None, Some(BinDetails::new(0, SortMode::BackToFront))] {
         let scene =
             rig.scene(dust(Topology::Triangles).with_state_set(Arc::new(StateSet { bin, ..StateSet::default() })));

@@ -50,8 +50,8 @@ fn a_tower_throws_its_shadow_where_geometry_says() {
 }
 
 #[test]
-fn what_is_outside_the_view_casts_into_it() {
-    let Some(mut rig) = rig("what_is_outside_the_view_casts_into_it") else { return };
+fn casters_outside_the_view_cast_into_it() {
+    let Some(mut rig) = rig("casters_outside_the_view_cast_into_it") else { return };
     // The tower stands behind the eye, which looks along its shadow.
     let to_sun = DVec3::new(1.0, 0.0, 0.35);
     let camera = camera(SIZE, DVec3::new(-10.0, 0.0, 12.0), DVec3::new(-40.0, 0.0, 0.0), DVec3::Z);
@@ -551,8 +551,8 @@ fn all_threading_models_draw_the_same_shadows() {
 /// Distant tiles are drawn morphed towards the level above, and so are shadow casters: the finer surface stood above the ground and
 /// left it in blotches.
 #[test]
-fn what_casts_morphs_as_what_is_seen() {
-    let Some(mut rig) = rig("what_casts_morphs_as_what_is_seen") else { return };
+fn shadow_casters_morph_like_drawn_tiles() {
+    let Some(mut rig) = rig("shadow_casters_morph_like_drawn_tiles") else { return };
     let terrain =
         Terrain { west: 0.2, south: 0.75, width: 0.004, relief_m: 2500.0, root_error_m: 200.0, textured: false };
     let up = terrain.up(0.5, 0.5);

@@ -79,7 +79,7 @@ fn tangents(w: f32) -> Given<'static> {
 }
 
 #[test]
-fn what_is_asked_for_is_kept_under_its_name() {
+fn requested_attributes_are_kept_under_their_names() {
     use AttributeFormat::*;
     let given: [Given<'_>; 6] = [
         tangents(1.0),

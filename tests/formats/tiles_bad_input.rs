@@ -164,7 +164,7 @@ fn totals_of_a_gltf_are_limited() {
 const SPHERE: &str = r#""sphere":[0,0,0,5]"#;
 
 #[test]
-fn what_is_good_is_read() {
+fn valid_input_is_read() {
     assert_eq!(read(&triangle(png(4)), None).unwrap().drawable_count(), 1);
     assert!(read(&tileset(SPHERE, "1", "a.glb"), None).unwrap().is_tile_tree());
 }

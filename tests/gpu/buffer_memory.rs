@@ -169,7 +169,7 @@ fn shadows_without_memory_for_their_maps_are_none() {
 }
 
 #[test]
-fn what_asks_whether_it_is_seen_is_drawn_where_it_cannot_ask() {
+fn nodes_without_memory_for_their_query_are_drawn() {
     let Some(mut rig) = new_rig([SIDE; 2]) else { return };
     let query = OcclusionQueryNode { query_frames: 1, failures_to_hide: 1, ..OcclusionQueryNode::default() };
     let mut asking = Node::new(NodeKind::OcclusionQueryNode(Box::new(query)));

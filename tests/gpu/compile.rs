@@ -229,7 +229,7 @@ fn released_places_are_used_again() {
 
 /// Cancelled operations stop; they were once uploaded to the end.
 #[test]
-fn what_is_cancelled_before_it_begins_is_not_uploaded() {
+fn an_operation_cancelled_before_its_start_is_not_uploaded() {
     let Some(mut rig) = fresh() else { return };
     rig.compile(vec![quad([0.0; 3], [1.0, 1.0], [1.0; 4])]);
     let base = rig.ctx.bytes_in_use();
@@ -253,7 +253,7 @@ fn what_is_cancelled_before_it_begins_is_not_uploaded() {
 }
 
 #[test]
-fn a_drawable_that_cannot_be_made_is_an_error_of_its_own() {
+fn a_drawable_that_cannot_be_uploaded_is_one_error() {
     let Some(mut rig) = fresh() else { return };
     let good = quad([0.0; 3], [1.0, 1.0], [1.0; 4]);
     let bad_texture = |width: u32, height: u32, mips: Vec<Vec<u8>>| {
@@ -316,7 +316,7 @@ fn the_noop_backend_compiles_and_draws() {
 
 /// It was a device error, and spoiled what was uploaded with it; the buffer of indices that a grid has panicked.
 #[test]
-fn where_memory_is_out_the_drawable_fails_and_all_else_goes_on() {
+fn out_of_memory_fails_one_drawable_and_no_other() {
     let Some(mut rig) = fresh() else { return };
     let image = |side: u32, shade: u8| Arc::new(with_mips(side, side, vec![shade; (side * side * 4) as usize]));
     let tile = || {

@@ -207,7 +207,7 @@ fn a_mesh_written_anew_is_there_though_it_is_still_on_its_way() {
 /// Measures the cost of uploads on the draw thread and the time to load a set: `-- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement"]
-fn what_uploads_cost() {
+fn upload_cost() {
     let folder = tempfile::tempdir().unwrap();
     let args = terrane_data_gen::GenArgs {
         levels: Some(6),

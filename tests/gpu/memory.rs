@@ -109,7 +109,7 @@ fn air_without_memory_is_a_plain_sky_and_computed_once_there_is_room() {
 
 /// They were written to buffers that were none.
 #[test]
-fn uploads_wait_for_memory_and_that_is_said_once() {
+fn uploads_wait_for_memory_and_report_it_once() {
     for compile_thread in [false, true] {
         let traits = ContextTraits {
             size_px: [SIDE; 2],

@@ -42,8 +42,8 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn what_was_compiled_is_used_again_unless_it_was_changed() {
-    let test = "what_was_compiled_is_used_again_unless_it_was_changed";
+fn compiled_pipelines_are_reused_unless_the_file_changed() {
+    let test = "compiled_pipelines_are_reused_unless_the_file_changed";
     let folder = tempfile::tempdir().unwrap();
     let kept = folder.path().join("pipelines");
     let Some((mut ctx, told)) = keeping(test, &kept) else { return };
@@ -80,8 +80,8 @@ fn what_was_compiled_is_used_again_unless_it_was_changed() {
 }
 
 #[test]
-fn a_viewer_keeps_them_where_it_is_asked_to() {
-    let test = "a_viewer_keeps_them_where_it_is_asked_to";
+fn a_viewer_keeps_pipelines_in_the_configured_folder() {
+    let test = "a_viewer_keeps_pipelines_in_the_configured_folder";
     let folder = tempfile::tempdir().unwrap();
     if keeping(test, &folder.path().join("asked")).is_none() {
         return;

@@ -97,7 +97,7 @@ fn server() -> Server {
 }
 
 #[test]
-fn what_is_fresh_is_not_asked_for_and_what_is_kept_is_asked_about() {
+fn fresh_entries_need_no_request_and_stale_ones_are_revalidated() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     for (path, asked, stats) in [
         // (first, hits, revalidated, misses) of the second and third client.
@@ -147,7 +147,7 @@ fn an_answer_holds_no_longer_than_the_way_to_it() {
 }
 
 #[test]
-fn what_depends_on_who_asks_is_not_kept() {
+fn answers_that_vary_by_client_are_not_kept() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::start(|r| {
         let who = r.header("authorization").unwrap_or("nobody").to_owned();
@@ -165,7 +165,7 @@ fn what_depends_on_who_asks_is_not_kept() {
 }
 
 #[test]
-fn offline_asks_nobody() {
+fn offline_sends_no_request() {
     let (server, folder) = (server(), tempfile::tempdir().unwrap());
     let url = |path: &str| format!("{}/{path}", server.url);
     let online = Client::at(folder.path());
@@ -277,7 +277,7 @@ fn verify_and_clear() {
 }
 
 #[test]
-fn what_was_used_longest_ago_goes_first() {
+fn least_recently_used_entries_are_evicted_first() {
     let server = Server::start(|r| {
         let mut body = vec![0; 10_000];
         body[..r.target.len()].copy_from_slice(r.target.as_bytes());
@@ -553,7 +553,7 @@ fn a_second_flight_needs_no_server() {
 }
 
 #[test]
-fn what_is_no_content_is_not_kept() {
+fn html_pages_with_status_200_are_not_kept() {
     let (server, folder) = (one_tile(true), tempfile::tempdir().unwrap());
     let first = fly(&server, folder.path());
     assert_eq!((first.pager.stats().failed, first.stage.counters.tiles_drawn), (1, 0));

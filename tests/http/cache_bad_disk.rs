@@ -243,7 +243,7 @@ fn opens_as_another_process() {
 }
 
 #[test]
-fn permission_denied_is_said_before_the_flight() {
+fn permission_denied_is_reported_before_the_flight() {
     use std::os::unix::fs::PermissionsExt as _;
     let folder = tempfile::tempdir().unwrap();
     std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(0o500)).unwrap();
@@ -276,7 +276,7 @@ fn get(client: &HttpClient, runtime: &tokio::runtime::Runtime, url: &str) -> Vec
 }
 
 #[test]
-fn what_breaks_while_it_is_used_is_asked_for_again() {
+fn entries_that_break_while_in_use_are_requested_again() {
     let server = Server::start(|r| Reply::ok(r.path().repeat(300)).with("Cache-Control", "max-age=1000"));
     let folder = tempfile::tempdir().unwrap();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();

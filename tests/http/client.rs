@@ -107,7 +107,7 @@ fn http2_server() -> (std::net::SocketAddr, std::sync::Arc<std::sync::atomic::At
 }
 
 #[test]
-fn what_may_pass_is_tried_again_and_nothing_else() {
+fn only_transient_failures_are_retried() {
     let asked = |reply: Reply| {
         let first = reply.clone();
         let server = Server::start(move |r| if r.nth == 0 { first.clone() } else { Reply::ok("body") });
@@ -175,7 +175,7 @@ fn a_connection_that_does_not_come_names_its_phase() {
 
 /// Large bodies arrive over a slow connection: the timeout covers silence, not the whole transfer.
 #[test]
-fn what_goes_on_coming_may_take_longer() {
+fn steady_transfers_may_exceed_the_timeout() {
     let server = Server::start(|_| Reply::ok([7; 40]).how(How::Slowly));
     let get = |min_bytes_per_s| {
         let config = HttpConfig { total_timeout: 100 * MS, min_bytes_per_s, max_retries: 0, ..quick() };

@@ -107,7 +107,7 @@ fn tilesets_are_filled_whatever_they_are_called() {
 
 /// It counted as unused since it came, and went before what nobody asked for.
 #[test]
-fn what_is_kept_is_used() {
+fn kept_entries_are_used() {
     let (server, folder) = (set(), tempfile::tempdir().unwrap());
     filled(&server, folder.path(), &FillOptions::default());
     let long_ago = SystemTime::now() - Duration::from_secs(24 * 3600);
@@ -214,7 +214,7 @@ fn several_contents_are_of_one_level() {
 }
 
 #[test]
-fn failures_are_told_and_tried_again() {
+fn failures_are_reported_and_retried() {
     let inner = set();
     let to = inner.url.clone();
     let server = Server::start(move |r| match r.path() {
@@ -259,7 +259,7 @@ fn a_tileset_in_several_places_is_looked_at_in_each() {
 
 /// What was said once of how long it holds went on behind a way that no longer does.
 #[test]
-fn what_still_holds_does_so_no_longer_than_the_way_to_it() {
+fn freshness_is_limited_by_that_of_the_redirect() {
     for (status, control, expected) in
         [(301, "", (1, 1)), (302, "", (1, 0)), (301, "no-cache", (1, 0)), (301, "no-store", (0, 0))]
     {
@@ -291,7 +291,7 @@ fn what_still_holds_does_so_no_longer_than_the_way_to_it() {
 }
 
 #[test]
-fn what_cannot_be_filled() {
+fn sets_that_cannot_be_filled_are_errors() {
     let (server, folder) = (set(), tempfile::tempdir().unwrap());
     let mut go_on = |_: &Filled| ControlFlow::Continue(());
     let options = FillOptions::default();

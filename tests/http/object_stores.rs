@@ -342,7 +342,7 @@ fn faults_are_typed_and_what_passes_is_tried_again() {
 }
 
 #[test]
-fn what_is_set_up_wrong_is_said() {
+fn wrong_store_options_are_reported() {
     let server = bucket(BTreeMap::new());
     let closed = HttpConfig {
         store_options: options(&[

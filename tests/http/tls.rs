@@ -190,7 +190,7 @@ fn refused(config: &HttpConfig, server: &Server) -> String {
 }
 
 #[test]
-fn certificates_that_do_not_hold_are_said_once() {
+fn invalid_certificates_are_reported_once() {
     let (authority, other) = (Authority::new(), Authority::new());
     let good = || authority.server("127.0.0.1", &[], |_| {});
     for config in [HttpConfig::default(), trusting(&other)] {
@@ -226,7 +226,7 @@ fn nothing_leads_from_an_encrypted_connection_to_an_open_one() {
 }
 
 #[test]
-fn what_speaks_no_tls_is_said() {
+fn servers_without_tls_are_reported() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("https://{}/a", listener.local_addr().unwrap());
     std::thread::spawn(move || {

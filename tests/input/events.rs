@@ -104,7 +104,7 @@ fn a_double_click_is_quick_near_and_of_one_button() {
 }
 
 #[test]
-fn what_is_down_comes_up_when_the_focus_goes() {
+fn pressed_keys_are_released_when_focus_is_lost() {
     let mut queue = EventQueue::default();
     queue.key_press(Key::Char('w'), Key::Char('w'), 0.0);
     queue.key_press(Key::Char('w'), Key::Char('w'), 0.5);

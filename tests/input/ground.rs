@@ -62,7 +62,7 @@ fn the_ground_of_the_scene_is_that_of_the_height_query() {
 }
 
 #[test]
-fn manipulators_stay_above_what_was_loaded() {
+fn manipulators_stay_above_the_loaded_ground() {
     let folder = tempfile::tempdir().unwrap();
     let mut viewer = viewer(folder.path());
     let above_m = |viewer: &Viewer| viewer.manipulator_view().height_above_ground_m(viewer.camera.eye()).unwrap();

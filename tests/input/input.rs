@@ -163,7 +163,7 @@ fn quit_keys_closing_and_asking_end_the_loop() {
 }
 
 #[test]
-fn nodes_are_told_of_events_once_and_of_frames_once() {
+fn nodes_get_each_event_once_and_each_frame_once() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     let (frames, events) = (Arc::new(AtomicU32::new(0)), Arc::new(Mutex::new(Vec::new())));
     let mut node = Node::group(vec![Node::group(Vec::new()); 1000]);
@@ -292,7 +292,7 @@ fn the_usual_handlers_answer_their_keys_and_say_so() {
 
 /// It was gone with the first key.
 #[test]
-fn what_keys_switch_lies_over_the_applications_state_set_and_gives_it_back() {
+fn key_switches_overlay_the_applications_state_set_and_restore_it() {
     let Some(mut viewer) = viewer(AdapterChoice::Noop) else { return };
     add_square(&mut viewer);
     viewer.add_event_handler(StateSetManipulator::default());
@@ -444,7 +444,7 @@ fn toggles_change_the_picture_and_overlays_lie_over_it() {
 }
 
 #[test]
-fn each_view_of_a_composite_viewer_has_input_of_its_own() {
+fn each_view_of_a_composite_viewer_has_its_own_input() {
     let config = ViewerConfig {
         size_px: [320, 240],
         adapter: AdapterChoice::Noop,

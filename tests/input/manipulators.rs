@@ -115,7 +115,7 @@ fn an_orbit_keeps_its_distance_and_the_vertical() {
 }
 
 #[test]
-fn a_drag_moves_what_is_under_the_pointer_with_it() {
+fn a_drag_keeps_the_ground_under_the_pointer() {
     // Pan by a tenth of the image: the point in the middle is a tenth further on.
     let world = World::plane();
     for (name, mut manipulator) in all().into_iter().take(2) {
@@ -141,7 +141,7 @@ fn a_drag_moves_what_is_under_the_pointer_with_it() {
 }
 
 #[test]
-fn a_throw_goes_on_and_comes_to_rest() {
+fn a_throw_continues_and_stops() {
     let world = World::plane();
     for (name, mut manipulator) in all().into_iter().take(3) {
         home(&mut *manipulator, &world);
@@ -226,7 +226,7 @@ fn terrain_stays_above_the_ground() {
 }
 
 #[test]
-fn who_walks_and_who_drives_follow_the_ground() {
+fn walking_and_driving_follow_the_ground() {
     let world = World::alps();
     let bounds = world.bounds;
     let start = bounds.frame.world_from_local.transform_point3(DVec3::new(0.0, 0.0, 1000.0));
@@ -253,7 +253,7 @@ fn who_walks_and_who_drives_follow_the_ground() {
 }
 
 #[test]
-fn a_key_that_comes_and_goes_within_a_frame_moves_for_that_frame() {
+fn a_key_pressed_and_released_within_a_frame_moves_for_that_frame() {
     let world = World::alps();
     let start = world.bounds.frame.world_from_local.transform_point3(DVec3::new(0.0, 0.0, 1000.0));
     let pose = terrane::viewer::world_from_eye(start, world.bounds.frame.direction(0.4, 0.0), world.bounds.frame.up());
@@ -392,7 +392,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
     #[test]
-    fn nothing_senseless_comes_out(
+    fn poses_stay_finite(
         acts in prop::collection::vec((0.0..2.0f64, act()), 0..60),
         times in prop::collection::vec(prop_oneof![0.0..0.1f64, prop::num::f64::ANY], 1..20),
         which in 0usize..8,
@@ -422,7 +422,7 @@ proptest! {
 }
 
 #[test]
-fn events_that_are_nobodys_are_left() {
+fn unused_events_are_not_handled() {
     let world = World::plane();
     for (name, mut manipulator) in all() {
         let mut queue = EventQueue::default();

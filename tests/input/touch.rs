@@ -87,7 +87,7 @@ fn gestures() -> [(&'static str, Gesture); 5] {
 }
 
 #[test]
-fn what_is_under_the_fingers_stays_under_them() {
+fn the_ground_stays_under_the_fingers() {
     // The trackball keeps both fingers' points in the plane before the eye; upright ones keep the middle's, terrain on
     // level ground. However the way is cut, it is the same.
     for (gesture_name, gesture) in gestures() {
@@ -203,7 +203,7 @@ fn twisting_turns_the_picture_with_the_fingers() {
 }
 
 #[test]
-fn who_flies_walks_or_drives_goes_where_fingers_lead() {
+fn flying_walking_and_driving_follow_the_fingers() {
     let world = World::plane();
     let level = World {
         ground: Some(Box::new(|_: &terrane::scene::Scene, p: DVec3, _: DVec3| Some(p.with_z(0.0)))),
@@ -305,7 +305,7 @@ fn the_frame_rate_does_not_matter() {
 }
 
 #[test]
-fn a_throw_goes_on_and_comes_to_rest() {
+fn a_throw_continues_and_stops() {
     for (gesture_name, gesture) in gestures() {
         let world = World::plane();
         for (name, mut manipulator) in all() {
@@ -383,7 +383,7 @@ fn fingers_come_and_go_without_a_jump() {
 
 /// The one that was left never heard that its fingers went.
 #[test]
-fn who_is_chosen_again_has_no_fingers_of_before() {
+fn a_manipulator_selected_again_forgets_earlier_fingers() {
     let world = World::plane();
     let mut poses = Vec::new();
     for was_left in [false, true] {

@@ -244,7 +244,7 @@ fn asks(
 /// Two requests hang and have all places of their server: given up one after the other, the first for others that wait,
 /// the second while nothing does.
 #[test]
-fn what_is_under_way_is_given_up_and_what_waits_for_its_place_comes() {
+fn cancelled_requests_make_room_for_waiting_ones() {
     check(|| {
         let list = Arc::new(RequestList::new(3, 3));
         let ((answers, answered), under_way) = (bounded(3), UnderWay::default());

@@ -84,7 +84,7 @@ fn all_threads_end_with_the_viewer_at_any_time() {
 
 /// Stages that ended threads have not drawn are dropped and can be culled into again.
 #[test]
-fn frames_go_on_in_another_model() {
+fn frames_continue_in_another_model() {
     for model in &ThreadingModel::ALL {
         check(move || {
             let seen = Seen::new(Reads::Nothing, Panics::Never, 2, &Arc::default());

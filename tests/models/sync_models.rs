@@ -92,7 +92,7 @@ fn threads_meet_at_a_barrier_again_and_again() {
 }
 
 #[test]
-fn a_released_barrier_holds_nobody_who_is_there_or_comes() {
+fn a_released_barrier_holds_no_thread() {
     check(|| {
         let barrier = Arc::new(Barrier::new(3));
         let threads: Vec<_> = (0..2)
@@ -140,7 +140,7 @@ fn operations_run_in_order_and_kept_ones_again() {
 
 /// An operation that removes another runs once; it once ran twice.
 #[test]
-fn what_is_there_runs_once_though_operations_come_and_go() {
+fn operations_run_once_while_others_are_added_and_removed() {
     check(|| {
         let queue = Arc::new(OperationQueue::<Vec<u32>>::new());
         let of_first = queue.clone();

@@ -49,7 +49,7 @@ fn later_is_below_now_in_the_same_order() {
 }
 
 #[test]
-fn nothing_is_missing_where_the_pager_was_told_to_go() {
+fn nothing_is_missing_along_an_announced_path() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let mut run = Run::new(folder.path().to_str().unwrap(), PagerConfig::default());
@@ -73,7 +73,7 @@ fn nothing_is_missing_where_the_pager_was_told_to_go() {
 }
 
 #[test]
-fn what_is_wanted_now_comes_first_and_later_takes_no_room() {
+fn current_requests_precede_prefetch_which_takes_no_room() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     // Room for this position and little more.
@@ -104,7 +104,7 @@ fn what_is_wanted_now_comes_first_and_later_takes_no_room() {
 
 /// It waited until the frame that lacked it, which had the room at once.
 #[test]
-fn what_comes_in_the_next_frames_may_take_the_last_tenth() {
+fn prefetch_for_the_next_frames_may_use_the_last_tenth() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();
@@ -181,7 +181,7 @@ fn flight(set: &str, max_tiles: usize, frames: u32, ahead_frames: f64) -> (u32, 
 }
 
 #[test]
-fn along_a_known_path_nothing_goes_that_is_wanted_sooner_than_what_comes() {
+fn along_a_known_path_the_page_wanted_last_is_evicted() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();
@@ -218,7 +218,7 @@ fn unannounced_flight(
 }
 
 #[test]
-fn where_a_motion_goes_on_to_is_loaded_before_it_is_seen() {
+fn tiles_ahead_of_a_motion_are_loaded_before_they_are_visible() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();
@@ -242,7 +242,7 @@ fn where_a_motion_goes_on_to_is_loaded_before_it_is_seen() {
 }
 
 #[test]
-fn room_for_what_comes_is_made_in_the_frame_that_asks_for_it() {
+fn room_for_a_prefetch_is_made_in_the_frame_that_requests_it() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let set = folder.path().to_str().unwrap();

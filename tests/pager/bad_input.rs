@@ -226,7 +226,7 @@ fn clocks_that_jump_change_no_picture() {
 }
 
 #[test]
-fn files_that_cannot_be_read_are_told() {
+fn unreadable_files_are_reported() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path(), &[("child.glb", glb()), ("other.glb", glb())]);
     std::fs::remove_file(folder.path().join("child.glb")).unwrap();
@@ -326,7 +326,7 @@ fn thousands_of_failing_uris_are_one_list_and_no_storm() {
 
 /// Each frame looked through all that ever failed.
 #[test]
-fn failures_that_nobody_meets_are_forgotten_where_there_are_thousands() {
+fn failures_out_of_view_are_forgotten_when_there_are_thousands() {
     let folder = tempfile::tempdir().unwrap();
     for (children, remembered) in [(4_000, 4_000), (5_000, 0)] {
         let names: Vec<String> = (0..children).map(|k| format!("missing {k}.glb")).collect();
@@ -350,7 +350,7 @@ fn failures_that_nobody_meets_are_forgotten_where_there_are_thousands() {
 /// A disk that did not answer once lost a tile until the program was started again.
 #[cfg(target_os = "linux")]
 #[test]
-fn what_the_system_refuses_for_a_while_is_tried_again() {
+fn transient_file_errors_are_retried() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("tileset.json"), tileset(&["a.glb", "b.glb", "c.glb"])).unwrap();
     for name in ["root.glb", "a.glb"] {

@@ -17,7 +17,7 @@ fn over_the_world(u: f64, height_m: f64) -> DVec3 {
 }
 
 #[test]
-fn budgets_hold_in_every_frame_and_what_is_seen_comes_first() {
+fn budgets_hold_in_every_frame_and_visible_tiles_come_first() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = PagerConfig {
@@ -135,7 +135,7 @@ fn a_page_stays_as_long_as_its_options_say() {
 }
 
 #[test]
-fn what_is_in_no_picture_makes_room_where_less_than_a_page_is_free() {
+fn invisible_pages_are_evicted_when_less_than_a_page_is_free() {
     let folder = tempfile::tempdir().unwrap();
     let (first, second) = (above(30.0), above(30.0) + DVec3::X * FAR_M);
     // A third of the budget stays free, in which no page has room.
@@ -239,7 +239,7 @@ fn write_nested(folder: &Path) {
 
 /// It stayed in the list of uploads for ever, took room from what was wanted, and kept its slots.
 #[test]
-fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
+fn uploads_of_an_expired_tileset_are_released() {
     let folder = tempfile::tempdir().unwrap();
     write_nested(folder.path());
     let config = PagerConfig { max_tiles: 3, expiry_frames: 2, ..PagerConfig::default() };
@@ -261,7 +261,7 @@ fn what_is_uploaded_for_a_tileset_that_expires_is_given_back() {
 
 /// It was loaded in each frame, and what would have fitted waited behind it.
 #[test]
-fn what_finds_no_room_is_loaded_once_and_holds_up_nothing_smaller() {
+fn a_page_without_room_is_loaded_once_and_blocks_no_smaller_page() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, points: u16, at: f32| {
         let positions = (0..points).map(|k| [at + f32::from(k % 3), f32::from(k % 7), f32::from(k % 5)]).collect();
@@ -338,7 +338,7 @@ fn a_pager_pauses_takes_no_requests_and_is_cleared() {
 
 /// In flight when the pager is cleared: late answers are dropped.
 #[test]
-fn what_comes_after_a_clear_is_not_merged() {
+fn pages_that_arrive_after_a_clear_are_not_merged() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     for round in 0..40 {
@@ -363,7 +363,7 @@ fn what_comes_after_a_clear_is_not_merged() {
 
 /// Pages loaded and uploaded count against the budgets before their merge; they once did not.
 #[test]
-fn what_waits_for_its_upload_or_merge_counts() {
+fn pages_waiting_for_upload_or_merge_count() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = PagerConfig { max_tiles: 6, max_bytes_gpu: 6 * PAGE_GPU_BYTES, ..PagerConfig::default() };
@@ -438,7 +438,7 @@ fn uploads_wait_for_time_or_for_none() {
 
 /// Sizes are not what the mean had them be.
 #[test]
-fn pages_of_all_sizes_keep_the_budgets_and_all_that_has_room_comes() {
+fn pages_of_all_sizes_keep_the_budgets_and_all_that_fit_are_loaded() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let glb = |triangles: usize| {

@@ -258,7 +258,7 @@ fn each_fault_is_one_error_and_costs_nothing_else() {
 }
 
 #[test]
-fn what_passes_is_tried_again() {
+fn transient_failures_are_retried() {
     for fault in [Answer::Status(503), Answer::Broken, Answer::Truncated] {
         let server = Server::start(
             set(),
@@ -319,7 +319,7 @@ fn a_page_instead_of_a_tile_is_asked_for_again() {
 
 /// One answer that was changed on its way was missing until the program was started again.
 #[test]
-fn what_is_no_content_is_asked_for_again_a_few_times() {
+fn html_pages_with_status_200_are_retried_a_few_times() {
     let url = "/set/child2.glb";
     for (broken, requests) in [(2, 3), (usize::MAX, 5)] {
         let is_broken = move |path: &str, nth| path == url && nth < broken;
@@ -338,7 +338,7 @@ fn what_is_no_content_is_asked_for_again_a_few_times() {
 
 /// Nobody looks at it for long; whoever comes back finds the tries that were made.
 #[test]
-fn tries_are_not_forgotten_while_nobody_looks() {
+fn tries_are_remembered_out_of_view() {
     let server =
         Server::start(set(), |path, _| if path == "/set/child2.glb" { Answer::Status(503) } else { Answer::Whole });
     let wait = Duration::from_millis(20);
@@ -383,7 +383,7 @@ fn tries_are_not_forgotten_where_a_request_goes_stale() {
 
 /// Failed tiles that no frame wants are not requested; they were once requested and cancelled forever.
 #[test]
-fn what_failed_is_asked_for_again_by_who_wants_it() {
+fn failed_tiles_are_retried_by_the_view_that_wants_them() {
     let url = "/set/root.glb";
     let server = Server::start(set(), move |path, n| match n {
         0 if path == url => Answer::Status(503),
@@ -402,7 +402,7 @@ fn what_failed_is_asked_for_again_by_who_wants_it() {
 }
 
 #[test]
-fn a_hung_request_blocks_nobody() {
+fn a_hung_request_blocks_no_other() {
     let server = Server::start(set(), |path, _| if path == "/set/child0.glb" { Answer::Silent } else { Answer::Whole });
     let mut run = run_of(&server, patient());
     run.until(NEAR, "the others wait", |r| r.pager.stats().merged == CHILDREN as u64);
@@ -568,7 +568,7 @@ fn a_root_that_was_changed_on_its_way_is_asked_for_again() {
 
 /// Nothing came of it: the request rested with the tries that were made, and no camera met it.
 #[test]
-fn what_was_given_up_is_loaded_for_the_application() {
+fn cancelled_pages_load_for_the_application() {
     let url = "/set/child2.glb";
     let server = Server::start(set(), move |path, nth| match nth {
         0 if path == url => Answer::Status(503),

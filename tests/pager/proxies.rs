@@ -121,7 +121,7 @@ fn a_proxy_without_bounds_has_those_of_what_it_loads() {
 
 /// Nothing asked for them again: no camera sees them.
 #[test]
-fn what_no_camera_asks_for_comes_back() {
+fn a_proxy_that_no_camera_requests_is_loaded_again() {
     let folder = tempfile::tempdir().unwrap();
     let page = Page::from_node(Node::group(nodes(folder.path()))).unwrap();
     let mut run = Run::of_page(page, folder.path().to_str().unwrap(), PagerConfig::default());
@@ -146,7 +146,7 @@ fn what_no_camera_asks_for_comes_back() {
 
 /// It was told to be loaded, and nothing happened.
 #[test]
-fn what_failed_is_tried_again_for_the_application() {
+fn failed_proxies_are_retried_for_the_application() {
     let folder = tempfile::tempdir().unwrap();
     let (mut viewer, root) = proxies(folder.path(), false, 30);
     settle(&mut viewer);
@@ -162,7 +162,7 @@ fn what_failed_is_tried_again_for_the_application() {
 }
 
 #[test]
-fn what_the_application_asks_for_comes() {
+fn requests_of_the_application_are_loaded() {
     let folder = tempfile::tempdir().unwrap();
     let (mut viewer, root) = proxies(folder.path(), false, 30);
     settle(&mut viewer);

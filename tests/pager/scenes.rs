@@ -159,7 +159,7 @@ fn all_scenes_settle_and_each_has_what_it_would_have_alone() {
 }
 
 #[test]
-fn one_budget_is_for_all_and_what_any_scene_wanted_longest_ago_goes() {
+fn one_budget_covers_all_scenes_and_evicts_the_least_recently_wanted() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let config = PagerConfig {
@@ -246,7 +246,7 @@ fn clearing_or_removing_one_leaves_the_others() {
 
 /// Slots of the same pages and indices, and the same frames.
 #[test]
-fn what_fails_in_one_does_not_fail_in_the_other() {
+fn a_failure_in_one_scene_does_not_fail_the_other() {
     let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
     folders.iter().for_each(|folder| _ = write_quadtree(folder.path()));
     let broken = folders[0].path().join("1_0_0.glb");
@@ -287,7 +287,7 @@ fn write_nested(folder: &Path, reference: &str) {
 }
 
 #[test]
-fn what_one_set_may_reach_the_other_may_not() {
+fn each_set_reaches_only_its_own_scope() {
     let both = tempfile::tempdir().unwrap();
     let [open, sly] = ["open", "sly"].map(|name| both.path().join(name));
     for folder in [&open, &sly] {
@@ -478,7 +478,7 @@ fn clearing_one_asks_for_nothing_of_the_others() {
 
 /// Pages that the application removes are not counted any more; they once were until the pager's end.
 #[test]
-fn what_somebody_takes_out_counts_no_more() {
+fn pages_taken_out_are_not_counted() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path());
     let eyes = [Some(over_the_world(0.3, 300.0))];

@@ -74,7 +74,7 @@ fn failed(run: &Run) -> u64 {
 const NEAR: f64 = 10.0;
 
 #[test]
-fn what_waits_is_told_from_what_a_server_was_asked_for_and_from_what_failed() {
+fn waiting_requested_and_failed_tiles_have_distinct_states() {
     let config = PagerConfig { http_in_flight: 3, http_in_flight_max: 3, ..config() };
     let is_mute = Arc::new(AtomicBool::new(true));
     let mute = is_mute.clone();
@@ -106,7 +106,7 @@ fn what_waits_is_told_from_what_a_server_was_asked_for_and_from_what_failed() {
 }
 
 #[test]
-fn what_is_here_is_decoded_then_compiled_then_merged() {
+fn arrived_content_is_decoded_then_uploaded_then_merged() {
     // One thread decodes them all, and makes trees of them.
     let config = PagerConfig { build_kd_trees: true, ..config() };
     let mut run = start(config, |_| Reply::ok(glb(250)));

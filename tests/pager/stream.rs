@@ -63,7 +63,7 @@ fn a_broken_child_leaves_its_parent_and_is_one_error() {
 }
 
 #[test]
-fn what_is_not_wanted_expires_within_the_tile_budget() {
+fn unwanted_tiles_expire_within_the_tile_budget() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path());
     let config = PagerConfig { max_tiles: 5, expiry_frames: 3, ..PagerConfig::default() };
@@ -128,7 +128,7 @@ fn blocking_loads_the_same_each_time_and_pagers_stop() {
 }
 
 #[test]
-fn an_occluder_in_a_content_hides_what_is_behind_it_while_it_is_there() {
+fn an_occluder_in_a_content_hides_while_it_is_resident() {
     // Two tiles one above the other, seen from above; y is up in glTF.
     let write = |folder: &Path, occluder: &str| {
         let gltf = |extras: &str| {
@@ -183,7 +183,7 @@ fn an_occluder_in_a_content_hides_what_is_behind_it_while_it_is_there() {
 
 /// One view's requests are served while another view keeps requesting more urgent ones; they once starved.
 #[test]
-fn what_waits_long_comes_before_all_that_is_more_urgent_has_come() {
+fn long_waiting_requests_are_served_before_all_more_urgent_ones() {
     let folder = tempfile::tempdir().unwrap();
     write_set(folder.path());
     const MANY: usize = 4000;

@@ -25,7 +25,7 @@ fn wall(maker: &mut Maker) -> [Node; 2] {
 }
 
 #[test]
-fn what_occluders_hide_is_not_seen() {
+fn leaves_hidden_by_occluders_are_not_visible() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let (mut differences, mut hidden) = (Differences::default(), 0);
@@ -58,7 +58,7 @@ fn queried(node: &Node, maker: &mut Maker) -> Node {
 }
 
 #[test]
-fn what_queries_hide_is_not_seen() {
+fn leaves_hidden_by_queries_are_not_visible() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let (mut differences, mut hidden) = (Differences::default(), 0);

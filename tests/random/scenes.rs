@@ -90,7 +90,7 @@ fn own(drawable: &mut Drawable) {
 
 /// Graphs under every kind of state; the order of drawing counts.
 #[test]
-fn what_is_drawn_is_a_matter_of_the_scene_alone() {
+fn equivalent_scenes_draw_the_same_image() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let (mut shown, mut scenes) = (0, 0);
@@ -150,7 +150,7 @@ fn what_is_drawn_is_a_matter_of_the_scene_alone() {
 
 /// Under a sky, with shadows and a sea below.
 #[test]
-fn light_and_air_are_a_matter_of_the_scene_alone() {
+fn equivalent_scenes_have_the_same_light_and_air() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let mut differences = Differences::default();
@@ -292,7 +292,7 @@ fn with_tiles(node: &Node, random: &mut Random, cut: &mut Vec<Node>) -> Node {
 
 /// Graphs where the nearest is seen, whatever was drawn before it.
 #[test]
-fn what_is_opaque_may_be_drawn_in_any_order() {
+fn opaque_leaves_may_be_drawn_in_any_order() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let mut differences = Differences::default();
@@ -348,7 +348,7 @@ fn with_sets(node: &Node, change: &dyn Fn(&StateSet) -> StateSet) -> Node {
 
 /// A changed scene looks like one made that way.
 #[test]
-fn changed_scenes_are_those_made_so() {
+fn changed_scenes_equal_scenes_made_that_way() {
     let Some(mut rig) = new_rig([256, 256]) else { return };
     let rig = &mut rig;
     let mut differences = Differences::default();

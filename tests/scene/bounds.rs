@@ -165,7 +165,7 @@ proptest! {
 }
 
 #[test]
-fn siblings_moved_one_by_one_fit_what_is_above_them_once() {
+fn moving_siblings_refits_their_ancestors_once() {
     let siblings = |count: u32| {
         let child = || Node::transform(DAffine3::IDENTITY, vec![Node::geode(vec![cube(DVec3::ZERO, 1.0)])]);
         let group = Node::group((0..count).map(|_| child()).collect());

@@ -70,7 +70,7 @@ fn a_traversal_visits_callbacks_and_not_nodes() {
 }
 
 #[test]
-fn pages_that_go_take_nobody_s_turn() {
+fn removed_pages_do_not_skip_callbacks_of_others() {
     let log = Log::default();
     let mut scene = Scene::new();
     let add = |scene: &mut Scene, callback| {
@@ -92,7 +92,7 @@ fn pages_that_go_take_nobody_s_turn() {
 }
 
 #[test]
-fn a_page_comes_before_those_that_hang_in_it_whenever_it_gets_its_callback() {
+fn a_page_is_updated_before_pages_attached_to_it() {
     let log = Log::default();
     let mut scene = Scene::new();
     let root = scene.add_root(Page::from_node(Node::group(vec![tile("x")])).unwrap());
@@ -106,7 +106,7 @@ fn a_page_comes_before_those_that_hang_in_it_whenever_it_gets_its_callback() {
 }
 
 #[test]
-fn what_is_skipped_reaches_into_the_pages_below() {
+fn skipping_a_node_skips_the_pages_below() {
     let log = Log::default();
     let skipping = with_callback(Node::group(vec![tile("x")]), logs(&log, "above", Traverse::Skip));
     let other = with_callback(Node::group(Vec::new()), logs(&log, "beside", Traverse::Below));

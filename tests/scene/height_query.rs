@@ -18,7 +18,7 @@ fn square(z: f64) -> Page {
 }
 
 #[test]
-fn below_comes_first_then_above() {
+fn ground_below_is_preferred_to_ground_above() {
     let query = HeightQuery::new(Vertical::Flat);
     assert_eq!(query.height_above_terrain_m(DVec3::ZERO), None, "nothing is published");
     let mut scene = Scene::new();
@@ -58,7 +58,7 @@ fn another_scene_is_another_ground() {
 }
 
 #[test]
-fn masks_say_what_is_ground() {
+fn masks_select_the_ground() {
     let mut node = Node::geode(Vec::new());
     for (z, mask) in [(1.0, 1), (5.0, 2)] {
         let mesh = Mesh::rectangle(DVec3::new(-1.0, -1.0, z), DVec3::X * 2.0, DVec3::Y * 2.0);
@@ -193,7 +193,7 @@ fn threads_ask_while_the_scene_changes() {
 }
 
 #[test]
-fn moving_what_is_ground_is_published() {
+fn moved_ground_is_published() {
     let mesh = Mesh::rectangle(DVec3::new(-1.0, -1.0, 0.0), DVec3::X * 2.0, DVec3::Y * 2.0);
     let geode = Node::geode(vec![Drawable::new(Geometry::Mesh(Arc::new(mesh)), Material::default())]);
     let node = Node::transform(DAffine3::from_translation(DVec3::Z), vec![geode]).named("lift");

@@ -279,7 +279,7 @@ proptest! {
     }
 
     #[test]
-    fn boxes_meet_what_is_inside_them(seed in any::<u64>(), kind in 0usize..3) {
+    fn boxes_intersect_contained_drawables(seed in any::<u64>(), kind in 0usize..3) {
         let mut random = Random(seed);
         let topology = [Topology::Triangles, Topology::Lines, Topology::Points][kind];
         let mesh = mesh(&mut random, topology);
@@ -523,7 +523,7 @@ fn height_tile(random: &mut Random, side: u32, smooth: bool) -> (HeightTile, Vec
 }
 
 #[test]
-fn what_is_not_finite_meets_nothing() {
+fn non_finite_intersectors_hit_nothing() {
     let square = Mesh::rectangle(DVec3::ZERO, DVec3::X, DVec3::Y);
     let mut scene = Scene::new();
     scene.add_root(Page::from_node(Node::geode(vec![drawable(square)])).unwrap());

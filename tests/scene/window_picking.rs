@@ -276,7 +276,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
 
     #[test]
-    fn what_is_met_at_a_place_is_what_is_drawn_there(seed: u64, fits: bool) {
+    fn picks_hit_the_pixel_that_is_drawn(seed: u64, fits: bool) {
         let mut random = Random(seed);
         let Setup { scene, mut visitor, view, oracle } = setup(&mut random, fits);
         for _ in 0..15 {
@@ -350,7 +350,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_met_in_a_rectangle_is_what_is_drawn_in_it(seed: u64, fits: bool) {
+    fn rectangle_picks_hit_the_drawables_drawn_in_it(seed: u64, fits: bool) {
         let mut random = Random(seed);
         let Setup { scene, mut visitor, view, oracle } = setup(&mut random, fits);
         for _ in 0..4 {

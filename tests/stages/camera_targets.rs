@@ -139,8 +139,8 @@ fn cameras_with_several_samples_share_a_texture() {
 
 /// It began with what its samples held: another camera's of the last frame.
 #[test]
-fn a_camera_with_several_samples_goes_on_with_what_its_texture_holds() {
-    let Some(mut rig) = rig("a_camera_with_several_samples_goes_on_with_what_its_texture_holds") else { return };
+fn a_multisampled_camera_continues_from_its_texture() {
+    let Some(mut rig) = rig("a_multisampled_camera_continues_from_its_texture") else { return };
     let rig = &mut *rig;
     for format in [TextureFormat::Rgba8Srgb, TextureFormat::Rgba8, TextureFormat::Rgba16Float] {
         let [texture, second, other] =
@@ -385,8 +385,8 @@ fn depth_and_stencil_come_back() {
 }
 
 #[test]
-fn depth_that_cannot_come_back_is_said_once() {
-    let Some(mut rig) = rig("depth_that_cannot_come_back_is_said_once") else { return };
+fn unreadable_depth_is_reported_once() {
+    let Some(mut rig) = rig("unreadable_depth_is_reported_once") else { return };
     let rig = &mut *rig;
     let color = || Attachment::new(TextureObject::target("color", [SIDE; 2], TextureFormat::Rgba8Srgb));
     let [color_sink, depth_sink] = [(); 2].map(|()| Arc::new(PictureSink::default()));

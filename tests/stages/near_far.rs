@@ -94,7 +94,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, ..ProptestConfig::default() })]
 
     #[test]
-    fn as_all_triangles_one_by_one(
+    fn near_and_far_equal_those_of_all_triangles(
         soups in prop::collection::vec((soup(), any::<bool>()), 1..12),
         eye in prop::array::uniform3(-25.0f64..25.0),
         turn in prop::array::uniform4(-1.0f64..1.0),

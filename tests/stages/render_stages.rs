@@ -88,8 +88,8 @@ fn a_camera_draws_into_a_texture_that_is_seen_in_the_same_frame() {
 }
 
 #[test]
-fn textures_keep_what_was_drawn_and_are_freed_with_their_owner() {
-    let Some(mut rig) = rig("textures_keep_what_was_drawn_and_are_freed_with_their_owner") else { return };
+fn textures_keep_their_image_and_are_freed_with_their_owner() {
+    let Some(mut rig) = rig("textures_keep_their_image_and_are_freed_with_their_owner") else { return };
     let rig = &mut *rig;
     let texture = target("kept");
     draw(rig, vec![Node::camera(to_texture(&texture), vec![red()])]);
@@ -523,8 +523,8 @@ fn wrong_targets_are_one_error_and_the_rest_is_drawn() {
 }
 
 #[test]
-fn clear_nodes_decide_what_is_behind() {
-    let Some(mut rig) = rig("clear_nodes_decide_what_is_behind") else { return };
+fn clear_nodes_set_the_background() {
+    let Some(mut rig) = rig("clear_nodes_set_the_background") else { return };
     let rig = &mut *rig;
     let clear = |color| Node::new(NodeKind::ClearNode(ClearNode { color }));
     let picture = draw(rig, vec![clear(Some([0.0, 0.0, 1.0, 1.0])), red()]);

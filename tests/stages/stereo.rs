@@ -78,8 +78,8 @@ fn eyes_that_change_places_take_their_masks_along() {
 }
 
 #[test]
-fn what_is_drawn_over_a_picture_is_in_both_eyes() {
-    let Some(mut rig) = rig("what_is_drawn_over_a_picture_is_in_both_eyes") else { return };
+fn overlays_are_in_both_eyes() {
+    let Some(mut rig) = rig("overlays_are_in_both_eyes") else { return };
     let rig = &mut *rig;
     let hud = CameraNode {
         frame: ReferenceFrame::Absolute,

@@ -171,8 +171,8 @@ fn attributes_of_every_format_reach_programs() {
 }
 
 #[test]
-fn programs_read_members_of_structs_and_what_is_not_given_of_a_vector() {
-    let Some(mut rig) = rig("programs_read_members_of_structs_and_what_is_not_given_of_a_vector") else { return };
+fn programs_read_struct_members_and_defaults_of_missing_components() {
+    let Some(mut rig) = rig("programs_read_struct_members_and_defaults_of_missing_components") else { return };
     let rig = &mut *rig;
     // Two components given and four read; four given and one read.
     let set = StateSet::default().with(Attribute::Program(Program::new(
@@ -216,8 +216,8 @@ fn programs_put_matrices_together_from_their_columns() {
 }
 
 #[test]
-fn attributes_that_are_missing_or_of_another_type_are_seen_and_said_once() {
-    let Some(mut rig) = rig("attributes_that_are_missing_or_of_another_type_are_seen_and_said_once") else { return };
+fn missing_or_mistyped_attributes_are_visible_and_reported_once() {
+    let Some(mut rig) = rig("missing_or_mistyped_attributes_are_visible_and_reported_once") else { return };
     let rig = &mut *rig;
     let set = Arc::new(heat_program());
     let at = |x: f32| quad([x, 0.5, 0.0], [0.2, 0.2], [1.0; 4]);
@@ -331,8 +331,8 @@ fn other_shading_takes_no_notice_of_attributes() {
 
 /// A roof above the ground, which stands where an attribute says, throws its shadow there.
 #[test]
-fn what_a_program_moves_by_an_attribute_casts_its_shadow_there() {
-    let Some(mut rig) = rig("what_a_program_moves_by_an_attribute_casts_its_shadow_there") else { return };
+fn vertices_moved_by_a_program_cast_shadows_at_their_new_position() {
+    let Some(mut rig) = rig("vertices_moved_by_a_program_cast_shadows_at_their_new_position") else { return };
     let rig = &mut *rig;
     let to_sun = DVec3::new(1.0, 0.5, 1.0);
     let seen = camera([256, 192], DVec3::new(-40.0, -50.0, 45.0), DVec3::new(0.0, 0.0, 2.0), DVec3::Z);

@@ -63,8 +63,8 @@ fn clip_planes_cut_their_children() {
 }
 
 #[test]
-fn alpha_decides_what_is_drawn() {
-    let Some(mut rig) = rig("alpha_decides_what_is_drawn") else { return };
+fn alpha_tests_discard_pixels() {
+    let Some(mut rig) = rig("alpha_tests_discard_pixels") else { return };
     let rig = &mut *rig;
     let mut passes = |function, alpha: f32| {
         let set = StateSet::default()
@@ -295,8 +295,8 @@ fn wrong_textures_are_white_and_one_error() {
 
 /// The second one showed the first.
 #[test]
-fn of_cubes_volumes_and_layers_there_is_one_each() {
-    let Some(mut rig) = rig("of_cubes_volumes_and_layers_there_is_one_each") else { return };
+fn one_cube_one_volume_and_one_layered_texture_may_be_bound() {
+    let Some(mut rig) = rig("one_cube_one_volume_and_one_layered_texture_may_be_bound") else { return };
     let rig = &mut *rig;
     let kinds = [(TextureDimension::Cube, 6), (TextureDimension::D3, 2), (TextureDimension::D2Array, 2)];
     for (dimension, layers) in kinds {

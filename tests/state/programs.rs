@@ -329,8 +329,8 @@ fn programs_with_too_many_uniforms_are_said_and_lose_no_frame() {
 }
 
 #[test]
-fn broken_programs_are_seen_and_said_once() {
-    let Some(mut rig) = rig("broken_programs_are_seen_and_said_once") else { return };
+fn broken_programs_are_visible_and_reported_once() {
+    let Some(mut rig) = rig("broken_programs_are_visible_and_reported_once") else { return };
     let rig = &mut *rig;
     let vertex =
         "@vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {

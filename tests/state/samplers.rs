@@ -81,8 +81,8 @@ fn each_filter_smooths_its_own() {
 }
 
 #[test]
-fn anisotropy_keeps_what_is_squeezed_one_way() {
-    let Some(mut rig) = rig("anisotropy_keeps_what_is_squeezed_one_way") else { return };
+fn anisotropy_keeps_detail_squeezed_in_one_direction() {
+    let Some(mut rig) = rig("anisotropy_keeps_detail_squeezed_in_one_direction") else { return };
     // Eight texels a pixel along s, one along t: level 3, or level 0 by eight samples.
     let texture = levels([256, 32], |level, _, _| [RED, BLUE, BLUE, GREEN, GREEN, GREEN][level.min(5) as usize], 9);
     let mut middle = |filter, max_anisotropy| {

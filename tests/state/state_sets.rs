@@ -89,8 +89,8 @@ fn blending_weighs_and_adds() {
 
 /// Materials with a mask were drawn whole, height tiles opaque.
 #[test]
-fn what_is_blended_keeps_its_mask_and_its_alpha() {
-    let Some(mut rig) = rig("what_is_blended_keeps_its_mask_and_its_alpha") else { return };
+fn blended_leaves_keep_their_mask_and_alpha() {
+    let Some(mut rig) = rig("blended_leaves_keep_their_mask_and_alpha") else { return };
     let rig = &mut *rig;
     let mut masked = |alpha: f32| {
         let mut drawable = quad([0.0, 0.0, 0.1], [0.5, 0.5], [0.0, 1.0, 0.0, alpha]);
@@ -153,8 +153,8 @@ fn depth_compares_and_writes() {
 }
 
 #[test]
-fn faces_are_culled_as_told() {
-    let Some(mut rig) = rig("faces_are_culled_as_told") else { return };
+fn faces_are_culled_as_set() {
+    let Some(mut rig) = rig("faces_are_culled_as_set") else { return };
     let rig = &mut *rig;
     let turned = |set: StateSet| {
         let half_turn = DAffine3::from_rotation_y(std::f64::consts::PI);
@@ -244,8 +244,8 @@ fn an_offset_decides_between_equal_depths() {
 }
 
 #[test]
-fn an_offset_by_the_slope_moves_what_is_seen_aslant() {
-    let Some(mut rig) = rig("an_offset_by_the_slope_moves_what_is_seen_aslant") else { return };
+fn a_slope_offset_moves_oblique_surfaces() {
+    let Some(mut rig) = rig("a_slope_offset_moves_oblique_surfaces") else { return };
     let rig = &mut *rig;
     let second = |factor: f32, turn: DAffine3| {
         let set = later().with(Attribute::PolygonOffset(PolygonOffset { factor, units: 0.0 }));
@@ -340,8 +340,8 @@ fn depth_ranges_are_layers() {
 }
 
 #[test]
-fn scissors_and_viewports_bound_what_is_drawn() {
-    let Some(mut rig) = rig("scissors_and_viewports_bound_what_is_drawn") else { return };
+fn scissors_and_viewports_bound_the_drawn_pixels() {
+    let Some(mut rig) = rig("scissors_and_viewports_bound_the_drawn_pixels") else { return };
     let rig = &mut *rig;
     let red = |picture: &image::RgbaImage| {
         let mut box_px = [u32::MAX, u32::MAX, 0, 0];

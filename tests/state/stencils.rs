@@ -230,9 +230,9 @@ fn only_bits_of_the_write_mask_change() {
 
 /// They failed the depth test instead, and marked.
 #[test]
-fn what_is_culled_on_both_sides_leaves_values_alone() {
-    let Some(mut rig) = rig("what_is_culled_on_both_sides_leaves_values_alone") else { return };
-    if !has_stencils(&rig, "what_is_culled_on_both_sides_leaves_values_alone") {
+fn faces_culled_on_both_sides_leave_stencil_values() {
+    let Some(mut rig) = rig("faces_culled_on_both_sides_leave_stencil_values") else { return };
+    if !has_stencils(&rig, "faces_culled_on_both_sides_leave_stencil_values") {
         return;
     }
     let places = [CompareFunction::Never, CompareFunction::Always].into_iter().flat_map(|f| [(f, false), (f, true)]);

@@ -259,7 +259,7 @@ fn images_of_unequal_sizes_that_do_not_fit_beside_each_other_end_the_frame() {
 }
 
 #[test]
-fn sequences_go_in_step_share_files_and_stop_loading_when_nobody_looks() {
+fn sequences_run_in_step_share_files_and_stop_loading_when_not_visible() {
     let folder = tempfile::tempdir().unwrap();
     let files = write_images(folder.path(), 6, 8);
     let sequences = [(); 3].map(|()| playing(files.clone(), LoopingMode::Looping, 6.0));
@@ -309,7 +309,7 @@ fn images_of_the_application_and_of_other_sizes_are_shown() {
 }
 
 #[test]
-fn without_blocking_frames_go_on_and_the_images_come() {
+fn without_blocking_frames_continue_and_images_arrive() {
     let folder = tempfile::tempdir().unwrap();
     let sequence = playing(write_images(folder.path(), 30, 8), LoopingMode::Looping, 30.0);
     let config = ImagePagerConfig::default();
@@ -332,7 +332,7 @@ fn without_blocking_frames_go_on_and_the_images_come() {
 
 #[cfg(feature = "http")]
 #[test]
-fn images_come_over_http_and_a_server_that_hangs_holds_nobody_up() {
+fn images_load_over_http_and_a_hung_server_delays_no_other() {
     use kit::server::{How, Reply, Request, Server};
     use terrane::io::HttpConfig;
     let folder = tempfile::tempdir().unwrap();
@@ -436,7 +436,7 @@ fn frames_until(theatre: &mut Theatre, time_s: f64, is_so: impl Fn(Option<usize>
 /// It held a thread until the server's time was over.
 #[cfg(feature = "http")]
 #[test]
-fn an_image_that_nobody_wants_any_more_is_given_up() {
+fn an_unwanted_image_is_cancelled() {
     with_a_silent_server(|theatre, sequence, asked| {
         let mut until = |position_s: f64, is_so: &dyn Fn(Option<usize>) -> bool| {
             sequence.seek(position_s);

@@ -75,7 +75,7 @@ fn press(viewer: &mut Viewer, key: Key) {
 
 /// All of the rest counted as time in which the camera had moved.
 #[test]
-fn what_rested_moves_from_the_event_on() {
+fn motion_resumes_at_the_event() {
     let mut viewer = rested(OrbitManipulator::default());
     let (way_m, seconds) = moved(&mut viewer, |viewer| {
         let time_s = viewer.event_queue().time_s();
@@ -97,7 +97,7 @@ fn what_rested_moves_from_the_event_on() {
 }
 
 #[test]
-fn a_path_goes_on_where_it_was_paused() {
+fn a_path_resumes_where_it_was_paused() {
     let points = [0.0, 1e3].map(|time_s| {
         let pose = DAffine3::from_translation(DVec3::new(time_s, -10.0, 0.0));
         ControlPoint::from_pose(time_s, &pose)
@@ -121,7 +121,7 @@ fn a_path_goes_on_where_it_was_paused() {
 
 /// With no time for what rests nobody would look.
 #[test]
-fn who_rests_on_the_ground_rises_with_it() {
+fn a_resting_camera_rises_with_the_ground() {
     let ground_mm = Arc::new(AtomicU64::new(0));
     let of_view = ground_mm.clone();
     let mut viewer = offscreen(&config(AdapterChoice::Noop)).unwrap();
@@ -220,7 +220,7 @@ fn frames_are_drawn_until_pictures_of_cameras_have_come() {
 
 /// The change was seen when something else asked for a frame.
 #[test]
-fn what_is_set_is_drawn() {
+fn changed_settings_are_drawn() {
     let mut viewer = rested(OrbitManipulator::default());
     let changes: [fn(&mut Viewer); 6] = [
         |viewer| viewer.set_viewport([0, 0, 80, 60]),
@@ -265,7 +265,7 @@ fn picture(viewer: &mut Viewer) -> RgbaImage {
 
 /// The last frames were those before the adapter had answered: what came into sight stayed hidden.
 #[test]
-fn frames_are_drawn_until_occlusion_queries_have_shown_what_is_in_sight() {
+fn frames_are_drawn_until_occlusion_queries_have_shown_visible_nodes() {
     // A blocking frame looks at what it would want first, and did so with the eye that asks.
     for (threading, blocking) in
         ThreadingModel::ALL.map(|t| (t, false)).into_iter().chain([(ThreadingModel::ALL[0], true)])
@@ -340,7 +340,7 @@ fn tiles(viewer: &Viewer) -> (u64, u64) {
 
 /// Frames were drawn for ever for what waited.
 #[test]
-fn what_finds_no_room_asks_for_no_frame() {
+fn pages_without_room_request_no_frame() {
     let folder = tempfile::tempdir().unwrap();
     write_row(folder.path());
     let pager = PagerConfig { max_tiles: 4, ..PagerConfig::default() };
@@ -359,7 +359,7 @@ fn what_finds_no_room_asks_for_no_frame() {
 
 /// They waited for what was not to come.
 #[test]
-fn a_pager_that_stands_asks_for_no_frame_until_it_goes_on() {
+fn a_paused_pager_requests_no_frame_until_it_resumes() {
     let folder = tempfile::tempdir().unwrap();
     write_row(folder.path());
     let stand: [fn(&mut Viewer, bool); 2] = [
@@ -408,7 +408,7 @@ fn the_blocking_mode_looks_a_few_times_for_what_finds_no_room() {
 /// A loop that rests drew no frame for it.
 #[cfg(feature = "http")]
 #[test]
-fn what_failed_asks_for_a_frame_once_its_wait_is_over() {
+fn a_failed_tile_requests_a_frame_after_its_back_off() {
     use kit::server::{Reply, Server};
     let folder = tempfile::tempdir().unwrap();
     write_row(folder.path());

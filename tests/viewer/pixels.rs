@@ -48,7 +48,7 @@ fn fly(set: &str, threading: ThreadingModel) -> Option<Vec<RgbaImage>> {
 }
 
 #[test]
-fn the_same_path_gives_the_same_pixels_whoever_draws() {
+fn the_same_path_gives_the_same_pixels_in_every_threading_model() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let Some(first) = fly(&set, ThreadingModel::SingleThreaded) else { return };

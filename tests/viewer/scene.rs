@@ -87,7 +87,7 @@ fn a_square_is_drawn_moved_and_removed() {
 }
 
 #[test]
-fn the_near_plane_follows_what_is_near() {
+fn the_near_plane_follows_the_nearest_geometry() {
     let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded, AdapterChoice::Software) else { return };
     viewer.add_root(Page::from_node(Node::geode(vec![square()])).unwrap()).unwrap();
     viewer.environment.sky = Sky::Background(KEY_COLOR);
@@ -188,7 +188,7 @@ fn assert_same_pose(found: &DAffine3, expected: &DAffine3) {
 
 /// The manipulator had the camera back where it was, in the same frame.
 #[test]
-fn a_manipulator_goes_on_from_the_first_sight_of_a_set() {
+fn a_manipulator_continues_from_the_first_view_of_a_set() {
     let folder = tempfile::tempdir().unwrap();
     let sets = small_and_large(folder.path());
     let made = || viewer(ThreadingModel::SingleThreaded, AdapterChoice::Noop);

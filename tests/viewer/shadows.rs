@@ -36,8 +36,8 @@ fn brighter(with: &RgbaImage, without: &RgbaImage) -> usize {
 }
 
 #[test]
-fn what_comes_casts_while_levels_fade() {
-    let Some(mut rig) = rig("what_comes_casts_while_levels_fade") else { return };
+fn arriving_content_casts_while_levels_fade() {
+    let Some(mut rig) = rig("arriving_content_casts_while_levels_fade") else { return };
     let rig = &mut *rig;
     let low = Aabb { max: tower().max.with_z(8.0), ..tower() };
     let of = |bounds: &Aabb, color: [f32; 4]| {

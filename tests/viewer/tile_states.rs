@@ -110,7 +110,7 @@ fn keep(picture: &image::RgbaImage, name: &str) {
 }
 
 #[test]
-fn each_state_of_a_tile_is_told_and_shown_in_its_colour() {
+fn each_state_of_a_tile_is_reported_and_shown_in_its_colour() {
     use RequestState::{Failed, ReadingHttp, Retrying};
     let server = Server::start(|request| match request.path() {
         "/set/tileset.json" => Reply::ok(set()),
@@ -160,7 +160,7 @@ fn each_state_of_a_tile_is_told_and_shown_in_its_colour() {
 }
 
 #[test]
-fn what_waits_for_a_server_waits() {
+fn tiles_of_a_stalled_server_stay_waiting() {
     let server = Server::start(|request| match request.path() {
         "/set/tileset.json" => Reply::ok(set()),
         _ => Reply::ok("").how(How::Silent),

@@ -219,7 +219,7 @@ fn a_view_has_callbacks_and_says_near_and_far() {
 }
 
 #[test]
-fn what_is_no_mesh_is_refused() {
+fn drawables_without_a_mesh_are_refused() {
     let Some(mut viewer) = viewer(ThreadingModel::SingleThreaded) else { return };
     let mesh = Arc::new(sheet());
     let root = root(&mut viewer, &mesh, &state(0));

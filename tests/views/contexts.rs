@@ -141,7 +141,7 @@ fn a_wall_of_three_contexts_is_one_wide_picture() {
 }
 
 #[test]
-fn a_context_that_comes_later_shows_all() {
+fn a_context_added_later_shows_everything() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let size = [120, 90];
@@ -173,7 +173,7 @@ fn a_context_that_comes_later_shows_all() {
 }
 
 #[test]
-fn what_a_closed_context_held_counts_no_more() {
+fn memory_of_a_closed_context_is_not_counted() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let size = [120, 90];
@@ -386,7 +386,7 @@ fn a_picture_that_was_asked_for_needs_a_frame() {
 }
 
 #[test]
-fn what_a_picture_drawn_once_more_says_is_reported_and_frames_are_counted() {
+fn errors_of_a_redrawn_frame_are_reported_and_frames_are_counted() {
     let size = [64, 48];
     let Some(of_first) = context(size) else { return };
     let config = ViewerConfig { history_frames: 10, ..config(ThreadingModel::SingleThreaded, size, false) };

@@ -248,7 +248,7 @@ fn over(x: f64, height_m: f64) -> DVec3 {
 }
 
 #[test]
-fn what_a_closed_context_held_counts_no_more() {
+fn memory_of_a_closed_context_is_not_counted() {
     let folder = tempfile::tempdir().unwrap();
     write_quadtree(folder.path(), 4, |n| glb((n % 3) as u8, (n % 2) as u8));
     for sharing in [ShareModes::STATIC, ShareModes::NONE] {
@@ -382,7 +382,7 @@ fn add(rig: &mut Rig, scene: &mut Scene, mut page: Page) -> (terrane::scene::Pag
 }
 
 #[test]
-fn one_page_goes_or_changes_and_the_other_stays() {
+fn removing_or_changing_a_page_keeps_the_one_it_shares_with() {
     let Some(mut rig) = new_rig([128, 128]) else { return };
     let manager = SharedStateManager::new(ShareModes::default());
     let mut scene = Scene::new();

@@ -92,8 +92,8 @@ impl Scenes {
 }
 
 #[test]
-fn a_scene_that_goes_takes_what_is_its_own_and_no_more() {
-    if runs_alone(module_path!(), "a_scene_that_goes_takes_what_is_its_own_and_no_more") {
+fn a_removed_scene_frees_only_its_own_resources() {
+    if runs_alone(module_path!(), "a_removed_scene_frees_only_its_own_resources") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -145,8 +145,8 @@ fn a_scene_that_goes_takes_what_is_its_own_and_no_more() {
 
 /// What is uploaded for it then is of nobody: neither kept, nor taken for what another scene of its number uploads.
 #[test]
-fn a_scene_goes_while_it_loads() {
-    if runs_alone(module_path!(), "a_scene_goes_while_it_loads") {
+fn a_scene_is_removed_while_it_loads() {
+    if runs_alone(module_path!(), "a_scene_is_removed_while_it_loads") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -174,8 +174,8 @@ fn a_scene_goes_while_it_loads() {
 }
 
 #[test]
-fn the_image_pager_of_a_scene_goes_with_it() {
-    if runs_alone(module_path!(), "the_image_pager_of_a_scene_goes_with_it") {
+fn the_image_pager_of_a_scene_ends_with_it() {
+    if runs_alone(module_path!(), "the_image_pager_of_a_scene_ends_with_it") {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

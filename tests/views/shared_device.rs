@@ -126,7 +126,7 @@ fn a_wall_on_one_device_is_the_wall_on_three_and_uploaded_once() {
 }
 
 #[test]
-fn a_context_that_comes_later_on_the_device_shows_all_at_once() {
+fn a_context_added_to_the_device_shows_everything_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     for threading in ThreadingModel::ALL {
@@ -155,7 +155,7 @@ fn a_context_that_comes_later_on_the_device_shows_all_at_once() {
 }
 
 #[test]
-fn a_lost_device_comes_back_with_all_its_contexts() {
+fn a_lost_device_is_reopened_with_all_its_contexts() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     for threading in ThreadingModel::ALL {

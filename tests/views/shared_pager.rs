@@ -115,7 +115,7 @@ fn equal_contents_of_two_scenes_are_one_and_count_once() {
 }
 
 #[test]
-fn clearing_one_scene_leaves_the_other_and_it_comes_again() {
+fn a_cleared_scene_loads_again_and_the_other_stays() {
     let folder = tempfile::tempdir().unwrap();
     let set = small_set(folder.path());
     let mut both = two(&set, true, &config(false));

@@ -118,7 +118,7 @@ fn rows_and_columns_take_turns_on_the_screen_not_in_the_picture() {
 }
 
 #[test]
-fn an_eye_may_have_a_window_of_its_own() {
+fn an_eye_may_have_a_separate_window() {
     let of = |mode| alone(Some(Stereo::new(mode)));
     let (Some(left), Some(right), Some(middle)) = (of(StereoMode::LeftEye), of(StereoMode::RightEye), alone(None))
     else {

@@ -256,7 +256,7 @@ fn a_thread_that_panics_is_an_error_and_nothing_waits_for_it() {
 
 /// A thread released while the object still existed could send it a value that was never received.
 #[test]
-fn who_waits_for_a_thread_that_panics_finds_its_object_gone() {
+fn waiting_for_a_panicked_thread_finds_its_object_dropped() {
     struct Owned(Arc<AtomicU64>);
     impl Drop for Owned {
         fn drop(&mut self) {
@@ -378,7 +378,7 @@ fn contexts_of_a_device_that_has_died_are_closed_one_by_one() {
 
 /// The stages of those left went to cameras that were gone; with the second death the last one waited for ever.
 #[test]
-fn a_view_goes_on_after_the_cameras_of_others_have_died() {
+fn a_view_survives_a_panic_in_the_cameras_of_others() {
     watched(|_| {
         let mut viewer =
             CompositeViewer::new(&config(ThreadingModel::CullThreadPerCameraDrawThreadPerContext)).unwrap();

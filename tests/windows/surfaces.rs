@@ -31,7 +31,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Runs [`on_a_display`] in a separate process, which has a display.
 #[test]
-fn a_surface_comes_back_without_its_device_being_lost() {
+fn a_surface_recovers_without_losing_its_device() {
     let Some(display) = Display::start([640, 480]) else { return };
     let output = Command::new(std::env::current_exe().unwrap())
         .args(["--exact", &test_name(module_path!(), "on_a_display"), "--ignored", "--nocapture"])

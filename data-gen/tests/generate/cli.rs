@@ -40,7 +40,7 @@ fn wrong_values_are_wrong_usage() {
 
 /// It stayed for ever.
 #[test]
-fn what_a_killed_run_leaves_is_removed() {
+fn leftovers_of_a_killed_run_are_removed() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
     let mut command = Command::new(env!("CARGO_BIN_EXE_terrane-gen"));

@@ -51,7 +51,7 @@ fn is_connected(out: &Path, [west, wide]: [f64; 2]) {
 }
 
 #[test]
-fn what_lies_across_it_is_one_set() {
+fn terrain_across_the_date_line_is_one_set() {
     let folder = tempfile::tempdir().unwrap();
     let (side, half) = (SIDE as usize, SIDE as usize / 2);
     let (wide, part) = (PIXEL * (side - 1) as f64, PIXEL * half as f64);
@@ -117,7 +117,7 @@ fn imagery_across_it_is_found() {
 }
 
 #[test]
-fn what_goes_around_half_the_earth_is_refused() {
+fn terrain_around_half_the_earth_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = file(folder.path(), "world.exr", 0.0, 0, SIDE as usize);
     std::fs::write(path.with_extension("wld"), "9\n0\n0\n-4\n4.5\n80\n").unwrap();

@@ -182,7 +182,7 @@ fn scaled_samples_become_metres() {
 
 /// Other bodies were taken for the earth.
 #[test]
-fn what_is_not_on_the_earth_is_refused() {
+fn positions_off_the_earth_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let on = |name: &str, axis: u16| {
         let keys = [[2056, 32767], [2057, axis]];
@@ -397,7 +397,7 @@ fn broken_elevation_is_one_error_that_names_the_file() {
 /// A named pipe is refused; reading one without a writer once hung.
 #[cfg(target_os = "linux")]
 #[test]
-fn what_is_no_file_is_refused() {
+fn paths_that_are_not_regular_files_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let good = from_dem(folder.path(), "good.tif", &tiff_int16(&heights(), Some(PLACE), None));
     let pipe = folder.path().join("pipe");

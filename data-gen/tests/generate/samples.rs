@@ -57,7 +57,7 @@ fn rasters_read_as_gdal_says() {
 }
 
 #[test]
-fn each_becomes_a_set_of_its_heights() {
+fn each_sample_becomes_a_set_of_its_heights() {
     let Some(folder) = samples() else { return };
     let out = tempfile::tempdir().unwrap();
     let imagery = folder.join("imagery_world_rgb.tif");

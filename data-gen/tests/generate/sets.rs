@@ -68,7 +68,7 @@ fn float_vertices_are_for_those_who_ask() {
 }
 
 #[test]
-fn what_is_there_is_replaced_only_when_told() {
+fn an_existing_set_is_replaced_only_with_the_option() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
     std::fs::create_dir(&out).unwrap();

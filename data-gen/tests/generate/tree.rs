@@ -10,7 +10,7 @@ fn small(out: std::path::PathBuf) -> GenArgs {
 }
 
 #[test]
-fn a_failed_run_leaves_what_was_there() {
+fn a_failed_run_keeps_the_existing_set() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("set");
     run(&GenArgs { levels: Some(1), ..small(out.clone()) }).unwrap();

@@ -50,7 +50,7 @@ impl Drop for Server {
 }
 
 #[test]
-fn a_flight_without_a_server_shows_what_was_seen_before() {
+fn a_flight_without_a_server_draws_from_the_cache() {
     if no_adapter() {
         return;
     }

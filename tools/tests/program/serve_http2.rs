@@ -162,7 +162,7 @@ fn chance_is_that_of_the_other_version() {
 
 /// Requests that stop half way, or get no answer, hold up no other of their connection.
 #[test]
-fn what_stops_leaves_the_connection_to_others() {
+fn a_stopped_request_leaves_the_connection_to_others() {
     let folder = tempfile::tempdir().unwrap();
     (0..100).for_each(|k| std::fs::write(folder.path().join(format!("{k}")), vec![b'x'; 50_000]).unwrap());
     let server = Server::start(folder.path(), &["--http2", "--stall-rate", "0.4", "--silent-rate", "0.2"]);

@@ -55,7 +55,7 @@ fn a_seed_is_the_same_flight_each_time() {
 
 /// A server of somebody else loses what it likes; and what it is asked with is in no report.
 #[test]
-fn what_another_server_loses_is_no_failure() {
+fn losses_of_another_server_are_no_failure() {
     let (folder, set) = set();
     std::fs::write(format!("{set}/1/0/0.exr"), "no heights").unwrap();
     let mut server = Command::new(env!("CARGO_BIN_EXE_terrane"))
@@ -76,7 +76,7 @@ fn what_another_server_loses_is_no_failure() {
 }
 
 #[test]
-fn what_goes_wrong_is_said() {
+fn failures_are_reported() {
     // A set whose contents are broken on disk: each is a failure that no fault explains.
     let (_folder, set) = set();
     let tiles = std::fs::read_dir(&set).unwrap().map(|entry| entry.unwrap().path());

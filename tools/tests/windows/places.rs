@@ -12,7 +12,7 @@ use x11rb::protocol::xproto::{ConfigureWindowAux, ConnectionExt as _, CreateWind
 use x11rb::wrapper::ConnectionExt as _;
 
 #[test]
-fn a_second_window_goes_on_where_the_first_ends_and_may_be_closed() {
+fn a_second_window_continues_beside_the_first_and_may_be_closed() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let set = set.to_str().unwrap().to_owned();

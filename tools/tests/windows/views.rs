@@ -171,7 +171,7 @@ fn a_button_that_goes_with_the_focus_holds_no_view() {
 
 /// Else one view flies on for ever, and another ends what it has not begun.
 #[test]
-fn a_key_comes_up_for_the_view_that_it_went_down_over() {
+fn a_key_release_goes_to_the_view_that_got_the_press() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let config = folder.path().join("keys.json");
