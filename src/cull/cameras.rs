@@ -117,9 +117,9 @@ impl Cull<'_> {
         let visit = PageVisit { mask: self.view.planes.mask, view: 0, required: false, fade, ..met.visit };
         let context = self.page_context(page, visit);
         let transform = self.enclosing_transform(&context, met.node);
-        let map = visit.eye_from_page * page.transforms.page_from_node(transform);
+        let map = visit.eye_from_page * page.transforms().page_from_node(transform);
         let matrix = self.push_matrix(&map);
-        let end = met.node + page.nodes[met.node as usize].skip;
+        let end = met.node + page.nodes()[met.node as usize].skip;
         self.scan_nodes(&context, met.node + 1, end, visit.mask, matrix);
     }
 }

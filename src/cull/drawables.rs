@@ -8,7 +8,7 @@ use glam::{DAffine3, DVec3, Vec4};
 use super::planes::depth_row;
 use super::stage::RenderLeaf;
 use super::visitor::{Cull, DepthRange, PageContext};
-use crate::scene::{DrawSlot, LoneDrawable, UNBOUNDED};
+use crate::scene::{DrawSlot, SingleDrawable, UNBOUNDED};
 
 impl Cull<'_> {
     /// Stores the matrices of a range of transforms one behind the other and returns the first's index.
@@ -75,7 +75,7 @@ impl Cull<'_> {
     /// Emits the drawables of a node that is not to be culled, nor what it draws.
     #[cold]
     pub(super) fn take_unculled(&mut self, context: &PageContext, node: u32, matrix: u32) {
-        let nodes = &context.page.nodes[node as usize..];
+        let nodes = &context.page.nodes()[node as usize..];
         for drawable in nodes[0].first_drawable..nodes[1].first_drawable {
             let depth = self.depth_of_unculled(context, drawable);
             self.emit(context, drawable, depth, matrix);
@@ -83,7 +83,7 @@ impl Cull<'_> {
     }
 
     /// Tests and emits the drawable of a page that is one drawable, under a state.
-    pub(super) fn take_lone(&mut self, lone: &LoneDrawable, eye_from_page: &DAffine3, state: u32, mask: u8) {
+    pub(super) fn take_lone(&mut self, lone: &SingleDrawable, eye_from_page: &DAffine3, state: u32, mask: u8) {
         if mask != 0 {
             let planes = self.view.planes.in_frame(eye_from_page, lone.center);
             if planes.box_is_outside([0.0; 3], lone.half_m, mask) {
@@ -129,14 +129,13 @@ impl Cull<'_> {
     #[cold]
     fn looks_away(&self, context: &PageContext, drawable: u32) -> bool {
         let page = context.page;
-        let Ok(place) = page.clusters.binary_search_by_key(&drawable, |(d, _)| *d) else { return false };
-        let cone = &page.clusters[place].1;
-        let transform = page.drawable_refs[drawable as usize].transform;
-        let eye = page.transforms.point_in_node(transform, context.eye);
+        let Some(cone) = page.normal_cones().get(drawable) else { return false };
+        let transform = page.drawable_refs()[drawable as usize].transform;
+        let eye = page.transforms().point_in_node(transform, context.eye);
         if self.view.ranges.is_parallel() {
             // Seen from everywhere along the same way, also what is behind the eye.
             let toward_eye = context.eye - context.depth.truncate().as_dvec3();
-            let toward_eye = page.transforms.point_in_node(transform, toward_eye) - eye;
+            let toward_eye = page.transforms().point_in_node(transform, toward_eye) - eye;
             return toward_eye.dot(cone.normal) < cone.least_cosine * toward_eye.length();
         }
         let to_eye = eye - cone.control_point;
@@ -165,7 +164,7 @@ impl Cull<'_> {
 
     #[inline(always)]
     pub(super) fn emit(&mut self, context: &PageContext, drawable: u32, depth: f32, matrix: u32) {
-        let state = self.state_of(context.page, context.page.drawable_refs[drawable as usize].state_path);
+        let state = self.state_of(context.page, context.page.drawable_refs()[drawable as usize].state_path);
         let slot = context.slots.get(drawable as usize).copied().unwrap_or(DrawSlot::NONE);
         self.leaves.push(RenderLeaf { slot, state, matrix, depth });
     }
@@ -187,7 +186,7 @@ impl Cull<'_> {
     /// Takes a subtree that is wholly inside: its transforms and its drawables are ranges, its nodes stay unread.
     pub(super) fn take_inside(&mut self, context: &PageContext, first: u32, end: u32, matrix: u32) {
         let page = context.page;
-        let (from, to) = (page.nodes[first as usize], page.nodes[end as usize]);
+        let (from, to) = (page.nodes()[first as usize], page.nodes()[end as usize]);
         let first_transform = from.first_transform;
         let base = self.push_transforms(context, first_transform as usize..to.first_transform as usize);
         let matrix_of = |transform: u32| {
@@ -201,7 +200,7 @@ impl Cull<'_> {
         let (mut near, mut far) = (Vec4::splat(self.range.near), Vec4::splat(self.range.far));
         let blocks = first / 4..end.div_ceil(4);
         let mut start = 4 * blocks.start;
-        for four in page.boxes.get(blocks).unwrap_or_default() {
+        for four in page.boxes().get(blocks).unwrap_or_default() {
             // At the ends some of the four are others'.
             let own = first.max(start)..end.min(start + 4);
             let [cx, cy, cz] = four.center;
@@ -221,7 +220,7 @@ impl Cull<'_> {
                     let lane = drawable - start;
                     near = lesser(Vec4::splat(nearest[lane]), near);
                     far = greater(Vec4::splat(farthest[lane]), far);
-                    let of = page.drawable_refs[drawable];
+                    let of = page.drawable_refs()[drawable];
                     let state = self.state_of(page, of.state_path);
                     let slot = context.slots.get(drawable).copied().unwrap_or(DrawSlot::NONE);
                     let matrix = matrix_of(of.transform);
@@ -231,7 +230,7 @@ impl Cull<'_> {
                 near = lesser(nearest, near);
                 far = greater(farthest, far);
                 self.counters.drawables_tested += 4;
-                let Some(of) = page.drawable_refs[start..].first_chunk::<4>() else { break };
+                let Some(of) = page.drawable_refs()[start..].first_chunk::<4>() else { break };
                 let slots = context.slots.get(start..).and_then(|s| s.first_chunk::<4>());
                 let slots = slots.unwrap_or(&[DrawSlot::NONE; 4]);
                 let states = self.states_of(page, of.map(|r| r.state_path));
@@ -251,7 +250,7 @@ impl Cull<'_> {
 
     fn take_singly(&mut self, context: &PageContext, drawables: Range<usize>, matrix_of: &impl Fn(u32) -> u32) {
         for drawable in drawables {
-            let matrix = matrix_of(context.page.drawable_refs[drawable].transform);
+            let matrix = matrix_of(context.page.drawable_refs()[drawable].transform);
             self.test_drawables(context, drawable as u32, drawable as u32 + 1, 0, matrix);
         }
     }
@@ -273,7 +272,7 @@ fn greater(new: Vec4, known: Vec4) -> Vec4 {
 /// Centre and half size of a drawable's box.
 #[inline(always)]
 fn box_of(context: &PageContext, drawable: u32) -> ([f32; 3], [f32; 3]) {
-    let four = &context.page.boxes[drawable as usize / 4];
+    let four = &context.page.boxes()[drawable as usize / 4];
     let lane = drawable as usize % 4;
     let of = |v: &Vec4| AsRef::<[f32; 4]>::as_ref(v)[lane];
     (four.center.each_ref().map(of), four.half.each_ref().map(of))
@@ -282,12 +281,12 @@ fn box_of(context: &PageContext, drawable: u32) -> ([f32; 3], [f32; 3]) {
 /// The matrix of a transform as rows. `known` is the linear part that was multiplied last, and the product.
 #[inline(always)]
 fn transform_rows(context: &PageContext, known: &mut (u32, [Vec4; 3]), transform: usize) -> [[f32; 4]; 3] {
-    let all = &context.page.transforms;
-    let of = all.linear_of[transform];
+    let all = context.page.transforms();
+    let of = all.linear_of()[transform];
     if of != known.0 {
         multiply_linear(context, known, of);
     }
-    let [px, py, pz] = all.translations[transform];
+    let [px, py, pz] = all.translations()[transform];
     let at = &context.visit.eye_from_page.translation;
     let along = |row: &DVec3, at: f64| Vec4::W * (row.x * px + row.y * py + row.z * pz + at) as f32;
     let ([x, y, z], linear) = (&context.eye_rows, &known.1);
@@ -296,7 +295,7 @@ fn transform_rows(context: &PageContext, known: &mut (u32, [Vec4; 3]), transform
 
 #[inline(never)]
 fn multiply_linear(context: &PageContext, known: &mut (u32, [Vec4; 3]), linear: u32) {
-    let page_from_node = context.page.transforms.linears[linear as usize].page_from_node;
+    let page_from_node = context.page.transforms().linears()[linear as usize].page_from_node;
     let matrix3 = context.visit.eye_from_page.matrix3 * page_from_node;
     let rows = super::visitor::rows(&DAffine3 { matrix3, translation: DVec3::ZERO });
     *known = (linear, rows.map(Vec4::from_array));

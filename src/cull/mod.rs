@@ -39,7 +39,7 @@ mod visitor;
 
 pub use camera::CullCamera;
 pub use fade::FadeBand;
-pub use shadows::{MOST_CASCADES, ShadowCascade, ShadowError, StageShadows, SunShadows};
+pub use shadows::{MAX_CASCADES, ShadowCascade, ShadowError, StageShadows, SunShadows};
 pub use stage::{
     ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, PositionedTexGen, RenderBin, RenderLeaf,
     RenderStage, StageTarget, StageView,

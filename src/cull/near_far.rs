@@ -145,8 +145,8 @@ fn widened(scene: &Scene, view: &View, met: &mut [Candidate]) -> DepthRange {
     let of = |candidate: &Candidate| {
         let page = scene.page_at(candidate.place)?;
         let tree = page.kd_tree(candidate.drawable)?;
-        let transform = page.drawable_refs.get(candidate.drawable as usize)?.transform;
-        let eye_from_drawable = candidate.eye_from_page * page.transforms.page_from_node(transform);
+        let transform = page.drawable_refs().get(candidate.drawable as usize)?.transform;
+        let eye_from_drawable = candidate.eye_from_page * page.transforms().page_from_node(transform);
         Some((tree, sight.in_frame(&eye_from_drawable)))
     };
     met.sort_unstable_by(|a, b| a.near.total_cmp(&b.near));

@@ -7,7 +7,7 @@ use glam::Vec4;
 use super::fade::{Fade, LodShares, WHOLE};
 use super::occluders::cull_info;
 use super::visitor::{Cull, PageContext, Purpose};
-use crate::scene::{CALLBACK, CullAction, INACTIVE, LARGE, PLAIN, Page, UNBOUNDED, UNCULLED, kind};
+use crate::scene::{CALLBACK, CullAction, INACTIVE, LARGE, Page, SIMPLE_SUBTREE, UNBOUNDED, UNCULLED, kind};
 
 /// What holds again behind a subtree.
 #[derive(Clone, Copy, Debug)]
@@ -37,9 +37,9 @@ impl Cull<'_> {
         let cull_mask = self.view.settings.cull_mask;
         // Flags of subtrees that may be taken as ranges, and of those below which no tile can be missing.
         let takes_ranges = self.takes_ranges && small_feature == 0.0 && !context.by_primitives;
-        let range_flags = if takes_ranges { PLAIN } else { 0 };
+        let range_flags = if takes_ranges { SIMPLE_SUBTREE } else { 0 };
         let keeps = self.keeps(context);
-        let free_flags = if keeps { 0 } else { PLAIN };
+        let free_flags = if keeps { 0 } else { SIMPLE_SUBTREE };
         let has_occluders = !self.occluders.is_empty();
         // A mask of 0 hides nodes of every mask, of those without one too.
         if cull_mask == 0 {
@@ -48,10 +48,10 @@ impl Cull<'_> {
             }
             return;
         }
-        let has_masks = !page.masks.is_empty();
+        let has_masks = !page.masks().is_empty();
         // What few pages and cameras ask for, in one test for each node.
         let looks_closer = small_feature > 0.0 || has_occluders;
-        let (nodes, spheres) = (&page.nodes[..], &page.spheres[..]);
+        let (nodes, spheres) = (&page.nodes()[..], &page.spheres()[..]);
         loop {
             while node >= above.end {
                 let ours = self.node_stack.len() > base;
@@ -62,8 +62,8 @@ impl Cull<'_> {
             }
             let record = &nodes[node as usize];
             let (flags, next) = (record.flags, node + record.skip);
-            let may_leave = (flags | free_flags) & PLAIN != 0;
-            if has_masks && page.masks[node as usize] & cull_mask == 0 {
+            let may_leave = (flags | free_flags) & SIMPLE_SUBTREE != 0;
+            if has_masks && page.masks()[node as usize] & cull_mask == 0 {
                 if !may_leave {
                     self.keep_tiles(context, node, next);
                 }
@@ -153,8 +153,8 @@ impl Cull<'_> {
     fn visit_rare(&mut self, context: &PageContext, node: u32, kind: u8, mask: u8, matrix: u32) -> bool {
         match kind {
             kind::TILE => {
-                let (page, tile) = (context.page, context.page.payloads[node as usize]);
-                if let Ok(root) = page.tiles.roots.binary_search_by_key(&tile, |r| r.tile) {
+                let (page, tile) = (context.page, context.page.payloads()[node as usize]);
+                if let Ok(root) = page.tiles().roots().binary_search_by_key(&tile, |r| r.tile) {
                     self.scan_tiles(page, &context.visit, root, mask, context.visit.purpose);
                 }
             }
@@ -167,7 +167,7 @@ impl Cull<'_> {
 
     fn visit_switch(&mut self, context: &PageContext, node: u32, mask: u8, matrix: u32) {
         let page = context.page;
-        let shown = &page.switches[page.payloads[node as usize] as usize];
+        let shown = &page.switches()[page.payloads()[node as usize] as usize];
         for (index, child) in children(page, node).enumerate() {
             if shown.get(index).copied().unwrap_or(false) {
                 self.scan_nodes(context, child.start, child.end, mask, matrix);
@@ -179,9 +179,9 @@ impl Cull<'_> {
 
     fn visit_lod(&mut self, context: &PageContext, node: u32, mask: u8, matrix: u32) {
         let page = context.page;
-        let lod = &page.lods[page.payloads[node as usize] as usize];
+        let lod = &page.lods()[page.payloads()[node as usize] as usize];
         let enclosing = self.enclosing_transform(context, node);
-        let eye = page.transforms.point_in_node(enclosing, context.eye);
+        let eye = page.transforms().point_in_node(enclosing, context.eye);
         let measure = lod.measure(eye.distance(lod.center), self.view.settings.lod_scale, &self.view.ranges);
         let is_shown = |child: usize| lod.shows(child, measure);
         let shares = self.lod_shares(context, node, (0..lod.ranges.len()).map(is_shown));
@@ -209,7 +209,7 @@ impl Cull<'_> {
         }
         let (page, place) = (context.page, context.visit.place);
         let active = in_range.take(MOST_FADING).enumerate().map(|(i, is)| u64::from(is) << i).sum();
-        let lod = (page.payloads[node as usize] as usize, page.lods.len());
+        let lod = (page.payloads()[node as usize] as usize, page.lods().len());
         let generation = self.scene.page_id_at(place).generation;
         let shares = self.fades.turn_lod(place, generation, lod, active, self.fades.step(fade_s));
         let is_fading = shares.share < WHOLE;
@@ -262,10 +262,10 @@ impl Cull<'_> {
     /// Keeps the tiles of a culled subtree: the page can only replace what is above it as a whole.
     #[cold]
     fn keep_tiles(&mut self, context: &PageContext, first: u32, end: u32) {
-        let tiles = &context.page.tiles;
-        let node_of = |root: usize| tiles.nodes[tiles.roots[root].tile as usize];
-        let mut root = tiles.roots.partition_point(|r| tiles.nodes[r.tile as usize] < first);
-        while root < tiles.roots.len() && node_of(root) < end {
+        let tiles = &context.page.tiles();
+        let node_of = |root: usize| tiles.nodes()[tiles.roots()[root].tile as usize];
+        let mut root = tiles.roots().partition_point(|r| tiles.nodes()[r.tile as usize] < first);
+        while root < tiles.roots().len() && node_of(root) < end {
             self.scan_tiles(context.page, &context.visit, root, 0, Purpose::Keep);
             root += 1;
         }
@@ -287,9 +287,9 @@ impl Cull<'_> {
     #[cold]
     fn asks_to_visit(&mut self, context: &PageContext, node: u32) -> bool {
         let page = context.page;
-        let Ok(place) = page.callbacks.binary_search_by_key(&node, |(n, _)| *n) else { return true };
+        let Some(callback) = page.cull_callback(node) else { return true };
         let info = cull_info(page, node, context.eye, self.camera.frame);
-        matches!((page.callbacks[place].1.0)(&info), CullAction::Traverse)
+        matches!((callback.0)(&info), CullAction::Traverse)
     }
 
     /// True for a sphere in the shadow of an occluder.
@@ -305,10 +305,10 @@ impl Cull<'_> {
 
 /// The children of a node, each with its subtree.
 fn children(page: &Page, node: u32) -> impl Iterator<Item = Range<u32>> {
-    let (mut next, end) = (node + 1, node + page.nodes[node as usize].skip);
+    let (mut next, end) = (node + 1, node + page.nodes()[node as usize].skip);
     std::iter::from_fn(move || {
         let child = next;
-        next += page.nodes[child as usize].skip;
+        next += page.nodes()[child as usize].skip;
         (child < end).then_some(child..next)
     })
 }

@@ -11,8 +11,8 @@ use super::view::View;
 use super::visitor::{Cull, DepthRange, PageContext};
 use super::{CullCamera, StageShadows};
 use crate::scene::{
-    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, INACTIVE, NONE, OcclusionQueryNode, ReferenceFrame,
-    RenderOrder, Special, UNBOUNDED, UNCULLED,
+    BillboardMode, CameraEnvironment, CameraNode, CameraShadows, INACTIVE, NONE, OcclusionQueryNode, RareNode,
+    ReferenceFrame, RenderOrder, UNBOUNDED, UNCULLED,
 };
 
 /// Cameras inside cameras are followed so deep.
@@ -22,26 +22,26 @@ impl Cull<'_> {
     /// Visits a node of a rarer kind. False: its children are scanned like those of a group.
     pub(super) fn visit_special(&mut self, context: &PageContext, node: u32, mask: u8) -> bool {
         let page = context.page;
-        let Some(special) = page.specials.get(page.payloads[node as usize] as usize) else { return false };
+        let Some(special) = page.rare_nodes().get(page.payloads()[node as usize] as usize) else { return false };
         if self.view.casts {
             match special {
-                Special::Camera { .. } | Special::Projection { .. } => return true,
-                Special::OcclusionQuery(_) => return false,
+                RareNode::Camera { .. } | RareNode::Projection { .. } => return true,
+                RareNode::OcclusionQuery(_) => return false,
                 _ => {}
             }
         }
         match special {
-            Special::Billboard { mode, positions, .. } => {
+            RareNode::Billboard { mode, positions, .. } => {
                 self.billboard(context, node, *mode, positions, mask);
                 false
             }
-            Special::LightSource(source) => {
+            RareNode::LightSource(source) => {
                 let eye_from_node = self.eye_from_node(context, node, source.frame);
                 let light = moved(&eye_from_node, &source.light);
                 self.stage.lights.push(PositionedLight { light, view: self.view.index });
                 false
             }
-            Special::ClipNode(clip) => {
+            RareNode::ClipNode(clip) => {
                 let eye_from_node = self.eye_from_node(context, node, clip.frame);
                 for (number, plane) in &clip.planes {
                     let plane = plane_moved(&eye_from_node, *plane);
@@ -49,38 +49,38 @@ impl Cull<'_> {
                 }
                 false
             }
-            Special::TexGenNode(node_texgen) => {
+            RareNode::TexGenNode(node_texgen) => {
                 let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
                 let texgen = texgen_moved(&eye_from_node, node_texgen.texgen);
                 self.stage.texgens.push(PositionedTexGen { unit: node_texgen.unit, texgen, view: self.view.index });
                 false
             }
-            Special::ClearNode(clear) => {
+            RareNode::ClearNode(clear) => {
                 self.stage.clear_node = Some(clear.color);
                 false
             }
-            Special::Occluder => false,
-            Special::OcclusionQuery(query) => {
+            RareNode::Occluder => false,
+            RareNode::OcclusionQuery(query) => {
                 let is_hidden = self.occlusion_query(context, node, query);
                 if is_hidden {
-                    self.keep_required(context, node..node + page.nodes[node as usize].skip);
+                    self.keep_required(context, node..node + page.nodes()[node as usize].skip);
                 }
                 is_hidden
             }
-            Special::Camera { camera, path } => {
+            RareNode::Camera { camera, path } => {
                 self.camera_node(context, node, camera, *path, mask);
                 true
             }
-            Special::Projection { clip_from_eye, path } => {
+            RareNode::Projection { clip_from_eye, path } => {
                 let own = View { clamp_projection: None, is_of_above: false, ..self.view };
                 let view = View { clip_from_eye: *clip_from_eye, ..own };
                 self.in_view(context, node, view, None, context.visit.eye_from_page, *path);
                 true
             }
-            Special::AbsoluteTransform => {
-                let above = page.transforms.page_from_node(self.enclosing_transform(context, node));
+            RareNode::AbsoluteTransform => {
+                let above = page.transforms().page_from_node(self.enclosing_transform(context, node));
                 if let Some(eye_from_page) = finite(above.inverse()) {
-                    let own = page.nodes[node as usize].first_transform as usize;
+                    let own = page.nodes()[node as usize].first_transform as usize;
                     self.in_frame(context, node, eye_from_page, Some(own));
                 }
                 true
@@ -93,7 +93,7 @@ impl Cull<'_> {
             ReferenceFrame::Absolute => DAffine3::IDENTITY,
             ReferenceFrame::Relative => {
                 let enclosing = self.enclosing_transform(context, node);
-                context.visit.eye_from_page * context.page.transforms.page_from_node(enclosing)
+                context.visit.eye_from_page * context.page.transforms().page_from_node(enclosing)
             }
         }
     }
@@ -109,12 +109,12 @@ impl Cull<'_> {
         self.linear_rows.0 = NONE;
         let transform = own.unwrap_or_else(|| self.enclosing_transform(context, node) as usize);
         let matrix = self.push_transforms(&below, transform..transform + 1);
-        let end = node + page.nodes[node as usize].skip;
+        let end = node + page.nodes()[node as usize].skip;
         self.scan_nodes(&below, node + 1, end, visit.mask, matrix);
         self.linear_rows.0 = NONE;
         // The planes of occluders are those of the page again; the tiles' are made again.
         self.tile_view = tile_view.filter(|_| self.occluders.is_empty());
-        self.frame_occluders(&context.visit.eye_from_page, page.origin);
+        self.frame_occluders(&context.visit.eye_from_page, page.origin());
     }
 
     /// Scans the children of a node under another view of the same stage: that of a nested camera or a Projection.
@@ -179,7 +179,7 @@ impl Cull<'_> {
         if camera.shows_scene && self.view.in_scene_camera {
             return;
         }
-        let above = page.transforms.page_from_node(self.enclosing_transform(context, node));
+        let above = page.transforms().page_from_node(self.enclosing_transform(context, node));
         let Some(node_from_page) = finite(above.inverse()) else { return };
         let mut view = self.view;
         view.settings = camera.settings.inheriting(&self.view.settings, camera.inherit);
@@ -261,8 +261,8 @@ impl Cull<'_> {
 
     fn billboard(&mut self, context: &PageContext, node: u32, mode: BillboardMode, positions: &[DVec3], mask: u8) {
         let page = context.page;
-        let first = page.nodes[node as usize].first_drawable;
-        let is_unculled = page.nodes[node as usize].flags & UNCULLED != 0;
+        let first = page.nodes()[node as usize].first_drawable;
+        let is_unculled = page.nodes()[node as usize].flags & UNCULLED != 0;
         let eye_from_node = self.eye_from_node(context, node, ReferenceFrame::Relative);
         let Some(node_from_eye) = finite(eye_from_node.inverse()) else { return };
         for (drawable, position) in (first..).zip(positions) {
@@ -281,11 +281,11 @@ impl Cull<'_> {
     /// True when the children are skipped.
     fn occlusion_query(&mut self, context: &PageContext, node: u32, query: &OcclusionQueryNode) -> bool {
         let page = context.page;
-        let sphere = page.spheres[node as usize];
+        let sphere = page.spheres()[node as usize];
         // Answers are those of the picture itself: nobody draws what is only looked at.
         let only_looks = self.only_looks || self.camera.ahead_frames > 0;
         // Lights shine from where no box is seen, and cameras show what is not in it.
-        let is_bounded = sphere.w < UNBOUNDED && sphere.w >= 0.0 && page.nodes[node as usize].flags & INACTIVE == 0;
+        let is_bounded = sphere.w < UNBOUNDED && sphere.w >= 0.0 && page.nodes()[node as usize].flags & INACTIVE == 0;
         if !is_bounded || self.view.in_scene_camera || only_looks {
             return false;
         }
@@ -294,7 +294,7 @@ impl Cull<'_> {
         if !results.are_of(self.fades.eye(), self.camera.frame) {
             return false;
         }
-        let center = page.origin + sphere.truncate().as_dvec3();
+        let center = page.origin() + sphere.truncate().as_dvec3();
         let box_from_unit =
             DAffine3 { matrix3: DMat3::from_diagonal(DVec3::splat(f64::from(sphere.w))), translation: center };
         let eye_from_unit = context.visit.eye_from_page * box_from_unit;

@@ -82,7 +82,7 @@ impl Cull<'_> {
             let mut at = path;
             let below = loop {
                 match self.find_step(page, at) {
-                    NONE => at = page.paths[at as usize].parent,
+                    NONE => at = page.state_paths()[at as usize].parent,
                     state => break state,
                 }
             };
@@ -95,13 +95,13 @@ impl Cull<'_> {
     /// The state of a chain where that of its parent is known, which is remembered; else `NONE`.
     #[inline(always)]
     fn find_step(&mut self, page: &Page, path: u32) -> u32 {
-        let Some(link) = page.paths.get(path as usize) else { return ROOT };
+        let Some(link) = page.state_paths().get(path as usize) else { return ROOT };
         let above = match self.chains.get(link.parent as usize) {
             Some(&NONE) if link.parent != path => return NONE,
             Some(&NONE) | None => ROOT,
             Some(&above) => above,
         };
-        let below = match page.state_sets.get(link.set as usize) {
+        let below = match page.state_sets().get(link.set as usize) {
             Some(set) => self.graph.find_or_insert_path(path, above, set),
             None if link.set == BLEND => self.graph.find_or_insert_blend(above),
             None if link.set == VIEW => self.graph.find_or_insert_view(above, self.view.index),

@@ -437,9 +437,9 @@ impl<'a> Cull<'a> {
         self.tile_view = None;
         self.band = FadeBand::FULL;
         self.memo.clear();
-        self.memo.resize(page.paths.len(), NONE);
+        self.memo.resize(page.state_paths().len(), NONE);
         self.chains.clear();
-        self.chains.resize(page.paths.len(), NONE);
+        self.chains.resize(page.state_paths().len(), NONE);
         if let Some(root) = self.chains.first_mut() {
             *root = state;
         }
@@ -457,12 +457,12 @@ impl<'a> Cull<'a> {
         for at in first..end {
             let (place, eye_from_page) = match holder {
                 Some(holder) => {
-                    let place = holder.tiles.contents[at as usize].resident;
-                    (place, eye_from_frame * holder.tiles.content_transform(at as usize))
+                    let place = holder.tiles().resident(at as usize);
+                    (place, eye_from_frame * holder.tiles().content_transform(at as usize))
                 }
                 None => (at, eye_from_frame),
             };
-            if takes_lone && let Some(lone) = self.scene.lone_at(place, self.camera.context) {
+            if takes_lone && let Some(lone) = self.scene.single_drawable_at(place, self.camera.context) {
                 self.take_lone(lone, &eye_from_page, state, mask);
                 continue;
             }
@@ -475,13 +475,13 @@ impl<'a> Cull<'a> {
         let Some(page) = scene.page_at(place) else { return };
         self.open_page(page, visit.state);
         if visit.purpose != Purpose::Draw {
-            for root in 0..page.tiles.roots.len() {
+            for root in 0..page.tiles().roots().len() {
                 self.scan_tiles(page, &visit, root, visit.mask, visit.purpose);
             }
             return;
         }
         let context = self.page_context(page, visit);
-        let matrix = if page.uses_page_frame { self.push_matrix(&visit.eye_from_page) } else { 0 };
+        let matrix = if page.uses_page_frame() { self.push_matrix(&visit.eye_from_page) } else { 0 };
         let last = page.node_count() as u32;
         self.scan_nodes(&context, 0, last, visit.mask, matrix);
     }
@@ -496,9 +496,9 @@ impl<'a> Cull<'a> {
 
     /// What a page's scan needs to know.
     pub(super) fn page_context<'p>(&mut self, page: &'p Page, visit: PageVisit) -> PageContext<'p> {
-        self.frame_occluders(&visit.eye_from_page, page.origin);
+        self.frame_occluders(&visit.eye_from_page, page.origin());
         let settings = &self.view.settings;
-        let has_clusters = !page.clusters.is_empty() && settings.culling.contains(CullingMode::CLUSTER);
+        let has_clusters = !page.normal_cones().is_empty() && settings.culling.contains(CullingMode::CLUSTER);
         let by_primitives = settings.compute_near_far == ComputeNearFar::Primitives;
         PageContext {
             page,
@@ -507,9 +507,9 @@ impl<'a> Cull<'a> {
             planes: if visit.mask == 0 {
                 Planes::UNUSED
             } else {
-                self.view.planes.in_frame(&visit.eye_from_page, page.origin)
+                self.view.planes.in_frame(&visit.eye_from_page, page.origin())
             },
-            depth: depth_row(&visit.eye_from_page, page.origin, self.view.depth_axis),
+            depth: depth_row(&visit.eye_from_page, page.origin(), self.view.depth_axis),
             slots: page.draw_slots_of(self.camera.context),
             looks_closer: has_clusters || by_primitives || !self.occluders.is_empty(),
             has_clusters,

@@ -4,7 +4,7 @@
 //! when a picture first has shadows, as large as the largest wants it; smaller ones use a part. Given back when none had
 //! shadows for a while, and made smaller when none wanted that much.
 
-use crate::cull::{MOST_CASCADES, RenderStage, StageShadows};
+use crate::cull::{MAX_CASCADES, RenderStage, StageShadows};
 use crate::gpu::Memory;
 
 /// Draws without shadows after which the texture is given back, and with less of them after which it shrinks.
@@ -46,7 +46,7 @@ impl Wanted {
         let all = std::iter::once(&stage.shadows).chain(stage.views.iter().map(|view| &view.shadows));
         let mut layers = 0;
         for shadows in all.filter(|s| !s.cascades.is_empty() && s.settings.resolution_px <= most_px) {
-            layers = (layers + shadows.cascades.len().min(MOST_CASCADES)).min(MOST_LAYERS);
+            layers = (layers + shadows.cascades.len().min(MAX_CASCADES)).min(MOST_LAYERS);
             *self = self.max(Self { size_px: shadows.settings.resolution_px, layers });
         }
     }
@@ -131,7 +131,7 @@ impl ShadowMaps {
 
     /// True when there are maps for the cascades of a picture, from a layer on.
     pub(super) fn has_room(&self, shadows: &StageShadows, first_layer: usize) -> bool {
-        let (count, has) = (shadows.cascades.len().min(MOST_CASCADES), self.sizing.has);
+        let (count, has) = (shadows.cascades.len().min(MAX_CASCADES), self.sizing.has);
         count > 0 && has.size_px >= shadows.settings.resolution_px && has.layers >= first_layer + count
     }
 

@@ -25,7 +25,7 @@ pub struct ReadOptions {
     /// Attributes of a glTF's primitives that meshes keep under these names beside those of every mesh, for
     /// [`Program`](crate::state::Program)s: `TANGENT`, `TEXCOORD_1`, `_HEAT`. None by default, as they take memory. Matrices
     /// are kept as their columns: `_BASIS_0`, `_BASIS_1` and so on of `_BASIS`. A glTF in which a mesh would have more
-    /// than [`MOST_ATTRIBUTES`](crate::scene::MOST_ATTRIBUTES) fails.
+    /// than [`MAX_ATTRIBUTES`](crate::scene::MAX_ATTRIBUTES) fails.
     pub vertex_attributes: Arc<[Arc<str>]>,
     /// Shares what is equal between contents; `None` by default. A pager has one of its own.
     pub sharing: Option<Arc<SharedStateManager>>,

@@ -108,10 +108,6 @@ pub(crate) fn parse(uri: &str, bytes: &[u8]) -> Result<TilesetJson, IoError> {
     Ok(tileset)
 }
 
-/// Names the node that holds a tile of several contents: one more than the tileset has tiles. No other node of a tileset
-/// has a name.
-pub(crate) const TILE_OF_SEVERAL: &str = "contents of one tile";
-
 /// An error that is seen from everywhere.
 const ALWAYS_M: f64 = f64::MAX / 1e6;
 
@@ -255,9 +251,8 @@ impl Reader<'_> {
             let mut all = vec![tile];
             all.extend(extra);
             return Ok(Node {
-                name: TILE_OF_SEVERAL.to_owned(),
                 children: all,
-                ..Node::new(NodeKind::PagedLod(Box::new(PagedLod {
+                ..Node::new(NodeKind::MultiContentTile(Box::new(PagedLod {
                     bounds,
                     range_mode: RangeMode::ScreenSpaceError { geometric_error_m: ALWAYS_M },
                     refine: Refine::Add,

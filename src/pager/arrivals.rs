@@ -210,7 +210,7 @@ impl DatabasePager {
                 continue;
             }
             self.shares.merge(&page);
-            let shared = page.shared.iter().map(|used| used.content.key).collect();
+            let shared = page.shared_contents().iter().map(|used| used.content.key).collect();
             let tile_tree = page.is_tile_tree();
             let attached = match scenes.numbered_mut(slot.page.scene) {
                 Some(scene) => scene.attach(slot, *page),

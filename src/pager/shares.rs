@@ -44,7 +44,7 @@ pub(super) struct Shares {
 impl Shares {
     /// A page is on its way to the contexts.
     pub fn take(&mut self, page: &Page) {
-        for used in &page.shared {
+        for used in page.shared_contents() {
             let share = self.by_key.entry(used.content.key).or_default();
             share.users += 1;
             let more = used.tree_bytes.saturating_sub(share.cpu_bytes);
@@ -91,7 +91,7 @@ impl Shares {
     /// All bytes of a page's shared contents.
     pub fn of(&self, page: &Page) -> Held {
         let mut held = Held::default();
-        for share in page.shared.iter().filter_map(|used| self.by_key.get(&used.content.key)) {
+        for share in page.shared_contents().iter().filter_map(|used| self.by_key.get(&used.content.key)) {
             held.cpu += share.cpu_bytes;
             held.gpu += share.gpu();
         }
@@ -101,7 +101,7 @@ impl Shares {
     /// Bytes of contents that a page alone uses.
     pub fn only_of(&self, page: &Page) -> Held {
         let mut held = Held::default();
-        let shares = page.shared.iter().filter_map(|used| self.by_key.get(&used.content.key));
+        let shares = page.shared_contents().iter().filter_map(|used| self.by_key.get(&used.content.key));
         for share in shares.filter(|share| share.users == 1) {
             held.cpu += share.cpu_bytes;
             held.gpu += share.gpu();
@@ -111,7 +111,7 @@ impl Shares {
 
     /// A page is merged, or is about to be: what nobody had counts from now on.
     pub fn merge(&mut self, page: &Page) {
-        for used in &page.shared {
+        for used in page.shared_contents() {
             let Some(share) = self.by_key.get_mut(&used.content.key) else { continue };
             share.merged += 1;
             let sum = if share.merged == 1 { &mut self.held } else { &mut self.saved };
@@ -160,5 +160,5 @@ impl Shares {
 }
 
 fn keys(page: &Page) -> impl Iterator<Item = &ContentKey> {
-    page.shared.iter().map(|used| &used.content.key)
+    page.shared_contents().iter().map(|used| &used.content.key)
 }

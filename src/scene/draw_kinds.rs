@@ -3,17 +3,14 @@
 
 use std::sync::Arc;
 
-use super::NodeId;
-use super::geometry::{AlphaMode, Geometry, Topology, VertexFormat};
+use super::geometry::{AlphaMode, AttributeLayout, Geometry, Topology, VertexFormat};
 use super::graph::Scene;
-use super::page::{BLEND, NONE, Page, VIEW};
-use super::vertex_attributes::AttributeLayout;
+use super::id::{NONE, NodeId};
+use super::pages::{BLEND, Page, VIEW};
 use crate::state::ResolvedState;
 
-/// Triangles of so few indices are drawn many meshes at once.
-pub(crate) const SMALL_MESH_INDICES: u32 = 48;
 /// Kinds of a page that are told; those beyond are made when they are drawn.
-const MOST_KINDS: usize = 256;
+const MAX_KINDS: usize = 256;
 
 /// A kind of drawable under a state: what its pipeline follows from.
 #[derive(Clone, Debug)]
@@ -53,14 +50,14 @@ impl Scene {
             slot.map_or(1.0, |slot| self.world_from_slot(slot).map_or(1.0, |map| map.matrix3.determinant()));
         let mut states = Resolving::new(page, above.clone());
         let mut met: Vec<(u32, DrawKind)> = Vec::new();
-        for (drawable, of) in page.drawables.iter().zip(&page.drawable_refs) {
+        for (drawable, of) in page.drawables().iter().zip(page.drawable_refs()) {
             let mesh = match &drawable.geometry {
                 Geometry::Height(_) => None,
                 Geometry::Mesh(mesh) => Some(mesh),
                 // Its pipelines are its own.
                 Geometry::Custom(_) => continue,
             };
-            let linear = page.transforms.page_from_node(of.transform).matrix3;
+            let linear = page.transforms().page_from_node(of.transform).matrix3;
             let kind = DrawKind {
                 // Resolved where the kind is a new one.
                 state: above.clone(),
@@ -75,7 +72,7 @@ impl Scene {
             if met.iter().rev().any(|(path, known)| *path == of.state_path && known.is_like(&kind)) {
                 continue;
             }
-            if met.len() >= MOST_KINDS {
+            if met.len() >= MAX_KINDS {
                 break;
             }
             met.push((of.state_path, DrawKind { state: states.at(of.state_path), ..kind }));
@@ -93,7 +90,7 @@ impl Scene {
         for slot in slots.into_iter().rev() {
             let Some(page) = self.page(slot.page) else { continue };
             let tile = page.tile_of(slot.index).map(|tile| tile as u32);
-            let path = tile.and_then(|tile| Some(page.tiles.state_path(tile, page.tiles.root_of(tile)?)));
+            let path = tile.and_then(|tile| Some(page.tiles().state_path(tile, page.tiles().root_of(tile)?)));
             state = Resolving::new(page, state).at(path.unwrap_or(0));
         }
         state
@@ -109,7 +106,7 @@ struct Resolving<'a> {
 
 impl<'a> Resolving<'a> {
     fn new(page: &'a Page, root: Arc<ResolvedState>) -> Self {
-        Self { page, known: vec![None; page.paths.len()], root }
+        Self { page, known: vec![None; page.state_paths().len()], root }
     }
 
     fn at(&mut self, path: u32) -> Arc<ResolvedState> {
@@ -121,12 +118,12 @@ impl<'a> Resolving<'a> {
                 state = known.clone();
                 break;
             }
-            let Some(link) = self.page.paths.get(at as usize) else { break };
+            let Some(link) = self.page.state_paths().get(at as usize) else { break };
             below.push((at, link.set));
             at = link.parent;
         }
         for (path, set) in below.into_iter().rev() {
-            state = match self.page.state_sets.get(set as usize) {
+            state = match self.page.state_sets().get(set as usize) {
                 _ if set == BLEND => Arc::new(state.blended()),
                 _ if set == VIEW => state,
                 Some(set) => Arc::new(state.below(set)),

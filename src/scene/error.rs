@@ -112,7 +112,7 @@ pub enum MeshError {
         /// Of the attribute.
         name: String,
     },
-    /// More than [`MOST_ATTRIBUTES`](super::MOST_ATTRIBUTES).
+    /// More than [`MAX_ATTRIBUTES`](super::MAX_ATTRIBUTES).
     #[error("attribute {name:?} is one more than the {limit} that a mesh can have")]
     TooManyAttributes {
         /// Of the attribute.

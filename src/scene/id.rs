@@ -4,6 +4,9 @@ use std::fmt;
 use std::num::NonZeroU32;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+/// Stands for "no index".
+pub(crate) const NONE: u32 = u32::MAX;
+
 /// Tells a [`super::Scene`] from all others of the process. It is in each of its handles, so that what serves several
 /// scenes, a pager say, knows whose they are; another scene does not know them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]

@@ -2,50 +2,41 @@
 //!
 //! [`Node`] trees are built anywhere and flattened once into a [`Page`]. A [`Scene`] owns pages: update changes it
 //! through `&mut Scene`, cull reads it through `&Scene` from any number of threads.
+//!
+//! | folder | contents |
+//! |---|---|
+//! | `nodes` | node values, callbacks, flattening |
+//! | `pages` | the flat arrays of a page and their bounds |
+//! | `tile_tree` | tiles of a page, content slots, attaching pages, readiness |
+//! | `geometry` | meshes, height tiles, materials, text |
+//! | `sharing` | equal contents of several pages stored once |
+//! | `intersect` | intersections with lines and volumes, heights above the terrain |
+//! | `settings` | culling, levels of detail, light and air of cameras |
 
-mod callbacks;
-mod cull_settings;
+mod callback_pages;
 mod draw_kinds;
-mod environment;
 mod error;
-mod external_volumes;
-mod flatten;
 mod geometry;
 mod graph;
 mod id;
 mod intersect;
-mod kinds;
-mod lod_ranges;
-mod lone;
-mod node;
-mod occluders;
-mod page;
-mod page_bounds;
-mod pictures;
-mod primitive_modes;
-mod shapes;
-mod shared;
-mod slots;
-mod sun_shadows;
-#[cfg(feature = "text")]
-mod text;
-mod tile_bounds;
-mod tiles;
-mod transforms;
-mod variance;
-mod vertex_attributes;
-mod world;
+mod nodes;
+mod occluder_pages;
+mod pages;
+mod positions;
+mod rewritten_mesh;
+mod settings;
+mod sharing;
+mod sparse_list;
+mod tile_tree;
 
-pub use callbacks::{EventCallback, Traverse, UpdateCallback, UpdateInfo};
-pub use cull_settings::{ComputeNearFar, CullSettings, CullingMode, Inherit, SMALL_FEATURE_PX};
 pub use draw_kinds::DrawKind;
-pub(crate) use environment::is_over_globe;
-pub use environment::{CameraEnvironment, CameraShadows, Environment, Fog, Sky, Water};
 pub use error::{MeshError, SceneError};
-pub use flatten::MAX_DEPTH;
+#[cfg(feature = "text")]
+pub use geometry::Font;
 pub use geometry::{
-    AlphaMode, CustomGeometry, Drawable, Geometry, HeightTile, Material, Mesh, MeshVertex, Texture, Topology,
-    VertexFormat,
+    AlphaMode, AttributeFormat, CustomGeometry, Drawable, Geometry, HeightTile, MAX_ATTRIBUTES, Material, Mesh,
+    MeshVertex, NormalCone, PrimitiveMode, Texture, Topology, VertexAttributes, VertexFormat,
 };
 pub use graph::Scene;
 pub use id::{NodeId, PageId, SceneNumber};
@@ -54,32 +45,30 @@ pub use intersect::{
     IntersectionVisitor, Intersector, KdTree, LineSegmentIntersector, LodSelection, PolytopeIntersector,
     RayIntersector, Vertical, WindowView,
 };
-pub use kinds::{
+pub use nodes::{
     Attachment, Billboard, BillboardMode, CameraNode, CameraTarget, ClampProjection, ClearNode, ClipNode,
-    ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, DrawHook, LightSource, NormalCone, OcclusionQueryNode,
-    OcclusionResults, ReferenceFrame, RenderOrder, TexGenNode,
+    ConvexPlanarOccluder, CullAction, CullCallback, CullInfo, EventCallback, LightSource, MAX_DEPTH, Node, NodeKind,
+    OcclusionQueryNode, OcclusionResults, PagedLod, PagingOptions, Picture, PictureSink, ProxyLoading, ProxyNode,
+    RangeMode, ReferenceFrame, Refine, RenderOrder, TexGenNode, Traverse, UpdateCallback, UpdateInfo,
 };
-pub use node::{Node, NodeKind, PagedLod, PagingOptions, ProxyLoading, ProxyNode, RangeMode, Refine};
-pub use page::{DrawSlot, Page};
-pub(crate) use pictures::ReadBack;
-pub use pictures::{Picture, PictureSink};
-pub use primitive_modes::PrimitiveMode;
-pub use shared::{ContentKey, ShareModes, SharedStateManager, SharingStats};
-pub use slots::{SlotInfo, SlotState};
-pub use sun_shadows::{MOST_CASCADES, ShadowError, SunShadows};
-#[cfg(feature = "text")]
-pub use text::Font;
-pub use vertex_attributes::{AttributeFormat, MOST_ATTRIBUTES, VertexAttributes};
-pub use world::TileInfo;
+pub use pages::{DrawSlot, Page};
+pub use settings::{
+    CameraEnvironment, CameraShadows, ComputeNearFar, CullSettings, CullingMode, Environment, Fog, Inherit,
+    MAX_CASCADES, SMALL_FEATURE_PX, ShadowError, Sky, SunShadows, Water,
+};
+pub use sharing::{ContentKey, ShareModes, SharedStateManager, SharingStats};
+pub use tile_tree::{SlotInfo, SlotState, TileInfo};
 
-pub use crate::state::DataVariance;
+pub use crate::state::{DataVariance, DrawHook};
 
-pub(crate) use draw_kinds::SMALL_MESH_INDICES;
-pub(crate) use lod_ranges::{LodRanges, MORPH_START, has_parallel_rays, px_per_radian};
-pub(crate) use lone::LoneDrawable;
-pub(crate) use occluders::OccluderPage;
-pub(crate) use page::{BLEND, CALLBACK, INACTIVE, LARGE, NONE, PLAIN, Special, UNBOUNDED, UNCULLED, VIEW, kind};
-pub(crate) use shared::{SharedContent, SharedParts};
-pub(crate) use tile_bounds::{TileBounds, TileEye};
-pub(crate) use tiles::{TileRecord, TileRoot, Tiles, flag};
-pub(crate) use vertex_attributes::{AttributeLayout, added_stride};
+pub(crate) use geometry::{AttributeLayout, SMALL_MESH_INDICES, added_stride};
+pub(crate) use id::NONE;
+pub(crate) use nodes::ReadBack;
+pub(crate) use occluder_pages::OccluderPage;
+pub(crate) use pages::{
+    BLEND, CALLBACK, INACTIVE, LARGE, OccluderRecord, RareNode, SIMPLE_SUBTREE, SingleDrawable, UNBOUNDED, UNCULLED,
+    VIEW, kind,
+};
+pub(crate) use settings::{LodRanges, MORPH_START, has_parallel_rays, is_over_globe, px_per_radian};
+pub(crate) use sharing::{SharedContent, SharedParts};
+pub(crate) use tile_tree::{TileBounds, TileEye, TileRecord, TileRoot, Tiles, flag};

@@ -245,21 +245,23 @@ fn declared_region(uri: &Arc<str>, options: &io::ReadOptions) -> Option<Bounding
     let bytes = io::read_file(uri, &options.limits).ok()?;
     let content = io::Content { uri: Arc::clone(uri), bytes, reader_data: None, companions: Vec::new() };
     match io::decode_node(content, options).ok()?.kind {
-        NodeKind::PagedLod(tile) => Some(tile.bounds).filter(|b| matches!(b, BoundingVolume::Region(_))),
+        NodeKind::PagedLod(tile) | NodeKind::MultiContentTile(tile) => {
+            Some(tile.bounds).filter(|b| matches!(b, BoundingVolume::Region(_)))
+        }
         _ => None,
     }
 }
 
 /// The declared volume of a page's root tile.
 pub(super) fn root_volume(page: &Page) -> Option<BoundingVolume> {
-    let root = page.tiles.roots.first()?;
-    let bounds = page.tiles.bounds.get(root.tile as usize)?;
-    let page_from_tile = page.transforms.page_from_node(root.transform);
-    let center = page.tiles.grid.center(bounds);
+    let root = page.tiles().roots().first()?;
+    let bounds = page.tiles().bounds().get(root.tile as usize)?;
+    let page_from_tile = page.transforms().page_from_node(root.transform);
+    let center = page.tiles().grid().center(bounds);
     Some(if bounds.is_sphere() {
         BoundingVolume::Sphere(BoundingSphere::new(center, bounds.radius_m().into()).transformed(&page_from_tile))
     } else {
-        let [x, y, z] = page.tiles.axes_of(bounds).map(|axis| Vec3::from_array(axis).as_dvec3());
+        let [x, y, z] = page.tiles().axes_of(bounds).map(|axis| Vec3::from_array(axis).as_dvec3());
         let half = Vec3::from_array(bounds.half_m()).as_dvec3();
         let half_axes = DMat3::from_cols(x * half.x, y * half.y, z * half.z);
         BoundingVolume::Box(OrientedBox { center, half_axes }.transformed(&page_from_tile))

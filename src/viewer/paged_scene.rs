@@ -156,7 +156,7 @@ impl PagedScene {
 
     pub(super) fn add_root(&mut self, page: Page, rendering: &mut Rendering) -> Result<PageId, ViewerError> {
         self.bounds.get_or_insert_with(|| SetBounds::new(page.bounding_sphere(), root_volume(&page)));
-        let has_tiles = !page.tiles.records.is_empty();
+        let has_tiles = !page.tiles().records().is_empty();
         let root = self.hang(page, rendering)?;
         if has_tiles {
             self.with_tiles.insert(root);

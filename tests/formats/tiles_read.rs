@@ -25,7 +25,9 @@ fn tileset(version: &str, root: &str) -> Node {
 }
 
 fn lod(node: &Node) -> &PagedLod {
-    let NodeKind::PagedLod(lod) = &node.kind else { panic!("a tile, not {:?}", node.kind) };
+    let (NodeKind::PagedLod(lod) | NodeKind::MultiContentTile(lod)) = &node.kind else {
+        panic!("a tile, not {:?}", node.kind)
+    };
     lod
 }
 

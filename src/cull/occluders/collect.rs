@@ -11,7 +11,7 @@ use crate::cull::fade::{LodFades, TilePart};
 use crate::cull::tiles::shows_children;
 use crate::cull::view::View;
 use crate::cull::visitor::eye_in;
-use crate::scene::{CullAction, CullInfo, OccluderPage, Page, Scene, Special, UNBOUNDED, flag, kind};
+use crate::scene::{CullAction, CullInfo, OccluderPage, OccluderRecord, Page, RareNode, Scene, UNBOUNDED, flag, kind};
 
 /// A page on the way from the top down to one with occluders.
 #[derive(Clone, Copy, Debug, Default)]
@@ -52,9 +52,9 @@ impl Occluders {
             }
             let Some(page) = collector.scene.page_at(*place) else { continue };
             let mut hangs_in_view = None;
-            for (node, transform, occluder) in &page.occluders {
+            for OccluderRecord { node, transform, occluder } in page.occluders() {
                 let eye_from_page = collector.eye_from_page(page, link, *node);
-                let eye_from_node = eye_from_page * page.transforms.page_from_node(*transform);
+                let eye_from_node = eye_from_page * page.transforms().page_from_node(*transform);
                 self.offer(&sight, &eye_from_node, occluder, || match collector.shows(page, link, *node) {
                     Shows::No => false,
                     Shows::BelowCamera => true,
@@ -118,33 +118,33 @@ impl Collector<'_> {
         let [.., above, last] = chain else { return false };
         let Some(page) = self.scene.page_at(above.place) else { return false };
         let Some((root, tile)) = tile_and_root(page, last.hangs_at) else { return false };
-        let transform = page.tiles.roots[root].transform;
+        let transform = page.tiles().roots()[root].transform;
         let eye_from_tiles = match above.tiles {
             Some((of, known)) if of == transform => known,
             _ => {
                 let eye_from_page = self.eye_from_page(page, above, last.hangs_at);
-                let eye_from_tiles = eye_from_page * page.transforms.page_from_node(transform);
+                let eye_from_tiles = eye_from_page * page.transforms().page_from_node(transform);
                 // Inside and outside of a camera one transform may be seen from two places.
                 let is_split = self.camera.is_some_and(|c| c.visit.place == above.place);
                 above.tiles = (!is_split).then_some((transform, eye_from_tiles));
                 eye_from_tiles
             }
         };
-        last.eye_from_page = eye_from_tiles * page.tiles.content_transform(tile as usize);
+        last.eye_from_page = eye_from_tiles * page.tiles().content_transform(tile as usize);
         true
     }
 
     /// Where a page is seen from a node of it: below an absolute transform it lies elsewhere.
     fn eye_from_page(&self, page: &Page, link: &Link, node: u32) -> DAffine3 {
-        let special = |node: u32| page.specials.get(*page.payloads.get(node as usize)? as usize);
-        if page.specials.len() > page.occluders.len() {
+        let special = |node: u32| page.rare_nodes().get(*page.payloads().get(node as usize)? as usize);
+        if page.rare_nodes().len() > page.occluders().len() {
             for (above, _) in page.path_to_root(node) {
                 if self.camera.is_some_and(|c| c.visit.place == link.place && c.node == above) {
                     break;
                 }
-                let is_special = page.nodes[above as usize].kind == kind::SPECIAL;
-                if is_special && matches!(special(above), Some(Special::AbsoluteTransform)) {
-                    return page.transforms.page_from_node(page.enclosing_transform(above)).inverse();
+                let is_special = page.nodes()[above as usize].kind == kind::SPECIAL;
+                if is_special && matches!(special(above), Some(RareNode::AbsoluteTransform)) {
+                    return page.transforms().page_from_node(page.enclosing_transform(above)).inverse();
                 }
             }
         }
@@ -172,8 +172,8 @@ impl Collector<'_> {
             if self.camera.is_some_and(|c| c.visit.place == link.place && c.node == node) {
                 return Shows::BelowCamera;
             }
-            let record = &page.nodes[node as usize];
-            let is_seen = page.masks.get(node as usize).unwrap_or(&u32::MAX) & self.view.settings.cull_mask != 0;
+            let record = &page.nodes()[node as usize];
+            let is_seen = page.masks().get(node as usize).unwrap_or(&u32::MAX) & self.view.settings.cull_mask != 0;
             let is_shown = is_seen
                 && match (record.kind, child) {
                     (kind::SWITCH, Some(child)) => page.switch_shows(node, child),
@@ -183,8 +183,8 @@ impl Collector<'_> {
                         self.tile_shows(page, link, node, child.is_some(), eye)
                     }
                     (kind::SPECIAL, Some(_)) => {
-                        let special = page.specials.get(page.payloads[node as usize] as usize);
-                        !matches!(special, Some(Special::Camera { .. } | Special::Projection { .. }))
+                        let special = page.rare_nodes().get(page.payloads()[node as usize] as usize);
+                        !matches!(special, Some(RareNode::Camera { .. } | RareNode::Projection { .. }))
                     }
                     _ => true,
                 };
@@ -196,20 +196,20 @@ impl Collector<'_> {
     }
 
     fn callback_shows(&self, page: &Page, link: &Link, node: u32) -> bool {
-        let Ok(place) = page.callbacks.binary_search_by_key(&node, |(n, _)| *n) else { return true };
+        let Some(callback) = page.cull_callback(node) else { return true };
         // The walk of a tile tree asks none.
-        if page.tile_of(page.parents[node as usize]).is_some() {
+        if page.tile_of(page.parents()[node as usize]).is_some() {
             return true;
         }
         let eye = eye_in(&self.eye_from_page(page, link, node));
-        matches!((page.callbacks[place].1.0)(&cull_info(page, node, eye, self.frame)), CullAction::Traverse)
+        matches!((callback.0)(&cull_info(page, node, eye, self.frame)), CullAction::Traverse)
     }
 
     fn lod_shows(&self, page: &Page, link: &Link, node: u32, child: u32) -> bool {
-        let index = page.payloads[node as usize] as usize;
-        let lod = &page.lods[index];
+        let index = page.payloads()[node as usize] as usize;
+        let lod = &page.lods()[index];
         let eye_in_page = eye_in(&self.eye_from_page(page, link, node));
-        let eye = page.transforms.point_in_node(page.enclosing_transform(node), eye_in_page);
+        let eye = page.transforms().point_in_node(page.enclosing_transform(node), eye_in_page);
         let measure = lod.measure(eye.distance(lod.center), self.view.settings.lod_scale, &self.view.ranges);
         let place = page.child_index(node, child);
         let is_in_range = lod.shows(place, measure);
@@ -222,23 +222,23 @@ impl Collector<'_> {
     }
 
     fn eye_in_tiles(&self, page: &Page, link: &Link, node: u32) -> DVec3 {
-        let transform = tile_and_root(page, node).map_or(0, |(root, _)| page.tiles.roots[root].transform);
-        eye_in(&(self.eye_from_page(page, link, node) * page.transforms.page_from_node(transform)))
+        let transform = tile_and_root(page, node).map_or(0, |(root, _)| page.tiles().roots()[root].transform);
+        eye_in(&(self.eye_from_page(page, link, node) * page.transforms().page_from_node(transform)))
     }
 
     /// Whether a tile that is met shows its content, or the tiles below it: what the tile walk does with it.
     fn tile_shows(&self, page: &Page, link: &Link, node: u32, below: bool, eye: DVec3) -> bool {
-        let (tiles, tile) = (&page.tiles, page.payloads[node as usize]);
-        let Some(record) = tiles.records.get(tile as usize) else { return false };
+        let (tiles, tile) = (&page.tiles(), page.payloads()[node as usize]);
+        let Some(record) = tiles.records().get(tile as usize) else { return false };
         if record.has(flag::REQUEST_VOLUME) && !tiles.may_be_requested(tile, eye) {
             return false;
         }
         if record.has(flag::PROXY | flag::EXTERNAL) {
             return true;
         }
-        let bounds = &tiles.bounds[tile as usize];
+        let bounds = &tiles.bounds()[tile as usize];
         let (range2, distance2) =
-            tiles.range_and_distance(tile, record, bounds, &tiles.grid.eye(eye), &self.view.ranges);
+            tiles.range_and_distance(tile, record, bounds, &tiles.grid().eye(eye), &self.view.ranges);
         let is_near = distance2 < range2 && tiles.may_be_replaced(record, eye);
         if !record.has(flag::CONTENT) {
             return is_near;
@@ -261,8 +261,8 @@ impl Collector<'_> {
 
 /// What a node's cull callback is told.
 pub(in crate::cull) fn cull_info(page: &Page, node: u32, eye_in_page: DVec3, frame: u32) -> CullInfo {
-    let sphere = page.spheres[node as usize];
-    let middle = page.origin + sphere.truncate().as_dvec3();
+    let sphere = page.spheres()[node as usize];
+    let middle = page.origin() + sphere.truncate().as_dvec3();
     let is_bounded = (0.0..UNBOUNDED).contains(&sphere.w);
     CullInfo { frame, eye_in_page, distance_m: if is_bounded { middle.distance(eye_in_page) } else { f64::INFINITY } }
 }
@@ -270,6 +270,6 @@ pub(in crate::cull) fn cull_info(page: &Page, node: u32, eye_in_page: DVec3, fra
 /// The tile of a node, and the tree of the page that it is in.
 fn tile_and_root(page: &Page, node: u32) -> Option<(usize, u32)> {
     let tile = page.tile_of(node)? as u32;
-    let root = page.tiles.roots.partition_point(|r| r.tile <= tile).checked_sub(1)?;
+    let root = page.tiles().roots().partition_point(|r| r.tile <= tile).checked_sub(1)?;
     Some((root, tile))
 }

@@ -5,7 +5,7 @@
 
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3, DVec4};
 
-use super::{MARGIN_TEXELS, MOST_CASCADES, ShadowLight, SunShadows};
+use super::{MARGIN_TEXELS, MAX_CASCADES, ShadowLight, SunShadows};
 use crate::cull::CullCamera;
 
 /// Of the range of depths, the nearest part that logarithmic splits leave out.
@@ -29,7 +29,7 @@ const EARTH_RADIUS_M: f64 = 6_371_000.0;
 pub(in crate::cull) struct Fit {
     pub light_from_eye: DMat3,
     pub count: usize,
-    pub cascades: [CascadeFit; MOST_CASCADES],
+    pub cascades: [CascadeFit; MAX_CASCADES],
     pub fade_m: [f64; 2],
 }
 
@@ -91,7 +91,7 @@ impl Fit {
         let light_from_world = DMat3::from_cols(x, y, to_sun).transpose();
         let light_from_eye = light_from_world * rotation(&world_from_eye)?;
         let count = settings.cascades as usize;
-        let mut cascades = [CascadeFit::default(); MOST_CASCADES];
+        let mut cascades = [CascadeFit::default(); MAX_CASCADES];
         let split = |i: usize| split_m(settings.split_lambda, span, i, count);
         for (i, cascade) in cascades.iter_mut().enumerate().take(count) {
             let start = match i {

@@ -13,7 +13,7 @@ use glam::{DMat3, DMat4, DVec3};
 use super::RenderStage;
 use crate::scene::Environment;
 
-pub use crate::scene::{MOST_CASCADES, ShadowError, SunShadows};
+pub use crate::scene::{MAX_CASCADES, ShadowError, SunShadows};
 pub(super) use fit::Fit;
 
 /// Texels around each cascade's part that filters and snapping may reach into.

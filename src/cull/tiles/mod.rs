@@ -79,8 +79,8 @@ const ODD: u16 = KINDS | flag::OWN_PATH | flag::VOLUMES_BELOW;
 impl Cull<'_> {
     /// Walks one tile tree of a page.
     pub(super) fn scan_tiles(&mut self, page: &Page, visit: &PageVisit, root: usize, mask: u8, purpose: Purpose) {
-        let Some(tile_root) = page.tiles.roots.get(root) else { return };
-        let (tiles, first) = (&page.tiles, tile_root.tile);
+        let Some(tile_root) = page.tiles().roots().get(root) else { return };
+        let (tiles, first) = (&page.tiles(), tile_root.tile);
         let (fade_s, cull_mask) = (self.view.settings.lod_fade_s, self.view.settings.cull_mask);
         let (frame, ahead) = (self.camera.frame, self.camera.ahead_frames);
         let walk = Walk {
@@ -95,7 +95,7 @@ impl Cull<'_> {
             skip_px2: if tiles.has_request_volumes() { 0.0 } else { self.view.skip_px2 },
             asks: !self.view.casts,
             cull_mask,
-            may_hide: !page.masks.is_empty() || cull_mask == 0 || tiles.has_request_volumes(),
+            may_hide: !page.masks().is_empty() || cull_mask == 0 || tiles.has_request_volumes(),
             may_be_behind: self.view.horizon.is_some() || !self.occluders.is_empty(),
             step: self.fades.step(fade_s),
             stamp: Stamp { frame: if self.view.casts { 0 } else { frame }, then: frame.saturating_add(ahead) },
@@ -142,7 +142,7 @@ impl Cull<'_> {
                 tile = above.end;
                 continue;
             }
-            let record = &walk.tiles.records[tile as usize];
+            let record = &walk.tiles.records()[tile as usize];
             if record.flags & ODD == PLAIN && above.fade.is_whole() && odd != (tile, above.purpose) {
                 tile = match above.purpose {
                     Purpose::Draw => self.draw_plain_tiles::<LOOKS, AHEAD>(walk, tile, base, marks),
@@ -160,7 +160,7 @@ impl Cull<'_> {
     /// kept with its siblings all the same where the parent waits for all of them.
     #[inline(never)]
     fn look(&mut self, walk: &Walk, tile: u32, above: TileFrame) -> Option<(Purpose, u8)> {
-        let record = &walk.tiles.records[tile as usize];
+        let record = &walk.tiles.records()[tile as usize];
         let kept = (above.required && walk.asks).then_some((Purpose::Keep, above.mask));
         let mut seen = Some((above.purpose, above.mask));
         if walk.may_hide {
@@ -177,7 +177,7 @@ impl Cull<'_> {
         if let Some((Purpose::Draw | Purpose::Want, mask)) = seen
             && mask != 0
         {
-            let bounds = &walk.tiles.bounds[tile as usize];
+            let bounds = &walk.tiles.bounds()[tile as usize];
             seen = walk.test(bounds, mask).map(|crossing| (above.purpose, crossing)).or(kept);
         }
         if walk.may_be_behind
@@ -199,11 +199,11 @@ impl Cull<'_> {
         above: &TileFrame,
         marks: &mut [TileMark],
     ) -> bool {
-        let record = &walk.tiles.records[tile as usize];
+        let record = &walk.tiles.records()[tile as usize];
         let seen = if LOOKS { self.look(walk, tile, *above) } else { Some((above.purpose, 0)) };
         let Some((purpose, mask)) = seen else { return false };
         self.counters.tiles_visited += 1;
-        walk.stamp.put::<AHEAD>(&walk.tiles.last_used[tile as usize]);
+        walk.stamp.put::<AHEAD>(&walk.tiles.last_used()[tile as usize]);
         if record.flags & KINDS == PLAIN {
             self.meet_replaced_tile(walk, tile, (purpose, mask), above, marks)
         } else {
@@ -221,7 +221,7 @@ impl Cull<'_> {
         above: &TileFrame,
         marks: &mut [TileMark],
     ) -> bool {
-        let record = &walk.tiles.records[tile as usize];
+        let record = &walk.tiles.records()[tile as usize];
         let mut above = above.read();
         let resident = record.has(flag::RESIDENT);
         if purpose != Purpose::Draw || record.has(flag::PROXY | flag::ADD) {
@@ -242,7 +242,7 @@ impl Cull<'_> {
                 && self.open_tile(walk, tile, (purpose, mask), false, above.shown_px2, above.fade);
         }
         if !record.has(flag::CONTENT) {
-            let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
+            let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds()[tile as usize]);
             return distance2 < range2
                 && self.open_tile(walk, tile, (purpose, mask), above.required, above.shown_px2, above.fade);
         }
@@ -250,7 +250,7 @@ impl Cull<'_> {
         match purpose {
             Purpose::Keep => false,
             Purpose::Want => {
-                let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
+                let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds()[tile as usize]);
                 let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
                 distance2 < range2 && self.open_tile(walk, tile, (purpose, mask), false, shown_px2, above.fade)
             }
@@ -268,7 +268,7 @@ impl Cull<'_> {
         above: &TileFrame,
         marks: &mut [TileMark],
     ) -> bool {
-        let record = &walk.tiles.records[tile as usize];
+        let record = &walk.tiles.records()[tile as usize];
         let resident = record.has(flag::RESIDENT);
         if purpose == Purpose::Keep || !record.has_children() {
             if !resident {
@@ -277,7 +277,7 @@ impl Cull<'_> {
             let draws = purpose == Purpose::Draw && (resident || !stays(marks, tile as usize, walk.step, false, false));
             return draws && self.fade_tile(walk, tile, mask, above, marks);
         }
-        let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
+        let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds()[tile as usize]);
         let wants = distance2 < range2 && walk.may_be_replaced(record);
         let is_refined = purpose == Purpose::Draw && record.not_ready_children == 0 && (wants || !resident);
         let mut above_px2 = above.shown_px2;
@@ -297,12 +297,12 @@ impl Cull<'_> {
     /// Draws a tile with content, and opens it where its children are to be met. One gives way to the other in time.
     #[inline(never)]
     fn fade_tile(&mut self, walk: &Walk, tile: u32, mask: u8, above: &TileFrame, marks: &mut [TileMark]) -> bool {
-        let record = &walk.tiles.records[tile as usize];
+        let record = &walk.tiles.records()[tile as usize];
         let fade = above.fade;
         let resident = record.has(flag::RESIDENT);
         let replaces = !record.has(flag::ADD);
         let ready = record.not_ready_children == 0;
-        let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds[tile as usize]);
+        let (range2, distance2) = walk.range_and_distance(tile, record, &walk.tiles.bounds()[tile as usize]);
         let is_near = distance2 < range2 && walk.may_be_replaced(record);
         let wants = record.has_children() && is_near;
         let is_refined = shows_children(record, is_near);
@@ -342,7 +342,7 @@ impl Cull<'_> {
         shown_px2: f32,
         fade: Fade,
     ) -> bool {
-        let record = &walk.tiles.records[tile as usize];
+        let record = &walk.tiles.records()[tile as usize];
         let is_met = record.has_children() && (walk.asks || purpose == Purpose::Draw);
         if is_met {
             let (next, end) = (record.first_child, record.end_of_children());
@@ -356,7 +356,7 @@ impl Cull<'_> {
         match self.tile_view {
             Some(view) if view.transform == transform => view,
             _ => {
-                let eye_from_tile = visit.eye_from_page * page.transforms.page_from_node(transform);
+                let eye_from_tile = visit.eye_from_page * page.transforms().page_from_node(transform);
                 let eye = eye_in(&eye_from_tile);
                 let planes = self.view.planes.in_frame(&eye_from_tile, eye);
                 if !self.occluders.is_empty() {
@@ -377,7 +377,7 @@ impl Cull<'_> {
                 });
                 let m = &eye_from_tile.matrix3;
                 let forward = (m.row(2) / -m.x_axis.length()).as_vec3().extend(0.0);
-                let eye = page.tiles.grid.eye(eye);
+                let eye = page.tiles().grid().eye(eye);
                 let grid_planes = planes.on_grid(eye.step_m(), eye.rest_m());
                 *self.tile_view.insert(TileView { transform, hanger, planes, grid_planes, eye, forward, horizon })
             }
@@ -387,7 +387,7 @@ impl Cull<'_> {
     /// True for a tile behind the horizon or in the shadow of an occluder.
     #[inline]
     fn is_behind(&mut self, walk: &Walk, tile: u32) -> bool {
-        let bounds = &walk.tiles.bounds[tile as usize];
+        let bounds = &walk.tiles.bounds()[tile as usize];
         let [x, y, z, _] = walk.view.eye.offset_to(bounds).to_array();
         walk.view.horizon.as_ref().is_some_and(|h| h.hides([x, y, z], bounds.radius_m()))
             || (!self.occluders.is_empty() && self.is_in_shadow(walk, bounds, [x, y, z]))
@@ -425,13 +425,13 @@ impl Cull<'_> {
     /// of what is shown, so that they come later.
     #[inline(never)]
     fn request_missing(&mut self, walk: &Walk, tile: u32, purpose: Purpose, shown_px2: f32, fade: Fade) -> f32 {
-        let record = &walk.tiles.records[tile as usize];
+        let record = &walk.tiles.records()[tile as usize];
         let may_come = record.has_slot() && !record.has(flag::RESIDENT | flag::FAILED | flag::NEVER);
         if !may_come || fade.leaving() || !walk.asks {
             return shown_px2;
         }
-        let slot = NodeId { page: walk.id, index: walk.tiles.nodes[tile as usize] };
-        let bounds = &walk.tiles.bounds[tile as usize];
+        let slot = NodeId { page: walk.id, index: walk.tiles.nodes()[tile as usize] };
+        let bounds = &walk.tiles.bounds()[tile as usize];
         // The finest tiles have none.
         let has_error = bounds.metric_m() > 0.0;
         let error_px2 = if has_error { walk.px2(walk.range_and_distance(tile, record, bounds)) } else { 0.0 };
@@ -511,8 +511,8 @@ impl Walk<'_> {
 
     #[inline]
     fn is_hidden(&self, tile: u32) -> bool {
-        let node = self.tiles.nodes[tile as usize] as usize;
-        self.page.masks.get(node).copied().unwrap_or(u32::MAX) & self.cull_mask == 0
+        let node = self.tiles.nodes()[tile as usize] as usize;
+        self.page.masks().get(node).copied().unwrap_or(u32::MAX) & self.cull_mask == 0
     }
 
     #[inline(always)]

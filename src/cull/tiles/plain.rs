@@ -29,9 +29,9 @@ impl Cull<'_> {
         marks: &mut [TileMark],
     ) -> u32 {
         // With one length for all, places are checked once a tile.
-        let records = &walk.tiles.records[..];
-        let bounds = &walk.tiles.bounds[..records.len()];
-        let last_used = &walk.tiles.last_used[..records.len()];
+        let records = &walk.tiles.records()[..];
+        let bounds = &walk.tiles.bounds()[..records.len()];
+        let last_used = &walk.tiles.last_used()[..records.len()];
         let looks_everywhere = walk.looks_everywhere();
         let Some(open) = self.tile_stack.last() else { return tile };
         let mut above = open.read();
@@ -159,9 +159,9 @@ impl Cull<'_> {
         if !stays(marks, tile as usize, walk.step, false, true) {
             return None;
         }
-        let record = &walk.tiles.records[tile as usize];
+        let record = &walk.tiles.records()[tile as usize];
         self.counters.tiles_visited += 1;
-        walk.stamp.put::<AHEAD>(&walk.tiles.last_used[tile as usize]);
+        walk.stamp.put::<AHEAD>(&walk.tiles.last_used()[tile as usize]);
         self.draw(walk, tile, record, mask, above.fade);
         let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
         let base = self.tile_stack.len();
@@ -184,9 +184,9 @@ impl Cull<'_> {
         mut tile: u32,
         base: usize,
     ) -> u32 {
-        let records = &walk.tiles.records[..];
-        let bounds = &walk.tiles.bounds[..records.len()];
-        let last_used = &walk.tiles.last_used[..records.len()];
+        let records = &walk.tiles.records()[..];
+        let bounds = &walk.tiles.bounds()[..records.len()];
+        let last_used = &walk.tiles.last_used()[..records.len()];
         let looks_everywhere = walk.looks_everywhere();
         let Some(open) = self.tile_stack.last() else { return tile };
         let mut above = open.read();

@@ -3,7 +3,7 @@
 
 use super::Picture;
 use super::Renderer;
-use crate::cull::{CullCamera, FadeBand, MOST_CASCADES, RenderStage, StageShadows};
+use crate::cull::{CullCamera, FadeBand, MAX_CASCADES, RenderStage, StageShadows};
 use crate::draw::DrawStats;
 use crate::draw::atmosphere::Air;
 use crate::draw::batch::StateEntry;
@@ -21,7 +21,7 @@ use crate::state::{CLIP_PLANES, Mode, ResolvedState, TEXTURE_UNITS};
 #[derive(Clone, Default)]
 pub(in crate::draw) struct CasterPlan {
     /// Of the batch, by cascade.
-    runs: [std::ops::Range<usize>; MOST_CASCADES],
+    runs: [std::ops::Range<usize>; MAX_CASCADES],
     count: usize,
     first_layer: usize,
     size_px: u32,
@@ -81,7 +81,7 @@ impl Renderer {
         let Some(into) = self.caster_target() else { return };
         let Casting { shadows, camera, environment, air, first_layer, view, positioned } = *casting;
         let size_px = shadows.settings.resolution_px;
-        let count = shadows.cascades.len().min(MOST_CASCADES);
+        let count = shadows.cascades.len().min(MAX_CASCADES);
         let mut plan = CasterPlan { count, first_layer, size_px, ..Default::default() };
         for (runs, cascade) in plan.runs.iter_mut().zip(&shadows.cascades) {
             // The picture's own eye and levels of detail, seen along the sun's rays.

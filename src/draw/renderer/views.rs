@@ -4,7 +4,7 @@ use glam::{DAffine3, DMat4};
 
 use super::Renderer;
 use super::shadows::Casting;
-use crate::cull::{CullCamera, MOST_CASCADES, RenderStage, StageShadows};
+use crate::cull::{CullCamera, MAX_CASCADES, RenderStage, StageShadows};
 use crate::draw::atmosphere::{Air, FoundAir, PLAIN_SKY};
 use crate::draw::pipelines::key::AirKind;
 use crate::draw::plan::PassTarget;
@@ -114,7 +114,7 @@ impl Renderer {
         let mut layers_of = |shadows: &StageShadows, maps: &ShadowMaps| {
             let first_layer = next_layer;
             let has_room = maps.has_room(shadows, first_layer);
-            next_layer += if has_room { shadows.cascades.len().min(MOST_CASCADES) } else { 0 };
+            next_layer += if has_room { shadows.cascades.len().min(MAX_CASCADES) } else { 0 };
             has_room.then_some(first_layer)
         };
         let first_layer = around.shadows.and_then(|_| layers_of(&stage.shadows, &self.shadow_maps));

@@ -2,7 +2,7 @@
 
 use glam::{DMat2, DMat4, DVec3, Mat4, Vec3};
 
-use crate::cull::{CullCamera, MOST_CASCADES, StageShadows};
+use crate::cull::{CullCamera, MAX_CASCADES, StageShadows};
 use crate::draw::atmosphere::Air;
 use crate::math::WGS84;
 use crate::scene::{Environment, MORPH_START, Sky, has_parallel_rays, is_over_globe};
@@ -47,9 +47,9 @@ pub(in crate::draw) struct FrameUniform {
     /// How many cascades, 0 without shadows; 1 / texels a side; depths between which they fade out.
     pub(in crate::draw) shadow: [f32; 4],
     /// Of each cascade, metres to the map across and along the rays; greatest depth, depth where the next begins.
-    pub(in crate::draw) cascade_scales: [[f32; 4]; MOST_CASCADES],
+    pub(in crate::draw) cascade_scales: [[f32; 4]; MAX_CASCADES],
     /// Place of the eye in the map; w: width of a texel in metres.
-    pub(in crate::draw) cascade_offsets: [[f32; 4]; MOST_CASCADES],
+    pub(in crate::draw) cascade_offsets: [[f32; 4]; MAX_CASCADES],
 }
 
 /// Per leaf; `Leaf` in frame.wgsl.
@@ -171,8 +171,8 @@ impl FrameUniform {
             shadow_x: [0.0; 4],
             shadow_y: [0.0; 4],
             shadow: [0.0; 4],
-            cascade_scales: [[0.0; 4]; MOST_CASCADES],
-            cascade_offsets: [[0.0; 4]; MOST_CASCADES],
+            cascade_scales: [[0.0; 4]; MAX_CASCADES],
+            cascade_offsets: [[0.0; 4]; MAX_CASCADES],
         }
     }
 
@@ -184,7 +184,7 @@ impl FrameUniform {
         let settings = &shadows.settings;
         self.shadow_x = vec4(x, f64::from(settings.normal_bias_texels));
         self.shadow_y = vec4(y, f64::from(settings.depth_bias_texels));
-        let count = shadows.cascades.len().min(MOST_CASCADES);
+        let count = shadows.cascades.len().min(MAX_CASCADES);
         let [fade_start, fade_end] = shadows.fade_m.map(|d| d as f32);
         self.shadow = [count as f32, 1.0 / map_px as f32, fade_start, fade_end];
         let used = f64::from(settings.resolution_px) / f64::from(map_px);

@@ -17,7 +17,6 @@ use super::{
     http, is_remote, root_uri, shown,
 };
 use crate::io::read::{is_tileset, may_be_tileset, refuse_markup};
-use crate::io::tileset::TILE_OF_SEVERAL;
 use crate::math::{BoundingVolume, Region};
 use crate::scene::{Node, NodeKind};
 
@@ -310,7 +309,7 @@ impl Fill<'_> {
         let is_root = tileset.chain.is_empty();
         if is_root
             && self.options.region.is_some()
-            && let NodeKind::PagedLod(tile) = &node.kind
+            && let NodeKind::PagedLod(tile) | NodeKind::MultiContentTile(tile) = &node.kind
             && !extent::is_on_earth(&tile.bounds, &tileset.world)
         {
             return Err(IoError::unsupported(uri, "a region of a set that is not on the earth"));
@@ -322,7 +321,7 @@ impl Fill<'_> {
     /// Returns how many nodes were looked at.
     fn node(&mut self, node: &Node, tileset: &Tileset) -> u64 {
         match &node.kind {
-            NodeKind::PagedLod(tile) if node.name == TILE_OF_SEVERAL => {
+            NodeKind::MultiContentTile(tile) => {
                 if !self.is_wanted(&tile.bounds, tileset) {
                     return 1;
                 }

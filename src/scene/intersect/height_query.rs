@@ -8,12 +8,14 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use glam::{DAffine3, DMat3, DVec3};
 
 use super::kd_tree::{KdTree, divide};
+use super::probe::{Candidate, Probe};
+use super::selection::LodSelection;
 use super::surface::Surface;
-use super::visitor::{IntersectionVisitor, LodSelection};
-use super::walk::{Probe, candidates};
+use super::visitor::IntersectionVisitor;
+use super::walk::candidates;
 use crate::math::{BoundingSphere, Ellipsoid, Ray};
-use crate::scene::Scene;
 use crate::scene::geometry::Geometry;
+use crate::scene::graph::Scene;
 
 /// Which way is up, and where height 0 is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -214,9 +216,9 @@ impl GroundSnapshot {
     ) -> Self {
         let mut found = Vec::new();
         candidates(scene, &visitor.rules(), &mut Everywhere, &mut found);
-        let piece = |c: &super::walk::Candidate| {
+        let piece = |c: &Candidate| {
             let page = scene.page_at(c.place)?;
-            let surface = match (page.kd_tree(c.drawable), page.drawables.get(c.drawable as usize)) {
+            let surface = match (page.kd_tree(c.drawable), page.drawables().get(c.drawable as usize)) {
                 (Some(tree), _) => PieceSurface::Tree(tree.clone()),
                 (None, Some(drawable)) => PieceSurface::Payload(drawable.geometry.clone()),
                 (None, None) => return None,

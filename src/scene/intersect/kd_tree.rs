@@ -13,8 +13,8 @@ use crate::math::{BoundingSphere, Ray, slab};
 use crate::scene::geometry::Geometry;
 
 /// Most primitives below a leaf: of a mesh, 3 to 6 bytes of boxes a triangle; of a height tile, 4 x 4 cells.
-const MOST_IN_MESH_LEAF: usize = 8;
-const MOST_IN_HEIGHT_LEAF: usize = 32;
+const MAX_IN_MESH_LEAF: usize = 8;
+const MAX_IN_HEIGHT_LEAF: usize = 32;
 
 /// Steps of the whole box along each axis. Two steps of room on both sides are in it, and each box is a step larger
 /// than what is in it: what f32 rounds while the boxes are walked is far less.
@@ -83,7 +83,7 @@ impl KdTree {
                     let middle = (corners[0] + corners[1] + corners[2]) / 3.0 - first;
                     middles.push(((axes * middle).as_vec3(), place as u32));
                 }
-                let depth = depth_for(middles.len(), MOST_IN_MESH_LEAF);
+                let depth = depth_for(middles.len(), MAX_IN_MESH_LEAF);
                 divide(&mut middles, depth);
                 let ordered = || middles.iter().filter_map(|(_, place)| primitives.get(*place as usize));
                 let store = MeshCorners {
@@ -102,7 +102,7 @@ impl KdTree {
                 let store = HeightCorners::new(tile)?;
                 let count = store.count();
                 let axes = mean_axes((0..count).map(|place| store.of(place)));
-                Some(Self::with_boxes(Store::Heights(store), axes, depth_for(count, MOST_IN_HEIGHT_LEAF), count))
+                Some(Self::with_boxes(Store::Heights(store), axes, depth_for(count, MAX_IN_HEIGHT_LEAF), count))
             }
         }
     }

@@ -2,9 +2,9 @@
 
 use glam::{DAffine3, DMat3, DVec2, DVec3};
 
+use super::intersection::{Intersect, Intersection, IntersectionLimit, Intersector, Met};
+use super::probe::{Candidate, Probe};
 use super::surface::Surface;
-use super::visitor::{Intersect, Intersection, IntersectionLimit, Intersector, Met};
-use super::walk::{Candidate, Probe};
 use super::window::WindowView;
 use crate::math::Ray;
 

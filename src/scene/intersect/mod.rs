@@ -16,18 +16,23 @@
 //! A [`HeightQuery`] answers threads that do not hold the scene.
 
 mod height_query;
+mod intersection;
 mod kd_tree;
 mod line;
 mod polytope;
 mod primitives;
+mod probe;
+mod selection;
 mod surface;
 mod visitor;
 mod walk;
 mod window;
 
 pub use height_query::{GroundPoint, GroundSnapshot, HeightQuery, Vertical};
+pub use intersection::{Intersection, IntersectionLimit, Intersector};
 pub use kd_tree::KdTree;
 pub use line::{LineSegmentIntersector, RayIntersector};
 pub use polytope::{Dimensions, PolytopeIntersector};
-pub use visitor::{EyePoint, Intersection, IntersectionLimit, IntersectionVisitor, Intersector, LodSelection};
+pub use selection::{EyePoint, LodSelection};
+pub use visitor::IntersectionVisitor;
 pub use window::WindowView;

@@ -2,10 +2,10 @@
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, DVec4};
 
+use super::intersection::{Intersect, Intersection, IntersectionLimit, Intersector, Met};
 use super::primitives::Primitive;
+use super::probe::{Candidate, Probe};
 use super::surface::Surface;
-use super::visitor::{Intersect, Intersection, IntersectionLimit, Intersector, Met};
-use super::walk::{Candidate, Probe};
 use super::window::WindowView;
 use crate::math::Ray;
 

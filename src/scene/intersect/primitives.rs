@@ -150,9 +150,9 @@ impl Sight {
 }
 
 /// Corners along a side of a leaf of cells.
-const MOST_CORNERS: usize = 5;
+const MAX_CORNERS: usize = 5;
 /// Places in such a leaf.
-const MOST_PLACES: usize = 2 * (MOST_CORNERS - 1) * (MOST_CORNERS - 1);
+const MAX_TRIANGLES: usize = 2 * (MAX_CORNERS - 1) * (MAX_CORNERS - 1);
 
 /// The grid of a [`HeightTile`] without its border, two triangles a cell; places are cells along a Z-order curve.
 #[derive(Debug)]
@@ -231,9 +231,9 @@ impl HeightCorners {
     pub fn along(&self, leaf: Range<usize>, sight: &Sight, mut visit: impl FnMut(usize, &Corners)) {
         let (i, j, _) = Self::cell(leaf.start);
         // A square of 4 x 4 cells, but 2 x 2 of the smallest tile.
-        let side = if leaf.len() < MOST_PLACES { 3 } else { MOST_CORNERS };
-        let mut corners = [[DVec3::ZERO; MOST_CORNERS]; MOST_CORNERS];
-        let mut sides = [[0; MOST_CORNERS]; MOST_CORNERS];
+        let side = if leaf.len() < MAX_TRIANGLES { 3 } else { MAX_CORNERS };
+        let mut corners = [[DVec3::ZERO; MAX_CORNERS]; MAX_CORNERS];
+        let mut sides = [[0; MAX_CORNERS]; MAX_CORNERS];
         let mut common = u8::MAX;
         for row in 0..side {
             for column in 0..side {
@@ -246,7 +246,7 @@ impl HeightCorners {
             return;
         }
         for place in leaf.step_by(2) {
-            let (i, j, _) = Self::cell(place % MOST_PLACES);
+            let (i, j, _) = Self::cell(place % MAX_TRIANGLES);
             let across = sides[j][i] & sides[j + 1][i + 1];
             if across & sides[j][i + 1] == 0 {
                 visit(place, &[corners[j][i], corners[j][i + 1], corners[j + 1][i + 1]]);

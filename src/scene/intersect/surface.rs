@@ -6,7 +6,7 @@ use super::kd_tree::{BoxInDrawable, KdTree, LineHit, meet};
 use super::primitives::{HeightCorners, Primitive, corner_count, mesh_primitives};
 use crate::math::Ray;
 use crate::scene::geometry::Geometry;
-use crate::scene::page::Page;
+use crate::scene::pages::Page;
 
 /// Where the primitives of a drawable are.
 #[derive(Clone, Copy, Debug)]
@@ -19,10 +19,10 @@ pub enum Surface<'a> {
 impl<'a> Surface<'a> {
     /// `None` where the payload was taken and no tree was built, or the drawable has no primitives.
     pub fn of(page: &'a Page, drawable: u32) -> Option<Self> {
-        if let Some(tree) = page.kd_trees.get(drawable as usize).and_then(Option::as_deref) {
+        if let Some(tree) = page.kd_tree(drawable) {
             return Some(Self::Tree(tree));
         }
-        page.drawables.get(drawable as usize).map(|d| Self::Payload(&d.geometry))
+        page.drawables().get(drawable as usize).map(|d| Self::Payload(&d.geometry))
     }
 
     /// Meets triangles with a line. `found` says up to which ratio to go on.

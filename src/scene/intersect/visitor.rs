@@ -1,142 +1,14 @@
-//! The intersection traversal: what it visits, and what it finds.
+//! The intersection traversal: visits the scene with an intersector. Any thread that may read the scene.
 
 use std::sync::Arc;
 
-use glam::{DAffine3, DVec3};
-
+use super::intersection::{Intersection, Intersector};
+use super::probe::Candidate;
+use super::selection::{EyePoint, LodSelection, Rules};
 use super::surface::Surface;
-use super::walk::{Candidate, Probe, Rules, candidates, node_of_drawable};
-use crate::scene::{LodRanges, NodeId, Scene};
-
-/// Which level of detail is intersected.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LodSelection {
-    /// The finest that could be drawn: a tile's children as soon as all of them are loaded; of a Lod node what is
-    /// shown nearest. OSG's `USE_HIGHEST_LEVEL_OF_DETAIL`.
-    #[default]
-    Highest,
-    /// Tiles down to this depth (root 0) or to the finest loaded above it; of a Lod node what is shown nearest.
-    Level(u32),
-    /// What [`IntersectionVisitor::eye`] sees, by its error limit: what is drawn. Without an eye as `Highest`. OSG's
-    /// `USE_EYE_POINT_FOR_LOD_LEVEL_SELECTION`.
-    AsSeen,
-}
-
-/// The eye whose picture is intersected.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct EyePoint {
-    /// Eye space (looking down -z, y up) to world, without scale.
-    pub world_from_eye: DAffine3,
-    /// Pixels that one metre covers at a distance of one metre; at any distance where rays are parallel.
-    pub px_per_radian: f64,
-    /// The projection is no perspective one: errors are seen as large from anywhere.
-    pub is_parallel: bool,
-    /// A tile whose error projects to more pixels is refined.
-    pub max_sse_px: f64,
-    /// Distances are multiplied with it where levels are chosen.
-    pub lod_scale: f64,
-}
-
-impl EyePoint {
-    /// Place in the world.
-    pub fn position(&self) -> DVec3 {
-        self.world_from_eye.translation
-    }
-
-    /// Distances at which tiles are refined, as cull has them.
-    pub(super) fn ranges(&self) -> LodRanges {
-        LodRanges::new(self.px_per_radian, self.max_sse_px, self.lod_scale, self.is_parallel)
-    }
-}
-
-/// Which intersections an intersector keeps. Of pictures drawn over each other the uppermost is the nearest.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum IntersectionLimit {
-    /// All of them.
-    #[default]
-    NoLimit,
-    /// The nearest of each drawable.
-    OnePerDrawable,
-    /// Any one: whether there is something at all.
-    One,
-    /// The nearest.
-    Nearest,
-}
-
-/// A primitive that an intersector meets.
-#[derive(Clone, Debug)]
-pub struct Intersection {
-    /// From the root page's first node, across the pages between, to the node that holds the drawable.
-    pub node_path: Arc<[NodeId]>,
-    /// Number of the drawable in the page of the last node.
-    pub drawable: u32,
-    /// Number of the primitive in the drawable: of a mesh by its indices, of a height tile two a cell (the
-    /// south-eastern one first), cells row by row from the south-west.
-    pub primitive: u32,
-    /// Its corners: of a mesh indices into the vertices, of a height tile row by row from the south-west. The last
-    /// one repeats where there are fewer than three.
-    pub vertices: [u32; 3],
-    /// Shares of the corners in the point: what to blend their attributes by.
-    pub weights: [f64; 3],
-    /// Where along the intersector it is: of a segment 0 to 1, of a ray in metres, of a polytope the least distance
-    /// from its reference plane. Of what another projection draws: where in the picture itself it would have that depth.
-    pub ratio: f64,
-    /// The largest distance from the reference plane of what a polytope meets of it; else as `ratio`.
-    pub max_ratio: f64,
-    /// The drawable's frame to the world's.
-    pub world_from_local: DAffine3,
-    /// The point in the drawable's frame; of a polytope the middle of what it meets of the primitive.
-    pub local_point: DVec3,
-    /// Unit normal of the primitive in the drawable's frame, on the side from which its corners run counter-clockwise,
-    /// of height tiles upwards; zero for lines and points.
-    pub local_normal: DVec3,
-}
-
-impl Intersection {
-    /// The point in the world, metres; below an absolute camera with a picture of its own, in the world of that camera.
-    pub fn world_point(&self) -> DVec3 {
-        self.world_from_local.transform_point3(self.local_point)
-    }
-
-    /// The unit normal in the world; zero for lines and points.
-    pub fn world_normal(&self) -> DVec3 {
-        (self.world_from_local.matrix3.inverse().transpose() * self.local_normal).normalize_or_zero()
-    }
-
-    /// The node that holds the drawable.
-    pub fn node(&self) -> Option<NodeId> {
-        self.node_path.last().copied()
-    }
-}
-
-/// An intersection as the intersectors find it.
-#[derive(Clone, Copy, Debug)]
-pub struct Met {
-    pub candidate: Candidate,
-    pub primitive: u32,
-    pub vertices: [u32; 3],
-    pub weights: [f64; 3],
-    pub ratio: f64,
-    pub max_ratio: f64,
-    pub local_point: DVec3,
-    pub local_normal: DVec3,
-}
-
-/// What is common to intersectors.
-pub trait Intersect: Probe {
-    /// Forgets what was found.
-    fn clear(&mut self);
-    /// True where neither this candidate nor those behind it could change what is kept.
-    fn is_done(&self, candidate: &Candidate) -> bool;
-    /// Meets a drawable.
-    fn meet(&mut self, candidate: &Candidate, surface: &Surface);
-    /// What was met, and where it goes.
-    fn results(&mut self) -> (&mut Vec<Met>, &mut Vec<Intersection>);
-}
-
-/// A shape to intersect the scene with: [`super::LineSegmentIntersector`], [`super::RayIntersector`],
-/// [`super::PolytopeIntersector`].
-pub trait Intersector: Intersect {}
+use super::walk::{candidates, node_of_drawable};
+use crate::scene::graph::Scene;
+use crate::scene::id::NodeId;
 
 /// Goes through the scene with an intersector. Any thread that may read the scene; keeps memory from one traversal to
 /// the next.

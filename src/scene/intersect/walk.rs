@@ -4,65 +4,15 @@
 
 use glam::{DAffine3, DMat3, DVec3};
 
-use super::visitor::{EyePoint, LodSelection};
+use super::probe::{Candidate, Probe};
+use super::selection::{LodSelection, Rules};
 use super::window::WindowView;
-use crate::scene::lod_ranges::LodRecord;
-use crate::scene::page::{NONE, Page, Special, UNBOUNDED, kind};
-use crate::scene::tile_bounds::{TileBounds, TileEye};
-use crate::scene::tiles::{Tiles, flag};
-use crate::scene::{
-    CameraNode, ComputeNearFar, INACTIVE, Inherit, PageId, ReferenceFrame, RenderOrder, Scene, has_parallel_rays,
-    px_per_radian,
-};
-
-/// A shape in the world that can be moved into other frames.
-pub trait Probe {
-    /// The shape in a frame.
-    type Local;
-
-    /// The shape as a view has it, in the frame that `world_from_frame` comes from; `None` where that map has no
-    /// inverse. View 0 is the one that the shape was made for, others are numbered by [`Self::open_view`].
-    fn local(&self, view: u32, world_from_frame: &DAffine3) -> Option<Self::Local>;
-
-    /// The picture that the shape was made for, if it is a place of one.
-    fn window(&self) -> Option<WindowView> {
-        None
-    }
-
-    /// The same place as another view has it; `None` where it is not in that one.
-    fn open_view(&mut self, _view: &WindowView) -> Option<u32> {
-        None
-    }
-
-    /// Where along the shape it enters a sphere; `None` where it misses.
-    fn enters_sphere(local: &Self::Local, center: DVec3, radius_m: f64) -> Option<f64>;
-
-    /// Where along the shape it enters a box with unit axes (columns); `None` where it misses.
-    fn enters_box(local: &Self::Local, center: DVec3, axes: &DMat3, half: DVec3) -> Option<f64>;
-}
-
-/// A drawable whose box is met.
-#[derive(Clone, Copy, Debug)]
-pub struct Candidate {
-    /// Where the shape enters its box.
-    pub enters: f64,
-    /// Place of its page in the scene's table.
-    pub place: u32,
-    pub drawable: u32,
-    pub world_from_drawable: DAffine3,
-    /// Number of the view, as the shape knows it.
-    pub view: u32,
-    /// Pictures drawn over others come first: 0 is over all.
-    pub layer: u32,
-}
-
-/// What decides which nodes are visited.
-#[derive(Clone, Copy, Debug)]
-pub struct Rules {
-    pub mask: u32,
-    pub lods: LodSelection,
-    pub eye: Option<EyePoint>,
-}
+use crate::scene::graph::Scene;
+use crate::scene::id::{NONE, PageId};
+use crate::scene::nodes::{CameraNode, ReferenceFrame, RenderOrder};
+use crate::scene::pages::{INACTIVE, Page, RareNode, UNBOUNDED, kind};
+use crate::scene::settings::{ComputeNearFar, Inherit, LodRecord, has_parallel_rays, px_per_radian};
+use crate::scene::tile_tree::{TileBounds, TileEye, Tiles, flag};
 
 /// A page, seen by the shape.
 struct InPage<'a, L> {
@@ -108,7 +58,7 @@ struct Stage {
 }
 
 /// More views than this in one picture are not followed.
-const MOST_VIEWS: usize = 1024;
+const MAX_VIEWS: usize = 1024;
 
 struct Walk<'a, P: Probe> {
     scene: &'a Scene,
@@ -178,16 +128,16 @@ impl<P: Probe> Walk<'_, P> {
         let mut node = first;
         while node < last {
             let index = node as usize;
-            let record = page.nodes[index];
+            let record = page.nodes()[index];
             let end = node + record.skip;
-            let sphere = page.spheres[index];
-            let is_hidden = page.masks.get(index).is_some_and(|mask| mask & self.view.rules.mask == 0);
+            let sphere = page.spheres()[index];
+            let is_hidden = page.masks().get(index).is_some_and(|mask| mask & self.view.rules.mask == 0);
             // Bounds of nodes that are not culled say nothing.
             let is_missed = record.flags & INACTIVE == 0
                 && (sphere.w < 0.0
                     || match &here.local {
                         Some(local) if sphere.w < UNBOUNDED => {
-                            let center = page.origin + sphere.truncate().as_dvec3();
+                            let center = page.origin() + sphere.truncate().as_dvec3();
                             P::enters_sphere(local, center, sphere.w.into()).is_none()
                         }
                         local => local.is_none(),
@@ -198,10 +148,11 @@ impl<P: Probe> Walk<'_, P> {
             }
             node = match record.kind {
                 kind::GEODE | kind::GROUP => {
-                    for drawable in record.first_drawable..page.nodes[index + 1].first_drawable {
+                    for drawable in record.first_drawable..page.nodes()[index + 1].first_drawable {
                         if let Some(enters) = self.enters_drawable(here, drawable) {
-                            let transform = page.drawable_refs[drawable as usize].transform;
-                            let world_from_drawable = here.world_from_page * page.transforms.page_from_node(transform);
+                            let transform = page.drawable_refs()[drawable as usize].transform;
+                            let world_from_drawable =
+                                here.world_from_page * page.transforms().page_from_node(transform);
                             self.find(enters, here.place, drawable, world_from_drawable);
                         }
                     }
@@ -209,16 +160,16 @@ impl<P: Probe> Walk<'_, P> {
                 }
                 kind::TRANSFORM => node + 1,
                 kind::TILE => {
-                    self.tiles(here, page.payloads[index]);
+                    self.tiles(here, page.payloads()[index]);
                     end
                 }
                 kind::SWITCH => {
-                    let shown = &page.switches[page.payloads[index] as usize];
+                    let shown = &page.switches()[page.payloads()[index] as usize];
                     self.children(here, node, |child| shown.get(child).copied().unwrap_or(false));
                     end
                 }
                 kind::LOD => {
-                    let lod = &page.lods[page.payloads[index] as usize];
+                    let lod = &page.lods()[page.payloads()[index] as usize];
                     let measure = self.lod_measure(here, node, lod).unwrap_or_else(|| lod.nearest());
                     self.children(here, node, |child| lod.shows(child, measure));
                     end
@@ -242,7 +193,7 @@ impl<P: Probe> Walk<'_, P> {
     }
 
     fn children(&mut self, here: &InPage<P::Local>, node: u32, is_shown: impl Fn(usize) -> bool) {
-        let nodes = &here.page.nodes;
+        let nodes = here.page.nodes();
         let end = node + nodes[node as usize].skip;
         let (mut child, mut index) = (node + 1, 0);
         while child < end {
@@ -256,13 +207,13 @@ impl<P: Probe> Walk<'_, P> {
 
     fn enters_drawable(&self, here: &InPage<P::Local>, drawable: u32) -> Option<f64> {
         let local = here.local.as_ref()?;
-        let four = here.page.boxes.get(drawable as usize / 4)?;
+        let four = here.page.boxes().get(drawable as usize / 4)?;
         let lane = drawable as usize % 4;
         let half = four.half.map(|h| f64::from(h[lane]));
         if half[0] >= f64::from(UNBOUNDED) {
             return Some(f64::NEG_INFINITY);
         }
-        let center = here.page.origin + DVec3::from_array(four.center.map(|c| f64::from(c[lane])));
+        let center = here.page.origin() + DVec3::from_array(four.center.map(|c| f64::from(c[lane])));
         P::enters_box(local, center, &DMat3::IDENTITY, DVec3::from_array(half))
     }
 
@@ -271,22 +222,22 @@ impl<P: Probe> Walk<'_, P> {
         let eye = self.view.rules.eye.filter(|_| self.view.rules.lods == LodSelection::AsSeen)?;
         let eye_in_page = in_frame(&here.world_from_page, eye.position());
         let page = here.page;
-        let eye_in_node = page.transforms.point_in_node(page.enclosing_transform(node), eye_in_page);
+        let eye_in_node = page.transforms().point_in_node(page.enclosing_transform(node), eye_in_page);
         Some(lod.measure(eye_in_node.distance(lod.center), eye.lod_scale, &eye.ranges()))
     }
 
     /// Visits a node of a rarer kind. False: its children are visited like those of a group.
     fn special(&mut self, here: &InPage<P::Local>, node: u32) -> bool {
         let page = here.page;
-        let Some(special) = page.specials.get(page.payloads[node as usize] as usize) else { return false };
+        let Some(special) = page.rare_nodes().get(page.payloads()[node as usize] as usize) else { return false };
         match special {
-            Special::Billboard { mode, positions, .. } => {
+            RareNode::Billboard { mode, positions, .. } => {
                 let Some(eye) = self.view.rules.eye else { return false };
                 let world_from_node =
-                    here.world_from_page * page.transforms.page_from_node(page.enclosing_transform(node));
+                    here.world_from_page * page.transforms().page_from_node(page.enclosing_transform(node));
                 let eye_in_node = in_frame(&world_from_node, eye.position());
                 let eye_from_node = eye.world_from_eye.inverse() * world_from_node;
-                for (drawable, position) in (page.nodes[node as usize].first_drawable..).zip(positions) {
+                for (drawable, position) in (page.nodes()[node as usize].first_drawable..).zip(positions) {
                     let Some(enters) = self.enters_drawable(here, drawable) else { continue };
                     let eye_from_drawable = mode.eye_from_drawable(&eye_from_node, eye_in_node, *position);
                     let world_from_drawable = eye.world_from_eye * eye_from_drawable;
@@ -294,18 +245,18 @@ impl<P: Probe> Walk<'_, P> {
                 }
                 false
             }
-            Special::AbsoluteTransform => {
+            RareNode::AbsoluteTransform => {
                 if let Some(eye) = self.view.rules.eye {
-                    let above = page.transforms.page_from_node(page.enclosing_transform(node));
+                    let above = page.transforms().page_from_node(page.enclosing_transform(node));
                     self.below(here, node, eye.world_from_eye * above.inverse());
                 }
                 true
             }
-            Special::Camera { camera, .. } => {
+            RareNode::Camera { camera, .. } => {
                 self.camera(here, node, camera);
                 true
             }
-            Special::Projection { clip_from_eye, .. } => {
+            RareNode::Projection { clip_from_eye, .. } => {
                 if let Some(window) = self.view.window {
                     let window = WindowView { clip_from_eye: *clip_from_eye, ..window };
                     self.in_view(here, node, window, self.view, here.world_from_page);
@@ -325,7 +276,7 @@ impl<P: Probe> Walk<'_, P> {
             return; // as cull
         }
         let page = here.page;
-        let above = page.transforms.page_from_node(page.enclosing_transform(node));
+        let above = page.transforms().page_from_node(page.enclosing_transform(node));
         let view = self.view_of(camera);
         if camera.projection.is_none() && camera.viewport_px.is_none() {
             // Where the world of the camera lies in this one.
@@ -401,7 +352,7 @@ impl<P: Probe> Walk<'_, P> {
             RenderOrder::PreRender(order) => (false, order),
         };
         // Of shapes in the world only the way along them counts.
-        if view.window.is_some() && self.stages.len() < MOST_VIEWS {
+        if view.window.is_some() && self.stages.len() < MAX_VIEWS {
             self.stages.push(Stage { above: view.stage, is_after, order });
             view.stage = self.stages.len() - 1;
         }
@@ -417,7 +368,7 @@ impl<P: Probe> Walk<'_, P> {
         mut view: View,
         world_from_page: DAffine3,
     ) {
-        if self.views >= MOST_VIEWS {
+        if self.views >= MAX_VIEWS {
             return;
         }
         let shape = self.probe.open_view(&window).unwrap_or(NOWHERE);
@@ -441,7 +392,7 @@ impl<P: Probe> Walk<'_, P> {
     fn below(&mut self, here: &InPage<P::Local>, node: u32, world_from_page: DAffine3) {
         let local = self.probe.local(self.view.shape, &world_from_page);
         if local.is_some() || self.view.shape == NOWHERE {
-            let end = node + here.page.nodes[node as usize].skip;
+            let end = node + here.page.nodes()[node as usize].skip;
             let below = InPage { page: here.page, place: here.place, world_from_page, local, stands_in: false };
             self.nodes(&below, node + 1, end);
         }
@@ -449,18 +400,19 @@ impl<P: Probe> Walk<'_, P> {
 
     /// Walks a tile tree: of REPLACE tiles what is drawn at the wanted level, of ADD tiles all down to it.
     fn tiles(&mut self, here: &InPage<P::Local>, first: u32) {
-        let tiles = &here.page.tiles;
-        let Ok(root) = tiles.roots.binary_search_by_key(&first, |r| r.tile) else { return };
-        let world_from_tile = here.world_from_page * here.page.transforms.page_from_node(tiles.roots[root].transform);
+        let tiles = here.page.tiles();
+        let Ok(root) = tiles.roots().binary_search_by_key(&first, |r| r.tile) else { return };
+        let world_from_tile =
+            here.world_from_page * here.page.transforms().page_from_node(tiles.roots()[root].transform);
         let Some(local) = self.probe.local(self.view.shape, &world_from_tile) else { return };
-        let eye = self.view.rules.eye.map(|eye| tiles.grid.eye(in_frame(&world_from_tile, eye.position())));
+        let eye = self.view.rules.eye.map(|eye| tiles.grid().eye(in_frame(&world_from_tile, eye.position())));
         let base_depth = self.scene.base_depth(self.scene.page_id_at(here.place));
         let mut tile = first;
         while tile != NONE {
             let index = tile as usize;
-            let (record, bounds) = (&tiles.records[index], &tiles.bounds[index]);
+            let (record, bounds) = (&tiles.records()[index], &tiles.bounds()[index]);
             let hidden =
-                here.page.masks.get(tiles.nodes[index] as usize).is_some_and(|m| m & self.view.rules.mask == 0);
+                here.page.masks().get(tiles.nodes()[index] as usize).is_some_and(|m| m & self.view.rules.mask == 0);
             let outside_request = record.has(flag::REQUEST_VOLUME)
                 && eye.is_some_and(|eye| !tiles.may_be_requested(tile, eye.position))
                 && !stands_in(tiles, tile, here.stands_in);
@@ -487,7 +439,7 @@ impl<P: Probe> Walk<'_, P> {
             };
             if draws {
                 self.pages.push(Visit {
-                    place: tiles.contents[index].resident,
+                    place: tiles.resident(index),
                     world_from_page: world_from_tile * tiles.content_transform(index),
                     view: self.view,
                     stands_in: stands_in(tiles, tile, here.stands_in),
@@ -498,11 +450,11 @@ impl<P: Probe> Walk<'_, P> {
     }
 
     fn wants_children(&self, tiles: &Tiles, tile: u32, eye_in_tile: Option<&TileEye>, base_depth: u32) -> bool {
-        let record = &tiles.records[tile as usize];
+        let record = &tiles.records()[tile as usize];
         match (self.view.rules.lods, self.view.rules.eye, eye_in_tile) {
             (LodSelection::Level(level), ..) => base_depth + u32::from(record.depth) < level,
             (LodSelection::AsSeen, Some(eye), Some(eye_in_tile)) => {
-                let bounds = &tiles.bounds[tile as usize];
+                let bounds = &tiles.bounds()[tile as usize];
                 let (range2, distance2) = tiles.range_and_distance(tile, record, bounds, eye_in_tile, &eye.ranges());
                 distance2 < range2
             }
@@ -514,8 +466,8 @@ impl<P: Probe> Walk<'_, P> {
 /// Whether a tile that is met takes the place of content above it. `page_stands_in` where the page does.
 fn stands_in(tiles: &Tiles, mut tile: u32, page_stands_in: bool) -> bool {
     loop {
-        tile = tiles.parents[tile as usize];
-        let Some(above) = tiles.records.get(tile as usize) else { return page_stands_in };
+        tile = tiles.parents()[tile as usize];
+        let Some(above) = tiles.records().get(tile as usize) else { return page_stands_in };
         if above.has(flag::CONTENT | flag::PROXY | flag::EXTERNAL) {
             return !above.has(flag::PROXY | flag::EXTERNAL | flag::ADD);
         }
@@ -523,7 +475,7 @@ fn stands_in(tiles: &Tiles, mut tile: u32, page_stands_in: bool) -> bool {
 }
 
 fn enters_tile<P: Probe>(local: &P::Local, tiles: &Tiles, bounds: &TileBounds) -> bool {
-    let center = tiles.grid.center(bounds);
+    let center = tiles.grid().center(bounds);
     if bounds.radius_m() >= UNBOUNDED {
         return true;
     }
@@ -544,5 +496,5 @@ fn in_frame(world_from_frame: &DAffine3, point: DVec3) -> DVec3 {
 
 /// The node that holds a drawable.
 pub fn node_of_drawable(page: &Page, drawable: u32) -> u32 {
-    (page.nodes.partition_point(|n| n.first_drawable <= drawable) as u32).checked_sub(1).unwrap_or(NONE)
+    (page.nodes().partition_point(|n| n.first_drawable <= drawable) as u32).checked_sub(1).unwrap_or(NONE)
 }

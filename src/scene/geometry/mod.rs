@@ -1,0 +1,31 @@
+//! Geometry: shapes, materials and textures as plain CPU data.
+//!
+//! Decode workers fill it on any thread; the draw thread reads it once when it uploads a page.
+
+mod attribute_format;
+mod drawable;
+mod height_tile;
+mod material;
+mod mesh;
+mod normal_cone;
+mod primitive_modes;
+mod shape;
+mod shapes;
+#[cfg(feature = "text")]
+mod text;
+mod vertex_attributes;
+
+pub use attribute_format::AttributeFormat;
+pub use drawable::Drawable;
+pub use height_tile::HeightTile;
+pub use material::{AlphaMode, Material, Texture};
+pub use mesh::{Mesh, MeshVertex, Topology, VertexFormat};
+pub use normal_cone::NormalCone;
+pub use primitive_modes::PrimitiveMode;
+pub use shape::{CustomGeometry, Geometry};
+#[cfg(feature = "text")]
+pub use text::Font;
+pub use vertex_attributes::{MAX_ATTRIBUTES, VertexAttributes};
+
+pub(crate) use mesh::SMALL_MESH_INDICES;
+pub(crate) use vertex_attributes::{AttributeLayout, added_stride};

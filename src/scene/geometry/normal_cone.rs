@@ -1,0 +1,55 @@
+//! Cones around the normals of a mesh: back-face culling of whole drawables. Plain values.
+
+use glam::DVec3;
+
+use super::mesh::{Mesh, Topology};
+
+/// The directions in which a drawable's faces look: it is culled from where none can be seen; OSG's
+/// `ClusterCullingCallback`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NormalCone {
+    /// Middle, in the drawable's frame.
+    pub control_point: DVec3,
+    /// Mean direction of the faces, unit.
+    pub normal: DVec3,
+    /// Culled where the cosine between `normal` and the direction to the eye is smaller.
+    pub least_cosine: f64,
+    /// Nearer eyes see it always, metres.
+    pub radius_m: f64,
+}
+
+impl Mesh {
+    /// The directions in which the triangles look; `None` without triangles, or where they look apart by 90 degrees
+    /// or more from their mean.
+    pub fn normal_cone(&self) -> Option<NormalCone> {
+        if self.topology != Topology::Triangles {
+            return None;
+        }
+        let corner = |i: u32| self.vertices.get(i as usize).map(|v| DVec3::from_array(v.position.map(f64::from)));
+        let faces = || {
+            self.indices.chunks_exact(3).filter_map(|t| {
+                let (a, b, c) = (corner(t[0])?, corner(t[1])?, corner(t[2])?);
+                Some(([a, b, c], (b - a).cross(c - a)))
+            })
+        };
+        let mean = faces().fold(DVec3::ZERO, |sum, (_, n)| sum + n).try_normalize()?;
+        let unit = || faces().filter_map(|(corners, n)| Some((corners, n.try_normalize()?)));
+        let widest = unit().map(|(_, n)| n.dot(mean)).fold(1.0, f64::min);
+        if widest <= 1e-3 {
+            return None;
+        }
+        let control_point = self.bounds.center();
+        let distance = |p: DVec3| p.distance(control_point);
+        let radius_m = unit().flat_map(|(corners, _)| corners).map(distance).fold(0.0, f64::max);
+        // A face looks away from directions more than 90 degrees from its normal; seen from outside of `radius`, a
+        // corner's direction to the eye differs from the middle's by less than that of a sphere twice as far.
+        let half_angle = widest.min(1.0).acos();
+        let from_middle = 0.5f64.asin();
+        Some(NormalCone {
+            control_point,
+            normal: mean,
+            least_cosine: (std::f64::consts::FRAC_PI_2 + half_angle + from_middle).min(std::f64::consts::PI).cos(),
+            radius_m: 2.0 * radius_m,
+        })
+    }
+}

@@ -1,0 +1,25 @@
+//! Names and callbacks of nodes: sparse lists, sorted by node.
+
+use crate::scene::nodes::{CullCallback, EventCallback, UpdateCallback};
+use crate::scene::sparse_list::SparseList;
+
+/// What only some nodes have, whatever their kind.
+#[derive(Debug, Default)]
+pub(crate) struct NodeExtras {
+    names: Vec<(Box<str>, u32)>,
+    pub(super) cull_callbacks: SparseList<CullCallback>,
+    pub(super) update_callbacks: SparseList<UpdateCallback>,
+    pub(super) event_callbacks: SparseList<EventCallback>,
+}
+
+impl NodeExtras {
+    /// Adds the name of a node. Nodes must arrive in ascending order.
+    pub(super) fn push_name(&mut self, node: u32, name: String) {
+        self.names.push((name.into_boxed_str(), node));
+    }
+
+    /// Returns the nodes that have names, in depth-first order.
+    pub fn names(&self) -> &[(Box<str>, u32)] {
+        &self.names
+    }
+}

@@ -1,0 +1,160 @@
+//! What a page draws: the drawables until a context has uploaded them, and afterwards k-d trees and draw slots.
+
+use std::sync::Arc;
+
+use crate::scene::geometry::Drawable;
+use crate::scene::intersect::KdTree;
+use crate::scene::sharing::SharedContent;
+
+/// An index into the drawable table of a graphics context.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct DrawSlot(pub u32);
+
+impl DrawSlot {
+    /// The slot of a drawable that the renderer skips, because it is not uploaded or its upload failed.
+    pub const NONE: Self = Self(u32::MAX);
+}
+
+/// A shared content that a page uses.
+#[derive(Debug)]
+pub(crate) struct SharedUse {
+    pub content: Arc<SharedContent>,
+    /// The size of its k-d tree; 0 if the page has none.
+    pub tree_bytes: u64,
+}
+
+/// Payloads in drawable order, and what is kept of them.
+#[derive(Debug, Default)]
+pub(crate) struct PagePayload {
+    /// Empty once the payloads were taken.
+    drawables: Vec<Drawable>,
+    drawable_bytes: u64,
+    /// K-d trees by drawable; empty if none were built.
+    kd_trees: Vec<Option<Arc<KdTree>>>,
+    /// Contents shared with other pages, each listed once.
+    shared: Vec<SharedUse>,
+    /// The part of the k-d trees' bytes that is shared.
+    shared_tree_bytes: u64,
+    /// The drawables' slots by context.
+    draw_slots: Vec<(u32, Vec<DrawSlot>)>,
+}
+
+impl PagePayload {
+    /// Appends a drawable.
+    pub(super) fn push(&mut self, drawable: Drawable) {
+        self.drawable_bytes += drawable.size_bytes();
+        self.drawables.push(drawable);
+    }
+
+    /// Returns the drawables that were not taken.
+    pub fn drawables(&self) -> &[Drawable] {
+        &self.drawables
+    }
+
+    /// Returns a drawable that was not taken, to be changed.
+    pub fn drawable_mut(&mut self, drawable: u32) -> Option<&mut Drawable> {
+        self.drawables.get_mut(drawable as usize)
+    }
+
+    /// Takes all drawables.
+    pub fn take(&mut self) -> Vec<Drawable> {
+        self.drawable_bytes = 0;
+        std::mem::take(&mut self.drawables)
+    }
+
+    /// Puts back all drawables that were taken.
+    pub fn put(&mut self, drawables: Vec<Drawable>) {
+        self.drawable_bytes = drawables.iter().map(Drawable::size_bytes).sum();
+        self.drawables = drawables;
+    }
+
+    /// Changes the drawables and their trees to shared ones; the memory counted for the drawables stays as it was.
+    pub fn share(&mut self, mut share: impl FnMut(&mut Drawable, Option<&mut Option<Arc<KdTree>>>)) {
+        let mut trees = self.kd_trees.iter_mut();
+        for drawable in &mut self.drawables {
+            share(drawable, trees.next());
+        }
+        self.hold_shared();
+    }
+
+    /// Builds a k-d tree for each drawable, or takes the one of the shared content.
+    pub fn build_kd_trees(&mut self) {
+        let tree = |d: &Drawable| match &d.shared.geometry {
+            Some(shared) => shared.tree(&d.geometry),
+            None => KdTree::build(&d.geometry).map(Arc::new),
+        };
+        self.kd_trees = self.drawables.iter().map(tree).collect();
+        self.hold_shared();
+    }
+
+    /// Returns the k-d tree of a drawable, if one was built.
+    pub fn kd_tree(&self, drawable: u32) -> Option<&Arc<KdTree>> {
+        self.kd_trees.get(drawable as usize)?.as_ref()
+    }
+
+    /// Replaces the k-d tree of a drawable, if trees were built at all.
+    pub fn rebuild_kd_tree(&mut self, drawable: u32, build: impl FnOnce() -> Option<Arc<KdTree>>) {
+        if let Some(tree) = self.kd_trees.get_mut(drawable as usize) {
+            *tree = build();
+        }
+    }
+
+    /// Takes references to the shared contents of the drawables, so that they stay shared when the payloads are taken.
+    pub fn hold_shared(&mut self) {
+        let mut uses: Vec<SharedUse> = Vec::new();
+        self.shared_tree_bytes = 0;
+        for (i, drawable) in self.drawables.iter().enumerate() {
+            for content in drawable.shared.iter() {
+                let is_geometry = drawable.shared.geometry.as_ref().is_some_and(|g| Arc::ptr_eq(g, content));
+                let tree = self.kd_trees.get(i).and_then(Option::as_ref).filter(|_| is_geometry);
+                let tree_bytes = tree.map_or(0, |t| t.size_bytes());
+                self.shared_tree_bytes += tree_bytes;
+                uses.push(SharedUse { content: content.clone(), tree_bytes });
+            }
+        }
+        uses.sort_by_key(|u| Arc::as_ptr(&u.content));
+        uses.dedup_by(|a, b| Arc::ptr_eq(&a.content, &b.content));
+        uses.shrink_to_fit();
+        self.shared = uses;
+    }
+
+    /// Returns the contents shared with other pages, each once.
+    pub fn shared(&self) -> &[SharedUse] {
+        &self.shared
+    }
+
+    /// Returns the part of [`Self::size_bytes`] that other pages share.
+    pub fn shared_tree_bytes(&self) -> u64 {
+        self.shared_tree_bytes
+    }
+
+    /// Returns the draw slots of every context that has uploaded the page.
+    pub fn draw_slots(&self) -> &[(u32, Vec<DrawSlot>)] {
+        &self.draw_slots
+    }
+
+    /// Sets the draw slots of a context, in drawable order.
+    pub fn set_draw_slots(&mut self, context: u32, slots: Vec<DrawSlot>) {
+        match self.draw_slots.iter_mut().find(|(c, _)| *c == context) {
+            Some(entry) => entry.1 = slots,
+            None => self.draw_slots.push((context, slots)),
+        }
+    }
+
+    /// Takes the draw slots of every context, to be released.
+    pub fn take_draw_slots(&mut self) -> Vec<(u32, Vec<DrawSlot>)> {
+        std::mem::take(&mut self.draw_slots)
+    }
+
+    /// Drops the draw slots of a context that no longer exists.
+    pub fn forget_context(&mut self, context: u32) {
+        self.draw_slots.retain(|(c, _)| *c != context);
+    }
+
+    /// Returns the bytes of CPU memory of drawables, trees and slots.
+    pub fn size_bytes(&self) -> u64 {
+        let slots: usize = self.draw_slots.iter().map(|(_, slots)| slots.len() * 4).sum();
+        let trees = self.kd_trees.iter().flatten().map(|tree| tree.size_bytes()).sum::<u64>();
+        self.drawable_bytes + slots as u64 + trees
+    }
+}
