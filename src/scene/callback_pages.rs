@@ -1,6 +1,6 @@
 //! The pages of a scene that have callbacks, in the order in which a traversal visits them. Main thread.
 //!
-//! A traversal visits callbacks and nothing else. In OSG, counts of children that require traversal serve the same purpose.
+//! A traversal visits only nodes with callbacks. In OSG, counts of children that require traversal serve the same purpose.
 
 use std::ops::Range;
 

@@ -1,5 +1,5 @@
-//! What has to be made before the drawables of a page can be drawn: their states and kinds, told before they are
-//! uploaded. Main thread, when a page has arrived.
+//! The states and kinds of a page's drawables, from which pipelines are prewarmed before the page is drawn. Main thread,
+//! when a page has arrived.
 
 use std::sync::Arc;
 
@@ -9,32 +9,32 @@ use super::id::{NONE, NodeId};
 use super::pages::{BLEND, Page, VIEW};
 use crate::state::ResolvedState;
 
-/// Kinds of a page that are told; those beyond are made when they are drawn.
+/// The maximum number of kinds listed for a page; pipelines of further kinds are compiled when they are drawn.
 const MAX_KINDS: usize = 256;
 
-/// A kind of drawable under a state: what its pipeline follows from.
+/// A kind of drawable under a state: everything that its pipeline depends on.
 #[derive(Clone, Debug)]
 pub struct DrawKind {
-    /// What the state sets above it come to.
+    /// The resolved state of the state sets above.
     pub state: Arc<ResolvedState>,
-    /// `None` for height tiles.
+    /// The topology of a mesh; `None` for height tiles.
     pub topology: Option<Topology>,
-    /// Fragments below a cutoff are dropped.
+    /// True if fragments with alpha below a cutoff are discarded.
     pub is_masked: bool,
-    /// Of its material.
+    /// True if the material is double-sided.
     pub double_sided: bool,
-    /// Its transform mirrors.
+    /// True if the transform mirrors.
     pub mirrored: bool,
-    /// A mesh of a few triangles without further attributes.
+    /// True for a mesh of a few triangles without custom attributes.
     pub is_small: bool,
-    /// Of a mesh's vertices.
+    /// The format of a mesh's vertices.
     pub vertex_format: VertexFormat,
-    /// Further attributes of a mesh's vertices.
+    /// The custom attributes of a mesh's vertices.
     pub(crate) attributes: Arc<AttributeLayout>,
 }
 
 impl DrawKind {
-    /// The same, the state apart.
+    /// Returns true if all but the state are equal.
     fn is_like(&self, other: &Self) -> bool {
         let flags = |k: &Self| (k.topology, k.is_masked, k.double_sided, k.mirrored, k.is_small, k.vertex_format);
         flags(self) == flags(other) && self.attributes == other.attributes
@@ -42,8 +42,8 @@ impl DrawKind {
 }
 
 impl Scene {
-    /// The kinds of drawables of a page that is to hang in a slot, or to be a root; each once. Its drawables must not
-    /// have been taken.
+    /// Returns the kinds of drawables of a page that will be attached to a slot, or be a root; each once. The drawables must
+    /// not have been taken.
     pub fn draw_kinds(&self, slot: Option<NodeId>, page: &Page) -> Vec<DrawKind> {
         let above = slot.map_or_else(Arc::default, |slot| self.state_above(slot));
         let world_from_page =
@@ -54,12 +54,12 @@ impl Scene {
             let mesh = match &drawable.geometry {
                 Geometry::Height(_) => None,
                 Geometry::Mesh(mesh) => Some(mesh),
-                // Its pipelines are its own.
+                // The application creates the pipelines of custom geometry.
                 Geometry::Custom(_) => continue,
             };
             let linear = page.transforms().page_from_node(of.transform).matrix3;
             let kind = DrawKind {
-                // Resolved where the kind is a new one.
+                // The state is resolved below if the kind is new.
                 state: above.clone(),
                 topology: mesh.map(|mesh| mesh.topology),
                 is_masked: matches!(drawable.material.alpha, AlphaMode::Mask(_)),
@@ -80,7 +80,7 @@ impl Scene {
         met.into_iter().map(|(_, kind)| kind).collect()
     }
 
-    /// What the state sets above the content of a slot come to, those of cameras apart.
+    /// Resolves the state sets above the content of a slot, without those of cameras.
     fn state_above(&self, slot: NodeId) -> Arc<ResolvedState> {
         let mut slots = vec![slot];
         while let Some(above) = slots.last().and_then(|slot| self.slot_at(slot.page.slot)) {
@@ -97,7 +97,7 @@ impl Scene {
     }
 }
 
-/// The states of a page's paths, as they are asked for.
+/// Resolves the state paths of a page on demand and caches the results.
 struct Resolving<'a> {
     page: &'a Page,
     known: Vec<Option<Arc<ResolvedState>>>,
@@ -110,7 +110,7 @@ impl<'a> Resolving<'a> {
     }
 
     fn at(&mut self, path: u32) -> Arc<ResolvedState> {
-        // Down again from the first path that is known.
+        // Walks up to the first path that is known, then resolves downwards.
         let mut below = Vec::new();
         let (mut at, mut state) = (path, self.root.clone());
         while at != 0 && at != NONE {

@@ -1,12 +1,12 @@
-//! What can go wrong when a scene is built or changed.
+//! Errors of building and changing scenes and meshes.
 
 use super::{AttributeFormat, NodeId, PageId};
 
-/// Why a scene operation was refused. Nothing was changed when one is returned.
+/// Why a scene operation was refused. The scene is unchanged when an error is returned.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SceneError {
-    /// Only tiles and proxies may hang below a tile or proxy.
-    #[error("a {kind} hangs below a tile; only PagedLod and ProxyNode may")]
+    /// A node other than a tile or proxy is below a tile or proxy.
+    #[error("a {kind} is below a tile, where only PagedLod and ProxyNode are allowed")]
     TileChild {
         /// The kind's name.
         kind: &'static str,
@@ -17,10 +17,10 @@ pub enum SceneError {
         /// The limit.
         limit: usize,
     },
-    /// More nodes, drawables or transforms than 32-bit indices name.
+    /// The graph has more nodes, drawables or transforms than 32-bit indices allow.
     #[error("the graph has too many nodes, drawables or transforms")]
     TooLarge,
-    /// The page is not (any more) in the scene.
+    /// The page is not in the scene, or no longer.
     #[error("page {}.{} is not in the scene", page.slot, page.generation)]
     StalePage {
         /// The handle given.
@@ -32,24 +32,24 @@ pub enum SceneError {
         /// The handle given.
         node: NodeId,
     },
-    /// The node has no place for a page.
+    /// The node has no slot for a page.
     #[error("node {} has no content slot", node.index)]
     NotASlot {
         /// The handle given.
         node: NodeId,
     },
-    /// Another page is there already.
+    /// Another page is in the slot.
     #[error("the slot of node {} is taken", node.index)]
     SlotTaken {
         /// The handle given.
         node: NodeId,
     },
-    /// Other pages still hang in the page's slots.
-    #[error("{count} pages hang in page {}.{}", page.slot, page.generation)]
+    /// Other pages are attached to the page's slots.
+    #[error("{count} pages are attached to page {}.{}", page.slot, page.generation)]
     HasPages {
         /// The handle given.
         page: PageId,
-        /// How many.
+        /// The number of attached pages.
         count: u32,
     },
     /// A root page is removed with `remove_root`.
@@ -86,7 +86,7 @@ pub enum SceneError {
         /// The drawable given.
         drawable: usize,
     },
-    /// A transform with NaN or infinite entries.
+    /// A transform has NaN or infinite entries.
     #[error("the transform is not finite")]
     NotFinite,
 }
@@ -94,38 +94,38 @@ pub enum SceneError {
 /// Why a mesh was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MeshError {
-    /// Not one element of an attribute for each vertex.
+    /// An attribute does not have one element for each vertex.
     #[error("attribute {name:?} of {format:?} has {bytes} bytes for {vertices} vertices of {} each", .format.size_bytes())]
     AttributeLength {
-        /// Of the attribute.
+        /// The name of the attribute.
         name: String,
-        /// Given for its elements.
+        /// The format given.
         format: AttributeFormat,
-        /// Of the mesh.
+        /// The number of vertices of the mesh.
         vertices: usize,
-        /// Given.
+        /// The number of bytes given.
         bytes: usize,
     },
-    /// A name that the mesh or all meshes have.
+    /// The mesh, or every mesh, has an attribute of that name.
     #[error("a mesh has an attribute {name:?} already")]
     AttributeTwice {
-        /// Of the attribute.
+        /// The name of the attribute.
         name: String,
     },
-    /// More than [`MAX_ATTRIBUTES`](super::MAX_ATTRIBUTES).
+    /// The mesh would have more than [`MAX_ATTRIBUTES`](super::MAX_ATTRIBUTES).
     #[error("attribute {name:?} is one more than the {limit} that a mesh can have")]
     TooManyAttributes {
-        /// Of the attribute.
+        /// The name of the attribute.
         name: String,
         /// The limit.
         limit: usize,
     },
-    /// An index of no vertex.
-    #[error("index {index} of {vertices} vertices")]
+    /// An index is out of range.
+    #[error("index {index} is out of range: the mesh has {vertices} vertices")]
     IndexOutside {
         /// The first such index.
         index: u32,
-        /// Of the mesh.
+        /// The number of vertices of the mesh.
         vertices: usize,
     },
 }

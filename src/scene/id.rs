@@ -7,21 +7,21 @@ use std::sync::atomic::{AtomicU32, Ordering};
 /// Stands for "no index".
 pub(crate) const NONE: u32 = u32::MAX;
 
-/// Tells a [`super::Scene`] from all others of the process. It is in each of its handles, so that what serves several
-/// scenes, a pager say, knows whose they are; another scene does not know them.
+/// Distinguishes a [`super::Scene`] from all others of the process. Every handle contains it: a pager that serves several
+/// scenes knows whose a handle is, and a scene rejects handles of another one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-// None is 0, so that an optional handle takes no more room than a handle.
+// Not zero, so that an optional handle is as small as a handle.
 pub struct SceneNumber(NonZeroU32);
 
 impl SceneNumber {
-    /// One that no scene had before, counted from 1.
+    /// Returns a number that no scene had before, counted from 1.
     pub(super) fn next() -> Self {
         static SCENES: AtomicU32 = AtomicU32::new(1);
-        // Four thousand million scenes later numbers begin again.
+        // After four thousand million scenes the numbers repeat.
         Self(NonZeroU32::new(SCENES.fetch_add(1, Ordering::Relaxed)).unwrap_or(NonZeroU32::MIN))
     }
 
-    /// The number.
+    /// Returns the number.
     pub fn get(self) -> u32 {
         self.0.get()
     }
@@ -33,18 +33,18 @@ impl fmt::Display for SceneNumber {
     }
 }
 
-/// Names one page of a [`super::Scene`]; stale once the page was detached.
+/// Identifies a page of a [`super::Scene`]; stale once the page was detached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct PageId {
     /// The scene that has the page.
     pub scene: SceneNumber,
-    /// Place in the scene's page table.
+    /// The position in the scene's page table.
     pub slot: u32,
-    /// Counts how often that place was reused.
+    /// The number of times that the position was reused.
     pub generation: u32,
 }
 
-/// Names one node: a page and the node's depth-first index in it.
+/// Identifies a node: a page and the node's depth-first index in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct NodeId {
     /// The page that holds the node.
@@ -57,7 +57,7 @@ pub struct NodeId {
 mod tests {
     use super::*;
 
-    /// Entries of the table of pages, which culls read, are no larger than without the scene's number.
+    /// The page table, which culls read, does not grow by the scene's number.
     #[test]
     fn an_optional_handle_is_as_large_as_a_handle() {
         assert_eq!((size_of::<PageId>(), size_of::<Option<NodeId>>()), (12, 16));

@@ -1,7 +1,7 @@
 //! Formats of vertex attributes, with the names that wgpu gives them. Plain values.
 
-/// How the elements of an attribute lie in memory; wgpu's names. Those of `Float`, `Unorm` and `Snorm` are f32 to
-/// programs, those of `Uint` u32, those of `Sint` i32.
+/// The memory layout of an attribute's elements, with wgpu's names. Programs read `Float`, `Unorm` and `Snorm` as f32, `Uint`
+/// as u32 and `Sint` as i32.
 #[allow(missing_docs, reason = "wgpu's names")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum AttributeFormat {
@@ -34,7 +34,7 @@ pub enum AttributeFormat {
 }
 
 impl AttributeFormat {
-    /// Bytes of an element, a multiple of four.
+    /// Returns the bytes of an element, a multiple of four.
     pub const fn size_bytes(self) -> usize {
         use AttributeFormat::*;
         match self {
@@ -48,7 +48,7 @@ impl AttributeFormat {
         }
     }
 
-    /// WGSL's name of the scalars that programs read.
+    /// Returns WGSL's name of the scalar type that programs read.
     pub const fn scalar(self) -> &'static str {
         use AttributeFormat::*;
         match self {

@@ -10,28 +10,28 @@ use super::shape::Geometry;
 use crate::math::Aabb;
 use crate::scene::sharing::SharedParts;
 
-/// One thing to draw.
+/// A shape with a surface, which is drawn by one draw call or a part of one.
 #[derive(Clone, Debug)]
 pub struct Drawable {
-    /// Shape.
+    /// The shape.
     pub geometry: Geometry,
-    /// Surface (height tiles carry their own texture; the factor still applies).
+    /// The surface. Height tiles carry their own texture; the colour factor still applies.
     pub material: Material,
-    /// Where its faces look, for [`CullingMode::CLUSTER`](super::CullingMode::CLUSTER).
+    /// The cone of its normals, for [`CullingMode::CLUSTER`](crate::scene::CullingMode::CLUSTER).
     pub cluster: Option<NormalCone>,
-    /// What others have too, if a [`SharedStateManager`](super::SharedStateManager) has looked.
+    /// Contents shared with other drawables, set by a [`SharedStateManager`](crate::scene::SharedStateManager).
     pub(crate) shared: SharedParts,
-    /// What its reader found the vertices of a mesh to be.
+    /// The vertex format that the reader found for a mesh.
     vertex_format: Option<(Weak<Mesh>, VertexFormat)>,
 }
 
 impl Drawable {
-    /// A shape with a surface.
+    /// Creates a drawable.
     pub fn new(geometry: Geometry, material: Material) -> Self {
         Self { geometry, material, cluster: None, shared: SharedParts::default(), vertex_format: None }
     }
 
-    /// The same, of a mesh whose vertices are known to take this format.
+    /// Stores the vertex format that a reader found for the mesh.
     pub(crate) fn with_vertex_format(mut self, format: VertexFormat) -> Self {
         if let Geometry::Mesh(mesh) = &self.geometry {
             self.vertex_format = Some((Arc::downgrade(mesh), format));
@@ -39,21 +39,21 @@ impl Drawable {
         self
     }
 
-    /// How the vertices of a mesh are to lie on the adapter. They are all looked at where no reader has.
+    /// Returns the vertex format for the upload of a mesh. Checks all vertices if no reader has done so.
     pub(crate) fn vertex_format(&self) -> VertexFormat {
         let Geometry::Mesh(mesh) = &self.geometry else { return VertexFormat::Full };
         if mesh.indices.len() <= SMALL_MESH_INDICES as usize || !mesh.attributes.is_empty() {
             return VertexFormat::Full;
         }
         match &self.vertex_format {
-            // The pointer keeps the mesh from being changed in its place, and its address from another mesh.
+            // The weak pointer prevents that the mesh is modified directly, or that another one gets its address.
             Some((known, format)) if std::ptr::eq(known.as_ptr(), Arc::as_ptr(mesh)) => *format,
             _ if mesh.vertices.iter().all(MeshVertex::packs) => VertexFormat::Packed,
             _ => VertexFormat::Full,
         }
     }
 
-    /// The same with the cone of its triangles' normals, unless they look too far apart for one.
+    /// Adds the cone of its triangles' normals, unless the normals diverge too far or the material is double-sided.
     pub fn with_cluster_culling(mut self) -> Self {
         if let (Geometry::Mesh(mesh), false) = (&self.geometry, self.material.double_sided) {
             self.cluster = mesh.normal_cone();
@@ -61,12 +61,12 @@ impl Drawable {
         self
     }
 
-    /// Box around the drawable in its own frame.
+    /// Returns the box around the drawable in its own frame.
     pub fn bounds(&self) -> Aabb {
         self.geometry.bounds()
     }
 
-    /// Bytes of CPU memory the payload holds.
+    /// Returns the bytes of CPU memory that the payload holds.
     pub fn size_bytes(&self) -> u64 {
         let texture_bytes =
             |t: &Option<Arc<Texture>>| -> u64 { t.iter().flat_map(|t| t.mips.iter()).map(|m| m.len() as u64).sum() };

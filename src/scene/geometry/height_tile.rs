@@ -31,14 +31,14 @@ pub struct HeightTile {
     pub p0_m: f32,
     /// Level of the tile, root 0.
     pub level: u32,
-    /// Geometric errors in metres of the levels `level-1, level-2, ...` (as many as exist, at most 6): where
-    /// a vertex morphs into the coarser grid depends on the level and the distance only, so that neighbours agree.
+    /// Geometric errors in metres of the levels `level-1, level-2, ...` (at most 6). Where a vertex morphs into the coarser
+    /// grid depends only on the level and the distance, so that neighbours agree.
     pub coarser_errors_m: Vec<f32>,
     /// Depth of the skirt in metres.
     pub skirt_m: f32,
     /// Size of a cell at the tile's centre, metres east and north (for normals).
     pub cell_m: [f32; 2],
-    /// Colour, north up (row 0 is the northern edge); white when absent.
+    /// The colour, north up (row 0 is the northern edge); white if absent.
     pub texture: Option<Arc<Texture>>,
     /// Box around the tile in its frame, skirt included.
     pub bounds: Aabb,

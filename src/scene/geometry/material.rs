@@ -13,7 +13,7 @@ pub struct Texture {
     pub height: u32,
     /// Rows top to bottom, 4 bytes a texel; one entry per level.
     pub mips: Vec<Vec<u8>>,
-    /// What is outside 0..1 along u and along v.
+    /// How texture coordinates outside 0..1 wrap, along u and along v.
     pub wrap: [WrapMode; 2],
 }
 
@@ -29,24 +29,24 @@ pub enum AlphaMode {
     /// Alpha is ignored.
     #[default]
     Opaque,
-    /// Fragments below the cutoff are dropped.
+    /// Fragments with alpha below the cutoff are discarded.
     Mask(f32),
-    /// Blended over what is behind; goes to the depth-sorted transparent bin.
+    /// The material is blended over what is behind it, in the depth-sorted transparent bin.
     Blend,
 }
 
-/// Surface of a mesh; the part of glTF's material that is drawn.
+/// The surface of a drawable: the part of glTF's material that is drawn.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
-    /// Linear RGBA factor.
+    /// A linear RGBA factor.
     pub base_color: [f32; 4],
-    /// Multiplied with the factor when present.
+    /// A texture that is multiplied by the factor.
     pub texture: Option<Arc<Texture>>,
-    /// Use of alpha.
+    /// How alpha is used.
     pub alpha: AlphaMode,
-    /// Draw back faces too.
+    /// If true, back faces are drawn too.
     pub double_sided: bool,
-    /// Not lit by the sun (KHR_materials_unlit).
+    /// If true, the surface is not lit (KHR_materials_unlit).
     pub unlit: bool,
 }
 

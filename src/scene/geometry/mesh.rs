@@ -11,7 +11,7 @@ use crate::scene::error::MeshError;
 /// Meshes with at most this number of indices are drawn many by one call.
 pub(crate) const SMALL_MESH_INDICES: u32 = 48;
 
-/// One vertex of a [`Mesh`], as the GPU reads it (28 bytes).
+/// A vertex of a [`Mesh`], as the GPU reads it (28 bytes).
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct MeshVertex {
@@ -19,31 +19,32 @@ pub struct MeshVertex {
     pub position: [f32; 3],
     /// Texture coordinates, origin at the image's upper left.
     pub uv: [f32; 2],
-    /// Unit normal as snorm8; w unused. Zero means none: the shader then uses the facet's normal.
+    /// Unit normal as snorm8; w is unused. If it is zero, the shader uses the facet's normal.
     pub normal: [i8; 4],
     /// Linear colour factor as unorm8.
     pub color: [u8; 4],
 }
 
 impl MeshVertex {
-    /// Half a step of unorm16.
+    /// Half a step of unorm16, the rounding error of packed texture coordinates.
     const UV_SLACK: f32 = 0.5 / 65535.0;
 
+    /// Returns true if [`VertexFormat::Packed`] can hold the vertex.
     pub(crate) fn packs(&self) -> bool {
         let is_within = |x: f32| (-Self::UV_SLACK..=1.0 + Self::UV_SLACK).contains(&x);
         self.color == [255; 4] && is_within(self.uv[0]) && is_within(self.uv[1])
     }
 }
 
-/// How the vertices of a mesh lie on the adapter: in as few bytes as lose nothing visible.
+/// The layout of a mesh's vertices in GPU memory. The smallest one without visible loss is chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum VertexFormat {
-    /// As a [`MeshVertex`]. Small meshes, and those with further attributes, always do.
+    /// The layout of a [`MeshVertex`], 28 bytes. Small meshes and meshes with custom attributes always use it.
     #[default]
     Full,
-    /// White, with texture coordinates of 0 to 1: 20 bytes.
+    /// White, with texture coordinates of 0 to 1; 20 bytes.
     Packed,
-    /// `Packed`, with positions that were read from 16 bits each, of 0 to 1: 16 bytes.
+    /// `Packed`, with positions that were read as 16-bit values of 0 to 1; 16 bytes.
     Quantized,
 }
 
@@ -59,7 +60,7 @@ pub enum Topology {
     Points,
 }
 
-/// Indexed geometry in a frame of its own.
+/// Indexed geometry in a separate frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
     /// Vertices.
@@ -70,12 +71,12 @@ pub struct Mesh {
     pub topology: Topology,
     /// Box around the positions.
     pub bounds: Aabb,
-    /// What vertices have beside a [`MeshVertex`], for programs; mostly nothing.
+    /// Custom attributes of the vertices, for programs; usually none.
     pub attributes: VertexAttributes,
 }
 
 impl Default for Mesh {
-    /// Nothing at all.
+    /// Returns a mesh without vertices.
     fn default() -> Self {
         Self {
             vertices: Vec::new(),
@@ -88,19 +89,19 @@ impl Default for Mesh {
 }
 
 impl Mesh {
-    /// Of so few triangles that shaders fetch the vertices of many such meshes in one call; with further attributes they
-    /// do not.
+    /// Returns true if the mesh has so few triangles that many such meshes are drawn by one call. Meshes with custom
+    /// attributes are not.
     pub(crate) fn is_small(&self) -> bool {
         let is_short = (3..=SMALL_MESH_INDICES as usize).contains(&self.indices.len());
         is_short && self.topology == Topology::Triangles && self.attributes.is_empty()
     }
 
-    /// The same with a further attribute of its vertices, one element for each: `values` are taken as the bytes that they
-    /// are. [`Program`](crate::state::Program)s read it under its name, other shading takes no notice. Not a name that a
-    /// [`MeshVertex`](super::MeshVertex) has. Where vertices are added later the mesh fails to upload.
+    /// Adds a custom attribute with one element per vertex, whose bytes are those of `values`.
+    /// [`Program`](crate::state::Program)s read it by its name; built-in shading ignores it. The name must differ from the
+    /// fields of [`MeshVertex`]. If vertices are added later, the upload of the mesh fails.
     ///
-    /// Meshes with further attributes lie on the adapter as they come and are not drawn many by one call where they are
-    /// small. Those of fifteen different lists of names and formats may be uploaded at once.
+    /// Meshes with custom attributes are uploaded with [`VertexFormat::Full`], and small ones are not drawn many by one
+    /// call. At most fifteen different lists of names and formats can be resident at once.
     pub fn with_attribute<T: bytemuck::NoUninit>(
         mut self,
         name: &str,

@@ -4,23 +4,23 @@ use glam::DVec3;
 
 use super::mesh::{Mesh, Topology};
 
-/// The directions in which a drawable's faces look: it is culled from where none can be seen; OSG's
+/// A cone around the normals of a drawable's faces. The drawable is culled if the eye can see none of the faces; OSG's
 /// `ClusterCullingCallback`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalCone {
-    /// Middle, in the drawable's frame.
+    /// The centre, in the drawable's frame.
     pub control_point: DVec3,
-    /// Mean direction of the faces, unit.
+    /// The mean direction of the faces, of unit length.
     pub normal: DVec3,
-    /// Culled where the cosine between `normal` and the direction to the eye is smaller.
+    /// The drawable is culled if the cosine between `normal` and the direction to the eye is smaller.
     pub least_cosine: f64,
-    /// Nearer eyes see it always, metres.
+    /// The distance below which the drawable is never culled, metres.
     pub radius_m: f64,
 }
 
 impl Mesh {
-    /// The directions in which the triangles look; `None` without triangles, or where they look apart by 90 degrees
-    /// or more from their mean.
+    /// Returns the cone around the normals of the triangles; `None` if there are no triangles, or if some normal is 90 degrees
+    /// or more from the mean.
     pub fn normal_cone(&self) -> Option<NormalCone> {
         if self.topology != Topology::Triangles {
             return None;
@@ -41,8 +41,8 @@ impl Mesh {
         let control_point = self.bounds.center();
         let distance = |p: DVec3| p.distance(control_point);
         let radius_m = unit().flat_map(|(corners, _)| corners).map(distance).fold(0.0, f64::max);
-        // A face looks away from directions more than 90 degrees from its normal; seen from outside of `radius`, a
-        // corner's direction to the eye differs from the middle's by less than that of a sphere twice as far.
+        // A face looks away from directions more than 90 degrees from its normal. From outside twice the radius, the directions
+        // to the eye from a corner and from the centre differ by less than asin(1/2).
         let half_angle = widest.min(1.0).acos();
         let from_middle = 0.5f64.asin();
         Some(NormalCone {

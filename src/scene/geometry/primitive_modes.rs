@@ -1,38 +1,38 @@
-//! Primitives of all kinds as lists of indices: strips, loops, fans, quads. Made anywhere, by applications and by the
-//! readers of files.
+//! Conversion of strips, loops, fans and quads to lists of points, lines or triangles. Any thread; used by applications and
+//! file readers.
 
 use std::sync::Arc;
 
 use super::mesh::{Mesh, MeshVertex, Topology};
 use crate::scene::error::MeshError;
 
-/// How vertices that follow one another form primitives; OSG's `PrimitiveSet::Mode`, glTF's `mode`.
+/// How consecutive vertices form primitives; OSG's `PrimitiveSet::Mode`, glTF's `mode`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum PrimitiveMode {
-    /// One each.
+    /// Each vertex is a point.
     Points,
-    /// Two each.
+    /// Every two vertices are a line.
     Lines,
-    /// From each to the next.
+    /// Lines from each vertex to the next.
     LineStrip,
-    /// The same, and from the last to the first.
+    /// A `LineStrip` that is closed by a line from the last vertex to the first.
     LineLoop,
-    /// Three each, counter-clockwise front; so are all that follow.
+    /// Every three vertices are a triangle, counter-clockwise front, as in all modes below.
     Triangles,
-    /// Each with the two before it, every second one turned around.
+    /// Each vertex with the two before it, every second triangle reversed.
     TriangleStrip,
-    /// Each with the one before it and the first.
+    /// Each vertex with the one before it and the first.
     TriangleFan,
-    /// Four each, around a convex area.
+    /// Every four vertices surround a convex area.
     Quads,
-    /// Each two with the two before them.
+    /// Every two vertices with the two before them.
     QuadStrip,
-    /// All of them around one convex area.
+    /// All vertices surround one convex area.
     Polygon,
 }
 
 impl PrimitiveMode {
-    /// Indices, at most, that [`Self::assemble`] makes of so many; none where it takes the list as it is.
+    /// Returns the maximum number of indices that [`Self::assemble`] allocates for `count`; 0 if it uses the list unchanged.
     pub(crate) fn assembled(self, count: usize) -> usize {
         match self {
             Self::Points => 0,
@@ -44,8 +44,8 @@ impl PrimitiveMode {
         }
     }
 
-    /// As a list of points, lines or triangles; what is left over of incomplete ones is not drawn. Triangles of strips,
-    /// fans and quads that have a corner twice, which join strips, are left out.
+    /// Converts indices to a list of points, lines or triangles. Incomplete primitives are dropped, and so are degenerate
+    /// triangles of strips, fans and quads, which join strips.
     pub(crate) fn assemble(self, i: Arc<[u32]>) -> (Topology, Arc<[u32]>) {
         let whole = |n: usize| -> Arc<[u32]> {
             if i.len().is_multiple_of(n) { i.clone() } else { i[..i.len() - i.len() % n].into() }
@@ -82,14 +82,14 @@ impl PrimitiveMode {
 }
 
 impl Mesh {
-    /// All vertices in their order as primitives of any kind, with the box around them; OSG's `DrawArrays`.
+    /// Creates a mesh of all vertices in their order, with the box around them; OSG's `DrawArrays`.
     pub fn from_arrays(mode: PrimitiveMode, vertices: Vec<MeshVertex>) -> Self {
         let all = (0..=u32::MAX).zip(&vertices).map(|(index, _)| index).collect();
         Self::assembled(mode, vertices, all)
     }
 
-    /// Vertices in the order of indices of 8, 16 or 32 bits as primitives of any kind, with the box around all vertices;
-    /// OSG's `DrawElements`. No index begins a strip anew.
+    /// Creates a mesh of vertices in the order of 8, 16 or 32-bit indices, with the box around all vertices; OSG's
+    /// `DrawElements`. There is no index that restarts a strip. Fails if an index is out of range.
     pub fn from_elements<I: Copy + Into<u32>>(
         mode: PrimitiveMode,
         vertices: Vec<MeshVertex>,
@@ -113,9 +113,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_mode_is_a_list_of_points_lines_or_triangles() {
+    fn every_mode_becomes_a_list() {
         use PrimitiveMode::*;
-        // Seven of them: some are left over.
+        // Seven vertices leave some over in every mode.
         let seven = |mode: PrimitiveMode| {
             let (topology, list) = mode.assemble((0..7).collect());
             assert!(list.len() <= mode.assembled(7).max(7), "{mode:?}");
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn strips_that_are_joined_keep_their_sides() {
+    fn joined_strips_keep_their_front_sides() {
         let joined = [0, 1, 2, 3, 3, 4, 4, 5, 6, 7];
         let (_, list) = PrimitiveMode::TriangleStrip.assemble(joined.into());
         assert_eq!(*list, [0, 1, 2, 2, 1, 3, 4, 5, 6, 6, 5, 7]);

@@ -7,31 +7,31 @@ use super::mesh::Mesh;
 use crate::math::Aabb;
 use crate::state::DrawHook;
 
-/// What the application draws itself, made by `draw::custom_geometry`. It is culled, sorted and faded like any
-/// other, casts no shadow and is not met by intersections.
+/// Geometry that the application draws itself, created by `draw::custom_geometry`. It is culled, sorted and faded like any
+/// other, casts no shadow and is ignored by intersections.
 #[derive(Clone, Debug)]
 pub struct CustomGeometry {
-    /// Box around it in its own frame; what lies outside may be culled.
+    /// A box around it in its own frame; anything outside may be culled.
     pub bounds: Aabb,
-    /// CPU memory that it holds.
+    /// The CPU memory that it holds, bytes.
     pub size_bytes: u64,
-    /// Made by and given back to `draw`.
+    /// The application's draw function, created by and handed back to `draw`.
     pub hook: DrawHook,
 }
 
-/// Geometry of a [`Drawable`].
+/// The geometry of a [`Drawable`](super::Drawable).
 #[derive(Clone, Debug)]
 pub enum Geometry {
     /// Indexed primitives.
     Mesh(Arc<Mesh>),
-    /// Heights on the shared grid.
+    /// Heights on the shared grid mesh.
     Height(Arc<HeightTile>),
-    /// Drawn by the application.
+    /// Geometry that the application draws.
     Custom(CustomGeometry),
 }
 
 impl Geometry {
-    /// Box around it in its own frame.
+    /// Returns the box around the geometry in its own frame.
     pub fn bounds(&self) -> Aabb {
         match self {
             Self::Mesh(mesh) => mesh.bounds,

@@ -1,4 +1,4 @@
-//! Simple shapes for applications, tests and overlays; OSG's `ShapeDrawable`. Anywhere, not frame time.
+//! Simple shapes for applications, tests and overlays; OSG's `ShapeDrawable`. Any thread; not frame-time code.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -15,13 +15,13 @@ fn vertex(position: DVec3, normal: DVec3, uv: [f32; 2]) -> MeshVertex {
 }
 
 impl Mesh {
-    /// Vertices and indices with the box around them.
+    /// Creates a mesh with the box around its vertices.
     pub fn new(vertices: Vec<MeshVertex>, indices: Vec<u32>, topology: Topology) -> Self {
         let bounds = Aabb::from_points(vertices.iter().map(|v| DVec3::from_array(v.position.map(f64::from))));
         Self { vertices, indices: indices.into(), topology, bounds, ..Self::default() }
     }
 
-    /// A rectangle from a corner along two edges; it faces `right x up`, the image upright on it.
+    /// Creates a rectangle from a corner along two edges. It faces `right x up`, with an upright texture.
     pub fn rectangle(corner: DVec3, right: DVec3, up: DVec3) -> Self {
         let normal = right.cross(up).normalize_or(DVec3::Z);
         let corners = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)];
@@ -29,14 +29,14 @@ impl Mesh {
         Self::new(corners.map(at).to_vec(), vec![0, 1, 2, 0, 2, 3], Topology::Triangles)
     }
 
-    /// A box with flat faces, each with the whole image on it.
+    /// Creates a box with flat faces, each with the whole texture.
     pub fn cuboid(bounds: &Aabb) -> Self {
         let (center, half) = (bounds.center(), bounds.half_size());
         let mut all = (Vec::new(), Vec::new());
         for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
             for side in [1.0, -1.0] {
                 let normal = side * axis;
-                // Sides stand upright.
+                // The texture is upright on the sides.
                 let up = if axis == DVec3::Z { DVec3::Y } else { DVec3::Z };
                 let (right, up) = (up.cross(normal) * half * 2.0, up * half * 2.0);
                 let face = Self::rectangle(center + normal * half - 0.5 * (right + up), right, up);
@@ -48,7 +48,7 @@ impl Mesh {
         Self::new(all.0, all.1, Topology::Triangles)
     }
 
-    /// A ball of so many segments around (3 at least) and half as many from pole to pole.
+    /// Creates a sphere with a number of segments around (at least 3) and half as many from pole to pole.
     pub fn sphere(center: DVec3, radius_m: f64, segments: u32) -> Self {
         let around = segments.clamp(3, 1024);
         let down = (around / 2).max(2);
@@ -70,7 +70,7 @@ impl Mesh {
         Self::new(vertices, indices, Topology::Triangles)
     }
 
-    /// Segments between neighbouring points.
+    /// Creates line segments between consecutive points.
     pub fn polyline(points: &[DVec3]) -> Self {
         let vertices = points.iter().map(|p| vertex(*p, DVec3::ZERO, [0.0; 2])).collect();
         let indices = (1..points.len() as u32).flat_map(|i| [i - 1, i]).collect();
@@ -88,14 +88,14 @@ impl From<Mesh> for Geometry {
 mod tests {
     use super::*;
 
-    /// Six times the volume that the triangles enclose: positive when all look outwards.
+    /// Returns the volume that the triangles enclose; positive if all face outwards.
     fn volume(mesh: &Mesh) -> f64 {
         let at = |i: u32| DVec3::from_array(mesh.vertices[i as usize].position.map(f64::from));
         mesh.indices.chunks_exact(3).map(|t| at(t[0]).dot(at(t[1]).cross(at(t[2])))).sum::<f64>() / 6.0
     }
 
     #[test]
-    fn faces_look_outwards() {
+    fn faces_point_outwards() {
         let bounds = Aabb { min: DVec3::new(-1.0, -2.0, -0.5), max: DVec3::new(1.0, 2.0, 1.5) };
         let cuboid = Mesh::cuboid(&bounds);
         assert!((volume(&cuboid) - 16.0).abs() < 1e-6);
@@ -122,7 +122,7 @@ mod tests {
         assert!(Mesh::cuboid(&bounds).normal_cone().is_none(), "faces all around");
         let cone = Mesh::rectangle(DVec3::ZERO, DVec3::X, DVec3::Y).normal_cone().expect("one face");
         assert!(cone.normal.distance(DVec3::Z) < 1e-9 && cone.radius_m > 0.7);
-        // Culled from behind, not from aside nor from before.
+        // Culled from behind, not from the side or the front.
         let culled = |eye: DVec3| {
             let to_eye = eye - cone.control_point;
             to_eye.length() > cone.radius_m && to_eye.normalize().dot(cone.normal) < cone.least_cosine

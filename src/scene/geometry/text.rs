@@ -1,5 +1,5 @@
-//! Text as a drawable: a picture of the glyphs on a rectangle, for labels and overlays; OSG's `osgText`. Anywhere, not
-//! frame time.
+//! Text as a drawable: a texture of the glyphs on a rectangle, for labels and overlays; OSG's `osgText`. Any thread; not
+//! frame-time code.
 
 use std::sync::Arc;
 
@@ -10,9 +10,9 @@ use super::drawable::Drawable;
 use super::material::{AlphaMode, Material, Texture};
 use super::mesh::Mesh;
 
-/// Texels of a line's height, where that many fit.
+/// The height of a line in texels, unless the texture would be too large.
 const LINE_PX: f32 = 48.0;
-/// Largest side of the picture.
+/// The largest side of the texture in texels.
 const MAX_PX: f32 = 4096.0;
 
 /// A typeface.
@@ -20,20 +20,20 @@ const MAX_PX: f32 = 4096.0;
 pub struct Font(FontArc);
 
 impl Default for Font {
-    /// Ubuntu Light, which comes along.
+    /// Returns Ubuntu Light, which is part of the program.
     fn default() -> Self {
         let bytes = epaint_default_fonts::UBUNTU_LIGHT;
-        Self(FontArc::try_from_slice(bytes).expect("the font that comes along can be read"))
+        Self(FontArc::try_from_slice(bytes).expect("the built-in font is valid"))
     }
 }
 
 impl Font {
-    /// A TrueType or OpenType font by its bytes; `None` when they are none.
+    /// Reads a TrueType or OpenType font; `None` if the bytes are not a font.
     pub fn from_bytes(bytes: Vec<u8>) -> Option<Self> {
         FontArc::try_from_vec(bytes).ok().map(Self)
     }
 
-    /// Glyphs with their places in texels from the upper left, and the size of the picture around them.
+    /// Returns glyphs with their positions in texels from the upper left, and the size of the texture around them.
     fn layout(&self, text: &str, line_px: f32) -> (Vec<Glyph>, [f32; 2]) {
         let font = self.0.as_scaled(PxScale::from(line_px));
         let line_height = font.height() + font.line_gap();
@@ -56,8 +56,8 @@ impl Font {
 }
 
 impl Drawable {
-    /// Lines of text in the x-y plane, facing +z: the lower left corner at the origin, `height_m` a line. Blended and
-    /// not lit. Empty text is an invisible rectangle.
+    /// Creates lines of text in the x-y plane, facing +z: the lower left corner is at the origin, a line is `height_m` high.
+    /// The material is blended and unlit. Empty text is an invisible rectangle.
     pub fn text(font: &Font, text: &str, height_m: f64, color: [f32; 4]) -> Self {
         let (mut glyphs, mut size) = font.layout(text, LINE_PX);
         let too_large = (size[0].max(size[1]) / MAX_PX).max(1.0);
@@ -82,7 +82,7 @@ impl Drawable {
         let (right, up) = (f64::from(width) * metres * DVec3::X, f64::from(height) * metres * DVec3::Y);
         let material = Material {
             base_color: color,
-            texture: Some(Arc::new(picture(width, height, coverage))),
+            texture: Some(Arc::new(coverage_texture(width, height, coverage))),
             alpha: AlphaMode::Blend,
             double_sided: true,
             unlit: true,
@@ -91,8 +91,8 @@ impl Drawable {
     }
 }
 
-/// White with alpha, and its mip levels.
-fn picture(width: u32, height: u32, coverage: Vec<f32>) -> Texture {
+/// Returns a white texture whose alpha is the coverage, with its mip levels.
+fn coverage_texture(width: u32, height: u32, coverage: Vec<f32>) -> Texture {
     let mut mips = Vec::new();
     let (mut w, mut h, mut level) = (width as usize, height as usize, coverage);
     loop {
@@ -116,14 +116,14 @@ mod tests {
     use crate::scene::Geometry;
 
     fn inked(drawable: &Drawable) -> f64 {
-        let texture = drawable.material.texture.as_ref().expect("a picture");
+        let texture = drawable.material.texture.as_ref().expect("a texture");
         assert_eq!(texture.mips.len(), 32 - texture.width.max(texture.height).leading_zeros() as usize);
         let dark = texture.mips[0].chunks_exact(4).filter(|p| p[3] > 127).count();
         dark as f64 / f64::from(texture.width * texture.height)
     }
 
     #[test]
-    fn letters_leave_ink_and_lines_add_height() {
+    fn letters_cover_pixels_and_lines_add_height() {
         let font = Font::default();
         let text = |t: &str| Drawable::text(&font, t, 2.0, [1.0; 4]);
         let one = text("Terrane 123");
@@ -136,7 +136,7 @@ mod tests {
         assert!((size(&one).y - 2.0).abs() < 0.6, "{}", size(&one).y);
         let two = size(&text("Terrane 123\nand more"));
         assert!((two.y / size(&one).y - 2.0).abs() < 0.1);
-        assert!(size(&text(&"wide ".repeat(2_000))).x > 1_000.0, "beyond the largest picture");
+        assert!(size(&text(&"wide ".repeat(2_000))).x > 1_000.0, "beyond the largest texture");
         assert!(Font::from_bytes(vec![1, 2, 3]).is_none());
     }
 }

@@ -1,58 +1,60 @@
-//! Attributes of vertices beside those that every mesh has: tangents, second texture coordinates, an application's own;
-//! OSG's `Geometry::setVertexAttribArray`. Plain CPU data, made anywhere, read by the draw thread's uploads.
+//! Custom vertex attributes beside those that every mesh has, such as tangents or second texture coordinates; OSG's
+//! `Geometry::setVertexAttribArray`. Plain CPU data, made on any thread, read by the draw thread's uploads.
 
 use std::sync::Arc;
 
 use super::attribute_format::AttributeFormat;
 use crate::scene::error::MeshError;
 
-/// Names and formats, in the order in which they lie behind a `MeshVertex`.
+/// Names and formats of custom attributes, in the order in which they follow a `MeshVertex` in memory.
 pub(crate) type AttributeLayout = [(Arc<str>, AttributeFormat)];
 
-/// Bytes that the attributes of a layout add to a vertex.
+/// Returns the bytes that the attributes of a layout add to a vertex.
 pub(crate) fn added_stride(layout: &AttributeLayout) -> usize {
     layout.iter().map(|(_, format)| format.size_bytes()).sum()
 }
 
-/// A mesh may have so many: with those of a [`MeshVertex`](super::MeshVertex) the sixteen that any adapter takes.
+/// The maximum number of custom attributes of a mesh: with those of a [`MeshVertex`](super::MeshVertex) the sixteen that
+/// every adapter supports.
 pub const MAX_ATTRIBUTES: usize = 12;
-/// Names that a `MeshVertex` has.
+/// The names of the attributes of a `MeshVertex`.
 const OWN: [&str; 4] = ["position", "uv", "normal", "color"];
 
-/// What the vertices of a [`Mesh`] have beside a [`MeshVertex`](super::MeshVertex); see [`Mesh::with_attribute`].
+/// The custom attributes of a mesh; see [`Mesh::with_attribute`](super::Mesh::with_attribute).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VertexAttributes {
     layout: Arc<AttributeLayout>,
-    /// By attribute: an element for each vertex.
+    /// The bytes of each attribute, an element per vertex.
     elements: Vec<Arc<[u8]>>,
 }
 
 impl VertexAttributes {
-    /// True where there are none.
+    /// Returns true if there are no custom attributes.
     pub fn is_empty(&self) -> bool {
         self.elements.is_empty()
     }
 
-    /// Names, formats and the bytes of all elements.
+    /// Returns the name, format and bytes of each attribute.
     pub fn iter(&self) -> impl Iterator<Item = (&str, AttributeFormat, &[u8])> {
         self.layout.iter().zip(&self.elements).map(|((name, format), elements)| (&**name, *format, &**elements))
     }
 
-    /// Format and bytes of one of them.
+    /// Returns the format and bytes of an attribute.
     pub fn get(&self, name: &str) -> Option<(AttributeFormat, &[u8])> {
         self.iter().find(|(of, ..)| *of == name).map(|(_, format, elements)| (format, elements))
     }
 
-    /// Bytes of all elements.
+    /// Returns the bytes of all elements.
     pub fn size_bytes(&self) -> u64 {
         self.elements.iter().map(|elements| elements.len() as u64).sum()
     }
 
+    /// Returns the names and formats.
     pub(crate) fn layout(&self) -> &Arc<AttributeLayout> {
         &self.layout
     }
 
-    /// One more, for so many vertices.
+    /// Adds an attribute of a mesh with a number of vertices. Fails if the name is taken or the length does not match.
     pub(crate) fn push(
         &mut self,
         vertices: usize,
@@ -72,7 +74,7 @@ impl VertexAttributes {
         Ok(())
     }
 
-    /// Whether each has an element for each of so many vertices.
+    /// Fails unless every attribute has an element for each vertex.
     pub(crate) fn check(&self, vertices: usize) -> Result<(), MeshError> {
         self.iter().try_for_each(|(name, format, elements)| check_length(vertices, name, format, elements))
     }
@@ -95,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn attributes_come_out_as_they_went_in() {
+    fn attributes_are_stored_unchanged() {
         let mesh = three()
             .with_attribute("heat", AttributeFormat::Float32, &[1.0f32, 2.0, 3.0])
             .and_then(|mesh| mesh.with_attribute("ids", AttributeFormat::Uint16x2, &[[1u16, 2], [3, 4], [5, 6]]))
@@ -111,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused() {
+    fn wrong_length_name_or_count_is_refused() {
         let short = three().with_attribute("heat", AttributeFormat::Float32x2, &[0.0f32; 5]).unwrap_err();
         let expected = MeshError::AttributeLength {
             name: "heat".into(),
@@ -132,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_and_scalars_are_those_of_wgpu() {
+    fn sizes_match_wgpu() {
         use AttributeFormat::*;
         for (format, wgpu) in [
             (Uint8x4, wgpu::VertexFormat::Uint8x4),

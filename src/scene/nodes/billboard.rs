@@ -8,25 +8,25 @@ use crate::scene::geometry::Drawable;
 /// How a [`Billboard`] turns.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum BillboardMode {
-    /// Parallel to the screen, its z axis up in the picture.
+    /// The drawable is parallel to the screen, its z axis upwards on the screen.
     #[default]
     PointRotEye,
-    /// Its normal towards the eye, turned the shortest way.
+    /// The drawable's normal points at the eye, turned the shortest way.
     PointRotWorld,
-    /// Turned about `axis` (unit, in the node's frame) only, its normal as near to the eye as that allows.
+    /// The drawable turns only about `axis`, its normal as close to the direction of the eye as possible.
     AxialRot {
-        /// Axis in the node's frame.
+        /// The unit axis in the node's frame.
         axis: DVec3,
     },
 }
 
 impl BillboardMode {
-    /// The map of a drawable at a position of the node's frame, seen from `eye` there.
+    /// Returns the map of a drawable at a position of the node's frame; `eye` is a point of the same frame.
     pub(crate) fn eye_from_drawable(self, eye_from_node: &DAffine3, eye: DVec3, position: DVec3) -> DAffine3 {
         let linear = eye_from_node.matrix3;
         let to_eye = (eye - position).normalize_or(DVec3::NEG_Y);
         let matrix3 = match self {
-            // Right, away from the eye, up.
+            // The columns are right, away from the eye, and up.
             Self::PointRotEye => {
                 let scale = DVec3::new(linear.x_axis.length(), linear.y_axis.length(), linear.z_axis.length());
                 DMat3::from_cols(DVec3::X, DVec3::NEG_Z, DVec3::Y) * DMat3::from_diagonal(scale)
@@ -42,12 +42,12 @@ impl BillboardMode {
         DAffine3 { matrix3, translation: eye_from_node.transform_point3(position) }
     }
 
-    /// How far a drawable reaches from its position along the node's axes, wherever it turns to; `linear` is the map of
-    /// the node.
+    /// Returns how far a drawable reaches from its position along the node's axes, in any orientation. `linear` is the linear
+    /// part of the node's map.
     pub(crate) fn reach(self, linear: &DMat3, bounds: &Aabb) -> DVec3 {
         let farthest = |scale: DVec3| bounds.corners().map(|c| (c * scale).length()).into_iter().fold(0.0, f64::max);
-        // Parallel to the screen its own axes keep the node's scales, in whatever direction these are there: a ball about
-        // it is an ellipsoid of the node.
+        // A drawable parallel to the screen keeps the node's scales along its own axes, in any direction: the sphere around it
+        // is an ellipsoid in the node's frame.
         if self == Self::PointRotEye {
             let scale = DVec3::new(linear.x_axis.length(), linear.y_axis.length(), linear.z_axis.length());
             let inverse = linear.inverse();
@@ -64,8 +64,8 @@ impl BillboardMode {
 /// Drawables that turn towards the eye. Each has its pivot at its own origin, looks along -y and has z up.
 #[derive(Clone, Debug)]
 pub struct Billboard {
-    /// How they turn.
+    /// How the drawables turn.
     pub mode: BillboardMode,
-    /// Position in the node's frame and shape of each.
+    /// The position in the node's frame and the shape of each drawable.
     pub drawables: Vec<(DVec3, Drawable)>,
 }

@@ -1,4 +1,6 @@
 //! Update and event callbacks of nodes. Called on the main thread, in the event and update phases.
+//!
+//! A callback gets the scene, whose pages hold the callbacks: the only circle between files of this folder.
 
 use std::any::Any;
 use std::sync::{Arc, Mutex};
@@ -6,24 +8,24 @@ use std::sync::{Arc, Mutex};
 use crate::scene::graph::Scene;
 use crate::scene::id::NodeId;
 
-/// What comes after a node's callback.
+/// How a traversal continues after a node's callback.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Traverse {
-    /// The callbacks below it, as if it had called OSG's `traverse`.
+    /// The callbacks below the node follow, as if it had called OSG's `traverse`.
     #[default]
     Below,
-    /// Those below it, in pages that hang there too, are left out this time.
+    /// The callbacks below the node, also in pages attached there, are left out this time.
     Skip,
 }
 
-/// What an update callback is told.
+/// The arguments of an update callback.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct UpdateInfo {
-    /// The frame.
+    /// The frame number.
     pub frame: u32,
     /// Seconds since the first frame.
     pub reference_time_s: f64,
-    /// Seconds in the application's time.
+    /// Seconds of the application's time.
     pub simulation_time_s: f64,
 }
 
@@ -37,23 +39,23 @@ pub(crate) trait Call<I: ?Sized>: Clone {
     fn call(&self, scene: &mut Scene, node: NodeId, info: &I) -> Traverse;
 }
 
-/// Called for its node once a frame. Clones share what the closure holds.
+/// A closure that is called for its node once a frame. Clones share the closure's state.
 #[derive(Clone)]
 pub struct UpdateCallback(Arc<Mutex<OnUpdate>>);
 
 impl UpdateCallback {
-    /// A callback that may change the scene.
+    /// Creates a callback that may change the scene.
     pub fn new(call: impl FnMut(&mut Scene, NodeId, &UpdateInfo) -> Traverse + Send + 'static) -> Self {
         Self(Arc::new(Mutex::new(call)))
     }
 }
 
-/// Called for its node once an event; see `viewer::event_callback`, which knows the type of events.
+/// A closure that is called for its node once for each event; see `viewer::event_callback`, which knows the type of events.
 #[derive(Clone)]
 pub struct EventCallback(Arc<Mutex<OnEvent>>);
 
 impl EventCallback {
-    /// A callback that is given events of any type.
+    /// Creates a callback that receives events of any type.
     pub fn new(call: impl FnMut(&mut Scene, NodeId, &dyn Any) -> Traverse + Send + 'static) -> Self {
         Self(Arc::new(Mutex::new(call)))
     }

@@ -12,47 +12,50 @@ use crate::state::{DrawHook, TextureObject};
 /// When a camera in the graph is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RenderOrder {
-    /// Before the stage it hangs in; lower numbers first.
+    /// Before the surrounding stage; lower numbers first.
     PreRender(i32),
-    /// Inside it: another view and projection for the nodes below.
+    /// Inside the surrounding stage: another view and projection for the nodes below.
     Nested,
-    /// After it; lower numbers first.
+    /// After the surrounding stage; lower numbers first.
     PostRender(i32),
 }
 
-/// What a camera in the graph draws into.
+/// The attachments that a camera in the graph draws into.
 #[derive(Clone, Debug, Default)]
 pub struct CameraTarget {
-    /// Colour attachments by location. Without any, and without depth, it is the target of the stage that the camera was met
-    /// in.
+    /// Colour attachments by location. Without any, and without depth, the camera draws into the target of the surrounding
+    /// stage.
     pub colors: Vec<Attachment>,
-    /// Depth, to be sampled later; without one a depth buffer of the camera's own is used. Of several samples it gets the
-    /// first one's depth and stencil, a depth that something has, where the stage was drawn.
+    /// A depth attachment, to be sampled later; without one a private depth buffer is used. With several samples per pixel it
+    /// receives depth and stencil of the first sample that has a depth of a drawn object.
     pub depth: Option<Attachment>,
-    /// Samples a pixel, 1 or 4; resolved into the colour attachments. A camera that does not clear its colours goes on
-    /// with what these hold, the same in all samples of a pixel where an earlier frame drew it. One that does not clear its
-    /// depth goes on with what was drawn in this frame with as many samples; that of an earlier frame is cleared.
+    /// Samples per pixel, 1 or 4; resolved into the colour attachments.
+    ///
+    /// A camera that does not clear its colours continues with the attachments' contents, the same in all samples of a
+    /// pixel that an earlier frame drew. A camera that does not clear its depth continues with the depth drawn in this
+    /// frame with as many samples; the depth of an earlier frame is cleared.
     pub samples: u32,
-    /// Where the first colour attachment is copied to after each draw, with what cameras below draw over it; without waiting.
+    /// Receives a copy of the first colour attachment after each draw, including what cameras below draw over it. Nothing
+    /// waits for the copy.
     pub read_back: Option<Arc<PictureSink>>,
-    /// The same of other colour attachments, with their locations.
+    /// Receive copies of other colour attachments, given by their locations.
     pub read_back_of: Vec<(usize, Arc<PictureSink>)>,
-    /// The same of [`Self::depth`], whose pictures have [`Depth32`](crate::state::TextureFormat::Depth32): see
-    /// [`Picture::depth`](super::Picture::depth). Depth of `Depth24Stencil8` cannot be copied.
+    /// Receives copies of [`Self::depth`] in the format [`Depth32`](crate::state::TextureFormat::Depth32); see
+    /// [`Picture::depth`](super::Picture::depth). The depth of `Depth24Stencil8` cannot be copied.
     pub read_back_depth: Option<Arc<PictureSink>>,
-    /// The same of the stencil in [`Self::depth`], whose pictures have [`R8`](crate::state::TextureFormat::R8).
+    /// Receives copies of the stencil in [`Self::depth`] in the format [`R8`](crate::state::TextureFormat::R8).
     pub read_back_stencil: Option<Arc<PictureSink>>,
 }
 
 impl CameraTarget {
-    /// Width and height, where something is attached.
+    /// Returns width and height; `None` without attachments.
     pub fn size_px(&self) -> Option<[u32; 2]> {
         let first = self.colors.first().or(self.depth.as_ref())?;
         let [width, height, _] = first.texture.level_size(first.level);
         Some([width, height])
     }
 
-    /// What is copied, and where to.
+    /// Returns the copies to make and their receivers.
     pub(crate) fn read_backs(&self) -> impl Iterator<Item = (ReadBack, &Arc<PictureSink>)> {
         let first = self.read_back.iter().map(|sink| (ReadBack::Color(0), sink));
         let others = self.read_back_of.iter().map(|(location, sink)| (ReadBack::Color(*location), sink));
@@ -62,70 +65,72 @@ impl CameraTarget {
     }
 }
 
-/// A part of a texture to draw into.
+/// A level and layer of a texture to draw into.
 #[derive(Clone, Debug)]
 pub struct Attachment {
-    /// Made with [`TextureObject::target`].
+    /// The texture, created with [`TextureObject::target`].
     pub texture: Arc<TextureObject>,
-    /// Mip level.
+    /// The mip level.
     pub level: u32,
-    /// Array layer or cube face.
+    /// The array layer or cube face.
     pub layer: u32,
 }
 
 impl Attachment {
-    /// Level 0, layer 0 of a texture.
+    /// Creates an attachment of level 0, layer 0.
     pub fn new(texture: Arc<TextureObject>) -> Self {
         Self { texture, level: 0, layer: 0 }
     }
 }
 
-/// Sets near and far anew: called with what cull found (metres in front of the eye), returns what to use.
+/// A function that changes near and far: it is called with the distances that cull found, in metres in front of the eye, and
+/// returns those to use.
 pub type ClampProjection = fn(near_m: f64, far_m: f64) -> (f64, f64);
 
-/// A camera in the graph.
+/// A camera in the graph. Public fields, because the application sets any of them; the constructors inherit the rest.
 #[derive(Clone, Debug)]
 pub struct CameraNode {
-    /// When it is drawn.
+    /// When the camera is drawn.
     pub order: RenderOrder,
-    /// Eye from the node's frame (relative) or from the world (absolute).
+    /// Maps the node's frame (relative) or the world (absolute) to eye space.
     pub view: DAffine3,
-    /// Absolute: `view` replaces everything above. Relative: it comes below it.
+    /// With `Absolute`, `view` replaces everything above; with `Relative`, it is applied below.
     pub frame: ReferenceFrame,
-    /// Reversed-Z projection; `None` keeps the one above.
+    /// The reversed-Z projection; `None` keeps the one above.
     pub projection: Option<DMat4>,
-    /// x, y, width, height in pixels of the target, origin upper left; `None`: all of its own target, or what the view has
-    /// of it that the camera was met in.
+    /// x, y, width and height in pixels of the target, origin upper left. `None` is the whole target of the camera itself, or
+    /// the viewport of the surrounding view.
     pub viewport_px: Option<[u32; 4]>,
-    /// Linear colour to clear with; `None` keeps what is there. Nested cameras clear nothing.
+    /// The linear clear colour; `None` keeps the target's contents. Nested cameras clear nothing.
     pub clear_color: Option<[f32; 4]>,
-    /// Clear depth before drawing (to infinitely far). What is not cleared is what was drawn before in this frame into the
-    /// same target, or what a depth texture holds; a depth buffer of the target's own is another's from one frame to the
-    /// next.
+    /// If true, depth is cleared (to infinitely far) before drawing. Otherwise the depth remains that was drawn before in this
+    /// frame into the same target, or that a depth texture holds. A target's private depth buffer keeps nothing from one
+    /// frame to the next.
     pub clear_depth: bool,
-    /// Show the whole scene, besides what is below it: mirrors, maps and other views of one world, its paged content with
-    /// the tiles that the camera's own eye asks for. Levels of detail do not cross-fade in its picture. Of cameras that
-    /// show the scene none is drawn in another's picture. Nested cameras show it among the things of the picture that
-    /// they are met in: compared with the depths there, without its occluders, background, sky and water.
+    /// If true, the camera shows the whole scene besides its children: mirrors, maps and other views of one world. Tiles are
+    /// requested for the camera's own eye, and levels of detail do not cross-fade.
+    ///
+    /// A camera that shows the scene is not drawn in the image of another one. A nested camera draws the scene into the
+    /// surrounding image, with its depths and without its occluders, background, sky and water.
     pub shows_scene: bool,
-    /// What it draws into; `None`: what the stage draws into that the camera was met in.
+    /// The target; `None` is the target of the surrounding stage.
     pub target: Option<Arc<CameraTarget>>,
-    /// Light, air, sky and water of its picture.
+    /// Light, air, sky and water of the camera's image.
     pub environment: CameraEnvironment,
-    /// Shadows of the sun in its picture.
+    /// Shadows of the sun in the camera's image.
     pub shadows: CameraShadows,
-    /// What it culls.
+    /// The culling settings.
     pub settings: CullSettings,
-    /// Which of the settings come from above.
+    /// The settings that are taken from the camera above.
     pub inherit: Inherit,
-    /// Changes near and far when they are computed.
+    /// Changes near and far after they are computed.
     pub clamp_projection: Option<ClampProjection>,
-    /// What is called while it is drawn.
+    /// Callbacks that are called while the camera is drawn.
     pub callbacks: Option<DrawHook>,
 }
 
 impl CameraNode {
-    /// A camera of an order, with everything from above but its view: the identity, relative.
+    /// Creates a camera that inherits everything from above, with the identity as a relative view.
     pub fn new(order: RenderOrder) -> Self {
         Self {
             order,
@@ -146,7 +151,7 @@ impl CameraNode {
         }
     }
 
-    /// A camera drawn before the stage it hangs in, into a texture of a size.
+    /// Creates a camera that is drawn into a texture before the surrounding stage.
     pub fn to_texture(texture: Arc<TextureObject>, view: DAffine3, projection: DMat4) -> Self {
         let colors = vec![Attachment::new(texture)];
         Self {

@@ -14,7 +14,7 @@ use crate::state::{Mode, StateSet, StateValue};
 /// The maximum depth of a graph. Deeper input is refused, so that no walk can exhaust a stack.
 pub const MAX_DEPTH: usize = 512;
 
-/// What nodes inherit from the node above.
+/// The values that nodes inherit from the node above.
 #[derive(Clone, Copy)]
 struct Inherited {
     node: u32,

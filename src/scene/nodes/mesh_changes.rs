@@ -15,7 +15,7 @@ impl Scene {
     ///
     /// With [`DataVariance::Static`] the next update may begin while draw still reads the mesh: an application that
     /// writes it with `Arc::make_mut` then writes a copy. With [`DataVariance::Dynamic`] the frame waits until draw has
-    /// released it, and `Arc::make_mut` writes in place.
+    /// released it, and `Arc::make_mut` writes without a copy.
     ///
     /// A k-d tree of the drawable is rebuilt at once, about 300 ns a triangle: scenes that rewrite large meshes every
     /// frame should do without trees.

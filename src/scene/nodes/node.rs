@@ -14,27 +14,27 @@ use super::paged_lod::{PagedLod, ProxyNode};
 use crate::scene::geometry::Drawable;
 use crate::state::StateSet;
 
-/// A node and what hangs below it. Flattened once into a page; not walked at frame time.
+/// A node with its children. A graph is flattened once into a page and not visited at frame time.
 #[derive(Clone, Debug)]
 pub struct Node {
-    /// Name for people; may be empty.
+    /// A name; may be empty.
     pub name: String,
-    /// What the node does.
+    /// The kind of the node with its payload.
     pub kind: NodeKind,
-    /// State for the node and below; shared by identity.
+    /// State for the node and its children; shared by identity.
     pub state_set: Option<Arc<StateSet>>,
-    /// Drawn only where `mask & camera.cull_mask != 0`. Of tiles and proxies below each other the topmost one's.
+    /// The node is drawn only if `mask & camera.cull_mask != 0`. In a tile tree, the mask of the top tile applies.
     pub mask: u32,
-    /// False: never culled by its bound, nor is what is above it, nor what it draws itself as a Geode or Billboard (tiles
-    /// and proxies are, each by its own bound); OSG's `setCullingActive`.
+    /// If false, neither the node nor the nodes above are culled by their bounds, nor are its own drawables as a Geode or
+    /// Billboard; OSG's `setCullingActive`. Tiles and proxies are still culled, each by its own bound.
     pub culling_active: bool,
-    /// Asked each time cull is about to visit it. Of tiles and proxies below each other the topmost one's.
+    /// Called by cull before it visits the node. In a tile tree, the callback of the top tile applies.
     pub cull_callback: Option<CullCallback>,
-    /// Called once a frame in update.
+    /// Called once a frame in the update phase.
     pub update_callback: Option<UpdateCallback>,
-    /// Called once an event.
+    /// Called once for each event.
     pub event_callback: Option<EventCallback>,
-    /// Children in order.
+    /// The children in order.
     pub children: Vec<Node>,
 }
 
@@ -43,37 +43,37 @@ pub struct Node {
 pub enum NodeKind {
     /// Holds children.
     Group,
-    /// Parent-from-child affine map, metres in f64.
+    /// An affine parent-from-child map, metres in f64.
     Transform(DAffine3),
-    /// Replaces the projection below: reversed-Z clip from eye.
+    /// Replaces the projection for the children: reversed-Z clip from eye.
     Projection(glam::DMat4),
-    /// A transform whose children are in the eye's frame, whatever is above: what it holds moves with the eye.
+    /// A transform whose children are in the eye's frame, whatever is above: they move with the eye.
     AbsoluteTransform(DAffine3),
-    /// Children shown by index; one flag a child.
+    /// Shows or hides each child; one flag per child.
     Switch(Vec<bool>),
     /// Child i is shown while the distance to `center` times the LOD scale is in `ranges_m[i]`.
     Lod {
-        /// Centre in the node's frame.
+        /// The centre in the node's frame.
         center: DVec3,
-        /// `[min, max)` a child, metres.
+        /// `[min, max)` of each child, metres.
         ranges_m: Vec<[f64; 2]>,
     },
-    /// The same by size (OSG's LOD with `PIXEL_SIZE_ON_SCREEN`): child i is shown while a sphere covers so many pixels of
-    /// the picture, over the LOD scale, that they are in `ranges_px[i]`.
-    /// Where rays are parallel, metres of the node's frame count as the picture's, as those of tiles' errors do.
+    /// Levels of detail by size (OSG's LOD with `PIXEL_SIZE_ON_SCREEN`): child i is shown while the diameter of a sphere in
+    /// pixels, divided by the LOD scale, is in `ranges_px[i]`. If rays are parallel, scales between the node's frame and the
+    /// view are ignored, as for the errors of tiles.
     LodByPixelSize {
-        /// The sphere's centre in the node's frame.
+        /// The centre of the sphere in the node's frame.
         center: DVec3,
-        /// Its radius, metres of the same frame.
+        /// The radius of the sphere, metres of the same frame.
         radius_m: f64,
-        /// `[min, max)` a child, pixels across.
+        /// `[min, max)` of each child, pixels of diameter.
         ranges_px: Vec<[f64; 2]>,
     },
-    /// A tile: content that is paged in, children that refine it.
+    /// A tile: paged content, and children that refine it.
     PagedLod(Box<PagedLod>),
     /// A tile with several contents, as readers of tile sets build it: an empty ADD tile whose children hold the contents.
     MultiContentTile(Box<PagedLod>),
-    /// Children that are loaded from elsewhere: an external tileset.
+    /// Children that are loaded from another file: an external tileset.
     ProxyNode(Box<ProxyNode>),
     /// Drawables.
     Geode(Vec<Drawable>),
@@ -85,7 +85,7 @@ pub enum NodeKind {
     ClipNode(Box<ClipNode>),
     /// The frame of generated texture coordinates.
     TexGenNode(Box<TexGenNode>),
-    /// Clears the target otherwise.
+    /// Clears the target with another colour than its camera.
     ClearNode(ClearNode),
     /// A camera inside the graph.
     Camera(Box<CameraNode>),
@@ -96,7 +96,7 @@ pub enum NodeKind {
 }
 
 impl Node {
-    /// A node of a kind, without children, name or state, visible to every camera.
+    /// Creates a node without children, name or state, visible to every camera.
     pub fn new(kind: NodeKind) -> Self {
         Self {
             name: String::new(),
@@ -111,18 +111,18 @@ impl Node {
         }
     }
 
-    /// A group of children.
+    /// Creates a group.
     pub fn group(children: Vec<Node>) -> Self {
         Self { children, ..Self::new(NodeKind::Group) }
     }
 
-    /// A transform over children.
+    /// Creates a transform over children.
     pub fn transform(parent_from_child: DAffine3, children: Vec<Node>) -> Self {
         Self { children, ..Self::new(NodeKind::Transform(parent_from_child)) }
     }
 
-    /// Levels of detail by the distance from the middle of what they hold; OSG's LOD as it comes
-    /// (USE_BOUNDING_SPHERE_CENTER). `ranges_m[i]` is that of child i, `[min, max)`.
+    /// Creates levels of detail by the distance from the centre of the children's bounding sphere, as OSG's LOD does by
+    /// default (USE_BOUNDING_SPHERE_CENTER). `ranges_m[i]` is the range `[min, max)` of child i.
     pub fn lod(ranges_m: Vec<[f64; 2]>, children: Vec<Node>) -> Self {
         let group = Self::group(children);
         let sphere = group.bounding_sphere();
@@ -130,29 +130,29 @@ impl Node {
         Self { kind: NodeKind::Lod { center, ranges_m }, ..group }
     }
 
-    /// A camera over children.
+    /// Creates a camera over children.
     pub fn camera(camera: CameraNode, children: Vec<Node>) -> Self {
         Self { children, ..Self::new(NodeKind::Camera(Box::new(camera))) }
     }
 
-    /// Drawables without children.
+    /// Creates a node with drawables and without children.
     pub fn geode(drawables: Vec<Drawable>) -> Self {
         Self::new(NodeKind::Geode(drawables))
     }
 
-    /// The same node with a name, by which [`Scene::nodes_named`](super::Scene::nodes_named) finds it.
+    /// Names the node; [`Scene::nodes_named`](crate::scene::Scene::nodes_named) finds it by this name.
     pub fn named(mut self, name: &str) -> Self {
         self.name = name.into();
         self
     }
 
-    /// The same node with a state set.
+    /// Sets the state set.
     pub fn with_state_set(mut self, state_set: Arc<StateSet>) -> Self {
         self.state_set = Some(state_set);
         self
     }
 
-    /// The same node with one more child.
+    /// Appends a child.
     pub fn with_child(mut self, child: Node) -> Self {
         self.children.push(child);
         self

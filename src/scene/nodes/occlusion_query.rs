@@ -3,19 +3,20 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-/// Asks the adapter how many samples of its box are seen, and skips its children while none are. One eye asks, the first
-/// that met the node and still does: what it does not see another may, so that others draw what is below. Cameras in the
-/// graph that show the scene neither ask nor heed what is answered. A node below which something is culled by no bound (a
-/// light, a camera, what is in the eye's frame) asks nothing and hides nothing.
+/// Queries how many samples of the node's box are visible, and skips its children while there are none.
+///
+/// One eye makes the queries: the first that met the node, as long as it does. Another eye may see what this one does not,
+/// so others always draw the children. Cameras in the graph that show the scene neither query nor use the results. A node
+/// with something below that no bound culls (a light, a camera, geometry in the eye's frame) is not queried.
 #[derive(Clone, Debug)]
 pub struct OcclusionQueryNode {
-    /// Hidden when fewer samples pass.
+    /// The children are hidden if fewer samples pass.
     pub visibility_threshold: u32,
-    /// Frames between two queries of the same node.
+    /// The number of frames between two queries of the same node.
     pub query_frames: u32,
-    /// Queries in a row that must fail before it is hidden; one that passes shows it again.
+    /// The number of consecutive failed queries before the children are hidden; one that passes shows them again.
     pub failures_to_hide: u32,
-    /// What the queries found.
+    /// The results of the queries.
     pub results: Arc<OcclusionResults>,
 }
 
@@ -28,37 +29,37 @@ impl Default for OcclusionQueryNode {
 /// Results of an [`OcclusionQueryNode`].
 #[derive(Debug, Default)]
 pub struct OcclusionResults {
-    /// Failed queries in a row; written by the draw thread, read by cull.
+    /// The number of consecutive failed queries; written by the draw thread, read by cull.
     failures: AtomicU32,
-    /// Samples of the last query; written by the draw thread.
+    /// The samples of the last query; written by the draw thread.
     samples: AtomicU32,
-    /// Frame of the last query; written by cull.
+    /// The frame of the last query; written by cull.
     queried: AtomicU32,
-    /// Frame of the last query that was answered; written after `failures` by whoever writes that.
+    /// The frame of the last query with a result; written after `failures` by the same thread.
     answered: AtomicU32,
-    /// The last query was not answered yet; written by cull, and by the draw thread after all that it writes.
+    /// True if the last query has no result yet; written by cull, and by the draw thread after its other fields.
     is_awaited: AtomicBool,
-    /// What cull last decided.
+    /// The last decision of cull.
     is_hidden: AtomicBool,
-    /// The eye that asks; written by cull.
+    /// The eye that makes the queries; written by cull.
     eye: AtomicU32,
 }
 
-/// An eye that has not asked for so many frames asks no more.
+/// Another eye takes over the queries if the last one is this number of frames old.
 const IDLE_FRAMES: u32 = 120;
 
 impl OcclusionResults {
-    /// Samples that passed in the last query that has arrived.
+    /// Returns the samples that passed in the last query with a result.
     pub fn samples(&self) -> u32 {
         self.samples.load(Ordering::Relaxed)
     }
 
-    /// Failed queries in a row.
+    /// Returns the number of consecutive failed queries.
     pub fn failures(&self) -> u32 {
         self.failures.load(Ordering::Relaxed)
     }
 
-    /// True for the eye that asks: the first that met the node, as long as it does. Others draw what is below.
+    /// Returns true for the eye that makes the queries: the first that met the node, as long as it does.
     pub(crate) fn are_of(&self, eye: u32, frame: u32) -> bool {
         let asking = self.eye.load(Ordering::Relaxed);
         if asking == eye {
@@ -72,7 +73,8 @@ impl OcclusionResults {
         asking == 0 || is_idle
     }
 
-    /// True once every so many frames, and where frames stand still once the last query was answered; notes the frame.
+    /// Returns true if a query is due: every `every` frames, or, while the frame number does not change, when the last query
+    /// has a result. Stores the frame of the query.
     pub(crate) fn is_due(&self, frame: u32, every: u32) -> bool {
         let last = self.queried.load(Ordering::Relaxed);
         let is_answered_still = last == frame && !self.is_awaited.load(Ordering::Acquire);
@@ -84,7 +86,7 @@ impl OcclusionResults {
         due
     }
 
-    /// A query that was due could not be made: it is due again, and what was hidden shows, if need be.
+    /// Notes that a due query could not be made: it is due again. If `shows`, hidden children are shown.
     pub(crate) fn was_not_asked(&self, shows: bool, frame: u32) {
         self.queried.store(0, Ordering::Relaxed);
         if shows {
@@ -93,7 +95,7 @@ impl OcclusionResults {
         }
     }
 
-    /// The answer to a query of a frame, from the draw thread.
+    /// Stores the result of the query of a frame. Draw thread.
     pub(crate) fn answered(&self, samples: u64, threshold: u32, frame: u32) {
         self.samples.store(u32::try_from(samples).unwrap_or(u32::MAX), Ordering::Relaxed);
         if samples >= u64::from(threshold) {
@@ -105,8 +107,8 @@ impl OcclusionResults {
         self.is_awaited.store(false, Ordering::Release);
     }
 
-    /// Whether a frame leaves out what is below, and how many frames ago that was asked; all of them while more answers
-    /// may hide it, and `u32::MAX` where the frame before had it otherwise. Cull.
+    /// Decides whether a frame hides the children. Also returns the age of the result in frames: the frame number while
+    /// further results may hide the children, and `u32::MAX` if the decision differs from the last one. Called by cull.
     pub(crate) fn decide(&self, frame: u32, failures_to_hide: u32) -> (bool, u32) {
         let answered = self.answered.load(Ordering::Acquire);
         let failures = self.failures();

@@ -16,79 +16,81 @@ pub enum Refine {
     Add,
 }
 
-/// When a tile gives way to (or is joined by) its children.
+/// When a tile is refined: replaced by its children, or joined by them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RangeMode {
-    /// Refine when the error projects to more than the camera's limit in pixels, as 3D Tiles has it. Metres in the
-    /// node's frame.
+    /// The tile is refined if its error projects to more pixels than the camera allows, as in 3D Tiles.
     ScreenSpaceError {
-        /// Error in metres of drawing this tile instead of its children.
+        /// The error of drawing this tile instead of its children, metres of the node's frame.
         geometric_error_m: f64,
     },
-    /// Refine when the distance from the eye to `center`, times the LOD scale, is below `range_m`
-    /// (OSG's DISTANCE_FROM_EYE_POINT).
+    /// The tile is refined if the distance from the eye to `center`, times the LOD scale, is below `range_m` (OSG's
+    /// DISTANCE_FROM_EYE_POINT).
     Distance {
-        /// Centre in the node's frame.
+        /// The centre in the node's frame.
         center: DVec3,
-        /// Metres.
+        /// The range, metres of the node's frame.
         range_m: f64,
     },
-    /// Refine when a sphere covers more pixels of the picture, over the LOD scale, than so many, whatever error the camera
-    /// allows (OSG's PIXEL_SIZE_ON_SCREEN).
+    /// The tile is refined if the diameter of a sphere in pixels, divided by the LOD scale, exceeds `size_px`, whatever error
+    /// the camera allows (OSG's PIXEL_SIZE_ON_SCREEN).
     PixelSize {
-        /// Its centre in the node's frame.
+        /// The centre of the sphere in the node's frame.
         center: DVec3,
-        /// Its radius, metres of the same frame.
+        /// The radius of the sphere, metres of the same frame.
         radius_m: f64,
-        /// Pixels across; 0 or no number refines at any size.
+        /// The diameter in pixels; 0 or NaN refines at any size.
         size_px: f64,
     },
 }
 
-/// A tile of a paged tree. Its children in [`Node::children`] are tiles (or proxies) too.
+/// A tile of a paged tree. Its children in [`Node::children`](crate::scene::Node::children) are tiles or proxies too.
 #[derive(Clone, Debug)]
 pub struct PagedLod {
-    /// Declared volume in the page's tile frame; never dirtied by what is loaded (OSG's USER_DEFINED_CENTER). Where nobody
-    /// knows it, [`BoundingSphere::EVERYTHING`]: the content is asked for from anywhere, and culled by bounds of its own
-    /// once it is there. OSG's union of both is a sphere's [`union`](BoundingSphere::union) with what
-    /// [`Node::bounding_sphere`] says of the children.
+    /// The declared volume in the page's tile frame; loaded content does not change it (OSG's USER_DEFINED_CENTER). If it is
+    /// unknown, use [`BoundingSphere::EVERYTHING`]: the content is requested from anywhere, and culled by its own bounds once
+    /// it is loaded. For OSG's union of both, unite a sphere ([`union`](BoundingSphere::union)) with the
+    /// [`Node::bounding_sphere`](crate::scene::Node::bounding_sphere) of the children.
     pub bounds: BoundingVolume,
-    /// When the children are wanted.
+    /// When the tile is refined.
     pub range_mode: RangeMode,
-    /// REPLACE or ADD.
+    /// Whether children replace the content or are added to it.
     pub refine: Refine,
-    /// Absolute URI of the content ([`set_database_path`](crate::io::set_database_path) makes it so); `None` for an empty tile, which shows its children in their range, and nothing beyond:
-    /// below content that is replaced give it a range that is always met, or there are holes.
+    /// The absolute URI of the content ([`set_database_path`](crate::io::set_database_path) makes URIs absolute).
+    ///
+    /// `None` for an empty tile, which shows its children while it is refined, and nothing otherwise. Below content that is
+    /// replaced, an empty tile needs a range that is always met, or there are holes.
     pub content: Option<Arc<str>>,
-    /// Node-from-content map applied to the page that the content becomes (the tile's transform).
+    /// The node-from-content map of the content (the tile's transform).
     pub content_transform: DAffine3,
-    /// Opaque to the scene; handed back to the reader with the content's URI (height tile parameters and the like).
+    /// Data that is handed back to the reader with the content's URI, such as height tile parameters. The scene ignores it.
     pub reader_data: Option<Arc<str>>,
-    /// Where the eye must be for the tile and what is below it to be drawn or asked for (3D Tiles'
-    /// `viewerRequestVolume`), in the frame of `bounds`; `None` is anywhere. From outside of it the content that the tile
-    /// and its siblings would replace stays.
+    /// The volume inside which the eye must be for the tile and its descendants to be drawn or requested (3D Tiles'
+    /// `viewerRequestVolume`), in the frame of `bounds`; `None` means anywhere. While the eye is outside, the content that
+    /// the tile and its siblings would replace stays.
     pub request_volume: Option<BoundingVolume>,
     /// How the pager treats the content.
     pub paging: PagingOptions,
 }
 
-/// How the pager treats a tile's content: what OSG's PagedLOD has besides ranges and files.
+/// How the pager treats a tile's content: the settings of OSG's PagedLOD besides ranges and files.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PagingOptions {
-    /// The priority, pixels of error, is multiplied by it; OSG's priority scale.
+    /// A factor on the priority, which is the error in pixels; OSG's priority scale.
     pub priority_scale: f32,
-    /// And this is added; OSG's priority offset. The sum is not below 0.
+    /// A term that is then added to the priority; OSG's priority offset. The sum is at least 0.
     pub priority_offset: f32,
-    /// Frames that it stays at least after it was last wanted, however little room there is.
+    /// The minimum number of frames that the content stays after it was last wanted, even if memory is short.
     pub min_expiry_frames: u32,
-    /// Seconds of the same.
+    /// The minimum number of seconds that the content stays after it was last wanted.
     pub min_expiry_s: f32,
-    /// Once loaded it stays; OSG's children that cannot be expired. It counts in the budgets all the same.
+    /// If true, the content is never expired once loaded, like OSG's children that cannot expire. It still counts against the
+    /// budgets.
     pub cannot_expire: bool,
 }
 
 impl Default for PagingOptions {
-    /// Nothing is special.
+    /// Returns options that change nothing.
     fn default() -> Self {
         Self {
             priority_scale: 1.0,
@@ -101,37 +103,38 @@ impl Default for PagingOptions {
 }
 
 impl PagingOptions {
-    /// What a cull asked for with a priority. What is wanted only later (below 0) stays so, in its order.
+    /// Returns the priority of a request that a cull made with priority `asked`. Negative priorities, those of prefetches, are
+    /// not changed.
     pub fn priority(&self, asked: f32) -> f32 {
         let priority = asked * self.priority_scale + self.priority_offset;
         if asked < 0.0 || !priority.is_finite() { asked } else { priority.max(0.0) }
     }
 }
 
-/// A place for a page that is read from `uri`.
+/// A node whose content is a page that is read from `uri`.
 #[derive(Clone, Debug)]
 pub struct ProxyNode {
-    /// Absolute URI of what is loaded.
+    /// The absolute URI of the content.
     pub uri: Arc<str>,
-    /// Declared bound in the node's frame (OSG's USER_DEFINED_CENTER). Where nobody knows it,
-    /// [`BoundingSphere::EVERYTHING`] (OSG's USE_BOUNDING_SPHERE_CENTER): seen from anywhere until it is loaded, from then
-    /// on culled by the bounds of what is there.
+    /// The declared bound in the node's frame (OSG's USER_DEFINED_CENTER). If it is unknown, use
+    /// [`BoundingSphere::EVERYTHING`] (OSG's USE_BOUNDING_SPHERE_CENTER): the content is requested from anywhere, and culled
+    /// by its own bounds once it is loaded.
     pub bounds: BoundingSphere,
-    /// Node-from-content map.
+    /// The node-from-content map.
     pub content_transform: DAffine3,
-    /// When it is loaded.
+    /// When the content is loaded.
     pub loading: ProxyLoading,
 }
 
 /// When a [`ProxyNode`] loads its children.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ProxyLoading {
-    /// When cull first sees it, by the pager.
+    /// The pager loads the content when a cull first sees the node.
     #[default]
     DeferToPager,
-    /// By the pager as soon as the page that it is in is in the scene, before all that cameras want and wherever they
-    /// look; it does not expire.
+    /// The pager loads the content as soon as the node's page is in the scene, ahead of everything that cameras want and
+    /// wherever they look. It does not expire.
     Immediately,
-    /// Only when the application asks: [`Scene::load_proxy`](super::Scene::load_proxy).
+    /// The content is loaded only if the application calls [`Scene::load_proxy`](crate::scene::Scene::load_proxy).
     Never,
 }

@@ -1,5 +1,5 @@
-//! Pictures of cameras that come back from the adapter: colours, depth, stencil. Put there by the draw thread, taken by
-//! anybody.
+//! Images of cameras that are read back from the GPU: colours, depth, stencil. The draw thread delivers them, any thread
+//! takes them.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -9,34 +9,33 @@ use glam::DMat4;
 use crate::math::distance_of_depth;
 use crate::state::TextureFormat;
 
-/// Receives pictures from the draw thread, some frames after they were drawn.
+/// Receives images from the draw thread, some frames after they were drawn.
 #[derive(Debug, Default)]
 pub struct PictureSink {
-    /// Written by the draw thread, taken by anybody; the newest replaces an older one.
+    /// The newest image, which replaces older ones; written by the draw thread, taken by any thread.
     latest: Mutex<Option<Picture>>,
-    /// The frame of the last one that came, for drawing on demand.
-    came: AtomicU32,
+    /// The frame of the last image received, for drawing on demand.
+    received: AtomicU32,
 }
 
-/// A picture read back: rows top to bottom, without gaps.
+/// An image that was read back: rows top to bottom, without gaps.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
-    /// Width and height.
+    /// Width and height in pixels.
     pub size_px: [u32; 2],
-    /// Frame it shows.
+    /// The frame that it shows.
     pub frame: u32,
-    /// The projection that its camera drew with, near and far as they were fitted; reversed depth.
+    /// The projection with which the camera drew, near and far as fitted; reversed depth.
     pub clip_from_eye: DMat4,
-    /// What a pixel holds.
+    /// The format of the pixels.
     pub format: TextureFormat,
-    /// Bytes of the pixels, [`TextureFormat::texel_bytes`] each; numbers are little-endian.
+    /// The bytes of the pixels, [`TextureFormat::texel_bytes`] each; numbers are little-endian.
     pub texels: Vec<u8>,
 }
 
 impl Picture {
-    /// The depth of a pixel, counted from the upper left, as the adapter has it: 1 at the near plane, less the farther, 0 at
-    /// the far plane or infinitely far, which is also where nothing was drawn. `None` outside, and of pictures that hold
-    /// something else.
+    /// Returns the depth of a pixel, counted from the upper left: 1 at the near plane, decreasing to 0 at the far plane or
+    /// infinitely far, also where nothing was drawn. `None` outside the image or if it holds no depth.
     pub fn depth(&self, x: u32, y: u32) -> Option<f32> {
         let [width, height] = self.size_px;
         if self.format != TextureFormat::Depth32 || x >= width || y >= height {
@@ -46,39 +45,39 @@ impl Picture {
         Some(f32::from_le_bytes(*self.texels.get(first..)?.first_chunk()?))
     }
 
-    /// Metres to what a pixel shows, along the view axis, from its [`Self::depth`] under the camera's own projection:
-    /// infinite where nothing was drawn and the far plane is infinitely far. What was drawn with a projection of its own
-    /// below the camera, or in a part of the depths (`state::Depth::range`), lies elsewhere.
+    /// Returns the distance of a pixel along the view axis in metres, computed from [`Self::depth`] with the camera's
+    /// projection: infinite if nothing was drawn and the far plane is infinitely far. The result is wrong for geometry below a
+    /// separate projection, or drawn in a part of the depth range (`state::Depth::range`).
     pub fn distance_m(&self, x: u32, y: u32) -> Option<f64> {
         self.depth(x, y).map(|depth| distance_of_depth(&self.clip_from_eye, depth))
     }
 }
 
-/// What of a camera's target is read back.
+/// The part of a camera's target that is read back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ReadBack {
-    /// The colour at a location.
+    /// The colour attachment at a location.
     Color(usize),
     Depth,
     Stencil,
 }
 
 impl PictureSink {
-    /// The newest picture that has not been taken.
+    /// Takes the newest image, if none has taken it yet.
     pub fn take(&self) -> Option<Picture> {
         self.latest.lock().map_or(None, |mut latest| latest.take())
     }
 
-    /// Puts a picture there for whoever takes it.
+    /// Delivers an image.
     pub fn put(&self, picture: Picture) {
-        self.came.store(picture.frame, Ordering::Release);
+        self.received.store(picture.frame, Ordering::Release);
         if let Ok(mut latest) = self.latest.lock() {
             *latest = Some(picture);
         }
     }
 
-    /// The frames since the one of the last picture that came.
+    /// Returns the number of frames since the last image received.
     pub(crate) fn age(&self, frame: u32) -> u32 {
-        frame.saturating_sub(self.came.load(Ordering::Acquire))
+        frame.saturating_sub(self.received.load(Ordering::Acquire))
     }
 }

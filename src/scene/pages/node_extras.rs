@@ -3,7 +3,7 @@
 use crate::scene::nodes::{CullCallback, EventCallback, UpdateCallback};
 use crate::scene::sparse_list::SparseList;
 
-/// What only some nodes have, whatever their kind.
+/// Names and callbacks of the nodes that have them, whatever their kind.
 #[derive(Debug, Default)]
 pub(crate) struct NodeExtras {
     names: Vec<(Box<str>, u32)>,

@@ -24,7 +24,7 @@ use crate::scene::sparse_list::SparseList;
 use crate::scene::tile_tree::Tiles;
 use crate::state::StateSet;
 
-/// What one load produces: nodes and drawables in flat depth-first arrays, tile trees in arrays of their own kind.
+/// The result of one load: nodes and drawables in flat depth-first arrays, tile trees in separate arrays.
 #[derive(Debug)]
 pub struct Page {
     pub(super) nodes: NodeArrays,

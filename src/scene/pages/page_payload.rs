@@ -1,4 +1,4 @@
-//! What a page draws: the drawables until a context has uploaded them, and afterwards k-d trees and draw slots.
+//! The payload of a page: drawables until a context has uploaded them, afterwards k-d trees and draw slots.
 
 use std::sync::Arc;
 

@@ -1,42 +1,42 @@
-//! What a camera culls and how: OSG's `CullSettings`. Plain values; read by cull.
+//! Which tests a camera culls with, and how: OSG's `CullSettings`. Plain values, read by culls.
 
 use std::ops::{BitAnd, BitOr};
 
-/// Bounds that project to fewer pixels are dropped where [`CullingMode::SMALL_FEATURE`] is on, unless
-/// [`CullSettings::small_feature_px`] says otherwise.
+/// The default of [`CullSettings::small_feature_px`]: with [`CullingMode::SMALL_FEATURE`], bounds that project to fewer
+/// pixels are culled.
 pub const SMALL_FEATURE_PX: f64 = 2.0;
 
-/// Which culls are made; OSG's `CullSettings::CullingMode`.
+/// The set of culling tests that are made; OSG's `CullSettings::CullingMode`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct CullingMode(pub u32);
 
 impl CullingMode {
-    /// Nothing is culled but what lies wholly behind the eye.
+    /// No tests: only what lies wholly behind the eye is culled.
     pub const NONE: Self = Self(0);
-    /// Against the left, right, bottom and top planes.
+    /// Culls against the left, right, bottom and top planes.
     pub const VIEW_FRUSTUM_SIDES: Self = Self(1);
-    /// Against the near plane.
+    /// Culls against the near plane.
     pub const NEAR_PLANE: Self = Self(2);
-    /// Drops what projects to less than [`CullSettings::small_feature_px`]; costs 10 to 14 % and the shortcut for
-    /// subtrees that are wholly inside. Tiles are exempt: their error decides.
+    /// Culls bounds that project to less than [`CullSettings::small_feature_px`]. Costs 10 to 14 % and disables the shortcut
+    /// for subtrees wholly inside the frustum. Tiles are exempt: their error decides.
     pub const SMALL_FEATURE: Self = Self(4);
-    /// Against the far plane, where the projection has one.
+    /// Culls against the far plane, if the projection has one.
     pub const FAR_PLANE: Self = Self(8);
-    /// Against the shadows of OccluderNodes; free where there is none.
+    /// Culls what OccluderNodes hide; free if there are none.
     pub const SHADOW_OCCLUSION: Self = Self(16);
-    /// Drawables whose faces all look away ([`NormalCone`](crate::scene::NormalCone)); free where there is none.
+    /// Culls drawables whose faces all look away ([`NormalCone`](crate::scene::NormalCone)); free if there are none.
     pub const CLUSTER: Self = Self(32);
-    /// Meshes of at most 16 triangles that lie wholly between the centres of pixels, which no pixel shows: the picture
-    /// is the same without them. Done where it is drawn; not in targets of several samples, and not for programs.
+    /// Culls meshes of at most 16 triangles that cover no pixel centre, so that the image does not change. The draw does
+    /// this, except in multisampled targets and for programs.
     pub const SAMPLES: Self = Self(64);
     /// Sides, near and far plane.
     pub const VIEW_FRUSTUM: Self = Self(1 | 2 | 8);
-    /// All but far plane and small features.
+    /// All tests except far plane and small features.
     pub const DEFAULT: Self = Self(1 | 2 | 16 | 32 | 64);
-    /// Everything.
+    /// All tests.
     pub const ENABLE_ALL: Self = Self(127);
 
-    /// True when every flag of the other is set.
+    /// Returns true if every flag of the other is set.
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
     }
@@ -62,57 +62,57 @@ impl BitAnd for CullingMode {
     }
 }
 
-/// Whether the projection's depth range follows what cull kept.
+/// How the depth range of the projection is found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ComputeNearFar {
-    /// The projection stays as it is given.
+    /// The projection is used as given.
     #[default]
     Off,
-    /// Near (and far, where the projection has one) fit the bounds of what is drawn.
+    /// Near (and far, if the projection has one) are fitted to the bounds of everything drawn.
     BoundingVolumes,
-    /// They fit what is seen of its triangles, lines and points: of the drawables that have a
-    /// [`KdTree`](crate::scene::KdTree); of others the bounds. Programs that move vertices are not heeded, nor is that
-    /// billboards turn. Costs the shortcut for subtrees that are wholly inside, and some microseconds for each drawable
-    /// around the nearest and the farthest depth.
+    /// Near and far are fitted to the visible primitives of drawables that have a [`KdTree`](crate::scene::KdTree), and to
+    /// the bounds of others. Vertices moved by programs, and the turning of billboards, are ignored. Disables the shortcut
+    /// for subtrees wholly inside the frustum and costs some microseconds for each drawable near the depth limits.
     Primitives,
 }
 
-/// Settings of a camera that those below it may inherit.
+/// The culling settings of a camera, which cameras below it may inherit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CullSettings {
-    /// Which culls are made.
+    /// The tests that are made.
     pub culling: CullingMode,
-    /// Smallest size on the screen for [`CullingMode::SMALL_FEATURE`].
+    /// The smallest size on the screen for [`CullingMode::SMALL_FEATURE`].
     pub small_feature_px: f64,
-    /// Distances are multiplied by it: 2 is coarser, 0.5 finer.
+    /// A factor on distances in the choice of levels of detail: 2 is coarser, 0.5 finer.
     pub lod_scale: f64,
-    /// A tile is refined where its error projects to more pixels.
+    /// A tile is refined if its error projects to more pixels.
     pub max_sse_px: f64,
-    /// Of tiles that their children will replace, those are asked for alone that show what is there so many times finer;
-    /// the levels between are skipped, and never read. 16 is four levels of a quadtree; at 1 (or no number) none is
-    /// skipped, as with OSG. Nothing else changes: no tile gives way before all that takes its place is there. With
-    /// levels skipped less is loaded for a picture, but its parts come in larger steps, and where a budget is too small
-    /// for all of it, or a server slow, they stay coarse for longer. What is skipped is asked for where something below
-    /// it failed. CesiumJS' `skipScreenSpaceErrorFactor`.
+    /// Level skipping, like CesiumJS' `skipScreenSpaceErrorFactor`. While tiles refine, only levels whose error is smaller
+    /// by this factor are requested; the levels between are never read. 16 skips up to four levels of a quadtree; 1 (or
+    /// NaN) skips none, as OSG does. Tiles still stay until everything that replaces them is loaded.
+    ///
+    /// Skipping loads less for a frame, but detail arrives in larger steps. If a budget is too small or a server is slow,
+    /// parts stay coarse for longer. A skipped tile is requested if something below it failed.
     pub skip_sse_factor: f64,
-    /// Seconds of the application's time in which a level of detail gives way to another, both dithered, so that
-    /// neither pops: tiles with their children, and children of Lods. 0 changes them at once. So does a frame that
-    /// comes later after the one before than this, and one at the same time: pictures that are meant to be
-    /// the same whenever they are made are. What comes into the view is there at once.
+    /// The duration of the dithered cross-fade between levels of detail, in seconds of the application's time: between
+    /// tiles and their children, and between children of Lods. 0 switches at once.
+    ///
+    /// A frame at the same time as the one before, or later by more than this duration, switches at once too, so that
+    /// screenshots do not depend on timing. Objects that enter the view do not fade in.
     pub lod_fade_s: f64,
-    /// Nodes whose mask shares no bit with it are skipped.
+    /// Nodes whose mask has no bit in common are skipped.
     pub cull_mask: u32,
-    /// As `cull_mask`, for the left eye where stereo is drawn.
+    /// The cull mask of the left eye in stereo.
     pub cull_mask_left: u32,
-    /// As `cull_mask`, for the right eye.
+    /// The cull mask of the right eye in stereo.
     pub cull_mask_right: u32,
     /// How the depth range is found.
     pub compute_near_far: ComputeNearFar,
-    /// Least near distance as a share of the far one.
+    /// The smallest near distance, as a fraction of the far distance.
     pub near_far_ratio: f64,
-    /// Cameras in the graph that may have shadows of their own ([`CameraNode::shadows`]) in one cull of a view's camera:
-    /// each is culled and drawn once more for each of its cascades. Those met later have none, and are counted
-    /// ([`CullCounters::shadows_refused`]). Of cameras in the graph themselves it is not heeded.
+    /// The maximum number of cameras in the graph with separate shadows ([`CameraNode::shadows`]) in one cull of a view's
+    /// camera: each of their cascades is another cull and draw. Cameras met later have none and are counted in
+    /// [`CullCounters::shadows_refused`]. Ignored in the settings of cameras in the graph.
     ///
     /// [`CameraNode::shadows`]: crate::scene::CameraNode::shadows
     /// [`CullCounters::shadows_refused`]: crate::cull::CullCounters::shadows_refused
@@ -138,22 +138,22 @@ impl Default for CullSettings {
     }
 }
 
-/// Which settings a camera in the graph takes from the one above; OSG's inheritance mask.
+/// The settings that a camera in the graph takes from the camera above; OSG's inheritance mask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Inherit(pub u32);
 
 impl Inherit {
-    /// Everything is the camera's own.
+    /// Nothing is inherited.
     pub const NONE: Self = Self(0);
     /// Culling mode and small feature size.
     pub const CULLING: Self = Self(1);
-    /// LOD scale, largest error, skipping of levels and length of fades.
+    /// LOD scale, maximum error, level skipping and duration of fades.
     pub const LOD_SCALE: Self = Self(2);
     /// Cull masks.
     pub const CULL_MASK: Self = Self(4);
     /// Depth range.
     pub const NEAR_FAR: Self = Self(8);
-    /// Everything is that of the camera above.
+    /// Everything is inherited.
     pub const ALL: Self = Self(15);
 
     pub(crate) const fn has(self, other: Self) -> bool {
@@ -169,7 +169,7 @@ impl BitOr for Inherit {
 }
 
 impl CullSettings {
-    /// These settings, with those of the mask taken from above.
+    /// Returns these settings, with those of the mask taken from `above`.
     pub fn inheriting(mut self, above: &Self, mask: Inherit) -> Self {
         if mask.has(Inherit::CULLING) {
             (self.culling, self.small_feature_px) = (above.culling, above.small_feature_px);
@@ -194,7 +194,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_the_mask_names_comes_from_above() {
+    fn only_masked_settings_are_inherited() {
         let above = CullSettings { lod_scale: 3.0, cull_mask: 5, near_far_ratio: 0.1, ..CullSettings::default() };
         let own = CullSettings { culling: CullingMode::NONE, cull_mask: 2, ..CullSettings::default() };
         assert_eq!(own.inheriting(&above, Inherit::NONE), own);

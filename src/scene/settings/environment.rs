@@ -1,5 +1,5 @@
-//! Sun, sky and air around a scene: plain values the application sets each frame, and what cameras in the graph make of
-//! them. Cull and draw read them.
+//! Sun, sky and air around a scene: plain values that the application sets each frame, and how cameras in the graph derive
+//! theirs. Culls and draws read them.
 
 use std::sync::Arc;
 
@@ -8,41 +8,41 @@ use glam::DVec3;
 use super::sun_shadows::SunShadows;
 use crate::math::WGS84;
 
-/// Eyes closer to the world's origin are in a local frame; the earth's poles are 6,357 km from it.
+/// Eyes closer to the world's origin are in a local frame, not over a globe. The earth's poles are 6,357 km from it.
 const LOCAL_WORLD_RADIUS_M: f64 = 6_200_000.0;
 
-/// What is behind everything.
+/// The background behind everything.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sky {
-    /// The earth's air, from the ground to orbit: one physical model colours the sky, what is seen through it and the
+    /// The earth's air, from the ground to orbit: one physical model colours the sky, objects seen through the air, and the
     /// light of sun and sky on the ground (S. Hillaire, A Scalable and Production Ready Sky and Atmosphere Rendering
     /// Technique, 2020).
     Atmosphere,
-    /// One sRGB colour, exactly: pixels without anything drawn can be counted.
+    /// One exact sRGB colour, so that tests can count pixels on which nothing was drawn.
     Background([u8; 3]),
 }
 
-/// Air in front of things. Under [`Sky::Atmosphere`] it is the sky's own, and the density that of aerosols, which thin out
-/// to 1/e every 1.2 km. Over a background it is a haze of the horizon's colour that thins out to 1/e every 8 km.
+/// Haze in front of objects. Under [`Sky::Atmosphere`] the density is that of aerosols, which decreases by 1/e every 1.2 km
+/// of height. Over a background the haze has the horizon's colour and decreases by 1/e every 8 km.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fog {
-    /// Off: everything is drawn in its own colour.
+    /// If false, everything is drawn in its own colour.
     pub enabled: bool,
-    /// Share lost in a metre at height 0; 1.5e-5 leaves a third over 70 km.
+    /// The fraction of light lost per metre at height 0; 1.5e-5 leaves a third over 70 km.
     pub density_per_m: f32,
 }
 
 /// A calm sea.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Water {
-    /// Height above the ellipsoid, or along `up` in a local scene, metres.
+    /// The height above the ellipsoid, or along `up_in_world` in a local scene, metres.
     pub height_m: f32,
-    /// Linear colour where it is deep.
+    /// The linear colour of deep water.
     pub color: [f32; 3],
 }
 
 impl Water {
-    /// Water at a height.
+    /// Returns water at a height in metres.
     pub fn at(height_m: f32) -> Self {
         Self { height_m, color: [0.012, 0.05, 0.075] }
     }
@@ -51,31 +51,30 @@ impl Water {
 /// Light and background of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Environment {
-    /// Unit vector towards the sun, in the world.
+    /// The unit vector towards the sun, in the world.
     pub sun_direction: DVec3,
-    /// Linear colour of sunlight on a surface that faces it; under an atmosphere, at height 0 with the sun overhead.
+    /// The linear colour of sunlight on a surface that faces the sun; under an atmosphere, at height 0 with the sun overhead.
     pub sun_color: [f32; 3],
-    /// Linear light from the sky, on surfaces that face up; those that face down get less, of the ground's tint. Under
-    /// an atmosphere, with the sun overhead.
+    /// The linear light of the sky on surfaces that face up; surfaces that face down get less, tinted by the ground. Under an
+    /// atmosphere, with the sun overhead.
     pub ambient_color: [f32; 3],
     /// Haze.
     pub fog: Fog,
     /// Background.
     pub sky: Sky,
-    /// A sea around the ground, drawn after what is opaque; seen from above it only.
+    /// A sea around the ground, drawn after opaque geometry; visible only from above.
     pub water: Option<Water>,
-    /// What stands in the sun's light throws shadows; `None` costs nothing.
+    /// Shadows of the sun; `None` costs nothing.
     pub shadows: Option<SunShadows>,
-    /// Lit colours are multiplied by it and their highlights rolled off (Khronos PBR Neutral); `None` cuts them at
-    /// white. What is not lit keeps its colours.
+    /// A factor on lit colours, whose highlights are then compressed (Khronos PBR Neutral); `None` clamps them at white. Unlit
+    /// colours are not changed.
     pub exposure: Option<f32>,
-    /// Unit vector away from the ground at the eye, in the world: z for a local scene, the ellipsoid's normal on
-    /// a globe.
+    /// The unit vector away from the ground at the eye, in the world: z for a local scene, the ellipsoid's normal on a globe.
     pub up_in_world: DVec3,
 }
 
 impl Default for Environment {
-    /// Morning sun from the south-east of a z-up world, thin haze, a sky.
+    /// Returns morning sun from the south-east of a z-up world, thin haze and an atmosphere.
     fn default() -> Self {
         Self {
             sun_direction: DVec3::new(0.45, -0.55, 0.7).normalize(),
@@ -92,7 +91,7 @@ impl Default for Environment {
 }
 
 impl Environment {
-    /// As it is around another eye of the same world: over a globe, up is a matter of where one is.
+    /// Returns the environment around another eye of the same world: over a globe, `up_in_world` depends on the position.
     #[must_use]
     pub fn seen_from(mut self, eye_in_world: DVec3) -> Self {
         if is_over_globe(eye_in_world) {
@@ -102,28 +101,28 @@ impl Environment {
     }
 }
 
-/// True for eyes near a globe: of earth-centred worlds, not of local ones.
+/// Returns true if an eye is near or above a globe in an earth-centred world, not in a local one.
 pub(crate) fn is_over_globe(eye_in_world: DVec3) -> bool {
     eye_in_world.is_finite() && eye_in_world.length() > LOCAL_WORLD_RADIUS_M
 }
 
-/// Light and air in the picture of a camera in the graph. A nested one is drawn into another picture, among its things: it
-/// has neither background nor sky nor water.
+/// Light and air in the image of a camera in the graph. A nested camera draws into the image of another camera and has no
+/// background, sky or water.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum CameraEnvironment {
-    /// The light of the picture that it hangs in, the air as that picture's eye has it, no sky and no water: models,
-    /// overlays, parts of the picture.
+    /// Light and air of the surrounding image, as its eye has them; no sky and no water. For models, overlays and parts of the
+    /// image.
     #[default]
     Light,
-    /// All of the environment of the picture that it hangs in, as the camera's own eye sees it: mirrors, maps, other
-    /// views of the same world. Background, sky and water are drawn where the camera clears its colour.
+    /// The whole environment of the surrounding image, as the camera's own eye sees it. For mirrors, maps and other views of
+    /// the same world. Background, sky and water are drawn if the camera clears its colour.
     Inherited,
-    /// The same, of an environment of its own.
+    /// A separate environment, as the camera's own eye sees it.
     Own(Arc<Environment>),
 }
 
 impl CameraEnvironment {
-    /// What a camera has; `above` is what the picture has that it hangs in, where that is known.
+    /// Returns the environment of a camera. `above` is that of the surrounding image, if known.
     pub(crate) fn of_camera(&self, above: Option<&Environment>, eye_in_world: DVec3) -> Option<Environment> {
         match self {
             Self::Light => above.copied(),
@@ -132,30 +131,30 @@ impl CameraEnvironment {
         }
     }
 
-    /// True where the camera has sky and air by its own eye.
+    /// Returns true if the camera has sky and air as its own eye sees them.
     pub(crate) fn is_whole(&self) -> bool {
         *self != Self::Light
     }
 }
 
-/// Shadows of the sun in the picture of a camera in the graph: cascades of its own, cast by what is below it. Each is
-/// culled and drawn for itself; see [`CullSettings::shadowed_cameras`]. The maps are shared, one camera's after the
-/// other's; those of nested cameras lie beside those of the picture that they are drawn in.
+/// Shadows of the sun in the image of a camera in the graph: separate cascades, cast by everything below it. Each cascade is
+/// culled and drawn; see [`CullSettings::shadowed_cameras`]. Cameras use the same maps one after the other; the maps of a
+/// nested camera lie beside those of the surrounding image.
 ///
-/// [`CullSettings::shadowed_cameras`]: super::CullSettings::shadowed_cameras
+/// [`CullSettings::shadowed_cameras`]: crate::scene::CullSettings::shadowed_cameras
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum CameraShadows {
-    /// None.
+    /// No shadows.
     #[default]
     None,
-    /// As the camera's environment says: that of the picture it hangs in, or its own.
+    /// The shadows of the camera's environment: that of the surrounding image, or its own.
     Environment,
-    /// Others.
+    /// Separate settings.
     Own(SunShadows),
 }
 
 impl CameraShadows {
-    /// What a camera has under its environment.
+    /// Returns the shadows of a camera that has an environment.
     pub(crate) fn under(&self, environment: &Environment) -> Option<SunShadows> {
         match self {
             Self::None => None,

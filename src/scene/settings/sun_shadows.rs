@@ -1,38 +1,40 @@
-//! How shadows of the sun are made: plain values, for pictures and for cameras in the graph.
+//! Settings of the sun's shadows, for views and for cameras in the graph. Plain values.
 
-/// Most cascades of a picture.
+/// The maximum number of cascades of an image.
 pub const MAX_CASCADES: usize = 4;
 
-/// Shadows of the sun. Casts: height tiles and triangles whose state writes depth and does not blend, on both sides;
-/// what is masked casts its holes. Lines and points cast none. Receives: everything that the sun lights.
+/// Shadows of the sun.
 ///
-/// Pictures have them that show a camera of a view: master and slave cameras, and each eye of a stereo picture has
-/// cascades of its own. Cameras in the graph have them where they ask
-/// ([`CameraNode::shadows`](crate::scene::CameraNode::shadows)): what is below them casts and receives there. What is below
-/// other nested cameras and below Projection nodes does neither. Cull callbacks are called for each cascade too.
+/// Height tiles cast shadows, and triangles whose state writes depth and does not blend, on both sides; holes of masked
+/// materials let light through. Lines and points cast none. Everything that the sun lights receives shadows.
+///
+/// Master and slave cameras of a view have shadows, with separate cascades for each eye in stereo. Cameras in the graph have
+/// them on request ([`CameraNode::shadows`](crate::scene::CameraNode::shadows)): everything below such a camera casts and
+/// receives there. Geometry below other nested cameras and below Projection nodes does neither. Cull callbacks are called
+/// for each cascade too.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SunShadows {
-    /// Parts that the depths are split into, 1 to [`MAX_CASCADES`]; each is culled and drawn for itself.
+    /// The number of parts that the depth range is split into, 1 to [`MAX_CASCADES`]; each is culled and drawn separately.
     pub cascades: u32,
-    /// Texels a side of each cascade's map, 64 to 8192; 4 bytes each.
+    /// The side of each cascade's map in texels, 64 to 8192; a texel has 4 bytes.
     pub resolution_px: u32,
-    /// Depth in metres up to which there are shadows; they fade out over its last tenth. Where the nearest thing is
-    /// farther away than a quarter of it, as from high above, up to four times as far as that.
+    /// The depth in metres up to which shadows are drawn; they fade out over its last tenth. If the nearest object is farther
+    /// away than a quarter of this, as from high above, shadows reach four times as far as that object.
     pub distance_m: f64,
-    /// 0 splits the depths evenly, 1 logarithmically, between them a mixture: the practical split scheme of F. Zhang
-    /// et al., Parallel-Split Shadow Maps for Large-Scale Virtual Environments, 2006.
+    /// 0 splits the depths evenly, 1 logarithmically, values between mix both: the practical split scheme of F. Zhang et
+    /// al., Parallel-Split Shadow Maps for Large-Scale Virtual Environments, 2006.
     pub split_lambda: f64,
-    /// How far a point is moved along its surface's normal before it is looked up, in texels, where the sun grazes it.
-    /// Less than the 3 that the filter reaches leaves stripes on lit slopes, more takes shadows off what is low.
+    /// The offset of a point along its surface's normal before the lookup, in texels, at grazing sun. The filter reaches 3
+    /// texels: less leaves stripes on lit slopes, more removes shadows of low objects.
     pub normal_bias_texels: f32,
-    /// How far a point is moved towards the sun, in texels.
+    /// The offset of a point towards the sun before the lookup, in texels.
     pub depth_bias_texels: f32,
-    /// Nodes whose mask shares no bit with it cast no shadow.
+    /// Nodes whose mask has no bit in common cast no shadow.
     pub caster_mask: u32,
 }
 
 impl Default for SunShadows {
-    /// Four cascades of 2048 x 2048 over 20 km.
+    /// Returns four cascades of 2048 x 2048 texels over 20 km.
     fn default() -> Self {
         Self {
             cascades: 4,
@@ -46,28 +48,28 @@ impl Default for SunShadows {
     }
 }
 
-/// Why shadows cannot be as they are set; such pictures have none.
+/// Why settings of shadows are invalid; nothing with invalid settings has shadows.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum ShadowError {
-    /// Not 1 to [`MAX_CASCADES`].
+    /// The number of cascades is not 1 to [`MAX_CASCADES`].
     #[error("sun shadows have 1 to {MAX_CASCADES} cascades, not {0}")]
     Cascades(u32),
-    /// Not 64 to 8192.
+    /// The resolution is not 64 to 8192.
     #[error("sun shadow maps have 64 to 8192 texels a side, not {0}")]
     Resolution(u32),
-    /// Not above 0 and finite.
+    /// The distance is not positive and finite.
     #[error("sun shadows reach a distance above 0 and finite, not {0} m")]
     Distance(f64),
-    /// Not 0 to 1.
+    /// The split lambda is not 0 to 1.
     #[error("sun shadows are split by a lambda of 0 to 1, not {0}")]
     SplitLambda(f64),
-    /// Not 0 to 64.
+    /// A bias is not 0 to 64.
     #[error("biases of sun shadows are 0 to 64 texels, not {0}")]
     Bias(f32),
 }
 
 impl SunShadows {
-    /// What is wrong with the settings, first things first.
+    /// Returns the first error of the settings.
     pub fn check(&self) -> Result<(), ShadowError> {
         if !(1..=MAX_CASCADES as u32).contains(&self.cascades) {
             return Err(ShadowError::Cascades(self.cascades));

@@ -1,8 +1,8 @@
-//! [`ContentKey`]: what stands for the bytes of an image or a mesh. Any thread.
+//! [`ContentKey`]: a hash that stands for the bytes of an image or a mesh. Any thread.
 //!
 //! HighwayHash (Alakuijala, Cox, Wassenberg: "Fast keyed hash/pseudo-random function using SIMD multiply and
-//! permute"), 256 bits under a key that is drawn once a process: who makes contents cannot make two that get equal
-//! keys, and by chance two do not. It reads some GB/s, where a cryptographic hash would double the time to decode a mesh.
+//! permute"), 256 bits with a random key per process: an author of contents cannot construct two with equal keys, and random
+//! collisions do not happen. It hashes some GB/s; a cryptographic hash would double the time to decode a mesh.
 
 use std::hash::{BuildHasher as _, Hasher as _, RandomState};
 use std::sync::OnceLock;
@@ -11,12 +11,12 @@ use highway::{HighwayHash as _, HighwayHasher, Key};
 
 use crate::scene::geometry::{MeshVertex, VertexAttributes};
 
-/// Stands for content: equal where the content is, in this process.
+/// Stands for content: two keys of this process are equal if the contents are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ContentKey([u64; 4]);
 
 impl ContentKey {
-    /// The key of some parts in order; where one ends and the next begins counts.
+    /// Returns the key of parts in order; the boundaries between parts count.
     pub fn of(parts: &[&[u8]]) -> Self {
         let mut hasher = HighwayHasher::new(key());
         for part in parts {
@@ -26,19 +26,19 @@ impl ContentKey {
         Self(hasher.finalize256())
     }
 
-    /// The key of a mesh's vertices with all that they have.
+    /// Returns the key of a mesh's vertices with their custom attributes.
     pub(crate) fn of_vertices(vertices: &[MeshVertex], attributes: &VertexAttributes) -> Self {
         let vertices = bytemuck::cast_slice(vertices);
         if attributes.is_empty() {
             return Self::of(&[vertices]);
         }
-        // As Debug writes it, quoted: no two layouts are written alike.
+        // `Debug` quotes the names, so that different layouts give different text.
         let layout = format!("{:?}", attributes.layout());
         let elements = attributes.iter().map(|(_, _, elements)| elements);
         Self::of(&[vertices, layout.as_bytes()].into_iter().chain(elements).collect::<Vec<_>>())
     }
 
-    /// As bytes, to be part of another key.
+    /// Returns the key as bytes, to be hashed into another key.
     pub(crate) fn bytes(&self) -> [u8; 32] {
         let mut bytes = [0; 32];
         for (to, word) in bytes.chunks_exact_mut(8).zip(self.0) {
@@ -47,7 +47,7 @@ impl ContentKey {
         bytes
     }
 
-    /// Spreads keys over tables.
+    /// Returns the part of a table that the key belongs to.
     pub(super) fn shard(&self, count: usize) -> usize {
         (self.0[0] as usize) % count
     }
@@ -72,12 +72,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_byte_the_length_and_the_parts_count() {
+    fn key_depends_on_bytes_length_and_parts() {
         let base: Vec<u8> = (0..5000u32).map(|i| (i * 31 + 1) as u8).collect();
         let mut seen = HashSet::new();
         for length in (0..300).chain([1023, 1024, 1025, 2048, 4999, 5000]) {
             assert!(seen.insert(ContentKey::of(&[&base[..length]])), "{length}");
-            // Zeros at the end are not nothing.
+            // Trailing zeros count.
             let zeros = vec![0; length];
             assert!(length == 0 || seen.insert(ContentKey::of(&[&zeros])), "{length} zeros");
         }
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_change_places_not_unseen() {
+    fn swapped_blocks_change_the_key() {
         let mut data: Vec<u8> = (0..8 * 1024).map(|i| (i / 7) as u8).collect();
         let key = ContentKey::of(&[&data]);
         data[..2048].rotate_left(1024);

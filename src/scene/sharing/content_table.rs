@@ -11,32 +11,32 @@ use super::shared_content::SharedContent;
 pub(super) const SHARDS: usize = 16;
 
 struct Entry<T> {
-    /// Held by the pages that use the content, and by what is on its way to one.
+    /// Referenced by the pages that use the content, and by contents still being decoded.
     content: Weak<SharedContent>,
-    /// The payload, which is gone once it was uploaded.
+    /// The payload, which is dropped once it was uploaded.
     value: Weak<T>,
 }
 
-/// What [`Table::intern`] found.
+/// The result of [`Table::intern`].
 pub(super) struct Interned<T> {
     pub(super) content: Arc<SharedContent>,
     pub(super) value: Arc<T>,
-    /// Another has the content.
+    /// True if another page has the content already.
     pub(super) is_known: bool,
 }
 
-/// What there is of a key.
+/// The result of [`Table::find`].
 pub(super) enum Found<T> {
     Nothing,
-    /// Some page has the content, whose payload is gone.
+    /// A page has the content, but the payload was dropped.
     InUse,
     AtHand(Arc<SharedContent>, Arc<T>),
 }
 
-/// One kind of payload by key. Written by decode workers, pruned by the reaper.
+/// The payloads of one kind by key.
 pub(super) struct Table<T> {
     shards: [Mutex<HashMap<ContentKey, Entry<T>>>; SHARDS],
-    /// Entries in all shards; changed under their locks, read by anyone.
+    /// The number of entries in all shards; changed under their locks, read by any thread.
     len: AtomicU64,
 }
 

@@ -14,26 +14,26 @@ use crate::scene::geometry::{Drawable, Geometry, HeightTile, Mesh, Texture};
 use crate::scene::pages::Page;
 use crate::state::DataVariance;
 
-/// Images that came again are kept decoded up to so many bytes, for the next tile that brings them.
+/// The maximum bytes of decoded images that are kept because they were used more than once.
 const MAX_KEPT_BYTES: u64 = 16 << 20;
 
-/// Images that came more than once, the last used last.
+/// Decoded images that were used more than once, least recently used first.
 struct Kept {
     images: LruCache<ContentKey, (Weak<SharedContent>, Arc<Texture>)>,
     bytes: u64,
 }
 
-/// Shares what is equal; one for each pager, used by its decode workers at the same time.
+/// Shares equal contents. Each pager has one, which its decode workers use at the same time.
 ///
-/// What the application changes is never another tile's: [`Scene::set_mesh`](crate::scene::Scene::set_mesh) and
-/// [`Scene::replace_state_set`](crate::scene::Scene::replace_state_set) put something else in the place of one page's,
-/// and the application's own pages are not shared unless it calls [`Self::share`].
+/// Changes by the application affect a single page: [`Scene::set_mesh`](crate::scene::Scene::set_mesh) and
+/// [`Scene::replace_state_set`](crate::scene::Scene::replace_state_set) replace contents of one page. The application's own
+/// pages are not shared unless it calls [`Self::share`].
 pub struct SharedStateManager {
     modes: ShareModes,
     images: Table<Texture>,
     meshes: Table<Mesh>,
     tiles: Table<HeightTile>,
-    /// Without payloads: a weak pointer to a list would keep its memory.
+    /// Index lists without payloads, since a weak pointer to a list would keep its memory.
     lists: Table<()>,
     states: Mutex<States>,
     kept: Mutex<Kept>,
@@ -48,9 +48,9 @@ struct Counters {
     decodes_spared: AtomicU64,
     payload_bytes_spared: AtomicU64,
     pruned: AtomicU64,
-    /// Entries of `states`.
+    /// The number of entries of `states`.
     states: AtomicU64,
-    /// The shard that is pruned next.
+    /// The shard to be pruned next.
     next_shard: AtomicU64,
 }
 
@@ -69,7 +69,7 @@ fn image_bytes(image: &Texture) -> u64 {
 }
 
 impl SharedStateManager {
-    /// A manager that shares what `modes` say.
+    /// Creates a manager that shares the kinds of contents in `modes`.
     pub fn new(modes: ShareModes) -> Self {
         Self {
             modes,
@@ -83,12 +83,12 @@ impl SharedStateManager {
         }
     }
 
-    /// What it shares.
+    /// Returns the kinds of contents that are shared.
     pub fn modes(&self) -> ShareModes {
         self.modes
     }
 
-    /// Counters so far.
+    /// Returns the counters so far.
     pub fn stats(&self) -> SharingStats {
         let c = &self.counters;
         let states = c.states.load(Relaxed);
@@ -103,13 +103,13 @@ impl SharedStateManager {
         }
     }
 
-    /// Takes out what nobody shares any more: one part of sixteen at each call, so that no worker waits for long.
-    /// Called where pages are dropped, not in a frame.
+    /// Removes entries that no page uses any more: a sixteenth of the tables at each call, so that no worker waits for long.
+    /// Called by the thread that drops pages, not in a frame.
     pub fn prune(&self) {
         self.prune_shard(self.counters.next_shard.fetch_add(1, Relaxed) as usize % SHARDS);
     }
 
-    /// [`Self::prune`] of everything.
+    /// Removes all entries that no page uses any more.
     pub fn prune_all(&self) {
         (0..SHARDS).for_each(|shard| self.prune_shard(shard));
     }
@@ -135,8 +135,8 @@ impl SharedStateManager {
         add(&self.counters.pruned, pruned);
     }
 
-    /// Shares what a page holds that is not shared yet: for pages that an application builds itself and attaches to
-    /// slots. Once its payloads are taken, its state sets alone.
+    /// Shares the contents of a page that are not shared yet, for pages that an application builds itself. If the payloads
+    /// were taken, only state sets are shared.
     pub fn share(&self, page: &mut Page) {
         self.share_states(page);
         if !page.has_all_drawables() {
@@ -159,7 +159,7 @@ impl SharedStateManager {
         }
         let lock = || self.states.lock().unwrap_or_else(PoisonError::into_inner);
         let mut shared = states::Shared::default();
-        // What reads contents comes before the lock, and what copies after it.
+        // Contents are read before the lock is taken, and copied after it is released.
         if self.modes.textures {
             for set in page.state_sets_mut() {
                 let keys = states::texture_keys(set);
@@ -210,7 +210,7 @@ impl SharedStateManager {
         }
     }
 
-    /// An image by the key of what it is decoded from; `decode` is called unless the decoded one is at hand.
+    /// Returns an image by the key of its encoded bytes; `decode` is called unless the decoded image is in memory.
     pub(crate) fn image<E>(
         &self,
         key: ContentKey,
@@ -243,7 +243,7 @@ impl SharedStateManager {
         interned.content
     }
 
-    /// An image that came again may come once more.
+    /// Keeps an image that was used again, since it may be used once more.
     fn keep(&self, content: &Arc<SharedContent>, image: &Arc<Texture>) {
         let bytes = image_bytes(image);
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
@@ -261,7 +261,7 @@ impl SharedStateManager {
         }
     }
 
-    /// A mesh by the keys of its vertices and of its index list.
+    /// Shares a mesh by the keys of its vertices and of its index list.
     pub(crate) fn mesh(
         &self,
         mesh: &mut Arc<Mesh>,
@@ -285,7 +285,7 @@ impl SharedStateManager {
         (Some(interned.content), Some(list))
     }
 
-    /// A height tile whose colour has the key `texture`.
+    /// Shares a height tile whose colour image has the key `texture`.
     pub(crate) fn height_tile(
         &self,
         tile: &mut Arc<HeightTile>,

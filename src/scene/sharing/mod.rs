@@ -1,8 +1,8 @@
-//! [`SharedStateManager`]: equal images, geometry, textures and state sets of paged contents become one.
+//! Sharing: equal images, geometry, textures and state sets of paged contents are stored once.
 //!
-//! Works in the decode workers, before anything is uploaded or merged; a lock is held for the look-up of one key.
-//! What is equal is found by a [`ContentKey`], and what shares a key has one place in each context: a payload need not
-//! stay in memory to be shared with what comes later. State sets and their textures, which stay, are compared.
+//! Decode workers share contents before they are uploaded and merged; a lock is held for the look-up of one key. Equal
+//! contents have equal [`ContentKey`]s, and each key has one slot in each context. A payload therefore need not stay in
+//! memory to be shared with later contents. State sets and their textures, which stay in memory, are compared.
 
 mod content_key;
 mod content_table;

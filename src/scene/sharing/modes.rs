@@ -1,30 +1,30 @@
 //! Settings and counters of sharing. Plain values.
 
-/// What is shared; OSG's `ShareMode`, and geometry.
+/// The kinds of contents that are shared; OSG's `ShareMode`, and geometry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ShareModes {
-    /// Images of materials and height tiles, and textures of state sets that hold texels.
+    /// Images of materials and height tiles, and textures of state sets with texels.
     pub textures: bool,
-    /// State sets whose data variance is static.
+    /// State sets with static data variance.
     pub static_state_sets: bool,
-    /// State sets that are said to change. They are replaced page by page, so that no page sees another's change;
-    /// but what changes soon is seldom equal for long.
+    /// State sets with dynamic data variance. They are replaced page by page, so that no page sees another's change. Sharing
+    /// them seldom helps, since sets that change do not stay equal for long.
     pub dynamic_state_sets: bool,
     /// Meshes, index lists and height tiles.
     pub geometry: bool,
 }
 
 impl ShareModes {
-    /// Nothing.
+    /// Shares nothing.
     pub const NONE: Self =
         Self { textures: false, static_state_sets: false, dynamic_state_sets: false, geometry: false };
-    /// Everything that does not change: the default.
+    /// Shares everything that does not change: the default.
     pub const STATIC: Self =
         Self { textures: true, static_state_sets: true, dynamic_state_sets: false, geometry: true };
-    /// Everything.
+    /// Shares everything.
     pub const ALL: Self = Self { dynamic_state_sets: true, ..Self::STATIC };
 
-    /// Something is shared.
+    /// Returns true if something is shared.
     pub fn any(&self) -> bool {
         *self != Self::NONE
     }
@@ -36,21 +36,21 @@ impl Default for ShareModes {
     }
 }
 
-/// What sharing did, counted where it happens.
+/// Counters of sharing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SharingStats {
-    /// Images and textures that another content had already.
+    /// The number of images and textures that another content had already.
     pub texture_hits: u64,
-    /// Meshes and height tiles that another content had already.
+    /// The number of meshes and height tiles that another content had already.
     pub geometry_hits: u64,
-    /// State sets that another content had already.
+    /// The number of state sets that another content had already.
     pub state_set_hits: u64,
-    /// Images that were not decoded, because the decoded one was at hand.
+    /// The number of images that were not decoded, because the decoded image was in memory.
     pub decodes_spared: u64,
-    /// Bytes of payloads of which another copy was at hand, dropped at once or never made.
+    /// The bytes of payload copies that were dropped at once or never made, because another copy was in memory.
     pub payload_bytes_spared: u64,
-    /// Shared contents now in the tables.
+    /// The number of shared contents in the tables now.
     pub entries: u64,
-    /// Entries that were taken out of the tables because nobody shares them any more.
+    /// The number of entries that were removed because no page uses them any more.
     pub pruned: u64,
 }

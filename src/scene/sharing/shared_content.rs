@@ -6,11 +6,11 @@ use super::content_key::ContentKey;
 use crate::scene::geometry::Geometry;
 use crate::scene::intersect::KdTree;
 
-/// What pages hold of a shared content as long as they use it: places on the GPU go by its key.
+/// A shared content, referenced by the pages that use it. Its key identifies the slots on the GPU.
 #[derive(Debug)]
 pub(crate) struct SharedContent {
     pub(crate) key: ContentKey,
-    /// Built when first asked for.
+    /// The k-d tree, built on first use.
     tree: OnceLock<Option<Arc<KdTree>>>,
 }
 
@@ -19,18 +19,18 @@ impl SharedContent {
         Arc::new(Self { key, tree: OnceLock::new() })
     }
 
-    /// The tree over the geometry; equal geometry has one.
+    /// Returns the k-d tree of the geometry, which all pages with equal geometry share.
     pub(crate) fn tree(&self, geometry: &Geometry) -> Option<Arc<KdTree>> {
         self.tree.get_or_init(|| KdTree::build(geometry).map(Arc::new)).clone()
     }
 
-    /// The tree over the geometry, where one was built before it was known to be shared.
+    /// Returns the shared k-d tree, which is `built` if there is none yet.
     pub(super) fn tree_or(&self, built: Arc<KdTree>) -> Option<Arc<KdTree>> {
         self.tree.get_or_init(|| Some(built)).clone()
     }
 }
 
-/// What a drawable shares with others.
+/// The contents that a drawable shares with others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SharedParts {
     pub(crate) geometry: Option<Arc<SharedContent>>,

@@ -1,4 +1,4 @@
-//! State sets and their textures: compared by content, shared by identity.
+//! State sets and their textures: compared by content, shared by identity. Used by decode workers behind the manager's lock.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -8,19 +8,20 @@ use std::sync::{Arc, Weak};
 use super::content_key::ContentKey;
 use crate::state::{Attribute, StateSet, StateValue, TextureBinding, TextureObject};
 
-/// Sets of one hash that are compared; more are left alone, so that nobody can make looking long.
+/// The maximum number of sets with the same hash that are compared; further ones are not shared, so that hostile input
+/// cannot make the search long.
 const MAX_ALIKE: usize = 32;
 
 /// State sets by a hash of their content and textures by key. Behind the manager's lock.
 #[derive(Default)]
 pub(super) struct States {
     sets: HashMap<u64, Vec<Weak<StateSet>>>,
-    /// In all of `sets`.
+    /// The number of sets in all lists of `sets`.
     set_count: u64,
     textures: HashMap<ContentKey, Weak<TextureObject>>,
 }
 
-/// What sharing came to.
+/// Counters of one page's sharing.
 #[derive(Debug, Default)]
 pub(super) struct Shared {
     pub texture_hits: u64,
@@ -38,7 +39,8 @@ impl std::fmt::Write for Text {
     }
 }
 
-/// Equal for equal sets that have the same textures. Programs count by their uniforms' names only: comparing tells them apart.
+/// Returns a hash that is equal for equal sets with the same textures. Of programs only the names of uniforms are hashed;
+/// the comparison distinguishes them.
 pub(super) fn hash(set: &StateSet) -> u64 {
     let mut text = Text(DefaultHasher::new());
     let shown = write!(text, "{:?}{:?}{:?}{:?}", set.name, set.bin_value, set.color, set.modes);
@@ -63,12 +65,12 @@ pub(super) fn hash(set: &StateSet) -> u64 {
     text.0.finish()
 }
 
-/// The keys of a set's textures that may be shared, with their places among its attributes. Reads every texel.
+/// Returns the keys of a set's textures that may be shared, with their indices among its attributes. Reads every texel.
 pub(super) fn texture_keys(set: &StateSet) -> Vec<(usize, ContentKey)> {
-    let key = |(place, (attribute, _)): (usize, &(Attribute, StateValue))| match attribute {
-        // Targets are drawn into, sequences show other images: which one it is matters.
+    let key = |(index, (attribute, _)): (usize, &(Attribute, StateValue))| match attribute {
+        // Render targets and image sequences change, so their identity matters.
         Attribute::Texture(_, TextureBinding { texture, .. }) if !texture.texels.is_empty() && !texture.is_changing => {
-            Some((place, texture_key(texture)))
+            Some((index, texture_key(texture)))
         }
         _ => None,
     };
@@ -100,7 +102,7 @@ impl States {
         before - self.len()
     }
 
-    /// Puts the set that was there first in the place of an equal one. `hash` is the set's [`hash()`].
+    /// Replaces a set by the first one that equals it. `hash` is the set's [`hash()`].
     pub(super) fn share(&mut self, set: &mut Arc<StateSet>, hash: u64, shared: &mut Shared) {
         let alike = self.sets.entry(hash).or_default();
         if let Some(known) = alike.iter().filter_map(Weak::upgrade).find(|known| **known == **set) {
@@ -109,7 +111,7 @@ impl States {
             return;
         }
         if alike.len() >= MAX_ALIKE {
-            // Those that are gone take nobody's place.
+            // Sets that were dropped must not use up the limit.
             let before = alike.len();
             alike.retain(|s| s.strong_count() > 0);
             let gone = (before - alike.len()) as u64;
@@ -122,7 +124,7 @@ impl States {
         }
     }
 
-    /// The textures that were there first, for those of a set that equal them, with their places. `keys` are the set's
+    /// Returns earlier textures that equal those of a set, with their indices among its attributes. `keys` are the set's
     /// [`texture_keys`].
     pub(super) fn known_textures(
         &mut self,
@@ -130,13 +132,13 @@ impl States {
         keys: &[(usize, ContentKey)],
     ) -> Vec<(usize, Arc<TextureObject>)> {
         let mut others = Vec::new();
-        for (place, key) in keys {
-            let Some((Attribute::Texture(_, binding), _)) = set.attributes.get(*place) else { continue };
+        for (index, key) in keys {
+            let Some((Attribute::Texture(_, binding), _)) = set.attributes.get(*index) else { continue };
             let known = self.textures.entry(*key).or_default();
             match known.upgrade() {
                 Some(known) if Arc::ptr_eq(&known, &binding.texture) => {}
-                Some(known) => others.push((*place, known)),
-                // Found again by those that come later.
+                Some(known) => others.push((*index, known)),
+                // Later sets find this texture.
                 None => *known = Arc::downgrade(&binding.texture),
             }
         }
@@ -144,11 +146,11 @@ impl States {
     }
 }
 
-/// A set with other textures in the places of its own, in a copy: whoever else holds the set keeps its textures.
+/// Returns a copy of a set with some textures replaced; other owners of the set keep its textures.
 pub(super) fn with_textures(set: &StateSet, textures: Vec<(usize, Arc<TextureObject>)>) -> Arc<StateSet> {
     let mut shared = set.clone();
-    for (place, texture) in textures {
-        if let Some((Attribute::Texture(_, binding), _)) = shared.attributes.get_mut(place) {
+    for (index, texture) in textures {
+        if let Some((Attribute::Texture(_, binding), _)) = shared.attributes.get_mut(index) {
             binding.texture = texture;
         }
     }
@@ -201,7 +203,7 @@ mod tests {
         assert_eq!(kept(b).as_ref(), Some(&shared));
         assert_ne!(kept(a).as_ref(), Some(&shared));
 
-        // One that is in two places, as it took both of them.
+        // A set that replaced two others is listed twice.
         let [first, second, both, last] = [1, 2, 3, 4].map(|k| Arc::new(set(k, Static)));
         let twice = Node::group(
             [&first, &second].map(|set| Node { state_set: Some(set.clone()), ..Node::group(vec![]) }).into(),
@@ -214,7 +216,7 @@ mod tests {
         assert!(sets.len() == 2 && sets.iter().all(|set| Arc::ptr_eq(set, &last)));
         assert!(!scene.replace_state_set(twice, &both, first.clone()));
 
-        // Sets that change are not shared, their textures are.
+        // Dynamic sets are not shared, but their textures are.
         let (c, d) = (page(&manager, set(7, Dynamic)), page(&manager, set(7, Dynamic)));
         assert!(!Arc::ptr_eq(&c.state_sets()[0], &d.state_sets()[0]) && Arc::ptr_eq(texture(&c), texture(&d)));
         let all = SharedStateManager::new(ShareModes::ALL);
@@ -226,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn targets_are_never_shared_and_what_is_gone_is_forgotten() {
+    fn targets_are_not_shared_and_dropped_sets_are_pruned() {
         let manager = SharedStateManager::new(ShareModes::ALL);
         let target = || {
             let target = TextureObject::target("mirror", [4, 4], Default::default());
@@ -244,7 +246,7 @@ mod tests {
         assert_eq!(manager.stats().entries, 0);
     }
 
-    /// Those of one name showed the images of one of them.
+    /// Regression: sequences of the same name showed the images of one of them.
     #[test]
     fn textures_of_image_sequences_are_never_shared() {
         let manager = SharedStateManager::new(ShareModes::ALL);
@@ -257,9 +259,9 @@ mod tests {
     }
 
     #[test]
-    fn sets_that_are_gone_take_no_place_of_those_of_the_same_hash() {
+    fn dropped_sets_do_not_use_up_the_hash_limit() {
         let manager = SharedStateManager::new(ShareModes::default());
-        // Hashes count the names of uniforms only.
+        // Only the names of uniforms are hashed.
         let alike = |n: f32| StateSet::default().with_uniform("height", UniformValue::Float(n));
         let kept = page(&manager, alike(-1.0));
         for n in 0..4 * MAX_ALIKE {
@@ -276,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn workers_that_share_sets_at_the_same_time_get_one() {
+    fn concurrent_workers_get_the_same_set() {
         let manager = SharedStateManager::new(ShareModes::default());
         for round in 0..50u8 {
             let barrier = std::sync::Barrier::new(4);

@@ -18,7 +18,7 @@ pub(super) struct ExternalVolume {
 }
 
 impl ExternalVolume {
-    /// A volume in the frame of its own tile.
+    /// Creates a volume in the frame of the root itself.
     pub fn new(volume: BoundingVolume) -> Self {
         Self { root_from_tile: DAffine3::IDENTITY, volume }
     }

@@ -380,7 +380,9 @@ mod tests {
     }
 
     proptest! {
-    XX(
+        /// Stored volumes hold the declared ones, and offsets are as exact as rounded f64 offsets.
+        #[test]
+        fn stored_bounds_hold_declared_bounds(
             scale in prop::sample::select(vec![1e-3, 1.0, 2e4, 6.4e6, 1e12, 1e30]),
             points in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 1..20),
             eye in prop::array::uniform3(-1.5..1.5f64),

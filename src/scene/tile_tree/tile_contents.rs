@@ -6,7 +6,7 @@ use glam::DAffine3;
 
 use crate::scene::id::NONE;
 
-/// What a visit of a tile's content reads.
+/// The slot of a tile, as a visit of its content reads it.
 #[derive(Clone, Copy, Debug)]
 struct TileContent {
     /// The slot of the resident page in the scene's page table, or `NONE`.

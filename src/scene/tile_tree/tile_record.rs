@@ -2,7 +2,7 @@
 
 /// Flags of a [`TileRecord`].
 pub(crate) mod flag {
-    /// The tile has content of its own.
+    /// The tile has content.
     pub const CONTENT: u16 = 1;
     /// The tile is a ProxyNode.
     pub const PROXY: u16 = 2;

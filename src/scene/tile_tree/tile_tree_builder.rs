@@ -19,7 +19,7 @@ pub(crate) struct TileTreeBuilder {
     declared: Vec<DeclaredBounds>,
 }
 
-/// Where a tile is in the graph of its page.
+/// The position of a tile in the graph of its page.
 struct TilePosition {
     /// The tile above, `NONE` for a top tile.
     parent: u32,
