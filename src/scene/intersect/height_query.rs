@@ -1,7 +1,7 @@
 //! Height above the terrain, for any thread.
 //!
-//! The scene itself can only be asked between two updates. A [`HeightQuery`] keeps what is needed of it: whoever holds
-//! the scene publishes it, as often as it likes, and everybody else asks what was published last.
+//! The scene itself can be read only between two updates. The thread that holds the scene publishes snapshots of the
+//! ground to a [`HeightQuery`], as often as it likes; all other threads query the last snapshot.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -17,18 +17,18 @@ use crate::math::{BoundingSphere, Ellipsoid, Ray};
 use crate::scene::geometry::Geometry;
 use crate::scene::graph::Scene;
 
-/// Which way is up, and where height 0 is.
+/// The direction upwards, and the surface of height 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Vertical {
-    /// z is up and is the height: scenes that are not on the earth.
+    /// Up is z, and z is the height: for scenes that are not on the earth.
     Flat,
-    /// Up is the normal of an ellipsoid around the origin, heights are above it: earth-centred scenes, with
+    /// Up is the normal of an ellipsoid around the origin, and heights are above it: for earth-centred scenes, with
     /// [`WGS84`](crate::math::WGS84).
     Ellipsoid(Ellipsoid),
 }
 
 impl Vertical {
-    /// Up at a point of the world, and its height in metres.
+    /// Returns the unit vector upwards at a point of the world, and the point's height in metres.
     pub fn up_and_height_m(&self, point: DVec3) -> (DVec3, f64) {
         match self {
             Self::Flat => (DVec3::Z, point.z),
@@ -39,7 +39,7 @@ impl Vertical {
         }
     }
 
-    /// How far down there may be ground: not that on the other side of the earth.
+    /// Returns the depth down to which ground is searched, which excludes the other side of the earth.
     fn depth_m(&self, height_m: f64) -> f64 {
         match self {
             Self::Flat => f64::INFINITY,
@@ -48,38 +48,38 @@ impl Vertical {
     }
 }
 
-/// A place on the ground.
+/// A point on the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroundPoint {
-    /// Metres in the world.
+    /// The point in the world, metres.
     pub point: DVec3,
-    /// Unit normal of the ground in the world, on the upper side.
+    /// The unit normal of the ground in the world, on the upper side.
     pub normal: DVec3,
-    /// Metres above the ellipsoid or the plane z = 0.
+    /// The height above the ellipsoid or the plane z = 0, metres.
     pub height_m: f64,
-    /// How far the asked point is above it, metres; negative below.
+    /// The height of the query's point above the ground, metres; negative below.
     pub above_m: f64,
 }
 
-/// The published ground, and who may ask for it.
+/// The published ground, which any thread can query.
 ///
-/// Clones share what is published. [`Self::publish`] belongs to the thread that holds the scene, after update; it costs
-/// nothing while the scene stays as it was, and about 0.3 us a drawable of the level when it changed. All else is for any
-/// thread at any time, waits for nobody longer than an `Arc` takes to be cloned, and never keeps the frame waiting.
+/// Clones share the snapshot. [`Self::publish`] is called by the thread that holds the scene, after update. It costs nothing
+/// while the scene is unchanged, and otherwise about 0.3 us per drawable of the level. All other methods can be called on
+/// any thread at any time; they hold a lock only while an `Arc` is cloned, and never delay the frame.
 ///
-/// Needs the drawables' [`KdTree`]s (see [`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees)) or
-/// payloads. A snapshot keeps the trees that it holds until the next is published, whatever the pager expires.
+/// Requires the drawables' [`KdTree`]s (see [`PagerConfig::build_kd_trees`](crate::pager::PagerConfig::build_kd_trees)) or
+/// payloads. A snapshot keeps its trees in memory until the next one is published, whatever the pager expires.
 #[derive(Clone, Debug)]
 pub struct HeightQuery {
     vertical: Vertical,
     traversal_mask: u32,
     lod_selection: LodSelection,
-    /// Written by `publish`, read by everyone.
+    /// The last snapshot; written by `publish`, read by any thread.
     published: Arc<Mutex<Arc<GroundSnapshot>>>,
 }
 
 impl HeightQuery {
-    /// A query that knows no ground yet.
+    /// Creates a query without ground.
     pub fn new(vertical: Vertical) -> Self {
         Self {
             vertical,
@@ -89,19 +89,19 @@ impl HeightQuery {
         }
     }
 
-    /// The same, of which only nodes with `mask & traversal_mask != 0` are ground.
+    /// Sets the traversal mask: only nodes with `mask & traversal_mask != 0` are ground.
     pub fn with_traversal_mask(mut self, traversal_mask: u32) -> Self {
         self.traversal_mask = traversal_mask;
         self
     }
 
-    /// The same with another level of detail; there is no eye, so that `AsSeen` is the highest.
+    /// Sets the level of detail. There is no eye, so `AsSeen` is the highest level.
     pub fn with_lod_selection(mut self, lod_selection: LodSelection) -> Self {
         self.lod_selection = lod_selection;
         self
     }
 
-    /// Takes over what the scene has now; false when it has not changed since the last time.
+    /// Publishes a snapshot of the scene. Returns false if the scene has not changed since the last one.
     pub fn publish(&self, scene: &Scene) -> bool {
         let before = self.snapshot();
         let of = Some((self.traversal_mask, self.lod_selection, scene.revision()));
@@ -116,27 +116,27 @@ impl HeightQuery {
         true
     }
 
-    /// What was published last: for many questions that are to have consistent answers.
+    /// Returns the last snapshot, for several queries with consistent results.
     pub fn snapshot(&self) -> Arc<GroundSnapshot> {
         self.published.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// As [`GroundSnapshot::ground_at`].
+    /// Calls [`GroundSnapshot::ground_at`] of the last snapshot.
     pub fn ground_at(&self, point: DVec3) -> Option<GroundPoint> {
         self.snapshot().ground_at(point)
     }
 
-    /// As [`GroundSnapshot::highest_ground_at`].
+    /// Calls [`GroundSnapshot::highest_ground_at`] of the last snapshot.
     pub fn highest_ground_at(&self, point: DVec3) -> Option<GroundPoint> {
         self.snapshot().highest_ground_at(point)
     }
 
-    /// As [`GroundSnapshot::height_above_terrain_m`].
+    /// Calls [`GroundSnapshot::height_above_terrain_m`] of the last snapshot.
     pub fn height_above_terrain_m(&self, point: DVec3) -> Option<f64> {
         self.snapshot().height_above_terrain_m(point)
     }
 
-    /// As [`GroundSnapshot::terrain_height_m`].
+    /// Calls [`GroundSnapshot::terrain_height_m`] of the last snapshot.
     pub fn terrain_height_m(&self, point: DVec3) -> Option<f64> {
         self.snapshot().terrain_height_m(point)
     }
@@ -163,7 +163,7 @@ impl Piece {
         }
     }
 
-    /// Around it in the world.
+    /// Returns a sphere around the drawable in the world.
     fn sphere(&self) -> BoundingSphere {
         let local = match &self.surface {
             PieceSurface::Tree(tree) => tree.bounding_sphere(),
@@ -173,18 +173,18 @@ impl Piece {
     }
 }
 
-/// The ground as it was when it was published. Any thread.
+/// The ground at the time of publication. Any thread.
 #[derive(Debug)]
 pub struct GroundSnapshot {
     vertical: Vertical,
-    /// Settings and revision of the scene.
+    /// The settings of the query and the revision of the scene.
     of: Option<(u32, LodSelection, u64)>,
     pieces: Vec<Piece>,
-    /// Made by the first thread that asks, so that who publishes need not.
+    /// The search index, built by the first query, so that the publishing thread need not.
     index: OnceLock<Index>,
 }
 
-/// A shape that meets everything.
+/// A shape that meets everything, to collect all drawables.
 struct Everywhere;
 
 impl Probe for Everywhere {
@@ -228,17 +228,17 @@ impl GroundSnapshot {
         Self { vertical, of, pieces: found.iter().filter_map(piece).collect(), index: OnceLock::new() }
     }
 
-    /// True when the scene has not changed since.
+    /// Returns true if the scene has not changed since this snapshot.
     pub fn is_of(&self, scene: &Scene) -> bool {
         self.of.is_some_and(|(.., revision)| revision == scene.revision())
     }
 
-    /// How many drawables are ground.
+    /// Returns the number of drawables of the ground.
     pub fn drawable_count(&self) -> usize {
         self.pieces.len()
     }
 
-    /// The ground under a point of the world; where there is none below it, the lowest above. `None` where there is no
+    /// Returns the ground below a point of the world, or the lowest ground above if there is none below. `None` if there is no
     /// ground along the vertical, or the point is not finite.
     pub fn ground_at(&self, point: DVec3) -> Option<GroundPoint> {
         let (up, height_m) = self.up_and_height_m(point)?;
@@ -248,11 +248,11 @@ impl GroundSnapshot {
         Some(self.ground(point + up * along, normal, up, -along))
     }
 
-    /// The highest ground on the vertical of a point of the world, whatever the point's own height is.
+    /// Returns the highest ground on the vertical of a point of the world, whatever the height of the point.
     pub fn highest_ground_at(&self, point: DVec3) -> Option<GroundPoint> {
         let (up, height_m) = self.up_and_height_m(point)?;
         let all = self.index().nodes.first()?;
-        // Above everything.
+        // The search starts above everything.
         let rise_m = all.center.distance(point) + all.radius_m + 1.0;
         let start = point + up * rise_m;
         let depth_m = rise_m + self.vertical.depth_m(height_m);
@@ -260,13 +260,13 @@ impl GroundSnapshot {
         Some(self.ground(start - up * ratio, normal, up, ratio - rise_m))
     }
 
-    /// Metres from the ground up to a point of the world, along the vertical; negative below the ground. Where there is
-    /// ground above and below, that below counts.
+    /// Returns the height of a point of the world above the ground along the vertical, metres; negative below the ground. If
+    /// there is ground above and below, the ground below counts.
     pub fn height_above_terrain_m(&self, point: DVec3) -> Option<f64> {
         self.ground_at(point).map(|ground| ground.above_m)
     }
 
-    /// Metres of the highest ground on the vertical of a point, above the ellipsoid or the plane z = 0.
+    /// Returns the height of the highest ground on the vertical of a point, metres above the ellipsoid or the plane z = 0.
     pub fn terrain_height_m(&self, point: DVec3) -> Option<f64> {
         self.highest_ground_at(point).map(|ground| ground.height_m)
     }
@@ -281,7 +281,7 @@ impl GroundSnapshot {
         GroundPoint { point, normal, height_m: self.vertical.up_and_height_m(point).1, above_m }
     }
 
-    /// Ratio and normal in the world of what a line meets first.
+    /// Returns the ratio and the normal in the world of the first intersection of a line.
     fn nearest(&self, whole: &Ray) -> Option<(f64, DVec3)> {
         let mut line = *whole;
         let mut nearest = None;
@@ -307,7 +307,7 @@ impl GroundSnapshot {
     }
 }
 
-/// Spheres around pieces, halved at the median: node `n` has the children `2n + 1` and `2n + 2`.
+/// A binary tree of spheres around pieces, divided at the median: node `n` has the children `2n + 1` and `2n + 2`.
 #[derive(Debug)]
 struct Index {
     nodes: Vec<BoundingSphere>,
@@ -341,7 +341,7 @@ impl Index {
         let mut open = vec![0];
         while let Some(node) = open.pop() {
             let Some(sphere) = self.nodes.get(node).filter(|s| !s.is_empty()) else { continue };
-            // Rounding of centres at planetary coordinates must not lose a tile.
+            // The margin covers the rounding of centres at planetary coordinates.
             if line.enters_sphere(sphere.center, sphere.radius_m * (1.0 + 1e-9) + 1e-6).is_none() {
                 continue;
             }
@@ -355,7 +355,7 @@ impl Index {
     }
 }
 
-/// The places of a leaf's pieces in the order.
+/// Returns the range of a leaf's pieces in the order.
 fn places(count: usize, depth: u32, leaf: usize) -> std::ops::Range<usize> {
     (count * leaf) >> depth..(count * (leaf + 1)) >> depth
 }

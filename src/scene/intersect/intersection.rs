@@ -1,4 +1,4 @@
-//! What an intersector keeps and returns. Plain values.
+//! Intersections, and the interface of intersectors.
 
 use std::sync::Arc;
 
@@ -8,67 +8,67 @@ use super::probe::{Candidate, Probe};
 use super::surface::Surface;
 use crate::scene::id::NodeId;
 
-/// Which intersections an intersector keeps. Of pictures drawn over each other the uppermost is the nearest.
+/// The intersections that an intersector keeps. If images are drawn over each other, the uppermost is the nearest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum IntersectionLimit {
     /// All of them.
     #[default]
     NoLimit,
-    /// The nearest of each drawable.
+    /// The nearest intersection of each drawable.
     OnePerDrawable,
-    /// Any one: whether there is something at all.
+    /// Any single intersection, to find out whether there is one.
     One,
-    /// The nearest.
+    /// The nearest intersection.
     Nearest,
 }
 
 /// A primitive that an intersector meets.
 #[derive(Clone, Debug)]
 pub struct Intersection {
-    /// From the root page's first node, across the pages between, to the node that holds the drawable.
+    /// The path from the root page's first node, across the pages between, to the node that holds the drawable.
     pub node_path: Arc<[NodeId]>,
-    /// Number of the drawable in the page of the last node.
+    /// The index of the drawable in the page of the last node.
     pub drawable: u32,
-    /// Number of the primitive in the drawable: of a mesh by its indices, of a height tile two a cell (the
+    /// The index of the primitive in the drawable. A mesh counts by its indices; a height tile has two triangles per cell (the
     /// south-eastern one first), cells row by row from the south-west.
     pub primitive: u32,
-    /// Its corners: of a mesh indices into the vertices, of a height tile row by row from the south-west. The last
-    /// one repeats where there are fewer than three.
+    /// The corners: indices into a mesh's vertices, or grid points of a height tile row by row from the south-west. The last
+    /// one is repeated if there are fewer than three.
     pub vertices: [u32; 3],
-    /// Shares of the corners in the point: what to blend their attributes by.
+    /// The weights of the corners at the point, to interpolate their attributes.
     pub weights: [f64; 3],
-    /// Where along the intersector it is: of a segment 0 to 1, of a ray in metres, of a polytope the least distance
-    /// from its reference plane. Of what another projection draws: where in the picture itself it would have that depth.
+    /// The position along the intersector: 0 to 1 of a segment, metres of a ray, the smallest distance from the reference plane
+    /// of a polytope. For geometry of another projection it is converted to the position of equal depth in the given view.
     pub ratio: f64,
-    /// The largest distance from the reference plane of what a polytope meets of it; else as `ratio`.
+    /// The largest distance from a polytope's reference plane; equal to `ratio` for lines.
     pub max_ratio: f64,
-    /// The drawable's frame to the world's.
+    /// Maps the drawable's frame to the world.
     pub world_from_local: DAffine3,
-    /// The point in the drawable's frame; of a polytope the middle of what it meets of the primitive.
+    /// The point in the drawable's frame; for a polytope the centre of the part of the primitive that is inside.
     pub local_point: DVec3,
-    /// Unit normal of the primitive in the drawable's frame, on the side from which its corners run counter-clockwise,
-    /// of height tiles upwards; zero for lines and points.
+    /// The unit normal of the primitive in the drawable's frame, on the side from which its corners are counter-clockwise;
+    /// upwards for height tiles; zero for lines and points.
     pub local_normal: DVec3,
 }
 
 impl Intersection {
-    /// The point in the world, metres; below an absolute camera with a picture of its own, in the world of that camera.
+    /// Returns the point in the world, metres. Below an absolute camera with a separate image it is in the world of that camera.
     pub fn world_point(&self) -> DVec3 {
         self.world_from_local.transform_point3(self.local_point)
     }
 
-    /// The unit normal in the world; zero for lines and points.
+    /// Returns the unit normal in the world; zero for lines and points.
     pub fn world_normal(&self) -> DVec3 {
         (self.world_from_local.matrix3.inverse().transpose() * self.local_normal).normalize_or_zero()
     }
 
-    /// The node that holds the drawable.
+    /// Returns the node that holds the drawable.
     pub fn node(&self) -> Option<NodeId> {
         self.node_path.last().copied()
     }
 }
 
-/// An intersection as the intersectors find it.
+/// An intersection as the intersectors record it.
 #[derive(Clone, Copy, Debug)]
 pub struct Met {
     pub candidate: Candidate,
@@ -81,15 +81,15 @@ pub struct Met {
     pub local_normal: DVec3,
 }
 
-/// What is common to intersectors.
+/// The interface of intersectors to the traversal.
 pub trait Intersect: Probe {
-    /// Forgets what was found.
+    /// Clears the results.
     fn clear(&mut self);
-    /// True where neither this candidate nor those behind it could change what is kept.
+    /// Returns true if neither this candidate nor later ones can change the results.
     fn is_done(&self, candidate: &Candidate) -> bool;
-    /// Meets a drawable.
+    /// Intersects a drawable.
     fn meet(&mut self, candidate: &Candidate, surface: &Surface);
-    /// What was met, and where it goes.
+    /// Returns the recorded intersections, and the list for the results.
     fn results(&mut self) -> (&mut Vec<Met>, &mut Vec<Intersection>);
 }
 

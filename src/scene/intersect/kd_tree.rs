@@ -1,10 +1,10 @@
-//! A k-d tree over the primitives of one drawable, after OSG's `KdTree`: primitives divided at the median of the
-//! longest axis, boxes around each half.
+//! A k-d tree over the primitives of a drawable, after OSG's `KdTree`: primitives are divided at the median of the longest
+//! axis, with a box around each half.
 //!
 //! Built by decode workers while the payload is there; kept in the page, read by any thread. The tree has no
 //! pointers: node `n` has the children `2n + 1` and `2n + 2`, and the primitives below a node follow from its number.
-//! Boxes are 12 bytes, in steps of the whole box, whose z axis is the primitives' mean normal: boxes around a slope lie
-//! flat on it. Primitives are tested in f64 with the very positions that are drawn.
+//! Boxes have 12 bytes, in steps of the whole box, whose z axis is the primitives' mean normal: boxes of a slope lie flat on
+//! it. Primitives are tested in f64 with exactly the positions that are drawn.
 
 use glam::{DMat3, DVec3, DVec4, Vec3, Vec4};
 
@@ -12,22 +12,24 @@ use super::primitives::{Corners, HeightCorners, Indices, MeshCorners, Primitive,
 use crate::math::{BoundingSphere, Ray, slab};
 use crate::scene::geometry::Geometry;
 
-/// Most primitives below a leaf: of a mesh, 3 to 6 bytes of boxes a triangle; of a height tile, 4 x 4 cells.
+/// The maximum number of primitives in a leaf of a mesh; the boxes then take 3 to 6 bytes per triangle.
 const MAX_IN_MESH_LEAF: usize = 8;
+/// The maximum number of triangles in a leaf of a height tile: 4 x 4 cells.
 const MAX_IN_HEIGHT_LEAF: usize = 32;
 
-/// Steps of the whole box along each axis. Two steps of room on both sides are in it, and each box is a step larger
-/// than what is in it: what f32 rounds while the boxes are walked is far less.
+/// The number of steps of the whole box along each axis. It includes a margin of [`ROOM`] steps on both sides, and each box
+/// is a step larger than its contents. The f32 rounding errors of the traversal are far smaller.
 const STEPS: f64 = 65_535.0;
+/// The margin of the whole box on each side, in steps.
 const ROOM: f64 = 2.0;
 
-/// Triangles are larger by this share: neighbouring tiles meet but for the rounding of their f32 positions, and a
-/// line must not fall through.
+/// Triangles are enlarged by this fraction: neighbouring tiles have tiny gaps from the rounding of their f32 positions, and
+/// a line must not pass through.
 pub(super) const EDGE_SLACK: f64 = 1e-5;
-/// What of a triangle so enlarged is outside it, as a share of its longest edge: at most three of those, with room.
+/// The overhang of an enlarged triangle as a fraction of its longest edge: at most three times the slack, with a margin.
 const SIGHT_SLACK: f64 = 10.0 * EDGE_SLACK;
 
-/// A box in steps.
+/// A box in steps of the whole box.
 #[derive(Clone, Copy, Debug)]
 struct StepBox {
     min: [u16; 3],
@@ -40,37 +42,37 @@ enum Store {
     Heights(HeightCorners),
 }
 
-/// Primitives of a drawable, to be intersected.
+/// The primitives of a drawable, arranged for intersection.
 #[derive(Debug)]
 pub struct KdTree {
-    /// Rows: the axes of the boxes in the drawable's frame.
+    /// The rows are the axes of the boxes in the drawable's frame.
     box_from_drawable: DMat3,
-    /// Lower corner, in the axes of the boxes.
+    /// The lower corner of the whole box, in the axes of the boxes.
     origin: DVec3,
-    /// Metres.
+    /// The length of a step along each axis.
     step_m: DVec3,
-    /// Levels below the root; 2^depth leaves.
+    /// The number of levels below the root; there are 2^depth leaves.
     depth: u32,
     count: usize,
     boxes: Box<[StepBox]>,
     store: Store,
 }
 
-/// A primitive met by a line.
+/// An intersection of a primitive with a line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LineHit {
     pub primitive: u32,
     pub vertices: [u32; 3],
     pub ratio: f64,
-    /// Of the corners; they sum to 1.
+    /// The weights of the corners; they sum to 1.
     pub weights: [f64; 3],
-    /// In the drawable's frame, not of unit length; on the side from which the corners run counter-clockwise, of a
-    /// height tile upwards.
+    /// The normal in the drawable's frame, not of unit length, on the side from which the corners are counter-clockwise; upwards
+    /// for a height tile.
     pub normal: DVec3,
 }
 
 impl KdTree {
-    /// A tree over a geometry; `None` where it has no primitives.
+    /// Builds the tree of a geometry; `None` if it has no primitives.
     pub fn build(geometry: &Geometry) -> Option<Self> {
         match geometry {
             Geometry::Mesh(mesh) => {
@@ -115,7 +117,7 @@ impl KdTree {
             }
         }
         let extent = max - min;
-        // Nothing is thinner than f32 can tell along the longest axis.
+        // No axis is thinner than the f32 resolution along the longest one.
         let least = (extent.max_element() * 1e-7).max(1e-9);
         let step_m = extent.max(DVec3::splat(least)) / (STEPS - 2.0 * ROOM);
         let origin = min - step_m * ROOM;
@@ -146,17 +148,17 @@ impl KdTree {
         tree
     }
 
-    /// Triangles, segments or points.
+    /// Returns the number of triangles, segments or points.
     pub fn primitive_count(&self) -> usize {
         self.count
     }
 
-    /// True where the primitives are those of a height tile, without its skirt.
+    /// Returns true for the tree of a height tile, whose skirt it leaves out.
     pub(crate) fn is_of_heights(&self) -> bool {
         matches!(self.store, Store::Heights(_))
     }
 
-    /// Bytes of CPU memory.
+    /// Returns the bytes of CPU memory.
     pub fn size_bytes(&self) -> u64 {
         let store = match &self.store {
             Store::Mesh(mesh) => mesh.positions.len() * 12 + mesh.indices.size_bytes() + mesh.order.size_bytes(),
@@ -165,18 +167,18 @@ impl KdTree {
         (size_of::<Self>() + self.boxes.len() * size_of::<StepBox>() + store) as u64
     }
 
-    /// Around all primitives, in the drawable's frame.
+    /// Returns a sphere around all primitives, in the drawable's frame.
     pub fn bounding_sphere(&self) -> BoundingSphere {
         let half = 0.5 * STEPS * self.step_m;
         BoundingSphere::new(self.box_from_drawable.transpose() * (self.origin + half), half.length())
     }
 
-    /// The places of a leaf's primitives.
+    /// Returns the range of a leaf's primitives.
     fn places(&self, leaf: usize) -> std::ops::Range<usize> {
         (self.count * leaf) >> self.depth..(self.count * (leaf + 1)) >> self.depth
     }
 
-    /// Meets triangles with a line, near ones about first. `found` says up to which ratio to go on.
+    /// Intersects triangles with a line, roughly from near to far. `found` returns the ratio up to which the search continues.
     pub(crate) fn intersect_line(&self, ray: &Ray, mut found: impl FnMut(&LineHit) -> f64) {
         if self.store.corners_of_each() != 3 {
             return;
@@ -189,7 +191,7 @@ impl KdTree {
         if first >= last || !first.is_finite() || !last.is_finite() {
             return;
         }
-        // From here the ray is the part inside the whole box: share 0 to 1, coordinates that f32 can hold.
+        // From here on the ray is the part inside the whole box, with ratios of 0 to 1 and coordinates that f32 can hold.
         let span = last - first;
         let near = Ray { origin: ray.at(first), direction: ray.direction * span, max_ratio: 1.0 };
         let walk = Walk::new(origin + direction * first, direction * span);
@@ -255,8 +257,7 @@ impl KdTree {
         }
     }
 
-    /// Visits the primitives of leaves whose boxes `meets`, given by a function of their middle and half size, lets
-    /// through. False from `visit` ends it.
+    /// Visits the primitives of leaves in boxes for which `boxes` returns true, until `visit` returns false.
     pub(crate) fn visit_in(
         &self,
         boxes: &mut dyn FnMut(&BoxInDrawable) -> bool,
@@ -302,14 +303,14 @@ impl KdTree {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct BoxInDrawable {
     pub center: DVec3,
-    /// Along the axes, metres.
+    /// Half the size along the axes, metres.
     pub half: DVec3,
-    /// Columns, of unit length.
+    /// The axes as columns, of unit length.
     pub axes: DMat3,
 }
 
 impl BoxInDrawable {
-    /// Least and largest `normal . p + d` in the box.
+    /// Returns the smallest and largest `normal . p + d` in the box.
     pub fn range(&self, plane: DVec4) -> (f64, f64) {
         let normal = plane.truncate();
         let middle = normal.dot(self.center) + plane.w;
@@ -348,7 +349,7 @@ impl Store {
         }
     }
 
-    /// The frame of height tiles is left-handed.
+    /// Returns the normal on the front side: upwards for height tiles, whose frame is left-handed.
     fn facing(&self, place: usize, normal: DVec3) -> DVec3 {
         match self {
             Self::Heights(heights) if normal.dot(heights.up(place)) < 0.0 => -normal,
@@ -357,7 +358,7 @@ impl Store {
     }
 }
 
-/// A line in the steps of a tree, for all axes at once; z is there twice.
+/// A line in steps of a tree, for all axes at once; z is stored twice.
 struct Walk {
     origin: Vec4,
     per_step: Vec4,
@@ -365,14 +366,14 @@ struct Walk {
 
 impl Walk {
     fn new(origin: DVec3, direction: DVec3) -> Self {
-        // Across an axis it is all but across, so that no product is NaN.
+        // A zero component is replaced by a tiny one, so that no product is NaN.
         let least = Vec4::splat(1e-30);
         let along = xyzz(direction.as_vec3().to_array());
         let per_step = Vec4::select(along.abs().cmplt(least), least, along).recip();
         Self { origin: xyzz(origin.as_vec3().to_array()), per_step }
     }
 
-    /// Share at which a box is entered.
+    /// Returns the ratio at which the line enters a box.
     #[inline(always)]
     fn enters(&self, steps: &StepBox) -> Option<f32> {
         let share = |steps: [u16; 3]| (xyzz(steps.map(f32::from)) - self.origin) * self.per_step;
@@ -388,7 +389,8 @@ fn xyzz([x, y, z]: [f32; 3]) -> Vec4 {
     Vec4::new(x, y, z, z)
 }
 
-/// Where a line meets a triangle: share of the ray, weights of the corners, normal. Moeller and Trumbore, 1997.
+/// Intersects a line with a triangle. Returns the ratio of the ray, the weights of the corners and the normal. Moeller and
+/// Trumbore, 1997.
 pub(crate) fn meet(ray: &Ray, corners: &Corners) -> Option<(f64, [f64; 3], DVec3)> {
     let [a, b, c] = *corners;
     let (ab, ac) = (b - a, c - a);
@@ -413,11 +415,12 @@ pub(crate) fn meet(ray: &Ray, corners: &Corners) -> Option<(f64, [f64; 3], DVec3
     share.is_finite().then(|| (share, [1.0 - v - w, v, w], ab.cross(ac)))
 }
 
-fn depth_for(count: usize, most: usize) -> u32 {
-    count.div_ceil(most).max(1).next_power_of_two().trailing_zeros()
+/// Returns the depth at which no leaf has more than `max_in_leaf` primitives.
+fn depth_for(count: usize, max_in_leaf: usize) -> u32 {
+    count.div_ceil(max_in_leaf).max(1).next_power_of_two().trailing_zeros()
 }
 
-/// Rows: axes with z along the triangles' mean normal; the frame's own where they look all ways.
+/// Returns axes as rows, with z along the triangles' mean normal; the frame's own axes if the normals diverge.
 fn mean_axes(corners: impl Iterator<Item = Corners>) -> DMat3 {
     let (mut sum, mut area) = (DVec3::ZERO, 0.0);
     for [a, b, c] in corners {
@@ -434,7 +437,7 @@ fn mean_axes(corners: impl Iterator<Item = Corners>) -> DMat3 {
     }
 }
 
-/// Orders primitives so that each node's are divided at the median of the axis along which their middles reach
+/// Orders primitives so that those of each node are divided at the median of the axis along which their centres spread
 /// farthest.
 pub(super) fn divide(middles: &mut [(Vec3, u32)], depth: u32) {
     let count = middles.len();
@@ -449,7 +452,7 @@ pub(super) fn divide(middles: &mut [(Vec3, u32)], depth: u32) {
                 (min, max) = (min.min(*p), max.max(*p));
             }
             let axis = (max - min).max_position();
-            // Equal places by number, so that equal input gives equal trees.
+            // Ties are broken by index, so that equal input gives equal trees.
             range.select_nth_unstable_by(middle - first, |a, b| a.0[axis].total_cmp(&b.0[axis]).then(a.1.cmp(&b.1)));
         }
     }
@@ -470,7 +473,7 @@ mod tests {
         Geometry::Mesh(Arc::new(Mesh::new(vertices, indices, Topology::Triangles)))
     }
 
-    /// Every triangle, one after the other.
+    /// Tests every triangle, one after the other.
     fn brute_force(geometry: &Geometry, ray: &Ray) -> Vec<(u32, f64)> {
         let Geometry::Mesh(mesh) = geometry else { return Vec::new() };
         mesh_primitives(mesh)
@@ -504,7 +507,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_tree_finds_what_every_triangle_finds(
+        fn the_tree_matches_a_brute_force_search(
             corners in prop::collection::vec(point(100.0), 3..600),
             lines in prop::collection::vec((point(150.0), point(150.0)), 20),
         ) {
@@ -525,7 +528,7 @@ mod tests {
         }
 
         #[test]
-        fn lines_from_afar_find_the_same(start in point(100.0), at in point(40.0), corners in prop::collection::vec(point(50.0), 300)) {
+        fn far_and_near_origins_find_the_same(start in point(100.0), at in point(40.0), corners in prop::collection::vec(point(50.0), 300)) {
             let geometry = mesh(&corners);
             let tree = KdTree::build(&geometry).unwrap();
             let target = Vec3::from_array(at).as_dvec3();
@@ -533,7 +536,7 @@ mod tests {
             let far = Ray::infinite(target + away * 4e7, -away);
             let near = Ray::infinite(target + away * 400.0, -away);
             let (far, near) = (all(&tree, &far), all(&tree, &near));
-            // The far origin is rounded to 7e-9 m: what only just meets may come and go.
+            // The far origin is rounded to 7e-9 m, so a grazing hit may differ.
             prop_assert!(far.len().abs_diff(near.len()) <= 1);
             if far.len() == near.len() {
                 for (a, b) in far.iter().zip(&near) {
@@ -557,7 +560,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_or_not_there_is_left_out() {
+    fn empty_and_non_finite_primitives_are_left_out() {
         assert!(KdTree::build(&mesh(&[])).is_none());
         let mut corners = vec![[f32::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         assert!(KdTree::build(&mesh(&corners)).is_none());

@@ -8,28 +8,28 @@ use super::surface::Surface;
 use super::window::WindowView;
 use crate::math::Ray;
 
-/// Where in a picture a line was given.
+/// The position in an image at which a line was given.
 #[derive(Clone, Copy, Debug)]
 enum At {
-    /// A place, pixels.
-    Place(DVec2),
-    /// From one place and depth to another.
+    /// A point, pixels.
+    Point(DVec2),
+    /// A segment between two points with depths.
     Segment(DVec3, DVec3),
 }
 
-/// The line as a view has it.
+/// The line of a view.
 #[derive(Clone, Copy, Debug)]
 struct LineView {
-    /// In the world.
+    /// The line in the world.
     ray: Ray,
-    /// In eye space, of one that was given in a picture, with the picture.
+    /// The line in eye space with the view, if it was given in an image.
     in_eye: Option<(Ray, WindowView)>,
 }
 
-/// What segments and rays share.
+/// The implementation of segments and rays.
 #[derive(Clone, Debug)]
 struct Line {
-    /// As it was given, and below other projections of the last traversal.
+    /// The line as given, followed by those of other projections met in the last traversal.
     views: Vec<LineView>,
     at: Option<At>,
     limit: IntersectionLimit,
@@ -38,13 +38,13 @@ struct Line {
 }
 
 impl At {
-    /// As a view has it; of the first one all from the eye on.
+    /// Returns the line of a view; for the first view it starts at the eye.
     fn seen(self, view: &WindowView, is_first: bool) -> Option<LineView> {
         let ray = match self {
-            At::Place(at) => view.contains(at).then(|| view.line_at(at, is_first)).flatten()?,
+            At::Point(at) => view.contains(at).then(|| view.line_at(at, is_first)).flatten()?,
             At::Segment(from, to) => {
                 let is_in = view.contains(from.truncate()) && view.contains(to.truncate());
-                let eye_at = |place: DVec3| view.eye_at(place.truncate(), place.z);
+                let eye_at = |point: DVec3| view.eye_at(point.truncate(), point.z);
                 is_in.then_some(Ray::segment(eye_at(from)?, eye_at(to)?))?
             }
         };
@@ -77,7 +77,7 @@ impl Line {
         }
     }
 
-    /// Up to where more of a candidate is looked for.
+    /// Returns the ratio up to which a candidate is searched.
     fn max_ratio(&self, candidate: &Candidate, ray: &Ray) -> f64 {
         match (self.limit, self.met.first()) {
             (IntersectionLimit::Nearest, Some(nearest))
@@ -89,7 +89,7 @@ impl Line {
         }
     }
 
-    /// Where what another view meets at a ratio would be along the line as it was given.
+    /// Converts a ratio of another view to the position of equal depth along the line as given.
     fn given_ratio(&self, view: &LineView, ratio: f64) -> f64 {
         let given = self.views.first().and_then(|given| given.in_eye);
         let (Some((line, window)), Some((own, other))) = (given, view.in_eye) else { return ratio };
@@ -125,7 +125,7 @@ impl Line {
             };
             match (kept, limit) {
                 (Some(kept), _) => {
-                    // Of two at the same place the one with the lower number, whatever the tree's order is.
+                    // Ties are broken by the primitive's index, independent of the order in the tree.
                     let over = new.candidate.layer.cmp(&kept.candidate.layer);
                     let order = over.then(new.ratio.total_cmp(&kept.ratio));
                     if order.then(new.primitive.cmp(&kept.primitive)).is_lt() {
@@ -144,7 +144,7 @@ impl Line {
     }
 }
 
-/// Implements the traversal's traits through the field `line`.
+/// Implements the traits of intersectors through the field `line`.
 macro_rules! intersects_as_line {
     ($intersector:ty) => {
         impl Probe for $intersector {
@@ -197,23 +197,23 @@ macro_rules! intersects_as_line {
         impl Intersector for $intersector {}
 
         impl $intersector {
-            /// The same, keeping other intersections.
+            /// Sets which intersections are kept.
             pub fn with_limit(mut self, limit: IntersectionLimit) -> Self {
                 self.line.limit = limit;
                 self
             }
 
-            /// What the last traversal met, nearest first.
+            /// Returns the intersections of the last traversal, nearest first.
             pub fn intersections(&self) -> &[Intersection] {
                 &self.line.intersections
             }
 
-            /// The nearest one.
+            /// Returns the nearest intersection.
             pub fn first_intersection(&self) -> Option<&Intersection> {
                 self.line.intersections.first()
             }
 
-            /// Takes them out.
+            /// Takes the intersections.
             pub fn take_intersections(&mut self) -> Vec<Intersection> {
                 std::mem::take(&mut self.line.intersections)
             }
@@ -221,45 +221,45 @@ macro_rules! intersects_as_line {
     };
 }
 
-/// Meets triangles between two points of the world; ratios are 0 at the start and 1 at the end.
+/// Intersects triangles with a segment between two points of the world; ratios are 0 at the start and 1 at the end.
 #[derive(Clone, Debug)]
 pub struct LineSegmentIntersector {
     line: Line,
 }
 
 impl LineSegmentIntersector {
-    /// From `start` to `end`, metres in the world. Points that are not finite, or are the same, meet nothing.
+    /// Creates a segment from `start` to `end`, metres in the world. It meets nothing if a point is not finite or both are equal.
     pub fn new(start: DVec3, end: DVec3) -> Self {
         Self { line: Line::new(Ray::segment(start, end)) }
     }
 
-    /// Between two places of a picture, each in pixels with a depth (1 at the near plane, 0 at the far plane or
-    /// infinitely far, where nothing can end), under every projection that draws there; OSG's intersector in window
-    /// coordinates. Both must be in the viewport of what is met.
+    /// Creates a segment between two points of an image, each in pixels with a depth: 1 at the near plane, 0 at the far plane
+    /// or infinitely far, where no segment can end. It meets geometry of every projection that draws there and whose viewport
+    /// contains both points; OSG's intersector in window coordinates.
     ///
-    /// Of what other projections draw, the ratio is where it would be along the line in the picture itself, were it there
-    /// at the same depth; what is drawn over others comes first whatever the ratio.
+    /// Ratios of other projections are converted to the position of equal depth along this segment. Geometry drawn over
+    /// others comes first, whatever its ratio.
     pub fn at_window(view: &WindowView, from: DVec3, to: DVec3) -> Self {
         Self { line: Line::at_window(view, At::Segment(from, to)) }
     }
 }
 
-/// Meets triangles from a point of the world on without end; ratios are metres.
+/// Intersects triangles with a ray from a point of the world; ratios are metres.
 #[derive(Clone, Debug)]
 pub struct RayIntersector {
     line: Line,
 }
 
 impl RayIntersector {
-    /// From `start` (metres in the world) along `direction` of any length. A start that is not finite, or a direction of
-    /// length zero, meets nothing.
+    /// Creates a ray from `start` (metres in the world) along `direction` of any length. It meets nothing if the start is not
+    /// finite or the direction has length zero.
     pub fn new(start: DVec3, direction: DVec3) -> Self {
         Self { line: Line::new(Ray::infinite(start, direction.normalize_or_zero())) }
     }
 
-    /// All that shows at a place of a picture, pixels, from the eye on; see [`LineSegmentIntersector::at_window`].
+    /// Creates a ray from the eye through a point of an image, pixels; see [`LineSegmentIntersector::at_window`].
     pub fn at_window(view: &WindowView, at_px: DVec2) -> Self {
-        Self { line: Line::at_window(view, At::Place(at_px)) }
+        Self { line: Line::at_window(view, At::Point(at_px)) }
     }
 }
 

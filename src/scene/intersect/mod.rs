@@ -1,8 +1,7 @@
-//! Intersections: where lines and volumes meet what the scene shows, after osgUtil's intersectors.
+//! Intersections of lines and volumes with everything the scene shows, after osgUtil's intersectors.
 //!
-//! Everything takes `&Scene`: any thread that may read the scene may ask. What a page keeps for it is a [`KdTree`] for
-//! each drawable, built by decode workers where
-//! [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees) says so.
+//! Everything takes `&Scene`, so any thread that may read the scene can intersect it. Pages keep a [`KdTree`] for each
+//! drawable if [`ReadOptions::build_kd_trees`](crate::io::ReadOptions::build_kd_trees) is set; decode workers build them.
 //!
 //! ```text
 //! IntersectionVisitor   the nodes, tiles and drawables whose bounds the shape meets, nearest first    walk
@@ -10,10 +9,10 @@
 //!     -> Intersection   node path, drawable, primitive, point, normal                                  visitor
 //! ```
 //!
-//! Shapes are given in the world, or at places of a picture ([`WindowView`]); only the latter meet what other
-//! projections draw into it.
+//! Shapes are given in the world, or at positions of a camera's image ([`WindowView`]); only the latter meet what other
+//! projections draw into the image.
 //!
-//! A [`HeightQuery`] answers threads that do not hold the scene.
+//! A [`HeightQuery`] answers queries of threads that do not hold the scene.
 
 mod height_query;
 mod intersection;

@@ -1,4 +1,4 @@
-//! Intersections with convex volumes: a rectangle of the picture, a box, a tube.
+//! Intersections with convex volumes: a rectangle of an image, a box, a tube.
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, DVec4};
 
@@ -9,19 +9,19 @@ use super::surface::Surface;
 use super::window::WindowView;
 use crate::math::Ray;
 
-/// Which primitives a [`PolytopeIntersector`] meets; OSG's dimension mask.
+/// The kinds of primitives that a [`PolytopeIntersector`] meets; OSG's dimension mask.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Dimensions {
-    /// Points.
+    /// True if points are met.
     pub points: bool,
-    /// Segments.
+    /// True if line segments are met.
     pub lines: bool,
-    /// Triangles.
+    /// True if triangles are met.
     pub triangles: bool,
 }
 
 impl Dimensions {
-    /// All of them.
+    /// All kinds of primitives.
     pub const ALL: Self = Self { points: true, lines: true, triangles: true };
 
     fn has(self, corners: usize) -> bool {
@@ -33,12 +33,12 @@ impl Dimensions {
     }
 }
 
-/// Meets points, segments and triangles of which something is inside a convex polytope.
+/// Finds points, segments and triangles that are partly inside a convex polytope.
 #[derive(Clone, Debug)]
 pub struct PolytopeIntersector {
-    /// As it was given, and below other projections of the last traversal.
+    /// The polytope as given, followed by those of other projections met in the last traversal.
     views: Vec<PolytopeView>,
-    /// Corners of the rectangle of a picture, pixels.
+    /// Two corners of a rectangle in an image, pixels.
     at: Option<[DVec2; 2]>,
     limit: IntersectionLimit,
     dimensions: Dimensions,
@@ -48,17 +48,17 @@ pub struct PolytopeIntersector {
     spare: Vec<DVec3>,
 }
 
-/// The planes as a view has them, in the world.
+/// The planes of a view, in the world.
 #[derive(Clone, Debug)]
 struct PolytopeView {
     planes: Vec<DVec4>,
     reference: DVec4,
-    /// Of a rectangle of a picture: its middle in eye space, and the picture.
+    /// The line through the rectangle's centre in eye space with the view, if the polytope was given in an image.
     in_eye: Option<(Ray, WindowView)>,
 }
 
 impl PolytopeView {
-    /// A rectangle of a picture, ordered by the distance before the eye; `None` where nothing of it is in the viewport.
+    /// Creates the planes of an image rectangle, ordered by the distance from the eye; `None` if it is outside the viewport.
     fn seen([from, to]: [DVec2; 2], window: &WindowView, is_first: bool) -> Option<Self> {
         let [least, most] = window.corners();
         let (min, max) = (from.min(to), from.max(to));
@@ -79,7 +79,7 @@ impl PolytopeView {
             let (near, far, beside) = (window.eye_at(a, 1.0)?, window.eye_at(a, 0.5)?, window.eye_at(b, 1.0)?);
             let normal = (far - near).cross(beside - near).try_normalize()?;
             let plane = normal.extend(-normal.dot(near));
-            // Inwards, whatever the projection mirrors.
+            // The plane faces inwards, also if the projection mirrors.
             let inside = plane.dot(middle.at(1.0).extend(1.0));
             planes.push(in_world(plane * inside.signum()));
         }
@@ -95,7 +95,7 @@ impl PolytopeView {
     }
 }
 
-/// The planes in a frame.
+/// The planes in the frame of a node or drawable.
 #[derive(Clone, Debug)]
 pub struct LocalPolytope {
     planes: Vec<DVec4>,
@@ -103,8 +103,9 @@ pub struct LocalPolytope {
 }
 
 impl PolytopeIntersector {
-    /// Where `normal . p + d >= 0` for all planes (xyz is the normal, w is d), metres in the world. Intersections are
-    /// ordered by `reference`, of which the normal is of unit length. With a plane that is not finite nothing is met.
+    /// Creates the polytope in which `normal . p + d >= 0` for all planes (xyz is the normal, w is d), metres in the world.
+    /// Intersections are ordered by the distance from `reference`, whose normal has unit length. A polytope with a plane that
+    /// is not finite meets nothing.
     pub fn new(planes: Vec<DVec4>, reference: DVec4) -> Self {
         Self {
             views: vec![PolytopeView { planes, reference, in_eye: None }],
@@ -118,7 +119,7 @@ impl PolytopeIntersector {
         }
     }
 
-    /// A box along the axes of the world, ordered upwards.
+    /// Creates a box along the axes of the world, ordered upwards.
     pub fn in_box(min: DVec3, max: DVec3) -> Self {
         let planes = [DVec3::X, DVec3::Y, DVec3::Z]
             .into_iter()
@@ -127,11 +128,11 @@ impl PolytopeIntersector {
         Self::new(planes, DVec4::new(0.0, 0.0, 1.0, -min.z))
     }
 
-    /// What shows in a rectangle of a picture (any two corners, pixels), under every projection that draws there, ordered by
-    /// the distance before the eye. A rectangle without area meets nothing.
+    /// Creates the polytope of an image rectangle, given by any two opposite corners in pixels. It meets geometry of every
+    /// projection that draws there, ordered by the distance from the eye. A rectangle without area meets nothing.
     ///
-    /// Of what other projections draw, the ratios are where it would be in the picture itself, were it there at the same
-    /// depth; what is drawn over others comes first whatever the ratio.
+    /// Ratios of other projections are converted to the position of equal depth in the given view. Geometry drawn over
+    /// others comes first, whatever its ratio.
     pub fn at_window(view: &WindowView, from_px: DVec2, to_px: DVec2) -> Self {
         let nothing = Self::new(vec![DVec4::NAN], DVec4::NAN);
         match PolytopeView::seen([from_px, to_px], view, true) {
@@ -140,34 +141,34 @@ impl PolytopeIntersector {
         }
     }
 
-    /// The same, keeping other intersections.
+    /// Sets which intersections are kept.
     pub fn with_limit(mut self, limit: IntersectionLimit) -> Self {
         self.limit = limit;
         self
     }
 
-    /// The same, meeting other primitives.
+    /// Sets which kinds of primitives are met.
     pub fn with_dimensions(mut self, dimensions: Dimensions) -> Self {
         self.dimensions = dimensions;
         self
     }
 
-    /// What the last traversal met, by distance from the reference plane.
+    /// Returns the intersections of the last traversal, by distance from the reference plane.
     pub fn intersections(&self) -> &[Intersection] {
         &self.intersections
     }
 
-    /// The nearest one.
+    /// Returns the nearest intersection.
     pub fn first_intersection(&self) -> Option<&Intersection> {
         self.intersections.first()
     }
 
-    /// Takes them out.
+    /// Takes the intersections.
     pub fn take_intersections(&mut self) -> Vec<Intersection> {
         std::mem::take(&mut self.intersections)
     }
 
-    /// Keeps a primitive, if the limit lets it. False: no other of the drawable is wanted.
+    /// Keeps a primitive if the limit allows. Returns false if no further primitive of the drawable is needed.
     fn keep(&mut self, before: usize, new: Met) -> bool {
         let kept = match self.limit {
             IntersectionLimit::NoLimit => None,
@@ -187,7 +188,7 @@ impl PolytopeIntersector {
         self.limit != IntersectionLimit::One
     }
 
-    /// Where in the picture itself something at a distance before the eye of another view would be.
+    /// Converts a distance from the eye of another view to the distance of equal depth in the given view.
     fn given_distance(&self, view: usize, distance_m: f64) -> f64 {
         let in_eye = |view: usize| self.views.get(view).and_then(|v| v.in_eye);
         let (Some((_, window)), Some((middle, other))) = (in_eye(0), in_eye(view)) else { return distance_m };
@@ -236,7 +237,7 @@ impl Probe for PolytopeIntersector {
 }
 
 impl LocalPolytope {
-    /// Least distance from the reference plane of something around a centre, unless it is outside of a plane.
+    /// Returns the smallest distance from the reference plane of a volume around a centre; `None` if it is outside of a plane.
     fn enters(&self, center: DVec3, reach: impl Fn(DVec3) -> f64) -> Option<f64> {
         let nearest = |p: &DVec4, sign: f64| p.truncate().dot(center) + p.w + sign * reach(p.truncate());
         let is_met = self.planes.iter().all(|p| nearest(p, 1.0) >= 0.0);
@@ -305,7 +306,7 @@ impl Intersect for PolytopeIntersector {
 
 impl Intersector for PolytopeIntersector {}
 
-/// Keeps of a convex polygon, segment or point what is on the positive side of a plane. Sutherland and Hodgman, 1974.
+/// Clips a convex polygon, segment or point to the positive side of a plane. Sutherland and Hodgman, 1974.
 fn cut_off(corners: &mut Vec<DVec3>, spare: &mut Vec<DVec3>, plane: DVec4) {
     let side = |p: DVec3| plane.truncate().dot(p) + plane.w;
     if corners.iter().all(|p| side(*p) >= 0.0) {
@@ -329,7 +330,7 @@ fn cut_off(corners: &mut Vec<DVec3>, spare: &mut Vec<DVec3>, plane: DVec4) {
     std::mem::swap(corners, spare);
 }
 
-/// Shares of a primitive's corners in a point of it.
+/// Returns the weights of a primitive's corners at one of its points.
 fn weights_of(primitive: &Primitive, point: DVec3) -> [f64; 3] {
     let [a, b, c] = primitive.corners;
     let from_a = point - a;

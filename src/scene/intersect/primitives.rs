@@ -1,5 +1,5 @@
-//! The corners of a drawable's primitives, as they are drawn: from its payload, or from the little that a
-//! [`super::KdTree`] keeps of it once the payload went to the GPU.
+//! The corners of a drawable's primitives, as they are drawn: from its payload, or from the compact copy that a
+//! [`super::KdTree`] keeps after the payload was uploaded.
 
 use std::ops::Range;
 
@@ -8,7 +8,7 @@ use glam::{DVec3, Vec3};
 use crate::math::Ray;
 use crate::scene::geometry::{Geometry, HeightTile, Mesh, Topology};
 
-/// Corners of a triangle, a segment or a point; the last ones repeat where there are fewer than three.
+/// The corners of a triangle, a segment or a point; the last one is repeated if there are fewer than three.
 pub(crate) type Corners = [DVec3; 3];
 
 /// A primitive of a drawable, in the drawable's frame.
@@ -17,13 +17,13 @@ pub(crate) struct Primitive {
     pub number: u32,
     pub vertices: [u32; 3],
     pub corners: Corners,
-    /// How many of the corners are its own: 3, 2 or 1.
+    /// The number of distinct corners: 3, 2 or 1.
     pub count: usize,
-    /// Not of unit length; zero of segments and points.
+    /// The normal, not of unit length; zero for segments and points.
     pub normal: DVec3,
 }
 
-/// How many corners a primitive has.
+/// Returns the number of corners of a primitive.
 pub(crate) fn corner_count(topology: Topology) -> usize {
     match topology {
         Topology::Triangles => 3,
@@ -32,17 +32,18 @@ pub(crate) fn corner_count(topology: Topology) -> usize {
     }
 }
 
-/// Positions and indices, in the order of the tree's leaves.
+/// The positions of a mesh, and its indices in the order of the tree's leaves.
 #[derive(Debug)]
 pub(super) struct MeshCorners {
     pub positions: Box<[[f32; 3]]>,
     pub indices: Indices,
-    /// The primitive in the drawable, by place in the tree.
+    /// The index of the primitive in the drawable, by its index in the tree.
     pub order: Indices,
+    /// The number of corners of each primitive.
     pub corners: usize,
 }
 
-/// Indices as small as they can be.
+/// Indices in 16 bits if possible.
 #[derive(Debug)]
 pub(super) enum Indices {
     Small(Box<[u16]>),
@@ -50,7 +51,7 @@ pub(super) enum Indices {
 }
 
 impl Indices {
-    /// Takes 16 bits where all are below `limit` and that fits.
+    /// Stores indices that are all below `limit`.
     pub fn new(indices: impl Iterator<Item = u32>, limit: usize) -> Self {
         if limit <= 1 << 16 { Self::Small(indices.map(|i| i as u16).collect()) } else { Self::Large(indices.collect()) }
     }
@@ -73,18 +74,18 @@ impl Indices {
 
 impl MeshCorners {
     #[inline(always)]
-    pub fn vertices(&self, place: usize) -> [u32; 3] {
-        let at = |n: usize| self.indices.at(place * self.corners + n.min(self.corners - 1));
+    pub fn vertices(&self, index: usize) -> [u32; 3] {
+        let at = |n: usize| self.indices.at(index * self.corners + n.min(self.corners - 1));
         [at(0), at(1), at(2)]
     }
 
     #[inline(always)]
-    pub fn of(&self, place: usize) -> Corners {
-        self.vertices(place).map(|v| Vec3::from_array(self.positions[v as usize]).as_dvec3())
+    pub fn of(&self, index: usize) -> Corners {
+        self.vertices(index).map(|v| Vec3::from_array(self.positions[v as usize]).as_dvec3())
     }
 }
 
-/// Heights in steps of a power of two where they all lie on it, as those of `data-gen` do.
+/// Heights, stored as 16-bit steps of a power of two if all are multiples of it, as those of `data-gen` are.
 #[derive(Debug)]
 enum Heights {
     Steps { lowest_m: f64, step_m: f64, steps: Box<[u16]> },
@@ -92,7 +93,7 @@ enum Heights {
 }
 
 impl Heights {
-    /// Loses nothing: what does not lie on 65,536 steps stays as it is.
+    /// Stores heights without loss: if they are not on 65,536 steps, they stay f32.
     fn new(heights_m: Vec<f32>) -> Self {
         let lowest = heights_m.iter().copied().fold(f32::INFINITY, f32::min);
         let highest = heights_m.iter().copied().fold(f32::NEG_INFINITY, f32::max);
@@ -119,25 +120,25 @@ impl Heights {
     }
 }
 
-/// What is seen along a line: the line itself is a point.
+/// A view along a line, in which the line itself is a point.
 pub(super) struct Sight {
     origin: DVec3,
-    /// Unit vectors across the line and each other.
+    /// Unit vectors perpendicular to the line and to each other.
     right: DVec3,
     up: DVec3,
-    /// What lies so far from the line at most is taken to be on both sides of it, metres.
+    /// Points closer to the line count as on both sides of it, metres.
     room_m: f64,
 }
 
 impl Sight {
-    /// `up` is where the surface mostly faces: what passes above or below it is told apart best.
+    /// `up` should be the direction in which the surface mostly faces; it separates triangles above and below the line best.
     pub fn new(ray: &Ray, up: DVec3, room_m: f64) -> Self {
         let along = ray.direction.normalize_or(DVec3::Z);
         let right = along.cross(up).try_normalize().unwrap_or_else(|| along.any_orthonormal_vector());
         Self { origin: ray.origin, right, up: right.cross(along), room_m }
     }
 
-    /// The sides of the line that a point is on, one bit each: right, left, above, below.
+    /// Returns the sides of the line that a point is on, a bit for each: right, left, above, below.
     #[inline(always)]
     fn sides(&self, point: DVec3) -> u8 {
         let from_line = point - self.origin;
@@ -149,12 +150,13 @@ impl Sight {
     }
 }
 
-/// Corners along a side of a leaf of cells.
+/// The maximum number of corners along a side of a leaf.
 const MAX_CORNERS: usize = 5;
-/// Places in such a leaf.
+/// The maximum number of triangles in a leaf.
 const MAX_TRIANGLES: usize = 2 * (MAX_CORNERS - 1) * (MAX_CORNERS - 1);
 
-/// The grid of a [`HeightTile`] without its border, two triangles a cell; places are cells along a Z-order curve.
+/// The grid of a [`HeightTile`] without its border, two triangles per cell; triangles are ordered by cells along a Z-order
+/// curve.
 #[derive(Debug)]
 pub(super) struct HeightCorners {
     side: usize,
@@ -165,7 +167,7 @@ pub(super) struct HeightCorners {
 }
 
 impl HeightCorners {
-    /// `None` for a tile whose tables do not fit each other, which is not drawn either.
+    /// Copies the heights of a tile; `None` if its tables do not fit together, in which case it is not drawn either.
     pub fn new(tile: &HeightTile) -> Option<Self> {
         let side = tile.side as usize;
         let fits = (3..=257).contains(&side)
@@ -188,26 +190,26 @@ impl HeightCorners {
         2 * (self.side - 1) * (self.side - 1)
     }
 
-    /// Column, row and which triangle: 0 is the south-eastern one.
-    fn cell(place: usize) -> (usize, usize, usize) {
-        let code = (place / 2) as u32;
-        (even_bits(code), even_bits(code >> 1), place % 2)
+    /// Returns column, row and triangle of the cell: 0 is the south-eastern one.
+    fn cell(index: usize) -> (usize, usize, usize) {
+        let code = (index / 2) as u32;
+        (even_bits(code), even_bits(code >> 1), index % 2)
     }
 
-    /// Row by row from the south-west, two a cell.
-    pub fn primitive(&self, place: usize) -> u32 {
-        let (i, j, upper) = Self::cell(place);
+    /// Returns the index of a triangle in the tile: two per cell, row by row from the south-west.
+    pub fn primitive(&self, index: usize) -> u32 {
+        let (i, j, upper) = Self::cell(index);
         (2 * (j * (self.side - 1) + i) + upper) as u32
     }
 
-    /// Row by row from the south-west.
-    pub fn vertices(&self, place: usize) -> [u32; 3] {
-        let (i, j, upper) = Self::cell(place);
+    /// Returns the corners of a triangle as indices of grid points, row by row from the south-west.
+    pub fn vertices(&self, index: usize) -> [u32; 3] {
+        let (i, j, upper) = Self::cell(index);
         let at = |i: usize, j: usize| (j * self.side + i) as u32;
         if upper == 0 { [at(i, j), at(i + 1, j), at(i + 1, j + 1)] } else { [at(i, j), at(i + 1, j + 1), at(i, j + 1)] }
     }
 
-    /// The formula of [`HeightTile`].
+    /// Returns a grid point by the formula of [`HeightTile`].
     #[inline(always)]
     fn vertex(&self, i: usize, j: usize) -> DVec3 {
         let [dp, dz, cos, sin] = self.rows[j].map(f64::from);
@@ -219,18 +221,18 @@ impl HeightCorners {
     }
 
     #[inline(always)]
-    pub fn of(&self, place: usize) -> Corners {
-        let (i, j, upper) = Self::cell(place);
+    pub fn of(&self, index: usize) -> Corners {
+        let (i, j, upper) = Self::cell(index);
         let (a, c) = (self.vertex(i, j), self.vertex(i + 1, j + 1));
         if upper == 0 { [a, self.vertex(i + 1, j), c] } else { [a, c, self.vertex(i, j + 1)] }
     }
 
-    /// Those triangles of a leaf that a line may meet, in their order: not those whose corners are all on one side of it.
-    /// Each corner is computed once.
+    /// Visits the triangles of a leaf that a line may meet, in order. Triangles whose corners are all on one side of it are
+    /// left out. Each corner is computed once.
     #[inline(always)]
     pub fn along(&self, leaf: Range<usize>, sight: &Sight, mut visit: impl FnMut(usize, &Corners)) {
         let (i, j, _) = Self::cell(leaf.start);
-        // A square of 4 x 4 cells, but 2 x 2 of the smallest tile.
+        // A leaf has 4 x 4 cells, or 2 x 2 in the smallest tile.
         let side = if leaf.len() < MAX_TRIANGLES { 3 } else { MAX_CORNERS };
         let mut corners = [[DVec3::ZERO; MAX_CORNERS]; MAX_CORNERS];
         let mut sides = [[0; MAX_CORNERS]; MAX_CORNERS];
@@ -245,30 +247,30 @@ impl HeightCorners {
         if common != 0 {
             return;
         }
-        for place in leaf.step_by(2) {
-            let (i, j, _) = Self::cell(place % MAX_TRIANGLES);
+        for index in leaf.step_by(2) {
+            let (i, j, _) = Self::cell(index % MAX_TRIANGLES);
             let across = sides[j][i] & sides[j + 1][i + 1];
             if across & sides[j][i + 1] == 0 {
-                visit(place, &[corners[j][i], corners[j][i + 1], corners[j + 1][i + 1]]);
+                visit(index, &[corners[j][i], corners[j][i + 1], corners[j + 1][i + 1]]);
             }
             if across & sides[j + 1][i] == 0 {
-                visit(place + 1, &[corners[j][i], corners[j + 1][i + 1], corners[j + 1][i]]);
+                visit(index + 1, &[corners[j][i], corners[j + 1][i + 1], corners[j + 1][i]]);
             }
         }
     }
 
-    /// A triangle as it is drawn, its normal upwards: the tile's frame is left-handed.
-    pub fn triangle(&self, place: usize) -> Primitive {
-        let corners = self.of(place);
+    /// Returns a triangle as it is drawn, with an upward normal: the tile's frame is left-handed.
+    pub fn triangle(&self, index: usize) -> Primitive {
+        let corners = self.of(index);
         let [a, b, c] = corners;
         let normal = (b - a).cross(c - a);
-        let normal = if normal.dot(self.up(place)) < 0.0 { -normal } else { normal };
-        Primitive { number: self.primitive(place), vertices: self.vertices(place), corners, count: 3, normal }
+        let normal = if normal.dot(self.up(index)) < 0.0 { -normal } else { normal };
+        Primitive { number: self.primitive(index), vertices: self.vertices(index), corners, count: 3, normal }
     }
 
-    /// Away from the ground, at a cell.
-    pub fn up(&self, place: usize) -> DVec3 {
-        let (i, j, _) = Self::cell(place);
+    /// Returns the direction away from the ground at the cell of a triangle.
+    pub fn up(&self, index: usize) -> DVec3 {
+        let (i, j, _) = Self::cell(index);
         let [_, _, cos, sin] = self.rows[j].map(f64::from);
         let [column_sin, one_minus_cos] = self.columns[i].map(f64::from);
         DVec3::new(cos * column_sin, cos * (1.0 - one_minus_cos), sin)
@@ -283,7 +285,7 @@ impl HeightCorners {
     }
 }
 
-/// The bits 0, 2, 4, ... together.
+/// Packs the bits 0, 2, 4, ...
 fn even_bits(code: u32) -> usize {
     let mut x = code & 0x5555_5555;
     x = (x | (x >> 1)) & 0x3333_3333;
@@ -293,7 +295,7 @@ fn even_bits(code: u32) -> usize {
     x as usize
 }
 
-/// Primitives of a mesh with usable corners: number, indices, corners.
+/// Returns index, vertices and corners of the primitives of a mesh that have valid corners.
 pub(crate) fn mesh_primitives(mesh: &Mesh) -> impl Iterator<Item = (u32, [u32; 3], Corners)> + '_ {
     let count = corner_count(mesh.topology);
     mesh.indices.chunks_exact(count).enumerate().filter_map(move |(number, list)| {
@@ -304,7 +306,7 @@ pub(crate) fn mesh_primitives(mesh: &Mesh) -> impl Iterator<Item = (u32, [u32; 3
     })
 }
 
-/// How many corners the primitives of a geometry have.
+/// Returns the number of corners of a geometry's primitives.
 pub(crate) fn corners_of(geometry: &Geometry) -> usize {
     match geometry {
         Geometry::Mesh(mesh) => corner_count(mesh.topology),
@@ -323,7 +325,7 @@ mod tests {
     use crate::math::Aabb;
 
     #[test]
-    fn the_curve_meets_every_cell_once() {
+    fn the_curve_visits_every_cell_once() {
         let mut seen: Vec<_> = (0..2 * 64).map(HeightCorners::cell).collect();
         assert!(seen.iter().take(8).all(|(i, j, _)| *i < 2 && *j < 2), "blocks first");
         seen.sort_unstable();
@@ -333,9 +335,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn lines_along_the_ground_find_what_every_triangle_finds(
+        fn lines_along_the_ground_match_a_brute_force_search(
             level in 1u32..5,
-            // The ends are between the lowest and the highest ground.
+            // The ends of the line are between the lowest and the highest ground.
             steps in prop::collection::vec(0u16..300, 19 * 19),
             from in [-10f64..10.0, -10f64..10.0, 0f64..2.0],
             to in [-10f64..10.0, -10f64..10.0, 0f64..2.0],
@@ -358,7 +360,7 @@ mod tests {
             let corners = HeightCorners::new(&tile).unwrap();
             let tree = KdTree::build(&Geometry::Height(Arc::new(tile))).unwrap();
             let ray = Ray::segment(DVec3::from_array(from), DVec3::from_array(to));
-            let triangles = (0..corners.count()).map(|place| corners.triangle(place));
+            let triangles = (0..corners.count()).map(|index| corners.triangle(index));
             let mut expected: Vec<_> = triangles
                 .filter_map(|t| meet(&ray, &t.corners).map(|(ratio, ..)| (t.number, ratio)))
                 .filter(|(_, ratio)| (0.0..=1.0).contains(ratio))
@@ -378,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn heights_lose_nothing() {
+    fn heights_are_stored_without_loss() {
         let on_steps: Vec<f32> = (0..25).map(|i| 1234.5 + (i * i) as f32 / 128.0).collect();
         let off_steps: Vec<f32> = (0..25).map(|i| (i as f32).sin() * 1e3).collect();
         for (given, small) in [(on_steps, true), (off_steps, false), (vec![7.0; 25], true)] {

@@ -1,4 +1,4 @@
-//! The primitives of a drawable, by its tree or, while it is there, by its payload.
+//! The primitives of a drawable, from its k-d tree or, while it is in memory, from its payload.
 
 use glam::DVec3;
 
@@ -8,16 +8,17 @@ use crate::math::Ray;
 use crate::scene::geometry::Geometry;
 use crate::scene::pages::Page;
 
-/// Where the primitives of a drawable are.
+/// The source of a drawable's primitives.
 #[derive(Clone, Copy, Debug)]
 pub enum Surface<'a> {
     Tree(&'a KdTree),
-    /// One after the other.
+    /// The payload, whose primitives are tested one after the other.
     Payload(&'a Geometry),
 }
 
 impl<'a> Surface<'a> {
-    /// `None` where the payload was taken and no tree was built, or the drawable has no primitives.
+    /// Returns the surface of a drawable; `None` if the payload was taken and there is no tree, because none was built or the
+    /// drawable has no primitives.
     pub fn of(page: &'a Page, drawable: u32) -> Option<Self> {
         if let Some(tree) = page.kd_tree(drawable) {
             return Some(Self::Tree(tree));
@@ -25,7 +26,7 @@ impl<'a> Surface<'a> {
         page.drawables().get(drawable as usize).map(|d| Self::Payload(&d.geometry))
     }
 
-    /// Meets triangles with a line. `found` says up to which ratio to go on.
+    /// Intersects the triangles with a line. `found` returns the ratio up to which the search continues.
     pub(super) fn intersect_line(&self, ray: &Ray, mut found: impl FnMut(&LineHit) -> f64) {
         let geometry = match self {
             Self::Tree(tree) => return tree.intersect_line(ray, found),
@@ -44,7 +45,7 @@ impl<'a> Surface<'a> {
         });
     }
 
-    /// Visits primitives whose surroundings `boxes` lets through. False from `visit` ends it.
+    /// Visits the primitives in boxes for which `boxes` returns true, until `visit` returns false.
     pub(super) fn visit_in(
         &self,
         boxes: &mut dyn FnMut(&BoxInDrawable) -> bool,

@@ -10,24 +10,23 @@ use super::walk::{candidates, node_of_drawable};
 use crate::scene::graph::Scene;
 use crate::scene::id::NodeId;
 
-/// Goes through the scene with an intersector. Any thread that may read the scene; keeps memory from one traversal to
-/// the next.
+/// Intersects a scene with an intersector. Any thread that may read the scene; memory is reused by the next traversal.
 ///
-/// Follows masks, transforms, switches and levels of detail as cull does. Cull callbacks are not asked, clip planes and
-/// occlusion queries do not hide, skirts of height tiles are not met. Billboards and what hangs in the eye's frame are
-/// met where there is an eye.
+/// The traversal follows masks, transforms, switches and levels of detail as culls do. It ignores cull callbacks, clip
+/// planes, occlusion queries and the skirts of height tiles. Billboards and geometry in the eye's frame are included if
+/// there is an eye.
 ///
-/// What is below a Projection, or a camera with a projection or viewport of its own, is met by intersectors that were
-/// given at a place of a picture ([`WindowView`](crate::scene::WindowView)): where it shows there. Intersectors of the
-/// world do not meet it. A camera that draws into a texture shows where the texture does; what it draws is never met.
+/// Geometry below a Projection, or below a camera with a separate projection or viewport, is met only by intersectors
+/// that were given at a position of an image ([`WindowView`](crate::scene::WindowView)), at the position where it is
+/// visible. Geometry that a camera draws into a texture is never met.
 ///
-/// A drawable is met by its [`KdTree`](crate::scene::KdTree), without one by its payload, as long as that is in the page;
-/// [`Self::unmet_drawables`] counts those that have neither.
+/// The traversal tests the [`KdTree`](crate::scene::KdTree) of a drawable, or else its payload while the page has it;
+/// [`Self::unmet_drawables`] counts drawables that have neither.
 #[derive(Debug)]
 pub struct IntersectionVisitor {
     /// Only nodes with `mask & traversal_mask != 0` are visited.
     pub traversal_mask: u32,
-    /// Which tiles and Lod children are met.
+    /// Which tiles and Lod children are visited.
     pub lod_selection: LodSelection,
     /// The eye of [`LodSelection::AsSeen`] and of billboards.
     pub eye: Option<EyePoint>,
@@ -48,17 +47,17 @@ impl Default for IntersectionVisitor {
 }
 
 impl IntersectionVisitor {
-    /// Everything, at the highest level.
+    /// Creates a visitor of everything, at the highest level of detail.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// What an eye sees, as it sees it.
+    /// Creates a visitor of what an eye sees, at the levels of detail that are drawn for it.
     pub fn as_seen_from(eye: EyePoint) -> Self {
         Self { lod_selection: LodSelection::AsSeen, eye: Some(eye), ..Self::default() }
     }
 
-    /// Replaces what the intersector holds by what it meets now, nearest first.
+    /// Replaces the intersector's results by its intersections with the scene, nearest first.
     pub fn traverse(&mut self, scene: &Scene, intersector: &mut impl Intersector) {
         intersector.clear();
         self.unmet = 0;
@@ -96,7 +95,7 @@ impl IntersectionVisitor {
         }
     }
 
-    /// Drawables whose boxes the last traversal met, but that have neither a tree nor a payload.
+    /// Returns the number of drawables whose boxes the last traversal met, but that have neither a tree nor a payload.
     pub fn unmet_drawables(&self) -> usize {
         self.unmet
     }
@@ -106,7 +105,7 @@ impl IntersectionVisitor {
     }
 }
 
-/// From the root to the node that holds a drawable.
+/// Returns the path from the root to the node that holds a drawable.
 fn node_path(scene: &Scene, candidate: &Candidate) -> Arc<[NodeId]> {
     let mut path = Vec::new();
     let page = scene.page_id_at(candidate.place);

@@ -1,6 +1,6 @@
-//! The way of a shape through the scene: which drawables it may meet, and where it enters their boxes.
+//! Finds the drawables that a shape may meet, and the positions at which it enters their boxes.
 //!
-//! Follows cull: the same pages, switches, levels of detail and frames, so that what is met is what is drawn.
+//! The walk visits the same pages, switches, levels of detail and frames as cull, so that it finds what is drawn.
 
 use glam::{DAffine3, DMat3, DVec3};
 
@@ -14,50 +14,51 @@ use crate::scene::pages::{INACTIVE, Page, RareNode, UNBOUNDED, kind};
 use crate::scene::settings::{ComputeNearFar, Inherit, LodRecord, has_parallel_rays, px_per_radian};
 use crate::scene::tile_tree::{TileBounds, TileEye, Tiles, flag};
 
-/// A page, seen by the shape.
+/// The page that is being visited.
 struct InPage<'a, L> {
     page: &'a Page,
     place: u32,
     world_from_page: DAffine3,
-    /// `None` where the view does not hold the place: other views below may.
+    /// The shape in the page's frame; `None` if the shape is outside this view, though it may be inside other views below.
     local: Option<L>,
     stands_in: bool,
 }
 
-/// A page that is still to be visited.
+/// A page that must still be visited.
 struct Visit {
     place: u32,
     world_from_page: DAffine3,
     view: View,
-    /// It takes the place of content above it: as cull, its top tiles are met from outside of their request volumes too.
+    /// True if the page replaces content above it: as in cull, its top tiles are then visited also from outside their request
+    /// volumes.
     stands_in: bool,
 }
 
-/// Number of a view that the shape is not in.
+/// The number of a view that the shape is not in.
 const NOWHERE: u32 = u32::MAX;
 
-/// What decides below a Projection or a camera: the rules, and the picture there.
+/// The rules and the view below a Projection or camera.
 #[derive(Clone, Copy)]
 struct View {
     rules: Rules,
-    /// Of shapes at a place of a picture.
+    /// The view, if the shape is a position of an image.
     window: Option<WindowView>,
-    /// Number of the shape's view.
+    /// The shape's number of the view.
     shape: u32,
-    /// Of [`Walk::stages`].
+    /// An index into [`Walk::stages`].
     stage: usize,
-    /// In the picture of a camera that shows the scene.
+    /// True in the image of a camera that shows the scene.
     in_scene_camera: bool,
 }
 
-/// Of a camera drawn before or after the stage it hangs in: where in the order of drawing it comes.
+/// The position in the drawing order of a camera that is drawn before or after the surrounding stage.
 struct Stage {
     above: usize,
     is_after: bool,
     order: i32,
 }
 
-/// More views than this in one picture are not followed.
+/// The maximum number of views in one image that are followed.
 const MAX_VIEWS: usize = 1024;
 
 struct Walk<'a, P: Probe> {
@@ -65,7 +66,7 @@ struct Walk<'a, P: Probe> {
     view: View,
     probe: &'a mut P,
     pages: Vec<Visit>,
-    /// Number 0 is the picture itself.
+    /// The drawing order; number 0 is the image itself.
     stages: Vec<Stage>,
     views: usize,
     found: &'a mut Vec<Candidate>,
@@ -95,9 +96,9 @@ pub fn candidates<P: Probe>(scene: &Scene, rules: &Rules, probe: &mut P, found: 
     found.sort_by(|a, b| a.layer.cmp(&b.layer).then(a.enters.total_cmp(&b.enters)));
 }
 
-/// The layer of each stage: how many are drawn after it.
+/// Returns the layer of each stage: the number of stages drawn after it.
 fn layers(stages: &[Stage]) -> Vec<u32> {
-    // A stage's place in the order: at each stage above, whether it comes before or after, its number, and who is first.
+    // The sort key of a stage: for each stage above, whether it is drawn before or after, its order number and its index.
     let path = |stage: usize| {
         let mut path = Vec::new();
         let mut at = stage;
@@ -106,7 +107,7 @@ fn layers(stages: &[Stage]) -> Vec<u32> {
             at = *above;
         }
         path.reverse();
-        // The stage itself comes between those before and those after it.
+        // The stage itself is drawn between those before and those after it.
         path.push((0, 0, 0));
         path
     };
@@ -132,7 +133,7 @@ impl<P: Probe> Walk<'_, P> {
             let end = node + record.skip;
             let sphere = page.spheres()[index];
             let is_hidden = page.masks().get(index).is_some_and(|mask| mask & self.view.rules.mask == 0);
-            // Bounds of nodes that are not culled say nothing.
+            // The bounds of nodes that are not culled are not used.
             let is_missed = record.flags & INACTIVE == 0
                 && (sphere.w < 0.0
                     || match &here.local {
@@ -187,7 +188,7 @@ impl<P: Probe> Walk<'_, P> {
 
     fn find(&mut self, enters: f64, place: u32, drawable: u32, world_from_drawable: DAffine3) {
         let View { shape: view, stage, .. } = self.view;
-        // Where another view enters it says nothing about where that is in this one.
+        // The position along another view's shape cannot be compared with this one's.
         let enters = if view == 0 { enters } else { f64::NEG_INFINITY };
         self.found.push(Candidate { enters, place, drawable, world_from_drawable, view, layer: stage as u32 });
     }
@@ -217,7 +218,7 @@ impl<P: Probe> Walk<'_, P> {
         P::enters_box(local, center, &DMat3::IDENTITY, DVec3::from_array(half))
     }
 
-    /// What a LOD node compares; `None` where no eye decides.
+    /// Returns the value that a LOD node compares with its ranges; `None` if no eye decides.
     fn lod_measure(&self, here: &InPage<P::Local>, node: u32, lod: &LodRecord) -> Option<f64> {
         let eye = self.view.rules.eye.filter(|_| self.view.rules.lods == LodSelection::AsSeen)?;
         let eye_in_page = in_frame(&here.world_from_page, eye.position());
@@ -226,7 +227,7 @@ impl<P: Probe> Walk<'_, P> {
         Some(lod.measure(eye_in_node.distance(lod.center), eye.lod_scale, &eye.ranges()))
     }
 
-    /// Visits a node of a rarer kind. False: its children are visited like those of a group.
+    /// Visits a node of a rare kind. Returns false if its children must be visited like those of a group.
     fn special(&mut self, here: &InPage<P::Local>, node: u32) -> bool {
         let page = here.page;
         let Some(special) = page.rare_nodes().get(page.payloads()[node as usize] as usize) else { return false };
@@ -270,7 +271,7 @@ impl<P: Probe> Walk<'_, P> {
     fn camera(&mut self, here: &InPage<P::Local>, node: u32, camera: &CameraNode) {
         let is_elsewhere = camera.target.as_ref().is_some_and(|target| target.size_px().is_some());
         if is_elsewhere && camera.order != RenderOrder::Nested {
-            return; // a picture of its own, shown by whatever has its texture
+            return; // the image goes to a texture
         }
         if camera.shows_scene && self.view.in_scene_camera {
             return; // as cull
@@ -279,7 +280,7 @@ impl<P: Probe> Walk<'_, P> {
         let above = page.transforms().page_from_node(page.enclosing_transform(node));
         let view = self.view_of(camera);
         if camera.projection.is_none() && camera.viewport_px.is_none() {
-            // Where the world of the camera lies in this one.
+            // Maps the world of the camera to this one.
             let (world_from_page, world_from_root) = match (camera.frame, self.view.rules.eye) {
                 (ReferenceFrame::Absolute, Some(eye)) => {
                     let moved = eye.world_from_eye * camera.view;
@@ -300,9 +301,9 @@ impl<P: Probe> Walk<'_, P> {
             self.view = outer;
             return;
         }
-        // A place in the world says nothing about where it is in another picture.
+        // Only a position of an image can be converted to another view.
         let Some(window) = self.view.window else { return };
-        // As in cull: what is below an absolute camera is in a world of its own, else the eye is elsewhere.
+        // As in cull: below an absolute camera is a separate world; a relative camera moves the eye.
         let (world_from_eye, world_from_page) = match camera.frame {
             ReferenceFrame::Absolute => (camera.view.inverse(), above.inverse()),
             ReferenceFrame::Relative => {
@@ -324,7 +325,7 @@ impl<P: Probe> Walk<'_, P> {
         self.in_view(here, node, window, view, world_from_page);
     }
 
-    /// The scene's roots are to be visited in the current view, moved.
+    /// Queues the scene's roots, transformed, for a visit in the current view.
     fn roots(&mut self, world_from_root: DAffine3) {
         if world_from_root.is_finite() {
             let view = self.view;
@@ -334,7 +335,7 @@ impl<P: Probe> Walk<'_, P> {
         }
     }
 
-    /// What a camera says of masks, levels of detail and order, where it does not leave that to the one above.
+    /// Returns the current view with the masks, levels of detail and drawing order that a camera does not inherit.
     fn view_of(&mut self, camera: &CameraNode) -> View {
         let mut view = self.view;
         view.in_scene_camera |= camera.shows_scene;
@@ -346,12 +347,12 @@ impl<P: Probe> Walk<'_, P> {
         }
         let (is_after, order) = match camera.order {
             RenderOrder::Nested => return view,
-            // Drawn with the depths that are there, it is among what is drawn before.
+            // A camera that keeps the depths draws into the same layer.
             RenderOrder::PostRender(_) if !camera.clear_depth => return view,
             RenderOrder::PostRender(order) => (true, order),
             RenderOrder::PreRender(order) => (false, order),
         };
-        // Of shapes in the world only the way along them counts.
+        // Shapes in the world are ordered only by the position along them.
         if view.window.is_some() && self.stages.len() < MAX_VIEWS {
             self.stages.push(Stage { above: view.stage, is_after, order });
             view.stage = self.stages.len() - 1;
@@ -388,7 +389,7 @@ impl<P: Probe> Walk<'_, P> {
         self.view = outer;
     }
 
-    /// Visits the children of a node as if the page lay elsewhere.
+    /// Visits the children of a node with another map of the page.
     fn below(&mut self, here: &InPage<P::Local>, node: u32, world_from_page: DAffine3) {
         let local = self.probe.local(self.view.shape, &world_from_page);
         if local.is_some() || self.view.shape == NOWHERE {
@@ -398,7 +399,7 @@ impl<P: Probe> Walk<'_, P> {
         }
     }
 
-    /// Walks a tile tree: of REPLACE tiles what is drawn at the wanted level, of ADD tiles all down to it.
+    /// Walks a tile tree: visits REPLACE tiles of the wanted level and ADD tiles down to it.
     fn tiles(&mut self, here: &InPage<P::Local>, first: u32) {
         let tiles = here.page.tiles();
         let Ok(root) = tiles.roots().binary_search_by_key(&first, |r| r.tile) else { return };
@@ -434,7 +435,7 @@ impl<P: Probe> Walk<'_, P> {
             } else if wants && ready {
                 (false, true)
             } else {
-                // Something is better than nothing, but where an eye decides nothing is drawn there.
+                // A coarser or finer tile is better than none, but if an eye decides, nothing is drawn here.
                 (resident, !resident && (ready || self.view.rules.lods != LodSelection::AsSeen))
             };
             if draws {
@@ -463,7 +464,7 @@ impl<P: Probe> Walk<'_, P> {
     }
 }
 
-/// Whether a tile that is met takes the place of content above it. `page_stands_in` where the page does.
+/// Returns true if a tile replaces content above it. `page_stands_in` tells whether the page does.
 fn stands_in(tiles: &Tiles, mut tile: u32, page_stands_in: bool) -> bool {
     loop {
         tile = tiles.parents()[tile as usize];
@@ -484,17 +485,17 @@ fn enters_tile<P: Probe>(local: &P::Local, tiles: &Tiles, bounds: &TileBounds) -
     }
     let axes = tiles.axes_of(bounds).map(|axis| DVec3::from_array(axis.map(f64::from)));
     let half = DVec3::from_array(bounds.half_m().map(f64::from));
-    // The axes are f32: at the ends of a long box off by this much.
+    // The axes are f32, which moves the ends of a long box by this much.
     let half = half + half.max_element() * f64::from(f32::EPSILON);
     P::enters_box(local, center, &DMat3::from_cols(axes[0], axes[1], axes[2]), half).is_some()
 }
 
-/// A point of the world in a frame; the translation is subtracted first.
+/// Converts a point of the world to a frame; the translation is subtracted first, for precision.
 fn in_frame(world_from_frame: &DAffine3, point: DVec3) -> DVec3 {
     world_from_frame.matrix3.inverse() * (point - world_from_frame.translation)
 }
 
-/// The node that holds a drawable.
+/// Returns the node that holds a drawable.
 pub fn node_of_drawable(page: &Page, drawable: u32) -> u32 {
     (page.nodes().partition_point(|n| n.first_drawable <= drawable) as u32).checked_sub(1).unwrap_or(NONE)
 }

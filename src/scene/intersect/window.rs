@@ -1,46 +1,46 @@
-//! What window coordinates mean: a picture's eye, projection and viewport, and those of the pictures inside it.
+//! Window coordinates: the eye, projection and viewport of an image, and conversions between the views drawn into it.
 
 use glam::{DAffine3, DMat4, DVec2, DVec3, DVec4};
 
 use crate::math::Ray;
 use crate::scene::has_parallel_rays;
 
-/// What has less depth is ordered by its distance.
-const LEAST_DEPTH: f64 = 1e-12;
-/// At one of these something of every picture is in front of its near plane.
+/// Points with a smaller depth are ordered by their distance.
+const MIN_DEPTH: f64 = 1e-12;
+/// Depths to try for a point beyond the near plane; every projection has one at some of them.
 const DEPTHS: [f64; 3] = [0.5, 0.9, 0.999];
 
-/// A camera's picture in its target.
+/// The image of a camera in its target.
 ///
-/// Intersectors that are made at a place of it meet what is drawn there under other projections too: below Projection
-/// nodes and below cameras with a projection or viewport of their own that draw into the same target.
+/// Intersectors created at a position of the image also meet geometry drawn there with other projections: below Projection
+/// nodes, and below cameras with a separate projection or viewport that draw into the same target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WindowView {
-    /// Eye space (looking down -z, y up) to world, without scale.
+    /// Maps eye space (looking down -z, y up) to the world, without scale.
     pub world_from_eye: DAffine3,
-    /// Reversed-Z projection.
+    /// The reversed-Z projection.
     pub clip_from_eye: DMat4,
-    /// x, y, width and height of the picture in its target, pixels from the upper left corner.
+    /// x, y, width and height of the image in its target, pixels from the upper left corner.
     pub viewport_px: [u32; 4],
-    /// Near and far are fitted to what is drawn and cut nothing off; else what is nearer or farther is not met below
-    /// other projections.
+    /// True if near and far are fitted to the drawn geometry and clip nothing. Otherwise geometry outside their range is not
+    /// met below other projections.
     pub fits_depth: bool,
 }
 
 impl WindowView {
-    /// True for places in the viewport.
+    /// Returns true if a point is in the viewport.
     pub(super) fn contains(&self, at_px: DVec2) -> bool {
         let [min, max] = self.corners();
         at_px.cmpge(min).all() && at_px.cmple(max).all()
     }
 
-    /// Upper left and lower right corner of the viewport.
+    /// Returns the upper left and lower right corner of the viewport.
     pub(super) fn corners(&self) -> [DVec2; 2] {
         let [x, y, width, height] = self.viewport_px.map(f64::from);
         [DVec2::new(x, y), DVec2::new(x + width, y + height)]
     }
 
-    /// The point of eye space that shows at a place with a depth (1 near, 0 far); `None` where that is nowhere.
+    /// Returns the point of eye space at an image position and depth (1 near, 0 far); `None` if it is not finite.
     pub(super) fn eye_at(&self, at_px: DVec2, depth: f64) -> Option<DVec3> {
         let [min, max] = self.corners();
         let share = (at_px - min) / (max - min);
@@ -50,7 +50,7 @@ impl WindowView {
         point.is_finite().then_some(point)
     }
 
-    /// Where a point of eye space shows, and its depth.
+    /// Returns the image position and depth of a point of eye space; `None` behind the eye.
     pub(super) fn window_from_eye(&self, point: DVec3) -> Option<DVec3> {
         let clip = self.clip_from_eye * point.extend(1.0);
         let ndc = clip.truncate() / clip.w;
@@ -59,11 +59,11 @@ impl WindowView {
         (clip.w > 0.0 && ndc.is_finite()).then(|| at.extend(ndc.z))
     }
 
-    /// What shows at a place, in eye space: a half line of unit steps, or a segment where near and far cut something
-    /// off. `all` of it begins at the eye (or beside it).
+    /// Returns the line of eye space that is visible at an image position: a ray with a unit direction, or a segment if near and
+    /// far clip. If `all`, it begins at the eye's plane.
     pub(super) fn line_at(&self, at_px: DVec2, all: bool) -> Option<Ray> {
         let near = self.eye_at(at_px, 1.0)?;
-        // A projection that draws before others may have its far end at any depth.
+        // A background projection may have its far end at any depth.
         let beyond = |depth| self.eye_at(at_px, depth).filter(|point| point.z < near.z);
         let direction = (DEPTHS.into_iter().find_map(beyond)? - near).try_normalize()?;
         let whole = Ray::infinite(near - direction * (near.z / direction.z), direction);
@@ -75,17 +75,17 @@ impl WindowView {
         cut.is_valid().then_some(cut)
     }
 
-    /// What shows begins at the eye's plane, wherever the near plane is: it is fitted, or, where `all` is to be met, only there
-    /// because there has to be one. Parallel rays that are not fitted begin at theirs.
+    /// Returns true if lines begin at the eye's plane instead of the near plane: the near plane is fitted, or `all` is set, since
+    /// a perspective projection has a near plane only of necessity. Parallel rays that are not fitted begin at the near plane.
     pub(super) fn begins_at_eye(&self, all: bool) -> bool {
         self.fits_depth || (all && !has_parallel_rays(&self.clip_from_eye))
     }
 
-    /// The same picture as another view has it: where a point of its eye space would be in this one, were it here at
-    /// the same place and depth; and whether it lies beyond all depths, as it may where they are fitted.
+    /// Converts a point of another view's eye space to the point of this one at the same image position and depth. Also returns
+    /// true if the point is beyond the far plane, which is possible while depths are fitted.
     pub(super) fn eye_of_other(&self, other: &Self, point: DVec3) -> Option<(DVec3, bool)> {
         let window = other.window_from_eye(point)?;
-        let there = self.eye_at(window.truncate(), window.z.max(LEAST_DEPTH))?;
-        Some((there, window.z < LEAST_DEPTH))
+        let there = self.eye_at(window.truncate(), window.z.max(MIN_DEPTH))?;
+        Some((there, window.z < MIN_DEPTH))
     }
 }
