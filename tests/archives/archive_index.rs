@@ -119,7 +119,7 @@ fn a_file_whose_name_was_changed_is_not_missing() {
     assert!(is_damaged(&error) && !error.is_transient(), "{error:?}");
     assert_eq!(read(&folder, &reader, "a.glb").unwrap(), b"content");
     assert!(matches!(read(&folder, &reader, "none.glb"), Err(IoError::NotFound { .. })));
-    // Where the index is what files are found by it does not matter.
+    // It does not matter for files that are found through the index.
     let files = many();
     let (name, content) = files.first_key_value().unwrap();
     let (folder, reader) = written(&with_changed_name(archive(&files, &Making::default()), name));

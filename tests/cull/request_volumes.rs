@@ -162,8 +162,8 @@ fn a_tile_is_for_eyes_in_its_request_volume() {
     assert!(met(&scene, &at(101.0)).is_empty());
 }
 
-/// From farther away there would be a hole in the near child's place; whatever was seen before, and also where the
-/// volume is that of another tileset's root.
+/// From outside the volume the parent is drawn, since the near child would leave a hole. That holds after any earlier
+/// view, and for the volume of an external tileset's root.
 #[test]
 fn a_tile_is_not_replaced_from_outside_of_a_childs_volume() {
     let [far, near] = [600.0, 400.0].map(from_above);

@@ -476,7 +476,7 @@ fn inactive_nodes_are_not_culled() {
     assert!(slots(&cull(kinds(false), &camera)).is_empty());
 }
 
-/// Its page's origin was half way to it, the boxes beside it grew by what f32 lost there, and near was beyond all else.
+/// It once moved the page's origin half way to it, whose f32 error enlarged all boxes and pushed the near plane away.
 #[test]
 fn a_stray_vertex_does_not_affect_its_neighbours() {
     let mut camera = camera();
@@ -560,7 +560,7 @@ fn geometry_nearer_than_the_near_plane_moves_it() {
 fn cameras_that_keep_the_projection_have_near_and_far_in_common() {
     let like = |order, clear_depth| {
         let node = CameraNode { clear_depth, clear_color: None, ..CameraNode::new(order) };
-        // Nearer, and farther, than all else.
+        // Nearer, and farther, than all other leaves.
         Node::camera(node, vec![cube(DVec3::new(0.0, -5.0, 0.0)), cube(DVec3::new(0.0, 90.0, 0.0))])
     };
     for fitted in [ComputeNearFar::BoundingVolumes, ComputeNearFar::Off] {

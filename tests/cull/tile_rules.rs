@@ -103,8 +103,7 @@ fn a_hidden_child_does_not_hold_its_parent() {
     assert_eq!(both.counters.tiles_drawn, 2);
 }
 
-/// They were in no image, and so went for want of room, though what is above them gives way to them all: it came back,
-/// and asked for them.
+/// They were once evicted as not visible although their parent needs them all: it was drawn again, and requested them.
 #[test]
 fn tiles_hidden_by_a_node_are_kept_when_siblings_wait() {
     let tile = |x: f64| flat_tile(DVec3::new(x, 0.0, 0.0), 20.0, 0.0);

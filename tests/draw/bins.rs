@@ -208,8 +208,7 @@ fn sized(mut drawable: Drawable, is_large: bool) -> Drawable {
     drawable
 }
 
-/// Where what is drawn first shows, leaves of one state are drawn as traversed, however they are drawn: small meshes many
-/// in a call, others each by itself.
+/// Leaves whose state depends on order are drawn as traversed, batched in one call or one by one.
 #[test]
 fn a_state_whose_order_counts_keeps_it() {
     let Some(mut rig) = rig("a_state_whose_order_counts_keeps_it") else { return };

@@ -261,8 +261,8 @@ fn terrain(textured: bool) -> Terrain {
     Terrain { west: 0.13, south: 0.8, width: 0.006, relief_m: 2600.0, root_error_m: 250.0, textured }
 }
 
-/// A tile of level 1 beside tiles of level 2, over many distances of the eye: no background shows between them,
-/// where the finer level is drawn only closer than the coarser one's range, as cull does.
+/// A tile of level 1 stands beside tiles of level 2, at many distances of the eye. No background shows between them
+/// if the finer level is drawn only within the coarser one's range, as cull does.
 #[test]
 fn no_background_shows_between_levels() {
     let Some(mut rig) = rig("no_background_shows_between_levels") else { return };
@@ -513,7 +513,7 @@ fn quantized_meshes_take_16_bytes_a_vertex_and_look_the_same() {
         (bytes, picture)
     });
     let [(few, quantized), (more, plain)] = &drawn;
-    // Places of vertices are up to an eighth larger than what is in them.
+    // Slots of vertices are up to an eighth larger than what is in them.
     assert!(*more - *few >= 4 * count as u64, "{more} {few} bytes of {count} vertices");
     let covered = plain.pixels().filter(|p| p.0[..3] != MAGENTA).count();
     assert!(

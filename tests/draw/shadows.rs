@@ -333,7 +333,7 @@ fn pictures_of_one_target_have_shadows_of_their_own() {
     let both = rig.read_back();
     for (i, alone) in alone.iter().enumerate() {
         let of_one = image::imageops::crop_imm(&both, i as u32 * half[0], 0, half[0], half[1]).to_image();
-        // The second one's map is a part of the shared one: its places differ by rounding.
+        // The second one's map is a part of the shared one: its texels differ by rounding.
         let differs = of_one.pixels().zip(alone.pixels()).filter(|(a, b)| a.0[0].abs_diff(b.0[0]) > 2).count();
         assert_eq!(differs, 0, "picture {i}");
     }

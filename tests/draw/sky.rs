@@ -190,7 +190,7 @@ fn a_sea_under_a_background_mirrors_no_other_air() {
     let pictures = stages.iter().zip(&environments).map(|(stage, environment)| Picture { stage, environment });
     rig.renderer.draw_pictures(&mut rig.ctx, pictures).unwrap();
     let beside = image::imageops::crop_imm(&rig.read_back(), 256, 0, 256, 256).to_image();
-    // At another place, rays differ by rounding.
+    // At another position, rays differ by rounding.
     let differs = |(a, b): &(&image::Rgba<u8>, &image::Rgba<u8>)| (0..3).any(|c| a.0[c].abs_diff(b.0[c]) > 2);
     assert_eq!(beside.pixels().zip(alone[0].pixels()).filter(differs).count(), 0, "beside a picture with air");
     rig.release(scene);

@@ -87,7 +87,7 @@ fn totals_of_a_gltf_are_limited() {
     use base64::Engine as _;
     let data = |bytes: &[u8]| format!("data:;base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes));
     let limits = Limits { max_elements: 1000, max_image_bytes: 64 * 64 * 4, ..Limits::default() };
-    // 900 indices, all 0; positions at so many places; an image for each primitive.
+    // 900 indices, all 0; the given number of positions; an image for each primitive.
     let gltf = |primitives: usize, mode: u32, indices: usize, image: Option<&[u8]>| {
         let list = |of: &dyn Fn(usize) -> String| (0..primitives).map(of).collect::<Vec<_>>().join(",");
         let material = |i: usize| if image.is_some() { format!(r#","material":{i}"#) } else { String::new() };
@@ -128,7 +128,7 @@ fn totals_of_a_gltf_are_limited() {
     let nodes = |nodes: &str| {
         format!(r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],"nodes":[{nodes}]}}"#)
     };
-    // So many drawables of no vertex, in so many places.
+    // Many drawables without vertices, at many positions.
     let instanced = |primitives: usize, places: usize| {
         let all = |what: &str, count: usize| vec![what; count].join(",");
         let roots: Vec<String> = (0..places).map(|i| i.to_string()).collect();
@@ -265,7 +265,7 @@ fn tilesets_that_name_each_other_often_end() {
     let verified = verify(source, &limits, &mut |_| {}).unwrap();
     let [error] = &verified.errors[..] else { panic!("{verified:?}") };
     assert!(error.reason.contains("tiles and tilesets") && verified.bytes < 200_000, "{verified:?}");
-    // The errors that are told are bounded, those that are counted are not.
+    // The list of errors is bounded; their count is not.
     std::fs::write(folder.path().join("4.json"), "broken").unwrap();
     let info = inspect(source, &Limits::default()).unwrap();
     assert_eq!((info.failed, info.errors.len()), (10_000, 1000));

@@ -79,7 +79,7 @@ fn a_camera_without_memory_for_its_target_leaves_the_others() {
     rig.release(scene);
 }
 
-/// Its tables were made whether there was memory for them or not. A clear day's sky is in their place, and all that is lit
+/// Its tables were made whether there was memory for them or not. A clear day's sky replaces them, and all that is lit
 /// is as under one.
 #[test]
 fn air_without_memory_is_a_plain_sky_and_computed_once_there_is_room() {

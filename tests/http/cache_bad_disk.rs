@@ -1,5 +1,5 @@
-//! The cache on a disk that is full, may only be read, breaks while it is used, or under a clock that jumps: the flight
-//! continues, and the failure is counted and said once.
+//! The cache on a disk that is full, read-only or breaks while in use, or under a clock that jumps. The flight continues,
+//! and the failure is counted and reported once.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -188,7 +188,7 @@ fn a_full_disk_stops_no_flight() {
     }
 }
 
-/// Room was made only after something had been written, which a full disk lets nobody do: what was there stayed for good.
+/// Eviction once followed a write, which a full disk refuses, so that old entries stayed forever.
 #[test]
 fn on_a_full_disk_the_cache_makes_room() {
     let (server, disk) = (server(), tempfile::tempdir().unwrap());
@@ -222,7 +222,7 @@ fn a_cache_that_may_only_be_read_is_read() {
         let Some(flown) = fly() else { continue };
         assert_eq!((flown.tiles, flown.hits, flown.write_errors), (tiles, 342, 0), "{why}: {:?}", flown.said);
         assert_eq!((server.count(), flown.said.len()), (asked, 0), "what is fresh is not asked for");
-        // Nothing of it is there any more: all comes, nothing can be kept, and that is said once.
+        // The entries are gone: everything is fetched, nothing can be kept, and that is reported once.
         for part in ["keys", "blobs"] {
             std::fs::remove_dir_all(disk.path().join(part)).unwrap();
         }

@@ -9,8 +9,8 @@ use kit::server::{Reply, Server};
 use terrane::io::{CacheConfig, DiskCache, FillOptions, Filled, HttpConfig, IoError, fill};
 use terrane::math::Region;
 
-/// A tree of four levels over 8 x 8 degrees from 0 N 0 E: each tile has four children, a quarter each; the eastern half
-/// of level 1 lies in separate tilesets.
+/// A tree of four levels over 8 x 8 degrees from 0 N 0 E; each tile has four children. The eastern half of level 1 lies
+/// in external tilesets.
 fn tile(level: u32, x: u32, y: u32, of_its_own: bool) -> String {
     let degrees = 8.0 / f64::from(1 << level);
     let [west, south] = [x, y].map(|i| (f64::from(i) * degrees).to_radians());
@@ -105,7 +105,7 @@ fn tilesets_are_filled_whatever_they_are_called() {
     }
 }
 
-/// It counted as unused since it came, and went before what nobody asked for.
+/// It once counted as unused since its arrival, and was evicted before entries that were never requested.
 #[test]
 fn kept_entries_are_used() {
     let (server, folder) = (set(), tempfile::tempdir().unwrap());
@@ -230,7 +230,7 @@ fn failures_are_reported_and_retried() {
     assert_eq!(again.kept, first.fetched);
 }
 
-/// A tileset in two places: each has its levels, and what one of them wants is there. One that contains itself ends.
+/// A tileset referenced twice is filled for the levels of both references. One that contains itself ends.
 #[test]
 fn a_tileset_in_several_places_is_looked_at_in_each() {
     let tile = |below: &str| format!(r#"{{"boundingVolume":{{"sphere":[0,0,0,1]}},"geometricError":9,{below}}}"#);
@@ -245,7 +245,7 @@ fn a_tileset_in_several_places_is_looked_at_in_each() {
         "/set/part.json" => Reply::ok(part.clone()),
         _ => Reply::ok("a content"),
     });
-    // The part's root is of level 1 in one place and of level 2 in the other.
+    // The part's root is of level 1 in one reference and of level 2 in the other.
     for (levels, contents) in [(1..=1, &["a.glb"][..]), (2..=2, &["a.glb", "b.glb"]), (3..=3, &["b.glb"])] {
         let (folder, before) = (tempfile::tempdir().unwrap(), server.count());
         let done = filled(&server, folder.path(), &FillOptions { levels: levels.clone(), ..FillOptions::default() });
@@ -257,7 +257,7 @@ fn a_tileset_in_several_places_is_looked_at_in_each() {
     }
 }
 
-/// What was said once of how long it holds went on behind a way that no longer does.
+/// An entry behind a redirect stays fresh only as long as the redirect; it once outlived it.
 #[test]
 fn freshness_is_limited_by_that_of_the_redirect() {
     for (status, control, expected) in

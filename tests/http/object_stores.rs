@@ -336,7 +336,7 @@ fn faults_are_typed_and_what_passes_is_tried_again() {
         let (result, _) = fault(move |_| good().how(how));
         assert!(matches!(result, Err(IoError::Timeout { .. })), "{result:?}");
     }
-    // A place that is not there: no redirect is followed to where the keys are not for.
+    // A redirect to another host is not followed, since the keys are not for it.
     let (result, count) = fault(|_| Reply::new(301, "").with("Location", "http://127.0.0.1:1/elsewhere"));
     assert!(matches!(result, Err(IoError::Status { status: 301, .. })) && count == 1, "{result:?}");
 }

@@ -194,8 +194,8 @@ impl Drawn {
     }
 }
 
-/// Frames take what there is and submit; the thread, out of staging memory, continues with what is mapped again, or asks
-/// once more where the adapter had none.
+/// Frames submit the finished uploads. The thread, out of staging memory, continues with buffers that are mapped again,
+/// or retries an allocation that the adapter refused.
 #[test]
 fn all_operations_end_in_order_after_their_bytes() {
     check(|| {

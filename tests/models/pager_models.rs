@@ -182,7 +182,7 @@ fn one_ring_wakes_as_many_threads_as_there_is_work_for() {
     });
 }
 
-/// At any time: while threads wait for work, for the decoder, or for nobody any more.
+/// At any time: while threads wait for work, for the decoder, or for cancelled jobs.
 #[test]
 fn all_threads_end_with_the_list() {
     check(|| {
@@ -241,8 +241,8 @@ fn asks(
     })
 }
 
-/// Two requests hang and have all places of their server: given up one after the other, the first for others that wait,
-/// the second while nothing does.
+/// Two requests hang and take all slots of their server. They are cancelled in turn, the first while others wait, the
+/// second while none does.
 #[test]
 fn cancelled_requests_make_room_for_waiting_ones() {
     check(|| {
@@ -325,8 +325,8 @@ fn image_threads(list: &Arc<images::List>, loaded: &Sender<(Arc<str>, bool)>) ->
     (0..2).map(decode).chain([asks]).collect()
 }
 
-/// A decoded image waits with its thread until update takes it; what hangs has the one place of its server until it is
-/// given up, and the next is asked for.
+/// A decoded image waits with its thread until update takes it. A hung request takes its server's only slot until it is
+/// cancelled and the next starts.
 #[test]
 fn images_of_files_and_servers_come_once_and_what_hangs_is_given_up() {
     check(|| {

@@ -1,6 +1,7 @@
-//! The hand-over of render stages between update, cull and draw under shuttle: the library's own rendering stage with its
-//! threads, queues and barriers, around a scene, a cull and a renderer that look whether they have what they should have.
-//! Schedules in which a frame is not drawn, or from what is being changed, or in which a thread waits for ever fail.
+//! The hand-over of render stages between update, cull and draw under shuttle.
+//!
+//! The library's own rendering stage runs with its threads, queues and barriers around stand-ins that check their input.
+//! A schedule fails if a frame is not drawn, is drawn from data under change, or if a thread waits forever.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -23,9 +24,9 @@ fn cameras(devices: Devices) -> usize {
 /// More frames than a camera has stages.
 const FRAMES: u32 = 4;
 
-/// Each camera is drawn in each frame, in order, and all contexts show it together; the main thread is alone with the
-/// scene in each update, and draw reads what that frame's update wrote. True where a camera was culled in some
-/// schedule while an earlier frame of it was drawn.
+/// Checks that each camera is drawn in each frame, in order, and that all contexts show it together. The main thread is
+/// alone with the scene in each update, and draw reads the data of its frame's update. Returns true if some schedule
+/// culled a camera while an earlier frame of it was drawn.
 fn draws_each_frame_once(model: ThreadingModel, devices: Devices, reads: Reads) -> bool {
     let overlapped = Arc::new(AtomicBool::new(false));
     let of_model = overlapped.clone();

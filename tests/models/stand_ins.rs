@@ -9,7 +9,7 @@ pub mod pager;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Which data that update changes in place is read by draw.
+/// The stage in which draw reads data that update changes between frames.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Reads {
     Nothing,
@@ -41,7 +41,7 @@ pub struct Seen {
     pub panics: Panics,
     /// Cameras of all contexts.
     pub cameras: usize,
-    /// The data that update changes in place: its frame number.
+    /// The data that update changes: its frame number.
     pub changed: AtomicU32,
     /// Cameras and frames, in the order drawn.
     drawn: Mutex<Vec<(u32, u32)>>,

@@ -1,5 +1,4 @@
-//! The files of `src/sync` under shuttle: its mutexes in the place of the standard library's, thousands of schedules
-//! in which threads are switched at every step. A deadlock, a lost wake-up or a wrong count in any of them fails.
+//! The files of `src/sync` on shuttle's mutexes, in schedules that switch threads at every step. A deadlock, a lost wake-up or a wrong count in any of them is a failure.
 
 use std::sync::atomic::Ordering;
 

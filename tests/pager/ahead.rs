@@ -141,8 +141,8 @@ fn little_room(set: &str) -> usize {
     4 * here.pager.stats().resident as usize
 }
 
-/// A flight in so many frames, with a disk that is quick enough, and what is asked for ahead in each: the tiles that its
-/// images lacked, and those that were loaded.
+/// Flies with a fast disk and given prefetch requests in each frame; returns the tiles missing in its frames and those
+/// loaded.
 fn flown(
     set: &str,
     max_tiles: usize,

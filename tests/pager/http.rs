@@ -336,7 +336,7 @@ fn html_pages_with_status_200_are_retried_a_few_times() {
     }
 }
 
-/// Nobody looks at it for long; whoever comes back finds the tries that were made.
+/// A tile out of view keeps its number of tries until it is visible again.
 #[test]
 fn tries_are_remembered_out_of_view() {
     let server =
@@ -356,7 +356,7 @@ fn tries_are_remembered_out_of_view() {
     assert_eq!((run.pager.stats().failed, run.pager.stats().retried), (2, 1));
 }
 
-/// The same for those that were to be tried again when nobody wanted them any longer, whether they waited or were read.
+/// A retry that is no longer wanted keeps its number of tries, whether it waited or was in flight.
 #[test]
 fn tries_are_not_forgotten_where_a_request_goes_stale() {
     let url = "/set/child2.glb";
@@ -449,7 +449,7 @@ fn an_unwanted_request_is_aborted() {
     run.until(NEAR, "not asked for again", |_| server.requests("/set/child0.glb") == 2);
 }
 
-/// Those that were taken since the last list were forgotten: they kept their server's places until it answered.
+/// Requests started since the last list are aborted too; they once held their server's slots until it answered.
 #[test]
 fn requests_that_were_just_begun_are_aborted_by_clear() {
     let server = Server::start(set(), |path, _| if path.contains("child") { Answer::Silent } else { Answer::Whole });

@@ -78,7 +78,7 @@ fn states_in(scene: &Scene, root: PageId) -> Vec<&'static str> {
     scene.slots_of_page(root).map(of).collect()
 }
 
-/// Those to be loaded at once waited for a camera, and nothing loaded the others.
+/// Proxies to be loaded at once need no camera, and deferred ones load on request.
 #[test]
 fn proxies_are_loaded_when_they_say() {
     for blocking in [false, true] {
@@ -88,7 +88,7 @@ fn proxies_are_loaded_when_they_say() {
         assert_eq!(states(&viewer, root), ["there", "empty", "empty", "failed"], "blocking {blocking}");
         let stats = *viewer.pager().unwrap().stats();
         assert_eq!((stats.requested, stats.failed), (2, 1), "the missing one is not hammered");
-        // There is want of room, and nobody sees it.
+        // The budget is short, and the proxy is not visible.
         (0..20).for_each(|_| viewer.frame().unwrap());
         assert_eq!(states(&viewer, root)[0], "there");
         let never = viewer.scene().slots_of_page(root).nth(1).unwrap();
@@ -144,7 +144,7 @@ fn a_proxy_that_no_camera_requests_is_loaded_again() {
     assert_eq!(run.pager.stats().failed, 2, "the missing one is asked for once more");
 }
 
-/// It was told to be loaded, and nothing happened.
+/// An explicit load request is honoured; it once had no effect.
 #[test]
 fn failed_proxies_are_retried_for_the_application() {
     let folder = tempfile::tempdir().unwrap();

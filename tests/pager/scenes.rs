@@ -385,7 +385,7 @@ fn the_blocking_mode_waits_for_all_scenes() {
     panic!("levels come one after the other: {:?}", run.pages());
 }
 
-/// Two sets of one server, each with a key of its own, and one that is not to see either.
+/// Two sets of one server, each with its own key, and one that may see neither.
 #[cfg(feature = "http")]
 #[test]
 fn each_scene_asks_as_itself() {
@@ -501,7 +501,7 @@ fn pages_taken_out_are_not_counted() {
     run.settle(&eyes);
 }
 
-/// Sums of them overflowed, and channels of so many places were asked for.
+/// Their sums once overflowed, and channels of that capacity were allocated.
 #[test]
 fn no_limit_is_a_limit() {
     let folder = tempfile::tempdir().unwrap();

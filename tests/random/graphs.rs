@@ -468,8 +468,8 @@ fn count_nodes(node: &Node) -> u64 {
     1 + node.children.iter().map(count_nodes).sum::<u64>()
 }
 
-/// Changes a node of the scene and that of the graph it was made of, in one of the ways that scenes offer; meshes only
-/// where a viewer sends them to its devices.
+/// Changes a node of the scene and its counterpart in the graph in the same random way. Meshes change only with
+/// `with_meshes`, since a viewer must send them to its devices.
 pub fn change(scene: &mut Scene, root: &mut Node, maker: &mut Maker, with_meshes: bool) {
     let mut left = maker.random.below(count_nodes(root));
     let Some(node) = nth(root, &mut left) else { return };

@@ -128,7 +128,7 @@ fn equivalent_scenes_draw_the_same_image() {
         let absolute = NodeKind::AbsoluteTransform(camera.eye_from_world);
         let absolute = Node { children: vec![node.clone()], ..Node::new(absolute) };
         same("below an AbsoluteTransform", &absolute, &camera, 4);
-        // A place on the earth, where an f32 has steps of half a metre.
+        // A position on the earth, where an f32 has steps of half a metre.
         let far = DAffine3::from_translation(DVec3::new(4.1e6, -1.2e6, 4.7e6));
         let seen = CullCamera { eye_from_world: camera.eye_from_world * far.inverse(), ..camera };
         // Nodes below an absolute camera are in world coordinates, wherever the camera hangs.

@@ -1,5 +1,5 @@
-//! What is met at a place of an image is what is drawn there under every projection: each triangle's corners taken to
-//! clip space, one after the other, are the oracle. No GPU.
+//! A pick hits the triangle drawn at its pixel under every projection. The oracle takes each triangle's corners to clip
+//! space one by one. No GPU.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

@@ -112,7 +112,7 @@ fn a_camera_may_have_its_own_environment() {
     keep("air-own", &found);
     assert_eq!(differ(&found, &expected, 1), 0);
     assert!(differ(&found, &picture(rig, &camera, &around(&camera)), 8) > 20_000);
-    // A background of its own under a main image with a sky.
+    // A camera's own background under a main image with a sky.
     let plain = Environment { sky: Sky::Background([200, 30, 120]), ..evening };
     let expected = picture(rig, &camera, &plain);
     let own = CameraEnvironment::Own(Arc::new(plain));

@@ -21,7 +21,7 @@ use terrane::state::{
 
 const SIZE: [u32; 2] = [96, 96];
 
-/// From where the things below are to be seen.
+/// A camera that sees the things below.
 fn own() -> CullCamera {
     camera(SIZE, DVec3::new(1.5, -1.0, 4.0), DVec3::new(0.2, 0.1, 0.0), DVec3::Y)
 }
@@ -49,7 +49,7 @@ fn drawn(rig: &mut Rig, nodes: Vec<Node>, from: &CullCamera) -> RgbaImage {
     picture
 }
 
-/// A place that shines red, near the middle.
+/// A position with a red highlight, near the middle.
 fn lamp() -> Node {
     let light = Light { number: 1, position: [0.6, 0.5, 0.7, 1.0], diffuse: [1.0, 0.2, 0.1], ..Light::default() };
     Node::new(NodeKind::LightSource(Box::new(LightSource { light, frame: ReferenceFrame::Relative })))
@@ -137,7 +137,7 @@ fn planes_lie_where_they_are() {
 fn programs_have_the_matrices_of_their_camera() {
     let Some(mut rig) = rig("programs_have_the_matrices_of_their_camera") else { return };
     let rig = &mut *rig;
-    // Colours by places in the world, which only the right inverse finds.
+    // Colours by positions in the world, which only the right inverse finds.
     let wgsl = "
         struct Uniforms { osg_ViewMatrix: mat4x4<f32>, osg_ViewMatrixInverse: mat4x4<f32> }
         @group(2) @binding(0) var<uniform> uniforms: Uniforms;

@@ -1,4 +1,4 @@
-//! Shadows of the sun in cameras of the graph: where they ask, cast by what is below them, in cascades of their own.
+//! Shadows of the sun in cameras of the graph: if enabled, cast by the nodes below them, in separate cascades.
 //! Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
@@ -150,7 +150,7 @@ fn reflections_have_the_shadows_of_what_they_reflect() {
     let rig = &mut *rig;
     let main = sunny(to_sun());
     let expected = picture(rig, &near(), &main);
-    // Left and right change places, in the world and in the image: the same image, mirrored.
+    // Left and right are swapped, in the world and in the image: the same image, mirrored.
     let flip = DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)));
     let mut node = like(&near(), CameraEnvironment::Inherited, CameraShadows::Environment);
     node.view = flip * node.view;

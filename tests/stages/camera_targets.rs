@@ -107,7 +107,7 @@ fn cameras_without_colors_drop_what_others_drop() {
     }
 }
 
-/// Each had samples of its own, and put them all into the texture.
+/// Each camera once had its own samples, and resolved them all into the texture.
 #[test]
 fn cameras_with_several_samples_share_a_texture() {
     let Some(mut rig) = rig("cameras_with_several_samples_share_a_texture") else { return };
@@ -224,7 +224,7 @@ fn textures_that_there_is_no_memory_for_are_said_and_lose_no_frame() {
     assert!(matches!(&errors[..], [e] if e.contains("texture \"huge\" cannot be made")), "{errors:?}");
 }
 
-/// Stencil tests passed everywhere in cameras with a depth texture, and nobody said so.
+/// Stencil tests in cameras with a depth texture work or are reported; they once passed silently.
 #[test]
 fn depth_textures_may_have_a_stencil() {
     let Some(mut rig) = rig("depth_textures_may_have_a_stencil") else { return };
@@ -292,7 +292,7 @@ fn depth_textures_may_have_a_stencil() {
     }
 }
 
-/// The images that come of a scene, in the order of the sinks, and what is said meanwhile.
+/// The images of a scene in the order of the sinks, and the errors reported meanwhile.
 fn read<const N: usize>(
     rig: &mut Rig,
     node: Node,

@@ -37,7 +37,7 @@ fn insides(clip_from_eye: &DMat4, p: DVec3) -> [f64; 5] {
     [clip.w + clip.x, clip.w - clip.x, clip.w + clip.y, clip.w - clip.y, -p.z]
 }
 
-/// Depths of what is seen of a triangle, told by points alone: corners inside, where edges pass the sides, and where
+/// Returns the depths of the visible part of a triangle, from points alone: corners inside, where edges pass the sides, and where
 /// the frustum's edges pass the triangle.
 fn seen_depths(clip_from_eye: &DMat4, triangle: [DVec3; 3]) -> Vec<f64> {
     let size = triangle.iter().map(|p| p.length()).fold(1.0, f64::max);

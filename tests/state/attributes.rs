@@ -226,7 +226,7 @@ fn missing_or_mistyped_attributes_are_visible_and_reported_once() {
     };
     let line = |i: u16| MeshVertex { position: [-1.0 + f32::from(i), -0.51, 0.0], ..MeshVertex::default() };
     let lines = Mesh::from_arrays(PrimitiveMode::LineStrip, (0..3).map(line).collect());
-    // So many vertices that they are packed.
+    // Enough vertices that they are packed.
     let ball = Mesh::sphere(DVec3::new(0.75, 0.5, 0.0), 0.2, 32);
     let scene = rig.scene(
         Node::geode(vec![
@@ -264,7 +264,7 @@ fn missing_or_mistyped_attributes_are_visible_and_reported_once() {
     rig.release(scene);
 }
 
-/// A slope of so many squares a side, with normals; its attributes are what nobody asks for.
+/// A slope of a grid of squares, with normals; no program reads its attributes.
 fn slope(squares: u32, attributes: bool) -> Mesh {
     let side = squares + 1;
     let vertex = |k: u32| {

@@ -121,7 +121,7 @@ fn lines_are_lit_by_their_normals() {
     assert_eq!(white([0; 4], [0.0, 0.0, 1.0]), [true, false], "without a normal they face up");
 }
 
-/// A sun that nothing took the place of was off; colours that are not numbers made the whole surface none.
+/// An invalid light leaves the sun on, and non-finite colours do not spoil the surface.
 #[test]
 fn a_light_that_says_no_number_leaves_the_sun_on() {
     let Some(mut rig) = rig("a_light_that_says_no_number_leaves_the_sun_on") else { return };
@@ -169,8 +169,8 @@ fn a_light_that_says_no_number_leaves_the_sun_on() {
     assert_eq!(seen(rig, lit), ([[255; 3]; 2], vec![]), "as a light that shines");
 }
 
-/// What the normal is, and where light comes from: a plane seen aslant from a place that is not far shines otherwise
-/// in each pixel, or alike all over.
+/// A plane seen obliquely from nearby has a different highlight in each pixel for a local viewer, and the same
+/// everywhere for a distant one.
 #[test]
 fn highlights_are_seen_from_the_eye_or_from_far_away() {
     let Some(mut rig) = rig("highlights_are_seen_from_the_eye_or_from_far_away") else { return };

@@ -21,7 +21,7 @@ const GREEN: [u8; 3] = [0, 255, 0];
 const BLUE: [u8; 3] = [0, 0, 255];
 const BLACK: [u8; 3] = [0, 0, 0];
 
-/// What was made with a program that is gone was kept for ever; who comes after it has its place, and nothing of it.
+/// Pipelines of a dropped program are freed, and a program that reuses its slot gets none of them.
 #[test]
 fn programs_take_the_places_of_others() {
     let Some(mut rig) = rig("programs_take_the_places_of_others") else { return };
@@ -399,7 +399,7 @@ fn programs_shade_height_tiles_too() {
     let (usual, _) = draw(rig, None);
     let covered = |picture: &RgbaImage| -> Vec<bool> { picture.pixels().map(|p| p.0[..3] != MAGENTA).collect() };
     assert!(covered(&usual).iter().filter(|c| **c).count() > 3_000);
-    // As the tile itself is lit: its place, its normal and its image are what it says.
+    // Lights the tile like the built-in shader, with its position, its normal and its image.
     let as_usual = "
         struct V { @builtin(position) p: vec4<f32>, @location(0) light: vec3<f32>, @location(1) uv: vec2<f32>,
             @location(2) @interpolate(flat) layer: u32 }
@@ -431,7 +431,7 @@ fn programs_shade_height_tiles_too() {
     assert!(errors.is_empty() && covered(&green) == covered(&usual));
     assert!(green.pixels().all(|p| p.0[..3] == MAGENTA || (p.0[0] == 0 && p.0[2] == 0)));
 
-    // A tile and a mesh under one program; what is for meshes alone leaves the tile plain and is said once.
+    // A tile and a mesh under one program; parts for meshes alone leave the tile plain and are reported once.
     let for_meshes = "
         fn height_at() {}
         @vertex fn vs_main(vertex: MeshVertex, @builtin(instance_index) i: u32) -> @builtin(position) vec4<f32> {
@@ -469,7 +469,7 @@ fn depth_textures_are_read_with_samplers_that_fit_or_stood_in_for() {
     let compared = program("2d", "textureSampleCompareLevel(depths, way, vec2<f32>(0.5), 0.5)", "sampler_comparison");
     let cube = program("cube", "textureSample(depths, way, vec3<f32>(1.0, 0.0, 0.0))", "sampler");
     let layers = program("2d_array", "textureSample(depths, way, vec2<f32>(0.5), 0)", "sampler");
-    // Each with a name of its own: what is wrong is said once.
+    // Each has its own name; an error is reported once.
     let names = std::cell::Cell::new(0);
     let bound = |is_depth: bool, compare| {
         names.set(names.get() + 1);
@@ -482,7 +482,7 @@ fn depth_textures_are_read_with_samplers_that_fit_or_stood_in_for() {
         Some(Attribute::Texture(0, TextureBinding { texture, sampler }))
     };
     let less = Some(CompareFunction::LessOrEqual);
-    // A program, what is bound, and whether that is told.
+    // A program, the bound textures, and whether an error is reported.
     for (program, binding, is_wrong) in [
         (&plain_read, None, false),
         (&plain_read, bound(true, None), false),

@@ -126,7 +126,7 @@ fn each_axis_wraps_its_own_way() {
         size: [2, 2, 2],
         format: TextureFormat::Rgba8,
         levels: 1,
-        // Red, green and blue tell the texel's place along s, t and r.
+        // Red, green and blue encode the texel's position along s, t and r.
         texels: vec![(0..8u8).flat_map(|i| [255 * (i & 1), 255 * (i >> 1 & 1), 255 * (i >> 2), 255]).collect()],
         is_changing: false,
     });

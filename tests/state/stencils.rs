@@ -94,7 +94,7 @@ impl Case {
     }
 }
 
-/// Draws each case in a cell of its own and compares with the rules: red is where it was seen, green where its value is
+/// Draws each case in a separate cell and compares with the rules: red is where it was seen, green where its value is
 /// the one that they make.
 fn check(rig: &mut Rig, cases: &[Case]) {
     assert!(cases.len() <= ACROSS * ACROSS);

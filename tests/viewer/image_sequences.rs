@@ -370,7 +370,7 @@ fn images_load_over_http_and_a_hung_server_delays_no_other() {
     assert!(start.elapsed() < Duration::from_secs(20), "dropping waits for nobody: {:?}", start.elapsed());
 }
 
-/// Each thread had a client of its own, and read an archive's directory for itself.
+/// Threads share one client and an archive's directory; each once had its own.
 #[cfg(feature = "http")]
 #[test]
 fn the_threads_share_a_client() {

@@ -119,7 +119,7 @@ fn a_path_resumes_where_it_was_paused() {
     assert!(way_m >= 0.1, "{way_m} m");
 }
 
-/// With no time for what rests nobody would look.
+/// Without a wake-up time the pause would never end.
 #[test]
 fn a_resting_camera_rises_with_the_ground() {
     let ground_mm = Arc::new(AtomicU64::new(0));

@@ -1,5 +1,5 @@
-//! Equal paths give equal images in blocking mode, whoever draws; stages and contexts end cleanly. Needs a GPU
-//! (a software one will do).
+//! Equal paths give equal images in blocking mode in every threading model; stages and contexts end cleanly. Needs a
+//! GPU; a software adapter suffices.
 
 use std::path::Path;
 

@@ -157,7 +157,7 @@ fn small_and_large(folder: &Path) -> [String; 2] {
     [small, small_set(folder)]
 }
 
-/// The set that was gone kept its place: the camera stayed there, and all that goes by the set's size had that one's.
+/// The camera and all settings that depend on the set's size follow the new set; they once kept the old one's.
 #[test]
 fn a_set_in_the_place_of_another_is_seen_as_the_first_one_was() {
     let folder = tempfile::tempdir().unwrap();

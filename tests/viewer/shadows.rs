@@ -20,7 +20,7 @@ use terrane::viewer::{Slave, ThreadingModel, Viewer, ViewerConfig, Viewport};
 
 const SIZE: [u32; 2] = [256, 192];
 
-/// `KEEP_IMAGES=DIR` keeps the pictures to look at.
+/// Saves an image if `KEEP_IMAGES` names a folder.
 fn keep(name: &str, picture: &RgbaImage) {
     if let Some(folder) = std::env::var_os("KEEP_IMAGES") {
         picture.save(Path::new(&folder).join(format!("{name}.png"))).unwrap();

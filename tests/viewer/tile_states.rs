@@ -1,5 +1,5 @@
-//! The pager's debug view: what the tiles of a set are told to be while a server stalls and fails, and that the view
-//! shows it in its colours. Images need a GPU; a software adapter suffices.
+//! The pager's debug view: the states of the tiles of a set while a server stalls and fails, and their colours in the
+//! view. Images need a GPU; a software adapter suffices.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -154,7 +154,7 @@ fn each_state_of_a_tile_is_reported_and_shown_in_its_colour() {
     keep(&picture, "tile-levels.png");
     assert!(pixels_of(&picture, TileState::Requested(Failed)) < 20);
 
-    // Looked away from: what was asked for is given up, what is there stays.
+    // The camera looks away: requests are cancelled, resident tiles stay.
     viewer.camera.look_at(DVec3::new(0.0, 0.0, 330.0), DVec3::new(0.0, 0.0, 1e6), DVec3::Y);
     until(&mut viewer, &[(TileState::Unused, 6), (TileState::Requested(Failed), 1), (TileState::Unwanted, 2)]);
 }

@@ -1,5 +1,5 @@
 //! A recorded flight: the file parses, spans of a thread lie inside each other, every thread has a name, every request
-//! comes to its end. Needs a GPU; a software adapter suffices. One test: a process has one recording.
+//! ends. Needs a GPU; a software adapter suffices. A separate process, since a process has one recording.
 
 use std::collections::{BTreeMap, BTreeSet};
 

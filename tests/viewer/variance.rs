@@ -1,5 +1,5 @@
 //! Update rewrites geometry, state and transforms in every frame, with draws of earlier frames still under way: each
-//! image is that of its own frame, whoever culls and draws. Needs a GPU; a software adapter suffices.
+//! image shows its own frame in every threading model. Needs a GPU; a software adapter suffices.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};

@@ -1,5 +1,5 @@
-//! Slave cameras, several contexts and several views: parts put together are the whole, whoever culls and draws. Needs a
-//! GPU (a software one will do).
+//! Slave cameras, several contexts and several views: the parts together equal the whole in every
+//! threading model. Needs a GPU; a software adapter suffices.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -48,7 +48,7 @@ fn differing(a: &RgbaImage, b: &RgbaImage) -> usize {
     a.pixels().zip(b.pixels()).filter(|(a, b)| far(a, b)).count()
 }
 
-/// Shows `[from, to]` of the master's picture (-1 to 1, left to right) in a whole one.
+/// Shows `[from, to]` of the master's image (-1 to 1, left to right) in a whole one.
 fn part(from: f64, to: f64) -> DMat4 {
     let scale = 2.0 / (to - from);
     DMat4::from_translation(DVec3::new(-scale * 0.5 * (from + to), 0.0, 0.0))

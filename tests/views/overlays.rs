@@ -1,5 +1,4 @@
-//! Overlays of handlers: over each view, in whichever context it is, and over a device that takes the place
-//! of a lost one. Images need a GPU; a software adapter suffices.
+//! Overlays of handlers: over each view, in any context, and over a device that replaces a lost one. Images need a GPU; a software adapter suffices.
 
 use std::path::Path;
 

@@ -409,7 +409,7 @@ fn removing_or_changing_a_page_keeps_the_one_it_shares_with() {
     let [changed, kept] = halves(&mut rig, &scene);
     assert!(changed > 50 && changed < left / 4 && kept == right, "{changed} {kept}");
 
-    // One goes: its places stay as long as the other needs them.
+    // One is removed: its slots stay as long as the other needs them.
     scene.remove_root(a).unwrap();
     rig.ctx.release(&first.slots);
     assert_eq!(halves(&mut rig, &scene), [0, right]);

@@ -15,8 +15,8 @@ use terrane::viewer::{CompositeViewer, ContextId, SceneId, ThreadingModel, ViewI
 /// Bytes that a device keeps for drawables without a texture.
 const WHITE_TEXEL_BYTES: u64 = 4;
 
-/// Whether there are threads of pagers in this process, or come to be; a thread has its name a moment after it starts, and
-/// is in the system's list a moment after it was joined.
+/// Waits up to 5 seconds until the process has pager threads, or has none; returns false if it times out. A thread gets
+/// its name shortly after its start, and leaves the system's list shortly after it was joined.
 fn comes_to(has_threads: bool) -> bool {
     let is_pagers = |task: std::fs::DirEntry| {
         std::fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name.starts_with("pager"))
@@ -143,7 +143,7 @@ fn a_removed_scene_frees_only_its_own_resources() {
     }
 }
 
-/// What is uploaded for it then is of nobody: neither kept, nor taken for what another scene of its number uploads.
+/// Its pending uploads are dropped: neither kept, nor taken for those of a later scene with its number.
 #[test]
 fn a_scene_is_removed_while_it_loads() {
     if runs_alone(module_path!(), "a_scene_is_removed_while_it_loads") {

@@ -203,7 +203,7 @@ fn views_of_a_composite_viewer_share_a_device_too() {
         assert_eq!(both[0].dimensions(), (SIZE[0], SIZE[1]));
         assert_eq!((both[0].get_pixel(48, 36).0, both[0].get_pixel(1, 1).0), ([255, 0, 0, 255], [255, 255, 0, 255]));
         assert_eq!((both[1].get_pixel(30, 25).0, both[1].get_pixel(1, 1).0), ([0, 255, 0, 255], [0, 255, 255, 255]));
-        // Data that draw reads in place is read before the next update, in each of them.
+        // Shared data is read by draw before the next update, in each of them.
         for step in 0..6 {
             let mesh = Arc::new(Mesh::sphere(DVec3::new(0.0, 0.0, f64::from(step % 2) * 1e6), 1.0, 24));
             let geode = NodeId { page: root, index: 2 };
@@ -254,7 +254,7 @@ fn contexts_come_and_go_in_any_order_under_any_model() {
             }
             _ => viewer.set_threading_model(ThreadingModel::ALL[below(4)]).unwrap(),
         }
-        // Also what a device of its own lacks.
+        // Also for features that a separate device lacks.
         viewer.settle(3);
         for context in viewer.contexts().collect::<Vec<_>>() {
             assert!(viewer.read_back_of(context).unwrap() == expected, "step {step}: {context:?} shows something else");

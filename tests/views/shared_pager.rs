@@ -126,7 +126,7 @@ fn a_cleared_scene_loads_again_and_the_other_stays() {
     assert!(!both.viewer.is_settled());
     both.viewer.settle(1);
     assert_eq!([both.pages(0), both.pages(1)], before);
-    // Another set in place of one: the pager continues, with the other's pages.
+    // Another set replaces one: the pager continues, with the other's pages.
     let merged = both.pager(0).stats().merged;
     both.viewer.clear_pages(both.scenes[1]).unwrap();
     let root = both.viewer.scene(both.scenes[1]).unwrap().roots()[0];
@@ -197,7 +197,7 @@ fn drawing_on_demand_rests_and_wakes_with_a_shared_pager() {
     rest(&mut both);
     assert!(both.viewer.is_settled());
     let before = both.pages(1);
-    // Paused, what is missing does not come, and it rests; going on wakes it.
+    // Paused, missing tiles do not load and drawing stops; resuming wakes it.
     both.viewer.pager_mut(both.scenes[0]).unwrap().unwrap().set_paused(true);
     both.look(1, NEAR_M);
     both.viewer.frame().unwrap();
@@ -247,7 +247,7 @@ fn a_file_of_views_says_that_scenes_share_a_pager() {
         for other in &scenes[1..] {
             assert_eq!(arranged.viewer.shares_pager(scenes[0], *other).unwrap(), shares);
         }
-        // The application's own pages files of its own, in its own scope.
+        // The application's own pages load their own files, in their own scope.
         arranged.viewer.page_files_in(scenes[2], folder.path()).unwrap();
         let pagers = if shares { 3 } else { 1 };
         assert_eq!(arranged.viewer.pager(scenes[2]).unwrap().unwrap().scenes().len(), pagers);

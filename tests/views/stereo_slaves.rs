@@ -1,5 +1,5 @@
-//! Slave cameras in stereo: each has its two eyes in its own image, or one of them in a window of its own. Needs a GPU (a
-//! software one will do).
+//! Slave cameras in stereo: each has both eyes in its own image, or one of them in a separate window. Needs a GPU;
+//! a software adapter suffices.
 
 use std::sync::Arc;
 
@@ -136,7 +136,7 @@ fn an_eye_may_have_a_separate_window() {
         viewer.add_slave(Slave { eyes: Eyes::Middle, ..Slave::new(third) }).unwrap();
         let found = pictures(&mut viewer, &[first, second, third]);
         assert!(found[0] == left && found[1] == right && found[2] == middle, "{threading}");
-        // Changed between frames, and with eyes that change places.
+        // Changed between frames, and with eyes that are swapped.
         viewer.slave_mut(slave).unwrap().eyes = Eyes::Left;
         assert!(pictures(&mut viewer, &[second])[0] == left, "{threading}");
         viewer.set_stereo(Some(Stereo { swaps_eyes: true, ..stereo }));

@@ -55,7 +55,7 @@ fn page(callbacks: Option<CameraCallbacks>) -> Page {
     Page::from_node(Node::group(nodes)).unwrap()
 }
 
-/// A camera's callbacks that panic in one context only, when they are called for the last of so many times.
+/// Returns a camera's callbacks that panic in the call number `times`, in one context only.
 fn panic_after(times: u64) -> CameraCallbacks {
     let countdown = AtomicU64::new(times);
     CameraCallbacks {
@@ -286,7 +286,7 @@ fn waiting_for_a_panicked_thread_finds_its_object_dropped() {
     assert!(thread.join().is_err());
 }
 
-/// The scene was taken for granted: whoever changed it, or let the pager have it, panicked too.
+/// Changing the scene, or paging it, after a thread's panic does not panic too.
 #[test]
 fn a_scene_can_be_changed_after_a_thread_has_died() {
     let folder = tempfile::tempdir().unwrap();
@@ -307,8 +307,8 @@ fn a_scene_can_be_changed_after_a_thread_has_died() {
                 let _ = viewer.add_root(page(None));
                 viewer.remove_root(root);
                 assert!(viewer.frame().is_err());
-                // Whoever waits for what was being drawn is told, and does not wait for ever; without what has died
-                // the rest continues.
+                // A wait for a frame in flight returns an error instead of hanging; without the dead thread the rest
+                // continues.
                 let _ = viewer.open_context(context());
                 let _ = viewer.set_threading_model(ThreadingModel::SingleThreaded);
                 assert!(viewer.frame().is_err());

@@ -1,6 +1,6 @@
-//! A window's surface that is late, out of date, lost or suboptimal while its device is well: frames are skipped and
-//! counted, the surface is configured or made anew, and the window shows what it did. Needs Xvfb and a GPU (a software
-//! one will do); says so where there is none.
+//! A window's surface that is late, outdated, lost or suboptimal while its device works. Frames are skipped and counted,
+//! the surface is configured or created again, and the window shows the same as before. Needs Xvfb and a GPU (a software
+//! adapter suffices); skipped without.
 
 use std::process::Command;
 use std::sync::Arc;

@@ -193,7 +193,7 @@ impl Churn {
                 }
                 assert!(self.viewer.close_context(context).unwrap());
             }
-            // Nobody but the context has the window any more.
+            // Only the context holds the window now.
             8..11 if !self.windows.is_empty() => {
                 let place = self.random.below(self.windows.len());
                 self.windows[place].0 = None;

@@ -303,7 +303,7 @@ fn several_files_are_one_set() {
     let [west, south, _, north] = PLACE.bounds();
     let summary = lands(&args, [west, south, east.bounds()[2], north], Some([100.0, 700.0, 100.0, 700.0]));
     assert_eq!((summary.min_height_m, summary.max_height_m), (100.0, 700.0));
-    // Where both files have samples the first wins: 0.04 of 0.069 degrees are the western file's.
+    // The first file wins where both have samples: 0.04 of 0.069 degrees are the western file's.
     let tile = tile_heights(&args.out, 0, 0, 0);
     let row = &tile[30 * crate::files::TILE_SIDE..31 * crate::files::TILE_SIDE];
     let low = row[1..66].iter().filter(|h| **h == 100.0).count();

@@ -161,7 +161,7 @@ fn a_root_that_cannot_be_loaded_exits_1_with_one_line() {
     }
 }
 
-/// It was told that an earlier image could not be written, and neither which nor why.
+/// The error names the file and the reason; it once named neither.
 #[test]
 fn a_picture_that_cannot_be_written_is_named() {
     if no_adapter() {
@@ -397,7 +397,7 @@ fn info_as_json() {
         assert!(info.get(name).is_some(), "{name} is missing");
     }
     assert_eq!(info["levels"].as_array().unwrap().len(), 3);
-    // Imagery belongs to the tiles: its bytes count, and where it is missing that is said.
+    // Imagery belongs to the tiles: its bytes count, and missing files are reported.
     let mut files = vec![set.clone()];
     while let Some(folder) = files.iter().position(|path| path.is_dir()) {
         let folder = files.swap_remove(folder);
@@ -429,6 +429,6 @@ fn info_reads_every_content_where_it_is_asked_to() {
     let (code, _, broken) = verified();
     assert_eq!((code, &broken["contents"], &broken["failed"]), (Some(1), &contents, &Value::from(1)));
     assert!(broken["errors"][0]["uri"].as_str().unwrap().ends_with("0.exr"), "{broken}");
-    // Without it nobody looks inside.
+    // Without it the contents are not checked.
     assert!(terrane(&["info", set.to_str().unwrap()]).status.success());
 }

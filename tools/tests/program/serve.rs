@@ -101,7 +101,7 @@ fn chance_is_the_same_for_the_same_seed() {
     }
 }
 
-/// Parts of one file had the chance of whoever came first.
+/// Each range request of a file has its own fault; it once depended on arrival order.
 #[test]
 fn files_and_parts_meet_the_same_in_any_order() {
     let folder = tempfile::tempdir().unwrap();

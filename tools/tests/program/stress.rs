@@ -1,4 +1,4 @@
-//! `terrane stress` from outside: some seeds hold, a seed is the same flight each time, and what goes wrong is said.
+//! `terrane stress` from outside: some seeds pass, a seed gives the same flight each time, and failures are reported.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Output, Stdio};

@@ -19,7 +19,7 @@ fn several_views_open_as_a_file_says_and_each_has_its_events() {
     let (Some(display), Some(set)) = (Display::start([1280, 1024]), tile_set(folder.path())) else { return };
     let config = folder.path().join("views.json");
     let name = set.file_name().unwrap().to_str().unwrap();
-    // Two views of the program's set beside each other, and one of a set of its own in another window.
+    // Two views of the program's set beside each other, and one of another set in another window.
     let text = format!(
         r#"{{"windows": [
              {{"title": "Terrane - views", "position_px": [10, 20], "size_px": [400, 200]}},
