@@ -439,8 +439,10 @@ fn another_process() {
     let Some(folder) = std::env::var_os("CACHE_FOLDER") else { return };
     let url = std::env::var("CACHE_URL").unwrap();
     let client = Client::new(CacheConfig { max_bytes: Some(400_000), ..CacheConfig::new(folder) });
-    for i in 0..std::env::var("CACHE_TURNS").unwrap().parse::<usize>().unwrap() {
-        let path = format!("/{}", i * 7 % 60);
+    let [turns, paths] =
+        ["CACHE_TURNS", "CACHE_PATHS"].map(|name| std::env::var(name).unwrap().parse::<usize>().unwrap());
+    for i in 0..turns {
+        let path = format!("/{}", i * 7 % paths);
         let body = client.get(&format!("{url}{path}"));
         assert_eq!(body, content(&path), "{path}");
     }
@@ -450,7 +452,8 @@ fn content(path: &str) -> Vec<u8> {
     path.bytes().cycle().take(10_000 + path.len() * 100).collect()
 }
 
-fn processes(folder: &Path, url: &str, count: usize, turns: usize) -> Vec<std::process::Child> {
+/// Starts processes that each make `turns` requests, in turn for `paths` bodies of about 10 kB.
+fn processes(folder: &Path, url: &str, count: usize, [turns, paths]: [usize; 2]) -> Vec<std::process::Child> {
     (0..count)
         .map(|_| {
             Command::new(std::env::current_exe().unwrap())
@@ -458,6 +461,7 @@ fn processes(folder: &Path, url: &str, count: usize, turns: usize) -> Vec<std::p
                 .env("CACHE_FOLDER", folder)
                 .env("CACHE_URL", url)
                 .env("CACHE_TURNS", turns.to_string())
+                .env("CACHE_PATHS", paths.to_string())
                 .stdout(std::process::Stdio::null())
                 .spawn()
                 .unwrap()
@@ -472,7 +476,7 @@ fn content_server() -> Server {
 #[test]
 fn several_processes_share_one_cache() {
     let (server, folder) = (content_server(), tempfile::tempdir().unwrap());
-    for mut child in processes(folder.path(), &server.url, 4, 300) {
+    for mut child in processes(folder.path(), &server.url, 4, [300, 60]) {
         assert!(child.wait().unwrap().success());
     }
     let cache = cache_at(folder.path());
@@ -488,7 +492,8 @@ fn several_processes_share_one_cache() {
 fn a_killed_process_leaves_nothing_broken() {
     let (server, folder) = (content_server(), tempfile::tempdir().unwrap());
     for round in 0..6 {
-        let mut children = processes(folder.path(), &server.url, 2, 1_000_000);
+        // Enough bodies that requests never end, even if each round is killed before the first eviction.
+        let mut children = processes(folder.path(), &server.url, 2, [1_000_000, 600]);
         let before = server.count();
         while server.count() < before + 20 {
             std::thread::sleep(Duration::from_millis(1));

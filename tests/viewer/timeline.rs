@@ -40,6 +40,7 @@ fn a_flight_is_recorded_whole() {
     if runs_alone(module_path!(), "a_flight_is_recorded_whole") {
         return;
     }
+    let this_thread = std::thread::current().name().unwrap().to_owned();
     let folder = tempfile::tempdir().unwrap();
     let set = folder.path().join("set");
     let args =
@@ -94,8 +95,7 @@ fn a_flight_is_recorded_whole() {
             ThreadingModel::CullThreadPerCameraDrawThreadPerContext => Some("cull 0"),
             _ => None,
         };
-        for name in ["a_flight_is_recorded_whole", "pager-file-", "pager-decode-"].into_iter().chain(draws).chain(culls)
-        {
+        for name in [this_thread.as_str(), "pager-file-", "pager-decode-"].into_iter().chain(draws).chain(culls) {
             assert!(all.iter().any(|n| n.starts_with(name)), "{name} is not among {all:?}");
         }
         assert!(!all.iter().any(|n| n.starts_with("thread ")), "without a name: {all:?}");
@@ -113,7 +113,7 @@ fn a_flight_is_recorded_whole() {
         }
         assert_eq!(spans.values().map(|s| s.len() as u64).sum::<u64>(), summary.spans);
         spans.values_mut().for_each(|spans| assert_nested(spans));
-        let main = "a_flight_is_recorded_whole";
+        let main = this_thread.as_str();
         let (draw, cull) = (draws.unwrap_or(main), culls.unwrap_or(main));
         // The barriers of the threading model.
         let meetings: &[(&str, &str, u32)] = match threading {
