@@ -233,8 +233,8 @@ impl LineSegmentIntersector {
         Self { line: Line::new(Ray::segment(start, end)) }
     }
 
-    /// Creates a segment between two points of an image, each in pixels with a depth: 1 at the near plane, 0 at the far plane
-    /// or infinitely far, where no segment can end. It meets geometry of every projection that draws there and whose viewport
+    /// Creates a segment between two points of an image, each in pixels with a depth. The depth is 1 at the near plane and 0 at
+    /// the far plane; no segment can end infinitely far. It meets geometry of every projection that draws there and whose viewport
     /// contains both points; OSG's intersector in window coordinates.
     ///
     /// Ratios of other projections are converted to the position of equal depth along this segment. Geometry drawn over

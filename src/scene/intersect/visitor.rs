@@ -17,8 +17,8 @@ use crate::scene::id::NodeId;
 /// there is an eye.
 ///
 /// Geometry below a Projection, or below a camera with a separate projection or viewport, is met only by intersectors
-/// that were given at a position of an image ([`WindowView`](crate::scene::WindowView)), at the position where it is
-/// visible. Geometry that a camera draws into a texture is never met.
+/// that were given at a position of an image ([`WindowView`](crate::scene::WindowView)). They meet it at the position
+/// where it is visible. Geometry that a camera draws into a texture is never met.
 ///
 /// The traversal tests the [`KdTree`](crate::scene::KdTree) of a drawable, or else its payload while the page has it;
 /// [`Self::unmet_drawables`] counts drawables that have neither.

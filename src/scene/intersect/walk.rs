@@ -303,7 +303,7 @@ impl<P: Probe> Walk<'_, P> {
         }
         // Only a position of an image can be converted to another view.
         let Some(window) = self.view.window else { return };
-        // As in cull: below an absolute camera is a separate world; a relative camera moves the eye.
+        // Like cull: an absolute camera has a separate world below, a relative one moves the eye.
         let (world_from_eye, world_from_page) = match camera.frame {
             ReferenceFrame::Absolute => (camera.view.inverse(), above.inverse()),
             ReferenceFrame::Relative => {

@@ -12,8 +12,8 @@ const DEPTHS: [f64; 3] = [0.5, 0.9, 0.999];
 
 /// The image of a camera in its target.
 ///
-/// Intersectors created at a position of the image also meet geometry drawn there with other projections: below Projection
-/// nodes, and below cameras with a separate projection or viewport that draw into the same target.
+/// Intersectors created at a position of the image also meet geometry drawn there with other projections. Such geometry is
+/// below Projection nodes, or below cameras with a separate projection or viewport that draw into the same target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WindowView {
     /// Maps eye space (looking down -z, y up) to the world, without scale.
@@ -75,8 +75,8 @@ impl WindowView {
         cut.is_valid().then_some(cut)
     }
 
-    /// Returns true if lines begin at the eye's plane instead of the near plane: the near plane is fitted, or `all` is set, since
-    /// a perspective projection has a near plane only of necessity. Parallel rays that are not fitted begin at the near plane.
+    /// Returns true if lines begin at the eye's plane instead of the near plane. They do if near is fitted, or if `all` is set
+    /// and the projection is perspective. Parallel rays that are not fitted begin at the near plane.
     pub(super) fn begins_at_eye(&self, all: bool) -> bool {
         self.fits_depth || (all && !has_parallel_rays(&self.clip_from_eye))
     }
