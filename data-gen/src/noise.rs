@@ -1,12 +1,12 @@
 //! Gradient noise in 2D from a hash: any place alone, the same bits on every machine (no fused multiply-add, no
 //! transcendental functions). Perlin's improved noise (2002) with eight gradients.
 
-/// A hash of lattice point and seed with good avalanche (SplitMix64's finaliser).
+use terrane::math::random::{SplitMix64, mix64};
+
+/// Hashes a lattice point and a seed.
 fn hash(x: i64, y: i64, seed: u64) -> u64 {
-    let mut h = seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f);
-    h = (h ^ (h >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    h = (h ^ (h >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    h ^ (h >> 31)
+    let x = (x as u64).wrapping_mul(SplitMix64::GOLDEN_GAMMA);
+    mix64(seed ^ x ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f))
 }
 
 const DIAGONAL: f64 = std::f64::consts::FRAC_1_SQRT_2;

@@ -8,6 +8,7 @@
 use std::sync::{Arc, Weak};
 
 use super::stage::RenderStage;
+use crate::math::random::fibonacci_hash;
 use crate::state::{ResolvedState, StateSet};
 
 /// Key of the pseudo state set of blended drawables; no `Arc` has this address.
@@ -247,7 +248,7 @@ impl StateGraph {
 /// Fibonacci hashing of the pair.
 fn hash(parent: u32, key: usize) -> usize {
     let mixed = (key as u64 >> 1) ^ (u64::from(parent) << 40) ^ u64::from(parent);
-    (mixed.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) as usize
+    (fibonacci_hash(mixed) >> 32) as usize
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ use super::{
     IoError, Limits,
     read::{guarded, refuse_markup},
 };
+use crate::math::color::{linear_from_srgb, srgb_from_linear};
 use crate::scene::{ContentKey, SharedContent, SharedStateManager, Texture};
 use crate::state::{CLAMPED, WrapMode};
 
@@ -162,15 +163,11 @@ fn srgb_tables() -> &'static Tables {
     TABLES.get_or_init(|| {
         let mut linear = Box::new([0u32; 256]);
         for (i, l) in linear.iter_mut().enumerate() {
-            let s = i as f64 / 255.0;
-            let v = if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) };
-            *l = (v * 65535.0).round() as u32;
+            *l = (linear_from_srgb(i as f64 / 255.0) * 65535.0).round() as u32;
         }
         let mut srgb = Box::new([0u8; 4096]);
         for (i, s) in srgb.iter_mut().enumerate() {
-            let v = i as f64 / 4095.0;
-            let e = if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
-            *s = (e * 255.0).round() as u8;
+            *s = (srgb_from_linear(i as f64 / 4095.0) * 255.0).round() as u8;
         }
         (linear, srgb)
     })
@@ -198,10 +195,7 @@ mod tests {
     /// Each texel is the mean, in linear light, of those it stands for: of two by two, or of two in a row or column.
     #[test]
     fn texels_are_means_of_what_they_stand_for() {
-        let linear = |v: u8| {
-            let s = f64::from(v) / 255.0;
-            if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
-        };
+        let linear = crate::math::color::linear_from_srgb8;
         for (w, h) in [(6u32, 4u32), (7, 5), (1, 9), (8, 1), (2, 3), (3, 2), (1, 1)] {
             let pixels: Vec<u8> = (0..w * h * 4).map(|i| (i * 89 + i * i * 7) as u8).collect();
             let levels = mips(w, h, pixels.clone());

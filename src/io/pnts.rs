@@ -10,6 +10,7 @@ use serde::de::IgnoredAny;
 use super::feature_table::{self, Global, Place};
 use super::{IoError, Limits};
 use crate::math::Aabb;
+use crate::math::color::linear_from_srgb8;
 use crate::scene::{AlphaMode, Drawable, Geometry, Material, Mesh, MeshVertex, Node, Topology};
 
 const HEADER_BYTES: usize = 28;
@@ -164,9 +165,7 @@ fn rgb565(c: u16) -> [u8; 4] {
 }
 
 fn linear(srgb: u8) -> u8 {
-    let c = f32::from(srgb) / 255.0;
-    let linear = if c <= 0.04045 { c / 12.92 } else { ((c + 0.055) / 1.055).powf(2.4) };
-    (linear * 255.0).round() as u8
+    (linear_from_srgb8(srgb) * 255.0).round() as u8
 }
 
 #[cfg(test)]

@@ -3,9 +3,11 @@
 //! World positions are `f64`; what is stored per node is `f32` relative to a page's frame.
 
 mod bounds;
+pub mod color;
 mod depth;
 mod frustum;
 mod geodesy;
+pub mod random;
 mod ray;
 
 pub(crate) use bounds::max_scale;

@@ -298,7 +298,7 @@ impl DatabasePager {
 
 /// From 1 to 1.25 by the number of a load: what failed together is not asked for again together.
 fn spread(ticket: u64) -> f64 {
-    1.0 + (ticket.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / (1u64 << 26) as f64
+    1.0 + (crate::math::random::fibonacci_hash(ticket) >> 40) as f64 / (1u64 << 26) as f64
 }
 
 fn moving_mean(mean: u64, value: u64) -> u64 {

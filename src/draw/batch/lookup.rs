@@ -1,5 +1,7 @@
 //! A small table from u64 to u32 that is emptied in no time. Draw thread.
 
+use crate::math::random::fibonacci_hash;
+
 /// Open addressing; entries of before the last [`Self::clear`] are told by their stamp.
 #[derive(Default)]
 pub(in crate::draw) struct Lookup {
@@ -23,7 +25,7 @@ impl Lookup {
     #[inline]
     pub(in crate::draw) fn get_or_insert(&mut self, key: u64, value: u32) -> u32 {
         let mask = self.table.len() - 1;
-        let mut place = (key.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 32) as usize & mask;
+        let mut place = (fibonacci_hash(key) >> 32) as usize & mask;
         loop {
             let (stamp, found, of) = self.table[place];
             if stamp != self.stamp {

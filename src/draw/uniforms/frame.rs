@@ -5,6 +5,7 @@ use glam::{DMat2, DMat4, DVec3, Mat4, Vec3};
 use crate::cull::{CullCamera, MAX_CASCADES, StageShadows};
 use crate::draw::atmosphere::Air;
 use crate::math::WGS84;
+use crate::math::color::linear_from_srgb8;
 use crate::scene::{Environment, MORPH_START, Sky, has_parallel_rays, is_over_globe};
 
 /// Height in metres over which air thins to 1/e.
@@ -98,15 +99,10 @@ fn direction_in_eye(camera: &CullCamera, world: DVec3) -> [f64; 3] {
     camera.eye_from_world.matrix3.mul_vec3(world).normalize_or(DVec3::Z).to_array()
 }
 
-fn linear_from_srgb(byte: u8) -> f64 {
-    let s = f64::from(byte) / 255.0;
-    if s <= 0.04045 { s / 12.92 } else { ((s + 0.055) / 1.055).powf(2.4) }
-}
-
 /// The colour targets are cleared with: the background's, or that of the horizon under a sky.
 pub(in crate::draw) fn clear_color(environment: &Environment, frame: &FrameUniform) -> wgpu::Color {
     let [r, g, b] = match environment.sky {
-        Sky::Background(rgb) => rgb.map(linear_from_srgb),
+        Sky::Background(rgb) => rgb.map(linear_from_srgb8),
         Sky::Atmosphere => [0, 1, 2].map(|i| f64::from(frame.horizon_color[i])),
     };
     wgpu::Color { r, g, b, a: 1.0 }

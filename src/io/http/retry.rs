@@ -7,6 +7,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use reqwest::header::{DATE, HeaderMap, RETRY_AFTER};
 
+use crate::math::random::{SplitMix64, fnv1a};
+
 /// No pause is kept for longer, whatever a server asks for.
 const LONGEST_PAUSE: Duration = Duration::from_secs(3600);
 /// Servers whose pauses are remembered.
@@ -16,19 +18,19 @@ const MOST_PAUSES: usize = 256;
 pub(super) struct Backoff {
     next: Duration,
     most: Duration,
-    state: u64,
+    random: SplitMix64,
 }
 
 impl Backoff {
     pub fn new(first: Duration, most: Duration, seed: u64, uri: &str) -> Self {
-        // FNV-1a of the URI: requests that failed together do not come back together.
-        let hash = uri.bytes().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
-        Self { next: first.min(most), most, state: hash ^ seed.rotate_left(32) }
+        // Seeded by the URI, so that requests that failed together are not retried together.
+        let random = SplitMix64::new(fnv1a(uri.as_bytes()) ^ seed.rotate_left(32));
+        Self { next: first.min(most), most, random }
     }
 
     /// How long to wait now; `None` when the server asks for more than is allowed.
     pub fn wait(&mut self, asked: Option<Duration>) -> Option<Duration> {
-        let own = self.next.mul_f64(0.5 + 0.5 * self.share());
+        let own = self.next.mul_f64(0.5 + 0.5 * self.random.next_unit());
         self.next = (2 * self.next).min(self.most);
         let wait = own.max(asked.unwrap_or_default());
         (wait <= self.most).then_some(wait)
@@ -36,16 +38,7 @@ impl Backoff {
 
     /// Up to so long, another time for each request: what waits for one moment does not come at once.
     pub fn spread(&mut self) -> Duration {
-        self.next.mul_f64(self.share())
-    }
-
-    /// SplitMix64: from 0, below 1.
-    fn share(&mut self) -> f64 {
-        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        self.next.mul_f64(self.random.next_unit())
     }
 }
 

@@ -7,6 +7,8 @@
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 
+use terrane::math::random::{SplitMix64, fnv1a};
+
 /// What happens to an answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Fate {
@@ -37,24 +39,18 @@ impl Turns {
     }
 }
 
-/// Chance that is the same each time (SplitMix64 over a hash of what is asked for).
-pub(super) struct Chance(u64);
+/// Random numbers that are the same each time: seeded by a hash of the path and the number of the request.
+pub(super) struct Chance(SplitMix64);
 
 impl Chance {
     pub(super) fn new(seed: u64, wanted: &str, number: u64) -> Self {
-        // FNV-1a.
-        let hash =
-            wanted.bytes().fold(0xcbf2_9ce4_8422_2325u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
-        Self(hash ^ seed.rotate_left(32) ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15))
+        let number = number.wrapping_mul(SplitMix64::GOLDEN_GAMMA);
+        Self(SplitMix64::new(fnv1a(wanted.as_bytes()) ^ seed.rotate_left(32) ^ number))
     }
 
-    /// From 0, below 1.
+    /// Returns the next number, from 0 to below 1.
     pub(super) fn share(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+        self.0.next_unit()
     }
 
     /// One of the fates by their shares of all answers.

@@ -338,10 +338,7 @@ impl Plan {
 
     /// A number that is the same where the plan is.
     pub fn digest(&self) -> u64 {
-        // FNV-1a of all that was decided.
-        format!("{self:?}")
-            .bytes()
-            .fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
+        terrane::math::random::fnv1a(format!("{self:?}").as_bytes())
     }
 }
 
