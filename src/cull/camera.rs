@@ -1,4 +1,4 @@
-//! What cull needs to know of a camera.
+//! [`CullCamera`]: the input of one cull.
 
 use glam::{DAffine3, DMat4};
 
@@ -14,24 +14,25 @@ pub struct CullCamera {
     pub clip_from_eye: DMat4,
     /// Width and height of the viewport.
     pub viewport_px: [u32; 2],
-    /// What is culled and how.
+    /// Culling modes, error limits and levels of detail.
     pub settings: CullSettings,
-    /// The body of the earth, where the world is earth-centred: tiles wholly behind its horizon are culled. It must
-    /// lie below everything that is drawn as ground.
+    /// The body of the earth in an earth-centred world: tiles wholly behind its horizon are culled. It must lie below all
+    /// ground that is drawn.
     pub horizon: Option<Ellipsoid>,
-    /// Seconds in the application's time, by which levels of detail fade ([`CullSettings::lod_fade_s`]).
+    /// Time of the application in seconds, by which levels of detail fade ([`CullSettings::lod_fade_s`]).
     pub simulation_time_s: f64,
-    /// Stamped on tiles that are wanted; start at 1. 0 stamps nothing: for a look that keeps nothing from expiring.
+    /// Frame number that wanted tiles are stamped with, from 1. 0 stamps nothing, so that the cull keeps no page from
+    /// expiring.
     pub frame: u32,
-    /// In so many frames there will be such a picture: tiles that no picture wants now are stamped with that frame,
-    /// unless they are wanted sooner, and tiles do not fade. 0 for a picture of this frame.
+    /// Number of frames until the view is drawn, for a prefetch; 0 for the current frame. Tiles are then stamped with that
+    /// later frame unless they are in use or wanted sooner, and do not fade.
     pub ahead_frames: u32,
-    /// Whose draw slots the leaves get.
+    /// The graphics context whose draw slots the leaves refer to.
     pub context: u32,
 }
 
 impl Default for CullCamera {
-    /// At the world's origin, looking down -z, 60 degrees, 1024 x 1024, 16 pixels of error.
+    /// Returns a camera at the world's origin, looking down -z, 60 degrees, 1024 x 1024, 16 pixels of error.
     fn default() -> Self {
         Self {
             eye_from_world: DAffine3::IDENTITY,
@@ -52,13 +53,13 @@ impl Default for CullCamera {
 }
 
 impl CullCamera {
-    /// Pixels that one metre covers at a distance of one metre: `viewport height / (2 tan(fovy / 2))`. Where rays are
-    /// parallel, at any distance.
+    /// Returns the pixels that one metre covers at a distance of one metre: `viewport height / (2 tan(fovy / 2))`. Under
+    /// parallel rays it holds at any distance.
     pub fn px_per_radian(&self) -> f64 {
         px_per_radian(&self.clip_from_eye, self.viewport_px)
     }
 
-    /// The eye for an [`IntersectionVisitor`](crate::scene::IntersectionVisitor) that is to meet what this camera draws.
+    /// Returns the eye for an [`IntersectionVisitor`](crate::scene::IntersectionVisitor) that hits what this camera draws.
     pub fn eye_point(&self) -> EyePoint {
         EyePoint {
             world_from_eye: self.eye_from_world.inverse(),

@@ -1,50 +1,41 @@
 //! Cull: from `&Scene` and a camera to a [`RenderStage`].
 //!
-//! Runs once per camera and frame, on any thread: it takes no lock, calls no GPU and no pager. What it wants to be
-//! loaded leaves as data ([`PageRequest`]); tiles that it wanted are stamped with the frame number through relaxed
-//! atomics. Once warm it allocates nothing.
+//! Runs once per camera and frame, on any thread. It takes no lock and calls neither the GPU nor the pager: what it wants
+//! to be loaded is data in its output ([`PageRequest`]). Wanted tiles are stamped with the frame number through relaxed
+//! atomics. After the first frames it allocates nothing.
 //!
 //! ```text
-//! CullVisitor::cull    page queue: the root pages, then the pages that tiles hang in, breadth first
-//!   nodes              flat depth-first scan of a page; subtrees wholly inside become two ranges
-//!   tiles              tile trees: REPLACE and ADD, screen-space error, requests; horizon: what the earth hides
-//!   special            cameras, billboards, lights, clip planes, queries; occluders were collected before
-//!   fade               what is drawn beside what takes its place, for a short time
-//!   state_graph        find-or-insert of state sets under their parent
-//!   sort               leaves to bins, in draw order
-//! then the shadows' cascades, each culled alike into a stage of its own
-//! and the cameras in the graph that are drawn before or after: a stage of their own each, culled alike, with shadows
-//! where they ask
+//! CullVisitor::cull
+//!   visitor     takes pages from a queue, breadth first, and scans the nodes of each in depth-first order
+//!   views       the frustum and the measures that nodes and tiles are tested against
+//!   tiles       walks tile trees: refinement by screen-space error, requests, horizon culling
+//!   occluders   shadow volumes, collected before the traversal
+//!   fading      dither bands of levels of detail that replace one another
+//!   sorting     state sets under their parents, and leaves to bins in draw order
+//!   shadows     one more cull per cascade of the sun's shadows
+//!   stage       the output
 //! ```
+//! Cameras in the graph that are drawn before or after have their own stages, culled in the same way.
 
 mod camera;
-mod cameras;
-mod drawables;
-mod fade;
-mod horizon;
-mod near_far;
-mod nodes;
+mod fading;
 mod occluders;
-mod planes;
 mod shadows;
-mod sort;
-mod special;
+mod sorting;
 mod stage;
-mod state_graph;
-mod states;
 mod stereo;
 mod tiles;
-mod view;
+mod views;
 mod visitor;
 
 pub use camera::CullCamera;
-pub use fade::FadeBand;
-pub use shadows::{MAX_CASCADES, ShadowCascade, ShadowError, StageShadows, SunShadows};
+pub use fading::FadeBand;
+pub use shadows::{MAX_CASCADES, ShadowError, SunShadows};
 pub use stage::{
     ClipPlane, CullCounters, OcclusionQuery, PageRequest, PositionedLight, PositionedTexGen, RenderBin, RenderLeaf,
-    RenderStage, StageTarget, StageView,
+    RenderStage, ShadowCascade, StageShadows, StageTarget, StageView,
 };
-pub(crate) use stage::{moved, plane_moved};
+pub(crate) use stage::{move_light, move_plane};
 pub use stereo::{Stereo, StereoMode};
 pub use visitor::CullVisitor;
 

@@ -1,32 +1,32 @@
-//! Two eyes from one camera: the modes of OSG's display settings, and each eye's view and projection.
+//! Stereo: the modes of OSG's display settings, and view and projection of each eye.
 
 use glam::{DAffine3, DMat4, DVec3};
 
 use super::CullCamera;
 
-/// How the pictures of two eyes are put together.
+/// The way in which the images of both eyes are combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum StereoMode {
-    /// Red of the left eye, green and blue of the right one.
+    /// Takes red from the left eye, green and blue of the right one.
     Anaglyphic,
     /// Left eye in the left half, right eye in the right half.
     HorizontalSplit,
     /// Left eye in the upper half, right eye in the lower half.
     VerticalSplit,
-    /// The left eye's picture alone.
+    /// The image of the left eye alone.
     LeftEye,
-    /// The right eye's picture alone.
+    /// The image of the right eye alone.
     RightEye,
-    /// Rows take turns; the uppermost is the left eye's.
+    /// Rows alternate; the uppermost is the left eye's.
     HorizontalInterlace,
-    /// Columns take turns; the leftmost is the left eye's.
+    /// Columns alternate; the leftmost is the left eye's.
     VerticalInterlace,
-    /// Pixels take turns; the one at the upper left is the left eye's.
+    /// Pixels alternate; the upper left one is the left eye's.
     Checkerboard,
 }
 
 impl StereoMode {
-    /// All of them.
+    /// All modes.
     pub const ALL: [Self; 8] = [
         Self::Anaglyphic,
         Self::HorizontalSplit,
@@ -38,7 +38,7 @@ impl StereoMode {
         Self::Checkerboard,
     ];
 
-    /// The name in OSG's environment variable `OSG_STEREO_MODE`.
+    /// Returns the name in OSG's environment variable `OSG_STEREO_MODE`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Anaglyphic => "ANAGLYPHIC",
@@ -66,30 +66,30 @@ impl std::str::FromStr for StereoMode {
     }
 }
 
-/// Eyes before a screen; OSG's display settings.
+/// Two eyes before a screen; OSG's display settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stereo {
-    /// How the pictures are put together.
+    /// The way in which the images are combined.
     pub mode: StereoMode,
-    /// Between the eyes, metres before the screen.
+    /// Distance between the eyes, metres.
     pub eye_separation_m: f64,
-    /// From the eyes to the screen, metres.
+    /// Distance from the eyes to the screen, metres.
     pub screen_distance_m: f64,
-    /// Distance in the world at which things seem to lie in the screen's plane, metres: the world is scaled by it
-    /// over `screen_distance_m`.
+    /// Distance in the world at which objects seem to lie in the screen's plane, metres. The world is scaled by its ratio
+    /// to `screen_distance_m`.
     pub fusion_distance_m: f64,
-    /// The eyes change places.
+    /// Left and right eye are swapped.
     pub swaps_eyes: bool,
-    /// Pixels between the pictures of split modes.
+    /// Pixels between the two images of split modes.
     pub separation_px: u32,
-    /// The eyes have a screen each, straight before them: their projections are not sheared.
+    /// Each eye has its own screen straight before it, so that projections are not sheared.
     pub head_mounted: bool,
-    /// Split modes keep the proportions of things instead of filling each half with the whole width or height.
+    /// Split modes keep the aspect ratio of objects instead of squeezing the whole view into each half.
     pub keeps_aspect: bool,
 }
 
 impl Stereo {
-    /// A mode with OSG's distances: eyes 5 cm apart, 50 cm before the screen, the world in its own size.
+    /// Creates a mode with OSG's distances: eyes 5 cm apart and 50 cm before the screen, and the world at scale 1.
     pub fn new(mode: StereoMode) -> Self {
         Self {
             mode,
@@ -103,7 +103,7 @@ impl Stereo {
         }
     }
 
-    /// Size of one eye's picture.
+    /// Returns the size of one eye's image in a target of a size.
     pub fn eye_size_px(&self, size_px: [u32; 2]) -> [u32; 2] {
         let [width, height] = size_px;
         match self.mode {
@@ -113,8 +113,8 @@ impl Stereo {
         }
     }
 
-    /// The left and the right eye of a camera, the other way round where they change places. Each looks in the camera's
-    /// direction; its projection is sheared so that both pictures agree at the fusion distance (as OSG's
+    /// Returns the cameras of the left and the right eye, swapped if the settings say so. Each looks in the camera's
+    /// direction. Its projection is sheared so that both images agree at the fusion distance (as OSG's
     /// `computeLeftEyeProjection`).
     pub fn eyes(&self, camera: &CullCamera) -> [CullCamera; 2] {
         let scale = self.fusion_distance_m / self.screen_distance_m;
@@ -127,7 +127,7 @@ impl Stereo {
             let mut eye = *camera;
             eye.viewport_px = eye_px;
             eye.settings.cull_mask &= mask;
-            // The left eye is moved to the left: the world to the right.
+            // The left eye moves to the left, that is, the world to the right.
             eye.eye_from_world = DAffine3::from_translation(DVec3::new(offset * scale, 0.0, 0.0)) * eye.eye_from_world;
             let mut shear = DMat4::IDENTITY;
             if !self.head_mounted {
@@ -137,7 +137,7 @@ impl Stereo {
             if self.keeps_aspect {
                 let [w, h] = camera.viewport_px.map(f64::from);
                 let [ew, eh] = eye_px.map(f64::from);
-                // The same height of the world in a narrower picture, the same width in a lower one.
+                // A narrower image shows the same height of the world, a lower one the same width.
                 let squeeze = (w / h) / (ew / eh);
                 let (x, y) = if squeeze > 1.0 { (squeeze, 1.0) } else { (1.0, 1.0 / squeeze) };
                 eye.clip_from_eye = DMat4::from_scale(DVec3::new(x, y, 1.0)) * eye.clip_from_eye;

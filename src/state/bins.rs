@@ -80,8 +80,8 @@ impl BinDetails {
         Self { number, sort, name: BinName(0) }
     }
 
-    /// What the order among bins goes by: equal for equal bins alone.
-    pub(crate) fn place(&self) -> (i32, BinName, u8, usize) {
+    /// Returns the key of the order among bins; equal only for equal bins.
+    pub(crate) fn order_key(&self) -> (i32, BinName, u8, usize) {
         let (kind, key) = match self.sort {
             SortMode::ByState => (0, 0),
             SortMode::ByStateThenFrontToBack => (1, 0),
@@ -183,8 +183,11 @@ mod tests {
         BinPrototype::register("bins: plain", BinPrototype::default());
         let [keyed, plain] = [bin(2, "bins: by key"), bin(2, "bins: plain")];
         assert_eq!((keyed.sort, plain.sort), (key, SortMode::ByState));
-        assert!(BinDetails::new(2, SortMode::TraversalOrder).place() < keyed.place(), "the renderer's own first");
-        assert!(keyed.place() < plain.place(), "then as registered");
+        assert!(
+            BinDetails::new(2, SortMode::TraversalOrder).order_key() < keyed.order_key(),
+            "the renderer's own first"
+        );
+        assert!(keyed.order_key() < plain.order_key(), "then as registered");
         assert_ne!(plain, bin(2, "RenderBin"), "a bin of its own");
         // Another of the name has its place.
         BinPrototype::register("bins: by key", BinPrototype { sort: SortMode::FrontToBack, draw: None });

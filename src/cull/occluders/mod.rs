@@ -1,405 +1,80 @@
-//! Shadow volumes of OccluderNodes, collected before a cull: what lies wholly inside one is not seen.
+//! Occlusion by OccluderNodes: bounds that lie wholly in the shadow volume of one are culled. Culling thread.
 //!
-//! A volume is the pyramid from the eye through the polygon's edges (a prism where rays are parallel), cut off at the
-//! polygon. Made in eye space in f64, moved into the frame where bounds are stored, then rounded; kept are those that
-//! hide most of the view.
+//! The occluders of a view are collected before its scene is culled. Their planes are then moved into the frame of each
+//! page and of each tile tree, where bounds are stored.
 
 mod collect;
+mod volumes;
 
-use std::f64::consts::PI;
+use glam::{DAffine3, DVec3, Vec4};
 
-pub(super) use collect::{Collector, cull_info};
+use self::collect::Chain;
+pub(super) use self::collect::Collector;
+use self::volumes::{FrameOccluders, Occluders};
 
-use glam::{DAffine3, DMat4, DVec3, DVec4, Vec4};
-
-use super::planes::EyePlanes;
-use crate::math::BoundingSphere;
-use crate::scene::ConvexPlanarOccluder;
-
-/// Occluders used at once; those with the largest solid angle.
-const MOST: usize = 16;
-/// Corners nearer to the eye's plane are cut off, metres.
-const NEAREST_M: f64 = 1e-3;
-
-/// No occluders: below other views, whose eye or rays are others.
-pub(super) static NO_OCCLUDERS: Occluders =
-    Occluders { planes: Vec::new(), volumes: Vec::new(), corners: [Vec::new(), Vec::new()], chain: Vec::new() };
-
-/// Planes of all volumes, in eye space; inside is where all of a volume's are positive.
+/// The occluders of a stage, and their planes in the frames of the current page and tile tree.
+///
+/// They hold for the stage's own view only: other views of the stage have another eye or other rays.
 #[derive(Debug, Default)]
-pub(super) struct Occluders {
-    planes: Vec<DVec4>,
-    /// Each followed by those of its holes.
-    volumes: Vec<Volume>,
-    /// Scratch: a polygon before and after clipping.
-    corners: [Vec<DVec3>; 2],
-    /// Scratch: the pages above one, outermost first.
-    chain: Vec<collect::Link>,
+pub(super) struct Occlusion {
+    occluders: Occluders,
+    /// Bounds of the current view are tested: it is the stage's own, and there are occluders.
+    is_active: bool,
+    page: FrameOccluders,
+    tiles: FrameOccluders,
+    /// Scratch memory of the collector.
+    chain: Chain,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Volume {
-    /// First plane; the polygon's plane comes first.
-    first: u32,
-    end: u32,
-    /// Volumes of holes that follow, without the polygon's plane.
-    holes: u32,
-    /// Of what it hides; 0 for holes.
-    size: f64,
-}
-
-/// The same in another frame, as f32.
-#[derive(Debug, Default)]
-pub(super) struct FrameOccluders {
-    planes: Vec<Vec4>,
-}
-
-/// How a view looks at occluders.
-#[derive(Clone, Copy, Debug)]
-struct Sight {
-    /// The direction of all rays in eye space, where they are parallel; else they come from the eye.
-    along: Option<DVec3>,
-    planes: EyePlanes,
-}
-
-impl Sight {
-    fn new(clip_from_eye: &DMat4, planes: EyePlanes) -> Self {
-        let rows = clip_from_eye.transpose();
-        // What is drawn at the same place, whatever its depth.
-        let along = rows.x_axis.truncate().cross(rows.y_axis.truncate()).try_normalize();
-        let along = along.filter(|_| rows.w_axis.truncate() == DVec3::ZERO);
-        Self { along: along.map(|d| if d.z > 0.0 { -d } else { d }), planes }
-    }
-}
-
-impl Occluders {
-    pub fn clear(&mut self) {
-        self.planes.clear();
-        self.volumes.clear();
+impl Occlusion {
+    /// Starts a stage: collects the occluders that its view shows, or none without a collector.
+    pub fn start_stage(&mut self, collector: Option<&Collector>) {
+        self.occluders.clear();
+        if let Some(collector) = collector {
+            collector.collect(&mut self.occluders, &mut self.chain);
+        }
+        self.is_active = !self.occluders.is_empty();
     }
 
+    /// Changes the view that bounds belong to; 0 is the stage's own.
+    pub fn enter_view(&mut self, view: u32) {
+        self.is_active = view == 0 && !self.occluders.is_empty();
+    }
+
+    /// Returns true if no view of the stage has occluders.
     pub fn is_empty(&self) -> bool {
-        self.volumes.is_empty()
+        self.occluders.is_empty()
     }
 
-    /// False where nothing in a sphere in eye space would be used.
-    fn may_use(&self, sight: &Sight, sphere: &BoundingSphere) -> bool {
-        let BoundingSphere { center, radius_m } = *sphere;
-        if !radius_m.is_finite() {
-            return true;
-        }
-        let is_behind = center.z - radius_m > -NEAREST_M;
-        if is_behind || sight.planes.sphere_is_outside(center, radius_m) {
-            return false;
-        }
-        let sine = radius_m / center.length();
-        let most = match sight.along {
-            Some(_) => PI * radius_m * radius_m,
-            None if sine < 1.0 => 2.0 * PI * (1.0 - (1.0 - sine * sine).sqrt()),
-            None => f64::INFINITY,
-        };
-        // A little more than it is, for rounding.
-        self.smallest().is_none_or(|(_, smallest)| most * (1.0 + 1e-9) + 1e-12 > smallest)
+    /// Returns true if bounds of the current view may be occluded.
+    #[inline(always)]
+    pub fn is_active(&self) -> bool {
+        self.is_active
     }
 
-    /// Adds an occluder, in a smaller one's place where there are enough. `is_shown` is only asked if it were used.
-    fn offer(
-        &mut self,
-        sight: &Sight,
-        eye_from_node: &DAffine3,
-        occluder: &ConvexPlanarOccluder,
-        is_shown: impl FnOnce() -> bool,
-    ) {
-        if !self.clip(eye_from_node, &occluder.corners) || sight.planes.are_outside(&self.corners[1]) {
-            return;
-        }
-        let Some(polygon) = Polygon::new(sight, &self.corners[1]) else { return };
-        let size = polygon.size(sight, &self.corners[1]);
-        let smallest = self.smallest();
-        if size.is_nan() || size <= 0.0 || smallest.is_some_and(|(_, smallest)| size <= smallest) || !is_shown() {
-            return;
-        }
-        if let Some((place, _)) = smallest {
-            self.remove(place);
-        }
-        let place = self.volumes.len();
-        self.add(sight, &polygon, Some(size));
-        for hole in &occluder.holes {
-            if self.clip(eye_from_node, hole)
-                && let Some(polygon) = Polygon::new(sight, &self.corners[1])
-            {
-                self.add(sight, &polygon, None);
-                self.volumes[place].holes += 1;
-            }
+    /// Moves the occluders into the frame of a page, relative to its origin.
+    pub fn enter_page(&mut self, eye_from_page: &DAffine3, origin: DVec3) {
+        if self.is_active {
+            self.occluders.in_frame(eye_from_page, origin, &mut self.page);
         }
     }
 
-    /// Moves a polygon to eye space and cuts off what is behind the eye; false where nothing is left, or nonsense.
-    fn clip(&mut self, eye_from_node: &DAffine3, corners: &[DVec3]) -> bool {
-        let [given, clipped] = &mut self.corners;
-        given.clear();
-        given.extend(corners.iter().map(|c| eye_from_node.transform_point3(*c)));
-        clipped.clear();
-        for (i, a) in given.iter().enumerate() {
-            let b = given[(i + 1) % given.len()];
-            if a.z <= -NEAREST_M {
-                clipped.push(*a);
-            }
-            if (a.z <= -NEAREST_M) != (b.z <= -NEAREST_M) {
-                clipped.push(a.lerp(b, (-NEAREST_M - a.z) / (b.z - a.z)));
-            }
-        }
-        clipped.len() >= 3 && clipped.iter().all(|c| c.is_finite())
-    }
-
-    /// Adds the planes of the clipped polygon as a volume; with its own plane where it has a size.
-    fn add(&mut self, sight: &Sight, polygon: &Polygon, size: Option<f64>) {
-        let first = self.planes.len() as u32;
-        if size.is_some() {
-            self.planes.push(polygon.away.extend(-polygon.away.dot(polygon.middle)));
-        }
-        for (a, b) in edges(&self.corners[1]) {
-            let side = sight.along.map_or_else(|| a.cross(b), |along| (b - a).cross(along));
-            if let Some(side) = side.try_normalize() {
-                let from = if sight.along.is_some() { a } else { DVec3::ZERO };
-                let inward = if side.dot(polygon.middle - from) < 0.0 { -side } else { side };
-                self.planes.push(inward.extend(-inward.dot(from)));
-            }
-        }
-        let end = self.planes.len() as u32;
-        self.volumes.push(Volume { first, end, holes: 0, size: size.unwrap_or(0.0) });
-    }
-
-    /// Place and size of the volume that gives way to a larger one; `None` while there is room.
-    fn smallest(&self) -> Option<(usize, f64)> {
-        let mut smallest = None;
-        let (mut count, mut place) = (0, 0);
-        while let Some(volume) = self.volumes.get(place) {
-            if smallest.is_none_or(|(_, size)| volume.size < size) {
-                smallest = Some((place, volume.size));
-            }
-            count += 1;
-            place += 1 + volume.holes as usize;
-        }
-        smallest.filter(|_| count >= MOST)
-    }
-
-    fn remove(&mut self, place: usize) {
-        let last = place + self.volumes[place].holes as usize;
-        let (first, end) = (self.volumes[place].first, self.volumes[last].end);
-        self.planes.drain(first as usize..end as usize);
-        self.volumes.drain(place..=last);
-        for after in &mut self.volumes[place..] {
-            (after.first, after.end) = (after.first - (end - first), after.end - (end - first));
+    /// Moves the occluders into the frame of tile trees, relative to the eye.
+    pub fn enter_tiles(&mut self, eye_from_tiles: &DAffine3, eye: DVec3) {
+        if self.is_active {
+            self.occluders.in_frame(eye_from_tiles, eye, &mut self.tiles);
         }
     }
 
-    /// The planes in the frame of `eye_from_frame`, relative to a point of it.
-    pub fn in_frame(&self, eye_from_frame: &DAffine3, origin: DVec3, into: &mut FrameOccluders) {
-        into.planes.clear();
-        let to_frame = eye_from_frame.matrix3.transpose();
-        let origin_in_eye = eye_from_frame.transform_point3(origin);
-        into.planes.extend(self.planes.iter().map(|p| {
-            let normal = to_frame * p.truncate();
-            let d = p.truncate().dot(origin_in_eye) + p.w;
-            let length2 = normal.length_squared();
-            // Rigid maps, nearly all there are, keep the unit length: saves the root and the divisions.
-            if (length2 - 1.0).abs() < 1e-12 && d.is_finite() {
-                return normal.extend(d).as_vec4();
-            }
-            let length = length2.sqrt();
-            let plane = (normal / length).extend(d / length);
-            // What cannot be said hides nothing.
-            if length > 0.0 && plane.is_finite() { plane.as_vec4() } else { Vec4::new(0.0, 0.0, 0.0, f32::MIN) }
-        }));
-    }
-
-    /// True when a bound lies wholly in the shadow of one occluder and is not seen through its holes. `reach` is how
-    /// far the bound extends along a direction.
+    /// Returns true if a bound of the current page is occluded. `reach` is its extent along a direction.
     #[inline]
-    pub fn hide(&self, frame: &FrameOccluders, center: [f32; 3], reach: impl Fn(Vec4) -> f32) -> bool {
-        let distance = |p: Vec4| p.x * center[0] + p.y * center[1] + p.z * center[2] + p.w;
-        let planes = |v: &Volume| &frame.planes[v.first as usize..v.end as usize];
-        let mut rest = &self.volumes[..];
-        while let Some((volume, after)) = rest.split_first() {
-            let (holes, next) = after.split_at(volume.holes as usize);
-            rest = next;
-            let inside = |v: &Volume| planes(v).iter().all(|p| distance(*p) >= reach(*p));
-            let outside = |v: &Volume| planes(v).iter().any(|p| distance(*p) < -reach(*p));
-            if inside(volume) && holes.iter().all(outside) {
-                return true;
-            }
-        }
-        false
-    }
-}
-
-/// What a clipped polygon's corners come to.
-struct Polygon {
-    middle: DVec3,
-    /// Its normal, away from the eye.
-    away: DVec3,
-    area_m2: f64,
-}
-
-impl Polygon {
-    /// `None` where it is seen edge-on, or is no polygon.
-    fn new(sight: &Sight, corners: &[DVec3]) -> Option<Self> {
-        let middle = corners.iter().sum::<DVec3>() / corners.len() as f64;
-        let normal = edges(corners).map(|(a, b)| (a - middle).cross(b - middle)).sum::<DVec3>();
-        let area_m2 = 0.5 * normal.length();
-        let normal = normal.try_normalize()?;
-        let ray = sight.along.unwrap_or(middle);
-        let facing = normal.dot(ray);
-        (facing.abs() >= 1e-9 * ray.length()).then_some(Self { middle, away: normal * facing.signum(), area_m2 })
+    pub fn hides_in_page(&self, center: [f32; 3], reach: impl Fn(Vec4) -> f32) -> bool {
+        self.is_active && self.occluders.hide(&self.page, center, reach)
     }
 
-    /// Size of what it hides: steradians, or square metres where rays are parallel.
-    fn size(&self, sight: &Sight, corners: &[DVec3]) -> f64 {
-        if let Some(along) = sight.along {
-            return self.area_m2 * self.away.dot(along);
-        }
-        // Van Oosterom and Strackee 1983, for each triangle around the middle.
-        let triangle = |(a, b): (DVec3, DVec3)| {
-            let (a, b, c) = (a.normalize_or_zero(), b.normalize_or_zero(), self.middle.normalize_or_zero());
-            let above = a.dot(b.cross(c)).abs();
-            2.0 * above.atan2(1.0 + a.dot(b) + b.dot(c) + c.dot(a))
-        };
-        edges(corners).map(triangle).sum()
-    }
-}
-
-/// Each corner with the next.
-fn edges(corners: &[DVec3]) -> impl Iterator<Item = (DVec3, DVec3)> + '_ {
-    corners.iter().copied().zip(corners.iter().copied().cycle().skip(1))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn square(half: f64, z: f64) -> Vec<DVec3> {
-        [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)].map(|(x, y)| DVec3::new(x * half, y * half, z)).into()
-    }
-
-    const EVERYWHERE: Sight = Sight { along: None, planes: EyePlanes::NONE };
-
-    fn hides(occluder: &ConvexPlanarOccluder, center: DVec3, radius: f32) -> bool {
-        let mut occluders = Occluders::default();
-        occluders.offer(&EVERYWHERE, &DAffine3::IDENTITY, occluder, || true);
-        let mut frame = FrameOccluders::default();
-        occluders.in_frame(&DAffine3::IDENTITY, DVec3::ZERO, &mut frame);
-        occluders.hide(&frame, center.as_vec3().to_array(), |_| radius)
-    }
-
-    #[test]
-    fn what_is_behind_is_hidden_and_what_is_in_a_hole_is_not() {
-        let wall = ConvexPlanarOccluder { corners: square(1.0, -10.0), holes: vec![] };
-        let at = |x: f64, z: f64| DVec3::new(x, 0.0, z);
-        assert!(hides(&wall, at(0.0, -20.0), 1.0));
-        assert!(!hides(&wall, at(0.0, -5.0), 1.0), "before it");
-        assert!(!hides(&wall, at(0.0, -10.5), 1.0), "across it");
-        assert!(!hides(&wall, at(1.5, -20.0), 1.0), "partly beside it");
-        assert!(!hides(&wall, at(0.0, 20.0), 1.0), "behind the eye");
-        let holed = ConvexPlanarOccluder { corners: square(1.0, -10.0), holes: vec![square(0.2, -10.0)] };
-        assert!(!hides(&holed, at(0.0, -20.0), 0.1), "seen through the hole");
-        assert!(hides(&holed, at(1.2, -20.0), 0.1), "beside the hole");
-        let behind = ConvexPlanarOccluder { corners: square(1.0, 10.0), holes: vec![] };
-        assert!(!hides(&behind, at(0.0, -20.0), 1.0));
-        let nonsense = ConvexPlanarOccluder { corners: vec![DVec3::NAN; 4], holes: vec![] };
-        assert!(!hides(&nonsense, at(0.0, -20.0), 1.0));
-    }
-
-    #[test]
-    fn only_the_largest_are_used() {
-        let mut occluders = Occluders::default();
-        let mut asked = 0;
-        for i in (0..40).chain(0..30) {
-            let occluder = ConvexPlanarOccluder {
-                corners: square(1.0 + f64::from(i), -100.0),
-                holes: vec![square(0.1, -100.0); (i % 3) as usize],
-            };
-            let is_shown = || {
-                asked += 1;
-                i != 35
-            };
-            occluders.offer(&EVERYWHERE, &DAffine3::IDENTITY, &occluder, is_shown);
-        }
-        let sizes: Vec<f64> = occluders.volumes.iter().map(|v| v.size).filter(|s| *s > 0.0).collect();
-        assert_eq!(sizes.len(), MOST);
-        // Of half sizes 25 to 40, without 36, and 30 a second time.
-        assert_eq!(asked, 40 + 6, "what is too small is not asked for");
-        let smallest = sizes.iter().copied().fold(f64::INFINITY, f64::min);
-        assert!((smallest - 4.0 * (0.25f64 * 0.25 / (1.0 + 0.25 * 0.25)).asin()).abs() < 0.05, "{smallest}");
-        // Planes of what was dropped are gone, those of what is left are in their places.
-        let kept: u32 = occluders.volumes.iter().map(|v| v.end - v.first).sum();
-        assert_eq!(occluders.planes.len(), kept as usize);
-        let mut end = 0;
-        for volume in &occluders.volumes {
-            assert_eq!(std::mem::replace(&mut end, volume.end), volume.first);
-            assert_eq!(volume.end - volume.first, if volume.size > 0.0 { 5 } else { 4 });
-        }
-    }
-
-    #[test]
-    fn sizes_are_solid_angles() {
-        let size = |corners: &[DVec3]| Polygon::new(&EVERYWHERE, corners).unwrap().size(&EVERYWHERE, corners);
-        // A face of a cube around the eye takes a sixth of the sphere in.
-        assert!((size(&square(5.0, -5.0)) - 4.0 * std::f64::consts::PI / 6.0).abs() < 1e-9);
-        let away = |x: f64| square(1.0, -10.0).iter().map(|c| *c + DVec3::X * x).collect::<Vec<_>>();
-        assert!((size(&away(0.0)) - 0.04).abs() < 1e-3 && size(&away(10.0)) < 0.5 * size(&away(0.0)));
-    }
-
-    #[test]
-    fn parallel_rays_make_a_prism() {
-        let wall = ConvexPlanarOccluder { corners: square(1.0, -10.0), holes: vec![square(0.2, -10.0)] };
-        let hides = |clip_from_eye: DMat4, x: f64, z: f64| {
-            let sight = Sight::new(&clip_from_eye, EyePlanes::NONE);
-            let mut occluders = Occluders::default();
-            occluders.offer(&sight, &DAffine3::IDENTITY, &wall, || true);
-            let mut frame = FrameOccluders::default();
-            occluders.in_frame(&DAffine3::IDENTITY, DVec3::ZERO, &mut frame);
-            occluders.hide(&frame, [x as f32, 0.0, z as f32], |_| 0.25)
-        };
-        use glam::dcamera::rh::proj::directx as proj;
-        let parallel = proj::orthographic(-5.0, 5.0, -5.0, 5.0, 100.0, 0.1);
-        let from_eye = proj::perspective_infinite_reverse(1.0, 1.0, 0.1);
-        assert!(hides(parallel, 0.6, -30.0) && hides(from_eye, 1.8, -30.0));
-        assert!(!hides(parallel, 1.8, -30.0), "beside it");
-        assert!(!hides(parallel, 0.0, -30.0) && !hides(from_eye, 0.6, -30.0), "through the hole");
-        assert!(!hides(parallel, 0.6, -5.0) && !hides(parallel, 0.6, 30.0));
-        // Rays that are not along the axis: a metre to the right for each metre of depth.
-        let oblique = parallel * DMat4::from_cols(DVec4::X, DVec4::Y, DVec4::new(1.0, 0.0, 1.0, 0.0), DVec4::W);
-        assert!(hides(oblique, 20.6, -30.0) && !hides(oblique, 0.6, -30.0));
-    }
-
-    proptest! {
-        #[test]
-        fn nothing_hidden_has_a_free_ray(
-            corners in prop::array::uniform3((-8.0..8.0f64, -8.0..8.0f64)),
-            tilt in -0.6..0.6f64,
-            center in (-20.0..20.0f64, -20.0..20.0f64, -60.0..10.0f64),
-            radius in 0.01..3.0f64,
-            toward in (-1.0..1.0f64, -1.0..1.0f64, -1.0..1.0f64),
-        ) {
-            let z = |x: f64| -12.0 + tilt * x;
-            let corners: Vec<DVec3> = corners.iter().map(|(x, y)| DVec3::new(*x, *y, z(*x))).collect();
-            let center = DVec3::new(center.0, center.1, center.2);
-            let occluder = ConvexPlanarOccluder { corners: corners.clone(), holes: vec![] };
-            if hides(&occluder, center, radius as f32) {
-                // Every point of the ball is behind the triangle: the ray to it meets the triangle first.
-                let direction = DVec3::new(toward.0, toward.1, toward.2).normalize_or(DVec3::X);
-                let point = center + 0.999 * radius * direction;
-                let (a, b, c) = (corners[0], corners[1], corners[2]);
-                let normal = (b - a).cross(c - a);
-                let t = normal.dot(a) / normal.dot(point);
-                prop_assert!(t > 0.0 && t < 1.0 + 1e-6, "in front of it: {t}");
-                let hit = point * t;
-                let sides = [(a, b), (b, c), (c, a)].map(|(p, q)| (q - p).cross(hit - p).dot(normal));
-                let slack = 1e-3 * normal.length();
-                prop_assert!(sides.iter().all(|s| *s >= -slack), "beside it: {sides:?}");
-            }
-        }
+    /// Returns true if a bound of the current tile trees is occluded. `offset` is its centre relative to the eye.
+    #[inline]
+    pub fn hides_in_tiles(&self, offset: [f32; 3], reach: impl Fn(Vec4) -> f32) -> bool {
+        self.is_active && self.occluders.hide(&self.tiles, offset, reach)
     }
 }

@@ -1,27 +1,29 @@
-//! Which pictures have shadows, and the culls of what casts them. Thread that culls.
+//! Culls the casters of shadows into the cascades of stages and nested cameras. Culling thread.
 
-use super::{Fit, ShadowCascade, ShadowLight, StageShadows};
-use crate::cull::cameras::{CameraPlace, NestedCamera};
-use crate::cull::view::View;
-use crate::cull::{CullCamera, CullVisitor, RenderStage};
+use super::fit::Fit;
+use super::light::ShadowLight;
+use crate::cull::CullCamera;
+use crate::cull::stage::{RenderStage, ShadowCascade, StageShadows};
+use crate::cull::views::View;
+use crate::cull::visitor::{CameraVisit, CullVisitor, NestedCamera};
 use crate::scene::{Environment, Scene};
 
 impl CullVisitor {
-    /// Culls what casts shadows into a stage that is culled.
+    /// Culls the casters of shadows into a stage that was culled before.
     pub(in crate::cull) fn cull_stage_shadows(
         &mut self,
         scene: &Scene,
         camera: &CullCamera,
         light: &ShadowLight,
-        met: Option<&CameraPlace>,
+        graph_camera: Option<&CameraVisit>,
         stage: &mut RenderStage,
     ) {
         let into = std::mem::take(&mut stage.shadows);
         let range_m = [stage.near_m, stage.far_m];
-        stage.shadows = self.cull_shadows(scene, camera, light, met, range_m, into, stage);
+        stage.shadows = self.cull_shadows(scene, camera, light, graph_camera, range_m, into, stage);
     }
 
-    /// Culls what casts shadows into what is below the nested cameras of a stage that is culled.
+    /// Culls the casters of shadows into the nested cameras of a stage that was culled before.
     pub(in crate::cull) fn cull_nested_shadows(
         &mut self,
         scene: &Scene,
@@ -29,40 +31,31 @@ impl CullVisitor {
         mut nested: Vec<NestedCamera>,
         stage: &mut RenderStage,
     ) {
-        for NestedCamera { met, place, shadows } in nested.drain(..) {
-            let environment = environment_of_view(stage, place, environment);
+        for NestedCamera { visit, stage_view: index, shadows } in nested.drain(..) {
+            let environment = environment_of_view(stage, index as u32 + 1, environment);
             let light = environment.and_then(|e| Some(ShadowLight::new(&e, shadows.under(&e)?)));
-            let index = place as usize - 1;
             let (Some(light), Some(view)) = (light, stage.views.get(index)) else { continue };
             let (camera, range_m) = (view.camera, view.range_m);
-            if !self.takes_shadows(stage) {
+            if !self.take_shadow_budget(stage) {
                 continue;
             }
             let cascades = stage.spare.cascades.pop().unwrap_or_default();
             let into = StageShadows { cascades, ..StageShadows::default() };
-            let shadows = self.cull_shadows(scene, &camera, &light, Some(&met), range_m, into, stage);
+            let shadows = self.cull_shadows(scene, &camera, &light, Some(&visit), range_m, into, stage);
             stage.views[index].shadows = shadows;
         }
-        self.nested = nested;
+        self.memory.cameras.give_back_nested(nested);
     }
 
-    /// True where another camera may have shadows; counts it otherwise.
-    pub(in crate::cull) fn takes_shadows(&mut self, stage: &mut RenderStage) -> bool {
-        let takes = self.shadowed_cameras > 0;
-        self.shadowed_cameras = self.shadowed_cameras.saturating_sub(1);
-        stage.counters.shadows_refused += u32::from(!takes);
-        takes
-    }
-
-    /// Culls what casts shadows into what a camera sees between two depths, a cascade after the other: of a camera in the
-    /// graph, what is below it. Memory and counters are the stage's.
-    #[allow(clippy::too_many_arguments, reason = "what shadows are made of")]
+    /// Culls the casters of each cascade for what a camera sees between two depths. For a camera in the graph only what is
+    /// below it casts shadows. Memory comes from the stage, and counters are added to its own.
+    #[allow(clippy::too_many_arguments, reason = "inputs of one cull, used once each")]
     fn cull_shadows(
         &mut self,
         scene: &Scene,
         camera: &CullCamera,
         light: &ShadowLight,
-        met: Option<&CameraPlace>,
+        graph_camera: Option<&CameraVisit>,
         [near_m, far_m]: [f64; 2],
         mut into: StageShadows,
         stage: &mut RenderStage,
@@ -74,12 +67,12 @@ impl CullVisitor {
         for cascade in &fit.cascades[..fit.count] {
             let mut casters = stage.spare.stages.pop().unwrap_or_default();
             let view = View::casting(camera, &cascade.casters_from_eye, to_sun, light.shadows.caster_mask);
-            self.traverse_stage(scene, camera, view, met, &mut casters);
+            self.traverse_stage(scene, camera, view, graph_camera, &mut casters);
             if casters.state_sets.iter().any(|s| !s.casts_shadow()) {
-                self.leaves.retain(|leaf| casters.state_sets[leaf.state as usize].casts_shadow());
+                self.memory.leaves.retain(|leaf| casters.state_sets[leaf.state as usize].casts_shadow());
             }
-            stage.counters.shadow_leaves += self.leaves.len() as u32;
-            self.sorter.fill_one_bin(&mut self.leaves, &mut casters);
+            stage.counters.shadow_leaves += self.memory.leaves.len() as u32;
+            self.sorter.fill_one_bin(&mut self.memory.leaves, &mut casters);
             into.cascades.push(ShadowCascade {
                 depths_m: cascade.depths_m,
                 texel_m: cascade.texel_m,
@@ -91,9 +84,9 @@ impl CullVisitor {
     }
 }
 
-/// Light and air of one of a stage's views, where that is known.
-fn environment_of_view(stage: &RenderStage, place: u32, own: Option<&Environment>) -> Option<Environment> {
-    let Some(view) = place.checked_sub(1).and_then(|index| stage.views.get(index as usize)) else {
+/// Returns light and air of a view of a stage; 0 is the stage's own view.
+fn environment_of_view(stage: &RenderStage, view: u32, own: Option<&Environment>) -> Option<Environment> {
+    let Some(view) = view.checked_sub(1).and_then(|index| stage.views.get(index as usize)) else {
         return own.copied();
     };
     let above = environment_of_view(stage, view.above, own);

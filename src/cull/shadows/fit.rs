@@ -1,58 +1,67 @@
-//! Where the cascades of a picture lie: how the depths are split, and the square of the shadow map around each part.
+//! Fits the cascades to a view: how the depths are split, and the square of the shadow map around each part.
 //!
-//! In f64 and relative to the eye. A part's square is that of its bounding sphere, so that it keeps its size when the
-//! eye turns; and it moves by whole texels only, so that edges of shadows stand still when the eye moves.
+//! Computed in f64, relative to the eye. The square encloses the bounding sphere of its part, so that its size stays the
+//! same when the eye turns. It moves by whole texels only, so that the edges of shadows do not flicker when the eye moves.
 
 use glam::{DAffine3, DMat3, DMat4, DVec2, DVec3, DVec4};
 
-use super::{MARGIN_TEXELS, MAX_CASCADES, ShadowLight, SunShadows};
+use super::light::ShadowLight;
 use crate::cull::CullCamera;
+use crate::scene::{MAX_CASCADES, SunShadows};
 
-/// Of the range of depths, the nearest part that logarithmic splits leave out.
+/// Texels around each cascade's part that filters and snapping may reach into.
+const MARGIN_TEXELS: f64 = 6.0;
+/// Share of the range of depths, at its near end, that logarithmic splits leave out.
 const NEAREST_SHARE: f64 = 1e-3;
-/// Of a part's depths, the last share, over which it and the next one are mixed.
+/// Share of a part's depths, at its far end, over which it is blended with the next part.
 const BLEND_SHARE: f64 = 0.12;
-/// Of the distance, the share where shadows begin to fade out.
+/// Share of the shadow distance at which shadows start to fade out.
 const FADE_START: f64 = 0.9;
-/// Shadows reach so many times as far as the nearest thing, at least.
+/// Shadows reach at least this multiple of the nearest depth.
 const REACH_PER_NEAR: f64 = 4.0;
-/// Texels between the points that grids of texels are counted from. While the sun moves, a grid turns around such a
-/// point, and not around the middle of the earth, from where every texel would be another one each frame.
+/// Distance in texels between the anchors that texel grids are counted from. While the sun moves, the grid turns around a
+/// nearby anchor. Around the centre of the earth, every texel would change in each frame.
 const ANCHOR_TEXELS: f64 = 16_384.0;
-/// The sun may be so far below the level (its sine) while it still shines on something within reach: mountains of 9 km
-/// have it for 3 degrees longer.
+/// Sine of the lowest elevation of the sun at which something within reach is still lit: mountains of 9 km see it 3
+/// degrees below the horizon.
 const LOWEST_SUN: f64 = -0.1;
 const EARTH_RADIUS_M: f64 = 6_371_000.0;
 
-/// How the shadows of a picture lie.
+/// The cascades of a view.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::cull) struct Fit {
+    /// Rotation into light space: z points towards the sun.
     pub light_from_eye: DMat3,
+    /// Number of cascades in use.
     pub count: usize,
     pub cascades: [CascadeFit; MAX_CASCADES],
+    /// Depths between which shadows fade out, metres.
     pub fade_m: [f64; 2],
 }
 
 /// The square of a cascade, in light space: relative to the eye, z towards the sun, metres.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::cull) struct CascadeFit {
+    /// Least and greatest depth that it covers, metres.
     pub depths_m: [f64; 2],
+    /// Width of a texel, metres.
     pub texel_m: f64,
+    /// Centre of the square and of the sphere.
     pub center: DVec3,
     /// Half the square's side.
     pub half_m: f64,
-    /// Of the sphere around what it covers.
+    /// Radius of the sphere around what it covers.
     pub radius_m: f64,
-    /// Maps what casts into what is seen to -1 to 1 across the rays, and above 0 along them; from eye space.
+    /// Maps the volume of casters from eye space to -1 to 1 across the rays, and to above 0 along them.
     pub casters_from_eye: DMat4,
 }
 
 impl CascadeFit {
-    /// Reversed-Z projection of the square: depth 1 at `nearest_m` towards the sun, 0 behind the sphere.
+    /// Returns the reversed-Z projection of the square: depth 1 at `nearest_m` towards the sun, 0 behind the sphere.
     pub fn clip_from_eye(&self, light_from_eye: &DMat3, nearest_m: f64) -> DMat4 {
         let bottom = self.center.z - self.radius_m;
         let nearest = if nearest_m.is_finite() { nearest_m } else { self.center.z + self.radius_m };
-        // A little room, so that rounding cuts nothing.
+        // A margin, so that rounding clips no caster.
         let nearest = nearest.max(self.center.z + self.radius_m) + 1e-3 * self.radius_m;
         let across = 1.0 / self.half_m;
         let along = 1.0 / (nearest - bottom);
@@ -68,7 +77,8 @@ impl CascadeFit {
 }
 
 impl Fit {
-    /// For a camera that has drawables between two depths; `None` where there are no shadows to be seen.
+    /// Fits cascades to a camera with drawables between two depths. Returns `None` where no shadow can be seen: the sun is
+    /// below the horizon, there are no drawables, or the input is not finite.
     pub fn new(camera: &CullCamera, light: &ShadowLight, near_m: f64, far_m: f64) -> Option<Self> {
         let settings = &light.shadows;
         settings.check().ok()?;
@@ -78,7 +88,7 @@ impl Fit {
             return None;
         }
         let rays = Rays::new(&camera.clip_from_eye)?;
-        // Parallel rays may begin behind the eye: depths are split from there on.
+        // Parallel rays may start behind the eye: depths are then counted from their start.
         let behind_m = -near_m.max(rays.near_m).min(0.0);
         let behind_m = if behind_m > 0.0 { power_of_two(behind_m).ceil().exp2() } else { 0.0 };
         let reaching = SunShadows { distance_m: settings.distance_m + behind_m, ..*settings };
@@ -118,19 +128,19 @@ impl Fit {
     }
 }
 
-/// The linear part without scale.
+/// Returns the linear part of a map without scale.
 fn rotation(map: &DAffine3) -> Option<DMat3> {
     let [x, y, z] = [map.matrix3.x_axis, map.matrix3.y_axis, map.matrix3.z_axis].map(DVec3::try_normalize);
     Some(DMat3::from_cols(x?, y?, z?))
 }
 
-/// Which power of two a length is, not a whole one mostly; finite for any.
+/// Returns the logarithm to base 2 of a length; finite for any input.
 fn power_of_two(value: f64) -> f64 {
     value.clamp(1e-9, 1e15).log2()
 }
 
-/// Depths that have shadows, and between which they fade out. In powers of two where they follow the scene, so that
-/// they stay the same from frame to frame.
+/// Returns the depths with shadows, and the depths between which these fade out. Values that follow the scene are powers
+/// of two, so that they stay the same from frame to frame.
 fn span(settings: &SunShadows, near_m: f64, far_m: f64) -> Option<([f64; 2], [f64; 2])> {
     if !(far_m > 0.0 && near_m <= far_m) {
         return None;
@@ -144,7 +154,7 @@ fn span(settings: &SunShadows, near_m: f64, far_m: f64) -> Option<([f64; 2], [f6
     Some(([near, far], fade))
 }
 
-/// Where part `i` of `count` begins: Zhang et al. 2006, equation 4.
+/// Returns the depth where part `i` of `count` starts: Zhang et al. 2006, equation 4.
 fn split_m(lambda: f64, [near, far]: [f64; 2], i: usize, count: usize) -> f64 {
     let share = i as f64 / count as f64;
     let logarithmic = near * (far / near).powf(share);
@@ -152,7 +162,7 @@ fn split_m(lambda: f64, [near, far]: [f64; 2], i: usize, count: usize) -> f64 {
     if i == count { far } else { lambda * logarithmic + (1.0 - lambda) * uniform }
 }
 
-/// A point in light space, relative to the eye, moved to where the grid of texels has a corner.
+/// Returns a point in light space, relative to the eye, moved to the nearest corner of the texel grid.
 fn snapped(
     light_from_world: &DMat3,
     light_from_eye: &DMat3,
@@ -168,10 +178,11 @@ fn snapped(
     in_light + DVec3::new(shift.x, shift.y, 0.0)
 }
 
-/// The lines of sight of the picture's corners: where they cross depth 0, and how they go on per metre of depth.
+/// The rays through the corners of the image.
 struct Rays {
+    /// Position at depth 0 and step per metre of depth, across the view axis.
     corners: [(DVec2, DVec2); 4],
-    /// Depth where they begin.
+    /// Depth where the rays start.
     near_m: f64,
 }
 
@@ -198,16 +209,17 @@ impl Rays {
         self.corners.map(|(start, step)| (start + step * depth_m).extend(-depth_m))
     }
 
-    /// The box along the sun's rays around what is seen between two depths, with some room: smaller than the map.
+    /// Returns the projection of the box along the sun's rays around the view between two depths, with a margin. It is
+    /// tighter than the square of the map.
     fn casters(&self, light_from_eye: &DMat3, [near_m, far_m]: [f64; 2], room_m: f64) -> DMat4 {
-        // Across the rays it lies as the picture's depth does.
+        // Across the rays the box is aligned with the view axis.
         let [x, y, z] = [0, 1, 2].map(|row| light_from_eye.row(row));
         let ahead = DVec2::new(-x.z, -y.z).normalize_or(DVec2::X);
         let axes = [x * ahead.x + y * ahead.y, y * ahead.x - x * ahead.y, z];
         let corners = [self.at(near_m), self.at(far_m)];
         let [u, v, w] = axes.map(|axis| {
-            let places = corners.iter().flatten().map(|corner| axis.dot(*corner));
-            let (low, high) = places.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+            let along_axis = corners.iter().flatten().map(|corner| axis.dot(*corner));
+            let (low, high) = along_axis.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
             let half = 0.5 * (high - low) + room_m;
             (axis / half, -0.5 * (high + low) / half)
         });
@@ -221,7 +233,7 @@ impl Rays {
         .transpose()
     }
 
-    /// A sphere in eye space around what is seen between two depths; the smallest one of a symmetric picture.
+    /// Returns a sphere in eye space around the view between two depths; the smallest one for a symmetric projection.
     fn sphere(&self, [near_m, far_m]: [f64; 2]) -> Option<(DVec3, f64)> {
         let (near, far) = (self.at(near_m), self.at(far_m));
         let middle = |corners: &[DVec3; 4]| corners.iter().sum::<DVec3>() / 4.0;
@@ -232,7 +244,7 @@ impl Rays {
         let share = (0.5 + 0.5 * (rb * rb - ra * ra) / (length * length)).clamp(0.0, 1.0);
         let center = a.lerp(b, share);
         let radius = reach(&near, center).max(reach(&far, center));
-        // In steps of a thousandth, so that it does not differ by rounding from frame to frame.
+        // Rounded up to steps of about a thousandth, so that rounding does not change it from frame to frame.
         let step = (radius.log2().floor() - 10.0).exp2();
         let radius = ((radius / step).ceil() + 1.0) * step;
         (center.is_finite() && radius.is_finite() && radius > 0.0).then_some((center, radius))
@@ -266,9 +278,9 @@ mod tests {
     }
 
     proptest! {
-        /// All that is seen up to the distance lies in the map of the cascade of its depth, a filter's reach inside.
+        /// Every visible point lies in the map of the cascade of its depth, at least a filter's reach inside.
         #[test]
-        fn cascades_cover_what_is_seen(
+        fn cascades_cover_the_view(
             turn in turn(), to_sun in unit(), at in unit(), from_origin_m in 0.0..7e6f64,
             fov in 0.2..2.0f64, aspect in 0.3..3.0f64, shear in -0.5..0.5f64, is_flat in any::<bool>(),
             cascades in 1..=4u32, lambda in 0.0..=1.0f64, near_log in -2.0..4.0f64, far_log in 0.0..6.0f64,
@@ -306,27 +318,27 @@ mod tests {
                     let clip = clip_from_eye.project_point3(point);
                     prop_assert!(clip.x.abs() < inside && clip.y.abs() < inside, "{clip}");
                     prop_assert!(clip.z > 0.0 && clip.z < 1.0, "{clip}");
-                    // What stands between the point and the sun is among the casters.
+                    // Anything between the point and the sun is among the casters.
                     let to_sun = fit.light_from_eye.row(2);
                     for towards_m in [0.0, 1.0, 1e5] {
-                        let place = cascade.casters_from_eye.project_point3(point + to_sun * towards_m);
-                        prop_assert!(place.x.abs() < 1.0 && place.y.abs() < 1.0 && place.z > 0.0, "{place}");
+                        let caster = cascade.casters_from_eye.project_point3(point + to_sun * towards_m);
+                        prop_assert!(caster.x.abs() < 1.0 && caster.y.abs() < 1.0 && caster.z > 0.0, "{caster}");
                     }
                 }
             }
         }
 
-        /// A point of the world stays at the same place inside its texel while the eye moves and turns.
+        /// A point of the world keeps its position inside its texel while the eye moves and turns.
         #[test]
-        fn texels_stand_still(turn in turn(), other in turn(), to_sun in unit(), step in unit(), length in 0.0..30.0f64) {
+        fn texel_grid_is_fixed_in_the_world(turn in turn(), other in turn(), to_sun in unit(), step in unit(), length in 0.0..30.0f64) {
             let at = DVec3::new(4.2e6, -1.3e6, 4.6e6);
             let lens = proj::perspective_infinite_reverse(1.0, 1.5, 0.1);
             let light = light(to_sun, SunShadows::default());
-            let of = |eye, turn| {
+            let fit = |eye, turn| {
                 let camera = camera(eye, turn, lens);
                 (Fit::new(&camera, &light, 3.0, 9_000.0).unwrap(), camera)
             };
-            let ((before, a), (after, b)) = (of(at, turn), of(at + step * length, other));
+            let ((before, a), (after, b)) = (fit(at, turn), fit(at + step * length, other));
             let point = at + DVec3::new(11.0, -7.0, 3.0);
             for (c, d) in before.cascades.iter().zip(&after.cascades) {
                 prop_assert!((c.texel_m / d.texel_m - 1.0).abs() < 1e-12, "the size depends on the lens alone");
@@ -336,14 +348,14 @@ mod tests {
                     clip.truncate() * 1024.0
                 };
                 let moved = texel(&before, c, &a) - texel(&after, d, &b);
-                // A camera that crosses from one anchor to the next has another grid. Centres were moved to whole texels
-                // after the anchor was chosen: near the edge between two of them, nothing can be said.
-                let place = |f: &Fit, c: &CascadeFit, camera: &CullCamera| {
+                // Another anchor has another grid. Centres are snapped after the anchor is chosen, so that points near the
+                // edge between two anchors are left out.
+                let anchor = |f: &Fit, c: &CascadeFit, camera: &CullCamera| {
                     let world_from_eye = camera.eye_from_world.inverse();
                     let world = world_from_eye.transform_point3(f.light_from_eye.transpose() * c.center);
                     world / (ANCHOR_TEXELS * c.texel_m)
                 };
-                let [from, to] = [place(&before, c, &a), place(&after, d, &b)];
+                let [from, to] = [anchor(&before, c, &a), anchor(&after, d, &b)];
                 let is_clear = |p: DVec3| ((p - p.round()).abs() - 0.5).abs().min_element() > 2.0 / ANCHOR_TEXELS;
                 if from.round() == to.round() && is_clear(from) && is_clear(to) {
                     prop_assert!((moved - moved.round()).abs().max_element() < 1e-3, "{moved}");
@@ -353,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn splits_are_those_of_the_practical_scheme() {
+    fn splits_follow_the_practical_scheme() {
         let splits = |lambda| [0, 1, 2, 3, 4].map(|i| split_m(lambda, [1.0, 10_000.0], i, 4));
         for (split, logarithmic) in splits(1.0).into_iter().zip([1.0, 10.0, 100.0, 1000.0, 10_000.0]) {
             assert!((split / logarithmic - 1.0).abs() < 1e-12);
@@ -371,7 +383,7 @@ mod tests {
         let of = |near, far| span(&settings, near, far).unwrap();
         assert_eq!(of(0.0, 1e9), ([20.0, 20_000.0], [18_000.0, 20_000.0]));
         assert_eq!(of(700.0, 1e9).0, [512.0, 20_000.0]);
-        assert_eq!(of(700.0, 1000.0), ([512.0, 1024.0], [1024.0, 2048.0]), "nothing fades where all is inside");
+        assert_eq!(of(700.0, 1000.0), ([512.0, 1024.0], [1024.0, 2048.0]), "no fade where everything is inside");
         assert_eq!(of(400_000.0, 1e9).0, [262_144.0, 1_048_576.0], "from orbit");
         assert_eq!(of(700.0, 700.0).0, [512.0, 1024.0]);
         assert!(span(&settings, 0.0, 0.0).is_none() && span(&settings, f64::NAN, 5.0).is_none());
@@ -389,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_said() {
+    fn invalid_settings_are_errors() {
         use crate::scene::ShadowError;
         let good = SunShadows::default();
         assert_eq!(good.check(), Ok(()));

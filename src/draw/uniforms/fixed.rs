@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::DAffine3;
 
-use crate::cull::{RenderStage, moved, plane_moved};
+use crate::cull::{RenderStage, move_light, move_plane};
 use crate::state::{
     CLIP_PLANES, ColorControl, CompareFunction, FogMode, LIGHTS, Light, Mode, ResolvedState, Sampler, SurfaceMaterial,
     TEXTURE_UNITS, TexGen, TextureBinding, TextureDimension,
@@ -45,7 +45,7 @@ impl StageUniform {
             clip_planes: [[0.0, 0.0, 0.0, 1.0]; CLIP_PLANES],
         };
         for positioned in &stage.lights {
-            let light = &moved(&light_from(positioned.view), &positioned.light);
+            let light = &move_light(&light_from(positioned.view), &positioned.light);
             let Some(slot) = uniform.lights.get_mut(usize::from(light.number)) else { continue };
             let [x, y, z] = light.direction;
             let direction = glam::DVec3::new(x, y, z).normalize_or(glam::DVec3::NEG_Z).as_vec3();
@@ -62,7 +62,7 @@ impl StageUniform {
         }
         for clip in &stage.clip_planes {
             if let Some(plane) = uniform.clip_planes.get_mut(usize::from(clip.number)) {
-                *plane = plane_moved(&eye_from(stage, view, clip.view), clip.plane).as_vec4().to_array();
+                *plane = move_plane(&eye_from(stage, view, clip.view), clip.plane).as_vec4().to_array();
             }
         }
         uniform

@@ -1,39 +1,40 @@
-//! Horizon culling: what the body of the earth hides.
+//! Horizon culling: tiles behind the body of the earth are culled.
 //!
-//! Seen from outside, an ellipsoid hides a cone with the eye as apex, cut off by the plane of the horizon. In space
-//! scaled by the radii the ellipsoid is the unit sphere, and a sphere around a tile lies in that cone when its centre
-//! does so by a radius (K. Ring and P. Cozzi tell it for points: "Horizon Culling", cesium.com/blog, 2013).
+//! Seen from outside, an ellipsoid hides a cone with the eye as apex, cut off at the plane of the horizon. In space scaled
+//! by the radii the ellipsoid is the unit sphere. A sphere around a tile is hidden if its centre lies in that cone by at
+//! least the radius (for points: K. Ring and P. Cozzi, "Horizon Culling", cesium.com/blog, 2013).
 
 use glam::{DAffine3, DMat3, DVec3, Mat3, Vec3};
 
 use crate::math::Ellipsoid;
 
-/// The hidden cone as it is tested in one frame of tiles.
+/// The hidden cone in one frame of tiles.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Horizon {
-    /// Scaled space from the frame, without the translation.
+pub(in crate::cull) struct Horizon {
+    /// Linear map from the frame to scaled space.
     scaled_from_frame: Mat3,
-    /// Unit direction from the eye to the earth's centre, scaled space.
+    /// Unit direction from the eye to the earth's centre, in scaled space.
     axis: Vec3,
     /// Distance of the horizon's plane from the eye along the axis.
     plane: f32,
-    /// Half angle of the cone.
+    /// Sine of the half angle of the cone.
     sin: f32,
+    /// Cosine of the half angle of the cone.
     cos: f32,
-    /// Scaled length per metre of the frame, at most.
+    /// Upper limit of the scaled length of one metre of the frame.
     scale: f32,
 }
 
-/// What f32 may be wrong by, as a share of the distance.
+/// Upper limit of the rounding error of f32, as a share of the distance.
 const ROUNDING: f32 = 5e-7;
 
 impl Horizon {
-    /// `None` where the eye is not above the body, or a matrix is degenerate.
+    /// Computes the cone. Returns `None` if the eye is not above the body, or if a matrix is degenerate.
     pub fn new(body: &Ellipsoid, world_from_frame: &DAffine3, eye_in_world: DVec3) -> Option<Self> {
         let shrink = DVec3::new(1.0 / body.semi_major_m, 1.0 / body.semi_major_m, 1.0 / body.semi_minor_m);
         let eye = eye_in_world * shrink;
         let distance2 = eye.length_squared();
-        // Below this the cone is the half space under one's feet, and rounding decides.
+        // Closer to the body the cone is nearly a half space, and rounding would decide.
         if !(distance2 > 1.0 + 1e-9 && distance2 < 1e12) {
             return None;
         }
@@ -53,7 +54,7 @@ impl Horizon {
         })
     }
 
-    /// True when a sphere lies wholly behind the horizon; `offset` is its centre relative to the eye, in the frame.
+    /// Returns true if a sphere lies wholly behind the horizon. `offset` is its centre relative to the eye, in the frame.
     #[inline(always)]
     pub fn hides(&self, offset: [f32; 3], radius_m: f32) -> bool {
         let v = self.scaled_from_frame * Vec3::from_array(offset);
@@ -74,7 +75,7 @@ mod tests {
     use glam::{DQuat, EulerRot};
     use proptest::prelude::*;
 
-    /// True when the straight line from the eye to the point meets the ellipsoid before the point.
+    /// Returns true if the straight line from the eye to the point hits the ellipsoid before the point.
     fn hidden(eye: DVec3, point: DVec3) -> bool {
         let shrink = DVec3::new(1.0 / WGS84.semi_major_m, 1.0 / WGS84.semi_major_m, 1.0 / WGS84.semi_minor_m);
         let (a, d) = (eye * shrink, (point - eye) * shrink);
@@ -86,14 +87,14 @@ mod tests {
         }
     }
 
-    fn place(longitude: f64, latitude: f64, height_m: f64) -> DVec3 {
+    fn position(longitude: f64, latitude: f64, height_m: f64) -> DVec3 {
         WGS84.ecef(&crate::math::Geodetic { longitude, latitude, height_m })
     }
 
     proptest! {
-        /// Whatever is culled cannot be seen, by rays to points of the sphere; and what is far behind is culled.
+        /// No point of a culled sphere is visible, and a sphere far behind the horizon is culled.
         #[test]
-        fn hides_exactly_what_no_ray_reaches(
+        fn hides_exactly_the_invisible_spheres(
             (lon, lat) in (-3.1..3.1f64, -1.5..1.5f64),
             height in 0.3..8.0f64,
             (away, turn) in (0.0..1.0f64, 0.0..std::f64::consts::TAU),
@@ -101,20 +102,20 @@ mod tests {
             points in prop::collection::vec((0.0..std::f64::consts::TAU, -1.0..1.0f64), 40),
             turns in prop::array::uniform3(-3.1..3.1f64),
         ) {
-            let eye = place(lon, lat, 10f64.powf(height));
-            // Somewhere between here and the antipode, closer ones more often.
+            let eye = position(lon, lat, 10f64.powf(height));
+            // A target between the eye and its antipode, more often close to the eye.
             let angle = 3.0 * away * away;
             let up = eye.normalize();
             let side = up.any_orthonormal_vector();
             let side = side * turn.cos() + up.cross(side) * turn.sin();
             let direction = up * angle.cos() + side * angle.sin();
             let ground = WGS84.geodetic(direction * 6.37e6);
-            let center = place(ground.longitude, ground.latitude, target_height.signum() * 10f64.powf(target_height.abs()));
+            let center = position(ground.longitude, ground.latitude, target_height.signum() * 10f64.powf(target_height.abs()));
             let radius = 10f64.powf(radius);
             let frame = DAffine3::from_quat(DQuat::from_euler(EulerRot::XYZ, turns[0], turns[1], turns[2]));
             let offset = frame.inverse().transform_vector3(center - eye).as_vec3().to_array();
             let Some(horizon) = Horizon::new(&WGS84, &frame, eye) else { panic!("{eye}") };
-            prop_assert!(f64::from(horizon.scale) >= 1.0 / WGS84.semi_minor_m, "no radius comes out too small");
+            prop_assert!(f64::from(horizon.scale) >= 1.0 / WGS84.semi_minor_m, "no scaled radius is too small");
             let hides = horizon.hides(offset, radius as f32);
             let on_sphere = |(a, z): &(f64, f64)| {
                 let r = (1.0 - z * z).sqrt();
@@ -126,7 +127,7 @@ mod tests {
                     prop_assert!(hidden(eye, point), "culled, and {point} is seen from {eye}");
                 }
             } else if radius > 100.0 && target_height > 0.0 {
-                // A somewhat larger sphere is seen somewhere: at its points, above it, or at its rim.
+                // Some point of a slightly larger sphere is visible: on its surface, at its top, or at its rim.
                 let zenith = center.normalize();
                 let around = points.iter().map(on_sphere).chain([center + radius * zenith]);
                 let grown = around.map(|p| center + (p - center) * 1.05 + zenith * 30.0);
@@ -139,10 +140,10 @@ mod tests {
     }
 
     #[test]
-    fn below_the_ground_nothing_is_hidden() {
-        assert!(Horizon::new(&WGS84, &DAffine3::IDENTITY, place(0.2, 0.3, -10.0)).is_none());
+    fn nothing_is_hidden_from_below_the_ground() {
+        assert!(Horizon::new(&WGS84, &DAffine3::IDENTITY, position(0.2, 0.3, -10.0)).is_none());
         assert!(Horizon::new(&WGS84, &DAffine3::IDENTITY, DVec3::NAN).is_none());
-        let horizon = Horizon::new(&WGS84, &DAffine3::IDENTITY, place(0.0, 0.0, 1000.0)).unwrap();
+        let horizon = Horizon::new(&WGS84, &DAffine3::IDENTITY, position(0.0, 0.0, 1000.0)).unwrap();
         assert!(!horizon.hides([f32::NAN; 3], 1.0) && !horizon.hides([-1e9, 0.0, 0.0], f32::INFINITY));
         assert!(horizon.hides([-1.2e7, 0.0, 0.0], 1000.0), "the other side of the earth");
     }

@@ -1,50 +1,50 @@
-//! The walk of a tile tree while tiles are as nearly all are: with content that its children replace, drawn in every
-//! pixel. Threads that cull, as the rest of the walk.
+//! Fast loops for the usual tiles of a walk: with content that their children replace, and in no fade. Culling thread.
 //!
-//! Loops by themselves, so that what they need stays in registers. What they leave is met one by one.
+//! Separate loops, so that their variables stay in registers. They stop at any other tile, which the general walk visits.
 
 use std::ops::Range;
 
-use super::{ODD, PLAIN, TileFrame, Walk, frame, stays};
-use crate::cull::fade::{Fade, TileMark};
-use crate::cull::visitor::{Cull, Purpose, Waiting};
+use super::open_tile::{self, OpenTile};
+use super::walk_context::{REPLACE_WITH_CONTENT, SLOW_PATH, WalkContext, is_settled};
+use crate::cull::fading::{Fade, TileMark};
+use crate::cull::visitor::{Purpose, QueuedPage, Traversal};
 use crate::scene::{TileBounds, TileRecord, flag};
 
-/// Tiles side by side whose contents are drawn alike.
+/// Adjacent tiles whose contents are drawn with the same planes and fade.
 struct Run {
     tiles: Range<u32>,
     mask: u8,
     fade: Fade,
 }
 
-impl Cull<'_> {
-    /// Walks on while tiles have content that is there, drawn or replaced by all its children at once. The tile after
-    /// those, or behind the last of its siblings; their frame is the last of the stack.
+impl Traversal<'_> {
+    /// Walks tiles with resident content, each drawn or replaced by all its children, and stops at the first other tile.
+    /// Returns that tile, or one past the last of its siblings; the entry of the siblings is then the top of the stack.
     #[inline(never)]
-    pub(super) fn draw_plain_tiles<const LOOKS: bool, const AHEAD: bool>(
+    pub(super) fn draw_fast<const TESTS: bool, const AHEAD: bool>(
         &mut self,
-        walk: &Walk,
+        walk: &WalkContext,
         mut tile: u32,
         base: usize,
         marks: &mut [TileMark],
     ) -> u32 {
-        // With one length for all, places are checked once a tile.
+        // Slices of equal length let the compiler check the index once per tile.
         let records = &walk.tiles.records()[..];
         let bounds = &walk.tiles.bounds()[..records.len()];
         let last_used = &walk.tiles.last_used()[..records.len()];
-        let looks_everywhere = walk.looks_everywhere();
-        let Some(open) = self.tile_stack.last() else { return tile };
+        let needs_all_tests = walk.needs_all_tests();
+        let Some(open) = self.stacks.tiles.last() else { return tile };
         let mut above = open.read();
-        // Counted here: a counter behind `self` is a load and a store for each tile.
+        // A local counter: one behind `self` would be a load and a store for each tile.
         let mut visited = 0;
         let mut run = Run { tiles: tile..tile, mask: 0, fade: above.fade };
         loop {
             if tile >= above.end {
-                if self.tile_stack.len() == base + 1 {
+                if self.stacks.tiles.len() == base + 1 {
                     break;
                 }
-                self.tile_stack.pop();
-                let Some(open) = self.tile_stack.last() else { break };
+                self.stacks.tiles.pop();
+                let Some(open) = self.stacks.tiles.last() else { break };
                 above = open.read();
                 tile = above.next;
                 if above.purpose != Purpose::Draw || !above.fade.is_whole() {
@@ -52,20 +52,20 @@ impl Cull<'_> {
                 }
                 continue;
             }
-            let place = tile as usize;
-            let record = &records[place];
-            if record.flags & (ODD | flag::RESIDENT) != PLAIN | flag::RESIDENT {
+            let index = tile as usize;
+            let record = &records[index];
+            if record.flags & (SLOW_PATH | flag::RESIDENT) != REPLACE_WITH_CONTENT | flag::RESIDENT {
                 break;
             }
             let mut mask = 0;
-            if LOOKS {
-                let seen = self.see(walk, tile, &bounds[place], above);
+            if TESTS {
+                let seen = self.test_tile_fast(walk, tile, &bounds[index], above);
                 match seen {
                     Some((Purpose::Draw, crossing)) => mask = crossing,
                     _ => {
                         if seen.is_some() {
                             visited += 1;
-                            walk.stamp.put::<AHEAD>(&last_used[place]);
+                            walk.stamp.put::<AHEAD>(&last_used[index]);
                         }
                         tile += 1;
                         continue;
@@ -73,7 +73,7 @@ impl Cull<'_> {
                 }
             }
             let (range2, distance2) = match record.has_children() {
-                true => walk.range_and_distance(tile, record, &bounds[place]),
+                true => walk.range_and_distance(tile, record, &bounds[index]),
                 false => (0.0, 1.0),
             };
             let wants = distance2 < range2;
@@ -81,31 +81,31 @@ impl Cull<'_> {
                 let next = Run { tiles: tile..tile, mask, fade: above.fade };
                 self.draw_run(walk, std::mem::replace(&mut run, next));
                 let far = (range2, distance2);
-                let Some(next) = self.wait_for_children::<LOOKS, AHEAD>(walk, tile, mask, far, above, marks) else {
+                let Some(next) = self.wait_for_children::<TESTS, AHEAD>(walk, tile, mask, far, above, marks) else {
                     break;
                 };
                 tile = next;
-                let Some(open) = self.tile_stack.last() else { break };
+                let Some(open) = self.stacks.tiles.last() else { break };
                 above = open.read();
                 if above.purpose != Purpose::Draw {
                     break;
                 }
                 continue;
             }
-            if !stays(marks, place, walk.step, wants, true) {
+            if !is_settled(marks, index, walk.step, wants, true) {
                 break;
             }
             visited += 1;
-            walk.stamp.put::<AHEAD>(&last_used[place]);
+            walk.stamp.put::<AHEAD>(&last_used[index]);
             if wants {
                 let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
                 let (next, end) = (record.first_child, record.end_of_children());
-                above = TileFrame { next, end, mask, required: true, shown_px2, ..above };
-                frame::open(self.tile_stack, tile + 1, above);
+                above = OpenTile { next, end, mask, required: true, shown_px2, ..above };
+                open_tile::open(&mut self.stacks.tiles, tile + 1, above);
                 tile = next;
-                if LOOKS && mask == 0 && !looks_everywhere {
-                    // Going over to the loop that does not look pays where children are replaced too: theirs is half
-                    // the range.
+                if TESTS && mask == 0 && !needs_all_tests {
+                    // Changing to the loop without tests pays where the children are replaced too, whose range is half
+                    // of this one.
                     let has_grandchildren = records.get(next as usize).is_some_and(TileRecord::has_children);
                     if has_grandchildren && 4.0 * distance2 < range2 {
                         break;
@@ -125,16 +125,16 @@ impl Cull<'_> {
         tile
     }
 
-    /// Lets the contents of a run wait for their visits.
+    /// Queues the contents of a run for their visits.
     #[inline(always)]
-    fn draw_run(&mut self, walk: &Walk, run: Run) {
+    fn draw_run(&mut self, walk: &WalkContext, run: Run) {
         let Run { tiles, mask, fade } = run;
         if !tiles.is_empty() {
-            let state = self.chain_state(walk.page, walk.root.state_path);
-            self.queue.push(Waiting {
+            let state = self.states.path_state(walk.page, walk.root.state_path);
+            self.queue.push(QueuedPage {
                 first: tiles.start,
                 end: tiles.end,
-                hanger: walk.view.hanger,
+                attachment: walk.view.attachment,
                 state,
                 fade,
                 mask,
@@ -143,20 +143,20 @@ impl Cull<'_> {
         }
     }
 
-    /// Draws a tile whose children are not all ready, and asks for what they lack. The tile after what was met, unless
-    /// the tile fades.
+    /// Draws a tile whose children are not all ready, and requests what they lack. Returns the tile to continue with, or
+    /// `None` if the tile fades and was not visited.
     #[cold]
     #[inline(never)]
-    fn wait_for_children<const LOOKS: bool, const AHEAD: bool>(
+    fn wait_for_children<const TESTS: bool, const AHEAD: bool>(
         &mut self,
-        walk: &Walk,
+        walk: &WalkContext,
         tile: u32,
         mask: u8,
         (range2, distance2): (f32, f32),
-        above: TileFrame,
+        above: OpenTile,
         marks: &mut [TileMark],
     ) -> Option<u32> {
-        if !stays(marks, tile as usize, walk.step, false, true) {
+        if !is_settled(marks, tile as usize, walk.step, false, true) {
             return None;
         }
         let record = &walk.tiles.records()[tile as usize];
@@ -164,40 +164,41 @@ impl Cull<'_> {
         walk.stamp.put::<AHEAD>(&walk.tiles.last_used()[tile as usize]);
         self.draw(walk, tile, record, mask, above.fade);
         let shown_px2 = walk.below_px2(range2, distance2, above.shown_px2);
-        let base = self.tile_stack.len();
+        let base = self.stacks.tiles.len();
         if !self.open_tile(walk, tile, (Purpose::Want, mask), true, shown_px2, above.fade) {
             return Some(tile + 1);
         }
-        let next = self.want_plain_tiles::<LOOKS, AHEAD>(walk, record.first_child, base);
-        if self.tile_stack.len() == base + 1 && next >= record.end_of_children() {
-            self.tile_stack.truncate(base);
+        let next = self.request_fast::<TESTS, AHEAD>(walk, record.first_child, base);
+        if self.stacks.tiles.len() == base + 1 && next >= record.end_of_children() {
+            self.stacks.tiles.truncate(base);
             return Some(tile + 1);
         }
         Some(next)
     }
 
-    /// Walks on where something above is drawn instead: what is missing is asked for, all levels in one frame.
+    /// Walks tiles for which an ancestor is drawn, and requests what is missing: all levels in one frame. Stops and returns
+    /// as [`Self::draw_fast`].
     #[inline(never)]
-    pub(super) fn want_plain_tiles<const LOOKS: bool, const AHEAD: bool>(
+    pub(super) fn request_fast<const TESTS: bool, const AHEAD: bool>(
         &mut self,
-        walk: &Walk,
+        walk: &WalkContext,
         mut tile: u32,
         base: usize,
     ) -> u32 {
         let records = &walk.tiles.records()[..];
         let bounds = &walk.tiles.bounds()[..records.len()];
         let last_used = &walk.tiles.last_used()[..records.len()];
-        let looks_everywhere = walk.looks_everywhere();
-        let Some(open) = self.tile_stack.last() else { return tile };
+        let needs_all_tests = walk.needs_all_tests();
+        let Some(open) = self.stacks.tiles.last() else { return tile };
         let mut above = open.read();
         let mut visited = 0;
         loop {
             if tile >= above.end {
-                if self.tile_stack.len() == base + 1 {
+                if self.stacks.tiles.len() == base + 1 {
                     break;
                 }
-                self.tile_stack.pop();
-                let Some(open) = self.tile_stack.last() else { break };
+                self.stacks.tiles.pop();
+                let Some(open) = self.stacks.tiles.last() else { break };
                 above = open.read();
                 tile = above.next;
                 if above.purpose == Purpose::Draw {
@@ -205,14 +206,14 @@ impl Cull<'_> {
                 }
                 continue;
             }
-            let place = tile as usize;
-            let record = &records[place];
-            if record.flags & ODD != PLAIN {
+            let index = tile as usize;
+            let record = &records[index];
+            if record.flags & SLOW_PATH != REPLACE_WITH_CONTENT {
                 break;
             }
             let (mut purpose, mut mask) = (above.purpose, 0);
-            if LOOKS {
-                match self.see(walk, tile, &bounds[place], above) {
+            if TESTS {
+                match self.test_tile_fast(walk, tile, &bounds[index], above) {
                     Some(seen) => (purpose, mask) = seen,
                     None => {
                         tile += 1;
@@ -221,10 +222,10 @@ impl Cull<'_> {
                 }
             }
             visited += 1;
-            walk.stamp.put::<AHEAD>(&last_used[place]);
+            walk.stamp.put::<AHEAD>(&last_used[index]);
             let mut above_px2 = above.shown_px2;
             let (range2, distance2) = match purpose == Purpose::Want && record.has_children() {
-                true => walk.range_and_distance(tile, record, &bounds[place]),
+                true => walk.range_and_distance(tile, record, &bounds[index]),
                 false => (0.0, 1.0),
             };
             let wants = distance2 < range2;
@@ -238,10 +239,10 @@ impl Cull<'_> {
             if wants {
                 let shown_px2 = if is_skipped { above_px2 } else { walk.below_px2(range2, distance2, above_px2) };
                 let (next, end) = (record.first_child, record.end_of_children());
-                above = TileFrame { next, end, mask, shown_px2, required: true, ..above };
-                frame::open(self.tile_stack, tile + 1, above);
+                above = OpenTile { next, end, mask, shown_px2, required: true, ..above };
+                open_tile::open(&mut self.stacks.tiles, tile + 1, above);
                 tile = next;
-                if LOOKS && mask == 0 && !looks_everywhere {
+                if TESTS && mask == 0 && !needs_all_tests {
                     break;
                 }
                 continue;
@@ -252,17 +253,23 @@ impl Cull<'_> {
         tile
     }
 
-    /// [`Self::look`], by itself where only the frustum culls.
+    /// Tests a tile as [`Self::test_tile`], with a short path where only the frustum culls.
     #[inline(always)]
-    fn see(&mut self, walk: &Walk, tile: u32, bounds: &TileBounds, above: TileFrame) -> Option<(Purpose, u8)> {
-        if walk.looks_everywhere() {
-            self.look(walk, tile, above)
+    fn test_tile_fast(
+        &mut self,
+        walk: &WalkContext,
+        tile: u32,
+        bounds: &TileBounds,
+        above: OpenTile,
+    ) -> Option<(Purpose, u8)> {
+        if walk.needs_all_tests() {
+            self.test_tile(walk, tile, above)
         } else if above.mask == 0 || above.purpose == Purpose::Keep {
             Some((above.purpose, above.mask))
         } else {
             match walk.test(bounds, above.mask) {
                 Some(crossing) => Some((above.purpose, crossing)),
-                None if above.required && walk.asks => Some((Purpose::Keep, above.mask)),
+                None if above.required && walk.requests => Some((Purpose::Keep, above.mask)),
                 None => {
                     self.counters.tiles_visited += 1;
                     None

@@ -1,76 +1,87 @@
-//! The state graph: each state set once under each parent, found or inserted by identity.
+//! The state graph: each state set once under each parent, found or inserted by identity. Culling thread.
 //!
-//! Kept from frame to frame, with what each chain of state sets resolves to, so that a steady frame resolves nothing.
-//! Holds no state set alive: what is gone is noticed within some frames; and when most of it is no longer met, all of
-//! it is forgotten. A page knows its own chains of state sets already
-//! (`Page::paths`), so the hash is asked once per chain and page, not once per leaf.
+//! It is kept from frame to frame with the resolved state of each node, so that a steady frame resolves nothing. It keeps
+//! no state set alive: dropped ones are removed within [`SWEEP_FRAMES`] frames. When most nodes are no longer met, the
+//! whole graph is cleared. Pages know their chains of state sets (`Page::state_paths`), so that the hash table is used once
+//! per chain and page and not once per leaf.
 
 use std::sync::{Arc, Weak};
 
-use super::stage::RenderStage;
+use crate::cull::stage::RenderStage;
 use crate::math::random::fibonacci_hash;
 use crate::state::{ResolvedState, StateSet};
 
-/// Key of the pseudo state set of blended drawables; no `Arc` has this address.
+/// Key of the pseudo state set of blended drawables; no state set has this address.
 const BLEND_KEY: usize = 1;
-/// Keys of the pseudo state sets of other views: odd numbers from here.
+/// First key of the pseudo state sets of views, which are odd numbers from here on.
 const VIEW_KEY: usize = 3;
-/// Keys of the pseudo state sets of fades: even numbers that are no multiples of 4, from here.
+/// First key of the pseudo state sets of fades, which are even and not multiples of 4 from here on.
 const FADE_KEY: usize = 2;
 // Addresses of state sets are multiples of 4.
 const _: () = assert!(align_of::<StateSet>() >= 4);
 
-/// What leaves have that no state set says.
+/// Properties of leaves that come from the traversal and not from state sets.
 #[derive(Clone, Copy, Debug, Default)]
-struct At {
-    /// Projection.
+struct LeafContext {
+    /// The view, as in [`RenderStage::view_of_state`].
     view: u32,
-    /// One more than the index of a fade of the stage.
+    /// The fade, as in [`RenderStage::fade_of_state`].
     fade: u32,
 }
 
+/// A state set under a parent.
 #[derive(Debug)]
 struct Node {
     parent: u32,
+    /// Address of the state set, or the key of a pseudo state set.
     key: usize,
     resolved: Arc<ResolvedState>,
-    at: At,
-    /// The stage in which it was last met, and its place there.
+    context: LeafContext,
+    /// Number of the stage in which the node was met last.
     met_in: u32,
-    place: u32,
-    /// Keeps the state set's address from being another's, not the state set.
+    /// Index among the states of that stage.
+    index_in_stage: u32,
+    /// Keeps the state set's address from being reused, but not the state set alive.
     set: Option<Weak<StateSet>>,
 }
 
-/// Nodes, and an open-addressing table over them.
+/// All nodes, and a hash table over them by open addressing.
 #[derive(Debug)]
-pub(super) struct StateGraph {
+pub(in crate::cull) struct StateGraph {
     nodes: Vec<Node>,
     table: Vec<u32>,
-    /// By path of a page: the state that was found last, mostly the one to be found.
+    /// By path of a page: the node that was found last, which is usually found again.
     hints: Vec<u32>,
-    /// Counts stages.
+    /// Number of the current stage.
     stage: u32,
-    /// Nodes met in the frame before.
+    /// Nodes met in the current frame.
     met: usize,
-    /// Frames until state sets that are gone are looked for.
+    /// Frames until the next sweep for dropped state sets.
     until_sweep: u32,
 }
 
-/// The state without any state set.
-pub(super) const ROOT: u32 = 0;
+/// The node without any state set.
+pub(in crate::cull) const ROOT: u32 = 0;
+/// Marks a free entry of the hash table.
 const EMPTY: u32 = u32::MAX;
-/// Fewer nodes are never forgotten.
-const FEW: usize = 4096;
-/// Frames between two looks for state sets that are gone.
+/// The graph is never cleared below this number of nodes.
+const MIN_NODES_TO_CLEAR: usize = 4096;
+/// Frames between two sweeps for dropped state sets.
 const SWEEP_FRAMES: u32 = 16;
-/// Key of nodes whose state set, or one above, is gone; matches nothing.
+/// Key of nodes whose state set, or one above, was dropped; it matches no state set.
 const GONE: usize = usize::MAX;
 
 impl Default for StateGraph {
     fn default() -> Self {
-        let root =
-            Node { parent: EMPTY, key: 0, resolved: Arc::default(), at: At::default(), met_in: 0, place: 0, set: None };
+        let root = Node {
+            parent: EMPTY,
+            key: 0,
+            resolved: Arc::default(),
+            context: LeafContext::default(),
+            met_in: 0,
+            index_in_stage: 0,
+            set: None,
+        };
         Self {
             nodes: vec![root],
             table: vec![EMPTY; 64],
@@ -83,9 +94,9 @@ impl Default for StateGraph {
 }
 
 impl StateGraph {
-    /// Starts a frame: forgets everything when eight times as much is held as the frame before met.
+    /// Starts a frame. Clears the graph if it holds over eight times as many nodes as the frame before met.
     pub fn start_frame(&mut self) {
-        if self.nodes.len() > FEW + 8 * self.met {
+        if self.nodes.len() > MIN_NODES_TO_CLEAR + 8 * self.met {
             let stage = self.stage;
             *self = Self { stage, ..Self::default() };
         }
@@ -97,7 +108,7 @@ impl StateGraph {
         }
     }
 
-    /// Lets go of what state sets that are gone came to, and what is below them. Parents come before their children.
+    /// Releases the resolved states of dropped state sets and of all nodes below them. Parents precede their children.
     fn sweep(&mut self) {
         for node in 1..self.nodes.len() {
             let parent = self.nodes[node].parent as usize;
@@ -115,27 +126,27 @@ impl StateGraph {
         self.stage = self.stage.wrapping_add(1);
     }
 
-    /// The place of a state among those of the stage that have leaves.
+    /// Returns the index of a node among the states of the stage, to which it is added when it is met first.
     #[inline]
     pub fn meet(&mut self, state: u32, stage: &mut RenderStage) -> u32 {
         let Some(node) = self.nodes.get_mut(state as usize) else { return 0 };
         if node.met_in != self.stage {
             self.met += 1;
-            let place = stage.view_of_state.len();
-            (node.met_in, node.place) = (self.stage, place as u32);
-            stage.view_of_state.push(node.at.view);
-            stage.fade_of_state.push(node.at.fade);
-            // Mostly the same as in the frame before: then nothing is counted up and down.
-            match stage.state_sets.get_mut(place) {
+            let index = stage.view_of_state.len();
+            (node.met_in, node.index_in_stage) = (self.stage, index as u32);
+            stage.view_of_state.push(node.context.view);
+            stage.fade_of_state.push(node.context.fade);
+            // Usually the same as in the frame before, so that no reference count changes.
+            match stage.state_sets.get_mut(index) {
                 Some(held) if Arc::ptr_eq(held, &node.resolved) => {}
                 Some(held) => *held = node.resolved.clone(),
                 None => stage.state_sets.push(node.resolved.clone()),
             }
         }
-        node.place
+        node.index_in_stage
     }
 
-    /// The state of a set under a parent, of a page's path.
+    /// Returns the node of a state set under a parent, at the end of a path of a page.
     #[inline]
     pub fn find_or_insert_path(&mut self, path: u32, parent: u32, set: &Arc<StateSet>) -> u32 {
         let hint = self.hints.get(path as usize).copied().unwrap_or(ROOT);
@@ -155,77 +166,79 @@ impl StateGraph {
         found
     }
 
-    /// The state of a set under a parent.
+    /// Returns the node of a state set under a parent.
     pub fn find_or_insert(&mut self, parent: u32, set: &Arc<StateSet>) -> u32 {
         let key = Arc::as_ptr(set) as usize;
-        self.find(parent, key).unwrap_or_else(|place| {
+        self.find(parent, key).unwrap_or_else(|entry| {
             let above = &self.nodes[parent as usize];
-            let (resolved, at) = (Arc::new(above.resolved.below(set)), above.at);
-            self.insert(place, parent, key, resolved, at, Some(Arc::downgrade(set)))
+            let (resolved, context) = (Arc::new(above.resolved.below(set)), above.context);
+            self.insert(entry, parent, key, resolved, context, Some(Arc::downgrade(set)))
         })
     }
 
-    /// The state of blended drawables under a parent.
+    /// Returns the node of blended drawables under a parent.
     pub fn find_or_insert_blend(&mut self, parent: u32) -> u32 {
-        self.find(parent, BLEND_KEY).unwrap_or_else(|place| {
+        self.find(parent, BLEND_KEY).unwrap_or_else(|entry| {
             let above = &self.nodes[parent as usize];
-            let (resolved, at) = (Arc::new(above.resolved.blended()), above.at);
-            self.insert(place, parent, BLEND_KEY, resolved, at, None)
+            let (resolved, context) = (Arc::new(above.resolved.blended()), above.context);
+            self.insert(entry, parent, BLEND_KEY, resolved, context, None)
         })
     }
 
-    /// The state of what has another projection under a parent. View 0 begins a stage, which has fades of its own.
+    /// Returns the node of another view under a parent. View 0 starts a stage, where no fade holds yet.
     pub fn find_or_insert_view(&mut self, parent: u32, view: u32) -> u32 {
         let key = VIEW_KEY + 2 * view as usize;
-        self.find(parent, key).unwrap_or_else(|place| {
-            let Node { resolved, at, .. } = &self.nodes[parent as usize];
-            let (resolved, at) = (resolved.clone(), At { view, fade: if view == 0 { 0 } else { at.fade } });
-            self.insert(place, parent, key, resolved, at, None)
+        self.find(parent, key).unwrap_or_else(|entry| {
+            let Node { resolved, context, .. } = &self.nodes[parent as usize];
+            let (resolved, context) =
+                (resolved.clone(), LeafContext { view, fade: if view == 0 { 0 } else { context.fade } });
+            self.insert(entry, parent, key, resolved, context, None)
         })
     }
 
-    /// The state of what is drawn in a part of the pixels under a parent: one more than the index of a fade.
+    /// Returns the node of a fade under a parent; `fade` is one more than its index in the stage.
     pub fn find_or_insert_fade(&mut self, parent: u32, fade: u32) -> u32 {
         let key = FADE_KEY + 4 * fade as usize;
-        self.find(parent, key).unwrap_or_else(|place| {
-            let Node { resolved, at, .. } = &self.nodes[parent as usize];
-            let (resolved, at) = (resolved.clone(), At { fade, ..*at });
-            self.insert(place, parent, key, resolved, at, None)
+        self.find(parent, key).unwrap_or_else(|entry| {
+            let Node { resolved, context, .. } = &self.nodes[parent as usize];
+            let (resolved, context) = (resolved.clone(), LeafContext { fade, ..*context });
+            self.insert(entry, parent, key, resolved, context, None)
         })
     }
 
     fn insert(
         &mut self,
-        place: usize,
+        entry: usize,
         parent: u32,
         key: usize,
         resolved: Arc<ResolvedState>,
-        at: At,
+        context: LeafContext,
         set: Option<Weak<StateSet>>,
     ) -> u32 {
         let node = self.nodes.len() as u32;
         let met_in = self.stage.wrapping_sub(1);
-        self.nodes.push(Node { parent, key, resolved, at, met_in, place: 0, set });
-        self.table[place] = node;
+        self.nodes.push(Node { parent, key, resolved, context, met_in, index_in_stage: 0, set });
+        self.table[entry] = node;
         if self.nodes.len() * 2 > self.table.len() {
             self.grow();
         }
         node
     }
 
+    /// Finds a node; the error is the free entry of the table where it belongs.
     fn find(&self, parent: u32, key: usize) -> Result<u32, usize> {
         let mask = self.table.len() - 1;
-        let mut place = hash(parent, key) & mask;
+        let mut entry = hash(parent, key) & mask;
         loop {
-            let node = self.table[place];
+            let node = self.table[entry];
             if node == EMPTY {
-                return Err(place);
+                return Err(entry);
             }
             let found = &self.nodes[node as usize];
             if found.parent == parent && found.key == key {
                 return Ok(node);
             }
-            place = (place + 1) & mask;
+            entry = (entry + 1) & mask;
         }
     }
 
@@ -238,14 +251,14 @@ impl StateGraph {
             if key == GONE {
                 continue;
             }
-            if let Err(place) = self.find(parent, key) {
-                self.table[place] = node as u32;
+            if let Err(entry) = self.find(parent, key) {
+                self.table[entry] = node as u32;
             }
         }
     }
 }
 
-/// Fibonacci hashing of the pair.
+/// Hashes the pair of a parent and a key.
 fn hash(parent: u32, key: usize) -> usize {
     let mixed = (key as u64 >> 1) ^ (u64::from(parent) << 40) ^ u64::from(parent);
     (fibonacci_hash(mixed) >> 32) as usize
@@ -257,7 +270,7 @@ mod tests {
     use crate::state::{Attribute, BinDetails, Depth, Mode, StateValue};
 
     #[test]
-    fn finds_by_identity_under_the_parent() {
+    fn state_sets_are_found_by_identity_under_their_parent() {
         let mut graph = StateGraph::default();
         let sets: Vec<_> = (0..300).map(|_| Arc::new(StateSet::default())).collect();
         for _ in 0..3 {
@@ -278,11 +291,11 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_longer_met_is_forgotten() {
+    fn graph_is_cleared_when_most_nodes_are_no_longer_met() {
         let mut graph = StateGraph::default();
         let mut stage = RenderStage::new();
         let kept = Arc::new(StateSet::default());
-        for _ in 0..3 * FEW {
+        for _ in 0..3 * MIN_NODES_TO_CLEAR {
             graph.start_frame();
             graph.start_stage();
             let a = graph.find_or_insert(ROOT, &kept);
@@ -291,12 +304,12 @@ mod tests {
             stage.view_of_state.clear();
             assert_eq!([graph.meet(a, &mut stage), graph.meet(b, &mut stage)], [0, 1]);
         }
-        assert!(graph.nodes.len() < 2 * FEW);
+        assert!(graph.nodes.len() < 2 * MIN_NODES_TO_CLEAR);
         assert_eq!(Arc::strong_count(&kept), 1);
     }
 
     #[test]
-    fn what_is_gone_is_let_go_with_all_below_it() {
+    fn dropped_state_sets_are_released_with_all_nodes_below() {
         let mut graph = StateGraph::default();
         let mut stage = RenderStage::new();
         let (above, below) = (Arc::new(StateSet::default()), Arc::new(StateSet::default()));
@@ -316,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn inherits_and_overrides() {
+    fn nodes_inherit_from_their_parents() {
         let mut graph = StateGraph::default();
         let mut stage = RenderStage::new();
         let red = Arc::new(StateSet { color: Some([0.5, 0.0, 0.0, 1.0]), ..StateSet::default() });

@@ -1,34 +1,38 @@
-//! The frustum as cull tests it: four side planes at once in f32, the near plane apart.
+//! The frustum as cull tests it: the four side planes at once in f32, near and far separately.
 //!
-//! Planes are made in eye space in f64, moved into the frame where bounds are stored (f64), normalised there and
-//! only then rounded, so that bounds near that frame's origin are tested as precisely as f32 allows.
+//! Planes are computed in eye space in f64, moved into the frame where bounds are stored and normalised there. Only then
+//! are they rounded, so that bounds near that frame's origin are tested as precisely as f32 allows.
 
 use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4, Vec3, Vec4, Vec4Swizzles as _};
 
-use super::CullingMode;
+use crate::cull::CullingMode;
 
-/// Bits of the planes that a bound may still cross.
-pub(super) const SIDES: u8 = 0b00_1111;
-pub(super) const NEAR: u8 = 0b01_0000;
-pub(super) const FAR: u8 = 0b10_0000;
+/// Bits of the side planes in a mask of the planes that a bound may cross.
+pub(in crate::cull) const SIDES: u8 = 0b00_1111;
+/// Bit of the near plane.
+pub(in crate::cull) const NEAR: u8 = 0b01_0000;
+/// Bit of the far plane.
+pub(in crate::cull) const FAR: u8 = 0b10_0000;
 
-/// A plane that everything is inside of.
+/// A plane that culls nothing.
 const EVERYTHING: DVec4 = DVec4::new(0.0, 0.0, 0.0, 1.0);
 
-/// Left, right, bottom, top, near, far; eye space, `normal . p + d >= 0` inside.
+/// The frustum in eye space: left, right, bottom, top, near and far plane, with `normal . p + d >= 0` inside.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct EyePlanes {
+pub(in crate::cull) struct EyePlanes {
     planes: [DVec4; 6],
+    /// The planes that are tested.
     pub mask: u8,
 }
 
 impl EyePlanes {
-    /// Everything is inside.
+    /// A frustum that culls nothing.
     pub const NONE: Self = Self { planes: [EVERYTHING; 6], mask: 0 };
 
+    /// Takes the planes of a reversed-Z projection.
     pub fn new(clip_from_eye: &DMat4, culling: CullingMode) -> Self {
         let m: DMat4 = clip_from_eye.transpose();
-        // Reversed-Z: depth is 0 at the far plane; an infinite one comes out without a direction.
+        // Reversed-Z: depth is 0 at the far plane. An infinite far plane has a zero normal.
         let mut planes = [
             m.w_axis + m.x_axis,
             m.w_axis - m.x_axis,
@@ -56,24 +60,24 @@ impl EyePlanes {
         Self { planes, mask }
     }
 
-    /// Puts the near plane where the eye is.
+    /// Moves the near plane to the eye.
     pub fn begin_at_eye(&mut self) {
         self.planes[4] = DVec4::new(0.0, 0.0, -1.0, 0.0);
     }
 
-    /// True when points in eye space are all outside the same plane.
+    /// Returns true if points in eye space are all outside of the same plane.
     pub fn are_outside(&self, points: &[DVec3]) -> bool {
         let is_outside = |plane: &DVec4| points.iter().all(|p| plane.truncate().dot(*p) + plane.w < 0.0);
         self.planes.iter().enumerate().any(|(bit, plane)| self.mask & 1 << bit != 0 && is_outside(plane))
     }
 
-    /// True when a sphere in eye space is outside some plane.
+    /// Returns true if a sphere in eye space is outside of some plane.
     pub fn sphere_is_outside(&self, center: DVec3, radius_m: f64) -> bool {
         let is_outside = |plane: &DVec4| plane.truncate().dot(center) + plane.w < -radius_m;
         self.planes.iter().enumerate().any(|(bit, plane)| self.mask & 1 << bit != 0 && is_outside(plane))
     }
 
-    /// The planes in the frame of `eye_from_frame`, relative to a point of it.
+    /// Returns the planes in the frame of `eye_from_frame`, relative to `origin` in that frame.
     pub fn in_frame(&self, eye_from_frame: &DAffine3, origin: DVec3) -> Planes {
         let to_frame: DMat3 = eye_from_frame.matrix3.transpose();
         let origin_in_eye = eye_from_frame.transform_point3(origin);
@@ -82,7 +86,7 @@ impl EyePlanes {
             let normal = to_frame * p.truncate();
             let d = p.truncate().dot(origin_in_eye) + p.w;
             let length2 = normal.length_squared();
-            // Rigid maps, nearly all there are, keep the unit length: saves the root and the divisions.
+            // Most maps are rigid and keep the unit length, which saves the root and the divisions.
             if (length2 - 1.0).abs() < 1e-12 {
                 *moved = normal.extend(d).as_vec4();
                 continue;
@@ -105,14 +109,14 @@ impl EyePlanes {
 }
 
 impl Planes {
-    /// For frames in which no plane is crossed: never tested.
+    /// Placeholder for frames in which no plane is crossed, so that none is tested.
     pub const UNUSED: Self =
         Self { x: Vec4::ZERO, y: Vec4::ZERO, z: Vec4::ZERO, w: Vec4::ONE, near: Vec4::W, far: Vec4::W };
 }
 
-/// Four planes, component by component, and the near and the far plane.
+/// The frustum in the frame of bounds: the four side planes by component, and near and far.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Planes {
+pub(in crate::cull) struct Planes {
     x: Vec4,
     y: Vec4,
     z: Vec4,
@@ -122,8 +126,8 @@ pub(super) struct Planes {
 }
 
 impl Planes {
-    /// Tests a sphere (radius in w) against the planes in `mask`: `None` when outside, else the planes that it
-    /// still crosses.
+    /// Tests a sphere (radius in w) against the planes in `mask`. Returns the planes that it crosses, or `None` if it is
+    /// outside.
     #[inline(always)]
     pub fn test_sphere(&self, sphere: Vec4, mask: u8) -> Option<u8> {
         let distance = self.x * sphere.x + self.y * sphere.y + self.z * sphere.z + self.w;
@@ -149,7 +153,7 @@ impl Planes {
         Some(crossing)
     }
 
-    /// True when a box is outside some plane in `mask`.
+    /// Returns true if a box is outside of some plane in `mask`.
     #[inline(always)]
     pub fn box_is_outside(&self, center: [f32; 3], half: [f32; 3], mask: u8) -> bool {
         let distance = self.x * center[0] + self.y * center[1] + self.z * center[2] + self.w;
@@ -168,7 +172,7 @@ impl Planes {
         })
     }
 
-    /// Tests an oriented box (half axes = axes * half; nothing counts that lies behind in `center`) as [`Self::test_sphere`] does.
+    /// Tests an oriented box with half axes `axes * half` as [`Self::test_sphere`]. The w component of `center` is ignored.
     #[inline(always)]
     pub fn test_oriented(&self, center: Vec4, axes: &[[f32; 3]; 3], half: [f32; 3], mask: u8) -> Option<u8> {
         let mut reach = Vec4::ZERO;
@@ -180,7 +184,7 @@ impl Planes {
         })
     }
 
-    /// Tests what reaches so far from its centre towards the sides, and towards another plane.
+    /// Tests a bound by its extent along the normals of the side planes, and of any other plane.
     #[inline(always)]
     fn test_reach(&self, center: Vec4, mask: u8, reach: Vec4, reach_along: impl Fn(Vec4) -> f32) -> Option<u8> {
         let distance = self.x * center.xxxx() + self.y * center.yyyy() + self.z * center.zzzz() + self.w;
@@ -208,21 +212,23 @@ impl Planes {
     }
 }
 
-/// Planes as boxes on a grid are tested (`TileEye`): offsets in steps of it, lengths in metres. As many operations follow one
-/// another as must: a test that was guessed wrong waits for all of them.
+/// The frustum for boxes on a grid (`TileEye`): offsets in grid steps, lengths in metres.
+///
+/// The chain of dependent operations is as short as possible, since a mispredicted branch waits for all of it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct GridPlanes {
-    /// Of the four sides, of a step along each axis, and at 0.
+pub(in crate::cull) struct GridPlanes {
+    /// Side planes: distance per step along each axis, and at the origin of the grid.
     sides: [Vec4; 4],
-    /// Of a metre along each axis, either way.
+    /// Side planes: absolute distance per metre along each axis.
     reach: [Vec4; 3],
-    /// Both of one plane.
+    /// Near plane: distance per step and at the origin, and absolute distance per metre.
     near: [Vec4; 2],
+    /// Far plane, as `near`.
     far: [Vec4; 2],
 }
 
 impl Planes {
-    /// The planes of steps that are so long, counted from a point that lies so far before the eye.
+    /// Returns the planes for a grid of steps of `step_m`, whose origin lies `rest_m` before the eye.
     pub fn on_grid(&self, step_m: f32, rest_m: Vec3) -> GridPlanes {
         let at_zero = self.w - (self.x * rest_m.x + self.y * rest_m.y + self.z * rest_m.z);
         let moved =
@@ -237,7 +243,7 @@ impl Planes {
 }
 
 impl GridPlanes {
-    /// [`Planes::test_sphere`] of a box along the axes; nothing counts that lies behind.
+    /// Tests a box along the axes as [`Planes::test_sphere`]. The w components are ignored.
     #[inline(always)]
     pub fn test_aligned(&self, steps: Vec4, half_m: Vec4, mask: u8) -> Option<u8> {
         let [x, y, z, w] = self.sides;
@@ -268,8 +274,8 @@ impl GridPlanes {
     }
 }
 
-/// Depth along an axis of eye space, of a point relative to `origin`.
-pub(super) fn depth_row(eye_from_frame: &DAffine3, origin: DVec3, axis: DVec3) -> Vec4 {
+/// Returns the row that gives the depth along an axis of eye space for a point relative to `origin`.
+pub(in crate::cull) fn depth_row(eye_from_frame: &DAffine3, origin: DVec3, axis: DVec3) -> Vec4 {
     let row = eye_from_frame.matrix3.transpose() * axis;
     let at_origin = axis.dot(eye_from_frame.transform_point3(origin));
     row.extend(at_origin).as_vec4()

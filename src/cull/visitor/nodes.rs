@@ -1,47 +1,41 @@
-//! The flat scan of a page's nodes.
+//! The flat scan of a page's nodes in depth-first order. Culling thread.
+//!
+//! Each node is skipped with its subtree, taken with it as a range, or entered. This is the hot loop of cull:
+//! the rare cases are in functions that are not inlined.
 
 use std::ops::Range;
 
 use glam::Vec4;
 
-use super::fade::{Fade, LodShares, WHOLE};
-use super::occluders::cull_info;
-use super::visitor::{Cull, PageContext, Purpose};
+use super::page_context::{OpenNode, PageContext, cull_info};
+use super::page_queue::Purpose;
+use super::traversal::Traversal;
+use crate::cull::fading::{Fade, LodIndex, LodShares, WHOLE};
 use crate::scene::{CALLBACK, CullAction, INACTIVE, LARGE, Page, SIMPLE_SUBTREE, UNBOUNDED, UNCULLED, kind};
 
-/// What holds again behind a subtree.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Open {
-    /// First node behind the subtree.
-    end: u32,
-    /// Matrix above the subtree.
-    matrix: u32,
-    /// Planes above the subtree, in the lowest bits.
-    mask: u32,
-}
+/// Number of children of a Lod that can fade; further ones are switched at once.
+const MAX_FADING_CHILDREN: usize = 64;
 
-/// Children of a Lod that can fade; those beyond change at once.
-const MOST_FADING: usize = 64;
-
-/// Subtrees of so few nodes are scanned: setting up the ranges would cost more.
+/// Subtrees of at most this many nodes are scanned: setting up the ranges would cost more.
 const SMALL_SUBTREE: u32 = 4;
 
-impl Cull<'_> {
-    /// Visits nodes `first..last`, whole subtrees, under a matrix and the planes they may cross.
+impl Traversal<'_> {
+    /// Scans the nodes `first..last`, which are whole subtrees, under a matrix and the planes that they may cross.
     pub(super) fn scan_nodes(&mut self, context: &PageContext, first: u32, last: u32, mask: u8, matrix: u32) {
         let page = context.page;
-        let base = self.node_stack.len();
-        let mut above = Open { end: last, matrix, mask: u32::from(mask) };
+        let base = self.stacks.nodes.len();
+        let mut above = OpenNode { end: last, matrix, mask: u32::from(mask) };
         let mut node = first;
-        let small_feature = self.view.small_feature;
-        let cull_mask = self.view.settings.cull_mask;
-        // Flags of subtrees that may be taken as ranges, and of those below which no tile can be missing.
-        let takes_ranges = self.takes_ranges && small_feature == 0.0 && !context.by_primitives;
+        let small_feature = self.views.current().small_feature;
+        let cull_mask = self.views.current().camera.settings.cull_mask;
+        // Flags of subtrees that may be taken as ranges.
+        let takes_ranges = self.takes_ranges() && small_feature == 0.0 && !context.by_primitives;
         let range_flags = if takes_ranges { SIMPLE_SUBTREE } else { 0 };
+        // Flags of subtrees that may be skipped: they hold no tile that must be kept.
         let keeps = self.keeps(context);
         let free_flags = if keeps { 0 } else { SIMPLE_SUBTREE };
-        let has_occluders = !self.occluders.is_empty();
-        // A mask of 0 hides nodes of every mask, of those without one too.
+        let has_occluders = self.occlusion.is_active();
+        // A cull mask of 0 hides all nodes, also those of pages without masks.
         if cull_mask == 0 {
             if keeps {
                 self.keep_tiles(context, first, last);
@@ -49,22 +43,22 @@ impl Cull<'_> {
             return;
         }
         let has_masks = !page.masks().is_empty();
-        // What few pages and cameras ask for, in one test for each node.
+        // One test per node for what few pages and cameras need.
         let looks_closer = small_feature > 0.0 || has_occluders;
         let (nodes, spheres) = (&page.nodes()[..], &page.spheres()[..]);
         loop {
             while node >= above.end {
-                let ours = self.node_stack.len() > base;
-                match self.node_stack.pop_if(|_| ours) {
+                let ours = self.stacks.nodes.len() > base;
+                match self.stacks.nodes.pop_if(|_| ours) {
                     Some(open) => above = open,
                     None => return,
                 }
             }
             let record = &nodes[node as usize];
             let (flags, next) = (record.flags, node + record.skip);
-            let may_leave = (flags | free_flags) & SIMPLE_SUBTREE != 0;
+            let may_skip = (flags | free_flags) & SIMPLE_SUBTREE != 0;
             if has_masks && page.masks()[node as usize] & cull_mask == 0 {
-                if !may_leave {
+                if !may_skip {
                     self.keep_tiles(context, node, next);
                 }
                 node = next;
@@ -74,10 +68,10 @@ impl Cull<'_> {
             let sphere = spheres[node as usize];
             let mut mask = above.mask as u8;
             let mut tested = mask;
-            // One test for the many nodes that are nothing special.
+            // One test rules this out for most nodes.
             if flags & (CALLBACK | INACTIVE) != 0 {
-                if !self.asks_to_visit(context, node) {
-                    if !may_leave {
+                if !self.callback_allows_visit(context, node) {
+                    if !may_skip {
                         self.keep_tiles(context, node, next);
                     }
                     node = next;
@@ -94,7 +88,7 @@ impl Cull<'_> {
                 match context.planes.test_sphere(sphere, tested) {
                     Some(crossing) => mask = crossing,
                     None => {
-                        if !may_leave {
+                        if !may_skip {
                             self.keep_tiles(context, node, next);
                         }
                         node = next;
@@ -103,13 +97,13 @@ impl Cull<'_> {
                 }
             }
             if looks_closer {
-                // Not where tiles are below: their errors decide.
+                // LARGE marks subtrees with tiles, whose errors decide instead.
                 if small_feature > 0.0 && flags & LARGE == 0 && self.is_small(context, sphere) {
                     node = next;
                     continue;
                 }
                 if has_occluders && flags & INACTIVE == 0 && self.is_occluded(sphere) {
-                    if !may_leave {
+                    if !may_skip {
                         self.keep_tiles(context, node, next);
                     }
                     node = next;
@@ -122,16 +116,17 @@ impl Cull<'_> {
                 continue;
             }
             if record.kind == kind::TRANSFORM {
-                let matrix = self.push_transform(context, record.first_transform as usize);
-                self.node_stack.push(above);
-                above = Open { end: next, matrix, mask: u32::from(mask) };
+                let transform = record.first_transform as usize;
+                let matrix = self.matrices.push(context, transform, &mut self.stage.eye_from_drawable);
+                self.stacks.nodes.push(above);
+                above = OpenNode { end: next, matrix, mask: u32::from(mask) };
                 node += 1;
                 continue;
             }
             if record.kind == kind::GEODE {
                 let (first, end) = (record.first_drawable, nodes[node as usize + 1].first_drawable);
                 if end == first + 1 {
-                    // Mostly one, without what a loop keeps.
+                    // The usual case, without the setup of a loop.
                     self.test_and_emit(context, first, mask, above.matrix);
                 } else {
                     self.test_drawables(context, first, end, mask, above.matrix);
@@ -141,14 +136,14 @@ impl Cull<'_> {
                 continue;
             }
             if u32::from(mask) != above.mask && next > node + 1 {
-                self.node_stack.push(above);
-                above = Open { end: next, matrix: above.matrix, mask: u32::from(mask) };
+                self.stacks.nodes.push(above);
+                above = OpenNode { end: next, matrix: above.matrix, mask: u32::from(mask) };
             }
             node += 1;
         }
     }
 
-    /// Visits a node of the kinds that few pages have many of. True: its children are scanned like those of a group.
+    /// Visits a node of a kind that is rare in most pages. Returns true if its children must be scanned like a group's.
     #[inline(never)]
     fn visit_rare(&mut self, context: &PageContext, node: u32, kind: u8, mask: u8, matrix: u32) -> bool {
         match kind {
@@ -158,7 +153,7 @@ impl Cull<'_> {
                     self.scan_tiles(page, &context.visit, root, mask, context.visit.purpose);
                 }
             }
-            kind::SPECIAL => return !self.visit_special(context, node, mask),
+            kind::SPECIAL => return self.visit_rare_node(context, node, mask),
             kind::SWITCH => self.visit_switch(context, node, mask, matrix),
             _ => self.visit_lod(context, node, mask, matrix),
         }
@@ -182,11 +177,15 @@ impl Cull<'_> {
         let lod = &page.lods()[page.payloads()[node as usize] as usize];
         let enclosing = self.enclosing_transform(context, node);
         let eye = page.transforms().point_in_node(enclosing, context.eye);
-        let measure = lod.measure(eye.distance(lod.center), self.view.settings.lod_scale, &self.view.ranges);
+        let measure = lod.measure(
+            eye.distance(lod.center),
+            self.views.current().camera.settings.lod_scale,
+            &self.views.current().ranges,
+        );
         let is_shown = |child: usize| lod.shows(child, measure);
         let shares = self.lod_shares(context, node, (0..lod.ranges.len()).map(is_shown));
         for (index, child) in children(page, node).enumerate() {
-            match shares.filter(|_| index < MOST_FADING) {
+            match shares.filter(|_| index < MAX_FADING_CHILDREN) {
                 Some(shares) => self.scan_fading(context, child, mask, matrix, shares, 1 << index),
                 None if is_shown(index) => {
                     self.scan_nodes(context, child.start, child.end, mask, matrix);
@@ -196,28 +195,31 @@ impl Cull<'_> {
         }
     }
 
-    /// What a Lod draws while it changes between its children; `None` while it does not.
+    /// Returns the shares of a Lod's children while it fades between them, and otherwise `None`.
     fn lod_shares(
         &mut self,
         context: &PageContext,
         node: u32,
         in_range: impl Iterator<Item = bool>,
     ) -> Option<LodShares> {
-        let fade_s = self.view.settings.lod_fade_s;
+        let fade_s = self.views.current().camera.settings.lod_fade_s;
         if fade_s.is_nan() || fade_s <= 0.0 {
             return None;
         }
-        let (page, place) = (context.page, context.visit.place);
-        let active = in_range.take(MOST_FADING).enumerate().map(|(i, is)| u64::from(is) << i).sum();
-        let lod = (page.payloads()[node as usize] as usize, page.lods().len());
-        let generation = self.scene.page_id_at(place).generation;
-        let shares = self.fades.turn_lod(place, generation, lod, active, self.fades.step(fade_s));
+        let page = context.page;
+        let active = in_range.take(MAX_FADING_CHILDREN).enumerate().map(|(i, is)| u64::from(is) << i).sum();
+        let lod = LodIndex {
+            page: self.scene.page_id_at(context.visit.slot),
+            index: page.payloads()[node as usize] as usize,
+            count: page.lods().len(),
+        };
+        let shares = self.fades.advance_lod(lod, active, self.fades.step(fade_s));
         let is_fading = shares.share < WHOLE;
         self.counters.fading += u32::from(is_fading);
         is_fading.then_some(shares)
     }
 
-    /// Visits a child of a Lod, whose bit is given, in its part of the pixels.
+    /// Visits a child of a Lod that fades, in the band of the child. `bit` selects the child in the sets of the shares.
     #[cold]
     fn scan_fading(
         &mut self,
@@ -230,39 +232,39 @@ impl Cull<'_> {
     ) {
         let above = context.visit.fade;
         let (new, old) = above.band().split(shares.share);
-        let (band, leaving) = match (shares.old & bit != 0, shares.new & bit != 0) {
+        let (band, is_leaving) = match (shares.old & bit != 0, shares.new & bit != 0) {
             (true, true) => return self.scan_nodes(context, nodes.start, nodes.end, mask, matrix),
             (true, false) => (old, true),
-            (false, true) => (new, above.leaving()),
+            (false, true) => (new, above.is_leaving()),
             (false, false) => return self.keep_required(context, nodes),
         };
         if band.is_empty() {
             return self.keep_required(context, nodes);
         }
         let mut below = *context;
-        below.visit.fade = Fade::new(band, above.covered(), leaving);
-        let outer = self.enter_band(band);
+        below.visit.fade = Fade::new(band, above.is_covered(), is_leaving);
+        let outer = self.states.enter_band(band);
         self.scan_nodes(&below, nodes.start, nodes.end, mask, matrix);
-        self.enter_band(outer);
+        self.states.enter_band(outer);
     }
 
-    /// Keeps the tiles of a subtree that is not shown, where what replaces the page's parent waits for them.
+    /// Keeps the tiles of a subtree that is not shown, if the page can only replace its parent as a whole.
     pub(super) fn keep_required(&mut self, context: &PageContext, nodes: Range<u32>) {
         if self.keeps(context) {
             self.keep_tiles(context, nodes.start, nodes.end);
         }
     }
 
-    /// What replaces the page's parent waits for all tiles of the page: culled ones are asked for too. Shadows take what
-    /// is there.
+    /// Returns true if culled tiles of the page are requested too, because the page can only replace its parent as a whole.
+    /// Shadows use what is resident.
     fn keeps(&self, context: &PageContext) -> bool {
-        context.visit.required && !self.view.casts
+        context.visit.required && !self.views.current().casts
     }
 
-    /// Keeps the tiles of a culled subtree: the page can only replace what is above it as a whole.
+    /// Keeps and requests the tiles of a culled subtree.
     #[cold]
     fn keep_tiles(&mut self, context: &PageContext, first: u32, end: u32) {
-        let tiles = &context.page.tiles();
+        let tiles = context.page.tiles();
         let node_of = |root: usize| tiles.nodes()[tiles.roots()[root].tile as usize];
         let mut root = tiles.roots().partition_point(|r| tiles.nodes()[r.tile as usize] < first);
         while root < tiles.roots().len() && node_of(root) < end {
@@ -271,39 +273,38 @@ impl Cull<'_> {
         }
     }
 
-    /// The transform in whose frame a node lies.
+    /// Returns the transform in whose frame a node lies.
     pub(super) fn enclosing_transform(&self, context: &PageContext, node: u32) -> u32 {
         context.page.enclosing_transform(node)
     }
 
-    /// True for a bound that projects to too few pixels.
+    /// Returns true if a bound projects to too few pixels.
     fn is_small(&self, context: &PageContext, sphere: Vec4) -> bool {
         let depth = context.depth.dot(sphere.truncate().extend(1.0));
         let scale = context.depth.truncate().length();
-        sphere.w * scale < self.view.small_feature * (depth - sphere.w * scale)
+        sphere.w * scale < self.views.current().small_feature * (depth - sphere.w * scale)
     }
 
-    /// What a node's cull callback says; true without one.
+    /// Asks a node's cull callback; returns true without one.
     #[cold]
-    fn asks_to_visit(&mut self, context: &PageContext, node: u32) -> bool {
+    fn callback_allows_visit(&mut self, context: &PageContext, node: u32) -> bool {
         let page = context.page;
         let Some(callback) = page.cull_callback(node) else { return true };
         let info = cull_info(page, node, context.eye, self.camera.frame);
         matches!((callback.0)(&info), CullAction::Traverse)
     }
 
-    /// True for a sphere in the shadow of an occluder.
+    /// Returns true if a sphere is hidden by an occluder.
     #[cold]
     fn is_occluded(&mut self, sphere: Vec4) -> bool {
         let center = sphere.truncate().to_array();
-        let hidden =
-            (0.0..UNBOUNDED).contains(&sphere.w) && self.occluders.hide(self.page_occluders, center, |_| sphere.w);
+        let hidden = (0.0..UNBOUNDED).contains(&sphere.w) && self.occlusion.hides_in_page(center, |_| sphere.w);
         self.counters.occluded += u32::from(hidden);
         hidden
     }
 }
 
-/// The children of a node, each with its subtree.
+/// Returns the subtree of each child of a node.
 fn children(page: &Page, node: u32) -> impl Iterator<Item = Range<u32>> {
     let (mut next, end) = (node + 1, node + page.nodes()[node as usize].skip);
     std::iter::from_fn(move || {

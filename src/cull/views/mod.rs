@@ -1,0 +1,9 @@
+//! The views of a stage: a camera with the planes and measures that nodes and tiles are tested against.
+
+mod planes;
+mod view;
+mod view_stack;
+
+pub(super) use planes::{EyePlanes, GridPlanes, Planes, depth_row};
+pub(super) use view::{DepthRange, View};
+pub(super) use view_stack::ViewStack;
