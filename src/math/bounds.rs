@@ -7,30 +7,30 @@ use super::{Geodetic, WGS84};
 /// A sphere; `radius_m < 0` means empty.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoundingSphere {
-    /// Centre, in the frame of whoever owns the sphere.
+    /// Centre, in the frame of the sphere's owner.
     pub center: DVec3,
     /// Radius in metres, negative when the sphere is empty.
     pub radius_m: f64,
 }
 
 impl BoundingSphere {
-    /// The sphere that holds nothing.
+    /// The empty sphere.
     pub const EMPTY: Self = Self { center: DVec3::ZERO, radius_m: -1.0 };
 
-    /// The sphere that holds everything: what declares it is seen from anywhere.
+    /// The sphere around all space, for nodes that must never be culled.
     pub const EVERYTHING: Self = Self { center: DVec3::ZERO, radius_m: f64::INFINITY };
 
-    /// A sphere from its centre and radius.
+    /// Creates a sphere from its centre and radius.
     pub const fn new(center: DVec3, radius_m: f64) -> Self {
         Self { center, radius_m }
     }
 
-    /// True when the sphere holds nothing.
+    /// Returns true if the sphere is empty.
     pub fn is_empty(&self) -> bool {
         self.radius_m < 0.0
     }
 
-    /// The smallest sphere around both.
+    /// Returns the smallest sphere around both.
     pub fn union(&self, other: &Self) -> Self {
         if self.is_empty() {
             return *other;
@@ -50,7 +50,8 @@ impl BoundingSphere {
         Self { center: self.center + offset * ((radius_m - self.radius_m) / distance), radius_m }
     }
 
-    /// The sphere under an affine map, grown by the largest stretch; a little more where the map shears.
+    /// Returns a sphere around the image of the sphere under an affine map: scaled by the largest stretch, and slightly larger
+    /// if the map shears.
     pub fn transformed(&self, to_from: &DAffine3) -> Self {
         if self.is_empty() {
             return *self;
@@ -59,9 +60,10 @@ impl BoundingSphere {
     }
 }
 
-/// At least the largest factor by which a linear map stretches anything, and just that where its columns are at right
-/// angles to each other: the root of the largest row sum of the columns' products, which bounds their eigenvalues
-/// (Gershgorin). The longest column is less where a turn is stretched.
+/// Returns an upper bound of the factor by which a linear map stretches a vector; exact if its columns are orthogonal.
+///
+/// It is the root of the largest row sum of the columns' dot products, which bounds their eigenvalues (Gershgorin). The
+/// length of the longest column would be too small for a rotation that is stretched.
 pub(crate) fn max_scale(m: &DMat3) -> f64 {
     let [x, y, z] = [m.x_axis, m.y_axis, m.z_axis];
     let [xy, xz, yz] = [x.dot(y).abs(), x.dot(z).abs(), y.dot(z).abs()];
@@ -79,26 +81,26 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box that holds nothing.
+    /// The empty box.
     pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
 
-    /// The box around some points, as far as they are numbers.
+    /// Returns the box around points; NaN coordinates are ignored.
     pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {
-        // Of a comparison with what is no number the second comes out.
+        // `min` and `max` return their second operand if the first is NaN.
         points.into_iter().fold(Self::EMPTY, |b, p| Self { min: p.min(b.min), max: p.max(b.max) })
     }
 
-    /// True when the box holds nothing.
+    /// Returns true if the box is empty.
     pub fn is_empty(&self) -> bool {
         !self.min.cmple(self.max).all()
     }
 
-    /// The middle of the box.
+    /// Returns the centre of the box.
     pub fn center(&self) -> DVec3 {
         0.5 * (self.min + self.max)
     }
 
-    /// The eight corners.
+    /// Returns the eight corners.
     pub fn corners(&self) -> [DVec3; 8] {
         [0, 1, 2, 3, 4, 5, 6, 7].map(|i: u32| {
             let pick = |bit: u32, min: f64, max: f64| if i >> bit & 1 == 0 { min } else { max };
@@ -110,17 +112,17 @@ impl Aabb {
         })
     }
 
-    /// Half the extent along each axis.
+    /// Returns half the extent along each axis.
     pub fn half_size(&self) -> DVec3 {
         0.5 * (self.max - self.min)
     }
 
-    /// The smallest box around both.
+    /// Returns the smallest box around both.
     pub fn union(&self, other: &Self) -> Self {
         Self { min: self.min.min(other.min), max: self.max.max(other.max) }
     }
 
-    /// The axis-aligned box around this box under an affine map.
+    /// Returns the axis-aligned box around the image of this box under an affine map.
     pub fn transformed(&self, to_from: &DAffine3) -> Self {
         if self.is_empty() {
             return *self;
@@ -132,7 +134,7 @@ impl Aabb {
         Self { min: center - reach, max: center + reach }
     }
 
-    /// The sphere around the box.
+    /// Returns the sphere around the box.
     pub fn bounding_sphere(&self) -> BoundingSphere {
         if self.is_empty() {
             BoundingSphere::EMPTY
@@ -152,7 +154,7 @@ pub struct OrientedBox {
 }
 
 impl OrientedBox {
-    /// The sphere around the box, without end where an axis is no number.
+    /// Returns the sphere around the box; infinite if an axis is NaN.
     pub fn bounding_sphere(&self) -> BoundingSphere {
         let m = &self.half_axes;
         if m.is_nan() {
@@ -166,19 +168,19 @@ impl OrientedBox {
         BoundingSphere::new(self.center, radius_m)
     }
 
-    /// The axis-aligned box around the box.
+    /// Returns the axis-aligned box around the box.
     pub fn aabb(&self) -> Aabb {
         let m = &self.half_axes;
         let reach = m.x_axis.abs() + m.y_axis.abs() + m.z_axis.abs();
         Aabb { min: self.center - reach, max: self.center + reach }
     }
 
-    /// The box under an affine map.
+    /// Returns the image of the box under an affine map.
     pub fn transformed(&self, to_from: &DAffine3) -> Self {
         Self { center: to_from.transform_point3(self.center), half_axes: to_from.matrix3 * self.half_axes }
     }
 
-    /// Distance in metres from a point to the nearest point of the box (axes taken as orthogonal); 0 inside.
+    /// Returns the distance in metres from a point to the nearest point of the box; 0 inside. The axes must be orthogonal.
     pub fn distance_to(&self, point: DVec3) -> f64 {
         let offset = point - self.center;
         let m = &self.half_axes;
@@ -194,7 +196,7 @@ impl OrientedBox {
                 outside += excess * excess;
             }
         }
-        // What is left lies along axes of zero length.
+        // The remainder lies along axes of zero length.
         (outside + rest.length_squared()).sqrt()
     }
 }
@@ -217,13 +219,13 @@ pub struct Region {
 }
 
 impl Region {
-    /// Extent in longitude in radians, antimeridian taken into account.
+    /// Returns the extent in longitude in radians, also across the antimeridian.
     pub fn width(&self) -> f64 {
         let w = self.east - self.west;
         if w < 0.0 { w + std::f64::consts::TAU } else { w }
     }
 
-    /// The middle of the region at a height, geodetic.
+    /// Returns the centre of the region in longitude, latitude and height.
     pub fn center(&self) -> Geodetic {
         Geodetic {
             longitude: self.west + 0.5 * self.width(),
@@ -232,7 +234,7 @@ impl Region {
         }
     }
 
-    /// An oriented box (east, north, up at the centre) around the region, in ECEF metres.
+    /// Returns an oriented box (east, north, up at the centre) around the region, in ECEF metres.
     pub fn oriented_box(&self) -> OrientedBox {
         let center = self.center();
         let ecef_from_enu = WGS84.ecef_from_enu(&center);
@@ -262,7 +264,7 @@ impl Region {
     }
 }
 
-/// Any volume that 3D Tiles names.
+/// A bounding volume of 3D Tiles.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BoundingVolume {
     /// `sphere`.
@@ -274,14 +276,14 @@ pub enum BoundingVolume {
 }
 
 impl BoundingVolume {
-    /// True when a point (in ECEF for a region) is inside or on the surface.
+    /// Returns true if a point (in ECEF for a region) is inside or on the surface.
     pub fn contains(&self, point: DVec3) -> bool {
         match self {
             Self::Sphere(s) => s.center.distance(point) <= s.radius_m,
             Self::Box(b) => b.distance_to(point) <= 1e-9 * b.center.distance(point),
             Self::Region(r) => {
                 let g = WGS84.geodetic(point);
-                // East of the antimeridian's other side where the region crosses it.
+                // A region that crosses the antimeridian continues beyond 180 degrees.
                 let east = if r.east < r.west { r.east + std::f64::consts::TAU } else { r.east };
                 let longitude = if g.longitude < r.west { g.longitude + std::f64::consts::TAU } else { g.longitude };
                 longitude <= east
@@ -291,7 +293,7 @@ impl BoundingVolume {
         }
     }
 
-    /// The oriented box of a box or region; `None` for a sphere.
+    /// Returns the oriented box of a box or region; `None` for a sphere.
     pub fn oriented_box(&self) -> Option<OrientedBox> {
         match self {
             Self::Sphere(_) => None,
@@ -300,7 +302,7 @@ impl BoundingVolume {
         }
     }
 
-    /// The sphere around the volume.
+    /// Returns the sphere around the volume.
     pub fn bounding_sphere(&self) -> BoundingSphere {
         match self {
             Self::Sphere(s) => *s,

@@ -1,10 +1,11 @@
-//! From depths as adapters keep them to metres.
+//! Conversion of depth buffer values to metres.
 
 use glam::DMat4;
 
-/// Metres in front of the eye, along the view axis, of what has a depth under a projection, which may have parallel rays or
-/// no far plane: then depth 0 is infinitely far. The projection's depth must not depend on where in the picture it is, as
-/// it does with an oblique near plane.
+/// Returns the distance in front of the eye in metres, along the view axis, for a depth under a reversed-Z projection.
+///
+/// The projection may be parallel, or without a far plane: then depth 0 is infinitely far. Its depth must not depend on the
+/// position in the image, as it does with an oblique near plane.
 pub fn distance_of_depth(clip_from_eye: &DMat4, depth: f32) -> f64 {
     let depth = f64::from(depth);
     // depth = (z.z * -d + w.z) / (z.w * -d + w.w)
@@ -20,7 +21,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn depths_are_the_distances_that_were_projected() {
+    fn depth_converts_back_to_the_projected_distance() {
         let all = [
             proj::perspective_infinite_reverse(1.0, 1.5, 0.1),
             proj::perspective(1.0, 1.5, 1e5, 0.1),

@@ -12,8 +12,8 @@ pub struct Frustum {
 }
 
 impl Frustum {
-    /// The side and near planes of a reversed-Z, infinite-far projection. `clip_from_world` may be any
-    /// clip-from-something matrix; the planes come out in that something.
+    /// Takes the side and near planes of a reversed-Z projection. `clip_from_world` may map from any frame; the planes are in
+    /// that frame.
     pub fn from_clip(clip_from_world: &DMat4) -> Self {
         let m = clip_from_world.transpose();
         let (x, y, z, w) = (m.x_axis, m.y_axis, m.z_axis, m.w_axis);
@@ -25,12 +25,12 @@ impl Frustum {
         Self { planes }
     }
 
-    /// False only when the sphere is wholly outside some plane.
+    /// Returns false only if the sphere is wholly outside of some plane.
     pub fn intersects_sphere(&self, sphere: &BoundingSphere) -> bool {
         self.planes.iter().all(|p| p.truncate().dot(sphere.center) + p.w >= -sphere.radius_m)
     }
 
-    /// True when the point is inside all planes.
+    /// Returns true if the point is inside all planes.
     pub fn contains(&self, point: DVec3) -> bool {
         self.planes.iter().all(|p| p.truncate().dot(point) + p.w >= 0.0)
     }

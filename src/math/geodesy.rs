@@ -28,18 +28,18 @@ pub struct Ellipsoid {
 pub const WGS84: Ellipsoid = Ellipsoid { semi_major_m: 6_378_137.0, semi_minor_m: 6_356_752.314_245_179 };
 
 impl Ellipsoid {
-    /// First eccentricity squared.
+    /// Returns the first eccentricity squared.
     pub fn eccentricity_squared(&self) -> f64 {
         1.0 - (self.semi_minor_m * self.semi_minor_m) / (self.semi_major_m * self.semi_major_m)
     }
 
-    /// Radius of curvature in the prime vertical at a latitude, metres.
+    /// Returns the radius of curvature in the prime vertical at a latitude, metres.
     pub fn prime_vertical_radius_m(&self, latitude: f64) -> f64 {
         let s = latitude.sin();
         self.semi_major_m / (1.0 - self.eccentricity_squared() * s * s).sqrt()
     }
 
-    /// ECEF metres of a geodetic point.
+    /// Returns the ECEF metres of a geodetic point.
     pub fn ecef(&self, g: &Geodetic) -> DVec3 {
         let n = self.prime_vertical_radius_m(g.latitude);
         let (sin_lat, cos_lat) = g.latitude.sin_cos();
@@ -48,8 +48,8 @@ impl Ellipsoid {
         DVec3::new(r * cos_lon, r * sin_lon, (n * (1.0 - self.eccentricity_squared()) + g.height_m) * sin_lat)
     }
 
-    /// Geodetic coordinates of an ECEF point (Bowring's start, then Newton on the latitude; below 1e-9 m
-    /// from the surface to geostationary height).
+    /// Returns the geodetic coordinates of an ECEF point: Bowring's start, then a fixed-point iteration of the latitude. The
+    /// error is below 1e-9 m from the surface to geostationary height.
     pub fn geodetic(&self, p: DVec3) -> Geodetic {
         let e2 = self.eccentricity_squared();
         let r = p.x.hypot(p.y);
@@ -69,14 +69,14 @@ impl Ellipsoid {
         Geodetic { longitude, latitude, height_m }
     }
 
-    /// Unit normal of the ellipsoid at a geodetic point.
+    /// Returns the unit normal of the ellipsoid at a geodetic point.
     pub fn up(&self, g: &Geodetic) -> DVec3 {
         let (sin_lat, cos_lat) = g.latitude.sin_cos();
         let (sin_lon, cos_lon) = g.longitude.sin_cos();
         DVec3::new(cos_lat * cos_lon, cos_lat * sin_lon, sin_lat)
     }
 
-    /// The local east, north, up frame at a point: maps ENU metres to ECEF metres.
+    /// Returns the map from local east, north, up (ENU) metres at a point to ECEF metres.
     pub fn ecef_from_enu(&self, g: &Geodetic) -> DAffine3 {
         let up = self.up(g);
         let (sin_lon, cos_lon) = g.longitude.sin_cos();

@@ -1,6 +1,7 @@
-//! Bounds, frusta, rays and geodesy: plain values, used on every thread, in every stage of the frame.
+//! Bounds, frusta, rays, geodesy, colour conversion and random numbers: plain values for every thread and every stage of
+//! the frame.
 //!
-//! World positions are `f64`; what is stored per node is `f32` relative to a page's frame.
+//! World positions are `f64`; values per node are stored as `f32`, relative to a page's frame.
 
 mod bounds;
 pub mod color;

@@ -1,40 +1,40 @@
-//! Rays and segments in f64, and where they enter bounds.
+//! Rays and segments in f64, and their intersection with bounds.
 
 use glam::{DAffine3, DMat3, DVec3};
 
 /// Points `origin + ratio * direction` with `0 <= ratio <= max_ratio`: a segment, or a ray where `max_ratio` is infinite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Where it begins, metres.
+    /// The start, metres.
     pub origin: DVec3,
-    /// One step of the ratio; need not be of unit length.
+    /// The vector from ratio 0 to ratio 1, of any length.
     pub direction: DVec3,
-    /// Where it ends.
+    /// The ratio of the end.
     pub max_ratio: f64,
 }
 
 impl Ray {
-    /// From one point to another: ratio 0 to 1.
+    /// Creates the segment from one point (ratio 0) to another (ratio 1).
     pub fn segment(start: DVec3, end: DVec3) -> Self {
         Self { origin: start, direction: end - start, max_ratio: 1.0 }
     }
 
-    /// Without an end.
+    /// Creates a ray without an end.
     pub fn infinite(origin: DVec3, direction: DVec3) -> Self {
         Self { origin, direction, max_ratio: f64::INFINITY }
     }
 
-    /// The point at a ratio.
+    /// Returns the point at a ratio.
     pub fn at(&self, ratio: f64) -> DVec3 {
         self.origin + self.direction * ratio
     }
 
-    /// False where a coordinate is NaN or infinite, or the direction is zero: such a ray meets nothing.
+    /// Returns false if a coordinate is NaN or infinite, or if the direction is zero: such a ray hits nothing.
     pub fn is_valid(&self) -> bool {
         self.origin.is_finite() && self.direction.is_finite() && self.direction != DVec3::ZERO && self.max_ratio >= 0.0
     }
 
-    /// The same points in another frame, at the same ratios.
+    /// Returns the ray in another frame, with the same ratios.
     pub fn moved(&self, to_from: &DAffine3) -> Self {
         Self {
             origin: to_from.transform_point3(self.origin),
@@ -43,8 +43,8 @@ impl Ray {
         }
     }
 
-    /// The same points in the frame that `from_to` comes from. The translation is subtracted first, so that nothing is
-    /// lost at planetary coordinates. `None` where the map has no inverse.
+    /// Returns the ray in the source frame of `from_to`, or `None` if the map has no inverse. The translation is subtracted
+    /// first, so that planetary coordinates keep their precision.
     pub fn moved_back(&self, from_to: &DAffine3) -> Option<Self> {
         let inverse = from_to.matrix3.inverse();
         let moved = Self {
@@ -55,7 +55,7 @@ impl Ray {
         moved.is_valid().then_some(moved)
     }
 
-    /// The least ratio inside a sphere; `None` where it misses.
+    /// Returns the least ratio inside a sphere, or `None` if it misses.
     pub fn enters_sphere(&self, center: DVec3, radius_m: f64) -> Option<f64> {
         let to_center = center - self.origin;
         let length_squared = self.direction.length_squared();
@@ -70,12 +70,12 @@ impl Ray {
         (enter <= (nearest + half).min(self.max_ratio)).then_some(enter)
     }
 
-    /// The least ratio inside a box along the axes of the frame; `None` where it misses.
+    /// Returns the least ratio inside an axis-aligned box, or `None` if it misses.
     pub fn enters_box(&self, center: DVec3, half: DVec3) -> Option<f64> {
         self.enters(self.origin - center, self.direction, half)
     }
 
-    /// The least ratio inside a box with unit axes of its own (columns); `None` where it misses.
+    /// Returns the least ratio inside a box whose unit axes are the columns of `axes`, or `None` if it misses.
     pub fn enters_oriented(&self, center: DVec3, axes: &DMat3, half: DVec3) -> Option<f64> {
         let box_from_frame = axes.transpose();
         self.enters(box_from_frame * (self.origin - center), box_from_frame * self.direction, half)
@@ -88,7 +88,7 @@ impl Ray {
     }
 }
 
-/// The ratios between which a line is between two corners; the first is larger where it never is.
+/// Returns the ratios between which a line is inside the box between two corners. The first is larger if it misses.
 pub(crate) fn slab(origin: DVec3, direction: DVec3, min: DVec3, max: DVec3) -> (f64, f64) {
     let (mut first, mut last) = (f64::NEG_INFINITY, f64::INFINITY);
     for axis in 0..3 {
@@ -111,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ray_enters_what_is_before_it() {
+    fn ray_enters_bounds_before_it() {
         let ray = Ray::infinite(DVec3::new(-10.0, 0.0, 0.0), DVec3::X * 2.0);
         assert_eq!(ray.enters_sphere(DVec3::ZERO, 2.0), Some(4.0));
         assert_eq!(ray.enters_sphere(DVec3::new(-20.0, 0.0, 0.0), 2.0), None, "behind it");
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_segment_ends() {
+    fn segment_ends_at_its_ratio() {
         let segment = Ray::segment(DVec3::ZERO, DVec3::X);
         assert_eq!(segment.enters_sphere(DVec3::X * 3.0, 1.5), None);
         assert_eq!(segment.enters_box(DVec3::X * 3.0, DVec3::splat(2.0)), Some(1.0));

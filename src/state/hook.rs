@@ -1,8 +1,8 @@
-//! [`DrawHook`]: what the draw phase calls back, carried by scenes and state sets that know nothing of drawing.
+//! [`DrawHook`]: a callback of the draw phase, carried by scenes and state sets, which know nothing of drawing.
 
 use std::sync::Arc;
 
-/// Something for the draw phase that is only carried: made by and given back to `draw`. Equal where it is the same one.
+/// An opaque value for the draw phase, which creates and reads it. Compared by identity.
 #[derive(Clone)]
 pub struct DrawHook(pub Arc<dyn std::any::Any + Send + Sync>);
 

@@ -1,16 +1,18 @@
-//! Materials, lights and fog: what the fixed function shades with, in OpenGL's and OSG's terms.
+//! Materials, lights and fog of the fixed function, in the terms of OpenGL and OSG.
 
-/// Reflection of light in OpenGL's terms, linear colours. With one, vertex colours are factors of `diffuse` and
-/// `ambient`; textures of all, or of all but `specular` ([`ColorControl`]).
+/// A surface material in OpenGL's terms, with linear colours.
+///
+/// Vertex colours multiply `diffuse` and `ambient`. Textures multiply everything, or everything but `specular`
+/// ([`ColorControl`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceMaterial {
-    /// Of ambient light.
+    /// Reflection of ambient light.
     pub ambient: [f32; 3],
-    /// Of light from a direction; w is alpha.
+    /// Diffuse reflection; w is alpha.
     pub diffuse: [f32; 4],
-    /// Of mirrored light.
+    /// Specular reflection.
     pub specular: [f32; 3],
-    /// Shines by itself.
+    /// Emitted light.
     pub emission: [f32; 3],
     /// Exponent of the highlight.
     pub shininess: f32,
@@ -23,34 +25,34 @@ impl Default for SurfaceMaterial {
     }
 }
 
-/// Which part of light textures are factors of.
+/// The part of the reflected light that textures multiply.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ColorControl {
-    /// All of it.
+    /// All light.
     #[default]
     SingleColor,
-    /// All but highlights, which are added to the textured surface.
+    /// All light but highlights, which are added to the textured surface.
     SeparateSpecularColor,
 }
 
-/// How lights are reckoned with, whichever they are; OSG's `LightModel`.
+/// Parameters of lighting that hold for all lights; OSG's `LightModel`.
 ///
-/// The default is what OpenGL begins with, but for light from everywhere, of which there is none. Without any light
-/// model it is the same, but that meshes are lit on the side that is seen, as glTF has it of its double-sided materials.
+/// The default is OpenGL's initial state, except that global ambient light is black. Without a light model the same
+/// holds, but meshes are lit on the visible side, as glTF requires for double-sided materials.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightModel {
-    /// Linear colour of light that comes from everywhere.
+    /// Linear colour of global ambient light.
     pub ambient: [f32; 3],
-    /// Highlights are as the eye sees them from its own place; otherwise as from infinitely far along the view axis, so
-    /// that a plane under a far light shines alike all over.
+    /// Highlights are computed for the position of the eye. Otherwise they are computed for an eye infinitely far along the
+    /// view axis, so that a plane under a far light is equally bright everywhere.
     pub local_viewer: bool,
-    /// Back faces are lit on their own side, and reflect as the back of [`Attribute::SurfaceMaterials`]; else light falls
-    /// on them as on the front faces whose backs they are. Which faces are front faces [`FrontFace`] says.
+    /// Back faces are lit on their own side, with the back material of [`Attribute::SurfaceMaterials`]. Otherwise they are
+    /// lit like the front faces that they belong to. [`FrontFace`] defines the front.
     ///
     /// [`Attribute::SurfaceMaterials`]: super::Attribute::SurfaceMaterials
     /// [`FrontFace`]: super::FrontFace
     pub two_sided: bool,
-    /// Whether textures darken highlights.
+    /// Selects whether textures darken highlights.
     pub color_control: ColorControl,
 }
 
@@ -60,32 +62,32 @@ impl Default for LightModel {
     }
 }
 
-/// A light in OpenGL's terms, linear colours. One that says anything that is not finite does not shine; the renderer says
-/// so once.
+/// A light in OpenGL's terms, with linear colours. A light with a value that is not finite is off, which the renderer
+/// reports once.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Light {
-    /// 0 to 7, see [`Mode::Light`](super::Mode::Light).
+    /// The number of the light, 0 to 7, see [`Mode::Light`](super::Mode::Light).
     pub number: u8,
-    /// x, y, z and 1 for a place, or the direction towards the light and 0.
+    /// Position and 1, or direction towards the light and 0.
     pub position: [f64; 4],
-    /// Where a spot shines to.
+    /// Direction of a spot light.
     pub direction: [f64; 3],
-    /// Reaches every surface.
+    /// Colour that reaches every surface.
     pub ambient: [f32; 3],
-    /// Reaches surfaces that face it.
+    /// Colour that reaches surfaces facing the light.
     pub diffuse: [f32; 3],
-    /// Mirrored.
+    /// Colour of highlights.
     pub specular: [f32; 3],
-    /// Divided by `c + l * d + q * d * d` at `d` metres.
+    /// Coefficients c, l and q: at `d` metres the light is divided by `c + l * d + q * d * d`.
     pub attenuation: [f32; 3],
-    /// Half angle of a spot's cone in radians; pi shines all around.
+    /// Half angle of a spot's cone in radians; pi lights all directions.
     pub spot_cutoff: f32,
-    /// How the spot falls off towards its rim.
+    /// Exponent of a spot's falloff towards its rim.
     pub spot_exponent: f32,
 }
 
 impl Default for Light {
-    /// A white light from above the eye's back.
+    /// Returns a white light from behind the eye.
     fn default() -> Self {
         Self {
             number: 0,
@@ -101,10 +103,10 @@ impl Default for Light {
     }
 }
 
-/// How fog thickens with the distance `d` in front of the eye.
+/// The density of fog by the depth `d` in front of the eye.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FogMode {
-    /// From none at `start_m` to all at `end_m`.
+    /// Grows linearly from none at `start_m` to full at `end_m`.
     Linear {
         /// Metres.
         start_m: f32,
@@ -123,10 +125,10 @@ pub enum FogMode {
     },
 }
 
-/// Fog instead of the environment's haze.
+/// Fog that replaces the environment's haze.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fog {
-    /// How it thickens.
+    /// The growth with depth.
     pub mode: FogMode,
     /// Linear colour.
     pub color: [f32; 3],

@@ -1,63 +1,62 @@
-//! Programs and uniforms: shading of the application's own.
+//! Programs and uniforms: shading by the application.
 
 use std::sync::Arc;
 
 /// WGSL that replaces the shading of meshes and height tiles.
 ///
-/// It stands behind what `src/draw/shaders/frame.wgsl` and `mesh_vertex.wgsl` declare: `frame`, `leaves`,
-/// `MeshVertex`, `point_in_eye`. It has a vertex entry point `vs_main(vertex: MeshVertex, @builtin(instance_index)
+/// The source is appended to `src/draw/shaders/frame.wgsl` and `mesh_vertex.wgsl`, which declare `frame`, `leaves`,
+/// `MeshVertex` and `point_in_eye`. It has a vertex entry point `vs_main(vertex: MeshVertex, @builtin(instance_index)
 /// instance: u32)` and a fragment entry point `fs_main`. It may declare
 /// ```text
 /// struct Uniforms { tint: vec4<f32>, osg_SimulationTime: f32, ... }
 /// @group(2) @binding(0) var<uniform> uniforms: Uniforms;              members are filled by name
-/// @group(2) @binding(1 + 2 * unit) var picture: texture_2d<f32>;      textures of units 0 to 3, of any kind
-/// @group(2) @binding(2 + 2 * unit) var picture_sampler: sampler;
+/// @group(2) @binding(1 + 2 * unit) var image: texture_2d<f32>;        textures of units 0 to 3, of any kind
+/// @group(2) @binding(2 + 2 * unit) var image_sampler: sampler;
 /// override FANCY: bool = false;                                       set by defines
 /// ```
 /// The members `osg_FrameNumber` (u32), `osg_FrameTime`, `osg_DeltaFrameTime`, `osg_SimulationTime` (f32, seconds),
 /// `osg_ViewMatrix` and `osg_ViewMatrixInverse` (mat4x4) are filled without being given.
 ///
-/// What the vertices of a mesh have besides ([`Mesh::with_attribute`](crate::scene::Mesh::with_attribute)) `vs_main` reads
-/// by name at any location from 4 on, in arguments or in members of a struct:
+/// Custom vertex attributes ([`Mesh::with_attribute`](crate::scene::Mesh::with_attribute)) are read by name at any
+/// location from 4 on, as arguments of `vs_main` or as members of a struct:
 /// ```text
 /// @vertex fn vs_main(vertex: MeshVertex, @location(4) TANGENT: vec4<f32>, @location(5) _HEAT: f32, ...)
 /// ```
-/// Their scalars are those of the attribute's format
-/// ([`AttributeFormat::scalar`](crate::scene::AttributeFormat::scalar)); of a vector with more components than the
-/// attribute those that lack are 0, 0 and 1. Meshes that have no such attribute, or one of other scalars, are drawn in
-/// magenta, and said once.
+/// The scalar type must be that of the attribute's format
+/// ([`AttributeFormat::scalar`](crate::scene::AttributeFormat::scalar)). Components that the attribute lacks are 0, 0
+/// and 1. Meshes without such an attribute, or with another scalar type, are drawn in magenta and reported once.
 ///
-/// Of a height tile, `vs_main` is called with its displaced and morphed vertices: position and normal in the tile's
-/// frame, texture coordinates of its image, white. It may take `MeshVertex`, the vertex's index and the instance's, and
-/// `@vertex` stands right before `fn vs_main`; a program that cannot be used so is said, and height tiles are plain.
-/// Shadows of height tiles are those of their surface, whatever the program moves.
+/// For a height tile, `vs_main` is called with displaced and morphed vertices: position and normal in the tile's frame,
+/// texture coordinates of its image, and white. Its arguments may then be `MeshVertex`, the vertex index and the
+/// instance index, and `@vertex` must stand directly before `fn vs_main`. A program that breaks these rules is reported,
+/// and height tiles are drawn without it. Shadows of height tiles ignore displacements by the program.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Program {
-    /// For people, and for errors.
+    /// The name in logs and errors.
     pub name: String,
-    /// The source.
+    /// The source text.
     pub wgsl: String,
-    /// Values of `override`s; those that the source does not declare are ignored.
+    /// Values of `override` constants; names that the source does not declare are ignored.
     pub defines: Vec<(String, f64)>,
 }
 
 impl Program {
-    /// A program without defines.
+    /// Creates a program without defines.
     pub fn new(name: &str, wgsl: &str) -> Arc<Self> {
         Arc::new(Self { name: name.into(), wgsl: wgsl.into(), defines: Vec::new() })
     }
 }
 
-/// Declares the values: each with its type in WGSL, and by columns of a matrix or elements of an array their bytes and
-/// the distance to the next, as WGSL lays them out in a uniform.
+/// Declares the variants of [`UniformValue`]: type, WGSL name, and the size and stride in bytes of a matrix column or array
+/// element in WGSL's uniform layout.
 macro_rules! uniform_values {
     (values { $($value:ident($ty:ty) $wgsl:literal $column:literal $stride:literal,)+ }
      arrays { $($array:ident($of:ty) $of_wgsl:literal $of_column:literal $of_stride:literal,)+ }) => {
-        /// The value of a uniform: scalars, vectors and matrices (by columns; `Mat2x3` has two of three) of f32, i32 and
-        /// u32, and arrays of them.
+        /// The value of a uniform: a scalar, vector or matrix of f32, i32 or u32, or an array. Matrices are given by columns;
+        /// `Mat2x3` has two columns of three rows.
         ///
-        /// Arrays are those that WGSL lets uniforms have: their elements take a multiple of 16 bytes. One that is shorter
-        /// than it is declared leaves zeros, of a longer one the end is left out.
+        /// Arrays are limited to WGSL's uniform layout: elements take a multiple of 16 bytes. An array that is shorter than
+        /// declared is filled with zeros, and a longer one is truncated.
         #[allow(missing_docs, reason = "WGSL's types")]
         #[derive(Clone, Debug, PartialEq)]
         pub enum UniformValue {
@@ -66,7 +65,7 @@ macro_rules! uniform_values {
         }
 
         impl UniformValue {
-            /// Its bytes by columns or elements: those of one, and the distance to the next.
+            /// Returns the bytes, the size of one column or element, and the stride to the next in the uniform buffer.
             pub(crate) fn columns(&self) -> (&[u8], usize, usize) {
                 match self {
                     $(Self::$value(v) => (bytemuck::bytes_of(v), $column, $stride),)+
@@ -74,7 +73,7 @@ macro_rules! uniform_values {
                 }
             }
 
-            /// WGSL's name of the type, of arrays without their length.
+            /// Returns the WGSL name of the type; arrays without their length.
             pub(crate) fn type_name(&self) -> &'static str {
                 match self {
                     $(Self::$value(_) => $wgsl,)+
@@ -130,8 +129,8 @@ uniform_values! {
 /// A named value for [`Program`]s.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Uniform {
-    /// Name of the member it fills.
+    /// The name of the struct member.
     pub name: Arc<str>,
-    /// Its value.
+    /// The value.
     pub value: UniformValue,
 }

@@ -1,40 +1,47 @@
-//! What a chain of state sets comes to.
+//! [`ResolvedState`]: the result of a chain of state sets from the root of the scene to a drawable.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::attributes::{
-    AlphaFunc, Attribute, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, FrontFace, Mode, NumberError,
-    PolygonMode, PolygonOffset, Scissor, StateValue, Stencil, TEXTURE_UNITS, TexGen, Viewport,
-};
+use super::attributes::Attribute;
+use super::bins::BinDetails;
+use super::hook::DrawHook;
 use super::lighting::{Fog, LightModel, SurfaceMaterial};
-use super::{BinDetails, DrawHook, Program, StateSet, TextureBinding, Uniform};
+use super::modes::{Mode, NumberError, StateValue, TEXTURE_UNITS};
+use super::program::{Program, Uniform};
+use super::raster::{
+    AlphaFunc, BlendEquation, BlendFunc, ColorMask, CullFace, Depth, FrontFace, PolygonMode, PolygonOffset, Scissor,
+    Stencil, Viewport,
+};
+use super::state_set::StateSet;
+use super::texgen::TexGen;
+use super::texture::TextureBinding;
 
 /// A value as the chain above left it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Stated<T> {
+struct Inherited<T> {
     value: T,
-    /// Some state set said it.
-    given: bool,
-    /// What comes below does not count unless it is protected.
+    /// Some state set has set the value; otherwise it is the default.
+    is_set: bool,
+    /// Values below are ignored unless they are protected.
     overrides: bool,
 }
 
-impl<T> Stated<T> {
-    /// What a state set further down says; as `State::pushMode` and `State::pushAttribute` of OSG decide.
-    fn state(&mut self, value: T, how: StateValue) {
-        if counts(self.overrides, how) {
-            *self = Self { value, given: true, overrides: how.contains(StateValue::OVERRIDE) };
+impl<T> Inherited<T> {
+    /// Applies the value of a state set further down, by the rules of OSG's `State::pushAttribute`.
+    fn apply(&mut self, value: T, how: StateValue) {
+        if applies(self.overrides, how) {
+            *self = Self { value, is_set: true, overrides: how.contains(StateValue::OVERRIDE) };
         }
     }
 }
 
-/// Whether what is said below something that overrides (or not) counts.
-fn counts(overridden: bool, how: StateValue) -> bool {
+/// Returns true if a value applies, below one that overrides or not.
+fn applies(overridden: bool, how: StateValue) -> bool {
     (!overridden || how.contains(StateValue::PROTECTED)) && !how.contains(StateValue::INHERIT)
 }
 
-/// All modes, a bit each by [`Mode::index`].
+/// All modes, one bit each by [`Mode::index`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Modes {
     on: u64,
@@ -43,15 +50,16 @@ struct Modes {
 
 const _: () = assert!(Mode::COUNT <= 64);
 
-/// None for what there is not.
+/// Returns the bit of a mode; 0 for a number that is out of range.
 fn bit(mode: Mode) -> u64 {
     mode.index().map_or(0, |index| 1 << index)
 }
 
 impl Modes {
-    fn state(&mut self, mode: Mode, how: StateValue) {
+    /// Applies the flags of a state set further down, by the rules of OSG's `State::pushMode`.
+    fn apply(&mut self, mode: Mode, how: StateValue) {
         let bit = bit(mode);
-        if counts(self.overrides & bit != 0, how) {
+        if applies(self.overrides & bit != 0, how) {
             let put = |bits: u64, set: bool| if set { bits | bit } else { bits & !bit };
             self.on = put(self.on, how.contains(StateValue::ON));
             self.overrides = put(self.overrides, how.contains(StateValue::OVERRIDE));
@@ -62,52 +70,56 @@ impl Modes {
         self.on & bit(mode) != 0
     }
 
-    /// What a drawable itself says, where nothing above overrides it.
-    fn by_drawable(&self, mode: Mode, value: bool) -> bool {
+    /// Returns the value of a mode that a drawable itself sets to `value`, unless a state set overrides it.
+    fn for_drawable(&self, mode: Mode, value: bool) -> bool {
         if self.overrides & bit(mode) != 0 { self.is_on(mode) } else { value }
     }
 }
 
-/// Inherited state sets, resolved once for each chain and kept by cull from frame to frame.
+/// The state that a chain of state sets results in. Cull resolves each chain once and keeps it from frame to frame.
+///
+/// More than 16 fields: one for each attribute that OSG knows, read through methods that combine it with its mode.
 #[derive(Clone, Debug)]
 pub struct ResolvedState {
-    /// Unlike that of any other chain in the process; draw keeps what it derives under it.
+    /// Identifies the chain in the process; draw caches what it derives by it.
     pub id: u64,
-    /// Name of the last state set that has one.
+    /// The name of the last state set that has one.
     pub name: String,
-    /// Linear colour factor: the product of all.
+    /// The product of all linear colour factors.
     pub color: [f32; 4],
-    /// The bin the leaves are in, from the outermost to the innermost; the stage's own without any.
+    /// The bin of the leaves, from the outermost to the innermost; empty for the stage's own leaves.
     pub bins: Vec<BinDetails>,
-    /// Those of `bins` that the application draws itself, in their places; may be shorter.
+    /// By index into `bins`: the callback that draws the bin instead of the renderer. May be shorter than `bins`.
     pub bin_callbacks: Vec<Option<DrawHook>>,
     bins_overridden: bool,
-    /// The drawables' materials blend.
+    /// The materials of the drawables blend.
     blended_material: bool,
     modes: Modes,
-    blend_func: Stated<BlendFunc>,
-    blend_equation: Stated<BlendEquation>,
-    blend_color: Stated<[f32; 4]>,
-    depth: Stated<Depth>,
-    cull_face: Stated<CullFace>,
-    front_face: Stated<FrontFace>,
-    polygon_mode: Stated<PolygonMode>,
-    polygon_offset: Stated<PolygonOffset>,
-    color_mask: Stated<ColorMask>,
-    alpha_func: Stated<AlphaFunc>,
-    stencil: Stated<Stencil>,
-    scissor: Stated<Scissor>,
-    viewport: Stated<Option<Viewport>>,
-    /// Front and back.
-    materials: Stated<Option<[SurfaceMaterial; 2]>>,
-    light_model: Stated<Option<LightModel>>,
-    fog: Stated<Option<Fog>>,
-    texgens: [Stated<Option<TexGen>>; TEXTURE_UNITS],
-    textures: [Stated<Option<TextureBinding>>; TEXTURE_UNITS],
-    program: Stated<Option<Arc<Program>>>,
+    blend_func: Inherited<BlendFunc>,
+    blend_equation: Inherited<BlendEquation>,
+    blend_color: Inherited<[f32; 4]>,
+    depth: Inherited<Depth>,
+    cull_face: Inherited<CullFace>,
+    front_face: Inherited<FrontFace>,
+    polygon_mode: Inherited<PolygonMode>,
+    polygon_offset: Inherited<PolygonOffset>,
+    color_mask: Inherited<ColorMask>,
+    alpha_func: Inherited<AlphaFunc>,
+    stencil: Inherited<Stencil>,
+    scissor: Inherited<Scissor>,
+    viewport: Inherited<Option<Viewport>>,
+    /// Materials of front and back faces.
+    materials: Inherited<Option<[SurfaceMaterial; 2]>>,
+    light_model: Inherited<Option<LightModel>>,
+    fog: Inherited<Option<Fog>>,
+    texgens: [Inherited<Option<TexGen>>; TEXTURE_UNITS],
+    textures: [Inherited<Option<TextureBinding>>; TEXTURE_UNITS],
+    program: Inherited<Option<Arc<Program>>>,
+    /// Uniforms, each with whether it overrides those below.
     uniforms: Vec<(Uniform, bool)>,
-    /// What was said of lights, planes and units that there are not, with the names of the sets that said it.
-    wrong: Vec<(String, NumberError)>,
+    /// References to lights, clip planes or texture units whose number is out of range, with the names of the state sets
+    /// that contain them.
+    invalid_numbers: Vec<(String, NumberError)>,
 }
 
 fn next_id() -> u64 {
@@ -126,33 +138,33 @@ impl Default for ResolvedState {
             bins_overridden: false,
             blended_material: false,
             modes: Modes { on: Mode::ON_BY_DEFAULT, overrides: 0 },
-            blend_func: Stated { value: BlendFunc::ALPHA, given: false, overrides: false },
-            blend_equation: Stated::default(),
-            blend_color: Stated::default(),
-            depth: Stated::default(),
-            cull_face: Stated::default(),
-            front_face: Stated::default(),
-            polygon_mode: Stated::default(),
-            polygon_offset: Stated::default(),
-            color_mask: Stated::default(),
-            alpha_func: Stated::default(),
-            stencil: Stated::default(),
-            scissor: Stated::default(),
-            viewport: Stated::default(),
-            materials: Stated::default(),
-            light_model: Stated::default(),
-            fog: Stated::default(),
+            blend_func: Inherited { value: BlendFunc::ALPHA, is_set: false, overrides: false },
+            blend_equation: Inherited::default(),
+            blend_color: Inherited::default(),
+            depth: Inherited::default(),
+            cull_face: Inherited::default(),
+            front_face: Inherited::default(),
+            polygon_mode: Inherited::default(),
+            polygon_offset: Inherited::default(),
+            color_mask: Inherited::default(),
+            alpha_func: Inherited::default(),
+            stencil: Inherited::default(),
+            scissor: Inherited::default(),
+            viewport: Inherited::default(),
+            materials: Inherited::default(),
+            light_model: Inherited::default(),
+            fog: Inherited::default(),
             texgens: Default::default(),
             textures: Default::default(),
-            program: Stated::default(),
+            program: Inherited::default(),
             uniforms: Vec::new(),
-            wrong: Vec::new(),
+            invalid_numbers: Vec::new(),
         }
     }
 }
 
 impl ResolvedState {
-    /// The state below a state set.
+    /// Returns the state below a state set.
     pub fn below(&self, set: &StateSet) -> Self {
         let mut below = Self { id: next_id(), ..self.clone() };
         if !set.name.is_empty() {
@@ -164,7 +176,7 @@ impl ResolvedState {
             }
         }
         if let Some(bin) = set.bin
-            && counts(self.bins_overridden, set.bin_value)
+            && applies(self.bins_overridden, set.bin_value)
         {
             if !set.nest_bins {
                 below.bins.clear();
@@ -178,25 +190,25 @@ impl ResolvedState {
         }
         below.bins_overridden |= set.bin_value.contains(StateValue::OVERRIDE);
         for (mode, how) in &set.modes {
-            below.modes.state(*mode, *how);
-            // Off it is anyway.
+            below.modes.apply(*mode, *how);
+            // A mode that is switched off needs no check.
             if how.contains(StateValue::ON) {
                 below.check(set, *mode);
             }
         }
         for (attribute, how) in &set.attributes {
-            below.give(attribute, *how);
+            below.apply(attribute, *how);
             if let Some(mode) = attribute.mode() {
                 below.check(set, mode);
             }
         }
         for (uniform, how) in &set.uniforms {
             match below.uniforms.iter_mut().find(|(u, _)| u.name == uniform.name) {
-                Some((held, overrides)) if counts(*overrides, *how) => {
+                Some((held, overrides)) if applies(*overrides, *how) => {
                     (*held, *overrides) = (uniform.clone(), how.contains(StateValue::OVERRIDE));
                 }
                 Some(_) => {}
-                None if counts(false, *how) => {
+                None if applies(false, *how) => {
                     below.uniforms.push((uniform.clone(), how.contains(StateValue::OVERRIDE)));
                 }
                 None => {}
@@ -205,55 +217,58 @@ impl ResolvedState {
         below
     }
 
+    /// Records a number that is out of range.
     fn check(&mut self, set: &StateSet, mode: Mode) {
-        let is_known = |error| self.wrong.iter().any(|(name, known)| *known == error && *name == set.name);
+        let is_known = |error| self.invalid_numbers.iter().any(|(name, known)| *known == error && *name == set.name);
         if let Err(error) = mode.check()
             && !is_known(error)
         {
-            self.wrong.push((set.name.clone(), error));
+            self.invalid_numbers.push((set.name.clone(), error));
         }
     }
 
-    /// Numbers of lights, planes and units in the chain that there are not, with the names of the sets that gave them.
+    /// Returns the numbers of lights, clip planes and texture units in the chain that are out of range, with the names of the
+    /// state sets that contain them.
     pub fn wrong_numbers(&self) -> &[(String, NumberError)] {
-        &self.wrong
+        &self.invalid_numbers
     }
 
-    fn give(&mut self, attribute: &Attribute, how: StateValue) {
+    /// Applies an attribute of a state set further down.
+    fn apply(&mut self, attribute: &Attribute, how: StateValue) {
         match attribute {
-            Attribute::BlendFunc(v) => self.blend_func.state(*v, how),
-            Attribute::BlendEquation(v) => self.blend_equation.state(*v, how),
-            Attribute::BlendColor(v) => self.blend_color.state(*v, how),
-            Attribute::Depth(v) => self.depth.state(*v, how),
-            Attribute::CullFace(v) => self.cull_face.state(*v, how),
-            Attribute::FrontFace(v) => self.front_face.state(*v, how),
-            Attribute::PolygonMode(v) => self.polygon_mode.state(*v, how),
-            Attribute::PolygonOffset(v) => self.polygon_offset.state(*v, how),
-            Attribute::ColorMask(v) => self.color_mask.state(*v, how),
-            Attribute::AlphaFunc(v) => self.alpha_func.state(*v, how),
-            Attribute::Stencil(v) => self.stencil.state(*v, how),
-            Attribute::Scissor(v) => self.scissor.state(*v, how),
-            Attribute::Viewport(v) => self.viewport.state(Some(*v), how),
-            Attribute::SurfaceMaterial(v) => self.materials.state(Some([*v; 2]), how),
-            Attribute::SurfaceMaterials { front, back } => self.materials.state(Some([*front, *back]), how),
-            Attribute::LightModel(v) => self.light_model.state(Some(*v), how),
-            Attribute::Fog(v) => self.fog.state(Some(*v), how),
+            Attribute::BlendFunc(v) => self.blend_func.apply(*v, how),
+            Attribute::BlendEquation(v) => self.blend_equation.apply(*v, how),
+            Attribute::BlendColor(v) => self.blend_color.apply(*v, how),
+            Attribute::Depth(v) => self.depth.apply(*v, how),
+            Attribute::CullFace(v) => self.cull_face.apply(*v, how),
+            Attribute::FrontFace(v) => self.front_face.apply(*v, how),
+            Attribute::PolygonMode(v) => self.polygon_mode.apply(*v, how),
+            Attribute::PolygonOffset(v) => self.polygon_offset.apply(*v, how),
+            Attribute::ColorMask(v) => self.color_mask.apply(*v, how),
+            Attribute::AlphaFunc(v) => self.alpha_func.apply(*v, how),
+            Attribute::Stencil(v) => self.stencil.apply(*v, how),
+            Attribute::Scissor(v) => self.scissor.apply(*v, how),
+            Attribute::Viewport(v) => self.viewport.apply(Some(*v), how),
+            Attribute::SurfaceMaterial(v) => self.materials.apply(Some([*v; 2]), how),
+            Attribute::SurfaceMaterials { front, back } => self.materials.apply(Some([*front, *back]), how),
+            Attribute::LightModel(v) => self.light_model.apply(Some(*v), how),
+            Attribute::Fog(v) => self.fog.apply(Some(*v), how),
             Attribute::TexGen(unit, v) => {
                 if let Some(texgen) = self.texgens.get_mut(usize::from(*unit)) {
-                    texgen.state(Some(*v), how);
+                    texgen.apply(Some(*v), how);
                 }
             }
             Attribute::Texture(unit, v) => {
                 if let Some(texture) = self.textures.get_mut(usize::from(*unit)) {
-                    texture.state(Some(v.clone()), how);
+                    texture.apply(Some(v.clone()), how);
                 }
             }
-            Attribute::Program(v) => self.program.state(Some(v.clone()), how),
+            Attribute::Program(v) => self.program.apply(Some(v.clone()), how),
         }
     }
 
-    /// The state of drawables whose material blends: they write no depth and go to the transparent bin, unless a
-    /// state set says otherwise.
+    /// Returns the state of drawables whose material blends: they write no depth and are in the transparent bin, unless a
+    /// state set decides otherwise.
     pub fn blended(&self) -> Self {
         let mut blended = Self { id: next_id(), blended_material: true, ..self.clone() };
         if blended.bins.is_empty() {
@@ -262,72 +277,72 @@ impl ResolvedState {
         blended
     }
 
-    /// The innermost bin.
+    /// Returns the innermost bin.
     pub fn bin(&self) -> BinDetails {
         self.bins.last().copied().unwrap_or(BinDetails::OPAQUE)
     }
 
-    /// Whether a mode is on, before the drawable's own material.
+    /// Returns true if a mode is on, regardless of the drawable's own material.
     pub fn mode(&self, mode: Mode) -> bool {
         self.modes.is_on(mode)
     }
 
-    /// Blending is on: by a state set, or by the material.
+    /// Returns true if blending is on, by a state set or by the material.
     pub fn blends(&self) -> bool {
-        if self.blended_material { self.modes.by_drawable(Mode::Blend, true) } else { self.mode(Mode::Blend) }
+        if self.blended_material { self.modes.for_drawable(Mode::Blend, true) } else { self.mode(Mode::Blend) }
     }
 
-    /// Light falls on a drawable whose material is lit or not.
+    /// Returns true if a drawable is lit, whose own material is `unlit` or not.
     pub fn is_lit(&self, unlit: bool) -> bool {
-        if unlit { self.modes.by_drawable(Mode::Lighting, false) } else { self.mode(Mode::Lighting) }
+        if unlit { self.modes.for_drawable(Mode::Lighting, false) } else { self.mode(Mode::Lighting) }
     }
 
-    /// The textures of drawables' own materials and of height tiles count, until something above overrides texture
-    /// unit 0.
+    /// Returns true if the textures of drawables' own materials and of height tiles are used: texture unit 0 is not
+    /// overridden off.
     pub fn has_own_textures(&self) -> bool {
-        self.modes.by_drawable(Mode::Texture(0), true)
+        self.modes.for_drawable(Mode::Texture(0), true)
     }
 
-    /// How blending weighs.
+    /// Returns the factors of blending.
     pub fn blend_func(&self) -> BlendFunc {
         self.blend_func.value
     }
 
-    /// How blending adds.
+    /// Returns the operation of blending.
     pub fn blend_equation(&self) -> BlendEquation {
         self.blend_equation.value
     }
 
-    /// The constant of blending, linear.
+    /// Returns the constant colour of blending, linear.
     pub fn blend_color(&self) -> [f32; 4] {
         self.blend_color.value
     }
 
-    /// Depth test and write; `None` where the depth test is off.
+    /// Returns depth test and write; `None` if the depth test is off.
     pub fn depth(&self) -> Option<Depth> {
-        let blended = self.blended_material && !self.depth.given;
+        let blended = self.blended_material && !self.depth.is_set;
         let depth = if blended { Depth { write: false, ..self.depth.value } } else { self.depth.value };
         self.mode(Mode::DepthTest).then_some(depth)
     }
 
-    /// True when depth is written.
+    /// Returns true if depth is written.
     pub fn writes_depth(&self) -> bool {
         self.depth().is_some_and(|d| d.write)
     }
 
-    /// True when drawables of it cast shadows: they hide what is behind them, and are not seen through.
+    /// Returns true if drawables cast shadows: they write depth and do not blend.
     pub fn casts_shadow(&self) -> bool {
         self.writes_depth() && !self.blends()
     }
 
-    /// The faces that are culled, of a drawable whose material is double-sided or not.
+    /// Returns the faces that are culled of a drawable, whose material is double-sided or not.
     pub fn culled_face(&self, double_sided: bool) -> Option<CullFace> {
-        let on = if double_sided { self.modes.by_drawable(Mode::CullFace, false) } else { self.mode(Mode::CullFace) };
+        let on = if double_sided { self.modes.for_drawable(Mode::CullFace, false) } else { self.mode(Mode::CullFace) };
         on.then_some(self.cull_face.value)
     }
 
-    /// Whether the shading is that of the fixed function: other lights than the environment's, fog, materials, clip
-    /// planes, alpha test, textures of units.
+    /// Returns true if the fixed function shades: there are lights besides the environment's, fog, materials, clip planes,
+    /// alpha test or textures of units.
     pub(crate) fn is_fixed_function(&self) -> bool {
         let of_modes = self.modes.on ^ Mode::ON_BY_DEFAULT;
         of_modes & Mode::OF_FIXED_FUNCTION != 0
@@ -336,89 +351,89 @@ impl ResolvedState {
             || self.light_model.value.is_some()
     }
 
-    /// Bits of the lights (or clip planes) that are on, by number.
+    /// Returns the bits, by number, of the lights or clip planes that are on. `first` is the mode of number 0.
     pub(crate) fn mode_bits(&self, first: Mode, count: usize) -> u32 {
         first.index().map_or(0, |index| (self.modes.on >> index) as u32 & ((1 << count) - 1))
     }
 
-    /// Which faces are front faces.
+    /// Returns the winding order of front faces.
     pub fn front_face(&self) -> FrontFace {
         self.front_face.value
     }
 
-    /// How triangles are rasterised.
+    /// Returns the rasterisation of triangles.
     pub fn polygon_mode(&self) -> PolygonMode {
         self.polygon_mode.value
     }
 
-    /// The depth offset, where it is on.
+    /// Returns the depth offset if it is on.
     pub fn polygon_offset(&self) -> Option<PolygonOffset> {
         self.mode(Mode::PolygonOffset).then_some(self.polygon_offset.value)
     }
 
-    /// What is written.
+    /// Returns the components that are written.
     pub fn color_mask(&self) -> ColorMask {
         self.color_mask.value
     }
 
-    /// The alpha test, where it is on.
+    /// Returns the alpha test if it is on.
     pub fn alpha_func(&self) -> Option<AlphaFunc> {
         self.mode(Mode::AlphaTest).then_some(self.alpha_func.value)
     }
 
-    /// The stencil test, where it is on.
+    /// Returns the stencil test if it is on.
     pub fn stencil(&self) -> Option<Stencil> {
         self.mode(Mode::StencilTest).then_some(self.stencil.value)
     }
 
-    /// The scissor, where it is on.
+    /// Returns the scissor if it is on.
     pub fn scissor(&self) -> Option<Scissor> {
         self.mode(Mode::ScissorTest).then_some(self.scissor.value)
     }
 
-    /// The viewport, where one is given.
+    /// Returns the viewport if one is set.
     pub fn viewport(&self) -> Option<Viewport> {
         self.viewport.value
     }
 
-    /// The reflection that stands for that of the drawables, where one is given: of front and back faces.
+    /// Returns the materials of front and back faces that replace those of the drawables, if set.
     pub fn materials(&self) -> Option<[SurfaceMaterial; 2]> {
         self.materials.value
     }
 
-    /// How lights are reckoned with, where it is given.
+    /// Returns the light model if one is set.
     pub fn light_model(&self) -> Option<LightModel> {
         self.light_model.value
     }
 
-    /// The fog that stands for the environment's haze, where one is given.
+    /// Returns the fog that replaces the environment's haze, if set.
     pub fn fog(&self) -> Option<Fog> {
         self.fog.value
     }
 
-    /// Texture coordinates of a unit, where they are generated.
+    /// Returns the generator of a unit's texture coordinates if it is on.
     pub fn texgen(&self, unit: usize) -> Option<TexGen> {
         let on = self.mode(Mode::TexGen(unit as u8));
         self.texgens.get(unit).and_then(|t| t.value).filter(|_| on)
     }
 
-    /// The texture of a unit, where it is on.
+    /// Returns the texture of a unit if it is on.
     pub fn texture(&self, unit: usize) -> Option<&TextureBinding> {
         let on = self.mode(Mode::Texture(unit as u8));
         self.textures.get(unit).and_then(|t| t.value.as_ref()).filter(|_| on)
     }
 
-    /// The program that shades.
+    /// Returns the program, if one is set.
     pub fn program(&self) -> Option<&Arc<Program>> {
         self.program.value.as_ref()
     }
 
-    /// A uniform by its name.
+    /// Returns a uniform by its name.
     pub fn uniform(&self, name: &str) -> Option<&Uniform> {
         self.uniforms.iter().map(|(u, _)| u).find(|u| &*u.name == name)
     }
 
-    /// All uniforms.
+    /// Returns all uniforms.
     pub fn uniforms(&self) -> impl Iterator<Item = &Uniform> {
         self.uniforms.iter().map(|(u, _)| u)
     }
@@ -439,7 +454,7 @@ mod tests {
         })
     }
 
-    /// The slow, obvious way: of the first `n` sets of a chain, which one's value holds.
+    /// Reference implementation: the index of the set whose value applies after the first `n` sets of a chain.
     fn holder(chain: &[Option<StateValue>], n: usize) -> Option<usize> {
         let last = n.checked_sub(1)?;
         let above = holder(chain, last);
@@ -450,7 +465,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn chains_resolve_as_the_obvious_resolver_says(
+        fn chains_resolve_as_the_reference_implementation(
             modes in prop::collection::vec(prop::option::of(how()), 0..8),
             offsets in prop::collection::vec(prop::option::of(how()), 0..8),
         ) {
@@ -475,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn materials_speak_last_unless_overridden() {
+    fn materials_decide_unless_overridden() {
         let with = |mode, how| {
             let mut set = StateSet::default();
             set.set_mode(mode, how);

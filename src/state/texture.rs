@@ -1,21 +1,21 @@
-//! Textures of state sets: images, or targets that cameras draw into; and how they are sampled.
+//! Textures of state sets: images, or targets that cameras draw into, with their samplers.
 //!
-//! Shared by identity: every state set that holds the same `Arc` uses one texture of the context. It is freed when
-//! the last `Arc` is gone.
+//! They are shared by identity: all state sets that hold the same `Arc` use one texture of the context, which is freed
+//! after the last `Arc` was dropped.
 
 use std::sync::Arc;
 
-use super::attributes::CompareFunction;
+use super::raster::CompareFunction;
 
-/// How texels are addressed.
+/// The dimension of a texture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum TextureDimension {
-    /// A row.
+    /// A row of texels.
     D1,
-    /// A picture.
+    /// An image.
     #[default]
     D2,
-    /// Pictures by layer.
+    /// An array of images.
     D2Array,
     /// Six faces: +x, -x, +y, -y, +z, -z.
     Cube,
@@ -23,7 +23,7 @@ pub enum TextureDimension {
     D3,
 }
 
-/// What a texel holds.
+/// The format of a texel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum TextureFormat {
     /// Four bytes, sRGB colour and linear alpha.
@@ -41,13 +41,13 @@ pub enum TextureFormat {
     Depth32,
     /// Depth in at least 24 bits beside the stencil, for targets only; sampled as depth.
     Depth24Stencil8,
-    /// Depth as precise as the renderer's own beside the stencil, for targets only, where the adapter has it; sampled as
-    /// depth.
+    /// Depth in the renderer's own precision beside the stencil, for targets only; sampled as depth. Needs support by the
+    /// adapter.
     Depth32Stencil8,
 }
 
 impl TextureFormat {
-    /// Bytes of a texel.
+    /// Returns the size of a texel in bytes.
     pub const fn texel_bytes(self) -> usize {
         match self {
             Self::R8 => 1,
@@ -56,39 +56,39 @@ impl TextureFormat {
         }
     }
 
-    /// It holds depth, and may hold stencil.
+    /// Returns true if it holds depth, with or without stencil.
     pub const fn is_depth(self) -> bool {
         matches!(self, Self::Depth32) || self.has_stencil()
     }
 
-    /// It holds stencil beside depth.
+    /// Returns true if it holds stencil beside depth.
     pub const fn has_stencil(self) -> bool {
         matches!(self, Self::Depth24Stencil8 | Self::Depth32Stencil8)
     }
 }
 
-/// A texture by its contents or, without any, one to draw into.
+/// A texture with its contents or, without texels, a target to draw into.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextureObject {
-    /// For people, and for errors.
+    /// The name in logs and errors.
     pub name: String,
-    /// How it is addressed.
+    /// The dimension.
     pub dimension: TextureDimension,
-    /// Width, height, and layers, faces (6) or depth of level 0.
+    /// Size of level 0: width, height, and number of layers or faces (6), or depth.
     pub size: [u32; 3],
-    /// What a texel holds.
+    /// The format of a texel.
     pub format: TextureFormat,
-    /// Mip levels, each half the size of the one before.
+    /// Number of mip levels, each half the size of the one before.
     pub levels: u32,
-    /// Texels by level, all layers of a level together; empty for a target.
+    /// Texels by level, with all layers of a level together; empty for a target.
     pub texels: Vec<Vec<u8>>,
-    /// What it shows changes, as an [`ImageSequence`](crate::pager::ImageSequence)'s does: which one it is matters, and
-    /// none of the same contents takes its place.
+    /// The contents change over time, as those of an [`ImageSequence`](crate::pager::ImageSequence). Such a texture is never
+    /// replaced by another one of equal contents.
     pub is_changing: bool,
 }
 
 impl TextureObject {
-    /// A picture of one level.
+    /// Creates an sRGB image of one level from RGBA bytes.
     pub fn image(name: &str, size: [u32; 2], rgba: Vec<u8>) -> Arc<Self> {
         Arc::new(Self {
             name: name.into(),
@@ -101,7 +101,7 @@ impl TextureObject {
         })
     }
 
-    /// A picture for cameras to draw into.
+    /// Creates a target for cameras to draw into.
     pub fn target(name: &str, size: [u32; 2], format: TextureFormat) -> Arc<Self> {
         Arc::new(Self {
             name: name.into(),
@@ -114,7 +114,7 @@ impl TextureObject {
         })
     }
 
-    /// Size of a level.
+    /// Returns the size of a level.
     pub fn level_size(&self, level: u32) -> [u32; 3] {
         let [w, h, d] = self.size;
         let half = |side: u32| (side >> level.min(31)).max(1);
@@ -122,7 +122,7 @@ impl TextureObject {
         [half(w), if self.dimension == TextureDimension::D1 { 1 } else { half(h) }, depth]
     }
 
-    /// What is wrong with it, if anything: sizes that do not fit together, missing texels.
+    /// Checks sizes and texels. Returns a description of the first inconsistency, or `None` if the texture is valid.
     pub fn problem(&self) -> Option<String> {
         let [w, h, d] = self.size;
         let layers_fit = match self.dimension {
@@ -154,7 +154,7 @@ impl TextureObject {
     }
 }
 
-/// Between texels.
+/// The filter between texels.
 #[allow(missing_docs, reason = "OpenGL's names")]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum FilterMode {
@@ -163,7 +163,7 @@ pub enum FilterMode {
     Linear,
 }
 
-/// Beyond the edges.
+/// The texture address mode beyond the edges.
 #[allow(missing_docs, reason = "OpenGL's names")]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum WrapMode {
@@ -173,26 +173,26 @@ pub enum WrapMode {
     Mirror,
 }
 
-/// Clamped along both axes of a picture.
+/// Clamps along both axes of an image.
 pub(crate) const CLAMPED: [WrapMode; 2] = [WrapMode::ClampToEdge; 2];
 
 /// How a texture is sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sampler {
-    /// Where a texel covers less than a pixel.
+    /// The filter where a texel covers less than a pixel.
     pub min_filter: FilterMode,
-    /// Where it covers more.
+    /// The filter where a texel covers more than a pixel.
     pub mag_filter: FilterMode,
-    /// Between mip levels.
+    /// The filter between mip levels.
     pub mip_filter: FilterMode,
-    /// Along s, t and r.
+    /// Address modes along s, t and r.
     pub wrap: [WrapMode; 3],
-    /// Most samples along the steepest direction, 1 to 16; counts where all filters are linear.
+    /// Maximum number of samples along the steepest direction, 1 to 16; used where all filters are linear.
     pub max_anisotropy: u8,
-    /// Added to the mip level by the fixed function. Adapters' samplers have none: programs do not see it, theirs is
-    /// what they give `textureSampleBias`.
+    /// Bias that the fixed function adds to the mip level. wgpu samplers have none, so that programs must pass their own to
+    /// `textureSampleBias`.
     pub mip_bias: f32,
-    /// Compares with a reference instead of returning depth; programs only.
+    /// Compares depth with a reference instead of returning it; for programs only.
     pub compare: Option<CompareFunction>,
 }
 
@@ -210,24 +210,24 @@ impl Default for Sampler {
     }
 }
 
-/// A texture with its sampler, at a unit of a state set.
+/// A texture with its sampler, for a unit of a state set.
 #[derive(Clone, Debug)]
 pub struct TextureBinding {
-    /// Texels.
+    /// The texture.
     pub texture: Arc<TextureObject>,
-    /// How they are read.
+    /// The sampler.
     pub sampler: Sampler,
 }
 
 impl TextureBinding {
-    /// Sampled linearly, clamped.
+    /// Creates a binding with linear filters and clamped edges.
     pub fn new(texture: Arc<TextureObject>) -> Self {
         Self { texture, sampler: Sampler::default() }
     }
 }
 
 impl PartialEq for TextureBinding {
-    /// By identity of the texture.
+    /// Compares textures by identity.
     fn eq(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.texture, &other.texture) && self.sampler == other.sampler
     }

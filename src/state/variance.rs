@@ -1,15 +1,15 @@
-//! [`DataVariance`]: what happens to data that update changes while draw may still read it.
+//! [`DataVariance`]: how update may change data that draw may still read.
 
-/// Whether what draw reads outside its stage may change while the next frame is already being updated.
+/// Whether data that draw reads outside of its stage may change while the next frame is updated.
 ///
-/// A stage is a copy: transforms, state sets and places of geometry in it are those of its frame, whatever update does
-/// meanwhile. What remains is data that the application shares with draw itself: what callbacks read, and meshes that
-/// are written anew.
+/// A stage is a copy: its transforms, state sets and slots of geometry belong to its frame, whatever update does in the
+/// meantime. The variance concerns data that the application itself shares with draw: the data of callbacks, and meshes
+/// that are rewritten.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum DataVariance {
-    /// It does not change, or who changes it makes a copy (`Arc::make_mut`) while draw still has it: nobody waits.
+    /// The data does not change, or is copied before a change (`Arc::make_mut`) while draw holds it. No thread waits.
     #[default]
     Static,
-    /// It is changed in place: the next update waits until draw has read it.
+    /// The data is changed without a copy: the next update waits until draw has read it.
     Dynamic,
 }

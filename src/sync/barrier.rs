@@ -1,77 +1,78 @@
-//! [`Barrier`]: so many threads meet.
+//! [`Barrier`]: a number of threads wait for each other.
 
 use std::sync::PoisonError;
 
 use super::primitives::{Condvar, Mutex, MutexGuard};
 
 #[derive(Debug)]
-struct Meeting {
-    /// Threads that have come.
+struct State {
+    /// Threads that wait for the current generation.
     waiting: usize,
-    /// Meetings so far: who waits goes on when it has changed, however late it wakes.
-    number: u64,
-    /// Nobody waits any more.
-    ended: bool,
+    /// Number of times that the barrier opened. A waiting thread continues when it has changed, however late it wakes.
+    generation: u64,
+    /// The barrier was released: threads no longer wait.
+    released: bool,
 }
 
-/// Threads wait at it until so many have come; then all go on, and it is closed for the next meeting.
+/// A reusable barrier: threads wait until a given number of them has arrived. Then all continue, and the barrier is closed
+/// again.
 #[derive(Debug)]
 pub struct Barrier {
-    /// Its strength.
+    /// Number of threads that open the barrier.
     threads: usize,
-    /// Written by all who come.
-    meeting: Mutex<Meeting>,
+    /// Read and written by all threads that arrive.
+    state: Mutex<State>,
     changed: Condvar,
 }
 
 impl Barrier {
-    /// A barrier for so many threads. One or none never wait.
+    /// Creates a barrier for a number of threads. With one or none no thread waits.
     pub fn new(threads: usize) -> Self {
-        let meeting = Meeting { waiting: 0, number: 0, ended: false };
-        Self { threads, meeting: Mutex::new(meeting), changed: Condvar::new() }
+        let state = State { waiting: 0, generation: 0, released: false };
+        Self { threads, state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    fn meeting(&self) -> MutexGuard<'_, Meeting> {
-        // Nothing panics while it is locked.
-        self.meeting.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, State> {
+        // No code panics while it holds the lock.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Threads that meet.
+    /// Returns the number of threads that open the barrier.
     pub fn strength(&self) -> usize {
         self.threads
     }
 
-    /// Threads that wait now.
+    /// Returns the number of threads that wait now.
     pub fn waiting(&self) -> usize {
-        self.meeting().waiting
+        self.state().waiting
     }
 
-    /// Waits for the others; false when it was let go without them.
+    /// Waits for the other threads. Returns false if the barrier was released before all had arrived.
     pub fn block(&self) -> bool {
-        let mut meeting = self.meeting();
-        if meeting.ended {
+        let mut state = self.state();
+        if state.released {
             return false;
         }
-        meeting.waiting += 1;
-        if meeting.waiting >= self.threads {
-            meeting.waiting = 0;
-            meeting.number += 1;
+        state.waiting += 1;
+        if state.waiting >= self.threads {
+            state.waiting = 0;
+            state.generation += 1;
             self.changed.notify_all();
             return true;
         }
-        let number = meeting.number;
-        while meeting.number == number && !meeting.ended {
-            meeting = self.changed.wait(meeting).unwrap_or_else(PoisonError::into_inner);
+        let generation = state.generation;
+        while state.generation == generation && !state.released {
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
-        meeting.number != number
+        state.generation != generation
     }
 
-    /// Ends all meetings: who waits goes on, and nobody waits here again. For stopping threads, of which some may be
-    /// on their way to it.
+    /// Releases all waiting threads, and those that arrive later, for good. For stopping threads, some of which may not have
+    /// arrived yet.
     pub fn release(&self) {
-        let mut meeting = self.meeting();
-        meeting.ended = true;
-        meeting.waiting = 0;
+        let mut state = self.state();
+        state.released = true;
+        state.waiting = 0;
         self.changed.notify_all();
     }
 }

@@ -1,26 +1,26 @@
-//! [`Block`] and [`BlockCount`]: threads wait until others let them go on.
+//! [`Block`] and [`BlockCount`]: threads wait until another thread releases them.
 
 use std::sync::PoisonError;
 use std::time::Duration;
 
 use super::primitives::{Condvar, Mutex, MutexGuard};
 
-/// Threads wait at it until it is released; then it stays open until it is reset.
+/// A gate: threads wait until it is released. It stays open until it is reset.
 #[derive(Debug, Default)]
 pub struct Block {
-    /// True: open. Written by whoever releases and resets, read by who waits.
+    /// True when open. Written by [`Self::set`], read by waiting threads.
     open: Mutex<bool>,
     changed: Condvar,
 }
 
 impl Block {
-    /// A closed one.
+    /// Creates a closed block.
     pub fn new() -> Self {
         Self::default()
     }
 
     fn open(&self) -> MutexGuard<'_, bool> {
-        // A flag cannot be left half written by a panic.
+        // A panic cannot leave a flag half written.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -32,13 +32,13 @@ impl Block {
         }
     }
 
-    /// Waits until it is open, at most so long; whether it was.
-    pub fn block_for(&self, patience: Duration) -> bool {
-        let waited = self.changed.wait_timeout_while(self.open(), patience, |open| !*open);
+    /// Waits until it is open, at most for a timeout. Returns false on timeout.
+    pub fn block_for(&self, timeout: Duration) -> bool {
+        let waited = self.changed.wait_timeout_while(self.open(), timeout, |open| !*open);
         *waited.unwrap_or_else(PoisonError::into_inner).0
     }
 
-    /// Opens it: all who wait go on, and all who come.
+    /// Opens it: all waiting threads continue, and later ones do not wait.
     pub fn release(&self) {
         self.set(true);
     }
@@ -59,34 +59,34 @@ impl Block {
 
 #[derive(Debug)]
 struct Count {
-    /// What a reset starts from.
+    /// Number of completions that a reset sets.
     full: usize,
-    /// Completions still to come.
+    /// Number of completions that are missing.
     left: usize,
-    /// Let go since the last reset.
+    /// The block was released since the last reset.
     released: bool,
 }
 
-/// Threads wait at it until others have completed something so many times.
+/// A gate that opens after a number of completions by other threads.
 #[derive(Debug)]
 pub struct BlockCount {
-    /// Written by who completes, releases and resets, read by who waits.
+    /// Written on completion, release and reset, read by waiting threads.
     count: Mutex<Count>,
     changed: Condvar,
 }
 
 impl BlockCount {
-    /// Opens after `count` completions; at once for 0.
+    /// Creates a block that opens after `count` completions; it is open if that is 0.
     pub fn new(count: usize) -> Self {
         Self { count: Mutex::new(Count { full: count, left: count, released: false }), changed: Condvar::new() }
     }
 
     fn count(&self) -> MutexGuard<'_, Count> {
-        // Numbers cannot be left half written by a panic.
+        // A panic cannot leave numbers half written.
         self.count.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// One less to wait for. Beyond the last it does nothing.
+    /// Counts one completion. After the last one it does nothing.
     pub fn completed(&self) {
         let mut count = self.count();
         if count.left > 0 {
@@ -97,7 +97,7 @@ impl BlockCount {
         }
     }
 
-    /// Waits until nothing is left to be completed; false when it was let go without the rest.
+    /// Waits until all completions are counted. Returns false if it was released before.
     pub fn block(&self) -> bool {
         let mut count = self.count();
         while count.left > 0 {
@@ -106,14 +106,14 @@ impl BlockCount {
         !count.released
     }
 
-    /// Lets go on without waiting for the rest.
+    /// Releases all waiting threads without the missing completions.
     pub fn release(&self) {
         let mut count = self.count();
         (count.left, count.released) = (0, true);
         self.changed.notify_all();
     }
 
-    /// Starts counting anew.
+    /// Starts counting again.
     pub fn reset(&self) {
         let mut count = self.count();
         (count.left, count.released) = (count.full, false);
@@ -122,12 +122,12 @@ impl BlockCount {
         }
     }
 
-    /// Completions that a reset waits for, from the next reset on.
+    /// Sets the number of completions, from the next reset on.
     pub fn set_block_count(&self, count: usize) {
         self.count().full = count;
     }
 
-    /// Completions still to come.
+    /// Returns the number of missing completions.
     pub fn left(&self) -> usize {
         self.count().left
     }

@@ -1,21 +1,20 @@
-//! What threads wait for, and what they are given to do: OpenThreads' blocks and barriers and OpenSceneGraph's
-//! operations, on the standard library's mutex and condition variable.
+//! Thread synchronisation: OpenThreads' blocks and barriers and OpenSceneGraph's operations, on the standard library's
+//! mutex and condition variable.
 //!
-//! Any thread may use these; the viewer's do, between and around cull and draw, never inside. Nothing here spins and
-//! nothing wakes without a reason: each state lies behind one mutex, is changed under it, and whoever waits looks at it
-//! again under it, so that no wake-up can be lost. A lock is never held while an operation runs, and no two locks of
-//! this module are held at once.
+//! Any thread may use these. The viewer's threads use them between and around cull and draw, never inside. Nothing spins:
+//! each state lies behind one mutex and is changed under it, and a waiting thread checks it again under it, so that no
+//! wake-up is lost. No lock is held while an operation runs, and no two locks of this module are held at once.
 //!
-//! `tests/sync_models.rs` compiles these very files against shuttle's mutexes and runs them under thousands of
-//! schedules; this is why they take theirs from `primitives`. So do the pagers' request lists, the compile thread and
-//! the viewer's rendering stage (`tests/pager_models.rs`, `tests/compile_models.rs`, `tests/stage_models.rs`).
+//! `tests/sync_models.rs` compiles these files against shuttle's mutexes and runs them under thousands of schedules, which
+//! is why they import theirs from `primitives`. So do the pagers' request lists, the compile thread and the viewer's
+//! rendering stage (`tests/pager_models.rs`, `tests/compile_models.rs`, `tests/stage_models.rs`).
 
 mod barrier;
 mod block;
 mod operation;
 mod operation_thread;
 
-/// Where what is model-checked takes its primitives from; the model checker puts its own in their place.
+/// The primitives of files that are model-checked; the model checker substitutes its own.
 pub(crate) mod primitives {
     pub use crossbeam_channel as channel;
     pub use std::sync::{Arc, Condvar, Mutex, MutexGuard};

@@ -1,24 +1,24 @@
-//! [`Operation`] and [`OperationQueue`]: what a thread is to do, once or again and again.
+//! [`Operation`] and [`OperationQueue`]: work for a thread, done once or repeatedly.
 
 use std::collections::VecDeque;
 use std::sync::PoisonError;
 
 use super::primitives::{Arc, Condvar, Mutex, MutexGuard};
 
-/// Something done to an object of a thread: a graphics context, a camera, a scene.
+/// Work on an object that a thread owns: a graphics context, a camera, a scene.
 pub trait Operation<T>: Send + Sync {
-    /// Tells it from others in its queue.
+    /// Returns the name by which it is removed from a queue.
     fn name(&self) -> &str;
 
-    /// Stays in the queue after it ran, to run again in its turn.
+    /// Returns true if it stays in the queue after it ran, to run again.
     fn keep(&self) -> bool {
         false
     }
 
-    /// Does it, on the thread of the object.
+    /// Runs on the thread of the object.
     fn run(&self, object: &mut T);
 
-    /// Ends it early where it waits, called from another thread when its own is to stop. It must not wait again.
+    /// Cuts its waits short, and all later ones. Called from another thread when the operation's thread must stop.
     fn release(&self) {}
 }
 
@@ -26,7 +26,7 @@ pub trait Operation<T>: Send + Sync {
 struct Closure<F> {
     name: String,
     keep: bool,
-    /// Locked by the one thread that runs it.
+    /// Locked while it runs, by the one thread that runs it.
     work: Mutex<F>,
 }
 
@@ -40,30 +40,30 @@ impl<T, F: FnMut(&mut T) + Send> Operation<T> for Closure<F> {
     }
 
     fn run(&self, object: &mut T) {
-        // One that panicked half way is not to be trusted again.
+        // A closure that panicked half way is not called again.
         if let Ok(mut work) = self.work.lock() {
             work(object);
         }
     }
 }
 
-struct Waiting<T> {
-    /// With their numbers, which rise.
+struct State<T> {
+    /// Operations with their numbers, in ascending order.
     operations: VecDeque<(u64, Arc<dyn Operation<T>>)>,
-    /// Number of the next that is put at the end.
+    /// Number of the next operation.
     next: u64,
-    /// What was taken last and has not returned.
+    /// The operation that [`OperationQueue::next_operation`] returned last, until the next call.
     current: Option<Arc<dyn Operation<T>>>,
     closed: bool,
 }
 
-impl<T> Waiting<T> {
+impl<T> State<T> {
     fn push(&mut self, operation: Arc<dyn Operation<T>>) {
         self.operations.push_back((self.next, operation));
         self.next += 1;
     }
 
-    /// Takes the first, which comes again at the end where it is kept.
+    /// Takes the first operation and puts it back at the end if it is kept.
     fn take(&mut self) -> Option<Arc<dyn Operation<T>>> {
         let (_, operation) = self.operations.pop_front()?;
         if operation.keep() {
@@ -73,103 +73,103 @@ impl<T> Waiting<T> {
     }
 }
 
-/// Operations in the order to be done; those that are kept come again and again.
+/// A queue of operations in first-in, first-out order. Those that are kept are run repeatedly.
 pub struct OperationQueue<T> {
-    /// Written by who adds and removes and by the thread that takes.
-    waiting: Mutex<Waiting<T>>,
+    /// Written by threads that add and remove, and by the thread that runs the operations.
+    state: Mutex<State<T>>,
     changed: Condvar,
 }
 
 impl<T> Default for OperationQueue<T> {
     fn default() -> Self {
-        let waiting = Waiting { operations: VecDeque::new(), next: 0, current: None, closed: false };
-        Self { waiting: Mutex::new(waiting), changed: Condvar::new() }
+        let state = State { operations: VecDeque::new(), next: 0, current: None, closed: false };
+        Self { state: Mutex::new(state), changed: Condvar::new() }
     }
 }
 
 impl<T> OperationQueue<T> {
-    /// An empty one.
+    /// Creates an empty queue.
     pub fn new() -> Self {
         Self::default()
     }
 
-    fn waiting(&self) -> MutexGuard<'_, Waiting<T>> {
-        // No operation runs while it is locked.
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, State<T>> {
+        // No operation runs while the lock is held.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Adds an operation at the end.
     pub fn add(&self, operation: Arc<dyn Operation<T>>) {
-        self.waiting().push(operation);
+        self.state().push(operation);
         self.changed.notify_one();
     }
 
-    /// Takes out all operations of a name; one that is running ends its turn.
+    /// Removes all operations of a name; one that is running completes.
     pub fn remove(&self, name: &str) {
-        self.waiting().operations.retain(|(_, o)| o.name() != name);
+        self.state().operations.retain(|(_, o)| o.name() != name);
     }
 
-    /// Takes out all operations.
+    /// Removes all operations.
     pub fn remove_all(&self) {
-        self.waiting().operations.clear();
+        self.state().operations.clear();
     }
 
-    /// Operations that will run, one under way that is kept included.
+    /// Returns the number of operations that will run, including a running one that is kept.
     pub fn len(&self) -> usize {
-        self.waiting().operations.len()
+        self.state().operations.len()
     }
 
-    /// True when there is nothing to do.
+    /// Returns true if there is nothing to do.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Takes the next operation, waiting for one to be added; `None` once the queue is closed. The one taken before
-    /// has ended.
+    /// Takes the next operation and waits for one if the queue is empty. Returns `None` once the queue is closed. Marks the
+    /// operation that was taken before as finished.
     pub fn next_operation(&self) -> Option<Arc<dyn Operation<T>>> {
-        let mut waiting = self.waiting();
-        waiting.current = None;
+        let mut state = self.state();
+        state.current = None;
         loop {
-            if waiting.closed {
+            if state.closed {
                 return None;
             }
-            if let Some(operation) = waiting.take() {
-                waiting.current = Some(operation.clone());
+            if let Some(operation) = state.take() {
+                state.current = Some(operation.clone());
                 return Some(operation);
             }
-            waiting = self.changed.wait(waiting).unwrap_or_else(PoisonError::into_inner);
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
-    /// Runs what is there now, each once, but for what is removed before its turn; waits for nothing.
+    /// Runs each operation that is queued now once, except those that are removed before their turn. Does not wait.
     pub fn run_operations(&self, object: &mut T) {
-        let end = self.waiting().next;
+        let end = self.state().next;
         loop {
-            let mut waiting = self.waiting();
-            if waiting.operations.front().is_none_or(|(number, _)| *number >= end) {
+            let mut state = self.state();
+            if state.operations.front().is_none_or(|(number, _)| *number >= end) {
                 return;
             }
-            let operation = waiting.take();
-            drop(waiting);
+            let operation = state.take();
+            drop(state);
             operation.iter().for_each(|operation| operation.run(object));
         }
     }
 
-    /// Nothing is taken any more; what is under way goes on, and what waits in it is not released. For queues whose
-    /// operations wait for each other: those released by the first to be closed would otherwise run again.
+    /// Stops the queue without releasing operations: none is taken from now on, and a running one completes. For queues whose
+    /// operations wait for each other: those released by the first closed queue would otherwise run again.
     pub fn end(&self) {
-        self.waiting().closed = true;
+        self.state().closed = true;
         self.changed.notify_all();
     }
 
-    /// Nothing is taken any more: who waits for an operation gets `None`, and all operations, one under way included,
-    /// are released.
+    /// Closes the queue: a thread that waits for an operation gets `None`, and all operations are released, including a
+    /// running one.
     pub fn close(&self) {
-        let mut waiting = self.waiting();
-        waiting.closed = true;
-        let mut all: Vec<_> = waiting.operations.drain(..).map(|(_, operation)| operation).collect();
-        all.extend(waiting.current.take());
-        drop(waiting);
+        let mut state = self.state();
+        state.closed = true;
+        let mut all: Vec<_> = state.operations.drain(..).map(|(_, operation)| operation).collect();
+        all.extend(state.current.take());
+        drop(state);
         self.changed.notify_all();
         for operation in all {
             operation.release();
@@ -186,7 +186,7 @@ impl<T: 'static> OperationQueue<T> {
 
 impl<T> std::fmt::Debug for OperationQueue<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let waiting = self.waiting();
-        f.debug_list().entries(waiting.operations.iter().map(|(_, o)| o.name())).finish()
+        let state = self.state();
+        f.debug_list().entries(state.operations.iter().map(|(_, o)| o.name())).finish()
     }
 }

@@ -1,17 +1,17 @@
-//! [`OperationThread`]: a thread that owns an object and does to it what its queue says.
+//! [`OperationThread`]: a thread that owns an object and runs the operations of a queue on it.
 
 use super::operation::{Operation, OperationQueue};
 use super::primitives::{Arc, Builder, JoinHandle};
 
-/// A thread ended by a panic, and with it the object it owned.
+/// The error for a thread that panicked; the object that it owned is lost.
 #[derive(Debug, thiserror::Error)]
 #[error("thread {name} panicked")]
 pub struct Panicked {
-    /// Name of the thread.
+    /// The name of the thread.
     pub name: String,
 }
 
-/// Runs the operations of a queue on an object of its own. Dropped, it is cancelled and waited for.
+/// A thread that runs the operations of its queue on its object. Drop cancels it and waits for it.
 #[derive(Debug)]
 pub struct OperationThread<T: Send + 'static> {
     name: String,
@@ -19,12 +19,13 @@ pub struct OperationThread<T: Send + 'static> {
     join: Option<JoinHandle<T>>,
 }
 
-/// Releases what others wait for together with a thread that panics, once its object is gone.
+/// Closes the queue of a thread that panics, after its object was dropped, so that threads that wait for its operations are
+/// released.
 struct CloseOnPanic<T>(Arc<OperationQueue<T>>);
 
 impl<T> Drop for CloseOnPanic<T> {
     fn drop(&mut self) {
-        // One that ended because it was told to is closed by who told it.
+        // Without a panic the thread ended because its queue was closed already.
         if std::thread::panicking() {
             self.0.close();
         }
@@ -32,7 +33,7 @@ impl<T> Drop for CloseOnPanic<T> {
 }
 
 impl<T: Send + 'static> OperationThread<T> {
-    /// Starts a thread on an object and the operations that are to be there from the start.
+    /// Starts a thread for an object, with its first operations.
     pub fn start(
         name: &str,
         object: T,
@@ -42,10 +43,10 @@ impl<T: Send + 'static> OperationThread<T> {
         for operation in operations {
             queue.add(operation);
         }
-        let of_thread = queue.clone();
+        let thread_queue = queue.clone();
         let work = move || {
-            // Declared, and so dropped, in this order: whoever is let go finds the object's ends gone.
-            let closing = CloseOnPanic(of_thread);
+            // Dropped in reverse order: when waiting threads are released, the object is gone, with its channel ends.
+            let closing = CloseOnPanic(thread_queue);
             let mut object = object;
             while let Some(operation) = closing.0.next_operation() {
                 operation.run(&mut object);
@@ -56,7 +57,7 @@ impl<T: Send + 'static> OperationThread<T> {
         Ok(Self { name: name.to_owned(), queue, join: Some(join) })
     }
 
-    /// What it does; operations may be added and removed while it runs.
+    /// Returns the queue; operations may be added and removed while the thread runs.
     pub fn queue(&self) -> &OperationQueue<T> {
         &self.queue
     }
@@ -66,18 +67,18 @@ impl<T: Send + 'static> OperationThread<T> {
         self.queue.add(operation);
     }
 
-    /// Tells the thread to end after the operation under way, which may wait for long; does not wait itself.
-    /// [`Self::cancel`] is to follow.
+    /// Makes the thread end after the running operation, which is not released and may take long. Does not wait.
+    /// [`Self::cancel`] must follow.
     pub fn end(&self) {
         self.queue.end();
     }
 
-    /// Tells the thread to end after the operation under way, which is released; does not wait.
+    /// Makes the thread end after the running operation, which is released. Does not wait.
     pub fn cancel(&self) {
         self.queue.close();
     }
 
-    /// Ends the thread and takes its object back. Waits for the operation under way.
+    /// Ends the thread, waits for the running operation, and returns the object.
     pub fn join(mut self) -> Result<T, Panicked> {
         self.cancel();
         let panicked = || Panicked { name: self.name.clone() };
