@@ -13,7 +13,7 @@ pub trait CompileContext {
     fn id(&self) -> u32;
     /// Told before [`Self::compile`]: what the drawables that come are, so that what draws them can be made before they
     /// are drawn.
-    fn foresee(&mut self, _kinds: &Arc<[DrawKind]>) {}
+    fn prewarm(&mut self, _kinds: &Arc<[DrawKind]>) {}
     /// Queues drawables for upload; done within the context's budget a frame.
     fn compile(&mut self, operation: CompileOperation);
     /// Nobody waits for these operations any more: those that have not begun may end with nothing made. All are answered.

@@ -149,7 +149,7 @@ impl DatabasePager {
         let mut drawables = Some(drawables);
         for (i, context) in contexts.iter_mut().enumerate() {
             let for_this = if i == last { drawables.take() } else { drawables.clone() };
-            context.foresee(&kinds);
+            context.prewarm(&kinds);
             context.compile(CompileOperation { ticket, drawables: for_this.unwrap_or_default() });
             if !self.config.pre_compile {
                 context.run_compiles(&CompileBudget { time: Duration::MAX, bytes: u64::MAX });

@@ -59,7 +59,7 @@ pub use settings::{
 pub use sharing::{ContentKey, ShareModes, SharedStateManager, SharingStats};
 pub use tile_tree::{SlotInfo, SlotState, TileInfo};
 
-pub use crate::state::{DataVariance, DrawHook};
+pub use crate::state::{DataVariance, OpaqueDrawData};
 
 pub(crate) use geometry::{AttributeLayout, SMALL_MESH_INDICES, added_stride};
 pub(crate) use id::NONE;

@@ -2,7 +2,7 @@
 
 use std::sync::RwLock;
 
-use super::hook::DrawHook;
+use super::hook::OpaqueDrawData;
 
 /// Identifies a render bin. Bins that differ in any field are different bins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -99,7 +99,7 @@ pub struct BinPrototype {
     /// The order of the leaves; a sort callback is [`SortMode::ByKey`].
     pub sort: SortMode,
     /// Draws the bin instead of the renderer (`draw::BinCallback`).
-    pub draw: Option<DrawHook>,
+    pub draw: Option<OpaqueDrawData>,
 }
 
 /// The error for a name without a registered prototype.

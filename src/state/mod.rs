@@ -19,7 +19,7 @@ mod variance;
 
 pub use attributes::Attribute;
 pub use bins::{BinDetails, BinName, BinPrototype, SortKey, SortLeaf, SortMode, UnknownBin};
-pub use hook::DrawHook;
+pub use hook::OpaqueDrawData;
 pub use lighting::{ColorControl, Fog, FogMode, Light, LightModel, SurfaceMaterial};
 pub use modes::{CLIP_PLANES, LIGHTS, Mode, NumberError, StateValue, TEXTURE_UNITS};
 pub use program::{Program, Uniform, UniformValue};

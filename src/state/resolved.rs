@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::attributes::Attribute;
 use super::bins::BinDetails;
-use super::hook::DrawHook;
+use super::hook::OpaqueDrawData;
 use super::lighting::{Fog, LightModel, SurfaceMaterial};
 use super::modes::{Mode, NumberError, StateValue, TEXTURE_UNITS};
 use super::program::{Program, Uniform};
@@ -90,7 +90,7 @@ pub struct ResolvedState {
     /// The bin of the leaves, from the outermost to the innermost; empty for the stage's own leaves.
     pub bins: Vec<BinDetails>,
     /// By index into `bins`: the callback that draws the bin instead of the renderer. May be shorter than `bins`.
-    pub bin_callbacks: Vec<Option<DrawHook>>,
+    pub bin_callbacks: Vec<Option<OpaqueDrawData>>,
     bins_overridden: bool,
     /// The materials of the drawables blend.
     blended_material: bool,

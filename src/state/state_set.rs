@@ -2,7 +2,7 @@
 
 use super::attributes::Attribute;
 use super::bins::{BinDetails, BinPrototype, SortMode, UnknownBin};
-use super::hook::DrawHook;
+use super::hook::OpaqueDrawData;
 use super::modes::{Mode, StateValue};
 use super::program::{Uniform, UniformValue};
 use super::variance::DataVariance;
@@ -20,7 +20,7 @@ pub struct StateSet {
     pub nest_bins: bool,
     /// Draws the bin instead of the renderer (`draw::BinCallback`). Among state sets with the same bin, the callback that
     /// is met first is used.
-    pub bin_callback: Option<DrawHook>,
+    pub bin_callback: Option<OpaqueDrawData>,
     /// Linear colour that multiplies every drawable below; `None` changes nothing.
     pub color: Option<[f32; 4]>,
     /// Modes with their flags, see [`Self::set_mode`].
@@ -133,7 +133,7 @@ mod tests {
         assert_eq!(bin(10, "DepthSortedBin"), BinDetails::TRANSPARENT);
         assert_eq!(bin(3, "TraversalOrderBin"), BinDetails::new(3, SortMode::TraversalOrder));
         let key = SortMode::ByKey(SortKey(|leaf| u64::from(leaf.order)));
-        let hook = DrawHook(std::sync::Arc::new(7));
+        let hook = OpaqueDrawData(std::sync::Arc::new(7));
         BinPrototype::register("bins: by key", BinPrototype { sort: key, draw: Some(hook.clone()) });
         BinPrototype::register("bins: plain", BinPrototype::default());
         let [keyed, plain] = [bin(2, "bins: by key"), bin(2, "bins: plain")];

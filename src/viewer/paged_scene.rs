@@ -173,7 +173,7 @@ impl PagedScene {
         let drawables = page.take_drawables();
         let root = self.scene_mut().add_root(page);
         if !drawables.is_empty() {
-            rendering.devices_mut().for_each(|context| context.foresee(&kinds));
+            rendering.devices_mut().for_each(|context| context.prewarm(&kinds));
             let kept = if self.keeps_drawables { drawables.clone() } else { Vec::new() };
             let number = self.next_own;
             self.next_own += 1;

@@ -39,7 +39,7 @@ pub struct FrameStats {
     pub shadow_leaves: u32,
     /// Draw calls for them; `draw_calls` counts them too.
     pub shadow_draw_calls: u32,
-    /// Pipelines that had to be made while it was drawn: of what was not foreseen when it was loaded.
+    /// Pipelines that had to be made while it was drawn: of what was not prewarmn when it was loaded.
     pub pipelines_created: u32,
     /// State changes recorded.
     pub state_changes: u32,

@@ -15,7 +15,7 @@ use super::viewport::Viewport;
 use crate::cull::{CullCamera, CullSettings, PageRequest, Stereo, StereoMode};
 use crate::draw::CameraCallbacks;
 use crate::draw::Environment;
-use crate::scene::{Attachment, CameraTarget, ClampProjection, DrawHook, Inherit};
+use crate::scene::{Attachment, CameraTarget, ClampProjection, Inherit, OpaqueDrawData};
 use crate::state::{TextureFormat, TextureObject};
 
 /// A graphics context of a viewer; never the same again once it was closed.
@@ -146,7 +146,7 @@ pub struct View {
     /// What its eyes' pictures are drawn into; made anew when their size changes.
     targets: Option<[Arc<CameraTarget>; 2]>,
     pub(super) input: Input,
-    callbacks: Option<DrawHook>,
+    callbacks: Option<OpaqueDrawData>,
     clamp_projection: Option<ClampProjection>,
 }
 

@@ -9,7 +9,7 @@ use kit::shapes::quad;
 use terrane::draw::{BinCallback, BinDrawing, RenderInfo};
 use terrane::scene::{Drawable, Geometry, Node};
 use terrane::state::{
-    Attribute, BinDetails, BinPrototype, BlendFunc, ColorMask, DrawHook, Mode, SortMode, StateSet, StateValue,
+    Attribute, BinDetails, BinPrototype, BlendFunc, ColorMask, Mode, OpaqueDrawData, SortMode, StateSet, StateValue,
 };
 
 const SIZE: u32 = 64;
@@ -20,7 +20,7 @@ const BLUE: [f32; 4] = [0.0, 0.0, 1.0, 1.0];
 
 type Said = Arc<Mutex<Vec<String>>>;
 
-fn bin(number: i32, callback: Option<DrawHook>) -> Arc<StateSet> {
+fn bin(number: i32, callback: Option<OpaqueDrawData>) -> Arc<StateSet> {
     let bin = Some(BinDetails::new(number, SortMode::ByState));
     Arc::new(StateSet { bin, bin_callback: callback, ..StateSet::default() })
 }
@@ -29,7 +29,7 @@ fn hook(
     said: &Said,
     name: &'static str,
     draw: impl Fn(&RenderInfo<'_>, &mut BinDrawing<'_, '_, '_>) + Send + Sync + 'static,
-) -> DrawHook {
+) -> OpaqueDrawData {
     let said = said.clone();
     let say = move |what: String| said.lock().unwrap().push(format!("{name} {what}"));
     BinCallback::new(move |info, bin| {
@@ -73,7 +73,7 @@ fn a_bin_is_drawn_when_and_as_often_as_its_callback_likes() {
             bin.draw();
         }
     };
-    let nodes = |callback: Option<DrawHook>| {
+    let nodes = |callback: Option<OpaqueDrawData>| {
         vec![
             square(true, true, -0.5, RED),
             square(true, false, 0.0, GREEN).with_state_set(bin(5, callback)),

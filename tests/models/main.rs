@@ -26,7 +26,7 @@ use stand_ins::{cull, draw, gpu, pager};
 
 mod scene {
     pub use terrane::scene::{
-        CameraTarget, ClampProjection, ComputeNearFar, DataVariance, DrawHook, DrawKind, DrawSlot, Drawable, Mesh,
+        CameraTarget, ClampProjection, ComputeNearFar, DataVariance, DrawKind, DrawSlot, Drawable, Mesh, OpaqueDrawData,
     };
 
     pub use crate::stand_ins::Scene;

@@ -16,7 +16,7 @@ pub use rendering::ThreadingModel;
 use crate::cull::CullCamera;
 use crate::draw::Environment;
 use crate::gpu::{ContextTraits, GpuError, GraphicsContext};
-use crate::scene::DrawHook;
+use crate::scene::OpaqueDrawData;
 use crate::stand_ins::{Reads, Scene, Seen};
 
 pub mod view {
@@ -118,7 +118,8 @@ impl Viewer {
             }
         }
         let (scene, reads) = (&self.scene, self.seen.reads);
-        let callbacks = (reads == Reads::InCallbacks).then(|| DrawHook(Arc::new(()) as Arc<dyn Any + Send + Sync>));
+        let callbacks =
+            (reads == Reads::InCallbacks).then(|| OpaqueDrawData(Arc::new(()) as Arc<dyn Any + Send + Sync>));
         self.rendering.frame(
             |_| FrameJob { frame, present: true, ..FrameJob::default() },
             |camera, last| {

@@ -1,7 +1,7 @@
 //! Leaves, the drawables of a stage, and the bins that hold them in draw order.
 
 use crate::scene::DrawSlot;
-use crate::state::{BinDetails, DrawHook, SortMode};
+use crate::state::{BinDetails, OpaqueDrawData, SortMode};
 
 /// One drawable of a frame. 16 bytes, since there are many.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,7 +22,7 @@ pub struct RenderBin {
     /// The bins that it is nested in, and the bin itself; empty for the stage's own leaves.
     pub path: Vec<BinDetails>,
     /// By index into `path`: the callback that draws the bin instead of the renderer. May be shorter than `path`.
-    pub callbacks: Vec<Option<DrawHook>>,
+    pub callbacks: Vec<Option<OpaqueDrawData>>,
     /// The order of the leaves.
     pub sort: SortMode,
     /// Leaves in draw order.
@@ -38,7 +38,7 @@ impl RenderBin {
 
 impl RenderBin {
     /// Adds callbacks for bins of the path that have none yet.
-    pub(in crate::cull) fn add_callbacks(&mut self, callbacks: &[Option<DrawHook>]) {
+    pub(in crate::cull) fn add_callbacks(&mut self, callbacks: &[Option<OpaqueDrawData>]) {
         for (index, callback) in callbacks.iter().enumerate().filter(|(_, c)| c.is_some()) {
             if self.callbacks.len() <= index {
                 self.callbacks.resize(index + 1, None);

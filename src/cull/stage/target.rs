@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::scene::{CameraEnvironment, CameraShadows, CameraTarget};
-use crate::state::DrawHook;
+use crate::state::OpaqueDrawData;
 
 /// The image that a stage is drawn into, and how the image is prepared.
 #[derive(Clone, Debug, Default)]
@@ -23,7 +23,7 @@ pub struct StageTarget {
     /// Render order number among the stages before or after the same one.
     pub order: i32,
     /// Called while the stage is drawn.
-    pub callbacks: Option<DrawHook>,
+    pub callbacks: Option<OpaqueDrawData>,
     /// Light and air of a camera in the graph.
     pub environment: CameraEnvironment,
     /// Shadows of a camera in the graph.

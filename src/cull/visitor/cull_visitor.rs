@@ -11,7 +11,7 @@ use crate::cull::sorting::Sorter;
 use crate::cull::stage::{CullCounters, RenderStage};
 use crate::cull::views::View;
 use crate::cull::{CullCamera, CullingMode, Stereo};
-use crate::scene::{CameraTarget, ClampProjection, DrawHook, Environment, Scene};
+use crate::scene::{CameraTarget, ClampProjection, OpaqueDrawData, Environment, Scene};
 use crate::state::StateSet;
 
 /// Culls scenes and owns the memory that is reused from frame to frame.
@@ -24,7 +24,7 @@ pub struct CullVisitor {
     /// Overrides near and far of the outermost stage where its settings have them computed.
     pub clamp_projection: Option<ClampProjection>,
     /// Called while the outermost stage is drawn.
-    pub callbacks: Option<DrawHook>,
+    pub callbacks: Option<OpaqueDrawData>,
     /// State above all roots; OSG's state set of a camera.
     pub state_set: Option<Arc<StateSet>>,
     /// Light and air: the direction of the sun, and the shadows it casts. Without one only cameras in the graph that

@@ -18,7 +18,7 @@ use crate::draw::uniforms::frame::LeafUniform;
 use crate::gpu::{CompileInfo, CustomCompile, CustomError, CustomShape, TargetFormats, watched};
 use crate::math::Aabb;
 use crate::scene::{CustomGeometry, Geometry};
-use crate::state::{DrawHook, ResolvedState};
+use crate::state::{OpaqueDrawData, ResolvedState};
 
 pub use crate::draw::pipelines::DRAWABLE_PRELUDE;
 
@@ -135,7 +135,7 @@ pub fn custom_geometry(drawable: impl CustomDrawable) -> Geometry {
         let bytes = made.drawable.size_bytes();
         Ok(CustomShape { made: Box::new(made), bytes })
     }));
-    Geometry::Custom(CustomGeometry { bounds, size_bytes, hook: DrawHook(Arc::new(compile)) })
+    Geometry::Custom(CustomGeometry { bounds, size_bytes, hook: OpaqueDrawData(Arc::new(compile)) })
 }
 
 /// What the device complains about becomes an error.

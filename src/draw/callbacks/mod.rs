@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use super::FrameClock;
 use crate::cull::RenderStage;
-use crate::scene::{DataVariance, DrawHook};
+use crate::scene::{DataVariance, OpaqueDrawData};
 use bins::BinDrawing;
 
 /// What a callback is given, and may use.
@@ -42,16 +42,16 @@ pub struct CameraCallbacks {
 
 impl CameraCallbacks {
     /// To be put into a [`CameraNode`](crate::scene::CameraNode).
-    pub fn hook(self) -> DrawHook {
-        DrawHook(Arc::new(self))
+    pub fn hook(self) -> OpaqueDrawData {
+        OpaqueDrawData(Arc::new(self))
     }
 
     /// Of what is hooked into a camera.
-    pub(crate) fn variance_of(hook: &Option<DrawHook>) -> DataVariance {
+    pub(crate) fn variance_of(hook: &Option<OpaqueDrawData>) -> DataVariance {
         Self::of(hook).map_or(DataVariance::Static, |callbacks| callbacks.data_variance)
     }
 
-    pub(super) fn of(hook: &Option<DrawHook>) -> Option<&Self> {
+    pub(super) fn of(hook: &Option<OpaqueDrawData>) -> Option<&Self> {
         hook.as_ref()?.0.downcast_ref()
     }
 }
@@ -77,8 +77,8 @@ impl BinCallback {
     }
 
     /// To be put into a [`StateSet`](crate::state::StateSet).
-    pub fn hook(self) -> DrawHook {
-        DrawHook(Arc::new(self))
+    pub fn hook(self) -> OpaqueDrawData {
+        OpaqueDrawData(Arc::new(self))
     }
 
     /// Of what is hooked to the bins of a stage.
@@ -87,7 +87,7 @@ impl BinCallback {
         hooks.any(|hook| Self::of(hook).is_some_and(|c| c.data_variance == DataVariance::Dynamic))
     }
 
-    pub(super) fn of(hook: &DrawHook) -> Option<&Self> {
+    pub(super) fn of(hook: &OpaqueDrawData) -> Option<&Self> {
         hook.0.downcast_ref()
     }
 }

@@ -8,8 +8,8 @@
 //!         pass    clear, pre callback, opaque runs, occlusion queries, sky, what writes no depth, post callback
 //! ```
 
-mod foresee;
 pub(super) mod prepare;
+mod prewarm;
 mod record;
 pub(super) mod shadows;
 mod upload;
@@ -36,7 +36,7 @@ use crate::draw::uniforms::pulls::Pulls;
 use crate::gpu::{Acquired, FrameTimer, GpuError, GraphicsContext};
 use crate::scene::{Environment, Texture};
 use crate::state::TextureObject;
-use foresee::DrawnInto;
+use prewarm::DrawnInto;
 use shadows::CasterPlan;
 use views::{LitView, ViewFrame};
 

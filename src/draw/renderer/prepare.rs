@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::foresee::DrawnInto;
+use super::prewarm::DrawnInto;
 use super::views::{Surroundings, ViewFrame, clip_of_view};
 use super::{FrameClock, Picture, Renderer};
 use crate::cull::{CullCamera, FadeBand, RenderStage};

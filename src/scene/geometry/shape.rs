@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::height_tile::HeightTile;
 use super::mesh::Mesh;
 use crate::math::Aabb;
-use crate::state::DrawHook;
+use crate::state::OpaqueDrawData;
 
 /// Geometry that the application draws itself, created by `draw::custom_geometry`. It is culled, sorted and faded like any
 /// other, casts no shadow and is ignored by intersections.
@@ -16,7 +16,7 @@ pub struct CustomGeometry {
     /// The CPU memory that it holds, bytes.
     pub size_bytes: u64,
     /// The application's draw function, created by and handed back to `draw`.
-    pub hook: DrawHook,
+    pub hook: OpaqueDrawData,
 }
 
 /// The geometry of a [`Drawable`](super::Drawable).

@@ -7,7 +7,7 @@ use glam::{DAffine3, DMat4};
 use super::node_payloads::ReferenceFrame;
 use super::readback_image::{PictureSink, ReadBack};
 use crate::scene::settings::{CameraEnvironment, CameraShadows, CullSettings, Inherit};
-use crate::state::{DrawHook, TextureObject};
+use crate::state::{OpaqueDrawData, TextureObject};
 
 /// When a camera in the graph is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -126,7 +126,7 @@ pub struct CameraNode {
     /// Changes near and far after they are computed.
     pub clamp_projection: Option<ClampProjection>,
     /// Callbacks that are called while the camera is drawn.
-    pub callbacks: Option<DrawHook>,
+    pub callbacks: Option<OpaqueDrawData>,
 }
 
 impl CameraNode {

@@ -12,7 +12,7 @@ use glam::DMat4;
 use super::millis;
 use crate::cull::{CullCamera, CullCounters, CullVisitor, PageRequest, RenderStage, Stereo, StereoMode};
 use crate::draw::{BinCallback, CameraCallbacks, Environment};
-use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, DataVariance, DrawHook, Scene};
+use crate::scene::{CameraTarget, ClampProjection, ComputeNearFar, DataVariance, OpaqueDrawData, Scene};
 use crate::state::StateSet;
 use crate::sync::BlockCount;
 use crate::sync::primitives::channel::{Receiver, Sender, TryRecvError};
@@ -35,7 +35,7 @@ pub(in crate::viewer) struct CullTask {
     /// State above all roots.
     pub(in crate::viewer) state_set: Option<Arc<StateSet>>,
     /// What is called while its picture is drawn.
-    pub(in crate::viewer) callbacks: Option<DrawHook>,
+    pub(in crate::viewer) callbacks: Option<OpaqueDrawData>,
     /// Changes near and far where its settings have them computed.
     pub(in crate::viewer) clamp_projection: Option<ClampProjection>,
     /// Part of the context's target: x, y, width and height; `None`: all of it.

@@ -306,10 +306,10 @@ impl DeviceHandle {
     }
 
     /// Makes what drawables that come need to be drawn, before the frames that draw them.
-    pub(in crate::viewer) fn foresee(&mut self, kinds: &Arc<[DrawKind]>) {
+    pub(in crate::viewer) fn prewarm(&mut self, kinds: &Arc<[DrawKind]>) {
         if !kinds.is_empty() {
             // A draw thread that has ended shows at the next frame.
-            let _ = self.send(DrawCommand::Foresee(kinds.clone()));
+            let _ = self.send(DrawCommand::Prewarm(kinds.clone()));
         }
     }
 
@@ -469,8 +469,8 @@ impl CompileContext for DeviceOfScene<'_> {
         self.handle.id
     }
 
-    fn foresee(&mut self, kinds: &Arc<[DrawKind]>) {
-        self.handle.foresee(kinds);
+    fn prewarm(&mut self, kinds: &Arc<[DrawKind]>) {
+        self.handle.prewarm(kinds);
     }
 
     fn compile(&mut self, operation: CompileOperation) {

@@ -78,7 +78,7 @@ pub(in crate::viewer) struct FrameDone {
 /// What the thread that owns the context does, in the order sent.
 pub(super) enum DrawCommand {
     /// Make what the drawables that come need to be drawn.
-    Foresee(Arc<[DrawKind]>),
+    Prewarm(Arc<[DrawKind]>),
     /// Put drawables into the compile queue.
     Compile(CompileOperation),
     /// End what has not begun of the compile queue.
@@ -288,7 +288,7 @@ impl DrawSide {
 
     pub(super) fn execute(&mut self, command: DrawCommand) {
         let reply = match command {
-            DrawCommand::Foresee(kinds) => return self.renderer.foresee(&mut self.context, &kinds),
+            DrawCommand::Prewarm(kinds) => return self.renderer.prewarm(&mut self.context, &kinds),
             DrawCommand::Compile(operation) => return self.context.compile(operation),
             DrawCommand::CancelCompiles(tickets) => {
                 self.context.cancel_compiles(&tickets);

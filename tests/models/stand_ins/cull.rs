@@ -6,7 +6,7 @@ use glam::DMat4;
 use shuttle::thread;
 pub use terrane::cull::{CullCamera, CullCounters, PageRequest, Stereo, StereoMode};
 use terrane::draw::Environment;
-use terrane::scene::{CameraTarget, ClampProjection, DrawHook};
+use terrane::scene::{CameraTarget, ClampProjection, OpaqueDrawData};
 use terrane::state::StateSet;
 
 use super::{Panics, Scene};
@@ -15,7 +15,7 @@ use crate::schedules::thread::panic_on_purpose;
 /// The target of a stage.
 #[derive(Default)]
 pub struct StageTarget {
-    pub callbacks: Option<DrawHook>,
+    pub callbacks: Option<OpaqueDrawData>,
 }
 
 #[derive(Default)]
@@ -43,7 +43,7 @@ impl RenderStage {
 #[derive(Default)]
 pub struct CullVisitor {
     pub state_set: Option<Arc<StateSet>>,
-    pub callbacks: Option<DrawHook>,
+    pub callbacks: Option<OpaqueDrawData>,
     pub clamp_projection: Option<ClampProjection>,
     pub environment: Option<Environment>,
     pub viewport_px: Option<[u32; 4]>,

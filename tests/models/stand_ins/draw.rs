@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use image::RgbaImage;
 use shuttle::thread;
 pub use terrane::draw::{DrawStats, Environment, FrameClock};
-use terrane::scene::{DataVariance, DrawHook, DrawKind, Texture};
+use terrane::scene::{DataVariance, DrawKind, OpaqueDrawData, Texture};
 use terrane::state::TextureObject;
 
 use super::cull::RenderStage;
@@ -22,7 +22,7 @@ pub struct CameraCallbacks;
 
 impl CameraCallbacks {
     /// A model's hooks are all dynamic.
-    pub fn variance_of(hook: &Option<DrawHook>) -> DataVariance {
+    pub fn variance_of(hook: &Option<OpaqueDrawData>) -> DataVariance {
         hook.as_ref().map_or(DataVariance::Static, |_| DataVariance::Dynamic)
     }
 }
@@ -77,7 +77,7 @@ impl Renderer {
         Ok(DrawStats::default())
     }
 
-    pub fn foresee(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) {}
+    pub fn prewarm(&mut self, _context: &mut GraphicsContext, _kinds: &[DrawKind]) {}
 
     pub fn show_image(
         &mut self,

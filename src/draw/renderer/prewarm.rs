@@ -21,7 +21,7 @@ pub(super) struct DrawnInto {
 impl Renderer {
     /// Makes the pipelines, those of fades and of shadows too, that drawables of some kinds will need where the last
     /// frame drew; before the first frame, in the context's own target. Between frames, so that no draw has to.
-    pub fn foresee(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
+    pub fn prewarm(&mut self, ctx: &mut GraphicsContext, kinds: &[DrawKind]) {
         if self.drawn_into.is_empty()
             && let Some(target) = self.own_target(ctx)
         {
@@ -31,12 +31,12 @@ impl Renderer {
         let has_shadows = self.drawn_into.iter().any(|drawn| drawn.has_shadows);
         for kind in kinds {
             for place in 0..self.drawn_into.len() {
-                let made = self.foresee_in(ctx, kind, self.drawn_into[place]);
-                self.complain_of(kind, made);
+                let made = self.prewarm_in(ctx, kind, self.drawn_into[place]);
+                self.report_problem_of(kind, made);
             }
             if has_shadows {
-                let made = self.foresee_caster(ctx, kind);
-                self.complain_of(kind, made);
+                let made = self.prewarm_caster(ctx, kind);
+                self.report_problem_of(kind, made);
             }
         }
         for error in std::mem::take(&mut self.pipelines.errors) {
@@ -44,7 +44,7 @@ impl Renderer {
         }
     }
 
-    fn complain_of(&mut self, kind: &DrawKind, made: Result<(), String>) {
+    fn report_problem_of(&mut self, kind: &DrawKind, made: Result<(), String>) {
         if let Err(problem) = made {
             let name = &kind.state.name;
             let name = if name.is_empty() { "a state set" } else { name };
@@ -52,28 +52,28 @@ impl Renderer {
         }
     }
 
-    fn foresee_in(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, drawn: DrawnInto) -> Result<(), String> {
+    fn prewarm_in(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, drawn: DrawnInto) -> Result<(), String> {
         let found = self.shading_of(ctx, &kind.state, drawn.has_own_light);
         let shading = *found.as_ref().unwrap_or(&Shading::Fallback);
         let whole = self.pipelines.state_key(&kind.state, shading, drawn.target);
         let whole = if drawn.has_shadows { whole.shadowed() } else { whole }.in_air(drawn.air);
-        self.foresee_key(ctx, kind, &whole);
-        self.foresee_key(ctx, kind, &whole.fading());
+        self.prewarm_key(ctx, kind, &whole);
+        self.prewarm_key(ctx, kind, &whole.fading());
         found.map(drop)
     }
 
     /// What it casts its shadow with.
-    fn foresee_caster(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind) -> Result<(), String> {
+    fn prewarm_caster(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind) -> Result<(), String> {
         if matches!(kind.topology, Some(Topology::Lines | Topology::Points)) {
             return Ok(());
         }
         if let Some(key) = self.caster_key(ctx, &kind.state)? {
-            self.foresee_key(ctx, kind, &key);
+            self.prewarm_key(ctx, kind, &key);
         }
         Ok(())
     }
 
-    fn foresee_key(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, state: &StateKey) {
+    fn prewarm_key(&mut self, ctx: &mut GraphicsContext, kind: &DrawKind, state: &StateKey) {
         let key = match kind.topology {
             None => PipelineKey::height(state, kind.mirrored),
             Some(topology) => PipelineKey::mesh(state, topology, kind.is_masked, kind.double_sided, kind.mirrored),
